@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from benchmarks.hidden_effects.plants.noise import NOISE
 from twin.flight.simulate_flight import Recorder, Stream, simulate_flight
 from twin.logs import Flight, Site, write_flight
-from twin.logs.airframe import Airframe, Place, Told
+from twin.logs.airframe import Airframe, Place, SourcedValue
 from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL, motor_columns
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
@@ -145,7 +145,7 @@ def flown(aircraft: Aircraft, days: float, seed: int, seconds: float = 18.0) -> 
     return replace(
         flight,
         facts={"aircraft": f"autopilot {aircraft.name}", "airframe": "made copter"},
-        airframe=Airframe(place=Told(place, "made")),
+        airframe=Airframe(place=SourcedValue(place, "made")),
         site=Site(False, "made"),
     )
 

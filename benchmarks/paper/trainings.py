@@ -36,7 +36,7 @@ from learning.model.registry import family_row
 from learning.preset import Protocol
 from learning.threads import one_thread
 from twin.errors import LogError, ModelError
-from twin.logs.stored import damage_told, opened
+from twin.logs.stored import as_log_error, opened
 
 from .generated import fit_recording
 
@@ -415,7 +415,7 @@ def _read(path: Path) -> tuple[Array, Array]:
             f"{path}: there is no such file. Give the folder with the paper's residual tables, "
             f"takeoff_flight1.parquet and so on."
         )
-    with opened(path, path.name) as file, damage_told(path.name):
+    with opened(path, path.name) as file, as_log_error(path.name):
         table = file.read().to_pandas()
     found = []
     for side in ("real_", "sim_"):

@@ -134,9 +134,9 @@ def axis_faults(reference: Array, measured: Array, least: float) -> Iterator[str
     away = np.abs(reference - np.median(reference, axis=0))
     usual = np.quantile(away, 0.8, axis=0)
     apart = np.linalg.norm(reference - measured, axis=1)
-    kept = apart <= np.quantile(apart, 1 - _STEPS)
-    kept &= np.all(away <= _FAR * np.maximum(usual, least), axis=1)
-    a, b = (v[kept] - v[kept].mean(axis=0) for v in (reference, measured))
+    within = apart <= np.quantile(apart, 1 - _STEPS)
+    within &= np.all(away <= _FAR * np.maximum(usual, least), axis=1)
+    a, b = (v[within] - v[within].mean(axis=0) for v in (reference, measured))
     size_a, size_b = (np.sqrt(np.mean(v * v, axis=0)) for v in (a, b))
     with np.errstate(divide="ignore", invalid="ignore"):
         r = np.nan_to_num((a.T @ b) / len(a) / np.outer(size_a, size_b))
@@ -173,8 +173,8 @@ class Turns:
         """Without the 2 % in which they are farthest apart: resets of an estimator."""
         apart = np.linalg.norm(self.by_attitude - self.by_gyro, axis=1)
         order = np.argsort(apart, kind="stable")
-        kept = np.sort(order[: len(order) - int(np.ceil(_STEPS * len(order)))])
-        return Turns(self.by_attitude[kept], self.by_gyro[kept], self.lasting_s[kept])
+        nearest = np.sort(order[: len(order) - int(np.ceil(_STEPS * len(order)))])
+        return Turns(self.by_attitude[nearest], self.by_gyro[nearest], self.lasting_s[nearest])
 
     @property
     def residual_rad_s(self) -> Array:
@@ -210,12 +210,12 @@ def turns(table: Columns, there: Signals | None = None) -> Turns | None:
     q = q[near][first]
     q = q / np.linalg.norm(q, axis=1, keepdims=True)
     turned = rotation_vector(q[1:], q[:-1])
-    told = _total(t_gyro, gyro, edges)
-    small = np.abs(told).max(axis=1) < 1.0  # beyond, angles do not add up
+    integrated = _total(t_gyro, gyro, edges)
+    small = np.abs(integrated).max(axis=1) < 1.0  # beyond, angles do not add up
     if small.sum() < _FEWEST:
         small = np.abs(turned).max(axis=1) < 1.0
     good = _known(t_gyro, edges) & _known(t_q, edges) & small
-    return Turns(turned[good], told[good], np.diff(edges)[good])
+    return Turns(turned[good], integrated[good], np.diff(edges)[good])
 
 
 def doubt_turning(table: Columns, there: Signals) -> list[Finding]:
@@ -225,9 +225,9 @@ def doubt_turning(table: Columns, there: Signals) -> list[Finding]:
         return []
     moving = float(np.sqrt(np.mean(found.by_gyro**2)))
     still = float(np.sqrt(np.mean(found.by_attitude**2)))
-    kept = found.without_steps()
-    every = np.ones(len(kept.lasting_s), dtype=np.bool_)
-    together, ratio, n = _compared(kept.by_attitude, kept.by_gyro, every)
+    steady = found.without_steps()
+    every = np.ones(len(steady.lasting_s), dtype=np.bool_)
+    together, ratio, n = _compared(steady.by_attitude, steady.by_gyro, every)
     little = max(moving, still) < _TURNED_RAD and min(moving, still) < _BOTH_TURNED_RAD
     if n < _FEWEST or little or (together > 0.5 and 0.5 < ratio < 2.0):
         return [
@@ -255,15 +255,15 @@ def doubt_velocity(table: Columns, there: Signals) -> list[Finding]:
     edges = _windows(t_pos, t_vel)
     if len(edges) < _FEWEST:
         return []
-    way, told = np.diff(_at(t_pos, pos, edges), axis=0), _total(t_vel, vel, edges)
+    way, integrated = np.diff(_at(t_pos, pos, edges), axis=0), _total(t_vel, vel, edges)
     good = _known(t_pos, edges) & _known(t_vel, edges)
     good &= np.abs(way).max(axis=1) < 50.0 * _median_way(way)  # resets of an estimator
     found = []
     for k, axis in enumerate("xyz"):
-        together, ratio, n = _compared(way[:, k], told[:, k], good)
+        together, ratio, n = _compared(way[:, k], integrated[:, k], good)
         if n < _FEWEST:
             continue
-        moved = [float(np.std(some[good, k])) for some in (told, way)]
+        moved = [float(np.std(some[good, k])) for some in (integrated, way)]
         if together < -0.5 and min(moved) > _AGAINST_M:
             message = (
                 f"vel_{axis} and the slope of pos_{axis} have opposite signs (r = {together:.2f})"
@@ -313,12 +313,12 @@ def doubt_force(table: Columns, there: Signals) -> list[Finding]:
     read = _total(t_acc, acc, edges)
     force_n = _force_ned(t_acc, acc, t_q, q)
     del acc
-    told = _total(t_acc, force_n, edges)
+    integrated = _total(t_acc, force_n, edges)
     good = _known(t_acc, edges) & _known(t_q, edges) & _known(t_vel, edges)
     good &= np.abs(gained).max(axis=1) < 20.0 * np.diff(edges)
     if good.sum() < _FEWEST:
         return []
-    weight = (gained[good] - told[good]) / np.diff(edges)[good, None]
+    weight = (gained[good] - integrated[good]) / np.diff(edges)[good, None]
     lacks = float(np.median(weight[:, 2])) - GRAVITY_M_S2
     found = []
     if abs(lacks) > 3.0:
@@ -328,7 +328,7 @@ def doubt_force(table: Columns, there: Signals) -> list[Finding]:
             "another unit, or an attitude that is not the body's?"
         )
         found.append(Finding("error", "acc", message))
-    level = (gained[:, :2], told[:, :2])
+    level = (gained[:, :2], integrated[:, :2])
     together, ratio, n = _compared(*level, good)
     if n >= _FEWEST and np.std(level[0][good]) > 0.15 and together < 0.3:
         message = (

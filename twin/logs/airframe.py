@@ -1,6 +1,6 @@
 """What a log says of the aircraft that made it; every reader of an autopilot's logs fills it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -14,8 +14,8 @@ T = TypeVar("T")
 Array = NDArray[np.float64]
 
 
-class Told(NamedTuple, Generic[T]):
-    """A fact and what says so.
+class SourcedValue(NamedTuple, Generic[T]):
+    """A fact of the aircraft, with the parameter or topic that says so.
 
     Attributes:
         value: In SI units.
@@ -24,6 +24,12 @@ class Told(NamedTuple, Generic[T]):
 
     value: T
     source: str
+
+
+def positive_parameter(params: Mapping[str, float], name: str) -> SourcedValue[float] | None:
+    """A parameter that says something where it is positive; None where it is not, or missing."""
+    value = params.get(name, 0.0)
+    return SourcedValue(value, f"{name} of the log") if value > 0.0 else None
 
 
 NO_MULTIROTOR = {
@@ -89,8 +95,8 @@ class Cells:
         count: Cells in series.
         full_v: Voltage of a full cell.
         empty_v: Voltage of an empty cell.
-        capacity_a_s: None: not told.
-        resistance_ohm: Of the whole battery; None: not told.
+        capacity_a_s: None: not logged.
+        resistance_ohm: Of the whole battery; None: not logged.
     """
 
     count: int
@@ -130,13 +136,13 @@ class ThrustCurve:
 
 
 def origin_of(airframe: "Airframe | None") -> Place | None:
-    """From where the positions of a flight are counted; None where its log does not tell."""
+    """From where the positions of a flight are counted; None where its log does not say."""
     return None if airframe is None or airframe.origin is None else airframe.origin.value
 
 
 @dataclass(frozen=True, slots=True)
 class Airframe:
-    """Facts of an aircraft that its log holds besides the signals; None where it does not tell.
+    """Facts of an aircraft that its log holds besides the signals; None where it does not say.
 
     Attributes:
         no_multirotor: Why it is none, "" where it may be one.
@@ -154,28 +160,28 @@ class Airframe:
     """
 
     no_multirotor: str = ""
-    rotors: Told[int] | None = None
+    rotors: SourcedValue[int] | None = None
     layout: Layout | None = None
-    thrust: Told[ThrustCurve] | None = None
-    pulse_us: Told[tuple[float, float]] | None = None
-    cells: Told[Cells] | None = None
-    imu_position_m: Told[tuple[float, float, float]] | None = None
-    accel_cutoff_hz: Told[float] | None = None
-    gyro_cutoff_hz: Told[float] | None = None
-    place: Told[Place] | None = None
+    thrust: SourcedValue[ThrustCurve] | None = None
+    pulse_us: SourcedValue[tuple[float, float]] | None = None
+    cells: SourcedValue[Cells] | None = None
+    imu_position_m: SourcedValue[tuple[float, float, float]] | None = None
+    accel_cutoff_hz: SourcedValue[float] | None = None
+    gyro_cutoff_hz: SourcedValue[float] | None = None
+    place: SourcedValue[Place] | None = None
     filters: str = ""
-    origin: Told[Place] | None = None
+    origin: SourcedValue[Place] | None = None
 
     __repr__ = short_repr
 
     @classmethod
     def together(cls, several: Sequence["Airframe"]) -> "Airframe":
-        """Of several logs of one aircraft: each fact by the first that tells it."""
-        told: dict[str, Any] = {
+        """Of several logs of one aircraft: each fact of the first log that has it."""
+        facts: dict[str, Any] = {
             f.name: next((v for a in several if (v := getattr(a, f.name))), f.default)
             for f in fields(cls)
         }
-        return cls(**told)
+        return cls(**facts)
 
 
 # -- outputs of the motors ----------------------------------------------------------------------

@@ -15,8 +15,10 @@ from scipy.ndimage import median_filter
 
 from ..errors import LogError
 from ..frames import from_euler, rotation_vector
-from .columns import EULER, MOTION, QUAT, Columns, beyond, in_order, told
-from .flight import Array, Finding, Noted
+from .airframe import Airframe
+from .autopilot import Autopilot, Span, label_phases
+from .columns import EULER, MOTION, QUAT, Columns, beyond, beyond_message, in_order
+from .flight import Array, Finding, Flight, Noted, Severity, Site
 
 # -- time stamps --------------------------------------------------------------------------------
 #
@@ -72,7 +74,7 @@ class Pauses:
     at_s: float
 
     @property
-    def told(self) -> str:
+    def message(self) -> str:
         """The text of a finding."""
         return f"gaps, the longest of {self.longest_s:.3g} s after {self.at_s:.2f} s"
 
@@ -193,15 +195,30 @@ def _longest_rise(t: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.array(chain[::-1], dtype=np.int64)
 
 
-def told_dropped(what: str, backward: int, repeated: int, jumped: int) -> Iterator[tuple[str, int]]:
-    """Messages and counts of what `advancing` leaves out, of samples that are called so."""
+def advancing_samples(
+    log: Noted, where: str, t_us: NDArray[np.int64], what: str, severity: Severity = "error"
+) -> NDArray[np.bool_]:
+    """Samples to keep so that time strictly increases, as of `advancing`; findings count the rest.
+
+    Args:
+        log: Takes the findings.
+        where: What the signal is called in them.
+        t_us: Time stamps, us, shape (n,), in the order of the file.
+        what: What a sample is called in the log.
+        severity: Of the findings.
+
+    Returns:
+        Shape (n,).
+    """
+    keep, backward, repeated, jumped = advancing(t_us)
     for count, why in (
         (backward, "whose time runs backward"),
         (repeated, "whose time repeats"),
         (jumped, "that lie more than a minute from the rest"),
     ):
         if count:
-            yield f"{what} dropped {why}", count
+            log.note(severity, where, f"{what} dropped {why}", count)
+    return keep
 
 
 # -- stamps and the order in the file -----------------------------------------------------------
@@ -212,7 +229,13 @@ def told_dropped(what: str, backward: int, repeated: int, jumped: int) -> Iterat
 # same moment whatever their topic.
 
 _NEIGHBOURS = 101
+"""Samples of whose stamps the median is taken."""
 _MANY = 0.2
+"""Share of all samples from which on a topic would outvote the others."""
+_FAR_US = 10_000_000
+"""A stamp farther than that from its neighbours is of another clock."""
+APART_S = 0.15
+"""Median of a whole topic; sound PX4 logs: under 80 ms for GPS, 10 ms for what is fast."""
 
 
 def out_of_place(
@@ -246,6 +269,35 @@ def out_of_place(
     return out
 
 
+def misplaced(
+    log: Noted, names: Sequence[str], off_us: Sequence[NDArray[np.int64]], what: str
+) -> Iterator[NDArray[np.bool_]]:
+    """Samples stamped far from their neighbours in the file; findings count them and doubt topics.
+
+    Args:
+        log: Takes the findings.
+        names: Of the topics.
+        off_us: Per topic, as of `out_of_place`.
+        what: What a sample is called in the log.
+
+    Returns:
+        Per topic, shape (n,): those to be dropped.
+    """
+    for name, off in zip(names, off_us, strict=True):
+        far = np.abs(off) > _FAR_US
+        middle_s = float(np.median(off)) * 1e-6
+        if far.any():
+            message = (
+                f"{what} dropped, stamped over {_FAR_US * 1e-6:.0f} s from what stands next to "
+                f"them in the file (median {middle_s:+.3g} s): another clock, or another unit?"
+            )
+            log.note("error", name, message, int(far.sum()))
+        if abs(middle_s) > APART_S and not far.all():
+            message = f"stamped {middle_s:+.2f} s from what stands next to it in the file"
+            log.note("error", name, f"{message}: another clock?")
+        yield far
+
+
 def _clock(stamp_us: NDArray[np.int64]) -> NDArray[np.float64]:
     """Median of each stamp and its neighbours, us."""
     return np.asarray(median_filter(stamp_us, _NEIGHBOURS, mode="nearest"), dtype=np.float64)
@@ -263,7 +315,7 @@ _APART_RAD = 0.02  # made up: over the rounding of any log, under any mistake of
 
 
 def unit_quaternions(log: Noted, q: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Logged quaternions normalised, those left out whose norm is far from 1; both are told.
+    """Logged quaternions normalised, those left out whose norm is far from 1; findings count both.
 
     Args:
         log: Which has them; gets the findings.
@@ -316,14 +368,14 @@ def with_quaternion(name: str, table: Columns) -> tuple[dict[str, Array], list[F
     if partial:
         message = "rows with NaN in a part of the Euler angles; they are left out there"
         findings.append(Finding("error", "attitude", message, partial))
-    told = np.full((len(angles), 4), np.nan)
-    told[whole] = from_euler(*angles[whole].T).T
+    q_euler = np.full((len(angles), 4), np.nan)
+    q_euler[whole] = from_euler(*angles[whole].T).T
     if all(c in table for c in QUAT):
         q_nb = np.stack([table[c] for c in QUAT], axis=1)
         if (~np.isnan(q_nb)).all(axis=1).any():
-            _check_same(name, q_nb, told)
+            _check_same(name, q_nb, q_euler)
             return {}, findings
-    return {c: np.ascontiguousarray(told[:, k]) for k, c in enumerate(QUAT)}, findings
+    return {c: np.ascontiguousarray(q_euler[:, k]) for k, c in enumerate(QUAT)}, findings
 
 
 def _check_radians(name: str, angles: Array) -> None:
@@ -337,12 +389,12 @@ def _check_radians(name: str, angles: Array) -> None:
         )
 
 
-def _check_same(name: str, q_nb: Array, told: Array) -> None:
+def _check_same(name: str, q_nb: Array, q_euler: Array) -> None:
     """Both attitudes are the same wherever both are there."""
     size = np.linalg.norm(q_nb, axis=1)
-    both = np.flatnonzero(np.isfinite(size) & (size > 0.5) & np.isfinite(told[:, 0]))
+    both = np.flatnonzero(np.isfinite(size) & (size > 0.5) & np.isfinite(q_euler[:, 0]))
     unit = q_nb[both] / size[both, None]
-    apart = np.linalg.norm(rotation_vector(unit, told[both]), axis=1)
+    apart = np.linalg.norm(rotation_vector(unit, q_euler[both]), axis=1)
     off = np.flatnonzero(apart > _APART_RAD)
     if len(off):
         k = off[0]
@@ -359,43 +411,93 @@ def _check_same(name: str, q_nb: Array, told: Array) -> None:
 
 
 @dataclass(slots=True)
-class Rows:
-    """Collects signals, each with its own time stamps, and lays them out row by row."""
+class FlightBuilder:
+    """The flight of a log while it is read: signals, each with its own time stamps, and facts.
 
+    Attributes:
+        log: Takes the findings.
+        path: File.
+        facts: What the log says about itself, printable key by key.
+        begin: What happens at time 0.
+        signals: Columns that are sampled together, their times, us, shape (n,), and values.
+        t_us: Times of the rows of the table, shape (n,), once it is laid out.
+    """
+
+    log: Noted
+    path: Path
+    facts: dict[str, str] = field(default_factory=dict)
+    begin: str = "the log began"
     signals: list[tuple[tuple[str, ...], NDArray[np.int64], Array]] = field(default_factory=list)
+    t_us: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def add(
-        self, names: tuple[str, ...], t_us: NDArray[np.int64], values: Array
-    ) -> tuple[int, int]:
-        """Add columns that are sampled together.
+        self, where: str, names: tuple[str, ...], t_us: NDArray[np.int64], values: Array
+    ) -> None:
+        """Add a signal; findings count the samples that it loses.
 
         Args:
-            names: Column names.
+            where: What the signal is called in findings, and in `columns.LIMITS`.
+            names: Its columns.
             t_us: Strictly increasing times, us, shape (n,).
             values: Shape (n, len(names)).
-
-        Returns:
-            Number of samples left out because they are older than the record, and because one
-            of their values is not finite.
         """
-        early = t_us < 0
-        broken = ~np.isfinite(values).all(axis=1) & ~early
-        good = ~early & ~broken
+        absurd = beyond(where, values)
+        if absurd.any():
+            message = beyond_message(where, values[absurd])
+            self.log.note("error", where, message, int(absurd.sum()))
+        early = (t_us < 0) & ~absurd
+        broken = ~np.isfinite(values).all(axis=1) & ~early & ~absurd
+        good = ~(early | broken | absurd)
         if good.any():
             self.signals.append((names, t_us[good], values[good]))
-        return int(early.sum()), int(broken.sum())
+        if early.any():
+            message = f"samples left out, taken before {self.begin}"
+            self.log.note("info", where, message, int(early.sum()))
+        if broken.any():
+            message = "samples left out, a value is NaN or infinite"
+            self.log.note("error", where, message, int(broken.sum()))
 
-    def times_us(self) -> tuple[NDArray[np.int64], int]:
-        """Times of all rows of the longest stretch without a pause of a minute, strictly
-        increasing, and how many lie outside it."""
-        if not self.signals:
-            return np.zeros(0, dtype=np.int64), 0
-        t_us = np.unique(np.concatenate([t for _, t, _ in self.signals]))
-        kept = longest_stretch(t_us)
-        return t_us[kept], int(np.count_nonzero(~kept))
+    def add_attitude(self, t_us: NDArray[np.int64], q: Array) -> None:
+        """Add logged quaternions FRD to NED, shape (n, 4), as of `unit_quaternions`."""
+        usable, unit = unit_quaternions(self.log, q)
+        self.add("q", QUAT, t_us[usable], unit)
 
-    def table(self, t_us: NDArray[np.int64]) -> pd.DataFrame:
-        """Flight table on these times, NaN where a signal has no sample; no `phase` yet."""
+    def filter_delay_us(self, where: str, cutoff_hz: float, source: str = "") -> int:
+        """Delay of the low-pass that a signal went through before it was logged, us; a finding.
+
+        Args:
+            where: Name of the signal.
+            cutoff_hz: Of a second-order Butterworth low-pass.
+            source: Parameter that says so.
+        """
+        delay_us = filter_delay_us(cutoff_hz)
+        self.log.note(
+            "info",
+            where,
+            f"low-passed at {cutoff_hz:.0f} Hz{source and f' ({source})'} before it was logged; "
+            f"its time is {delay_us / 1e3:.1f} ms before the time stamp of the log, the delay of "
+            "that filter",
+        )
+        return delay_us
+
+    def lay_out(self, advice: str, doubt: str = "") -> pd.DataFrame:
+        """The table of all signals on the longest stretch without a pause of a minute, without
+        `phase`; NaN where a signal has no sample.
+
+        Args:
+            advice: What to do where nothing of the motion is there, a sentence.
+            doubt: What may be the cause where rows are left out, begun by a colon.
+
+        Raises:
+            LogError: Nothing of the motion is there.
+        """
+        every = [t for _, t, _ in self.signals]
+        t_us = np.unique(np.concatenate(every)) if every else np.zeros(0, dtype=np.int64)
+        inside = longest_stretch(t_us) if every else np.zeros(0, dtype=np.bool_)
+        if outside := int(np.count_nonzero(~inside)):
+            message = "rows dropped outside the longest stretch without a pause of a minute"
+            self.log.note("error", "time", message + doubt, outside)
+        t_us = self.t_us = t_us[inside]
         columns: dict[str, Array] = {"time": np.asarray(t_us * 1e-6, dtype=np.float64)}
         for names, t, values in self.signals:
             row = np.minimum(np.searchsorted(t_us, t), len(t_us) - 1)
@@ -403,71 +505,32 @@ class Rows:
             for k, name in enumerate(names):
                 column = columns.setdefault(name, np.full(len(t_us), np.nan))
                 column[row[here]] = values[here, k]
+        if not columns.keys() & MOTION:
+            raise LogError(
+                f"{self.path.name}: the log holds no sample of acceleration, body rates, attitude, "
+                f"position or velocity within {len(t_us)} rows. {advice}"
+            )
         return pd.DataFrame({name: columns[name] for name in in_order(columns)})
 
-    def coverage(self, t_us: NDArray[np.int64]) -> dict[str, str]:
-        """Facts: duration of the rows at these times, and mean rate of every signal."""
-        facts = {"duration": f"{(t_us[-1] - t_us[0]) * 1e-6:.2f} s"}
+    def flight(
+        self,
+        table: pd.DataFrame,
+        phases: Sequence[Span] = (),
+        *,
+        site: Site | None = None,
+        airframe: Airframe | None = None,
+        autopilot: Autopilot | None = None,
+    ) -> Flight:
+        """The flight of a table as of `lay_out`, its phases, and the rates of its signals as facts;
+        other arguments as of `Flight`."""
+        t_s = table["time"].to_numpy()
+        table["phase"] = pd.Series(label_phases(t_s, phases), dtype=object)
+        length_s = (self.t_us[-1] - self.t_us[0]) * 1e-6
+        facts = self.facts | {"duration": f"{length_s:.2f} s"}
         for names, t, _ in self.signals:
             if len(t) > 1:
                 group = names[0].rsplit("_", 1)[0] if len(names) > 1 else names[0]
                 facts[f"rate {group}"] = f"{(len(t) - 1) / ((t[-1] - t[0]) * 1e-6):.1f} Hz"
-        return facts
-
-
-def lay_out(
-    log: Noted, path: Path, rows: Rows, advice: str, doubt: str = ""
-) -> tuple[pd.DataFrame, NDArray[np.int64]]:
-    """The table of all signals that were added, and the times of its rows, us; no `phase` yet.
-
-    Args:
-        log: Takes a finding on rows that are left out.
-        path: File, for messages.
-        rows: Signals.
-        advice: What to do where nothing of the motion is there, a sentence.
-        doubt: What may be the cause where rows are left out, begun by a colon.
-
-    Raises:
-        LogError: Nothing of the motion is there.
-    """
-    t_us, outside = rows.times_us()
-    if outside:
-        message = "rows dropped outside the longest stretch without a pause of a minute"
-        log.note("error", "time", message + doubt, outside)
-    table = rows.table(t_us)
-    if not any(c in table for c in MOTION):
-        raise LogError(
-            f"{path.name}: the log holds no sample of acceleration, body rates, attitude, position "
-            f"or velocity within {len(t_us)} rows. {advice}"
-        )
-    return table, t_us
-
-
-def add_signal(
-    log: Noted,
-    rows: Rows,
-    where: str,
-    names: tuple[str, ...],
-    t_us: NDArray[np.int64],
-    values: Array,
-    begin: str = "the log began",
-) -> None:
-    """Add a signal and note what it loses.
-
-    Args:
-        log: Takes the findings.
-        rows: Takes the samples.
-        where: What the signal is called in findings, and in `limits`.
-        names: Its columns.
-        t_us: Strictly increasing times, us, shape (n,).
-        values: Shape (n, len(names)).
-        begin: What happens at time 0.
-    """
-    absurd = beyond(where, values)
-    if absurd.any():
-        log.note("error", where, told(where, values[absurd]), int(absurd.sum()))
-    early, broken = rows.add(names, t_us[~absurd], values[~absurd])
-    if early:
-        log.note("info", where, f"samples left out, taken before {begin}", early)
-    if broken:
-        log.note("error", where, "samples left out, a value is NaN or infinite", broken)
+        findings = tuple(self.log.findings)
+        path = self.path
+        return Flight(path.stem, table, findings, facts, path, site, airframe, autopilot)

@@ -1,4 +1,4 @@
-"""What the autopilot itself says of a flight: its modes, what it was asked for, what it reported.
+"""What the autopilot itself says of a flight: its modes, setpoints, failures, messages, filters.
 
 Every reader of an autopilot's logs fills it; a flight table in Parquet keeps it.
 """
@@ -17,19 +17,19 @@ Array = NDArray[np.float64]
 Sensor = Literal["gyro", "acc"]
 FilterKind = Literal["low-pass", "notch", "tracking notch"]
 Level = Literal["emergency", "alert", "critical", "error", "warning", "notice", "info", "debug", ""]
-"""Of a message, as syslog has them; "": the log does not tell."""
+"""Of a message, as syslog has them; "": not logged."""
 LEVELS: tuple[Level, ...] = get_args(Level)
 
 SETPOINTS: tuple[tuple[str, ...], ...] = (POS, VEL, QUAT, GYRO)
-"""Columns of the flight table of which a setpoint can be kept."""
+"""Columns of the flight table that may have a setpoint."""
 MOST_EVENTS = 1000
-"""Modes, failsafes and times armed that are kept, of each."""
+"""Largest number of modes, of failsafes and of times armed that are stored."""
 MOST_MESSAGES = 2000
 MOST_PARAMETERS = 5000
 MOST_SAMPLES = 10_000
 """Of a setpoint: more than any screen shows; some megabytes of a flight table at most."""
 LONGEST = 300
-"""Characters of a text that are kept."""
+"""Largest number of characters of a text that is stored."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,14 +115,14 @@ class Filter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setpoint:
-    """What the controllers were asked for, in the units and frames of the flight table.
+    """Setpoint of the controllers, in the units and frames of the flight table.
 
     Attributes:
         columns: Columns of the flight table that should follow it, one of `SETPOINTS`.
         t_s: Times, s from the start of the record, strictly increasing, shape (n,).
         values: NED, FRD, SI, quaternions body to NED, shape (n, len(columns)); NaN where the
             autopilot leaves a number free.
-        every: One in so many of the logged samples is kept.
+        every: One in so many of the logged samples is stored.
     """
 
     columns: tuple[str, ...]
@@ -135,7 +135,7 @@ class Setpoint:
 
 @dataclass(frozen=True, slots=True)
 class Autopilot:
-    """What an autopilot says of its flight; empty where its log does not tell.
+    """What an autopilot says of its flight; empty where its log does not say.
 
     Attributes:
         modes: Flight modes in order.
@@ -144,7 +144,7 @@ class Autopilot:
         messages: In order of time.
         setpoints: At most one of each of `SETPOINTS`.
         parameters: Those that differ from their default, by name.
-        defaults_told: Whether the log holds defaults; without them no parameter is listed.
+        defaults_logged: Whether the log holds defaults; without them no parameter is listed.
         filters: On board, by frequency; the logged signals need not have gone through them.
     """
 
@@ -154,7 +154,7 @@ class Autopilot:
     messages: tuple[Message, ...] = ()
     setpoints: tuple[Setpoint, ...] = ()
     parameters: tuple[Parameter, ...] = ()
-    defaults_told: bool = False
+    defaults_logged: bool = False
     filters: tuple[Filter, ...] = ()
 
     __repr__ = short_repr
@@ -170,7 +170,7 @@ class Autopilot:
 
 
 def as_text(raw: object) -> str:
-    """A text of a log as it is kept: in one line, without half characters, not endless."""
+    """A text of a log as it is stored: in one line, without half characters, not endless."""
     text = " ".join(str(raw).encode("utf-8", "replace").decode("utf-8").split())
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
 
@@ -179,7 +179,7 @@ def modes_of(t_s: Array, names: Sequence[str], end_s: float) -> tuple[Mode, ...]
     """Flight modes of a record from what was logged of them.
 
     Args:
-        t_s: When a mode was told, s, ascending, shape (n,); what holds at 0 may be older.
+        t_s: When a mode was reported, s, ascending, shape (n,); what holds at 0 may be older.
         names: Mode at each of these times.
         end_s: End of the record.
     """
@@ -211,24 +211,24 @@ def stretches_of(t_s: Array, on: NDArray[np.bool_], name: str, end_s: float) -> 
 
 
 def setpoint_of(columns: tuple[str, ...], t_s: Array, values: Array) -> Setpoint | None:
-    """A setpoint as it is kept; None where none of its samples tells anything.
+    """A setpoint as it is stored; None without a finite sample.
 
     Args:
         columns: One of `SETPOINTS`.
         t_s: Times, s, strictly increasing, shape (n,).
-        values: Shape (n, len(columns)); infinite or beyond what flies (`limits`): not asked for.
+        values: Shape (n, len(columns)); infinite or beyond `columns.LIMITS`: free.
     """
     signal = next((s for s, names in SIGNALS.items() if names == columns), "")
     with np.errstate(invalid="ignore"):
         absurd = ~np.isfinite(values) | beyond(signal, values)[:, None]
     values = np.where(absurd, np.nan, values)
-    told = np.isfinite(values).any(axis=1) & (t_s >= 0.0)
-    if not told.any():
+    there = np.isfinite(values).any(axis=1) & (t_s >= 0.0)
+    if not there.any():
         return None
-    first, end = np.flatnonzero(told)[[0, -1]] + (0, 1)
+    first, end = np.flatnonzero(there)[[0, -1]] + (0, 1)
     every = max(1, -(-int(end - first) // MOST_SAMPLES))
-    kept = slice(int(first), int(end), every)
-    return Setpoint(columns, t_s[kept], values[kept], every)
+    part = slice(int(first), int(end), every)
+    return Setpoint(columns, t_s[part], values[part], every)
 
 
 def differing(values: dict[str, float], defaults: dict[str, float]) -> tuple[Parameter, ...]:
@@ -241,48 +241,48 @@ def differing(values: dict[str, float], defaults: dict[str, float]) -> tuple[Par
     return tuple(found[:MOST_PARAMETERS])
 
 
-def check_autopilot(told: Autopilot) -> None:
-    """Refuse what has the right types and no meaning, or more of it than any reader keeps.
+def check_autopilot(record: Autopilot) -> None:
+    """Refuse what has the right types and no meaning, or more of it than any reader stores.
 
     Raises:
         ValueError: It is such.
     """
     for what, several, most in (
-        ("modes", told.modes, MOST_EVENTS),
-        ("times armed", told.armed, MOST_EVENTS),
-        ("failsafes", told.failsafes, MOST_EVENTS),
-        ("messages", told.messages, MOST_MESSAGES),
-        ("parameters", told.parameters, MOST_PARAMETERS),
-        ("filters", told.filters, MOST_EVENTS),
-        ("setpoints", told.setpoints, len(SETPOINTS)),
+        ("modes", record.modes, MOST_EVENTS),
+        ("times armed", record.armed, MOST_EVENTS),
+        ("failsafes", record.failsafes, MOST_EVENTS),
+        ("messages", record.messages, MOST_MESSAGES),
+        ("parameters", record.parameters, MOST_PARAMETERS),
+        ("filters", record.filters, MOST_EVENTS),
+        ("setpoints", record.setpoints, len(SETPOINTS)),
     ):
         if len(several) > most:
             raise ValueError(f"{len(several)} {what} of the autopilot")
-    stretches = (*told.armed, *told.failsafes)
-    texts = [m.name for m in told.modes] + [s.name for s in stretches]
-    texts += [m.text for m in told.messages] + [p.name for p in told.parameters]
-    texts += [f.source for f in told.filters]
+    stretches = (*record.armed, *record.failsafes)
+    texts = [m.name for m in record.modes] + [s.name for s in stretches]
+    texts += [m.text for m in record.messages] + [p.name for p in record.parameters]
+    texts += [f.source for f in record.filters]
     if any(len(text) > LONGEST for text in texts):
         raise ValueError("an endless text of the autopilot")
-    starts = [m.start_s for m in told.modes]
+    starts = [m.start_s for m in record.modes]
     if starts != sorted(starts) or any(s.end_s < s.start_s for s in stretches):
         raise ValueError("modes or failsafes of the autopilot that run backward")
-    if any(not f.frequency_hz > 0.0 for f in told.filters):
+    if any(not f.frequency_hz > 0.0 for f in record.filters):
         raise ValueError("a filter of the autopilot without a frequency")
-    for each in told.setpoints:
+    for each in record.setpoints:
         _check_setpoint(each)
-    if len({s.columns for s in told.setpoints}) < len(told.setpoints):
+    if len({s.columns for s in record.setpoints}) < len(record.setpoints):
         raise ValueError("two setpoints of one signal")
 
 
-def _check_setpoint(told: Setpoint) -> None:
-    if told.columns not in SETPOINTS:
+def _check_setpoint(given: Setpoint) -> None:
+    if given.columns not in SETPOINTS:
         raise ValueError("a setpoint of no signal that is known")
-    if told.t_s.ndim != 1 or not 0 < len(told.t_s) <= MOST_SAMPLES or told.every < 1:
+    if given.t_s.ndim != 1 or not 0 < len(given.t_s) <= MOST_SAMPLES or given.every < 1:
         raise ValueError("a setpoint without samples, or with too many")
-    if told.values.shape != (len(told.t_s), len(told.columns)):
+    if given.values.shape != (len(given.t_s), len(given.columns)):
         raise ValueError("a setpoint whose numbers do not fit its times")
-    if not np.isfinite(told.t_s).all() or not (np.diff(told.t_s) > 0.0).all():
+    if not np.isfinite(given.t_s).all() or not (np.diff(given.t_s) > 0.0).all():
         raise ValueError("a setpoint whose time does not increase")
 
 

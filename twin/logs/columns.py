@@ -12,7 +12,7 @@ from ..vehicle import GRAVITY_M_S2
 
 Columns = Mapping[str, NDArray[Any]]
 """A flight table by column: numbers as float64, `phase` as text, shape (n,) each. In memory, or in
-a file from which each is read when it is asked for."""
+a file from which each is read on demand."""
 
 PHASES = ("takeoff", "hover", "forward", "tour", "land", "ground")
 MIN_MOTORS, MAX_MOTORS = 3, 12
@@ -233,7 +233,7 @@ def beyond(signal: str, values: Array) -> NDArray[np.bool_]:
     return np.asarray((np.abs(values) > LIMITS.get(signal, np.inf)).any(axis=1))
 
 
-def told(signal: str, values: Array) -> str:
+def beyond_message(signal: str, values: Array) -> str:
     """The text of a finding on such samples.
 
     Args:

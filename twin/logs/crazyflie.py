@@ -20,17 +20,13 @@ from ..errors import LogError
 from ..frames import from_euler
 from ..vehicle import GRAVITY_M_S2
 from ..vehicle.layouts import frame
-from .airframe import Airframe, Told
+from .airframe import Airframe, SourcedValue
 from .assemble import (
-    Rows,
-    add_signal,
+    FlightBuilder,
     advancing,
-    filter_delay_us,
-    lay_out,
-    told_dropped,
-    unit_quaternions,
+    advancing_samples,
 )
-from .autopilot import Span, ground_spans, label_phases, motion_spans
+from .autopilot import Span, ground_spans, motion_spans
 from .columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
 from .flight import Array, Finding, Flight, Noted
 from .formats import ReadOptions
@@ -300,11 +296,8 @@ class _Log(Noted):
         return max(fit, key=lambda e: len(e.t_us), default=None)
 
     def ordered(self, events: Events, where: str) -> NDArray[np.bool_]:
-        """Which of them can stay so that time increases; the others are told."""
-        keep, *lost = advancing(events.t_us - self.start_us)
-        for message, count in told_dropped("events", *lost):
-            self.note("error", where, message, count)
-        return keep
+        """Which of them can stay so that time increases; findings count the others."""
+        return advancing_samples(self, where, events.t_us - self.start_us, "events")
 
 
 def read_usd_log(path: Path, blob: bytes, options: ReadOptions) -> Flight:
@@ -323,12 +316,12 @@ def read_usd_log(path: Path, blob: bytes, options: ReadOptions) -> Flight:
         raise LogError(f"{path.name}: a Crazyflie log without a single event; nothing was logged.")
     log = _Log(path, content, min(int(e.t_us[advancing(e.t_us)[0]].min()) for e in content.events))
     _note_damage(log)
-    rows, facts = Rows(), {"firmware": "Crazyflie"}
+    flight = FlightBuilder(log, path, {"firmware": "Crazyflie"})
     used: set[str] = set()
     for signal in _SIGNALS:
-        if signal.where not in used and _add(log, rows, signal):
+        if signal.where not in used and _add(log, flight, signal):
             used.add(signal.where)
-            facts[f"{signal.where} from"] = ", ".join(signal.variables)
+            flight.facts[f"{signal.where} from"] = ", ".join(signal.variables)
     if "cmd" not in used:
         log.note("warning", "cmd", "no motor.m1 to m4 in the log. Add them to config.txt")
     named = sorted(n for e in content.events for n in e.kind.variables)
@@ -336,17 +329,14 @@ def read_usd_log(path: Path, blob: bytes, options: ReadOptions) -> Flight:
         f"It holds {', '.join(named[:8]) or 'no variable'}. Log acc, gyro, stateEstimate and motor "
         "(config.txt of the card)."
     )
-    table, t_us = lay_out(log, path, rows, advice)
-    phase = label_phases(table["time"].to_numpy(), _phases(log, table))
-    table["phase"] = pd.Series(phase, dtype=object)
+    table = flight.lay_out(advice)
     aircraft = Airframe(
-        rotors=Told(_MOTORS, "the mixer of the firmware"),
+        rotors=SourcedValue(_MOTORS, "the mixer of the firmware"),
         layout=frame("crazyflie x", "the mixer of the firmware"),
-        accel_cutoff_hz=Told(_ACC_HZ, "ACCEL_LPF_CUTOFF_FREQ of the firmware"),
-        gyro_cutoff_hz=Told(_GYRO_HZ, "GYRO_LPF_CUTOFF_FREQ of the firmware"),
+        accel_cutoff_hz=SourcedValue(_ACC_HZ, "ACCEL_LPF_CUTOFF_FREQ of the firmware"),
+        gyro_cutoff_hz=SourcedValue(_GYRO_HZ, "GYRO_LPF_CUTOFF_FREQ of the firmware"),
     )
-    facts |= rows.coverage(t_us)
-    return Flight(path.stem, table, tuple(log.findings), facts, path, None, aircraft)
+    return flight.flight(table, _phases(log, table), airframe=aircraft)
 
 
 def _note_damage(log: _Log) -> None:
@@ -364,7 +354,7 @@ def _note_damage(log: _Log) -> None:
         )
 
 
-def _add(log: _Log, rows: Rows, signal: _Signal) -> bool:
+def _add(log: _Log, flight: FlightBuilder, signal: _Signal) -> bool:
     """Put a signal into the table, if the log has it."""
     events = log.having(signal.variables)
     if events is None:
@@ -372,19 +362,12 @@ def _add(log: _Log, rows: Rows, signal: _Signal) -> bool:
     keep = log.ordered(events, signal.where)
     t_us = events.t_us[keep] - log.start_us
     if signal.cutoff_hz:
-        delay_us = filter_delay_us(signal.cutoff_hz)
-        log.note(
-            "info",
-            signal.where,
-            f"low-passed at {signal.cutoff_hz:.0f} Hz before it was logged; its time is "
-            f"{delay_us / 1e3:.1f} ms before the stamp of the log, the delay of that filter",
-        )
-        t_us = t_us - delay_us
+        t_us = t_us - flight.filter_delay_us(signal.where, signal.cutoff_hz)
     values = signal.convert(events.values(signal.variables)[keep])
     if signal.columns == QUAT:
-        usable, values = unit_quaternions(log, values)
-        t_us = t_us[usable]
-    add_signal(log, rows, signal.where, signal.columns, t_us, values)
+        flight.add_attitude(t_us, values)
+    else:
+        flight.add(signal.where, signal.columns, t_us, values)
     return True
 
 

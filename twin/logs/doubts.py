@@ -25,7 +25,7 @@ from .motor_checks import doubt_motors
 
 _FASTEST_ROTOR_RAD_S = 4500.0
 _FROZEN_S = 2.0
-_FEWEST = 20  # samples that tell anything
+_FEWEST = 20  # samples of a signal below which nothing is tested
 _NOTHING = 0.9
 """Share of samples that are exactly zero in a column that holds nothing."""
 _LEVEL = 0.9999
@@ -71,7 +71,7 @@ def gaps(table: Columns, there: Signals) -> list[Finding]:
         t_s, _ = samples(table, columns)
         t_us = np.round(t_s * 1e6).astype(np.int64)
         if pause := pauses(t_us):
-            found.append(Finding("warning", name, pause.told, pause.count))
+            found.append(Finding("warning", name, pause.message, pause.count))
         found += [Finding("warning", name, text) for text in missing_ends(t_us, begin_us, end_us)]
     return found
 
@@ -270,8 +270,8 @@ def _frozen_axes(table: Columns, there: Signals, ground: NDArray[np.bool_]) -> I
             for k in np.flatnonzero(lasts & busy & ~may):
                 begin, end = float(t_s[first[k]]), float(t_s[last[k]])
                 if not ground[(time > begin) & (time < end)].all():
-                    kept = f"{column} keeps {own[first[k]]:.4g} from {begin:.2f} to {end:.2f} s"
-                    message = f"{kept}, while others of {name} change"
+                    frozen = f"{column} keeps {own[first[k]]:.4g} from {begin:.2f} to {end:.2f} s"
+                    message = f"{frozen}, while others of {name} change"
                     yield Finding("warning", name, message)
 
 
@@ -359,11 +359,11 @@ def _moving(
     """Whether a signal of the motion changes all along each span, other than that of the span."""
     moving = np.zeros(len(spans), dtype=np.bool_)
     for name in _OF_MOTION:
-        asked = [k for k, span in enumerate(spans) if not moving[k] and span[0] != name]
-        if not asked or name not in there:
+        candidates = [k for k, span in enumerate(spans) if not moving[k] and span[0] != name]
+        if not candidates or name not in there:
             continue
         t_s, values = samples(table, there[name])
-        for k in asked:
+        for k in candidates:
             _, begin_s, end_s = spans[k]
             inside = values[(t_s > begin_s) & (t_s < end_s)]
             moving[k] = len(inside) > 4 and np.mean(_changed(inside)) > 0.5
@@ -372,7 +372,7 @@ def _moving(
 
 # -- incidents ----------------------------------------------------------------------------------
 #
-# What happened to the aircraft itself, told from its flight table and its speed controllers: it
+# What happened to the aircraft itself, by its flight table and its speed controllers: it
 # tips over, motors run into their limits, one controller reads a lower voltage than the others.
 #
 # Thresholds are by judgement, none was fitted to a flight.

@@ -66,7 +66,7 @@ class Settled:
 
     Attributes:
         rates_hz: Rates of signals, by the first of their columns.
-        resting_down_m: Where the aircraft rested before it flew, NED; None: it was not told.
+        resting_down_m: Where the aircraft rested before it flew, NED; None: not known.
     """
 
     rates_hz: dict[str, float] = field(default_factory=dict)
@@ -169,7 +169,7 @@ class Flight:
 
 
 def missing_signal(name: str, missing: Sequence[str], there: Sequence[str]) -> LogError:
-    """The error where a flight lacks columns that are asked for."""
+    """The error where a flight lacks the requested columns."""
     return LogError(
         f"{name}: no samples of {', '.join(missing)}. The flight has: {', '.join(there)}."
     )

@@ -153,7 +153,7 @@ class LogFormat:
         signature: What its files begin with; no file has the signatures of two formats.
         reader: `MODULE:FUNCTION` below `twin.logs`, imported when the first such file is read.
         packages: Distributions that the reader needs besides numpy and pandas.
-        holds: What a flight may be asked for that came from such a file, in a line.
+        holds: What a flight of such a file holds, in a line.
         sought: What the log begins with so surely that it is looked for behind bytes of another
             program; None: only the first bytes of the file count.
     """

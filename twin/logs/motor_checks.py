@@ -49,7 +49,7 @@ _FEWEST, _MOST = 200, 30_000
 _MOST_EXHAUSTIVE, _LIKELY = 8, 50
 """Motors of which every order is tried; orders of which every lag is."""
 _ALIKE = 0.03
-"""R^2 within which two labellings cannot be told apart."""
+"""R^2 within which two labellings cannot be distinguished."""
 _FEW_CHANGES = 2
 """Up to which the least of several labellings alike is named: two motors exchanged, a sign."""
 _STILL = 0.2
@@ -233,11 +233,11 @@ def doubt_rotors(table: Columns, there: Signals) -> list[Finding]:
     other = r2[best, moved, motors].mean()
     if not _beaten(np.array([own]), np.array([other])):
         return []
-    told = ", ".join(
+    text = ", ".join(
         f"rotor_{k + 1} follows cmd_{m + 1}" for k, m in zip(moved, motors, strict=True)
     )
     message = (
-        f"{_MISNUMBERED}: {told} (R2 {other:.2f}, with their own {max(own, 0.0):.2f}). Give each "
+        f"{_MISNUMBERED}: {text} (R2 {other:.2f}, with their own {max(own, 0.0):.2f}). Give each "
         "speed the number of the motor whose command it follows, or correct the order of the "
         "commands"
     )
@@ -253,12 +253,12 @@ class _Labelling:
 
     Attributes:
         weights: Moments about x, y, z by command, up to a factor each, shape (3, n).
-        told: What that would be, in words.
+        text: What that would be, in words.
         changes: Of how many changes to the log's labelling it consists.
     """
 
     weights: Array
-    told: str
+    text: str
     changes: int = 1
 
 
@@ -279,19 +279,19 @@ def _labellings(allocation: Array, hint: Array, at: _Moments) -> Iterator[_Label
     n = allocation.shape[1]
     for labels in _orders(allocation, hint, at):
         moved = [k for k in range(n) if labels[k] != k]
-        told = ", ".join(f"cmd_{k + 1} drove rotor {labels[k] + 1}" for k in moved)
-        yield _Labelling(allocation[:, labels], told, len(moved))
+        text = ", ".join(f"cmd_{k + 1} drove rotor {labels[k] + 1}" for k in moved)
+        yield _Labelling(allocation[:, labels], text, len(moved))
     yield _Labelling(-allocation, "every command were reversed (full power at its lowest value)")
     for k in range(n):
-        for factor, told in ((-1.0, "were reversed"), (0.0, "drove no rotor")):
+        for factor, text in ((-1.0, "were reversed"), (0.0, "drove no rotor")):
             changed = allocation.copy()
             changed[:, k] *= factor
-            yield _Labelling(changed, f"cmd_{k + 1} {told}")
+            yield _Labelling(changed, f"cmd_{k + 1} {text}")
     for axis, why in enumerate(("left and right", "front and rear", "the senses of rotation")):
         turned = allocation.copy()
         turned[axis] *= -1.0
-        told = f"{why} were exchanged, or the gyroscope's {_AXES[axis]} axis turned"
-        yield _Labelling(turned, told)
+        text = f"{why} were exchanged, or the gyroscope's {_AXES[axis]} axis turned"
+        yield _Labelling(turned, text)
 
 
 def _orders(allocation: Array, hint: Array, at: _Moments) -> NDArray[np.intp]:
@@ -355,9 +355,9 @@ def doubt_moments(table: Columns, there: Signals, layout: Layout) -> list[Findin
     least = alike & (changed == changed[alike].min())
     sure = {0, 1} <= {*axes.tolist()} and changed[alike].min() <= _FEW_CHANGES
     if np.count_nonzero(least) == 1 and (sure or alike.sum() == 1):
-        told = others[int(np.argmax(least)) - 1].told
+        text = others[int(np.argmax(least)) - 1].text
         several = ", the least of several changes that would do" if alike.sum() > 1 else ""
-        message = f"the aircraft turns as if {told}{several} (R2 about {measured})"
+        message = f"the aircraft turns as if {text}{several} (R2 about {measured})"
     else:
         message = (
             "the aircraft does not turn as its commands would have it, and several "

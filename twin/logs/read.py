@@ -272,7 +272,7 @@ def is_named(blob: bytes, named: _Named) -> str:
     return next((text for signature, text in named if signature.matches(blob[:HEAD])), "")
 
 
-def looks_like(blob: bytes) -> str:
+def likely_kind(blob: bytes) -> str:
     """One sentence on what a file of no known format seems to be."""
     if said := is_named(blob, (*CERTAIN, *PERHAPS)):
         return said
@@ -330,7 +330,7 @@ def _located(blob: bytes) -> tuple[LogFormat, bytes, tuple[Finding, ...]]:
         return found, blob[at:], (*findings, before_the_head(blob, at))
     if damaged := nearly(blob):
         raise LogError(f"{damaged}. Copy the log again. Known formats: {known_formats()}.")
-    raise LogError(f"{looks_like(blob)} Known formats: {known_formats()}.")
+    raise LogError(f"{likely_kind(blob)} Known formats: {known_formats()}.")
 
 
 def open_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> AnyFlight:

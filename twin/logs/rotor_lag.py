@@ -56,7 +56,7 @@ _GRID_S = 0.02
 _AHEAD = np.arange(-15, 31)  # steps of the grid by which the motion may be ahead of the speeds
 _BAND_HZ = (0.4, 4.0)
 _LONGEST_S = 1200.0
-"""Of a longer record its middle is asked."""
+"""Of a longer record its middle is used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,7 +331,7 @@ def _behind_commands(
         return _vertex(delays_s, profile, k), constant_s, float(profile[k])
 
     delay_s, constant_s, share = best()
-    sd_s = _jackknife(lambda kept: best(kept)[0], len(begins))
+    sd_s = _jackknife(lambda used: best(used)[0], len(begins))
     interval_s = max(float(np.median(np.diff(t))) for t, _ in commands)
     return SpeedLag(delay_s, float(np.hypot(sd_s, _INTERPOLATED * interval_s)), constant_s, share)
 
@@ -385,18 +385,18 @@ def _behind_motion(
     total = np.array([np.sum(np.square(y[r])) for r in there])
     ridge = 1e-9 * np.eye(x.shape[1])
 
-    def best(kept: slice | NDArray[np.bool_] = slice(None)) -> tuple[float, float]:
+    def best(used: slice | NDArray[np.bool_] = slice(None)) -> tuple[float, float]:
         """Lead of the motion, s, of the largest R2 over these blocks, and that R2."""
-        g, c = grams[:, kept].sum(axis=1), crosses[:, kept].sum(axis=1)
+        g, c = grams[:, used].sum(axis=1), crosses[:, used].sum(axis=1)
         g = g + ridge * np.trace(g, axis1=1, axis2=2)[:, None, None]
-        share = np.sum(c * np.linalg.solve(g, c), axis=(1, 2)) / total[kept].sum()
+        share = np.sum(c * np.linalg.solve(g, c), axis=(1, 2)) / total[used].sum()
         k = int(share.argmax())
         return _vertex(np.asarray(_AHEAD * _GRID_S, dtype=np.float64), share, k), float(share[k])
 
     ahead_s, share = best()
     if share < LEAST_R2:
         return None
-    sd_s = _jackknife(lambda kept: best(kept)[0], len(there))
+    sd_s = _jackknife(lambda used: best(used)[0], len(there))
     return {"motion_s": ahead_s, "motion_sd_s": sd_s, "motion_r2": share}
 
 
@@ -414,7 +414,7 @@ def _jackknife(estimate: Callable[[NDArray[np.bool_]], float], blocks: int) -> f
     """Standard deviation of an estimate by leaving out one block after another."""
     found = np.empty(blocks)
     for b in range(blocks):
-        kept = np.ones(blocks, dtype=np.bool_)
-        kept[b] = False
-        found[b] = estimate(kept)
+        used = np.ones(blocks, dtype=np.bool_)
+        used[b] = False
+        found[b] = estimate(used)
     return float(np.sqrt((blocks - 1) / blocks * np.sum(np.square(found - found.mean()))))

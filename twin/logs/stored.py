@@ -39,7 +39,7 @@ _MOST_ENTRIES = 100_000
 
 
 @contextmanager
-def damage_told(name: str) -> Iterator[None]:
+def as_log_error(name: str) -> Iterator[None]:
     """Turn exceptions of pyarrow into a `LogError` that names the file."""
     try:
         yield
@@ -72,7 +72,7 @@ def opened(
     """
     if metadata is None:
         _check_footer(source, name)
-    with damage_told(name):
+    with as_log_error(name):
         # In this thread: one of pyarrow's that still runs when the interpreter ends aborts it,
         # 50 times in 360 short reads on a busy machine.
         file = pq.ParquetFile(
@@ -93,7 +93,7 @@ def _check_footer(source: Path | bytes, name: str) -> None:
     Raises:
         LogError: As of `opened`.
     """
-    with damage_told(name):
+    with as_log_error(name):
         if isinstance(source, bytes):
             tail, size = source[-_TAIL:], len(source)
         else:
@@ -112,17 +112,17 @@ def _check_footer(source: Path | bytes, name: str) -> None:
 
 # -- a flight that stays in its file ------------------------------------------------------------
 #
-# A long flight whose table stays in its file: columns, and rows of them, are read when they are
-# asked for, and nothing is kept but what had to be mended.
+# A long flight whose table stays in its file: columns, and rows of them, are read on demand,
+# and nothing is stored but what had to be mended.
 
 _BATCH = 1 << 16
 """Rows that are unpacked at a time."""
-_KEPT_BYTES = 200_000_000
+_CACHE_BYTES = 200_000_000
 """Of the parts of columns that were read last: neighbouring blocks of rows lie in the same."""
 
 
 class ParquetColumns(Columns):
-    """Columns of numbers and the phase of a Parquet file, each read when it is asked for."""
+    """Columns of numbers and the phase of a Parquet file, each read on demand."""
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
         """Look at a file; only its phase is read.
@@ -140,7 +140,7 @@ class ParquetColumns(Columns):
         groups = range(self._metadata.num_row_groups)
         sizes = [self._metadata.row_group(g).num_rows for g in groups]
         self._edges = np.concatenate([[0], np.cumsum(sizes)]).astype(np.intp)
-        self._kept: OrderedDict[tuple[int, str], Array] = OrderedDict()
+        self._cached: OrderedDict[tuple[int, str], Array] = OrderedDict()
         self.phase_codes, self.phase_names = self._phase()
 
     @property
@@ -183,14 +183,15 @@ class ParquetColumns(Columns):
         return any(np.isfinite(b.to_numpy(zero_copy_only=False)).any() for b in batches)
 
     def _group(self, group: int, name: str) -> Array:
-        """A column in one row group; those read last are kept."""
+        """A column in one row group; those read last stay in a cache."""
         key = group, name
-        if key not in self._kept:
-            self._kept[key] = self._unpacked(range(group, group + 1), name)
-            while len(self._kept) > 1 and sum(v.nbytes for v in self._kept.values()) > _KEPT_BYTES:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        return self._kept[key]
+        if key not in self._cached:
+            self._cached[key] = self._unpacked(range(group, group + 1), name)
+            cached = self._cached
+            while len(cached) > 1 and sum(v.nbytes for v in cached.values()) > _CACHE_BYTES:
+                cached.popitem(last=False)
+        self._cached.move_to_end(key)
+        return self._cached[key]
 
     def _unpacked(self, groups: range, name: str) -> Array:
         """A column in neighbouring row groups."""
@@ -209,11 +210,11 @@ class ParquetColumns(Columns):
         first = 0
         for batch in self._batches(range(len(self._edges) - 1), "phase"):
             code, kinds = pd.factorize(batch.to_pandas())
-            told = [*map(str, kinds), ""]  # missing: code -1, the last
-            names += [n for n in dict.fromkeys(told) if n not in names]
+            words = [*map(str, kinds), ""]  # missing: code -1, the last
+            names += [n for n in dict.fromkeys(words) if n not in names]
             if len(names) > np.iinfo(np.int8).max:
                 raise LogError(f"{self._path.name}: {len(names)} kinds of phase.")
-            place = np.array([names.index(n) for n in told], dtype=np.int8)
+            place = np.array([names.index(n) for n in words], dtype=np.int8)
             codes[first : first + len(batch)] = place[code]
             first += len(batch)
         return codes, np.array(names, dtype=object)
@@ -226,7 +227,7 @@ class ParquetColumns(Columns):
                 _BATCH, row_groups=list(groups), columns=[name], use_threads=False
             )
             while True:
-                with damage_told(name_of_file):
+                with as_log_error(name_of_file):
                     batch = next(batches, None)
                 if batch is None:
                     return
@@ -269,7 +270,7 @@ class StoredFlight:
 
     @property
     def columns(self) -> Columns:
-        """The table by column, each read when it is asked for."""
+        """The table by column, each read on demand."""
         return over({**self.mended, "time": self.time_s}, self.stored)
 
     @property

@@ -25,7 +25,7 @@ from .autopilot import Autopilot, check_autopilot
 from .columns import COLUMNS, EULER, MAX_MOTORS, in_order, is_known, motor_columns, over
 from .flight import Array, Finding, Flight, Settled, Site
 from .formats import ReadOptions
-from .stored import ParquetColumns, StoredFlight, damage_told, opened
+from .stored import ParquetColumns, StoredFlight, as_log_error, opened
 from .validate import check_columns, validate
 
 # -- metadata -----------------------------------------------------------------------------------
@@ -33,6 +33,8 @@ from .validate import check_columns, validate
 # What a flight table in Parquet says besides its columns, as JSON in the metadata of the file.
 
 _KEY = b"uavtwin"
+_RENAMED = (b'"defaults_told":', b'"defaults_logged":')
+"""A key of notes as it was called until 0.1, and is now."""
 _MOST_ROTORS = 64
 
 
@@ -74,7 +76,7 @@ def read_notes(metadata: Mapping[bytes, bytes] | None) -> Notes:
     if noted is None:
         return Notes()
     try:
-        found = msgspec.json.decode(noted, type=Notes, dec_hook=_array)
+        found = msgspec.json.decode(noted.replace(*_RENAMED), type=Notes, dec_hook=_array)
         _check(found)
     except (ValueError, TypeError, RecursionError) as error:
         reason = f" ({error})" if isinstance(error, msgspec.ValidationError) else ""
@@ -278,7 +280,7 @@ def _parquet(path: Path, blob: bytes) -> tuple[pa.Table, Notes, list[Finding]]:
         _check_flat(path, schema, held)
     # A text that stands in many rows is held once.
     texts = [n for n in held if not _is_number(schema.field(n).type)]
-    with opened(blob, path.name, texts, size) as file, damage_told(path.name):
+    with opened(blob, path.name, texts, size) as file, as_log_error(path.name):
         raw = file.read(columns=held, use_threads=False)
     return raw, read_notes(schema.metadata), found
 

@@ -26,11 +26,11 @@ from .columns import (
     VEL,
     Columns,
     beyond,
+    beyond_message,
     is_known,
     motor_columns,
     motor_number,
     over,
-    told,
 )
 from .doubts import gaps
 from .flight import Array, Finding
@@ -214,7 +214,7 @@ def _bounded(table: Columns) -> tuple[dict[str, Array], list[Finding]]:
             for column in there:
                 mended[column] = np.where(out, np.nan, table[column])
             left_out = np.column_stack([table[column][out] for column in there])
-            message = told(signal, left_out)
+            message = beyond_message(signal, left_out)
             found.append(Finding("error", signal, message, int(np.count_nonzero(out))))
     commands = [c for c in table if c.startswith("cmd_")]
     count, worst = 0, 0.5

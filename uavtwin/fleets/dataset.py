@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from twin.errors import TwinError
-from twin.logs.stored import damage_told, opened
+from twin.logs.stored import as_log_error, opened
 
 from ..jobs import journal
 from ..output import output_file
@@ -341,7 +341,7 @@ def read_table(
     """
     names = None if columns is None else list(columns)
     path = path_of(folder, table)
-    with damage_told(path.name):
+    with as_log_error(path.name):
         found = pq.read_table(path, columns=names, filters=filters)
         frame: pd.DataFrame = found.to_pandas()
     return frame
@@ -352,7 +352,7 @@ def distinct(folder: Path, table: str, columns: Sequence[str]) -> list[tuple[str
     of the table."""
     found: dict[tuple[str, ...], None] = {}
     path = path_of(folder, table)
-    with opened(path, path.name) as file, damage_told(path.name):
+    with opened(path, path.name) as file, as_log_error(path.name):
         for piece in file.iter_batches(columns=list(columns)):
             frame = piece.to_pandas().drop_duplicates()
             found |= dict.fromkeys(frame[list(columns)].itertuples(index=False, name=None))

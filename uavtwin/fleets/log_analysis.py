@@ -17,7 +17,7 @@ from twin.explain.estimates import estimates_of, listed_effects, nothing_probabi
 from twin.explain.explanation import Explanation
 from twin.explain.inference.fit import INTERVAL
 from twin.logs import AnyFlight
-from twin.logs.airframe import Told
+from twin.logs.airframe import SourcedValue
 from twin.logs.columns import GYRO, QUAT
 from twin.residuals.hover import HoverDiagnosis
 from twin.vehicle.file import parse_vehicle
@@ -298,7 +298,7 @@ def file_stem(aircraft: str) -> str:
 def date_of(flight: AnyFlight) -> float | None:
     """Decimal year of a flight; None: its log has no date."""
     place = None if flight.airframe is None else flight.airframe.place
-    return place.value.year if isinstance(place, Told) else None
+    return place.value.year if isinstance(place, SourcedValue) else None
 
 
 Array = NDArray[np.float64]

@@ -224,15 +224,15 @@ _LONGEST_NAME = 100
 
 
 def chosen_forms(csv: bool, mcap: bool) -> tuple[Form, ...]:
-    """Forms that were asked for; Parquet where none was.
+    """Requested forms; Parquet by default.
 
     Raises:
         TwinError: MCAP was, and cannot be written here.
     """
     if mcap:
         check_mcap()
-    asked: list[tuple[Form, bool]] = [("csv", csv), ("mcap", mcap)]
-    return tuple(form for form, wanted in asked if wanted) or ("parquet",)
+    requested: list[tuple[Form, bool]] = [("csv", csv), ("mcap", mcap)]
+    return tuple(form for form, wanted in requested if wanted) or ("parquet",)
 
 
 def write_all_series(every: Iterable[Series], folder: Path, forms: Sequence[Form]) -> list[str]:
@@ -244,7 +244,7 @@ def write_all_series(every: Iterable[Series], folder: Path, forms: Sequence[Form
         forms: Of `chosen_forms`.
 
     Returns:
-        Names of the files as seen from the folder.
+        Names of the files relative to the folder.
     """
     written: list[str] = []
     for series in every:
@@ -273,7 +273,7 @@ def write_series(series: Series, path: Path) -> None:
 
 
 def write_frame(table: pd.DataFrame, units: Mapping[str, str], path: Path) -> None:
-    """Write a table as Parquet, `attrs` kept, with the unit of a column in its metadata.
+    """Write a table as Parquet, with its `attrs`, with the unit of a column in its metadata.
 
     Args:
         table: Its index is left out.
@@ -281,9 +281,9 @@ def write_frame(table: pd.DataFrame, units: Mapping[str, str], path: Path) -> No
         path: An existing one is replaced.
     """
     arrow = pa.Table.from_pandas(table, preserve_index=False, nthreads=1)
-    told = {"time": "s"} | {k: v for k, v in units.items() if v}
+    unit = {"time": "s"} | {k: v for k, v in units.items() if v}
     fields = [
-        f.with_metadata({"unit": told[f.name]} if f.name in told else {}) for f in arrow.schema
+        f.with_metadata({"unit": unit[f.name]} if f.name in unit else {}) for f in arrow.schema
     ]
     pq.write_table(arrow.cast(pa.schema(fields, metadata=arrow.schema.metadata)), path)
 
@@ -292,8 +292,8 @@ def _write_parquet(series: Series, path: Path) -> None:
     """Floats of 64 bits, a row group per block; `unit` and `about` in the metadata of a column."""
     fields = [pa.field("time", pa.float64(), metadata={"unit": "s"})]
     for c in series.columns:
-        told = {"unit": c.unit, "about": c.about}
-        fields.append(pa.field(c.name, pa.float64(), metadata={k: v for k, v in told.items() if v}))
+        metadata = {k: v for k, v in (("unit", c.unit), ("about", c.about)) if v}
+        fields.append(pa.field(c.name, pa.float64(), metadata=metadata))
     about = json.dumps({"name": series.name, **series.facts})
     schema = pa.schema(fields, metadata={METADATA: about.encode()})
     with pq.ParquetWriter(path, schema) as file:

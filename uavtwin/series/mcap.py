@@ -210,7 +210,7 @@ class PlotTopics:
 TF, TF_STATIC, POSE, LOG = "/tf", "/tf_static", "/pose", "/log"
 LOCATION = "/location"
 LONGEST_STEP_S = 1.0
-"""Between two positions; the pose between those farther apart is not told."""
+"""Between two positions; the pose between those farther apart is not interpolated."""
 MEANINGS: Mapping[str, str] = {
     TF: "`ned` to `frd`, where the attitude has a sample and the position samples around it that "
     f"are at most {LONGEST_STEP_S:g} s apart; the position is on a straight line between them",
@@ -310,8 +310,8 @@ class PoseTopics:
         place, turn = dict(zip("xyz", pos, strict=True)), dict(zip("wxyz", q, strict=True))
         pose = {"position": place, "orientation": turn}
         self._file.write(TF, t_ns, _frame(t_ns, NED, FRD, place, turn))
-        told = {"timestamp": timestamp(t_ns), "frame_id": NED, "pose": pose}
-        self._file.write(POSE, t_ns, told)
+        stamped = {"timestamp": timestamp(t_ns), "frame_id": NED, "pose": pose}
+        self._file.write(POSE, t_ns, stamped)
 
 
 class LocationTopics:
@@ -340,18 +340,18 @@ class LocationTopics:
             position = np.column_stack([columns[c] for c in names])
             known = np.flatnonzero(np.isfinite(position).all(axis=1))
             o = self._origin
-            told = geodetic_of_ned(position[known], o.latitude_rad, o.longitude_rad, o.height_m)
-            told[:, :2] = np.degrees(told[:, :2])
-            for row, place in zip(known.tolist(), told, strict=True):
+            geodetic = geodetic_of_ned(position[known], o.latitude_rad, o.longitude_rad, o.height_m)
+            geodetic[:, :2] = np.degrees(geodetic[:, :2])
+            for row, place in zip(known.tolist(), geodetic, strict=True):
                 found[row].append((topic, place))
         return found
 
     def write(self, t_ns: int, places: Sequence[tuple[str, Array]]) -> None:
         """Write what `rows` found at an instant."""
         for topic, place in places:
-            told = dict(zip(("latitude", "longitude", "altitude"), place.tolist(), strict=True))
+            where = dict(zip(("latitude", "longitude", "altitude"), place.tolist(), strict=True))
             unknown = {"position_covariance": [0.0] * 9, "position_covariance_type": 0}
-            fix = {"timestamp": timestamp(t_ns), "frame_id": NED, **told, **unknown}
+            fix = {"timestamp": timestamp(t_ns), "frame_id": NED, **where, **unknown}
             self._file.write(topic, t_ns, fix)
 
 
@@ -377,8 +377,8 @@ def log_message(t_ns: int, severity: Severity, message: str, name: str) -> dict[
         message: Text.
         name: Of what it is about.
     """
-    told = {"level": _LEVELS[severity], "message": message, "name": name, "file": "", "line": 0}
-    return {"timestamp": timestamp(t_ns), **told}
+    entry = {"level": _LEVELS[severity], "message": message, "name": name, "file": "", "line": 0}
+    return {"timestamp": timestamp(t_ns), **entry}
 
 
 # -- a flight -----------------------------------------------------------------------------------
@@ -420,7 +420,7 @@ def write_flight_mcap(flight: Flight, path: Path) -> None:
     columns = {c: flight.columns[c] for fields in topics.values() for c in fields}
     position = flight.signal(POS) if flight.has(*POS, *QUAT) else None
     codes, phases = flight.phase_codes
-    told = ""
+    written = ""
     with mcap_file(path) as file:
         plots = PlotTopics(file, topics)
         file.topic(LOG, FOXGLOVE[LOG])
@@ -440,10 +440,10 @@ def write_flight_mcap(flight: Flight, path: Path) -> None:
             each = zip(t_ns[rows].tolist(), phases[codes[rows]], plots.rows(block), strict=True)
             for row, (t, phase, messages) in enumerate(each):
                 places.write(t, of_rows[row])
-                if phase != told:
+                if phase != written:
                     text = f"phase: {phase or 'unknown'}"
                     file.write(LOG, t, log_message(t, "info", text, flight.name))
-                    told = phase
+                    written = phase
                 if pose is not None and row in poses:
                     pose.write(t, *poses[row])
                 for topic, message in messages:

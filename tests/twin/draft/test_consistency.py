@@ -13,7 +13,7 @@ from places import DATA, needs
 from twin.draft.consistency import check_airframe, consistency
 from twin.errors import ModelError
 from twin.logs import Flight, read_flight
-from twin.logs.airframe import Airframe, Cells, Told
+from twin.logs.airframe import Airframe, Cells, SourcedValue
 from twin.logs.ardupilot.airframe import CLASSES, TYPES, geometry
 from twin.residuals.teacher_forced import choose_drive, drive_warnings
 from twin.vehicle import Battery, Vehicle
@@ -146,7 +146,7 @@ def test_rotors_of_another_number_are_refused() -> None:
     layout = px4("hex x")
     with pytest.raises(ModelError, match=r"has 4 rotors, the log has 6"):
         check_airframe(stated(layout), of(frame("x").position, frame("x").direction))
-    told = stated(None, rotors=Told(6, "CA_ROTOR_COUNT of the log"))
+    told = stated(None, rotors=SourcedValue(6, "CA_ROTOR_COUNT of the log"))
     bare = replace(told, table=told.table[["time", "acc_z", "phase"]])
     with pytest.raises(ModelError, match=r"the log has 6 \(CA_ROTOR_COUNT of the log\)"):
         check_airframe(bare, BASE)
@@ -207,7 +207,7 @@ def test_a_flight_that_turned_as_the_vehicle_file_says_is_compared() -> None:
 @pytest.mark.parametrize(("cells", "says"), [(3, True), (4, False), (6, True)])
 def test_another_battery_is_a_warning(cells: int, says: bool) -> None:
     """The file has 4 cells."""
-    told = Told(Cells(cells, 4.2, 3.5), f"BAT1_N_CELLS {cells} of the log")
+    told = SourcedValue(Cells(cells, 4.2, 3.5), f"BAT1_N_CELLS {cells} of the log")
     flight = stated(None, cells=told)
     own = replace(BASE, battery=Battery(16.8, 14.0, 1e4, 0.02, 10.0))
     found = consistency(flight, own)
@@ -218,7 +218,7 @@ def test_another_battery_is_a_warning(cells: int, says: bool) -> None:
 
 def test_another_size_or_filter_is_a_warning() -> None:
     layout = replace(frame("x"), metric=True)  # an arm of 1 m
-    flight = stated(layout, gyro_cutoff_hz=Told(20.0, "INS_GYRO_FILTER of the log"))
+    flight = stated(layout, gyro_cutoff_hz=SourcedValue(20.0, "INS_GYRO_FILTER of the log"))
     found = consistency(flight, replace(of(layout.position, layout.direction), gyro_cutoff_hz=80.0))
     assert found.error == ""
     assert [w.partition(" ")[0] for w in found.warnings] == ["the", "imu.gyro_cutoff"]

@@ -1,9 +1,9 @@
-"""A reading that no sensor gives is told with the unit in which one would, and never changed."""
+"""A reading that no sensor gives is named with the unit in which one would, and never changed."""
 
 import numpy as np
 import pytest
 
-from twin.logs.columns import READINGS, other_unit, told
+from twin.logs.columns import READINGS, beyond_message, other_unit
 from twin.logs.doubts import doubts
 
 
@@ -35,8 +35,10 @@ def test_what_a_sensor_reads_is_left_alone(signal: str) -> None:
 
 def test_what_no_unit_explains_is_damage() -> None:
     assert other_unit("vbat_v", 1e9) == ""
-    assert "damaged" in told("vbat_v", np.full((3, 1), 1e9))
-    assert "in hundredths of a volt it would be 16.4 V" in told("vbat_v", np.full((3, 1), 1640.0))
+    assert "damaged" in beyond_message("vbat_v", np.full((3, 1), 1e9))
+    assert "in hundredths of a volt it would be 16.4 V" in beyond_message(
+        "vbat_v", np.full((3, 1), 1640.0)
+    )
     assert other_unit("pos", 1e9) == ""
 
 

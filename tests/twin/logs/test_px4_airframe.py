@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from sample_logs import MOVING_S, moving_topics, ulog
 
-from twin.logs.airframe import Airframe, Cells, Told
+from twin.logs.airframe import Airframe, Cells, SourcedValue
 from twin.logs.formats import ReadOptions
 from twin.logs.px4.ulog import read_ulog
 
@@ -33,7 +33,7 @@ def test_rotors_are_where_the_allocation_has_them() -> None:
     assert told.layout.position[0] == pytest.approx((0.1, 0.14, 0.0))
     assert told.layout.direction.tolist() == [-1, -1, 1, 1]  # positive KM: counter-clockwise
     assert told.layout.arm == pytest.approx(np.hypot(0.1, 0.14))
-    assert told.rotors == Told(4, "CA_ROTOR_COUNT of the log")
+    assert told.rotors == SourcedValue(4, "CA_ROTOR_COUNT of the log")
 
 
 @pytest.mark.parametrize("size", [0.15, 1.0])
@@ -103,7 +103,7 @@ def test_filtered_samples_have_the_cutoff() -> None:
     log = ulog(topics, {"IMU_GYRO_CUTOFF": 60.0})
     told = read_ulog(Path("made.ulg"), log, ReadOptions()).airframe
     assert told is not None
-    assert told.gyro_cutoff_hz == Told(60.0, "IMU_GYRO_CUTOFF of the log")
+    assert told.gyro_cutoff_hz == SourcedValue(60.0, "IMU_GYRO_CUTOFF of the log")
     assert told.filters == ""
 
 
@@ -140,8 +140,8 @@ def test_the_place_is_the_median_of_the_fixes() -> None:
 
 
 def test_facts_of_several_logs_are_put_together() -> None:
-    one, two = Airframe(filters="a"), Airframe(filters="b", rotors=Told(6, "two"))
-    assert Airframe.together([one, two]) == Airframe(filters="a", rotors=Told(6, "two"))
+    one, two = Airframe(filters="a"), Airframe(filters="b", rotors=SourcedValue(6, "two"))
+    assert Airframe.together([one, two]) == Airframe(filters="a", rotors=SourcedValue(6, "two"))
     assert Airframe.together([]) == Airframe()
 
 

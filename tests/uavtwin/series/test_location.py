@@ -14,7 +14,7 @@ from pymavlink import mavutil
 from series_rigs.mcap_rig import Read, read_mcap
 
 from twin.logs import Flight, read_flight, write_flight
-from twin.logs.airframe import Airframe, Place, Told
+from twin.logs.airframe import Airframe, Place, SourcedValue
 from twin.residuals.gap import Channel, FlightGap
 from twin.vehicle.geodesy import geodetic_of_ned
 from uavtwin.gaps import GapResult
@@ -49,7 +49,7 @@ def written(flight: Flight, tmp_path: Path) -> Read:
 
 def test_a_flight_is_where_its_origin_says(tmp_path: Path) -> None:
     """At every whole sample of the position; a flight table in Parquet keeps the origin."""
-    flight = flown(Airframe(origin=Told(ORIGIN, "made up")))
+    flight = flown(Airframe(origin=SourcedValue(ORIGIN, "made up")))
     write_flight(flight, tmp_path / "flight.parquet")
     for each in (flight, read_flight(tmp_path / "flight.parquet")):
         read = written(each, tmp_path)
@@ -65,7 +65,7 @@ def test_a_flight_is_where_its_origin_says(tmp_path: Path) -> None:
 
 
 def test_without_an_origin_there_is_no_location(tmp_path: Path) -> None:
-    for airframe in (None, Airframe(place=Told(ORIGIN, "made up"))):
+    for airframe in (None, Airframe(place=SourcedValue(ORIGIN, "made up"))):
         assert "/location" not in written(flown(airframe), tmp_path).schemas
 
 

@@ -12,7 +12,7 @@ from cli_rig import run
 from sample_logs import moving_topics, ulog
 
 import uavtwin as ut
-from twin.logs.airframe import Airframe, Cells, Place, ThrustCurve, Told
+from twin.logs.airframe import Airframe, Cells, Place, SourcedValue, ThrustCurve
 from twin.vehicle.deviation import relative_deviation
 from uavtwin.demo.flights import ACC_NOISE_M_S2, GYRO_NOISE_RAD_S, Waypoints, fly
 
@@ -179,7 +179,7 @@ def test_measured_rotor_speeds_make_a_map_of_the_speed(copter: ut.Flight) -> Non
 
 def test_facts_of_the_log_enter(copter: ut.Flight) -> None:
     """The curve of the autopilot instead of the usual one."""
-    airframe = Airframe(thrust=Told(ThrustCurve(0.3), "THR_MDL_FAC 0.3 of the log"))
+    airframe = Airframe(thrust=SourcedValue(ThrustCurve(0.3), "THR_MDL_FAC 0.3 of the log"))
     found = ut.draft_vehicle(replace(copter, airframe=airframe), **COPTER)  # type: ignore[arg-type]
     _, c1, c2 = found.vehicle.rotors.thrust_n
     assert c2 / (c1 + c2) == pytest.approx(0.3, rel=1e-3)
@@ -193,10 +193,10 @@ def test_all_that_a_log_can_tell_is_in_the_file() -> None:
     for i in range(1, 5):
         table[f"cmd_{i}"], table[f"rotor_{i}"] = 0.4 + 0.001 * t, 500.0
     airframe = Airframe(
-        place=Told(Place(np.radians(48.0), np.radians(11.0), 500.0, 2025.3), "satellites"),
-        cells=Told(Cells(3, 4.2, 3.5, 18000.0, 0.02), "BAT1"),
-        imu_position_m=Told((0.01, 0.0, 0.0), "EKF2_IMU_POS_X"),
-        gyro_cutoff_hz=Told(60.0, "IMU_GYRO_CUTOFF"),
+        place=SourcedValue(Place(np.radians(48.0), np.radians(11.0), 500.0, 2025.3), "satellites"),
+        cells=SourcedValue(Cells(3, 4.2, 3.5, 18000.0, 0.02), "BAT1"),
+        imu_position_m=SourcedValue((0.01, 0.0, 0.0), "EKF2_IMU_POS_X"),
+        gyro_cutoff_hz=SourcedValue(60.0, "IMU_GYRO_CUTOFF"),
     )
     found = ut.draft_vehicle(ut.Flight("made", table, airframe=airframe), 1.0, **SIZE)  # type: ignore[arg-type]
     told = {n["key"]: n for n in found.json()["numbers"]}

@@ -17,10 +17,11 @@ from ..airframe import (
     Cells,
     MotorOutput,
     Place,
+    SourcedValue,
     ThrustCurve,
-    Told,
     commands_of,
     described,
+    positive_parameter,
 )
 from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array, Site
@@ -151,15 +152,15 @@ def geometry(frame_class: int, frame_type: int) -> Geometry | None:
     kind, form = CLASSES.get(frame_class, ""), TYPES.get(frame_type, "")
     if kind == "y6" and (kind, form) not in _PLACES:
         form = ""
-    if told := _CIRCLES.get((kind, form)):
-        angles = np.radians([float(t[:-1]) for t in told.split()])
+    if rotors := _CIRCLES.get((kind, form)):
+        angles = np.radians([float(t[:-1]) for t in rotors.split()])
         places = np.column_stack([np.cos(angles), np.sin(angles)])
-    elif told := _PLACES.get((kind, form)):
-        places = np.array([[float(v) for v in t[:-1].split(",")] for t in told.split()])
+    elif rotors := _PLACES.get((kind, form)):
+        places = np.array([[float(v) for v in t[:-1].split(",")] for t in rotors.split()])
         places = places / np.linalg.norm(places, axis=1).max()
     else:
         return None
-    sense: tuple[Sense, ...] = tuple("ccw" if t.endswith("+") else "cw" for t in told.split())
+    sense: tuple[Sense, ...] = tuple("ccw" if t.endswith("+") else "cw" for t in rotors.split())
     apart = np.linalg.norm(places[:, None] - places[None], axis=2)
     below = tuple(bool((apart[k, :k] < 1e-6).any()) for k in range(len(places)))
     return Geometry(f"{kind} {form}".strip(), np.round(places, 6), sense, below)
@@ -469,14 +470,14 @@ def from_ardupilot_airframe(log: ArduPilotLog) -> Airframe:
     params, count, place = log.params, len(channels_of(log)), fix(log)
     return Airframe(
         no_multirotor=_no_multirotor(log),
-        rotors=Told(count, _motors_from(log)) if count else None,
+        rotors=SourcedValue(count, _motors_from(log)) if count else None,
         layout=_layout(frame_of(log), count),
         thrust=_thrust(params),
-        pulse_us=Told(pulse_range_us(params), "MOT_PWM_* and MOT_PWM_TYPE of the log"),
+        pulse_us=SourcedValue(pulse_range_us(params), "MOT_PWM_* and MOT_PWM_TYPE of the log"),
         cells=_cells(params),
         imu_position_m=_imu_position(params),
-        accel_cutoff_hz=_cutoff(params, "INS_ACCEL_FILTER"),
-        gyro_cutoff_hz=_cutoff(params, "INS_GYRO_FILTER"),
+        accel_cutoff_hz=positive_parameter(params, "INS_ACCEL_FILTER"),
+        gyro_cutoff_hz=positive_parameter(params, "INS_GYRO_FILTER"),
         place=None if place is None else _place(place),
         origin=_origin(log),
     )
@@ -513,7 +514,7 @@ def _layout(frame: Frame, motors: int) -> Layout | None:
     )
 
 
-def _thrust(params: Mapping[str, float]) -> Told[ThrustCurve] | None:
+def _thrust(params: Mapping[str, float]) -> SourcedValue[ThrustCurve] | None:
     """Of a log that says at least the exponent; ArduPilot, Motor Thrust Scaling."""
     expo = motor_value(params, "MOT_THST_EXPO", -1.0)
     if not 0.0 <= expo <= 1.0:
@@ -529,10 +530,10 @@ def _thrust(params: Mapping[str, float]) -> Told[ThrustCurve] | None:
     if not 0.0 <= low < high <= 1.0:
         low, high = _SPIN_MIN, _SPIN_MAX
     source = f"MOT_THST_EXPO {expo:g}, {least} {high:g} of the log"
-    return Told(ThrustCurve(expo, low, high), source)
+    return SourcedValue(ThrustCurve(expo, low, high), source)
 
 
-def _cells(params: Mapping[str, float]) -> Told[Cells] | None:
+def _cells(params: Mapping[str, float]) -> SourcedValue[Cells] | None:
     """By the voltages between which thrust is scaled."""
     low, high = (motor_value(params, f"MOT_BAT_VOLT_{k}", 0.0) for k in ("MIN", "MAX"))
     if not 0.0 < low < high:
@@ -540,20 +541,17 @@ def _cells(params: Mapping[str, float]) -> Told[Cells] | None:
     count = max(round(high / _FULL_CELL_V), 1)
     capacity = params.get("BATT_CAPACITY", 0.0)
     cells = Cells(count, high / count, low / count, 3.6 * capacity if capacity > 0.0 else None)
-    return Told(cells, f"MOT_BAT_VOLT_MIN {low:g} and _MAX {high:g} (or MOT_THST_BAT_*) of the log")
+    return SourcedValue(
+        cells, f"MOT_BAT_VOLT_MIN {low:g} and _MAX {high:g} (or MOT_THST_BAT_*) of the log"
+    )
 
 
-def _imu_position(params: Mapping[str, float]) -> Told[tuple[float, float, float]] | None:
+def _imu_position(params: Mapping[str, float]) -> SourcedValue[tuple[float, float, float]] | None:
     x, y, z = (params.get(name, 0.0) for name in _IMU)
-    return Told((x, y, z), f"{_IMU[0]} to _Z of the log") if any((x, y, z)) else None
+    return SourcedValue((x, y, z), f"{_IMU[0]} to _Z of the log") if any((x, y, z)) else None
 
 
-def _cutoff(params: Mapping[str, float], name: str) -> Told[float] | None:
-    hz = params.get(name, 0.0)
-    return Told(hz, f"{name} of the log") if hz > 0.0 else None
-
-
-def _origin(log: ArduPilotLog) -> Told[Place] | None:
+def _origin(log: ArduPilotLog) -> SourcedValue[Place] | None:
     """What the estimator counts positions from; POS alone is counted from its first sample."""
     topic = log.whole("ORGN")  # said once, mostly before the flight
     if topic is None or not topic.has("Type", "Lat", "Lng", "Alt"):
@@ -568,10 +566,10 @@ def _origin(log: ArduPilotLog) -> Told[Place] | None:
     if abs(latitude) > 90.0 or abs(longitude) > 180.0:
         return None
     place = Place(math.radians(latitude), math.radians(longitude), height, None)
-    return Told(place, "ORGN of the log")
+    return SourcedValue(place, "ORGN of the log")
 
 
-def _place(found: Fix) -> Told[Place]:
+def _place(found: Fix) -> SourcedValue[Place]:
     year = found.day.year + (found.day.timetuple().tm_yday - 1) / 365.25
     north, east = math.radians(found.latitude_deg), math.radians(found.longitude_deg)
-    return Told(Place(north, east, found.altitude_m, year), "GPS of the log")
+    return SourcedValue(Place(north, east, found.altitude_m, year), "GPS of the log")

@@ -72,14 +72,14 @@ def _by_events(log: ArduPilotLog) -> list[SpanUs]:
         return []
     spans: list[SpanUs] = []
     begin: int | None = None
-    seen = False
+    any_event = False
     for t, kind in zip(events.t_us.tolist(), events.raw("Id").tolist(), strict=True):
         if kind in (ARMED, _AUTO_ARMED) and begin is None:
             begin = t
-        elif kind == DISARMED and (begin is not None or not seen):
+        elif kind == DISARMED and (begin is not None or not any_event):
             spans.append((ends[0] if begin is None else begin, t))
             begin = None
-        seen = seen or kind in (ARMED, _AUTO_ARMED, DISARMED)
+        any_event = any_event or kind in (ARMED, _AUTO_ARMED, DISARMED)
     return [*spans, (begin, ends[1])] if begin is not None else spans
 
 
@@ -110,12 +110,12 @@ def use_the_flight(log: ArduPilotLog) -> dict[str, str]:
     used = max(stretches, key=lambda s: sum(b - a for a, b in s))
     begin, end = used[0][0], used[-1][1]
     each = [f"{(b - a) * 1e-6:.1f} s from {(a - begin) * 1e-6:.1f} s" for a, b in spans[:_SHOWN]]
-    told = "; ".join(each) + (f" and {len(spans) - _SHOWN} more" if len(spans) > _SHOWN else "")
+    text = "; ".join(each) + (f" and {len(spans) - _SHOWN} more" if len(spans) > _SHOWN else "")
     if len(stretches) > 1:
         log.note(
             "warning",
             "log",
-            f"motors run in {len(stretches)} stretches over a minute apart ({told}); the one with "
+            f"motors run in {len(stretches)} stretches over a minute apart ({text}); the one with "
             "most of it is used. Split the log to use the others",
             len(stretches),
         )
@@ -125,7 +125,7 @@ def use_the_flight(log: ArduPilotLog) -> dict[str, str]:
         log.note("info", "log", f"{left * 1e-6:.1f} s with the motors stopped are not used")
     log.cut_to(begin, end)
     return {
-        "motors run": told,
+        "motors run": text,
         "clock": f"t = 0 is {log.start_us * 1e-6:.6f} s after boot, when the motors start",
     }
 
@@ -262,10 +262,10 @@ def _ground(log: ArduPilotLog) -> list[Span]:
     if events is None:
         return []
     kinds = events.raw("Id")
-    told = np.isin(kinds, (_NOT_LANDED, _LANDED))
-    if not told.any():
+    known = np.isin(kinds, (_NOT_LANDED, _LANDED))
+    if not known.any():
         return []
-    t_s, landed = events.t_s[told], kinds[told] == _LANDED
+    t_s, landed = events.t_s[known], kinds[known] == _LANDED
     if not landed[0]:  # it stood until it left the ground
         t_s, landed = np.append(-np.inf, t_s), np.append(True, landed)
     return ground_spans(t_s, landed)
@@ -276,13 +276,13 @@ def modes(log: ArduPilotLog) -> str:
     topic = log.whole("MODE")
     if topic is None or not (names := mode_names(log, topic)):
         return ""
-    told: list[str] = []
+    parts: list[str] = []
     in_time = np.flatnonzero(topic.t_s <= (log.length_us or np.inf) * 1e-6)
     before = np.flatnonzero(topic.t_s[in_time] <= 0.0)
     for k in in_time[max(len(before) - 1, 0) :]:
-        told.append(f"{names[k]} from {max(topic.t_s[k], 0.0):.1f} s")
-    more = f" and {len(told) - _SHOWN} more" if len(told) > _SHOWN else ""
-    return ", ".join(told[:_SHOWN]) + more
+        parts.append(f"{names[k]} from {max(topic.t_s[k], 0.0):.1f} s")
+    more = f" and {len(parts) - _SHOWN} more" if len(parts) > _SHOWN else ""
+    return ", ".join(parts[:_SHOWN]) + more
 
 
 def mode_names(log: ArduPilotLog, topic: Topic) -> list[str]:
@@ -353,7 +353,7 @@ def _grown(log: ArduPilotLog, name: str, instance: int | None, field: str) -> in
 
 # -- setpoints ----------------------------------------------------------------------------------
 #
-# What the controllers of ArduPilot were asked for, in the units of the flight table.
+# Setpoints of ArduPilot's controllers, in the units of the flight table.
 
 _AXES = "NED"
 _TOGETHER_S = 0.2
@@ -383,7 +383,7 @@ def _course(
 ) -> Setpoint | None:
     """Targets of PSCN, PSCE and PSCD (ArduPilot 4.1 and later), at the times of the last.
 
-    The horizontal controller rests where the pilot gives a lean angle: nothing is asked for then.
+    The horizontal controller rests where the pilot gives a lean angle: it has no setpoint then.
     """
     axes = [log.whole(f"PSC{a}") for a in _AXES]
     down = axes[-1]
@@ -459,7 +459,7 @@ def from_ardupilot_autopilot(log: ArduPilotLog, end_s: float) -> Autopilot:
     """
     failsafes, failures = _errors(log, end_s)
     said = sorted([*_messages(log), *failures], key=lambda m: m.t_s)
-    told, parameters = _parameters(log)
+    has_defaults, parameters = _parameters(log)
     return Autopilot(
         _modes(log, end_s),
         _armed(log, end_s),
@@ -467,7 +467,7 @@ def from_ardupilot_autopilot(log: ArduPilotLog, end_s: float) -> Autopilot:
         tuple(said[:MOST_MESSAGES]),
         setpoints(log, end_s),
         parameters,
-        told,
+        has_defaults,
         _filters(log.params),
     )
 
@@ -484,9 +484,9 @@ def _armed(log: ArduPilotLog, end_s: float) -> tuple[Stretch, ...]:
     events = log.whole("EV")
     if events is not None and events.has("Id"):
         kinds = events.raw("Id")
-        told = np.isin(kinds, (ARMED, DISARMED))
-        if told.any():
-            t_s, on = events.t_s[told], kinds[told] == ARMED
+        known = np.isin(kinds, (ARMED, DISARMED))
+        if known.any():
+            t_s, on = events.t_s[known], kinds[known] == ARMED
             t_s, on = np.append(min(0.0, t_s[0] - 1.0), t_s), np.append(not on[0], on)
             return stretches_of(t_s, on, "armed", end_s)
     spans = [(max(a * 1e-6, 0.0), min(b * 1e-6, end_s)) for a, b in armed_spans(log)]

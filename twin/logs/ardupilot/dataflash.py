@@ -4,17 +4,14 @@ ArduPilot's axes are those of the table, FRD and NED; its quaternion turns the b
 Hamilton, scalar first.
 """
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from ...frames import from_euler
 from ..airframe import local_ned
-from ..assemble import Rows, add_signal, filter_delay_us, lay_out, unit_quaternions
-from ..autopilot import label_phases
+from ..assemble import FlightBuilder
 from ..columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
 from ..doubts import lower_voltage
 from ..flight import Array, Flight
@@ -57,10 +54,6 @@ _LEAST_V = 1.0
 _IDLE, _WORKING = 0.05, 0.2
 
 
-add = partial(add_signal, begin="the motors ran")
-"""As `assemble.add_signal`."""
-
-
 def si(
     log: ArduPilotLog,
     topic: Topic,
@@ -75,7 +68,7 @@ def si(
     return topic.si(fields)
 
 
-def add_imu(log: ArduPilotLog, rows: Rows, used: Primary) -> dict[str, str]:
+def add_imu(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> dict[str, str]:
     """Accelerometer and gyroscope that the estimator uses.
 
     Returns:
@@ -86,15 +79,15 @@ def add_imu(log: ArduPilotLog, rows: Rows, used: Primary) -> dict[str, str]:
         there = log.instances("IMU")
         if not there:
             log.note("warning", where, "no IMU in the log. Set LOG_BITMASK bit 7 or 18")
-            facts |= _rates(log, rows) if where == "gyro" else {}
+            facts |= _rates(log, flight) if where == "gyro" else {}
             continue
         instance = used.imu if used.imu in there else there[0]
         topic = log.topic("IMU", instance, *fields)
         if topic is None:
             continue
-        delay_us = _filter_delay_us(log, where)
+        delay_us = _filter_delay_us(log, flight, where)
         values = si(log, topic, where, fields)
-        add(log, rows, where, names, topic.t_us - delay_us, values)
+        flight.add(where, names, topic.t_us - delay_us, values)
         raw = topic.raw("GHz") if topic.has("GHz") else np.zeros(1)
         sampled = f", {np.median(raw):.0f} Hz sampled" if np.median(raw) > 0.0 else ""
         facts[f"{where} from"] = (
@@ -103,18 +96,18 @@ def add_imu(log: ArduPilotLog, rows: Rows, used: Primary) -> dict[str, str]:
     return facts
 
 
-def _rates(log: ArduPilotLog, rows: Rows) -> dict[str, str]:
+def _rates(log: ArduPilotLog, flight: FlightBuilder) -> dict[str, str]:
     """Body rates as the rate controller has them, for logs without IMU."""
     topic = log.topic("RATE", None, *_RATES)
     if topic is None:
         return {}
-    delay_us = _filter_delay_us(log, "gyro")
+    delay_us = _filter_delay_us(log, flight, "gyro")
     rates = si(log, topic, "gyro", _RATES)
-    add(log, rows, "gyro", GYRO, topic.t_us - delay_us, rates)
+    flight.add("gyro", GYRO, topic.t_us - delay_us, rates)
     return {"gyro from": f"RATE, {topic.rate_hz:.0f} Hz"}
 
 
-def _filter_delay_us(log: ArduPilotLog, where: str) -> int:
+def _filter_delay_us(log: ArduPilotLog, flight: FlightBuilder, where: str) -> int:
     """Delay of the low-pass that a sensor went through before it was logged, us.
 
     Source: ArduPilot, LowPassFilter2p, as AP_InertialSensor applies it.
@@ -124,21 +117,16 @@ def _filter_delay_us(log: ArduPilotLog, where: str) -> int:
     if cutoff_hz < _LEAST_HZ:
         if name not in log.params and _IN_SENSOR in log.params:
             hz = log.params[_IN_SENSOR]
-            told = f"{hz:g} Hz" if hz > 0.0 else "the default of the firmware"
-            message = f"low-passed within the sensor at {told} ({_IN_SENSOR}), delay not taken off"
+            cutoff = f"{hz:g} Hz" if hz > 0.0 else "the default of the firmware"
+            message = (
+                f"low-passed within the sensor at {cutoff} ({_IN_SENSOR}), delay not taken off"
+            )
             log.note("info", where, message)
         return 0
-    delay_us = filter_delay_us(cutoff_hz)
-    log.note(
-        "info",
-        where,
-        f"calibrated and low-passed at {cutoff_hz:.0f} Hz ({name}) before it was logged; its time "
-        f"is {delay_us / 1e3:.1f} ms before the time stamp of the log, the delay of that filter",
-    )
-    return delay_us
+    return flight.filter_delay_us(where, cutoff_hz, name)
 
 
-def add_compass(log: ArduPilotLog, rows: Rows, used: Primary) -> None:
+def add_compass(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> None:
     """Compass that the estimator uses."""
     there = log.instances("MAG")
     if not there:
@@ -150,10 +138,10 @@ def add_compass(log: ArduPilotLog, rows: Rows, used: Primary) -> None:
     if len(there) > 1:
         message = f"{len(there)} compasses in the log, the estimator uses number {instance}"
         log.note("info", "mag", message)
-    add(log, rows, "mag", MAG, topic.t_us, si(log, topic, "mag", _MAG))
+    flight.add("mag", MAG, topic.t_us, si(log, topic, "mag", _MAG))
 
 
-def add_barometer(log: ArduPilotLog, rows: Rows, used: Primary) -> None:
+def add_barometer(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> None:
     """Static pressure of the barometer that the estimator uses."""
     there = log.instances("BARO")
     if not there:
@@ -161,18 +149,18 @@ def add_barometer(log: ArduPilotLog, rows: Rows, used: Primary) -> None:
     topic = log.topic("BARO", used.barometer if used.barometer in there else there[0], "Press")
     if topic is not None:
         pressure = si(log, topic, "baro", ("Press",))
-        add(log, rows, "baro", ("baro_pa",), topic.t_us, pressure)
+        flight.add("baro", ("baro_pa",), topic.t_us, pressure)
 
 
-def add_battery(log: ArduPilotLog, rows: Rows, commands: MotorCommands | None) -> None:
+def add_battery(log: ArduPilotLog, flight: FlightBuilder, commands: MotorCommands | None) -> None:
     """Voltage of the first battery that has one, and its current where it is worth anything."""
     for topic in _batteries(log):
         volts = si(log, topic, "vbat_v", ("Volt",))
         if np.nanmax(volts, initial=0.0) < _LEAST_V:
             continue
-        add(log, rows, "vbat_v", ("vbat_v",), topic.t_us, volts)
+        flight.add("vbat_v", ("vbat_v",), topic.t_us, volts)
         if topic.has("Curr"):
-            _add_current(log, rows, topic, commands)
+            _add_current(log, flight, topic, commands)
         return
     log.note("warning", "vbat_v", f"no battery in the log exceeds {_LEAST_V:g} V")
 
@@ -193,7 +181,7 @@ def _batteries(log: ArduPilotLog) -> list[Topic]:
 
 
 def _add_current(
-    log: ArduPilotLog, rows: Rows, topic: Topic, commands: MotorCommands | None
+    log: ArduPilotLog, flight: FlightBuilder, topic: Topic, commands: MotorCommands | None
 ) -> None:
     amps = si(log, topic, "ibat_a", ("Curr",))
     unknown = np.isnan(amps[:, 0])
@@ -202,7 +190,7 @@ def _add_current(
         return
     if unknown.any():
         log.note("warning", "ibat_a", "samples hold no current", int(unknown.sum()))
-    add(log, rows, "ibat_a", ("ibat_a",), topic.t_us[~unknown], amps[~unknown])
+    flight.add("ibat_a", ("ibat_a",), topic.t_us[~unknown], amps[~unknown])
 
 
 def _current_doubt(
@@ -246,30 +234,29 @@ _RESETS = {60: "height", 62: "yaw"}
 """EV of a reset of the estimator."""
 
 
-def add_motion(log: ArduPilotLog, rows: Rows, used: Primary) -> dict[str, str]:
+def add_motion(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> dict[str, str]:
     """Attitude, velocity and position.
 
     Returns:
         Facts on where they come from.
     """
     facts = {}
-    if source := _add_attitude(log, rows, used):
+    if source := _add_attitude(log, flight, used):
         facts["attitude from"] = source
-    if source := _add_course(log, rows, used):
+    if source := _add_course(log, flight, used):
         facts["position from"] = source
     _resets(log)
     return facts
 
 
-def _add_attitude(log: ArduPilotLog, rows: Rows, used: Primary) -> str:
+def _add_attitude(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> str:
     """Quaternions of the core in charge, or ATT where that is logged much faster."""
     topic = log.topic(f"{used.family}Q", used.core, *_Q) if used.family else None
     angles = log.topic("ATT", None, *_ANGLES)
     if angles is None and used.family:
         angles = log.topic(f"{used.family}F1", used.core, *_ANGLES)
     if topic is not None and (angles is None or angles.rate_hz < _FASTER * topic.rate_hz):
-        usable, unit = unit_quaternions(log, si(log, topic, "q", _Q))
-        add(log, rows, "q", QUAT, topic.t_us[usable], unit)
+        flight.add_attitude(topic.t_us, si(log, topic, "q", _Q))
         return f"{topic.name}, core {used.core}, {topic.rate_hz:.0f} Hz"
     if angles is None:
         log.note("warning", "q", "no attitude in the log. Set LOG_BITMASK bit 0 or 1")
@@ -280,17 +267,17 @@ def _add_attitude(log: ArduPilotLog, rows: Rows, used: Primary) -> str:
         message = f"samples of {angles.name} left out, an angle is none"
         log.note("error", "q", message, int(np.count_nonzero(~possible)))
     q = np.asarray(from_euler(*euler[possible].T), dtype=np.float64).T
-    add(log, rows, "q", QUAT, angles.t_us[possible], q)
+    flight.add("q", QUAT, angles.t_us[possible], q)
     return f"{angles.name}, {angles.rate_hz:.0f} Hz"
 
 
-def _add_course(log: ArduPilotLog, rows: Rows, used: Primary) -> str:
+def _add_course(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> str:
     """Position and velocity of the core in charge, else of the position controller, else of POS."""
     topic = log.topic(f"{used.family}F1", used.core) if used.family else None
     pos, vel = ("PN", "PE", "PD"), ("VN", "VE", "VD")
     if topic is not None and topic.has(*pos, *vel):
-        add(log, rows, "pos", POS, topic.t_us, si(log, topic, "pos", pos))
-        add(log, rows, "vel", VEL, topic.t_us, si(log, topic, "vel", vel))
+        flight.add("pos", POS, topic.t_us, si(log, topic, "pos", pos))
+        flight.add("vel", VEL, topic.t_us, si(log, topic, "vel", vel))
         log.note(
             "info",
             "pos",
@@ -298,10 +285,10 @@ def _add_course(log: ArduPilotLog, rows: Rows, used: Primary) -> str:
             "assumes differ from the true ones, they lead or lag the truth",
         )
         return f"{topic.name}, core {used.core}, {topic.rate_hz:.0f} Hz"
-    return _controller_course(log, rows) or _global_course(log, rows)
+    return _controller_course(log, flight) or _global_course(log, flight)
 
 
-def _controller_course(log: ArduPilotLog, rows: Rows) -> str:
+def _controller_course(log: ArduPilotLog, flight: FlightBuilder) -> str:
     """What the controllers of position and height are given, where all three axes are there."""
     for axes in _CONTROLLERS:
         if any(message not in log.content.messages for message, *_ in axes):
@@ -316,7 +303,7 @@ def _controller_course(log: ArduPilotLog, rows: Rows) -> str:
             for (_, place, rate, sign), topic in zip(axes, found, strict=True):
                 values = si(log, topic, where, ((place, rate)[k - 1],))[:, 0]
                 columns.append(sign * np.interp(shortest.t_us, topic.t_us, values))
-            add(log, rows, where, names, shortest.t_us, np.column_stack(columns))
+            flight.add(where, names, shortest.t_us, np.column_stack(columns))
         log.note(
             "info", "pos", "no XKF1: position and velocity as the position controller has them"
         )
@@ -325,14 +312,14 @@ def _controller_course(log: ArduPilotLog, rows: Rows) -> str:
     return ""
 
 
-def _global_course(log: ArduPilotLog, rows: Rows) -> str:
+def _global_course(log: ArduPilotLog, flight: FlightBuilder) -> str:
     """Position alone, from latitude, longitude and height over home."""
     topic = log.topic("POS", None, "Lat", "Lng", "Alt")
     if topic is None:
         log.note("warning", "pos", "no XKF1, PSCN or POS in the log: no position, no velocity")
         return ""
     places = local_ned(topic.raw("Lat"), topic.raw("Lng"), topic.raw("Alt"))
-    add(log, rows, "pos", POS, topic.t_us, places)
+    flight.add("pos", POS, topic.t_us, places)
     log.note("warning", "pos", "from latitude and longitude of POS; there is no velocity")
     return f"POS, {topic.rate_hz:.0f} Hz"
 
@@ -361,7 +348,9 @@ _LEAST_GOOD = 0.8
 _FEWEST = 20
 
 
-def add_rotors(log: ArduPilotLog, rows: Rows, commands: MotorCommands | None) -> dict[str, str]:
+def add_rotors(
+    log: ArduPilotLog, flight: FlightBuilder, commands: MotorCommands | None
+) -> dict[str, str]:
     """Rotor speeds of all motors, from the instances of ESC that belong to their outputs.
 
     Speeds come from each controller in its own time. They are put on the times of the one that
@@ -408,7 +397,7 @@ def add_rotors(log: ArduPilotLog, rows: Rows, commands: MotorCommands | None) ->
         message = f"samples left out: a motor reports nothing for over {_LONGEST_S:g} s"
         log.note("warning", "rotor", message, int(np.count_nonzero(~bridged)))
     n = len(found)
-    add(log, rows, "rotor", motor_columns("rotor", n), slowest.t_us[bridged], together[bridged])
+    flight.add("rotor", motor_columns("rotor", n), slowest.t_us[bridged], together[bridged])
     log.note(
         "info",
         "rotor",
@@ -422,7 +411,7 @@ def add_rotors(log: ArduPilotLog, rows: Rows, commands: MotorCommands | None) ->
 
 
 def instances_of(channels: tuple[int, ...], there: list[int]) -> list[int]:
-    """Instances of ESC of the motors, [] where they cannot be told.
+    """Instances of ESC of the motors, [] where that is ambiguous.
 
     An instance is an output counted from 0, or, where the controllers are counted from the first
     one that is a motor, its place among the outputs of motors.
@@ -480,44 +469,45 @@ def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:
         LogError: Nothing in it can be used.
     """
     log = open_ardupilot(path, blob)
-    facts = _facts(log) | use_the_flight(log)
-    rows = Rows()
-    used = primary(log)
-    facts |= add_imu(log, rows, used)
-    add_compass(log, rows, used)
-    add_barometer(log, rows, used)
-    facts |= add_motion(log, rows, used)
+    flight = FlightBuilder(log, path, _facts(log) | use_the_flight(log), "the motors ran")
+    facts, used = flight.facts, primary(log)
+    facts |= add_imu(log, flight, used)
+    add_compass(log, flight, used)
+    add_barometer(log, flight, used)
+    facts |= add_motion(log, flight, used)
     commands = from_ardupilot_commands(log)
-    add_battery(log, rows, commands)
-    facts |= add_rotors(log, rows, commands)
+    add_battery(log, flight, commands)
+    facts |= add_rotors(log, flight, commands)
     if commands is not None:
         n = commands.cmd.shape[1]
-        add(log, rows, "cmd", motor_columns("cmd", n), commands.t_us, commands.cmd)
+        flight.add("cmd", motor_columns("cmd", n), commands.t_us, commands.cmd)
         facts |= commands.facts
     note_failures(log)
-    advice = "Log the default messages (LOG_BITMASK) and fly again."
-    table, t_us = lay_out(log, path, rows, advice)
-    phase = label_phases(table["time"].to_numpy(), from_ardupilot_phases(log, used))
-    table["phase"] = pd.Series(phase, dtype=object)
-    built = frame_of(log)
-    rotors = geometry(built.kind, built.form)
-    if rotors is not None and (trim := yaw_trim(table, rotors)):
-        facts["yaw trim"] = str(trim)
-    if told := modes(log):
-        facts["modes"] = told
+    table = flight.lay_out("Log the default messages (LOG_BITMASK) and fly again.")
+    phases = from_ardupilot_phases(log, used)
+    if flown_modes := modes(log):
+        facts["modes"] = flown_modes
     if where := fix(log):
         facts["place"] = str(where)
-    facts |= rows.coverage(t_us)
-    site, frame = from_ardupilot_site(log), from_ardupilot_airframe(log)
-    autopilot = from_ardupilot_autopilot(log, float(table["time"].iloc[-1]))
-    return Flight(path.stem, table, tuple(log.findings), facts, path, site, frame, autopilot)
+    found = flight.flight(
+        table,
+        phases,
+        site=from_ardupilot_site(log),
+        airframe=from_ardupilot_airframe(log),
+        autopilot=from_ardupilot_autopilot(log, float(table["time"].iloc[-1])),
+    )
+    frame = frame_of(log)
+    rotors = geometry(frame.kind, frame.form)
+    if rotors is not None and (trim := yaw_trim(found.table, rotors)):
+        found.facts["yaw trim"] = str(trim)
+    return found
 
 
 def _facts(log: ArduPilotLog) -> dict[str, str]:
     """What the log says about the vehicle."""
-    told = firmware(log)
-    facts = {"firmware": told or "ArduPilot"}
-    if other := OTHERS.match(told):
+    version = firmware(log)
+    facts = {"firmware": version or "ArduPilot"}
+    if other := OTHERS.match(version):
         message = f"a log of {other.group()}: this is no multirotor, unless it is a quadplane"
         log.note("error" if log.params.get("Q_ENABLE", 0.0) < 1.0 else "info", "log", message)
     if hardware := board(log):

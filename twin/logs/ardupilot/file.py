@@ -157,8 +157,8 @@ def instance_column(definition: Definition, units: Units) -> str:
 
 def text(raw: bytes | str) -> str:
     """Text up to its end mark, whatever bytes there are."""
-    told = raw.decode("utf-8", "replace") if isinstance(raw, bytes) else raw
-    return told.partition("\0")[0]
+    decoded = raw.decode("utf-8", "replace") if isinstance(raw, bytes) else raw
+    return decoded.partition("\0")[0]
 
 
 _RAD = np.pi / 180.0
@@ -193,8 +193,8 @@ def in_si(label: str, assumed: str) -> tuple[float, bool]:
     kind, factor = SI[assumed]
     if label not in SI:
         return factor, False
-    told, told_factor = SI[label]
-    return (told_factor, False) if told == kind else (factor, True)
+    given, given_factor = SI[label]
+    return (given_factor, False) if given == kind else (factor, True)
 
 
 # -- messages -----------------------------------------------------------------------------------
@@ -248,7 +248,7 @@ class Content:
     """What a file holds.
 
     Attributes:
-        messages: By name, those that were asked for.
+        messages: By name, those requested.
         counts: Number of messages by name, of all.
         damage: What could not be read.
     """
@@ -270,20 +270,20 @@ def with_units(found: Mapping[str, Messages], wanted: Collection[str]) -> dict[s
     """
     labels = _by_letter(found.get("UNIT"), "Label")
     factors = _by_letter(found.get("MULT"), "Mult")
-    told: dict[int, tuple[str, str]] = {}
+    by_number: dict[int, tuple[str, str]] = {}
     if (given := found.get("FMTU")) and {"FmtType", "UnitIds", "MultIds"} <= set(given.data):
         numbers = given.data["FmtType"].tolist()
         pairs = zip(given.texts("UnitIds"), given.texts("MultIds"), strict=True)
-        told = dict(zip(map(int, numbers), pairs, strict=True))
+        by_number = dict(zip(map(int, numbers), pairs, strict=True))
     multipliers = {k: float(f"{v:.7g}") for k, v in factors.items()}  # written as float
     names = {k: str(v) for k, v in labels.items()}
-    kept = {}
+    labelled = {}
     for name, each in found.items():
         if name in wanted:
-            ids = told.get(each.definition.number, ("", ""))
+            ids = by_number.get(each.definition.number, ("", ""))
             units = units_of(each.definition, *ids, names, multipliers)
-            kept[name] = Messages(each.definition, each.places, each.data, units)
-    return kept
+            labelled[name] = Messages(each.definition, each.places, each.data, units)
+    return labelled
 
 
 def _by_letter(given: Messages | None, column: str) -> dict[str, str | float]:
@@ -565,8 +565,8 @@ def _numbers(texts: tuple[str, ...]) -> tuple[NDArray[np.float64], NDArray[np.bo
         return np.array([np.nan if v is None else v for v in values]), readable
 
 
-def _number(told: str) -> float | None:
+def _number(word: str) -> float | None:
     try:
-        return float(told)
+        return float(word)
     except ValueError:
         return None

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import LogError
-from ..assemble import Timed, advancing, out_of_place, pauses, told_dropped
+from ..assemble import Timed, advancing, advancing_samples, misplaced, out_of_place, pauses
 from ..flight import Array, Finding, Noted
 from .file import MARK, Content, Damage, Messages, in_si, instance_column, read_binary, read_plain
 
@@ -143,11 +143,9 @@ OLDER = {
 
 _LONGEST_US = 365 * 86_400 * 1_000_000
 _NEVER_US = 2**62
-_FAR_US = 10_000_000
-_APART_S = 0.15
 _BLOCK = 512
 _PAUSE_OF_TELEMETRY = ("ESC", *OLDER["ESC"])
-"""Messages that come when the bus has them: their pauses are told with the rotor speeds."""
+"""Messages that come when the bus has them: their pauses are reported with the rotor speeds."""
 _NAMED = 3
 
 
@@ -179,8 +177,8 @@ class Topic(Timed):
 
     def documented(self, column: str) -> tuple[str, float]:
         """Unit of a field by ArduPilot's history, and times which its number is in that unit."""
-        told = self.source.definition
-        return documented_unit(self.name, column, told.letters[told.columns.index(column)])
+        layout = self.source.definition
+        return documented_unit(self.name, column, layout.letters[layout.columns.index(column)])
 
     def si(self, fields: Sequence[str]) -> Array:
         """Fields side by side in SI, shape (n, len(fields)).
@@ -253,7 +251,7 @@ class ArduPilotLog(Noted):
         """
         key = (name, instance)
         if key not in self._topics:
-            self._topics[key] = self._ordered(name, instance, tell=True)
+            self._topics[key] = self._ordered(name, instance, with_findings=True)
         topic = self._topics[key]
         if topic is not None and not topic.has(*needs):
             lacks = [f for f in needs if not topic.has(f)]
@@ -273,8 +271,8 @@ class ArduPilotLog(Noted):
         self._topics.clear()
 
     def whole(self, name: str, instance: int | None = None) -> Topic | None:
-        """The same over all of the log, also outside the flight, and nothing told."""
-        return self._ordered(name, instance, tell=False)
+        """The same over all of the log, also outside the flight, without findings."""
+        return self._ordered(name, instance, with_findings=False)
 
     def _messages(self, name: str, instance: int | None) -> tuple[Messages, NDArray[np.int64]]:
         """Messages of an instance: those they are among, and which rows."""
@@ -288,7 +286,7 @@ class ArduPilotLog(Noted):
         messages = self.content.messages[names[instance or 0]]
         return messages, np.arange(len(messages.places))
 
-    def _ordered(self, name: str, instance: int | None, tell: bool) -> Topic | None:
+    def _ordered(self, name: str, instance: int | None, with_findings: bool) -> Topic | None:
         try:
             messages, rows = self._messages(name, instance)
         except (KeyError, IndexError):
@@ -296,7 +294,7 @@ class ArduPilotLog(Noted):
         dropped = self._dropped.get(messages.definition.name)
         rows = rows if dropped is None else rows[~dropped[rows]]
         t_us = stamps_us(messages)[rows] - self.start_us
-        if tell and self.length_us is not None:
+        if with_findings and self.length_us is not None:
             inside = (t_us >= 0) & (t_us <= self.length_us)
             rows, t_us = rows[inside], t_us[inside]
         if len(rows) == 0:
@@ -304,14 +302,15 @@ class ArduPilotLog(Noted):
         if name in EVENTS:
             order = np.argsort(t_us, kind="stable")
             return Topic(name, t_us[order], messages, rows[order])
-        keep, *lost = advancing(t_us)
-        for message, count in told_dropped("messages", *lost) if tell else ():
-            self.note("error", name, message, count)
+        if with_findings:
+            keep = advancing_samples(self, name, t_us, "messages")
+        else:
+            keep, *_ = advancing(t_us)
         if not keep.any():
             return None
         steady = name in STEADY and name not in _PAUSE_OF_TELEMETRY
-        if tell and steady and (found := pauses(t_us[keep])):
-            self.note("warning", name, found.told, found.count)
+        if with_findings and steady and (found := pauses(t_us[keep])):
+            self.note("warning", name, found.message, found.count)
         return Topic(name, t_us[keep], messages, rows[keep])
 
 
@@ -366,8 +365,8 @@ def open_ardupilot(path: Path, blob: bytes) -> ArduPilotLog:
     amid = int(np.median([np.median(t) for t in steady]))
     log = ArduPilotLog(path, content, amid)
     _note_damage(log, content.damage, len(blob) if binary else 0)
-    _hold_against_the_file(log, timed)
-    first = min(int(t[0]) for n in timed if (t := _kept(log, n, timed[n])).size)
+    _drop_misplaced(log, timed)
+    first = min(int(t[0]) for n in timed if (t := _used_stamps(log, n, timed[n])).size)
     log.start_us = first
     _parameters(log)
     return log
@@ -391,7 +390,7 @@ def _stamped(found: Mapping[str, Messages]) -> dict[str, Messages]:
     return timed
 
 
-def _kept(log: ArduPilotLog, name: str, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
+def _used_stamps(log: ArduPilotLog, name: str, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
     """Stamps of the messages that are used, in order."""
     dropped = log._dropped.get(name)
     return np.sort(stamps if dropped is None else stamps[~dropped])
@@ -430,29 +429,15 @@ def _note_damage(log: ArduPilotLog, damage: Damage, size: int) -> None:
             log.note("error", "FMT", f"{what}: {named}", len(found))
 
 
-def _hold_against_the_file(log: ArduPilotLog, timed: Mapping[str, NDArray[np.int64]]) -> None:
-    """Drop messages stamped far from what stands beside them in the file; doubt whole topics."""
+def _drop_misplaced(log: ArduPilotLog, timed: Mapping[str, NDArray[np.int64]]) -> None:
+    """Drop messages stamped far from their neighbours in the file; doubt whole topics."""
     names = [n for n in timed if n not in EVENTS]
     places = [log.content.messages[n].places for n in names]
     stamps = [np.clip(timed[n] - log.start_us, -_LONGEST_US, _LONGEST_US) for n in names]
-    for name, off_us in zip(names, out_of_place(places, stamps), strict=True):
-        far = np.abs(off_us) > _FAR_US
-        middle_s = float(np.median(off_us)) * 1e-6
+    off_us = out_of_place(places, stamps)
+    for name, far in zip(names, misplaced(log, names, off_us, "messages"), strict=True):
         if far.any():
-            log.note(
-                "error",
-                name,
-                f"messages dropped, stamped over {_FAR_US * 1e-6:.0f} s from what stands beside "
-                f"them in the file (median {middle_s:+.3g} s): another clock, or another unit?",
-                int(far.sum()),
-            )
             log._dropped[name] = far
-        if abs(middle_s) > _APART_S and not far.all():
-            log.note(
-                "error",
-                name,
-                f"stamped {middle_s:+.2f} s from what stands beside it in the file: another clock?",
-            )
 
 
 def _parameters(log: ArduPilotLog) -> None:
@@ -522,10 +507,10 @@ def firmware(log: ArduPilotLog) -> str:
 
 def board(log: ArduPilotLog) -> str:
     """The message of a board and its serial number: a name, three words of eight hex digits."""
-    for told in log.texts("MSG", "Message"):
-        words = told.split()
+    for text in log.texts("MSG", "Message"):
+        words = text.split()
         if len(words) == 4 and all(len(w) == 8 and _is_hex(w) for w in words[1:]):
-            return told
+            return text
     return ""
 
 

@@ -16,14 +16,10 @@ from numpy.typing import NDArray
 
 from ...vehicle import GRAVITY_M_S2
 from ...vehicle.layouts import Layout, frame
-from ..airframe import Airframe, Place, Told, local_ned
+from ..airframe import Airframe, Place, SourcedValue, local_ned
 from ..assemble import (
-    Rows,
-    add_signal,
-    advancing,
-    filter_delay_us,
-    lay_out,
-    told_dropped,
+    FlightBuilder,
+    advancing_samples,
     unit_quaternions,
 )
 from ..autopilot import (
@@ -65,7 +61,7 @@ def three(stem: str) -> tuple[str, ...]:
 
 def rate_scale(log: BlackboxLog) -> float:
     """From logged rates to rad/s: `gyro_scale` is degrees per second, a tenth of it with
-    blackbox_high_resolution. NaN: the head does not tell."""
+    blackbox_high_resolution. NaN: the head does not say."""
     scale = log.header.bits("gyro_scale")
     fine = log.header.number("blackbox_high_resolution", 0.0) > 0.0
     if scale is None or not np.isfinite(scale) or scale <= 0.0:
@@ -85,64 +81,61 @@ def accel_cutoff_hz(log: BlackboxLog) -> float:
 
 
 def add(
-    log: BlackboxLog, rows: Rows, where: str, names: tuple[str, ...], t_us: Times, values: Array
+    log: BlackboxLog,
+    flight: FlightBuilder,
+    where: str,
+    names: tuple[str, ...],
+    t_us: Times,
+    values: Array,
 ) -> None:
     """Add a signal whose times are those of the firmware."""
     t_us = t_us - log.start_us
-    keep, *lost = advancing(t_us)
-    for message, count in told_dropped("frames", *lost):
-        log.note("error", where, message, count)
-    add_signal(log, rows, where, names, t_us[keep], values[keep])
+    keep = advancing_samples(log, where, t_us, "frames")
+    flight.add(where, names, t_us[keep], values[keep])
 
 
-def add_signals(log: BlackboxLog, rows: Rows) -> dict[str, str]:
+def add_signals(log: BlackboxLog, flight: FlightBuilder) -> dict[str, str]:
     """Everything but motors and satellites; facts."""
-    facts = _add_gyro(log, rows)
-    _add_acceleration(log, rows)
-    facts |= _add_attitude(log, rows)
-    _add_barometer(log, rows)
-    _add_battery(log, rows)
+    facts = _add_gyro(log, flight)
+    _add_acceleration(log, flight)
+    facts |= _add_attitude(log, flight)
+    _add_barometer(log, flight)
+    _add_battery(log, flight)
     return facts
 
 
-def _add_gyro(log: BlackboxLog, rows: Rows) -> dict[str, str]:
+def _add_gyro(log: BlackboxLog, flight: FlightBuilder) -> dict[str, str]:
     name, scale = gyro_field(log), rate_scale(log)
     if not name:
         log.note("warning", "gyro", "no gyroADC in the log: enable the field GYRO of Blackbox")
         return {}
     if np.isnan(scale):
-        told = log.header.settings.get("gyro_scale", "")[:20]
-        log.note("error", "gyro", f"left out, the head says gyro_scale {told!r}, no number")
+        value = log.header.settings.get("gyro_scale", "")[:20]
+        log.note("error", "gyro", f"left out, the head says gyro_scale {value!r}, no number")
         return {}
     main = log.recording.main
-    add(log, rows, "gyro", GYRO, main.t_us, main.columns(three(name)) * TURNED * scale)
+    add(log, flight, "gyro", GYRO, main.t_us, main.columns(three(name)) * TURNED * scale)
     return {"gyro from": f"{name}, {'before' if name == 'gyroUnfilt' else 'after'} the filters"}
 
 
-def _add_acceleration(log: BlackboxLog, rows: Rows) -> None:
+def _add_acceleration(log: BlackboxLog, flight: FlightBuilder) -> None:
     main = log.recording.main
     if not main.has(*three("accSmooth")):
         log.note("warning", "acc", "no accSmooth in the log: enable the accelerometer")
         return
     one_g = log.header.number("acc_1G", 0.0)
     if not one_g > 0.0:
-        told = log.header.settings.get("acc_1G", "")[:20]
-        log.note("error", "acc", f"left out, the head says acc_1G {told!r}")
+        value = log.header.settings.get("acc_1G", "")[:20]
+        log.note("error", "acc", f"left out, the head says acc_1G {value!r}")
         return
     delay_us, cutoff_hz = 0, accel_cutoff_hz(log)
     if cutoff_hz >= 1.0:
-        delay_us = filter_delay_us(cutoff_hz)
-        log.note(
-            "info",
-            "acc",
-            f"low-passed at {cutoff_hz:.0f} Hz (acc_lpf_hz) before it was logged; its time is "
-            f"{delay_us / 1e3:.1f} ms before the stamp of the log, the delay of that filter",
-        )
+        delay_us = flight.filter_delay_us("acc", cutoff_hz, "acc_lpf_hz")
     values = main.columns(three("accSmooth")) * TURNED * (GRAVITY_M_S2 / one_g)
-    add(log, rows, "acc", ACC, main.t_us - delay_us, values)
+    add(log, flight, "acc", ACC, main.t_us - delay_us, values)
 
 
-def _add_attitude(log: BlackboxLog, rows: Rows) -> dict[str, str]:
+def _add_attitude(log: BlackboxLog, flight: FlightBuilder) -> dict[str, str]:
     """The vector part of the quaternion; its scalar part is never negative."""
     main = log.recording.main
     if not main.has(*three("imuQuaternion")):
@@ -150,19 +143,26 @@ def _add_attitude(log: BlackboxLog, rows: Rows) -> dict[str, str]:
     vector = main.columns(three("imuQuaternion")) / _FULL_16_BITS
     scalar = np.sqrt(np.maximum(1.0 - np.sum(vector**2, axis=1), 0.0))
     usable, q = unit_quaternions(log, np.column_stack([scalar, vector * TURNED]))
-    add(log, rows, "q", QUAT, main.t_us[usable], q)
+    add(log, flight, "q", QUAT, main.t_us[usable], q)
     return {"attitude from": "imuQuaternion; without a compass, north is where it took off"}
 
 
-def _add_barometer(log: BlackboxLog, rows: Rows) -> None:
+def _add_barometer(log: BlackboxLog, flight: FlightBuilder) -> None:
     """Height over the place of arming, as the pressure that Betaflight's formula has there."""
     main = log.recording.main
     if not main.has("baroAlt"):
         return
     height_m = main.columns(("baroAlt",)) / 100.0
-    kept = _fresh(main.t_us, height_m)
-    share = np.maximum(1.0 - height_m[kept] / _SCALE_M, 0.0)
-    add(log, rows, "baro", ("baro_pa",), main.t_us[kept], _SEA_LEVEL_PA * share ** (1 / _EXPONENT))
+    fresh = _fresh(main.t_us, height_m)
+    share = np.maximum(1.0 - height_m[fresh] / _SCALE_M, 0.0)
+    add(
+        log,
+        flight,
+        "baro",
+        ("baro_pa",),
+        main.t_us[fresh],
+        _SEA_LEVEL_PA * share ** (1 / _EXPONENT),
+    )
     log.note(
         "info",
         "baro",
@@ -171,28 +171,28 @@ def _add_barometer(log: BlackboxLog, rows: Rows) -> None:
     )
 
 
-def _add_battery(log: BlackboxLog, rows: Rows) -> None:
+def _add_battery(log: BlackboxLog, flight: FlightBuilder) -> None:
     main = log.recording.main
     if main.has("vbatLatest"):
         volts = main.columns(("vbatLatest",)) * (0.01 if log.version >= _HUNDREDTHS_SINCE else 0.1)
-        kept = _fresh(main.t_us, volts)
-        add(log, rows, "vbat_v", ("vbat_v",), main.t_us[kept], volts[kept])
+        fresh = _fresh(main.t_us, volts)
+        add(log, flight, "vbat_v", ("vbat_v",), main.t_us[fresh], volts[fresh])
     if main.has("amperageLatest"):
         amperes = main.columns(("amperageLatest",)) * 0.01
-        kept = _fresh(main.t_us, amperes)
-        add(log, rows, "ibat_a", ("ibat_a",), main.t_us[kept], amperes[kept])
+        fresh = _fresh(main.t_us, amperes)
+        add(log, flight, "ibat_a", ("ibat_a",), main.t_us[fresh], amperes[fresh])
 
 
 def _fresh(t_us: Times, values: Array) -> NDArray[np.int64]:
-    """Of a signal that is measured seldom and logged often: where it changes, or has not been kept
-    for 0.1 s."""
+    """Of a signal that is measured seldom and logged often: where it changes, or 0.1 s after
+    the last one."""
     changed = np.append(True, np.any(np.diff(values, axis=0) != 0.0, axis=1)).tolist()
-    kept, last = [], -_FRESH_US
+    fresh, last = [], -_FRESH_US
     for k, (t, new) in enumerate(zip((t_us - t_us[0]).tolist(), changed, strict=True)):
         if new or t - last >= _FRESH_US:
-            kept.append(k)
+            fresh.append(k)
             last = t
-    return np.array(kept, dtype=np.int64)
+    return np.array(fresh, dtype=np.int64)
 
 
 # -- satellites ---------------------------------------------------------------------------------
@@ -207,7 +207,7 @@ _DATE = re.compile(r"(20\d\d)-(\d\d)-(\d\d)T")
 """0000-01-01 where the firmware does not know the time."""
 
 
-def add_satellites(log: BlackboxLog, rows: Rows) -> Told[Place] | None:
+def add_satellites(log: BlackboxLog, flight: FlightBuilder) -> SourcedValue[Place] | None:
     """Positions and velocities of the fixes into the table; where they are counted from."""
     gps = log.recording.gps
     if not gps.has(*_COORDINATES, "GPS_numSat", "GPS_altitude"):
@@ -225,13 +225,13 @@ def add_satellites(log: BlackboxLog, rows: Rows) -> Told[Place] | None:
     if not good.any():
         return None
     t_us = gps.t_us[good]
-    add(log, rows, "pos", POS, t_us, local_ned(degrees[good, 0], degrees[good, 1], up_m[good]))
+    add(log, flight, "pos", POS, t_us, local_ned(degrees[good, 0], degrees[good, 1], up_m[good]))
     if gps.has(*three("GPS_velned")):
-        add(log, rows, "vel", VEL, t_us, 0.01 * gps.columns(three("GPS_velned"))[good])
+        add(log, flight, "vel", VEL, t_us, 0.01 * gps.columns(three("GPS_velned"))[good])
     else:
         log.note("info", "vel", "Betaflight before 4.6 does not log the velocity north, east, down")
     log.note("info", "pos", "fixes of the satellites as they came, no estimate of the autopilot")
-    return Told(_place(log, degrees[good][0], float(up_m[good][0])), "GPS of the log")
+    return SourcedValue(_place(log, degrees[good][0], float(up_m[good][0])), "GPS of the log")
 
 
 def _place(log: BlackboxLog, degrees: Array, height_m: float) -> Place:
@@ -250,14 +250,14 @@ def _year(log: BlackboxLog) -> float | None:
     return year + (month - 1) / 12.0 + (day - 1) / 365.25
 
 
-def site_of(origin: Told[Place] | None) -> Site | None:
+def site_of(origin: SourcedValue[Place] | None) -> Site | None:
     """Outdoors where there were fixes; else not known."""
     return None if origin is None else Site(False, "GPS has a fix")
 
 
 # -- motors -------------------------------------------------------------------------------------
 #
-# Motor outputs and rotor speeds of a Blackbox log, and what they tell of the mixer.
+# Motor outputs and rotor speeds of a Blackbox log, and what they say of the mixer.
 #
 # Motors of Betaflight's QUADX: 1 rear right, 2 front right, 3 rear left, 4 front left; 1 and 4 turn
 # clockwise unless yaw_motors_reversed. Source: mixer.c and motor.h of Betaflight, and its manual.
@@ -277,7 +277,7 @@ _QUAD = {
     "yaw": np.array((1.0, -1.0, -1.0, 1.0)),
 }
 """What QUADX adds to each motor for a positive output of a controller."""
-_SEEN = "QUADX, as the motors follow the controllers"
+_CONFIRMED = "QUADX, as the motors follow the controllers"
 _DOUBT = "four motors, taken for QUADX"
 
 
@@ -296,7 +296,7 @@ class Motors:
     pulse_us: tuple[float, float] | None
 
 
-def add_motors(log: BlackboxLog, rows: Rows) -> Motors:
+def add_motors(log: BlackboxLog, flight: FlightBuilder) -> Motors:
     """Commands and rotor speeds into the table."""
     main = log.recording.main
     count = next((k for k in range(MAX_MOTORS) if f"motor[{k}]" not in main.names), MAX_MOTORS)
@@ -313,8 +313,8 @@ def add_motors(log: BlackboxLog, rows: Rows) -> Motors:
         log.note("error", "cmd", f"left out, the head has motors from {low:g} to {high:g}")
         return Motors(count, None, None)
     commands = np.clip((raw - low) / (high - low), 0.0, None)
-    add(log, rows, "cmd", motor_columns("cmd", count), main.t_us, commands)
-    _add_speeds(log, rows, commands)
+    add(log, flight, "cmd", motor_columns("cmd", count), main.t_us, commands)
+    _add_speeds(log, flight, commands)
     return Motors(count, commands, None if digital else (low, high))
 
 
@@ -330,7 +330,7 @@ def _range(log: BlackboxLog) -> tuple[float, float, bool]:
     return low, header.number("maxthrottle", _PULSE_FULL), False
 
 
-def _add_speeds(log: BlackboxLog, rows: Rows, commands: Array) -> None:
+def _add_speeds(log: BlackboxLog, flight: FlightBuilder, commands: Array) -> None:
     """Rotor speeds of bidirectional DSHOT: hundreds of electrical revolutions per minute."""
     main, count = log.recording.main, commands.shape[1]
     fields = next(
@@ -345,21 +345,21 @@ def _add_speeds(log: BlackboxLog, rows: Rows, commands: Array) -> None:
         return
     poles = log.header.number("motor_poles", 0.0)
     if not poles >= 2.0:
-        told = log.header.settings.get("motor_poles", "")[:20]
-        log.note("error", "rotor", f"left out, the head says motor_poles {told!r}")
+        value = log.header.settings.get("motor_poles", "")[:20]
+        log.note("error", "rotor", f"left out, the head says motor_poles {value!r}")
         return
     raw = main.columns(fields)
     silent = ((raw <= 0.0) & (commands > _TURNING)).any(axis=1)
     if silent.mean() > _MOST_SILENT:
         share = 100.0 * silent.mean()
-        message = f"left out, a motor that is told to turn reports no speed in {share:.0f} %"
+        message = f"left out, a motor with a command reports no speed in {share:.0f} %"
         log.note("warning", "rotor", f"{message} of the frames")
         return
     if silent.any():
-        message = "frames left out, a motor that is told to turn reports no speed"
+        message = "frames left out, a motor with a command reports no speed"
         log.note("warning", "rotor", message, int(silent.sum()))
     speeds = raw[~silent] * (_PER_ERPM / (poles / 2.0))
-    add(log, rows, "rotor", motor_columns("rotor", count), main.t_us[~silent], speeds)
+    add(log, flight, "rotor", motor_columns("rotor", count), main.t_us[~silent], speeds)
 
 
 def mixed(log: BlackboxLog, motors: Motors) -> dict[str, float]:
@@ -373,10 +373,10 @@ def mixed(log: BlackboxLog, motors: Motors) -> dict[str, float]:
         parts = [f"axis{p}[{k}]" for p in "PIDFS" if f"axis{p}[{k}]" in main.names]
         if not parts:
             continue
-        asked = main.columns(parts).sum(axis=1)
+        wanted = main.columns(parts).sum(axis=1)
         given = motors.commands @ pattern
-        if asked.std() > 0.0 and given.std() > 0.0:
-            found[axis] = float(np.corrcoef(asked, given)[0, 1])
+        if wanted.std() > 0.0 and given.std() > 0.0:
+            found[axis] = float(np.corrcoef(wanted, given)[0, 1])
     return found
 
 
@@ -384,24 +384,24 @@ def layout_of(log: BlackboxLog, motors: Motors) -> tuple[Layout | None, dict[str
     """Where the motors are and how they turn, and facts; None where that is not known."""
     if motors.count != 4:
         return None, {}
-    seen = mixed(log, motors)
+    correlation = mixed(log, motors)
     facts = {}
-    if seen:
-        told = ", ".join(f"{axis} {r:+.2f}" for axis, r in seen.items())
-        facts["mixer"] = f"QUADX; controllers against motors by axis: {told}"
-    wrong = [axis for axis in ("roll", "pitch") if seen.get(axis, 1.0) < -_SURE]
+    if correlation:
+        text = ", ".join(f"{axis} {r:+.2f}" for axis, r in correlation.items())
+        facts["mixer"] = f"QUADX; controllers against motors by axis: {text}"
+    wrong = [axis for axis in ("roll", "pitch") if correlation.get(axis, 1.0) < -_SURE]
     if wrong:
         message = f"motors do not follow the controllers as in QUADX ({', '.join(wrong)})"
         log.note("warning", "cmd", f"{message}: another mixer, or motors remapped")
         return None, facts
-    sure = min(seen.get(axis, 0.0) for axis in ("roll", "pitch")) > _SURE
-    layout = frame("betaflight x", _SEEN if sure else _DOUBT)
+    sure = min(correlation.get(axis, 0.0) for axis in ("roll", "pitch")) > _SURE
+    layout = frame("betaflight x", _CONFIRMED if sure else _DOUBT)
     if not sure:
-        log.note("info", "cmd", f"the log does not tell the mixer: {_DOUBT}")
+        log.note("info", "cmd", f"the log does not name the mixer: {_DOUBT}")
         layout = replace(layout, places_known=False)
-    yaw = seen.get("yaw", 0.0)
+    yaw = correlation.get("yaw", 0.0)
     if abs(yaw) < _SURE:
-        message = "the log does not tell yaw_motors_reversed: motors 1 and 4 taken for clockwise"
+        message = "the log does not give yaw_motors_reversed: motors 1 and 4 taken for clockwise"
         log.note("info", "cmd", message)
         return replace(layout, senses_known=False), facts
     if yaw < 0.0:
@@ -462,16 +462,16 @@ def _seconds(log: BlackboxLog, t_us: Times) -> Array:
 
 
 def _flags(log: BlackboxLog) -> tuple[Array, NDArray[np.int64]]:
-    """Flags of the modes and when they were told, s: by S frames and by events."""
+    """Flags of the modes and when they were reported, s: by S frames and by events."""
     slow = log.recording.slow
-    told: list[tuple[int, int]] = []
+    reports: list[tuple[int, int]] = []
     if slow.has("flightModeFlags"):
         at = slow.names.index("flightModeFlags")
-        told += zip(slow.t_us.tolist(), slow.values[:, at].tolist(), strict=True)
-    told += [(e.t_us, e.values[0]) for e in log.recording.events if e.kind == MODES]
-    told.sort(key=lambda each: each[0])
-    t_us = np.array([t for t, _ in told], dtype=np.int64)
-    return _seconds(log, t_us), np.array([f for _, f in told], dtype=np.int64)
+        reports += zip(slow.t_us.tolist(), slow.values[:, at].tolist(), strict=True)
+    reports += [(e.t_us, e.values[0]) for e in log.recording.events if e.kind == MODES]
+    reports.sort(key=lambda each: each[0])
+    t_us = np.array([t for t, _ in reports], dtype=np.int64)
+    return _seconds(log, t_us), np.array([f for _, f in reports], dtype=np.int64)
 
 
 def _modes(t_s: Array, flags: NDArray[np.int64], end_s: float) -> tuple[Mode, ...]:
@@ -495,7 +495,7 @@ def _failsafes(log: BlackboxLog, end_s: float) -> tuple[Stretch, ...]:
 
 
 def _messages(log: BlackboxLog, end_s: float) -> tuple[Message, ...]:
-    """Why it was disarmed, and when the beeper told that it was armed."""
+    """Why it was disarmed, and when the beeper said that it was armed."""
     found = []
     for event in log.recording.events:
         t_s = min(max((event.t_us - log.start_us) * 1e-6, 0.0), end_s)
@@ -509,7 +509,7 @@ def _messages(log: BlackboxLog, end_s: float) -> tuple[Message, ...]:
 
 
 def _rates(log: BlackboxLog) -> Setpoint | None:
-    """Rates that the pilot or the angle controller asks for, in the same unit as the gyro."""
+    """Rate setpoints of the pilot or of the angle controller, in the same unit as the gyro."""
     main, scale = log.recording.main, rate_scale(log)
     if not main.has(*three("setpoint")) or np.isnan(scale):
         return None
@@ -569,22 +569,21 @@ def read_blackbox(path: Path, blob: bytes, options: ReadOptions) -> Flight:
         LogError: Nothing in it can be used.
     """
     log, which = open_blackbox(path, blob)
-    facts = {"firmware": log.firmware[:_SHOWN] or "Betaflight", **_facts(log)}
+    flight = FlightBuilder(log, path, {"firmware": log.firmware[:_SHOWN] or "Betaflight"})
+    facts = flight.facts
+    facts |= _facts(log)
     if which:
         facts["flight in the file"] = which
-    rows = Rows()
-    facts |= add_signals(log, rows)
-    motors = add_motors(log, rows)
-    origin = add_satellites(log, rows)
-    table, t_us = lay_out(log, path, rows, _ADVICE)
-    table["phase"] = np.full(len(table), "", dtype=object)
+    facts |= add_signals(log, flight)
+    motors = add_motors(log, flight)
+    origin = add_satellites(log, flight)
+    table = flight.lay_out(_ADVICE)
     airframe, more = _airframe(log, motors, origin)
-    facts |= more | rows.coverage(t_us)
+    facts |= more
     autopilot = from_betaflight(log, float(table["time"].iloc[-1]))
     if autopilot.modes:
         facts["modes"] = ", ".join(f"{m.name} from {m.start_s:.1f} s" for m in autopilot.modes[:8])
-    site = site_of(origin)
-    return Flight(path.stem, table, tuple(log.findings), facts, path, site, airframe, autopilot)
+    return flight.flight(table, site=site_of(origin), airframe=airframe, autopilot=autopilot)
 
 
 def _facts(log: BlackboxLog) -> dict[str, str]:
@@ -598,7 +597,7 @@ def _facts(log: BlackboxLog) -> dict[str, str]:
 
 
 def _airframe(
-    log: BlackboxLog, motors: Motors, origin: Told[Place] | None
+    log: BlackboxLog, motors: Motors, origin: SourcedValue[Place] | None
 ) -> tuple[Airframe, dict[str, str]]:
     """What the log says of the aircraft, and facts on the mixer."""
     layout, facts = layout_of(log, motors)
@@ -608,13 +607,15 @@ def _airframe(
     low = [f for f in on_gyro if f.kind == "low-pass"]
     filtered = gyro_field(log) == "gyroADC"
     airframe = Airframe(
-        rotors=Told(motors.count, "motor outputs of the log")
+        rotors=SourcedValue(motors.count, "motor outputs of the log")
         if motors.count >= MIN_MOTORS
         else None,
         layout=layout,
-        pulse_us=Told(pulse, "mincommand and maxthrottle of the log") if pulse else None,
-        accel_cutoff_hz=Told(cutoff_hz, "acc_lpf_hz of the log") if cutoff_hz >= 1.0 else None,
-        gyro_cutoff_hz=Told(low[0].frequency_hz, f"{low[0].source} of the log")
+        pulse_us=SourcedValue(pulse, "mincommand and maxthrottle of the log") if pulse else None,
+        accel_cutoff_hz=SourcedValue(cutoff_hz, "acc_lpf_hz of the log")
+        if cutoff_hz >= 1.0
+        else None,
+        gyro_cutoff_hz=SourcedValue(low[0].frequency_hz, f"{low[0].source} of the log")
         if filtered and low
         else None,
         place=origin,

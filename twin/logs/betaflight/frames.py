@@ -1,7 +1,7 @@
 """The frames of one flight of a Blackbox log: whole ones (I), differences to those before (P), and
 what comes seldom: S (modes), G and H (satellites), E (events).
 
-A frame is a letter and what its definition lists, without length or checksum. What can be told of
+A frame is a letter and what its definition lists, without length or checksum. Signs of
 damage: a frame after which no frame begins, numbers that cannot be, a time that jumps. Source:
 Betaflight's documentation, "Blackbox logging internals", and blackbox.c.
 """
@@ -47,7 +47,7 @@ _LONGEST = 256
 _JUMP_US = 10_000_000
 _JUMP_LOOPS = 5000
 _WORD, _HALF = 0xFFFFFFFF, 0x80000000
-_MAIN, _SEEN = "IP", "IPSGHE"
+_MAIN, _LETTERS = "IP", "IPSGHE"
 
 
 @dataclass(slots=True)
@@ -218,7 +218,7 @@ class _Stream:
         at, lost_from = 0, -1
         while at < end:
             letter = chr(data[at])
-            behind = self._frame(letter, at) if letter in _SEEN else -1
+            behind = self._frame(letter, at) if letter in _LETTERS else -1
             if behind < 0:
                 if lost_from < 0:
                     lost_from = at
@@ -430,13 +430,13 @@ class BlackboxLog(Noted):
 
     @property
     def firmware(self) -> str:
-        """Name and version, "" where the head does not tell."""
+        """Name and version, "" where the head does not say."""
         revision = self.header.settings.get("Firmware revision", "")
         return revision or self.header.settings.get("Firmware type", "")
 
     @property
     def version(self) -> tuple[int, int]:
-        """Of Betaflight; that of the end of 2025 where the head does not tell."""
+        """Of Betaflight; that of the end of 2025 where the head does not say."""
         found = _BETAFLIGHT.search(self.firmware)
         return (int(found[1]), int(found[2])) if found else _LATEST
 
@@ -513,7 +513,7 @@ def _check_firmware(log: BlackboxLog) -> None:
             "SI, FRD and NED."
         )
     if not _BETAFLIGHT.search(firmware):
-        message = f"the head does not tell the firmware ({firmware[:60]!r}): taken for Betaflight"
+        message = f"the head does not name the firmware ({firmware[:60]!r}): taken for Betaflight"
         log.note("warning", "log", message)
 
 
@@ -547,4 +547,4 @@ def _note_damage(log: BlackboxLog) -> None:
     if found := pauses(log.recording.main.t_us - log.start_us):
         resumed = sum(e.kind == RESUME for e in log.recording.events)
         why = f"; logging was paused by a switch {resumed} times" if resumed else ""
-        log.note("warning", "time", found.told + why, found.count)
+        log.note("warning", "time", found.message + why, found.count)

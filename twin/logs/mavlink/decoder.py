@@ -186,7 +186,7 @@ _SERVOS = 16
 """Outputs in a SERVO_OUTPUT_RAW."""
 _UNKNOWN_16 = 65535
 _MOST_PARAMETERS = 4096
-"""Names of parameters that are kept; autopilots have up to some 2000."""
+"""Largest number of parameters that are stored; autopilots have up to some 2000."""
 _MOST_REASONS = 200
 _NO_ATTITUDE = (math.nan,) * 4
 _FRAMES_B = (dialect.MAV_FRAME_BODY_NED, dialect.MAV_FRAME_BODY_FRD)
@@ -376,11 +376,11 @@ class MavlinkDecoder:
             self._drop("pos", f"ODOMETRY in frame {m.frame_id}, not LOCAL_NED")
             return
         position, q, velocity = (m.x, m.y, m.z), tuple(m.q), (m.vx, m.vy, m.vz)
-        if _told(position):
+        if _known(position):
             yield Sample("pos", kind, t, position)
-        if _told(q):
+        if _known(q):
             yield Sample("q", kind, t, q)
-        if not _told(velocity):
+        if not _known(velocity):
             return
         if m.child_frame_id == dialect.MAV_FRAME_LOCAL_NED:
             yield Sample("vel", kind, t, velocity)
@@ -455,7 +455,7 @@ class MavlinkDecoder:
             yield Sample("rotor", "DEBUG_FLOAT_ARRAY", t, tuple(m.data[: self.motors]))
 
     def _esc(self, m: Message) -> Found:
-        """Four motors each; a sample is there when every motor has told once more."""
+        """Four motors each; a sample is there when every motor has reported once more."""
         first = int(m.get_type().split("_")[2])
         self._rpm[first] = m.rpm
         if self.motors is None or self.newest_us is None:
@@ -523,7 +523,7 @@ def _scaled(values: Iterable[float], factor: float) -> tuple[float, ...]:
     return tuple(v * factor for v in values)
 
 
-def _told(values: Iterable[float]) -> bool:
+def _known(values: Iterable[float]) -> bool:
     """Whether something is there: NaN stands for what is not."""
     return not any(v != v for v in values)
 

@@ -128,7 +128,7 @@ def battery(row: Row) -> Message:
     cells, left = [_NONE_16] * _CELLS, 0
     if "vbat_v" in row:
         left = min(max(round(1e3 * row["vbat_v"]), 0), _CELLS * (_NONE_16 - 1))
-    for k in range(-(-left // (_NONE_16 - 1))):  # a cell holds 65 V: more is told as several
+    for k in range(-(-left // (_NONE_16 - 1))):  # a cell holds 65 V: more is sent as several
         cells[k] = min(left - k * (_NONE_16 - 1), _NONE_16 - 1)
     current = min(max(round(1e2 * row["ibat_a"]), -32768), 32767) if "ibat_a" in row else -1
     return dialect.MAVLink_battery_status_message(

@@ -182,7 +182,7 @@ _MARKER = MARKERS[1]
 class Unpacked(tuple[Any, ...]):
     """A message: header and payload, in the order of the wire; its fields are attributes.
 
-    It has what a message of pymavlink has and is asked for here.
+    It has what is used here of a message of pymavlink.
     """
 
     __slots__ = ()
@@ -273,7 +273,7 @@ class Sequence:
     reordered: int = 0
     jumps: int = 0
     _newest: int = -1
-    _seen: "array[int]" = field(default_factory=lambda: array("q"))
+    _sent_at: "array[int]" = field(default_factory=lambda: array("q"))
     """By number, how many messages had been sent when it was last seen."""
     _checksums: "array[int]" = field(default_factory=lambda: array("H"))
     """By number, the checksum of the message."""
@@ -282,7 +282,7 @@ class Sequence:
     def add(self, number: int, checksum: int) -> bool:
         """Count a message; returns whether it came before: with this number, and the same."""
         if self._newest < 0:
-            self._seen = array("q", [-_MODULUS]) * _MODULUS
+            self._sent_at = array("q", [-_MODULUS]) * _MODULUS
             self._checksums = array("H", [0]) * _MODULUS
             return self._advance(number, 1, checksum)
         ahead = (number - self._newest) % _MODULUS
@@ -293,18 +293,18 @@ class Sequence:
                 self.lost += ahead - 1
             return self._advance(number, ahead, checksum)
         back = self._count - (_MODULUS - ahead) % _MODULUS
-        if self._seen[number] == back and self._checksums[number] == checksum:
+        if self._sent_at[number] == back and self._checksums[number] == checksum:
             self.duplicates += 1
             return True
         self.received += 1
         self.reordered += 1
         self.lost = max(self.lost - 1, 0)
-        self._seen[number], self._checksums[number] = back, checksum
+        self._sent_at[number], self._checksums[number] = back, checksum
         return False
 
     def _advance(self, number: int, by: int, checksum: int) -> bool:
         self._newest, self._count = number, self._count + by
-        self._seen[number], self._checksums[number] = self._count, checksum
+        self._sent_at[number], self._checksums[number] = self._count, checksum
         self.received += 1
         return False
 

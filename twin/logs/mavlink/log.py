@@ -3,7 +3,7 @@
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +11,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ...errors import LogError
-from ..airframe import NO_MULTIROTOR, Airframe, Told
-from ..assemble import Rows, add_signal, advancing, lay_out, told_dropped
-from ..autopilot import Span, ground_spans, label_phases, motion_spans
+from ..airframe import NO_MULTIROTOR, Airframe, SourcedValue
+from ..assemble import FlightBuilder, advancing_samples
+from ..autopilot import Span, ground_spans, motion_spans
 from ..columns import VEL, motor_columns
 from ..flight import Array, Finding, Flight, Noted
 from ..formats import ReadOptions
@@ -26,7 +26,7 @@ _NAMED = {
     dialect.MAV_LANDED_STATE_TAKEOFF: "takeoff",
     dialect.MAV_LANDED_STATE_LANDING: "land",
 }
-_SEEN = 8
+_SHOWN = 8
 """Kinds of message that an error lists."""
 
 
@@ -107,7 +107,6 @@ def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     """
     log, link = _Log(), Link()
     system, decoder, samples = _aircraft(path, log, link, blob)
-    rows = Rows()
     by_group = samples.by_group()
     if not by_group:
         raise LogError(
@@ -118,26 +117,23 @@ def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
         )
     start_us = min(int(t[0]) for t, _ in by_group.values())
     facts = {"aircraft": f"MAVLink system {system}", "autopilot": decoder.autopilot or "unknown"}
+    flight = FlightBuilder(log, path, facts)
     for group, (t_us, values) in by_group.items():
         if group != LANDED:
             columns = GROUPS.get(group) or motor_columns(group, values.shape[1])
-            keep, *dropped = advancing(t_us)
-            for message, count in told_dropped("samples", *dropped):
-                log.note("warning", group, message, count)
-            add_signal(log, rows, group, columns, t_us[keep] - start_us, values[keep])
+            keep = advancing_samples(log, group, t_us, "samples", "warning")
+            flight.add(group, columns, t_us[keep] - start_us, values[keep])
     advice = "Ask for HIGHRES_IMU and ODOMETRY (SET_MESSAGE_INTERVAL) and fly again."
-    table, t_us = lay_out(log, path, rows, advice, ": the aircraft began anew?")
-    table["time"] = (t_us - t_us[0]) * 1e-6
+    table = flight.lay_out(advice, ": the aircraft restarted?")
+    begin_us = start_us + int(flight.t_us[0])
+    table["time"] = (flight.t_us - flight.t_us[0]) * 1e-6
     landed = by_group.get(LANDED)
-    told = [] if landed is None else _phases(table, landed[0] - start_us - t_us[0], landed[1])
-    phase = label_phases(table["time"].to_numpy(), told)
-    table["phase"] = pd.Series(phase, dtype=object)
-    facts |= {f"source {g}": s for g, s in samples.sources().items()} | rows.coverage(t_us)
+    phases = [] if landed is None else _phases(table, landed[0] - begin_us, landed[1])
+    flight.facts |= {f"source {g}": s for g, s in samples.sources().items()}
     _note(log, decoder, link, system, table)
-    mended, doubts = validate(path.name, {str(c): table[c].to_numpy() for c in table})
-    table = table.assign(**mended)
-    findings = (*log.findings, *doubts)
-    return Flight(path.stem, table, findings, facts, path, airframe=_airframe(decoder))
+    found = flight.flight(table, phases, airframe=_airframe(decoder))
+    mended, doubts = validate(path.name, found.columns)
+    return replace(found, table=found.table.assign(**mended), findings=(*log.findings, *doubts))
 
 
 def _aircraft(
@@ -180,10 +176,10 @@ def _aircraft(
     heard = {s: link.of(s).received for s in link.systems}
     system = max(heard, key=lambda s: (not _other(decoders[s]), len(samples[s]), heard[s]))
     others = sorted((len(samples[s]), s) for s in samples if samples[s] and s != system)[::-1]
-    for count, other in others[:_SEEN]:
+    for count, other in others[:_SHOWN]:
         message = f"another aircraft, system {other}, left out; system {system} is read"
         log.note("warning", "aircraft", message, count)
-    if more := others[_SEEN:]:
+    if more := others[_SHOWN:]:
         message = f"samples of {len(more)} further systems left out; system {system} is read"
         log.note("warning", "aircraft", message, sum(count for count, _ in more))
     if stray := decoders[system].strays + astray[system]:
@@ -207,7 +203,7 @@ def _airframe(decoder: MavlinkDecoder) -> Airframe:
     """What the heartbeat says of an aircraft."""
     motors = decoder.motors
     source = f"MAV_TYPE {decoder.type} of the heartbeat"
-    rotors = None if motors is None else Told(motors, source)
+    rotors = None if motors is None else SourcedValue(motors, source)
     return Airframe(no_multirotor=_other(decoder), rotors=rotors)
 
 
@@ -254,5 +250,5 @@ def _note(log: _Log, decoder: MavlinkDecoder, link: Link, system: int, table: pd
 
 
 def _listed(kinds: Counter[str]) -> str:
-    names = [name for name, _ in kinds.most_common(_SEEN)]
+    names = [name for name, _ in kinds.most_common(_SHOWN)]
     return ", ".join(names) or "none"

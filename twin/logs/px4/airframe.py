@@ -6,7 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...vehicle.layouts import CCW, CW, FRAMES, Layout, frame
-from ..airframe import NO_MULTIROTOR, Airframe, Cells, Place, ThrustCurve, Told
+from ..airframe import (
+    NO_MULTIROTOR,
+    Airframe,
+    Cells,
+    Place,
+    SourcedValue,
+    ThrustCurve,
+    positive_parameter,
+)
 from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array, Site
 from .control import airframe_mixer, frame_of_mixer
@@ -55,10 +63,6 @@ def from_px4_airframe(log: Px4Log, filtered: bool) -> Airframe:
     """
     p = log.params
     count = _rotors(log)
-    lag = {name: p.get(name, 0.0) for name in ("IMU_ACCEL_CUTOFF", "IMU_GYRO_CUTOFF")}
-    accel, gyro = (
-        Told(hz, f"{name} of the log") if filtered and hz > 0 else None for name, hz in lag.items()
-    )
     return Airframe(
         no_multirotor=_no_multirotor(log),
         rotors=count,
@@ -67,8 +71,8 @@ def from_px4_airframe(log: Px4Log, filtered: bool) -> Airframe:
         pulse_us=_pulse(log),
         cells=_cells(log),
         imu_position_m=_imu_position(log),
-        accel_cutoff_hz=accel,
-        gyro_cutoff_hz=gyro,
+        accel_cutoff_hz=positive_parameter(p, "IMU_ACCEL_CUTOFF") if filtered else None,
+        gyro_cutoff_hz=positive_parameter(p, "IMU_GYRO_CUTOFF") if filtered else None,
         place=_place(log),
         filters="" if filtered else _filters(log),
         origin=_origin(log),
@@ -83,13 +87,13 @@ def _no_multirotor(log: Px4Log) -> str:
     return ""
 
 
-def _rotors(log: Px4Log) -> Told[int] | None:
+def _rotors(log: Px4Log) -> SourcedValue[int] | None:
     count = log.params.get("CA_ROTOR_COUNT", 0.0)
     if MIN_MOTORS <= count <= MAX_MOTORS:
-        return Told(int(count), "CA_ROTOR_COUNT of the log")
+        return SourcedValue(int(count), "CA_ROTOR_COUNT of the log")
     kind = int(log.params.get("MAV_TYPE", -1))
     known = {2: 4, 13: 6, 14: 8, 15: 3}.get(kind)
-    return None if known is None else Told(known, f"MAV_TYPE {kind} of the log")
+    return None if known is None else SourcedValue(known, f"MAV_TYPE {kind} of the log")
 
 
 def _layout(log: Px4Log, motors: int | None) -> Layout | None:
@@ -125,15 +129,15 @@ def _allocated(log: Px4Log, motors: int) -> Layout | None:
     )
 
 
-def _thrust(log: Px4Log) -> Told[ThrustCurve] | None:
+def _thrust(log: Px4Log) -> SourcedValue[ThrustCurve] | None:
     """0 is the default of PX4 and says nothing."""
     factor = log.params.get("THR_MDL_FAC", 0.0)
     if not 0.0 < factor <= 1.0:
         return None
-    return Told(ThrustCurve(factor), f"THR_MDL_FAC {factor:g} of the log")
+    return SourcedValue(ThrustCurve(factor), f"THR_MDL_FAC {factor:g} of the log")
 
 
-def _pulse(log: Px4Log) -> Told[tuple[float, float]] | None:
+def _pulse(log: Px4Log) -> SourcedValue[tuple[float, float]] | None:
     """Of the outputs that drive the motors, where the log has their pulse widths."""
     if log.instances("actuator_motors"):
         return None
@@ -143,16 +147,16 @@ def _pulse(log: Px4Log) -> Told[tuple[float, float]] | None:
     if outputs is None or any(m.unit != "us" for m in outputs.motors):
         return None
     first = outputs.motors[0]
-    return Told((first.low, first.high), f"{first.source} of the log")
+    return SourcedValue((first.low, first.high), f"{first.source} of the log")
 
 
-def _cells(log: Px4Log) -> Told[Cells] | None:
+def _cells(log: Px4Log) -> SourcedValue[Cells] | None:
     stem = "BAT1" if "BAT1_N_CELLS" in log.params else "BAT"
     p = {name: log.params.get(f"{stem}_{name}", 0.0) for name in _BATTERY}
     count = int(p["N_CELLS"])
     if not 1 <= count <= _MOST_CELLS or not _MOST_V > p["V_CHARGED"] > p["V_EMPTY"] > 1.0:
         return None
-    return Told(
+    return SourcedValue(
         Cells(
             count,
             p["V_CHARGED"],
@@ -167,10 +171,10 @@ def _cells(log: Px4Log) -> Told[Cells] | None:
 _BATTERY = ("N_CELLS", "V_CHARGED", "V_EMPTY", "CAPACITY", "R_INTERNAL")
 
 
-def _imu_position(log: Px4Log) -> Told[tuple[float, float, float]] | None:
+def _imu_position(log: Px4Log) -> SourcedValue[tuple[float, float, float]] | None:
     """0, 0, 0 is the default of PX4 and says nothing."""
     x, y, z = (log.params.get(f"EKF2_IMU_POS_{a}", 0.0) for a in "XYZ")
-    return Told((x, y, z), "EKF2_IMU_POS_X, _Y, _Z of the log") if x or y or z else None
+    return SourcedValue((x, y, z), "EKF2_IMU_POS_X, _Y, _Z of the log") if x or y or z else None
 
 
 FILTERS = {
@@ -193,7 +197,7 @@ def _filters(log: Px4Log) -> str:
     return ", ".join(said)
 
 
-def _place(log: Px4Log) -> Told[Place] | None:
+def _place(log: Px4Log) -> SourcedValue[Place] | None:
     """Median of the fixes of a GNSS receiver."""
     for name in ("vehicle_gps_position", "sensor_gps"):
         topic = log.topic(name)
@@ -215,11 +219,11 @@ def _place(log: Px4Log) -> Told[Place] | None:
             float(height),
             _year(topic, fixed),
         )
-        return Told(place, f"{name} of the log, {int(fixed.sum())} fixes")
+        return SourcedValue(place, f"{name} of the log, {int(fixed.sum())} fixes")
     return None
 
 
-def _origin(log: Px4Log) -> Told[Place] | None:
+def _origin(log: Px4Log) -> SourcedValue[Place] | None:
     """What the estimator counts positions from; None where it has none, or has moved it."""
     topic = log.topic("vehicle_local_position", 0)
     if topic is None or not topic.has("ref_lat", "ref_lon", "ref_alt", "xy_global"):
@@ -232,7 +236,9 @@ def _origin(log: Px4Log) -> Told[Place] | None:
     if abs(latitude) > 90.0 or abs(longitude) > 360.0 or not (latitude or longitude):
         return None
     north, east = (float(v) for v in np.radians([latitude, longitude]))
-    return Told(Place(north, east, float(height), None), "vehicle_local_position of the log")
+    return SourcedValue(
+        Place(north, east, float(height), None), "vehicle_local_position of the log"
+    )
 
 
 def _degrees(topic: Topic) -> Array | None:
@@ -248,16 +254,16 @@ def _year(topic: Topic, fixed: NDArray[np.bool_]) -> float | None:
     """Decimal year of the receiver's clock."""
     if not topic.has("time_utc_usec"):
         return None
-    told_s = float(np.median(topic.data["time_utc_usec"][fixed].astype(np.float64))) * 1e-6
-    if not _EARLIEST_S < told_s < 4.0e9:
+    utc_s = float(np.median(topic.data["time_utc_usec"][fixed].astype(np.float64))) * 1e-6
+    if not _EARLIEST_S < utc_s < 4.0e9:
         return None
-    when = datetime.fromtimestamp(told_s, UTC)
+    when = datetime.fromtimestamp(utc_s, UTC)
     return round(when.year + (when.timetuple().tm_yday - 1) / 365.25, 2)
 
 
 # -- site ---------------------------------------------------------------------------------------
 #
-# Indoors or outdoors, by what told the autopilot where it is.
+# Indoors or outdoors, by the source of its position.
 
 _GNSS = ("vehicle_gps_position", "sensor_gps")
 _TRACKED = ("vehicle_visual_odometry", "vehicle_mocap_odometry")

@@ -4,7 +4,7 @@ A default PX4 log keeps the motor outputs at 10 Hz, but everything they are comp
 often: gyro (some 160 Hz), rate setpoints (50 Hz), gains, mixer. From these the commands follow.
 
 Source: PX4 v1.12, modules sensors/vehicle_angular_velocity, mc_rate_control and
-lib/mixer/MultirotorMixer (BSD licence; written anew from the description of what they compute).
+lib/mixer/MultirotorMixer (BSD licence; written from the description of what they compute).
 """
 
 from collections.abc import Callable
@@ -82,9 +82,9 @@ def raw_times(gyro: Gyro) -> Array:
 def resample(gyro: Gyro, t_s: Array) -> Array:
     """Body rates at any time from means over windows.
 
-    The angle turned in each window is kept: a cubic spline runs through the angle at the ends of
-    the windows, and its slope is the rate. Gaps are bridged by a cubic through the
-    values in the middle of the windows.
+    The angle turned in each window is preserved: a cubic spline runs through the angle at the ends
+    of the windows, and its slope is the rate. Gaps are bridged by a cubic through the values in the
+    middle of the windows.
 
     Args:
         gyro: Logged means.

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble import Rows, add_signal
+from ..assemble import FlightBuilder
 from ..columns import ACC, GYRO, MAG
 from ..flight import Array
 from .log import Px4Log, Topic
@@ -74,7 +74,7 @@ class _Source:
     has_acc: NDArray[np.bool_]
 
 
-def add_imu(log: Px4Log, rows: Rows, facts: dict[str, str]) -> bool:
+def add_imu(log: Px4Log, flight: FlightBuilder) -> bool:
     """Accelerometer and gyro, stamped with the middle of the time that each sample averages.
 
     Returns:
@@ -82,7 +82,7 @@ def add_imu(log: Px4Log, rows: Rows, facts: dict[str, str]) -> bool:
     """
     source = _combined(log) or _increments(log)
     if source is None:
-        _filtered_imu(log, rows)
+        _filtered_imu(log, flight)
         return True
     gyro_us, acc_us = (
         end - dt // 2
@@ -110,8 +110,8 @@ def add_imu(log: Px4Log, rows: Rows, facts: dict[str, str]) -> bool:
         if not rising.all():
             count = int(np.count_nonzero(~rising))
             log.note("error", where, "samples dropped whose averaging times overlap", count)
-        add_signal(log, rows, where, names, t_us[rising], values[rising])
-    _gaps(log, source.topic, source.gyro_dt_us, facts)
+        flight.add(where, names, t_us[rising], values[rising])
+    _gaps(log, source.topic, source.gyro_dt_us, flight.facts)
     for field in ("accelerometer_clipping", "delta_velocity_clipping"):
         clipping = source.topic.data.get(field)
         if clipping is not None and np.any(clipping):
@@ -134,8 +134,8 @@ def _combined(log: Px4Log) -> _Source | None:
         has_acc = np.diff(stamps.astype(np.int64), prepend=-1) != 0
         none = ~has_acc
     else:
-        told = topic.data.get("accelerometer_timestamp_relative", np.zeros(len(topic.t_us)))
-        relative = told.astype(np.int64)
+        offset = topic.data.get("accelerometer_timestamp_relative", np.zeros(len(topic.t_us)))
+        relative = offset.astype(np.int64)
         none = relative == _NO_RELATIVE_TIME
         has_acc = ~none
     has_acc &= np.abs(relative) < _FARTHEST_US
@@ -246,7 +246,7 @@ def _gaps(log: Px4Log, topic: Topic, window_us: Times, facts: dict[str, str]) ->
         )
 
 
-def _filtered_imu(log: Px4Log, rows: Rows) -> None:
+def _filtered_imu(log: Px4Log, flight: FlightBuilder) -> None:
     """Second choice: the filtered signals that the controllers use."""
     for name, where, names in (
         ("vehicle_acceleration", "acc", ACC),
@@ -258,30 +258,30 @@ def _filtered_imu(log: Px4Log, rows: Rows) -> None:
             log.note("warning", where, message)
             continue
         log.note("warning", where, f"from {name}: low-pass filtered on board, bias removed")
-        add_signal(log, rows, where, names, topic.t_us, topic.array("xyz", 3))
+        flight.add(where, names, topic.t_us, topic.array("xyz", 3))
 
 
-def add_magnetometer(log: Px4Log, rows: Rows) -> None:
+def add_magnetometer(log: Px4Log, flight: FlightBuilder) -> None:
     """Magnetometer of the first instance, up to PX4 1.7 that of sensor_combined."""
     fields = [f"magnetometer_ga[{k}]" for k in range(3)]
     if not log.instances("vehicle_magnetometer"):
         t_us, gauss = _slower(log, "magnetometer", fields)
-        add_signal(log, rows, "mag", MAG, t_us, from_px4_gauss(gauss))
+        flight.add("mag", MAG, t_us, from_px4_gauss(gauss))
         return
     topic = log.topic("vehicle_magnetometer", 0, *fields)
     if topic is None:
         return
     if len(log.instances("vehicle_magnetometer")) > 1:
         log.note("info", "mag", "several magnetometers in the log, the first is used")
-    add_signal(log, rows, "mag", MAG, topic.t_us, from_px4_gauss(topic.array("magnetometer_ga", 3)))
+    flight.add("mag", MAG, topic.t_us, from_px4_gauss(topic.array("magnetometer_ga", 3)))
 
 
-def add_barometer(log: Px4Log, rows: Rows) -> None:
+def add_barometer(log: Px4Log, flight: FlightBuilder) -> None:
     """Static pressure, up to PX4 1.8 that of sensor_combined where it has one, not a height."""
     topic = log.topic("vehicle_air_data", 0, "baro_pressure_pa")
     if topic is not None:
         pressure = topic.columns(("baro_pressure_pa",))
-        add_signal(log, rows, "baro", ("baro_pa",), topic.t_us, pressure)
+        flight.add("baro", ("baro_pa",), topic.t_us, pressure)
         return
     for field, factor in (
         ("baro_pressure_pa", 1.0),
@@ -290,7 +290,7 @@ def add_barometer(log: Px4Log, rows: Rows) -> None:
     ):
         t_us, values = _slower(log, "baro", [field])
         if len(t_us):
-            add_signal(log, rows, "baro", ("baro_pa",), t_us, factor * values)
+            flight.add("baro", ("baro_pa",), t_us, factor * values)
             return
     if "baro_alt_meter" in log.fields(_COMBINED):
         message = "left out: this release logs a height by pressure, and not the pressure"

@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from pyulog import ULog
 
 from ...errors import LogError
-from ..assemble import Timed, advancing, missing_ends, out_of_place, pauses, told_dropped
+from ..assemble import (
+    APART_S,
+    Timed,
+    advancing_samples,
+    misplaced,
+    missing_ends,
+    out_of_place,
+    pauses,
+)
 from ..autopilot import MOST_MESSAGES, MOST_PARAMETERS, Level, Message, as_text
 from ..flight import Array, Finding, Noted
 
@@ -156,9 +164,7 @@ _LEVELS: dict[int, Level] = {
 """Of logged messages, as the ULog format has them."""
 _LONGEST_US = 365 * 86_400 * 1_000_000
 _LATEST_US = 1_000_000
-_FAR_US = 10_000_000
 _STRAY_US = 700_000  # sound logs: under 500 ms in the burst of their first second
-_APART_S = 0.15  # sound logs: under 80 ms for GPS, 10 ms for what is fast
 _SLOW_MS = 150.0  # sound logs have at most 25
 TOPICS = (
     "actuator_armed",
@@ -241,7 +247,7 @@ class Px4Log(Noted):
         params: Parameters with the changes made during the flight applied.
         changed: Parameters changed after the start of the log.
         info: What the log says about firmware and hardware.
-        defaults: Of parameters, those that the log has: PX4 leaves out those that are kept.
+        defaults: Of parameters, those that the log has: PX4 leaves out those that are unchanged.
         messages: Texts that the autopilot logged, in order of time.
         findings: Grows while the log is read.
         span_us: When two topics of a steady rate have begun, and have ended, us since the start.
@@ -262,8 +268,8 @@ class Px4Log(Noted):
     @property
     def release(self) -> int:
         """Firmware version, a byte each from the top; 0 where the log has none that makes sense."""
-        told = self.info.get("ver_sw_release", "")
-        return int(told) if told.isdecimal() and len(told) < 11 else 0
+        number = self.info.get("ver_sw_release", "")
+        return int(number) if number.isdecimal() and len(number) < 11 else 0
 
     def instances(self, name: str) -> list[int]:
         """Instances of a topic that hold samples."""
@@ -286,10 +292,10 @@ class Px4Log(Noted):
         return topic
 
     def aside(self, name: str, *needs: str) -> Topic | None:
-        """The same of a topic that no signal comes from, and nothing told of it."""
-        told = list(self.findings)
+        """The same of a topic that no signal comes from, without findings."""
+        before = list(self.findings)
         topic = self._topics.get((name, 0)) or self._ordered(name, 0)
-        self.findings[:] = told
+        self.findings[:] = before
         return topic if topic is not None and topic.has(*needs) else None
 
     def _ordered(self, name: str, instance: int) -> Topic | None:
@@ -320,15 +326,13 @@ class Px4Log(Noted):
                 "times of publication run backward or repeat; those of sampling are used",
                 back,
             )
-        keep, *lost = advancing(t_us)
-        for message, count in told_dropped("samples", *lost):
-            self.note("error", name, message, count)
+        keep = advancing_samples(self, name, t_us, "samples")
         if not keep.any():
             return None
         data = {k: v[keep] for k, v in raw.items()}
         if name not in _ON_CHANGE:
             if found := pauses(t_us[keep]):
-                self.note("warning", name, found.told, found.count)
+                self.note("warning", name, found.message, found.count)
             for text in missing_ends(t_us[keep], *self.span_us):
                 self.note("warning", name, text)
         return Topic(name, t_us[keep], data, by_sample)
@@ -445,17 +449,15 @@ def open_px4(path: Path, blob: bytes) -> Px4Log:
             "is the first of these",
         )
     _note_damage(opened, blob, log)
-    _hold_against_the_file(
-        opened, blob, {(d.name, int(d.multi_id)): d.msg_id for d in log.data_list}
-    )
+    _drop_misplaced(opened, blob, {(d.name, int(d.multi_id)): d.msg_id for d in log.data_list})
     opened.span_us = _span_us(opened)
     return opened
 
 
 def _defaults(log: ULog) -> dict[str, float]:
     """Defaults of the airframe that is set up, else of the firmware."""
-    told = {**log.get_default_parameters(0), **log.get_default_parameters(1)}
-    return {k: float(v) for k, v in list(told.items())[:MOST_PARAMETERS] if _finite(v)}
+    defaults = {**log.get_default_parameters(0), **log.get_default_parameters(1)}
+    return {k: float(v) for k, v in list(defaults.items())[:MOST_PARAMETERS] if _finite(v)}
 
 
 def _messages(log: ULog, start_us: int) -> tuple[Message, ...]:
@@ -481,8 +483,8 @@ def _span_us(opened: Px4Log) -> tuple[int, int]:
     return (begins[:2][-1], ends[-2:][0]) if times else (0, 0)
 
 
-def _hold_against_the_file(opened: Px4Log, blob: bytes, ids: Mapping[tuple[str, int], int]) -> None:
-    """Drop samples stamped far from what stands beside them in the file; doubt whole topics.
+def _drop_misplaced(opened: Px4Log, blob: bytes, ids: Mapping[tuple[str, int], int]) -> None:
+    """Drop samples stamped far from their neighbours in the file; doubt whole topics.
 
     A damaged log, of which not every message was understood, is left as it is.
     """
@@ -492,37 +494,17 @@ def _hold_against_the_file(opened: Px4Log, blob: bytes, ids: Mapping[tuple[str, 
     whole = [k for k in steady if len(places.get(ids[k], ())) == len(raw[k]["timestamp"])]
     stamps = [_from_px4_us(raw[k]["timestamp"], opened.start_us) for k in whole]
     stamps = [np.clip(s, -_LONGEST_US, _LONGEST_US) for s in stamps]
-    for key, off_us in zip(
-        whole, out_of_place([places[ids[k]] for k in whole], stamps), strict=True
-    ):
-        name = key[0]
-        far = np.abs(off_us) > _FAR_US
-        middle_s = float(np.median(off_us)) * 1e-6
-        if far.any():
-            opened.note(
-                "error",
-                name,
-                f"samples dropped, stamped over {_FAR_US * 1e-6:.0f} s from what stands beside "
-                f"them in the file (median {middle_s:+.3g} s): another clock, or another unit?",
-                int(far.sum()),
-            )
+    off_us = out_of_place([places[ids[k]] for k in whole], stamps)
+    dropped = misplaced(opened, [name for name, _ in whole], off_us, "samples")
+    for key, off, far in zip(whole, off_us, dropped, strict=True):
+        if far.all():
+            del raw[key]
+        elif far.any():
             raw[key] = {k: v[~far] for k, v in raw[key].items()}
-            if far.all():
-                del raw[key]
-        elif abs(middle_s) > _APART_S:
-            opened.note(
-                "error",
-                name,
-                f"stamped {middle_s:+.2f} s from what stands beside it in the file: another clock?",
-            )
-        elif (apart := int(np.count_nonzero(np.abs(off_us) > _STRAY_US))) > 0:
-            opened.note(
-                "warning",
-                name,
-                f"samples stamped over {_STRAY_US * 1e-6:.1f} s from what stands beside them in "
-                "the file",
-                apart,
-            )
+        elif abs(float(np.median(off))) <= 1e6 * APART_S and np.any(np.abs(off) > _STRAY_US):
+            message = f"samples stamped over {_STRAY_US * 1e-6:.1f} s from what stands next to them"
+            count = int(np.count_nonzero(np.abs(off) > _STRAY_US))
+            opened.note("warning", key[0], f"{message} in the file", count)
 
 
 def _note_damage(opened: Px4Log, blob: bytes, log: Any) -> None:

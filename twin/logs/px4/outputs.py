@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..airframe import MotorOutput, commands_of
-from ..assemble import Rows, add_signal
+from ..assemble import FlightBuilder
 from ..columns import motor_columns
 from ..doubts import lower_voltage
 from ..flight import Array
@@ -442,12 +442,12 @@ def from_px4_rpm(rpm: Array) -> Array:
     return np.abs(rpm) * _RPM_RAD_S
 
 
-def add_rotors(log: Px4Log, rows: Rows, motors: int | None) -> dict[str, str]:
+def add_rotors(log: Px4Log, flight: FlightBuilder, motors: int | None) -> dict[str, str]:
     """Rotor speeds of all motors, on the clock of the controllers of motor 1.
 
     Args:
         log: Takes the findings.
-        rows: Takes the speeds.
+        flight: Takes the speeds.
         motors: Number of commands; None: there are none.
 
     Returns:
@@ -475,7 +475,7 @@ def add_rotors(log: Px4Log, rows: Rows, motors: int | None) -> dict[str, str]:
         s.rpm if s.topic is base else np.interp(base.t_us, s.topic.t_us, s.rpm) for s in slots
     ]
     columns = motor_columns("rotor", count)
-    add_signal(log, rows, "rotor", columns, base.t_us, from_px4_rpm(np.column_stack(speeds)))
+    flight.add("rotor", columns, base.t_us, from_px4_rpm(np.column_stack(speeds)))
     where = ", ".join(f"motor {m + 1} in slot {s.number + 1}" for m, s in enumerate(slots))
     said = ", ".join(dict.fromkeys(s.source for s in slots))
     return {"rotor speeds": f"esc_status, {where} ({said})"}

@@ -84,8 +84,8 @@ def rebuild(log: Px4Log, outputs: Outputs) -> tuple[MotorCommands, Match]:
 
     Args:
         log: The log.
-        outputs: Logged pulse widths: they check the result and tell the mixer of an airframe that
-            is not known here; they do not enter the commands.
+        outputs: Logged pulse widths: they check the result and identify the mixer of an airframe
+            that is not known here; they do not enter the commands.
 
     Raises:
         CannotRebuildError: The log lacks something; the text says what.
@@ -471,7 +471,7 @@ def _from_outputs(log: Px4Log, rebuild: bool | None) -> MotorCommands | None:
     rate, facts = outputs.topic.rate_hz, dict[str, str]()
     if rebuild or (rebuild is None and rate < _ENOUGH_HZ):
         try:
-            return _rebuilt(log, outputs, asked=bool(rebuild))
+            return _rebuilt(log, outputs, requested=bool(rebuild))
         except CannotRebuildError as why:
             log.note("warning", "cmd", f"not rebuilt at full rate: {why}")
             facts["commands_not_rebuilt"] = str(why)
@@ -485,26 +485,26 @@ def _from_outputs(log: Px4Log, rebuild: bool | None) -> MotorCommands | None:
     return MotorCommands(outputs.topic.t_us, cmd, facts)
 
 
-def _rebuilt(log: Px4Log, outputs: Outputs, asked: bool) -> MotorCommands:
+def _rebuilt(log: Px4Log, outputs: Outputs, requested: bool) -> MotorCommands:
     """Commands rebuilt at full rate.
 
     Raises:
         CannotRebuildError: The log lacks something, or they are not those that were flown and
-            nobody asked for them.
+            they were not requested.
     """
     commands, match = rebuild(log, outputs)
     worst = float(np.max(match.rms_us))
     each = ", ".join(f"{r:.1f}" for r in match.rms_us)
-    told = f"rms {each} us of pulse width per motor, n = {match.n} logged outputs while flying"
+    text = f"rms {each} us of pulse width per motor, n = {match.n} logged outputs while flying"
     if match.n == 0:
         log.note("warning", "cmd", "rebuilt commands have no logged output in flight to check them")
-    elif match.misses and not asked:
+    elif match.misses and not requested:
         raise CannotRebuildError(
             f"{match.misses}, so this is not the controller that flew, or not with its parameters "
-            f"({told}); --rebuild-commands takes them all the same"
+            f"({text}); --rebuild-commands takes them all the same"
         )
     elif worst > MATCH_GOAL_US:
-        log.note("warning", "cmd", f"rebuilt commands miss the logged ones by over 10 us: {told}")
+        log.note("warning", "cmd", f"rebuilt commands miss the logged ones by over 10 us: {text}")
     log.note(
         "info",
         "cmd",
@@ -514,7 +514,7 @@ def _rebuilt(log: Px4Log, outputs: Outputs, asked: bool) -> MotorCommands:
     rate = (len(commands.t_us) - 1) / ((commands.t_us[-1] - commands.t_us[0]) * 1e-6)
     facts = {
         "commands": f"rebuilt from gyro and rate setpoints, {rate:.0f} Hz",
-        "commands_match": told,
+        "commands_match": text,
         "motors": described(outputs.motors),
     }
     return MotorCommands(commands.t_us, commands.cmd, facts)

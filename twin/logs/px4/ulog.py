@@ -3,9 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
-from ..assemble import Rows, add_signal, lay_out, unit_quaternions
+from ..assemble import FlightBuilder
 from ..autopilot import (
     Autopilot,
     Filter,
@@ -16,7 +15,6 @@ from ..autopilot import (
     Stretch,
     differing,
     ground_spans,
-    label_phases,
     modes_of,
     motion_spans,
     setpoint_of,
@@ -175,10 +173,10 @@ def _armed(log: Px4Log, end_s: float) -> tuple[Stretch, ...]:
     status = log.aside("vehicle_status", "arming_state")
     if status is not None:
         return stretches_of(status.t_s, status.data["arming_state"] == _ARMED, "armed", end_s)
-    told = log.aside("actuator_armed", "armed")
-    if told is None:
+    armed_topic = log.aside("actuator_armed", "armed")
+    if armed_topic is None:
         return ()
-    return stretches_of(told.t_s, told.data["armed"].astype(np.bool_), "armed", end_s)
+    return stretches_of(armed_topic.t_s, armed_topic.data["armed"].astype(np.bool_), "armed", end_s)
 
 
 def _failsafes(log: Px4Log, end_s: float) -> tuple[Stretch, ...]:
@@ -189,18 +187,18 @@ def _failsafes(log: Px4Log, end_s: float) -> tuple[Stretch, ...]:
 
 
 def _position_setpoint(log: Px4Log) -> Setpoint | None:
-    return _kept(log, "vehicle_local_position_setpoint", POS, ("x", "y", "z"))
+    return _setpoint(log, "vehicle_local_position_setpoint", POS, ("x", "y", "z"))
 
 
 def _velocity_setpoint(log: Px4Log) -> Setpoint | None:
-    return _kept(log, "vehicle_local_position_setpoint", VEL, ("vx", "vy", "vz"))
+    return _setpoint(log, "vehicle_local_position_setpoint", VEL, ("vx", "vy", "vz"))
 
 
 def _rates_setpoint(log: Px4Log) -> Setpoint | None:
-    return _kept(log, "vehicle_rates_setpoint", GYRO, ("roll", "pitch", "yaw"))
+    return _setpoint(log, "vehicle_rates_setpoint", GYRO, ("roll", "pitch", "yaw"))
 
 
-def _kept(
+def _setpoint(
     log: Px4Log, name: str, columns: tuple[str, ...], fields: tuple[str, ...]
 ) -> Setpoint | None:
     """A setpoint in NED or FRD, SI, as PX4 has them all."""
@@ -248,29 +246,28 @@ def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
         options: Whether the motor commands are rebuilt.
     """
     log = open_px4(path, blob)
-    rows = Rows()
-    facts = _facts(log)
-    filtered = add_imu(log, rows, facts)
-    add_magnetometer(log, rows)
-    add_barometer(log, rows)
-    _estimate(log, rows)
+    flight = FlightBuilder(log, path, _facts(log))
+    filtered = add_imu(log, flight)
+    add_magnetometer(log, flight)
+    add_barometer(log, flight)
+    _estimate(log, flight)
     commands = from_px4_commands(log, options.rebuild_commands)
     _end(log)
-    facts |= _battery(log, rows, commands)
-    facts |= add_rotors(log, rows, None if commands is None else commands.cmd.shape[1])
+    flight.facts |= _battery(log, flight, commands)
+    flight.facts |= add_rotors(log, flight, None if commands is None else commands.cmd.shape[1])
     if commands is not None:
         n = commands.cmd.shape[1]
-        add_signal(log, rows, "cmd", motor_columns("cmd", n), commands.t_us, commands.cmd)
-        facts |= commands.facts
+        flight.add("cmd", motor_columns("cmd", n), commands.t_us, commands.cmd)
+        flight.facts |= commands.facts
     advice = "Log the default topics (SDLOG_PROFILE bit 0) and fly again."
-    table, t_us = lay_out(log, path, rows, advice, ": was the clock set in flight?")
-    phase = label_phases(table["time"].to_numpy(), from_px4_phases(log))
-    table["phase"] = pd.Series(phase, dtype=object)
-    facts |= rows.coverage(t_us)
-    airframe = from_px4_airframe(log, filtered=filtered)
-    autopilot = from_px4_autopilot(log, float(table["time"].iloc[-1]))
-    site = from_px4_site(log)
-    return Flight(path.stem, table, tuple(log.findings), facts, path, site, airframe, autopilot)
+    table = flight.lay_out(advice, ": was the clock set in flight?")
+    return flight.flight(
+        table,
+        from_px4_phases(log),
+        airframe=from_px4_airframe(log, filtered=filtered),
+        autopilot=from_px4_autopilot(log, float(table["time"].iloc[-1])),
+        site=from_px4_site(log),
+    )
 
 
 def _facts(log: Px4Log) -> dict[str, str]:
@@ -297,23 +294,22 @@ def _end(log: Px4Log) -> None:
         )
 
 
-def _estimate(log: Px4Log, rows: Rows) -> None:
+def _estimate(log: Px4Log, flight: FlightBuilder) -> None:
     """Position, velocity and attitude as the estimator had them."""
     topic = log.topic("vehicle_local_position", 0, "x", "y", "z", "vx", "vy", "vz")
     if topic is None:
         log.note("warning", "pos", "no vehicle_local_position in the log: no position, no velocity")
     else:
-        _position(log, rows, topic)
+        _position(log, flight, topic)
     topic = log.topic("vehicle_attitude", 0, *(f"q[{k}]" for k in range(4)))
     if topic is None:
         log.note("warning", "q", "no vehicle_attitude in the log: no attitude")
         return
-    usable, unit = unit_quaternions(log, topic.array("q", 4))
     _resets(log, "q", topic, ("quat_reset_counter",))
-    add_signal(log, rows, "q", QUAT, topic.t_us[usable], unit)
+    flight.add_attitude(topic.t_us, topic.array("q", 4))
 
 
-def _position(log: Px4Log, rows: Rows, topic: Topic) -> None:
+def _position(log: Px4Log, flight: FlightBuilder, topic: Topic) -> None:
     """Estimated position and velocity, left out where the estimator calls them invalid."""
     for where, names, fields, flags in (
         ("pos", POS, ("x", "y", "z"), ("xy_valid", "z_valid")),
@@ -327,17 +323,17 @@ def _position(log: Px4Log, rows: Rows, topic: Topic) -> None:
         if not valid.all():
             count = int(np.count_nonzero(~valid))
             log.note("info", where, "samples left out, the estimator says they are invalid", count)
-        add_signal(log, rows, where, names, topic.t_us[valid], values[valid])
+        flight.add(where, names, topic.t_us[valid], values[valid])
     counters = ("xy_reset_counter", "z_reset_counter", "vxy_reset_counter", "vz_reset_counter")
     _resets(log, "pos", topic, counters)
     vision = int(log.params.get("EKF2_AID_MASK", 0)) & 8 or int(log.params.get("EKF2_EV_CTRL", 0))
     delay = log.params.get("EKF2_EV_DELAY" if vision else "EKF2_GPS_DELAY")
     source = "external vision" if vision else "GPS"
-    told = f"; it assumes {source} to be {delay:.0f} ms late" if delay is not None else ""
+    assumed = f"; it assumes {source} to be {delay:.0f} ms late" if delay is not None else ""
     log.note(
         "info",
         "pos",
-        f"position and velocity are the estimator's, not a reference{told}. If the true delay "
+        f"position and velocity are the estimator's, not a reference{assumed}. If the true delay "
         "differs, they lead or lag the truth by the difference",
     )
 
@@ -359,7 +355,7 @@ def _resets(log: Px4Log, where: str, topic: Topic, counters: tuple[str, ...]) ->
         )
 
 
-def _battery(log: Px4Log, rows: Rows, commands: MotorCommands | None) -> dict[str, str]:
+def _battery(log: Px4Log, flight: FlightBuilder, commands: MotorCommands | None) -> dict[str, str]:
     """Voltage of the battery that drives the motors and, where there is a sensor, its current.
 
     Returns:
@@ -370,7 +366,7 @@ def _battery(log: Px4Log, rows: Rows, commands: MotorCommands | None) -> dict[st
         return {}
     volts = _volts(topic)
     if volts.any():
-        add_signal(log, rows, "vbat_v", ("vbat_v",), topic.t_us, volts[:, None])
+        flight.add("vbat_v", ("vbat_v",), topic.t_us, volts[:, None])
     if not topic.has("current_a"):
         return facts
     current = topic.columns(("current_a",))
@@ -378,7 +374,7 @@ def _battery(log: Px4Log, rows: Rows, commands: MotorCommands | None) -> dict[st
     if reason:
         log.note("warning", "ibat_a", f"left out: {reason}", len(current))
     else:
-        add_signal(log, rows, "ibat_a", ("ibat_a",), topic.t_us, current)
+        flight.add("ibat_a", ("ibat_a",), topic.t_us, current)
     return facts
 
 

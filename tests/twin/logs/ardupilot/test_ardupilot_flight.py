@@ -371,6 +371,6 @@ def test_stamps_of_another_clock_are_dropped_and_told(tmp_path: Path) -> None:
     path = tmp_path / "other.bin"
     path.write_bytes(bytes(out))
     odd = read_flight(path)
-    assert "stamped over 10 s from what stands beside" in said(odd, "XKQ", "error")
+    assert "stamped over 10 s from what stands next to" in said(odd, "XKQ", "error")
     pd.testing.assert_series_equal(odd.table["acc_x"], found.table["acc_x"], check_index=False)
     assert odd.table["q_w"].count() == pytest.approx(len(SLOW) / 2, abs=12)

@@ -231,7 +231,7 @@ def test_the_sense_of_the_rotors_is_seen_in_the_motors(tmp_path: Path) -> None:
     assert out.airframe is not None and out.airframe.layout is not None
     assert out.airframe.layout.direction.tolist() == [-1.0, 1.0, 1.0, -1.0]
     without = {n: v for n, v in main.items() if not n.startswith("axis")}
-    assert _told(_read(tmp_path, Part(without)), "does not tell yaw_motors_reversed")
+    assert _told(_read(tmp_path, Part(without)), "does not give yaw_motors_reversed")
     wrong = main | {"axisI[0]": -np.asarray(main["axisI[0]"])}
     other = _read(tmp_path, Part(wrong))
     assert _told(other, "do not follow the controllers as in QUADX")
@@ -243,7 +243,7 @@ def test_rotors_that_are_silent_are_left_out(tmp_path: Path) -> None:
     speeds = np.asarray(main["eRPM[1]"]).copy()
     speeds[:20] = 0.0
     flight = _read(tmp_path, Part(main | {"eRPM[1]": speeds}))
-    assert _told(flight, "told to turn reports no speed")[0].count == 20
+    assert _told(flight, "with a command reports no speed")[0].count == 20
     assert len(flight.signal(["rotor_1"])[0]) == 380
     gone = _read(tmp_path, Part(main | {"eRPM[1]": 0.0 * speeds}))
     assert _told(gone, "reports no speed in 100 %") and not gone.has("rotor_1")
