@@ -24,7 +24,9 @@ from .display import DisplayMixin, TextTable
 from .explanation import check_payloads
 from .flights import checked_flights
 from .formatting import counted, joined, number, number_cells, readable, title
-from .report.headline import Headline, calibrated_headline
+from .gaps import hover_record
+from .headline import calibrated_headline
+from .record import Headline
 from .report.words import SET_BY_PRIOR
 from .wording import hover_sentence
 
@@ -195,7 +197,7 @@ class CalibrateResult(DisplayMixin):
             "vehicle": self.draft.name,
             "flights": list(self.flights),
             "warnings": list(self.warnings),
-            "hover": [h.json() for h in self.hovers],
+            "hover": [hover_record(h).json() for h in self.hovers],
             "numbers": [
                 {
                     "name": n.full,

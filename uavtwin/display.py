@@ -1,11 +1,15 @@
 """Results as a person meets them: text in a console, a table in a notebook, one line as a value."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
 from html import escape
+from importlib import import_module
+from pathlib import Path
+from typing import ClassVar
 
 from twin.representation import LONGEST
+
+from .output import output_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,18 +42,18 @@ class TextTable:
         return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
 
-class DisplayMixin(ABC):
+class DisplayMixin:
     """A result: `print` gives all that matters, a notebook the same, the prompt one line."""
 
     __slots__ = ()
 
-    @abstractmethod
     def sections(self) -> Iterable[str | TextTable]:
         """What it says, the claim first."""
+        raise NotImplementedError
 
-    @abstractmethod
     def brief(self) -> str:
         """What it is, in a few words."""
+        raise NotImplementedError
 
     def __str__(self) -> str:
         return "\n\n".join(map(str, self.sections()))
@@ -61,6 +65,22 @@ class DisplayMixin(ABC):
     def _repr_html_(self) -> str:
         claim, *others = self.sections()
         return f"<p><b>{escape(str(claim))}</b></p>" + "".join(map(_html, others))
+
+
+class PageMixin(DisplayMixin):
+    """A result with a page."""
+
+    __slots__ = ()
+
+    page: ClassVar[str]
+    """Module whose `write_page` takes the result and a path. It is named as text, since pages print
+    results and lie above them."""
+
+    def report(self, path: str | Path) -> Path:
+        """Write the page, one HTML file that opens offline; returns its path."""
+        with output_file(Path(path)) as file:
+            import_module(self.page).write_page(self, file)
+        return Path(path)
 
 
 def _html(section: str | TextTable) -> str:

@@ -27,9 +27,10 @@ from .exports.parts import component
 from .exports.write import export_parts
 from .flights import opened_flights
 from .formatting import certainty, counted, number_cells, title
+from .headline import got_worse, headline
 from .output import OptionalSteps, output_file, write_json
+from .record import Headline
 from .report.explain import write_explain_report
-from .report.headline import Headline, got_worse, headline
 from .report.words import by_prior, calibrated_rows, day_rows, instead, shrink_words
 from .series.files import EXPLAINED, TWIN, Column, Series, compared
 from .wording import hover_sentence

@@ -29,6 +29,7 @@ from twin.vehicle.plausibility import Question, questions
 
 from .display import DisplayMixin, TextTable
 from .formatting import counted
+from .gaps import hover_record
 from .vehicle_draft import hover_drive
 from .wording import hover_sentence
 
@@ -318,7 +319,7 @@ def hover_json(hover: Hover, diagnosis: HoverDiagnosis | None) -> dict[str, Any]
         "seconds": hover.seconds,
         "hovers": hover.hovers,
         "voltage_v": None if volts is None else float(np.median(volts)),
-        "twin": None if diagnosis is None else diagnosis.json(),
+        "twin": None if diagnosis is None else hover_record(diagnosis).json(),
     }
 
 

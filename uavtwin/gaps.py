@@ -2,24 +2,23 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cached_property
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from twin.logs import AnyFlight
 from twin.residuals.flight_gap import DEFAULT_HORIZON_S, flight_gap
-from twin.residuals.gap import FlightGap, gap_json, rank, summaries
+from twin.residuals.gap import UNKNOWN_PHASE, FlightGap, Ranked, Score, band_rows, rank, summaries
+from twin.residuals.hover import HoverDiagnosis, Mean
 from twin.vehicle import Vehicle
 
-from .display import DisplayMixin, TextTable
+from .display import PageMixin, TextTable
 from .flights import opened_flights
-from .formatting import counted
-from .output import output_file
-from .report.gap import claim, write_gap_report
-from .report.headline import Headline
-from .report.overview import Overview, overview
+from .formatting import counted, number, percent, pretty_unit
+from .record import Headline, Record, Section
 from .series.files import TWIN, Column, Series, compared
 from .vehicles import checked_vehicle
-from .wording import hover_sentence
+from .wording import describe, hover_sentence
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,29 +26,326 @@ if TYPE_CHECKING:
 Progress = Callable[[float], None]
 WHOLE = "whole flight"
 """In the column of phases: all samples."""
+MOST_PLACES = 10
+"""Of the ranked places in `gap.json`."""
+AGREEMENT = 0.1
+"""Share of the signal below which the slow part of a residual is called agreement. With the noise
+of the built-in flights alone it reaches 0.08."""
 
 
-@dataclass(frozen=True, slots=True, repr=False)
-class GapResult(DisplayMixin):
+class HoverErrors(Record, frozen=True, kw_only=True):
+    """Standard errors of a diagnosis in hover.
+
+    Attributes:
+        carried, back_m, right_m, lean_forward_rad, lean_right_rad: Of the key of this name.
+    """
+
+    carried: float
+    back_m: float | None
+    right_m: float | None
+    lean_forward_rad: float | None
+    lean_right_rad: float | None
+
+
+class WeakRotorRecord(Record, frozen=True, kw_only=True):
+    """A rotor that gives less thrust.
+
+    Attributes:
+        rotor: Number, from 1 on.
+        loss: Share of its thrust.
+        sd: Standard error of the loss.
+    """
+
+    rotor: int
+    loss: float
+    sd: float
+
+
+class HoverRecord(Section, frozen=True, kw_only=True):
+    """A twin at the motor commands of a hover.
+
+    Attributes:
+        flight: Its name.
+        seconds: Length of the hover.
+        carried: Thrust of the twin at the logged commands over what the flight shows.
+        back_m: By how much the centre of mass would have to be further back for the mean moment of
+            the twin about pitch to vanish as that of the flight does; null: no body rates.
+        right_m: By how much further right, about roll.
+        lean_forward_rad: Angle by which the thrust of the flight leans forward of that of the twin,
+            of the rotors or of the board with the accelerometer.
+        lean_right_rad: The same to the right.
+        sd: Standard errors.
+        split: Of each motor its command, else its speed, over the mean of all, less one.
+        weakest: The single rotor that would do what `back_m` and `right_m` do; null: none would.
+    """
+
+    section = "diagnosis in hover"
+    flight: str
+    seconds: float
+    carried: float
+    back_m: float | None
+    right_m: float | None
+    lean_forward_rad: float | None
+    lean_right_rad: float | None
+    sd: HoverErrors
+    split: tuple[float, ...]
+    weakest: WeakRotorRecord | None
+
+
+def hover_record(found: HoverDiagnosis) -> HoverRecord:
+    """A diagnosis as numbers: of each mean its value, and its standard error in `sd`."""
+    means: dict[str, Mean | None] = {
+        name: getattr(found, name) for name in HoverErrors.__struct_fields__
+    }
+    weak = found.weakest
+    return HoverRecord(
+        flight=found.flight,
+        seconds=found.seconds,
+        sd=HoverErrors(**{n: None if m is None else m.sd for n, m in means.items()}),
+        split=found.split,
+        weakest=None
+        if weak is None
+        else WeakRotorRecord(rotor=weak.rotor, loss=weak.loss.value, sd=weak.loss.sd),
+        **{n: None if m is None else m.value for n, m in means.items()},
+    )
+
+
+class PhaseRecord(Record, frozen=True, kw_only=True):
+    """A phase of a flight.
+
+    Attributes:
+        name: Of the phase.
+        start_s: Its start.
+        end_s: Its end.
+    """
+
+    name: str
+    start_s: float
+    end_s: float
+
+
+class GapFlight(Record, frozen=True, kw_only=True):
+    """A flight that was compared with its twin.
+
+    Attributes:
+        name: Of the flight.
+        vehicle: Of the twin.
+        duration_s: Length of what was compared.
+        n: Samples compared.
+        phases: Of the flight.
+        facts: Of its log, as text.
+        hover: Null where it does not hover.
+    """
+
+    name: str
+    vehicle: str
+    duration_s: float
+    n: int
+    phases: tuple[PhaseRecord, ...]
+    facts: dict[str, str]
+    hover: HoverRecord | None
+
+
+class ScoreRecord(Record, frozen=True, kw_only=True):
+    """Residuals of some samples in numbers.
+
+    Attributes:
+        n: Samples.
+        rms: Of the residual, in the unit of the channel.
+        mean: Of the residual.
+        share: `rms` over the rms of the measured signal about its mean.
+        slow_rms: Of the residual below 10 Hz.
+        rms_ci95: 95 % interval of `rms`.
+    """
+
+    n: int
+    rms: float
+    mean: float
+    share: float
+    slow_rms: float
+    rms_ci95: tuple[float, float]
+
+
+class BandRecord(Record, frozen=True, kw_only=True):
+    """A frequency band.
+
+    Attributes:
+        from_hz: Lower edge.
+        to_hz: Upper edge; null: half the sample rate.
+        measured_rms: Of the measured signal in the band.
+        residual_rms: Of the residual in the band.
+    """
+
+    from_hz: float
+    to_hz: float
+    measured_rms: float
+    residual_rms: float
+
+
+class GapChannel(Record, frozen=True, kw_only=True):
+    """A channel of all flights together.
+
+    Attributes:
+        unit: Of the numbers.
+        horizon_s: Time since the twin was restarted from the measured state; 0: teacher-forced.
+        n, rms, mean, share, slow_rms, rms_ci95: As of a phase.
+        bands: The same by frequency.
+        by_phase: By phase.
+    """
+
+    unit: str
+    horizon_s: float
+    n: int
+    rms: float
+    mean: float
+    share: float
+    slow_rms: float
+    rms_ci95: tuple[float, float]
+    bands: tuple[BandRecord, ...]
+    by_phase: dict[str, ScoreRecord]
+
+
+class GapPlace(Record, frozen=True, kw_only=True):
+    """A place where twin and flights disagree.
+
+    Attributes:
+        channel: Its name.
+        phase: Of the flights.
+        unit: Of the numbers.
+        n, rms, mean, share, slow_rms, rms_ci95: As of `by_phase`.
+    """
+
+    channel: str
+    phase: str
+    unit: str
+    n: int
+    rms: float
+    mean: float
+    share: float
+    slow_rms: float
+    rms_ci95: tuple[float, float]
+
+
+class GapRecord(Record, frozen=True, kw_only=True):
+    """The gap between flights and their twin.
+
+    Attributes:
+        headline: The sentence on top; its `numbers` are empty.
+        flights: That were compared.
+        channels: All flights together, by channel.
+        worst: Ranked places, the worst first.
+        warnings: What a reader must know.
+    """
+
+    headline: Headline
+    flights: tuple[GapFlight, ...]
+    channels: dict[str, GapChannel]
+    worst: tuple[GapPlace, ...]
+    warnings: tuple[str, ...]
+
+
+def gap_record(gaps: Sequence[FlightGap]) -> GapRecord:
+    """The gap of flights in numbers."""
+    pooled, bands = summaries(gaps), band_rows(gaps)
+    warnings = [f"{g.flight}: {w}" if len(gaps) > 1 else w for g in gaps for w in g.warnings]
+    for key, s in pooled.items():
+        if s.total.dropped:
+            warnings.append(f"{key}: {s.total.dropped} samples are not finite and were left out")
+        if s.total.n == 0:
+            warnings.append(f"{key}: no sample at which both flight and twin are finite")
+        elif not isfinite(s.total.share):
+            warnings.append(f"{key}: the measured signal is flat, it has no share of it")
+    places = rank(pooled)
+    return GapRecord(
+        headline=Headline(claim(places)),
+        flights=tuple(map(_flight, gaps)),
+        channels={
+            key: GapChannel(
+                unit=s.unit,
+                horizon_s=s.horizon_s,
+                bands=tuple(
+                    BandRecord(**band) for band in bands.get((s.name, s.unit, s.horizon_s), ())
+                ),
+                by_phase={p: ScoreRecord(**_scores(score)) for p, score in s.by_phase.items()},
+                **_scores(s.total),
+            )
+            for key, s in pooled.items()
+        },
+        worst=tuple(
+            GapPlace(channel=p.channel, phase=p.phase, unit=p.unit, **_scores(p.score))
+            for p in places[:MOST_PLACES]
+        ),
+        warnings=tuple(warnings),
+    )
+
+
+def claim(places: Sequence[Ranked]) -> str:
+    """The headline: the place where twin and flight disagree most, in one sentence.
+
+    Args:
+        places: Of `twin.residuals.gap.rank`, the worst first.
+    """
+    if not places:
+        return "There is nothing to compare: no channel has enough finite samples."
+    worst = places[0]
+    where = f"{worst.channel} ({describe(worst.channel)})"
+    if worst.phase and worst.phase != UNKNOWN_PHASE:
+        where += f" during {worst.phase}"
+    size = f"{number(worst.score.rms)} {pretty_unit(worst.unit)} rms, {percent(worst.score.share)}"
+    if worst.weight < AGREEMENT:
+        return (
+            "Twin and flight agree: the slow part of the residual stays below "
+            f"{percent(AGREEMENT)} of the signal "
+            f"in every channel and phase. The largest gap is in {where}: {size} of the signal."
+        )
+    return f"Twin and flight disagree most in {where}: {size} of the signal."
+
+
+def _scores(score: Score) -> dict[str, Any]:
+    """Fields of a score."""
+    return {name: getattr(score, name) for name in ScoreRecord.__struct_fields__}
+
+
+def _flight(gap: FlightGap) -> GapFlight:
+    return GapFlight(
+        name=gap.flight,
+        vehicle=gap.vehicle,
+        duration_s=gap.duration_s,
+        n=sum(len(c.t_s) for c in gap.channels),
+        phases=tuple(PhaseRecord(name=n, start_s=a, end_s=b) for n, a, b in gap.phases),
+        facts=dict(gap.facts),
+        hover=None if gap.hover is None else hover_record(gap.hover),
+    )
+
+
+@dataclass(frozen=True, repr=False)
+class GapResult(PageMixin):
     """How far a vehicle's twin is from flights.
 
     Attributes:
         flights: Residuals, one per flight.
-        overviews: What each flight was, for the top of the page; none: not kept.
+        recorded: The flights as they were read, for the top of the page; none: not known.
     """
 
     flights: tuple[FlightGap, ...]
-    overviews: tuple[Overview, ...] = ()
+    recorded: tuple[AnyFlight, ...] = ()
 
-    @property
-    def claim(self) -> str:
-        """Where twin and flights disagree most, in one sentence."""
-        return claim(rank(summaries(self.flights)))
+    page = "uavtwin.report.gap"
+
+    @cached_property
+    def record(self) -> GapRecord:
+        """Every number that is printed."""
+        return gap_record(self.flights)
 
     @property
     def headline(self) -> Headline:
         """The claim, which gives no fitted number."""
-        return Headline(self.claim)
+        return self.record.headline
+
+    @property
+    def claim(self) -> str:
+        """Where twin and flights disagree most, in one sentence."""
+        return self.headline.text
 
     @property
     def hover(self) -> tuple[str, ...]:
@@ -71,14 +367,14 @@ class GapResult(DisplayMixin):
             tuple(
                 (
                     name,
-                    s.unit,
-                    f"{s.horizon_s:g}",
-                    str(s.total.n),
-                    f"{s.total.rms:.4g}",
-                    f"{s.total.mean:.4g}",
-                    f"{100 * s.total.share:.0f} %",
+                    c.unit,
+                    f"{c.horizon_s:g}",
+                    str(c.n),
+                    f"{c.rms:.4g}",
+                    f"{c.mean:.4g}",
+                    f"{100 * c.share:.0f} %",
                 )
-                for name, s in summaries(self.flights).items()
+                for name, c in self.record.channels.items()
             ),
         )
 
@@ -91,8 +387,8 @@ class GapResult(DisplayMixin):
                 {
                     "channel": name,
                     "phase": phase,
-                    "unit": s.unit,
-                    "horizon_s": s.horizon_s,
+                    "unit": c.unit,
+                    "horizon_s": c.horizon_s,
                     "n": score.n,
                     "rms": score.rms,
                     "rms_low": score.rms_ci95[0],
@@ -101,8 +397,8 @@ class GapResult(DisplayMixin):
                     "share": score.share,
                     "slow_rms": score.slow_rms,
                 }
-                for name, s in summaries(self.flights).items()
-                for phase, score in {WHOLE: s.total, **s.by_phase}.items()
+                for name, c in self.record.channels.items()
+                for phase, score in {WHOLE: c, **c.by_phase}.items()
             ]
         )
 
@@ -137,13 +433,7 @@ class GapResult(DisplayMixin):
 
     def json(self) -> dict[str, Any]:
         """The content of `gap.json`."""
-        return {"headline": self.headline.json(), **gap_json(self.flights)}
-
-    def report(self, path: str | Path) -> Path:
-        """Write the page, one HTML file that opens offline; returns its path."""
-        with output_file(Path(path)) as file:
-            write_gap_report(self.flights, file, self.overviews)
-        return Path(path)
+        return self.record.json()
 
     def sections(self) -> Iterable[str | TextTable]:
         """Claim, table, warnings."""
@@ -201,4 +491,4 @@ def gap(
             progress((i + done) / len(several))
 
         gaps.append(flight_gap(flight, model, horizon_s, share))
-    return GapResult(tuple(gaps), tuple(overview(f) for f in several))
+    return GapResult(tuple(gaps), several)

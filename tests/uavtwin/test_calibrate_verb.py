@@ -21,7 +21,7 @@ from twin.logs import read_flight, write_flight
 from twin.vehicle import Calibration, Vehicle
 from uavtwin.calibration import CalibrateResult
 from uavtwin.demo.flights import Waypoints, fly
-from uavtwin.report.headline import headline
+from uavtwin.headline import headline
 from uavtwin.wording import said
 
 COPTER = ut.load_vehicle("copter_default")

@@ -35,8 +35,8 @@ from uavtwin.cli.explain import flight_payloads
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.explanation import ExplainResult, explained_vehicle, vehicle_today
 from uavtwin.formatting import certainty
+from uavtwin.headline import headline
 from uavtwin.report.explain import write_explain_report
-from uavtwin.report.headline import headline
 
 pytestmark = pytest.mark.slow
 COPTER = load_vehicle("copter_default")

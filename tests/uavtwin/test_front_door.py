@@ -428,7 +428,7 @@ def test_a_failed_report_leaves_the_old_one(
 
     path = tmp_path / "gap.html"
     path.write_text("old")
-    monkeypatch.setattr("uavtwin.gaps.write_gap_report", fail)
+    monkeypatch.setattr("uavtwin.report.gap.write_page", fail)
     with pytest.raises(KeyboardInterrupt):
         gap.report(path)
     assert path.read_text() == "old"

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -250,48 +250,6 @@ def rank(pooled: Mapping[str, Summary], min_n: int = 20) -> list[Ranked]:
     return sorted(places, key=lambda p: (p.horizon_s > 0, -p.weight))
 
 
-def gap_json(gaps: Sequence[FlightGap]) -> dict[str, Any]:
-    """`gap.json`: flights, channels and warnings; strict JSON, null for what is not defined.
-
-    Args:
-        gaps: One per flight.
-
-    Returns:
-        `flights` (name, vehicle, duration, phases, facts, n per channel), `channels` (unit,
-        horizon, n, rms, mean, share, 95 % interval, bands, by_phase), `worst` (ranked places)
-        and `warnings`.
-    """
-    pooled = summaries(gaps)
-    bands = _bands(gaps)
-    warnings = [f"{g.flight}: {w}" if len(gaps) > 1 else w for g in gaps for w in g.warnings]
-    for key, s in pooled.items():
-        if s.total.dropped:
-            warnings.append(f"{key}: {s.total.dropped} samples are not finite and were left out")
-        if s.total.n == 0:
-            warnings.append(f"{key}: no sample at which both flight and twin are finite")
-        elif not math.isfinite(s.total.share):
-            warnings.append(f"{key}: the measured signal is flat, no share of it can be told")
-    channels = {
-        key: {
-            "unit": s.unit,
-            "horizon_s": s.horizon_s,
-            **_score_json(s.total),
-            "bands": bands.get((s.name, s.unit, s.horizon_s), []),
-            "by_phase": {p: _score_json(score) for p, score in s.by_phase.items()},
-        }
-        for key, s in pooled.items()
-    }
-    worst = [
-        {"channel": r.channel, "phase": r.phase, "unit": r.unit, **_score_json(r.score)}
-        for r in rank(pooled)[:10]
-    ]
-    flights = [_flight_json(g) for g in gaps]
-    result: dict[str, Any] = _strict(
-        {"flights": flights, "channels": channels, "worst": worst, "warnings": warnings}
-    )
-    return result
-
-
 def _kinds(gaps: Sequence[FlightGap]) -> dict[tuple[str, str, float], list[Channel]]:
     """The same channel of all flights, by name, unit and horizon."""
     kinds: dict[tuple[str, str, float], list[Channel]] = {}
@@ -349,7 +307,9 @@ def _bootstrap_rms(blocks: Array, seed: int, draws: int = 500) -> tuple[float, f
     return float(low), float(high)
 
 
-def _bands(gaps: Sequence[FlightGap]) -> dict[tuple[str, str, float], list[dict[str, Any]]]:
+def band_rows(
+    gaps: Sequence[FlightGap],
+) -> dict[tuple[str, str, float], list[dict[str, float]]]:
     """Rms of measured and residual per frequency band, about the mean, pooled by duration."""
     result = {}
     for key, channels in _kinds(gaps).items():
@@ -375,39 +335,3 @@ def _bands(gaps: Sequence[FlightGap]) -> dict[tuple[str, str, float], list[dict[
                 )
         result[key] = rows
     return result
-
-
-def _score_json(score: Score) -> dict[str, Any]:
-    return {
-        "n": score.n,
-        "rms": score.rms,
-        "mean": score.mean,
-        "share": score.share,
-        "slow_rms": score.slow_rms,
-        "rms_ci95": list(score.rms_ci95),
-    }
-
-
-def _flight_json(gap: FlightGap) -> dict[str, Any]:
-    return {
-        "name": gap.flight,
-        "vehicle": gap.vehicle,
-        "duration_s": gap.duration_s,
-        "n": sum(len(c.t_s) for c in gap.channels),
-        "phases": [{"name": n, "start_s": a, "end_s": b} for n, a, b in gap.phases],
-        "facts": dict(gap.facts),
-        "hover": None if gap.hover is None else gap.hover.json(),
-    }
-
-
-def _strict(value: Any) -> Any:
-    """The same value with null for every number that JSON cannot hold."""
-    if isinstance(value, Mapping):
-        return {str(k): _strict(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_strict(v) for v in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, np.integer):
-        return int(value)
-    return value

@@ -18,7 +18,6 @@ those of means over blocks of one second.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,27 +97,6 @@ class HoverDiagnosis:
     weakest: WeakRotor | None
 
     __repr__ = short_repr
-
-    def json(self) -> dict[str, Any]:
-        """The same for programs: of each mean its value, and its standard error in `sd`."""
-        means = {
-            "carried": self.carried,
-            "back_m": self.back_m,
-            "right_m": self.right_m,
-            "lean_forward_rad": self.lean_forward_rad,
-            "lean_right_rad": self.lean_right_rad,
-        }
-        weak = self.weakest
-        return {
-            "flight": self.flight,
-            "seconds": self.seconds,
-            **{k: None if m is None else m.value for k, m in means.items()},
-            "sd": {k: None if m is None else m.sd for k, m in means.items()},
-            "split": list(self.split),
-            "weakest": None
-            if weak is None
-            else {"rotor": weak.rotor, "loss": weak.loss.value, "sd": weak.loss.sd},
-        }
 
 
 def diagnose(

@@ -15,6 +15,7 @@ from twin.explain.estimates import (
 from twin.explain.explanation import Explanation
 
 from ..formatting import certainty, number, number_cells, percent, pretty_unit, title
+from ..headline import got_worse, headline
 from ..wording import hover_sentence
 from .autopilot import Strip, autopilot_content, strip
 from .drawing import Budget, fitted
@@ -26,7 +27,6 @@ from .evidence import (
     unsteady_evidence,
     unsteady_strip,
 )
-from .headline import got_worse, headline
 from .overview import flight_spans, overview, overview_plots
 from .page import Plot, plot, render
 from .words import (

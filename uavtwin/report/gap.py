@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from twin.logs.columns import POS
 from twin.residuals.channels import BAND_HZ
 from twin.residuals.gap import (
-    UNKNOWN_PHASE,
     Channel,
     FlightGap,
     Ranked,
@@ -28,19 +27,17 @@ from twin.residuals.gap import (
 from twin.residuals.spectra import SLOW_HZ, Spectrum, spectrum
 
 from ..formatting import number, percent, pretty_unit
+from ..gaps import GapResult, claim
 from ..wording import KINDS, Kind, describe, grouped, hover_sentence, mode
 from .autopilot import autopilot_content
 from .drawing import DENSE_HZ, GAP_PX, TREND_HZ, Axis, Budget, Panels, Spans, fitted, thinned
-from .overview import Overview, overview_plots
+from .overview import Overview, overview, overview_plots
 from .page import BLACK, BLUE, GREY, Figure, Plot, plot, render
 
 FULL_DETAIL = 5
 """Of more flights, fewer messages and parameters of each are listed."""
 MOST_LISTED = 200
 """Rows of the table of flights."""
-AGREEMENT = 0.1
-"""Share of the signal below which the slow part of a residual is called agreement. With the noise
-of the built-in flights alone it reaches 0.08."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +50,11 @@ class _Figure:
     note: str
     time: Plot
     spectra: Plot | None
+
+
+def write_page(result: GapResult, path: Path) -> None:
+    """Write the page of a result; an existing file is replaced."""
+    write_gap_report(result.flights, path, [overview(f) for f in result.recorded])
 
 
 def write_gap_report(
@@ -83,7 +85,7 @@ class _Scored:
 
     Attributes:
         gaps: One per flight.
-        overviews: One per flight; None: not kept.
+        overviews: One per flight; None: not known.
         pooled: Every channel over all flights.
         summed: Every channel of each flight.
     """
@@ -181,28 +183,6 @@ def _hover(gap: FlightGap, before: str = "") -> str:
     return before + hover_sentence(gap.vehicle, gap.hover) if gap.hover else ""
 
 
-def claim(places: Sequence[Ranked]) -> str:
-    """The headline: the place where twin and flight disagree most, in one sentence.
-
-    Args:
-        places: Of `twin.residuals.gap.rank`, the worst first.
-    """
-    if not places:
-        return "There is nothing to compare: no channel has enough finite samples."
-    worst = places[0]
-    where = f"{worst.channel} ({describe(worst.channel)})"
-    if worst.phase and worst.phase != UNKNOWN_PHASE:
-        where += f" during {worst.phase}"
-    size = f"{number(worst.score.rms)} {pretty_unit(worst.unit)} rms, {percent(worst.score.share)}"
-    if worst.weight < AGREEMENT:
-        return (
-            "Twin and flight agree: the slow part of the residual stays below "
-            f"{percent(AGREEMENT)} of the signal "
-            f"in every channel and phase. The largest gap is in {where}: {size} of the signal."
-        )
-    return f"Twin and flight disagree most in {where}: {size} of the signal."
-
-
 def _detail(places: Sequence[Ranked]) -> str:
     """What a pilot should make of the headline: can a model mend it?"""
     if not places or not places[0].score.rms > 0:
@@ -291,7 +271,7 @@ def laid_over(
 
     Args:
         gaps: Flights; the first six are drawn.
-        overviews: What each was; None: not kept.
+        overviews: What each was; None: not known.
         budget: Of the page.
     """
     gaps, overviews = gaps[: len(COLOURS)], overviews[: len(COLOURS)]

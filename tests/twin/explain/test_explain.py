@@ -26,7 +26,7 @@ from twin.vehicle import Vehicle
 from twin.vehicle.file import builtin_vehicles, load_vehicle, parse_vehicle, vehicle_text
 from twin.vehicle.file.write import Written, with_effect_sections
 from uavtwin.demo.flights import Waypoints, fly
-from uavtwin.report.headline import headline
+from uavtwin.headline import headline
 
 COPTER = load_vehicle("copter_default")
 LEGS: Waypoints = (

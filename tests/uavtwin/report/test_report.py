@@ -10,9 +10,10 @@ import plotly.graph_objects as go
 import pytest
 
 from twin.residuals.gap import Channel, FlightGap, rank, summaries
+from uavtwin.gaps import claim
+from uavtwin.headline import leading
 from uavtwin.report.drawing import Budget, unpacked
-from uavtwin.report.gap import channel_figures, claim, write_gap_report
-from uavtwin.report.headline import leading
+from uavtwin.report.gap import channel_figures, write_gap_report
 from uavtwin.wording import describe
 
 HOSTILE = "</script><script>alert('x')</script><b>&"

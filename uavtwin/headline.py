@@ -9,8 +9,6 @@ hold the sentence against its numbers.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 from twin.effects import EFFECTS
 from twin.explain.calibration import Calibrated
@@ -29,8 +27,9 @@ from twin.explain.inference.adequacy import Detectable
 from twin.explain.inference.fit import Fit
 from twin.explain.inference.selection import Naming
 
-from ..formatting import certainty, joined, number, percent, pretty_unit, quantity, title
-from ..wording import BLIND_ORDER, blind_clause, clause, said, said_numbers
+from .formatting import certainty, joined, number, percent, pretty_unit, quantity, title
+from .record import Headline
+from .wording import BLIND_ORDER, blind_clause, clause, said, said_numbers
 
 MOST_NUMBERS = 3
 """Numbers of an effect that a headline gives; of several effects, one each."""
@@ -38,23 +37,6 @@ MOST_EFFECTS = 3
 """Effects that it gives numbers of."""
 MOST_BLIND = 3
 """Effects of which it says how small they may be to stay unseen."""
-
-
-@dataclass(frozen=True, slots=True)
-class Headline:
-    """A sentence on top.
-
-    Attributes:
-        text: One or more sentences.
-        numbers: Fitted numbers that the text gives, "effect.number".
-    """
-
-    text: str
-    numbers: tuple[str, ...] = ()
-
-    def json(self) -> dict[str, Any]:
-        """The same for programs."""
-        return {"text": self.text, "numbers": list(self.numbers)}
 
 
 def headline(found: Explanation) -> Headline:

@@ -1,0 +1,525 @@
+"""What flights say about a model, in numbers: the content of `explain.json`."""
+
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from typing import Any, ClassVar
+
+import msgspec
+from msgspec import UNSET, UnsetType, field
+
+from twin.explain.estimates import (
+    calibrated_effects,
+    estimates_of,
+    listed_effects,
+    nothing_probability,
+    probability_of,
+    rivals,
+    undecided,
+)
+from twin.explain.estimates import where_felt as where_acting
+from twin.explain.explanation import Explanation
+from twin.explain.holdout import ChannelGap
+from twin.explain.inference.selection import Naming
+from twin.explain.localization import Place
+from twin.explain.unnamed.equations import Equation
+from twin.flight.stability import Mission
+
+from .gaps import HoverRecord, hover_record
+from .headline import headline
+from .record import Headline, Record
+
+
+class ParameterRecord(Record, frozen=True, kw_only=True):
+    """A number of an effect.
+
+    Attributes:
+        value: In its unit.
+        unit: SI.
+        ci95: 95 % interval; null: it has none.
+        no_effect: Value in the model, or at the calibration, from which it differs; null for a
+            shape.
+        prior_share: Posterior over prior deviation; 1: the flights say nothing; null: no prior.
+        tension: Prior deviations between the value and what was expected; null: no prior.
+    """
+
+    value: float
+    unit: str
+    ci95: tuple[float, float] | None
+    no_effect: float | None
+    prior_share: float | None
+    tension: float | None
+
+
+class RivalRecord(Record, frozen=True, kw_only=True):
+    """Another explanation than an effect.
+
+    Attributes:
+        name: Of an effect, or `nothing`.
+        probability: That it is the cause.
+        behind: Log probability below the best set with the effect, of the best one with the rival
+            in its place; missing where only the probability is known.
+        with: Effects that the rival is together with there; missing like `behind`.
+    """
+
+    name: str
+    probability: float
+    behind: float | UnsetType = UNSET
+    with_: tuple[str, ...] | UnsetType = field(default=UNSET, name="with")
+
+
+class EffectRecord(Record, frozen=True, kw_only=True):
+    """An effect that may be missing.
+
+    Attributes:
+        name: Of the effect.
+        probability: That it is missing, alone or with others.
+        parameters: Its numbers, by name.
+        one_of: Other causes that are there where this one is not: effects, or the part of one that
+            a rotor or a clock has, "effect:part".
+        channels: On which it acts, the clearest first.
+        phases: In which it acts on the clearest one.
+        rivals: Other explanations, the most probable first; of an effect without a mean `nothing`.
+    """
+
+    name: str
+    probability: float
+    parameters: dict[str, ParameterRecord]
+    one_of: tuple[str, ...]
+    channels: tuple[str, ...]
+    phases: tuple[str, ...]
+    rivals: tuple[RivalRecord, ...]
+
+
+class ResemblanceRecord(Record, frozen=True, kw_only=True):
+    """An effect that something acts like.
+
+    Attributes:
+        name: Of the effect.
+        why: It is not named.
+    """
+
+    name: str
+    why: str
+
+
+class CalibratedRecord(Record, frozen=True, kw_only=True):
+    """An effect that lacks nothing beyond the uncertainty that the file states.
+
+    Attributes:
+        effect: Its name.
+        parameters: Its numbers, by name.
+    """
+
+    effect: str
+    parameters: dict[str, ParameterRecord]
+
+
+class ChangeRecord(Record, frozen=True, kw_only=True):
+    """A change that would be named.
+
+    Attributes:
+        value: Of it.
+        unit: SI.
+    """
+
+    value: float
+    unit: str
+
+
+class NotVisibleRecord(Record, frozen=True, kw_only=True):
+    """An effect that was looked for and is not in the final set.
+
+    Attributes:
+        cause: The effect.
+        number: Of it.
+        smallest_detectable: Change that 95 of 100 such flights would show as named; null where it
+            exceeds the range considered.
+    """
+
+    cause: str
+    number: str
+    smallest_detectable: ChangeRecord | None
+
+
+class DayRecord(Record, frozen=True, kw_only=True):
+    """A number that stands out of the day of a flight.
+
+    Attributes:
+        difference: From what all flights share.
+        sd: Its standard deviation.
+        unit: SI.
+    """
+
+    difference: float
+    sd: float
+    unit: str
+
+
+class TermRecord(Record, frozen=True, kw_only=True):
+    """A term of an equation.
+
+    Attributes:
+        product: Of quantities.
+        coefficient: Of the product.
+        unit: Of the coefficient.
+    """
+
+    product: str
+    coefficient: float
+    unit: str
+
+
+class EquationRecord(Record, frozen=True, kw_only=True):
+    """An equation for what no effect explains.
+
+    Attributes:
+        channel: Whose residual it gives.
+        unit: Of the residual.
+        expression: To read.
+        share: Of the power there, out of sample, up to the frequency where the equation ends.
+        terms: To compute with.
+    """
+
+    channel: str
+    unit: str
+    expression: str
+    share: float
+    terms: tuple[TermRecord, ...]
+
+
+class DependenceRecord(Record, frozen=True, kw_only=True):
+    """A quantity that a residual depends on.
+
+    Attributes:
+        quantity: Which.
+        share: Of the power that a curve over it takes.
+    """
+
+    quantity: str
+    share: float
+
+
+class PlaceRecord(Record, frozen=True, kw_only=True):
+    """A place of disagreement.
+
+    Attributes:
+        channel: Its name.
+        phase: Of flight, "" where unknown.
+        unit: Of the rms.
+        n: Samples.
+        rms: Of the residual with the model as it stands.
+        over_floor: `rms` over the noise floor of the channel.
+        explained: Share of the power that the named effects take.
+        band_hz: Where most of the power lies.
+        goes_with: Quantity that the residual depends on most; null: none.
+    """
+
+    channel: str
+    phase: str
+    unit: str
+    n: int
+    rms: float
+    over_floor: float
+    explained: float
+    band_hz: tuple[float, float]
+    goes_with: DependenceRecord | None
+
+
+class ChannelRecord(Record, frozen=True, kw_only=True):
+    """A channel of the held-out flights.
+
+    Attributes:
+        unit: Of the rms.
+        before: Rms with the model as it stood.
+        after: Rms with the effects added.
+        on_its_day: Rms with these and the constants of these days.
+        fit_mean: `before` about the mean that the residual has in the flights fitted; null where
+            they lack the channel.
+        noise_floor: Least rms that any model of the library leaves.
+        shrink: Share of the rms that is gone.
+        shrink_ci95: Its 95 % interval; null where there is too little time for one.
+        closed: Share of what stood above the noise floor that is gone.
+        n: Samples.
+    """
+
+    unit: str
+    before: float
+    after: float
+    on_its_day: float
+    fit_mean: float | None
+    noise_floor: float
+    shrink: float
+    shrink_ci95: tuple[float, float] | None
+    closed: float
+    n: int
+
+
+class HeldOutRecord(Record, frozen=True, kw_only=True):
+    """A flight that took no part in the fit.
+
+    Attributes:
+        flight: Its name.
+        spans_s: Parts of it that took no part; null: all of it.
+    """
+
+    flight: str
+    spans_s: tuple[tuple[float, float], ...] | None
+
+
+class MissionRecord(Record, frozen=True, kw_only=True):
+    """A mission in closed loop.
+
+    Attributes:
+        stable: Whether it was flown to its end, upright and near its setpoints.
+        worst_m: Largest distance from the setpoint; null where it could not be flown.
+        problem: Why it is not stable; null where it is.
+    """
+
+    stable: bool
+    worst_m: float
+    problem: str | None
+
+
+class ClosedLoopRecord(Record, frozen=True, kw_only=True):
+    """Flights of the new model.
+
+    Attributes:
+        stable: Whether all are.
+        worst_tracking_m: Largest distance from the setpoint of all.
+        missions: By name.
+    """
+
+    stable: bool
+    worst_tracking_m: float | None
+    missions: dict[str, MissionRecord]
+
+
+class ManoeuvreRecord(Record, frozen=True, kw_only=True):
+    """What to fly next.
+
+    Attributes:
+        manoeuvre: Identifier.
+        description: What a pilot can follow.
+        separates: Two lists of effects; an empty one: nothing is missing.
+        separation: Expected lead in log likelihood.
+        present: The same in the flights so far.
+    """
+
+    manoeuvre: str
+    description: str
+    separates: tuple[tuple[str, ...], tuple[str, ...]]
+    separation: float
+    present: float
+
+
+class SettingsRecord(Record, frozen=True, kw_only=True):
+    """The numbers that decide.
+
+    Attributes:
+        hash: Of all of them, 12 digits.
+        changed: Those that are not the default ones, by name.
+    """
+
+    hash: str
+    changed: dict[str, Any]
+
+
+class ExplainRecord(Record, frozen=True, kw_only=True):
+    """What flights say about a model.
+
+    Attributes:
+        verdict: `named`, `nothing`, `unnamed`, `cannot_tell` or `unusable`.
+        headline: The sentence on top.
+        reasons: Why nothing can be learnt, for `unusable`.
+        warnings: What a reader must know.
+        flights: Names of those that were fitted.
+        since: Flights of the calibration since which it is asked what has changed; null: it was
+            asked what the model lacks.
+        vehicle: Name of the model.
+        nothing_probability: That no effect which changes a mean is missing.
+        outside_probability: That a cause is none of the library, though the best set gives it a
+            name.
+        effects: For `named` and `cannot_tell`, the surest first.
+        undecided: Those of `effects`, for `named`, that something else may stand for.
+        inclusion: Probability that an effect is there and worth a name, by effect; whether its law
+            fits (`outside_probability`) is not in it.
+        acts_like: Effects that something acts like and that are not named.
+        calibrated: Effects that lack nothing beyond the uncertainty that the file states.
+        hover: Of each flight that hovers.
+        not_visible: Effects that are not in the final set.
+        per_flight: What stands out of a day: flight, then "effect.number".
+        unnamed: Equations for what no effect explains.
+        where: Places of disagreement.
+        gap: Held-out flights before and after, by channel.
+        holdout: What took no part in the fit.
+        closed_loop: Flights of the new model; null where nothing was named.
+        next_manoeuvre: What to fly to learn more; null: nothing.
+        settings: What decided.
+    """
+
+    digits: ClassVar[int | None] = 6
+    verdict: str
+    headline: Headline
+    reasons: tuple[str, ...]
+    warnings: tuple[str, ...]
+    flights: tuple[str, ...]
+    since: tuple[str, ...] | None
+    vehicle: str
+    nothing_probability: float | None
+    outside_probability: float | None
+    effects: tuple[EffectRecord, ...]
+    undecided: tuple[str, ...]
+    inclusion: dict[str, float]
+    acts_like: tuple[ResemblanceRecord, ...]
+    calibrated: tuple[CalibratedRecord, ...]
+    hover: tuple[HoverRecord, ...]
+    not_visible: tuple[NotVisibleRecord, ...]
+    per_flight: dict[str, dict[str, DayRecord]]
+    unnamed: tuple[EquationRecord, ...]
+    where: tuple[PlaceRecord, ...]
+    gap: dict[str, ChannelRecord]
+    holdout: tuple[HeldOutRecord, ...]
+    closed_loop: ClosedLoopRecord | None
+    next_manoeuvre: ManoeuvreRecord | None
+    settings: SettingsRecord
+
+
+def explain_record(found: Explanation) -> ExplainRecord:
+    """Everything that was found, in numbers."""
+    naming, compared = found.naming, found.comparison
+    return ExplainRecord(
+        verdict=found.verdict,
+        headline=headline(found),
+        reasons=tuple(found.reasons),
+        warnings=tuple(found.warnings),
+        flights=found.flights,
+        since=found.since,
+        vehicle=found.vehicle.name,
+        nothing_probability=None if naming is None else nothing_probability(naming),
+        outside_probability=None if naming is None else naming.outside,
+        effects=tuple(_effect(found, e) for e in listed_effects(found)),
+        undecided=undecided(found),
+        inclusion={} if naming is None else dict(naming.inclusion),
+        acts_like=tuple(
+            ResemblanceRecord(name=r.effect, why=r.why)
+            for r in (() if naming is None else naming.resemblances)
+        ),
+        calibrated=tuple(
+            CalibratedRecord(effect=e, parameters=_parameters(found, e))
+            for e in calibrated_effects(found)
+        ),
+        hover=tuple(map(hover_record, found.hovers)),
+        not_visible=tuple(_not_visible(found)),
+        per_flight={} if naming is None else _per_flight(naming),
+        unnamed=tuple(map(_equation, found.unnamed)),
+        where=tuple(map(_place, found.where)),
+        gap={g.name: _channel(g) for g in (() if compared is None else compared.gaps)},
+        holdout=tuple(HeldOutRecord(flight=h.flight, spans_s=h.spans) for h in found.holdout),
+        closed_loop=_closed_loop(found.missions) if found.missions else None,
+        next_manoeuvre=None
+        if found.next_manoeuvre is None
+        else msgspec.convert(found.next_manoeuvre, ManoeuvreRecord, from_attributes=True),
+        settings=SettingsRecord(hash=found.settings.hash, changed=dict(found.settings.changed)),
+    )
+
+
+def _effect(found: Explanation, effect: str) -> EffectRecord:
+    channels, phases = where_acting(found, effect)
+    return EffectRecord(
+        name=effect,
+        probability=probability_of(found, effect),
+        parameters=_parameters(found, effect),
+        one_of=() if found.naming is None else tuple(found.naming.one_of(effect)),
+        channels=tuple(channels),
+        phases=tuple(phases),
+        rivals=msgspec.convert(rivals(found, effect), tuple[RivalRecord, ...]),
+    )
+
+
+def _parameters(found: Explanation, effect: str) -> dict[str, ParameterRecord]:
+    return {
+        e.number.name: ParameterRecord(
+            value=e.value,
+            unit=e.number.about.unit,
+            ci95=e.ci95,
+            no_effect=e.no_effect,
+            prior_share=e.prior_share,
+            tension=e.tension,
+        )
+        for e in estimates_of(found, effect)
+    }
+
+
+def _not_visible(found: Explanation) -> list[NotVisibleRecord]:
+    """Effects that are not named, and the smallest change that these flights would show."""
+    detectable = {} if found.naming is None else found.naming.detectable
+    named = listed_effects(found)
+    return [
+        NotVisibleRecord(
+            cause=effect,
+            number=d.number.partition(".")[2],
+            smallest_detectable=None
+            if d.value is None
+            else ChangeRecord(value=d.value, unit=d.unit),
+        )
+        for effect, d in detectable.items()
+        if effect not in named
+    ]
+
+
+def _per_flight(naming: Naming) -> dict[str, dict[str, DayRecord]]:
+    """What stands out of the day of each flight."""
+    units = {n.full: n.about.unit for n in naming.problem.model.numbers}
+    return {
+        flight: {
+            name: DayRecord(difference=value, sd=sd, unit=units[name])
+            for name, (value, sd) in own.items()
+        }
+        for flight, own in naming.days.items()
+    }
+
+
+def _equation(equation: Equation) -> EquationRecord:
+    return EquationRecord(
+        channel=equation.channel,
+        unit=equation.unit,
+        expression=equation.expression,
+        share=equation.share,
+        terms=tuple(
+            TermRecord(product=product, coefficient=value, unit=unit)
+            for product, value, unit in equation.terms
+        ),
+    )
+
+
+def _place(place: Place) -> PlaceRecord:
+    own = {name: getattr(place, name) for name in PlaceRecord.__struct_fields__}
+    with_ = place.goes_with
+    dependence = None if with_ is None else DependenceRecord(quantity=with_[0], share=with_[1])
+    return PlaceRecord(**(own | {"goes_with": dependence}))
+
+
+def _channel(gap: ChannelGap) -> ChannelRecord:
+    own = {name: getattr(gap, name) for name in ChannelRecord.__struct_fields__}
+    known = isfinite(gap.shrink_ci95[0])
+    return ChannelRecord(**(own | {"shrink_ci95": gap.shrink_ci95 if known else None}))
+
+
+def _closed_loop(missions: Sequence[Mission]) -> ClosedLoopRecord:
+    flown = [m.worst_m for m in missions if isfinite(m.worst_m)]
+    return ClosedLoopRecord(
+        stable=all(m.stable for m in missions),
+        worst_tracking_m=max(flown, default=None),
+        missions={
+            m.name: MissionRecord(stable=m.stable, worst_m=m.worst_m, problem=m.problem or None)
+            for m in missions
+        },
+    )
+
+
+def parameters_of(
+    effects: Sequence[EffectRecord | CalibratedRecord],
+) -> Mapping[str, ParameterRecord]:
+    """Numbers of several effects, "effect.number"."""
+    named = ((e.name if isinstance(e, EffectRecord) else e.effect, e.parameters) for e in effects)
+    return {f"{effect}.{name}": p for effect, own in named for name, p in own.items()}
