@@ -15,10 +15,11 @@ from cli_rig import run
 
 import uavtwin as ut
 from twin.draft import hover_of
-from twin.residuals.gap import Channel, FlightGap, gap_json
+from twin.residuals.gap import Channel, FlightGap
 from twin.vehicle.file import parse_vehicle
 from uavtwin.demo.flights import fly, hide
 from uavtwin.file_check import CheckReport, hover_json
+from uavtwin.gaps import gap_record
 
 ROOT = Path(__file__).parents[1]
 
@@ -111,7 +112,7 @@ def test_every_key_of_the_gap_is_documented() -> None:
     measured, phase = np.sin(t), np.full(len(t), "hover")
     channel = Channel("acc_x", "m/s^2", 0.0, t, measured, np.zeros_like(t), phase)
     spans = (("hover", 0.0, 20.0),)
-    content = gap_json([FlightGap("flight", "vehicle", (channel,), spans, (), {})])
+    content = gap_record([FlightGap("flight", "vehicle", (channel,), spans, (), {})]).json()
     documented = _json_keys("gap.json")
     found = content["channels"]["acc_x"]
     for keys in (

@@ -21,13 +21,12 @@ from twin.vehicle import Deviation, Vehicle
 
 from . import vehicles
 from .display import DisplayMixin, TextTable
-from .explanation import check_payloads
+from .explanation import SET_BY_PRIOR, check_payloads
 from .flights import checked_flights
 from .formatting import counted, joined, number, number_cells, readable, title
 from .gaps import hover_record
 from .headline import calibrated_headline
 from .record import Headline
-from .report.words import SET_BY_PRIOR
 from .wording import hover_sentence
 
 if TYPE_CHECKING:

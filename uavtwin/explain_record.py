@@ -9,6 +9,7 @@ from msgspec import UNSET, UnsetType, field
 
 from twin.explain.estimates import (
     calibrated_effects,
+    channels_and_phases,
     estimates_of,
     listed_effects,
     nothing_probability,
@@ -16,12 +17,11 @@ from twin.explain.estimates import (
     rivals,
     undecided,
 )
-from twin.explain.estimates import where_felt as where_acting
 from twin.explain.explanation import Explanation
 from twin.explain.holdout import ChannelGap
 from twin.explain.inference.selection import Naming
 from twin.explain.localization import Place
-from twin.explain.unnamed.equations import Equation
+from twin.explain.unnamed import Equation
 from twin.flight.stability import Mission
 
 from .gaps import HoverRecord, hover_record
@@ -253,6 +253,11 @@ class ChannelRecord(Record, frozen=True, kw_only=True):
     closed: float
     n: int
 
+    @property
+    def worse(self) -> bool:
+        """Whether the gap grew, beyond doubt."""
+        return self.shrink_ci95 is not None and self.shrink_ci95[1] < 0
+
 
 class HeldOutRecord(Record, frozen=True, kw_only=True):
     """A flight that took no part in the fit.
@@ -424,7 +429,7 @@ def explain_record(found: Explanation) -> ExplainRecord:
 
 
 def _effect(found: Explanation, effect: str) -> EffectRecord:
-    channels, phases = where_acting(found, effect)
+    channels, phases = channels_and_phases(found, effect)
     return EffectRecord(
         name=effect,
         probability=probability_of(found, effect),

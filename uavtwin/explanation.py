@@ -3,18 +3,19 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import isfinite
+from math import isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from msgspec import UnsetType
 
 from twin.component import unknown_name
 from twin.effects import EFFECTS
 from twin.errors import TwinError
 from twin.explain import explanation as inner
-from twin.explain.estimates import estimates_of, listed_effects, probability_of, rivals
+from twin.explain.estimates import UNDETERMINED, estimates_of
 from twin.explain.explanation import Explanation
 from twin.explain.model.numbers import numbers_of, with_effects
-from twin.explain.result_json import explain_json
 from twin.explain.settings import DEFAULT, SearchSettings
 from twin.explain.stochastic.spectral import SURE
 from twin.logs import AnyFlight
@@ -22,16 +23,31 @@ from twin.residuals.channels import ChannelData
 from twin.vehicle import Deviation, Vehicle
 
 from . import vehicles
-from .display import DisplayMixin, TextTable
+from .display import PageMixin, TextTable
+from .explain_record import (
+    ChannelRecord,
+    EffectRecord,
+    ExplainRecord,
+    RivalRecord,
+    explain_record,
+)
 from .exports.parts import component
 from .exports.write import export_parts
 from .flights import opened_flights
-from .formatting import certainty, counted, number_cells, title
-from .headline import got_worse, headline
-from .output import OptionalSteps, output_file, write_json
+from .formatting import (
+    certainty,
+    counted,
+    joined,
+    number,
+    number_cells,
+    percent,
+    pretty_unit,
+    readable,
+    title,
+)
+from .headline import got_worse
+from .output import OptionalSteps, write_json
 from .record import Headline
-from .report.explain import write_explain_report
-from .report.words import by_prior, calibrated_rows, day_rows, instead, shrink_words
 from .series.files import EXPLAINED, TWIN, Column, Series, compared
 from .wording import hover_sentence
 
@@ -39,10 +55,14 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Progress = Callable[[float], None]
+SET_BY_PRIOR, SET_BY_CALIBRATION = "set by the prior", "set by the calibration"
+"""Remarks on a number that flights do not determine."""
+Cells = tuple[str, str, str, str, str]
+"""A row of a table."""
 
 
 @dataclass(frozen=True, repr=False)
-class ExplainResult(DisplayMixin):
+class ExplainResult(PageMixin):
     """What flights say about a model.
 
     Attributes:
@@ -51,15 +71,22 @@ class ExplainResult(DisplayMixin):
 
     details: Explanation = field(repr=False)
 
+    page = "uavtwin.report.explain"
+
+    @cached_property
+    def record(self) -> ExplainRecord:
+        """Every number that is printed."""
+        return explain_record(self.details)
+
     @property
     def verdict(self) -> str:
         """In a word: named, nothing, unnamed, cannot_tell, unusable."""
         return self.details.verdict
 
-    @cached_property
+    @property
     def headline(self) -> Headline:
         """The answer, and the numbers that it gives."""
-        return headline(self.details)
+        return self.record.headline
 
     @property
     def sentence(self) -> str:
@@ -78,9 +105,24 @@ class ExplainResult(DisplayMixin):
         return got_worse(self.details)
 
     @property
+    def shrinking(self) -> str:
+        """What the held-out flights say, in one sentence; "" where nothing is compared."""
+        if self.details.shown is None or not self.record.gap:
+            return ""
+        clear = {n: g for n, g in self.record.gap.items() if g.shrink_ci95 and g.shrink_ci95[0] > 0}
+        if not clear:
+            return "On the held-out flights no channel got clearly better."
+        name, best = max(clear.items(), key=lambda item: item[1].before / item[1].noise_floor)
+        return (
+            f"On the held-out flights the gap in {name} falls from {number(best.before)} to "
+            f"{number(best.after)} {pretty_unit(best.unit)} rms; noise is "
+            f"{number(best.noise_floor)}."
+        )
+
+    @property
     def effects(self) -> tuple[str, ...]:
         """Effects that are listed, the most probable first; none where nothing is named."""
-        return tuple(listed_effects(self.details))
+        return tuple(e.name for e in self.record.effects)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -110,16 +152,16 @@ class ExplainResult(DisplayMixin):
 
         rows = [
             {
-                "effect": effect,
-                "probability": probability_of(self.details, effect),
-                "number": e.number.name,
-                "value": e.value,
-                "low": None if e.ci95 is None else e.ci95[0],
-                "high": None if e.ci95 is None else e.ci95[1],
-                "unit": e.number.about.unit,
+                "effect": effect.name,
+                "probability": effect.probability,
+                "number": name,
+                "value": p.value,
+                "low": None if p.ci95 is None else p.ci95[0],
+                "high": None if p.ci95 is None else p.ci95[1],
+                "unit": p.unit,
             }
-            for effect in self.effects
-            for e in estimates_of(self.details, effect)
+            for effect in self.record.effects
+            for name, p in effect.parameters.items()
         ]
         columns = ["effect", "probability", "number", "value", "low", "high", "unit"]
         return pd.DataFrame(rows, columns=columns)
@@ -127,37 +169,69 @@ class ExplainResult(DisplayMixin):
     def candidates_table(self) -> TextTable:
         """Effects with their numbers and their nearest rival, in words."""
         rows = []
-        for effect in self.effects:
-            first = next(iter(rivals(self.details, effect)), None)
-            rival = (
-                "" if first is None else f"{title(first['name'])} {certainty(first['probability'])}"
-            )
-            for i, e in enumerate(estimates_of(self.details, effect)):
-                head = (title(effect), certainty(probability_of(self.details, effect)))
-                value, unit, ends = number_cells(e.value, e.number.about.unit, e.ci95)
+        for effect in self.record.effects:
+            first = next(iter(effect.rivals), None)
+            rival = "" if first is None else f"{title(first.name)} {certainty(first.probability)}"
+            for i, (name, p) in enumerate(effect.parameters.items()):
+                head = (title(effect.name), certainty(effect.probability))
+                value, unit, ends = number_cells(p.value, p.unit, p.ci95)
                 rows.append(
                     (
                         *(head if i == 0 else ("", "")),
-                        e.number.name,
+                        name,
                         value,
                         unit,
-                        ", ".join(t for t in (ends, by_prior(self.details, e.prior_share)) if t),
+                        ", ".join(t for t in (ends, self.remark(p.prior_share)) if t),
                         rival if i == 0 else "",
-                        instead(self.details, effect) if i == 0 else "",
+                        alternatives(effect) if i == 0 else "",
                     )
                 )
         header = ("effect", "certainty", "number", "value", "unit", "95 % interval", "rival")
         return TextTable((*header, "or instead"), tuple(rows))
 
+    def remark(self, prior_share: float | None) -> str:
+        """On a number that the prior rather than the flights sets; "" of others."""
+        if prior_share is None or prior_share <= UNDETERMINED:
+            return ""
+        return SET_BY_PRIOR if self.record.since is None else SET_BY_CALIBRATION
+
+    def descriptions(self, effect: str) -> dict[str, str]:
+        """What the numbers of a listed effect are, by name."""
+        numbers = (e.number for e in estimates_of(self.details, effect))
+        return {n.name: n.about.description for n in numbers}
+
+    def calibrated_rows(self) -> list[Cells]:
+        """Numbers that were in doubt, and that lack nothing beyond that: number, value, unit,
+        interval, remark."""
+        return [
+            (
+                f"{c.effect}.{name}",
+                *number_cells(p.value, p.unit, p.ci95),
+                self.remark(p.prior_share),
+            )
+            for c in self.record.calibrated
+            for name, p in c.parameters.items()
+            if p.no_effect is not None
+        ]
+
     def calibrated_table(self) -> TextTable:
-        """Numbers that were in doubt, and that lack nothing beyond that."""
+        """The same as a table."""
         header = ("was in doubt", "value", "unit", "95 % interval", "")
-        return TextTable(header, tuple(calibrated_rows(self.details)))
+        return TextTable(header, tuple(self.calibrated_rows()))
+
+    def day_rows(self) -> list[Cells]:
+        """What stands out of the day of a flight: flight, number, difference, unit, deviation."""
+        rows = []
+        for flight, own in self.record.per_flight.items():
+            for name, day in own.items():
+                (value, sd), unit = readable(day.unit, day.difference, day.sd)
+                rows.append((flight, name, f"{value:+.3g}", unit, number(sd)))
+        return rows
 
     def days_table(self) -> TextTable:
-        """What stands out of the day of each flight."""
+        """The same as a table."""
         header = ("of the day", "number", "difference", "unit", "standard deviation")
-        return TextTable(header, tuple(day_rows(self.details)))
+        return TextTable(header, tuple(self.day_rows()))
 
     def further_tables(self) -> Iterable[TextTable]:
         """What comes last: numbers that were in doubt, and those of days."""
@@ -168,24 +242,23 @@ class ExplainResult(DisplayMixin):
         """The gap of the held-out flights before and after: a row per channel."""
         import pandas as pd
 
-        compared = self.details.comparison
         rms = ["before", "after", "on_its_day", "fit_mean", "noise_floor"]
         columns = ["channel", "unit", "n", *rms, "shrink"]
         rows = [
-            {**{c: getattr(g, c) for c in columns[1:]}, "channel": g.name}
-            | {"shrink_low": g.shrink_ci95[0], "shrink_high": g.shrink_ci95[1]}
-            for g in (() if compared is None else compared.gaps)
+            {**{c: getattr(g, c) for c in columns[1:]}, "channel": name}
+            | dict(zip(("shrink_low", "shrink_high"), g.shrink_ci95 or (nan, nan), strict=True))
+            for name, g in self.record.gap.items()
         ]
         return pd.DataFrame(rows, columns=[*columns, "shrink_low", "shrink_high"])
 
     def gap_table(self) -> TextTable:
         """The gap of the held-out flights before and after, in words."""
-        compared, names = self.details.comparison, ("before", "after", "on its day")
+        names = ("before", "after", "on its day")
         return TextTable(
             ("channel", "unit", "n", *names, "noise floor", "shrink, 95 %"),
             tuple(
                 (
-                    g.name,
+                    name,
                     g.unit,
                     str(g.n),
                     f"{g.before:.4g}",
@@ -194,7 +267,7 @@ class ExplainResult(DisplayMixin):
                     f"{g.noise_floor:.4g}",
                     shrink_words(g),
                 )
-                for g in (() if compared is None else compared.gaps)
+                for name, g in self.record.gap.items()
             ),
         )
 
@@ -210,13 +283,7 @@ class ExplainResult(DisplayMixin):
 
     def json(self) -> dict[str, Any]:
         """The content of `explain.json`."""
-        return _json(self.details)
-
-    def report(self, path: str | Path) -> Path:
-        """Write the page, one HTML file that opens offline; returns its path."""
-        with output_file(Path(path)) as file:
-            write_explain_report(self.details, file)
-        return Path(path)
+        return self.record.json()
 
     def sections(self) -> Iterable[str | TextTable]:
         """The sentence, what got worse, hover, candidates, what to fly next, before and after, what
@@ -244,10 +311,37 @@ class ExplainResult(DisplayMixin):
         )
 
 
-def _json(found: Explanation) -> dict[str, Any]:
-    """The content of `explain.json`: what was found, and the headline over it."""
-    verdict, *others = explain_json(found).items()
-    return dict([verdict, ("headline", headline(found).json()), *others])
+def alternatives(effect: EffectRecord) -> str:
+    """What else may stand in the place of an effect, in words; "" where nothing may."""
+    parts = []
+    for cause in effect.one_of:
+        other, _, rotor = cause.partition(":")
+        parts.append(f"{title(other)}{f' of rotor {rotor}' if rotor else ''}")
+    return joined(parts, "or")
+
+
+def why_lost(rival: RivalRecord, least: float) -> str:
+    """Why another explanation was not chosen.
+
+    Args:
+        rival: The other one.
+        least: Probability from which on it is as good.
+    """
+    if isinstance(rival.behind, UnsetType) or isinstance(rival.with_, UnsetType):
+        return "does not look like this"
+    if rival.name == "nothing":
+        return "leaves the whole gap open"
+    if rival.probability >= least:
+        return "explains the flights about as well: they cannot tell the two apart"
+    partners = f"together with {joined([title(e) for e in rival.with_])} " * bool(rival.with_)
+    return f"{partners}is less probable: log probability lower by {rival.behind:.1f}"
+
+
+def shrink_words(gap: ChannelRecord) -> str:
+    """Interval by which a gap shrank; a dash where it is not known, nothing where none is."""
+    if gap.before == gap.after:
+        return ""
+    return "\N{EN DASH}" if gap.shrink_ci95 is None else " to ".join(map(percent, gap.shrink_ci95))
 
 
 def _series(
@@ -431,8 +525,9 @@ def _certainty(ci95: tuple[float, float] | None) -> str:
 
 def write_explanation(found: Explanation, folder: Path) -> list[str]:
     """Write page, JSON and, where an effect is named, vehicle files; names of the files."""
-    write_json(folder / "explain.json", _json(found))
-    write_explain_report(found, folder / "report.html")
+    result = ExplainResult(found)
+    write_json(folder / "explain.json", result.json())
+    result.report(folder / "report.html")
     written = ["report.html", "explain.json"]
     if found.added is None:
         return written

@@ -94,20 +94,35 @@ class HoverRecord(Section, frozen=True, kw_only=True):
 
 def hover_record(found: HoverDiagnosis) -> HoverRecord:
     """A diagnosis as numbers: of each mean its value, and its standard error in `sd`."""
-    means: dict[str, Mean | None] = {
-        name: getattr(found, name) for name in HoverErrors.__struct_fields__
-    }
     weak = found.weakest
     return HoverRecord(
         flight=found.flight,
         seconds=found.seconds,
-        sd=HoverErrors(**{n: None if m is None else m.sd for n, m in means.items()}),
+        carried=found.carried.value,
+        back_m=_value(found.back_m),
+        right_m=_value(found.right_m),
+        lean_forward_rad=_value(found.lean_forward_rad),
+        lean_right_rad=_value(found.lean_right_rad),
+        sd=HoverErrors(
+            carried=found.carried.sd,
+            back_m=_sd(found.back_m),
+            right_m=_sd(found.right_m),
+            lean_forward_rad=_sd(found.lean_forward_rad),
+            lean_right_rad=_sd(found.lean_right_rad),
+        ),
         split=found.split,
         weakest=None
         if weak is None
         else WeakRotorRecord(rotor=weak.rotor, loss=weak.loss.value, sd=weak.loss.sd),
-        **{n: None if m is None else m.value for n, m in means.items()},
     )
+
+
+def _value(mean: Mean | None) -> float | None:
+    return None if mean is None else mean.value
+
+
+def _sd(mean: Mean | None) -> float | None:
+    return None if mean is None else mean.sd
 
 
 class PhaseRecord(Record, frozen=True, kw_only=True):
@@ -382,6 +397,10 @@ class GapResult(PageMixin):
         """A row per channel and phase, all flights together; `whole flight` is every phase."""
         import pandas as pd
 
+        scores: list[tuple[str, str, GapChannel, GapChannel | ScoreRecord]] = []
+        for name, c in self.record.channels.items():
+            scores.append((name, WHOLE, c, c))
+            scores += [(name, phase, c, score) for phase, score in c.by_phase.items()]
         return pd.DataFrame(
             [
                 {
@@ -397,8 +416,7 @@ class GapResult(PageMixin):
                     "share": score.share,
                     "slow_rms": score.slow_rms,
                 }
-                for name, c in self.record.channels.items()
-                for phase, score in {WHOLE: c, **c.by_phase}.items()
+                for name, phase, c, score in scores
             ]
         )
 

@@ -25,12 +25,12 @@ def ask_calibrated(folder: Path) -> dict[str, Any]:
     """Content of `explain.json` for the flight after the normal ones."""
     from twin.explain.calibration import calibrate
     from twin.explain.explanation import explain
-    from twin.explain.result_json import explain_json
     from twin.logs import read_flight
     from twin.vehicle.file import load_vehicle
+    from uavtwin.explain_record import explain_record
 
     normal = [read_flight(f) for f in found_in(folder, NORMAL)]
     known = calibrate(normal, load_vehicle(str(folder / VEHICLE))).vehicle
     flight = read_flight(folder / SINCE)
     found = explain([flight], [], known, missions=(), since=True, suggest=False)
-    return explain_json(found)
+    return explain_record(found).json()

@@ -38,10 +38,10 @@ def explain_case(folder: Path, changed: Mapping[str, Any] | None = None) -> dict
         changed: Settings of the search that are not to be the default ones, by name.
     """
     from twin.explain.explanation import explain
-    from twin.explain.result_json import explain_json
     from twin.explain.settings import DEFAULT
     from twin.logs import read_flight
     from twin.vehicle.file import load_vehicle
+    from uavtwin.explain_record import explain_record
 
     wall, cpu = time.perf_counter(), time.process_time()
     if is_calibrated(folder):
@@ -50,9 +50,9 @@ def explain_case(folder: Path, changed: Mapping[str, Any] | None = None) -> dict
         fit, away = ([read_flight(f) for f in found_in(folder, n)] for n in (FIT, HOLDOUT))
         settings = DEFAULT.with_values(changed or {})
         vehicle = load_vehicle(str(folder / VEHICLE))
-        said = explain_json(
+        said = explain_record(
             explain(fit, away, vehicle, missions=(), settings=settings, suggest=False)
-        )
+        ).json()
     return {
         **said,
         "seconds": round(time.perf_counter() - wall, 2),

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from twin.effects import EffectParameter
 from twin.explain.estimates import estimates_of, listed_effects
 from twin.explain.explanation import Explanation, explain
-from twin.explain.result_json import explain_json
 from twin.logs import Flight
 from twin.residuals.aligned import align_flight
 from twin.residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
 from twin.vehicle import Vehicle
+from uavtwin.explain_record import explain_record
 
 from .bands import band_rms
 from .scenarios import Scenario, read
@@ -37,7 +37,7 @@ def measure(data: Path, scenario: Scenario, holdout: str) -> dict[str, Any]:
     return {
         "scenario": scenario.name,
         "holdout": away.name,
-        "said": explain_json(found),
+        "said": explain_record(found).json(),
         "numbers": numbers(found),
         "predicted": dict(found.values),
         "channels": channels(found),

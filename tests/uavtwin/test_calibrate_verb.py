@@ -16,11 +16,11 @@ from twin.errors import TwinError
 from twin.explain.calibration import Calibrated
 from twin.explain.explanation import Explanation
 from twin.explain.inference.selection import Naming
-from twin.explain.result_json import explain_json
 from twin.logs import read_flight, write_flight
 from twin.vehicle import Calibration, Vehicle
 from uavtwin.calibration import CalibrateResult
 from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.explain_record import explain_record
 from uavtwin.headline import headline
 from uavtwin.wording import said
 
@@ -323,7 +323,7 @@ def test_a_tie_names_both(loaded: ut.ExplainResult) -> None:
     text = headline(tied).text
     assert text.startswith("Since the calibration on one, two and three: either it carries ")
     assert text.endswith("(40 %): these flights cannot tell.")
-    assert explain_json(tied)["since"] == ["one", "two", "three"]
+    assert explain_record(tied).json()["since"] == ["one", "two", "three"]
 
 
 @pytest.mark.slow

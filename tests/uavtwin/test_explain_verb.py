@@ -21,7 +21,6 @@ from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
 from twin.errors import TwinError
 from twin.explain.design import Suggestion
 from twin.explain.explanation import Explanation
-from twin.explain.result_json import explain_json
 from twin.explain.settings import DEFAULT
 from twin.explain.settings.group import Value
 from twin.explain.unnamed import Equation
@@ -33,10 +32,10 @@ from uavtwin import explanation as explain_files
 from uavtwin.cli import main
 from uavtwin.cli.explain import flight_payloads
 from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.explain_record import explain_record
 from uavtwin.explanation import ExplainResult, explained_vehicle, vehicle_today
 from uavtwin.formatting import certainty
 from uavtwin.headline import headline
-from uavtwin.report.explain import write_explain_report
 
 pytestmark = pytest.mark.slow
 COPTER = load_vehicle("copter_default")
@@ -227,7 +226,7 @@ def test_the_settings_are_recorded(named: Run) -> None:
         "inference.selection.sure": 0.9,
         "stochastic.gust.slope_bands_hz": bands,
     }
-    other = explain_json(replace(named.found, settings=DEFAULT.with_values(changed)))
+    other = explain_record(replace(named.found, settings=DEFAULT.with_values(changed))).json()
     assert other["settings"]["changed"] == {
         "inference.selection.sure": 0.9,
         "stochastic.gust.slope_bands_hz": [list(b) for b in bands],
@@ -290,7 +289,7 @@ def test_a_tie_is_told_as_a_tie(named: Run, tmp_path: Path) -> None:
             "legs", "Fly fast and straight.", (("rotor_drag",), ("mass_offset",)), 50.0, 1.0
         ),
     )
-    content = explain_json(tied)
+    content = explain_record(tied).json()
     assert content["effects"][0]["name"] == "rotor_drag"
     assert content["effects"][0]["rivals"][0]["probability"] == pytest.approx(0.4)
     assert {e["name"] for e in content["effects"]} == {
@@ -301,7 +300,7 @@ def test_a_tie_is_told_as_a_tie(named: Run, tmp_path: Path) -> None:
         "These flights cannot tell what the model lacks: rotor drag"
     )
     assert tied.added is None
-    write_explain_report(tied, tmp_path / "report.html")
+    ExplainResult(tied).report(tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
     assert "they cannot tell the two apart" in page
     assert "Fly fast and straight." in page
@@ -374,14 +373,14 @@ def test_what_the_library_lacks_has_a_place(named: Run, tmp_path: Path) -> None:
     terms = (("sin(yaw)", 0.3, "m/s²"),)
     equation = Equation("acc_x", "m/s²", terms, "0.3 m/s² * sin(yaw)", 0.85, 18.0, 0.2, 400.0)
     unnamed = replace(named.found, verdict="unnamed", shown=None, unnamed=(equation,))
-    content = explain_json(unnamed)
+    content = explain_record(unnamed).json()
     (told,) = content["unnamed"]
     assert told["channel"] == "acc_x"
     assert told["expression"] == "0.3 m/s² * sin(yaw)"
     assert told["share"] == 0.85
     assert told["terms"] == [{"product": "sin(yaw)", "coefficient": 0.3, "unit": "m/s²"}]
     assert content["effects"] == []
-    write_explain_report(unnamed, tmp_path / "report.html")
+    ExplainResult(unnamed).report(tmp_path / "report.html")
     assert "0.3 m/s² * sin(yaw)" in (tmp_path / "report.html").read_text()
 
 
@@ -493,7 +492,7 @@ def test_the_answer_is_printed_though_nothing_can_be_written(
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("uavtwin.explanation.write_explain_report", full)
+    monkeypatch.setattr("uavtwin.report.explain.write_page", full)
     words = (*dragged[:2], "--vehicle", "copter_default", *(["--json"] if form == "json" else []))
     failed = run(tmp_path / "out", *words, found=named.found)
     assert failed.code == 2

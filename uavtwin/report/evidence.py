@@ -1,16 +1,15 @@
 """The picture that convinces of an effect, and how to read it."""
 
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.effects import EFFECTS, Lines, NoiseFloor, RandomForce, Repeats
-from twin.explain.localization import Attribution
-from twin.explain.model.model import FlightModel
-from twin.explain.stochastic.spectral import StochasticEffect
-from twin.logs import AnyFlight
+from twin.logs import AnyFlight, Flight
 from twin.physics.sensors.table import SENSORS, Sensor
+from twin.residuals.aligned import AlignedFlight
 from twin.residuals.channels import BAND_HZ, CHANNEL_HZ, ChannelData
 from twin.residuals.spectra import spectrum
 from twin.vehicle import Vehicle
@@ -38,10 +37,58 @@ _UNSTEADY: dict[type, str] = {
 }
 
 
+Flights = Sequence[Sequence[ChannelData]]
+"""Channels of each flight."""
+
+
+class SteadyEvidence(Protocol):
+    """Where an effect that changes a mean acts."""
+
+    @property
+    def effect(self) -> str:
+        """Its name."""
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """On which it acts, the clearest first."""
+
+    @property
+    def without(self) -> Flights:
+        """Channels of each held-out flight without the effect, all others on."""
+
+
+class StochasticEvidence(Protocol):
+    """Where an effect that changes no mean acts."""
+
+    @property
+    def effect(self) -> str:
+        """Its name."""
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """On which it was found."""
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Its numbers, "effect.number"."""
+
+
+class ModelledFlight(Protocol):
+    """A held-out flight on the grid of the twin."""
+
+    @property
+    def flight(self) -> Flight:
+        """As read."""
+
+    @property
+    def aligned(self) -> AlignedFlight:
+        """On the grid."""
+
+
 def steady_evidence(
-    acts: Attribution,
+    acts: SteadyEvidence,
     with_all: Sequence[Sequence[ChannelData]],
-    flights: Sequence[FlightModel],
+    flights: Sequence[ModelledFlight],
     budget: Budget,
 ) -> tuple[list[Plot], str]:
     """Figures of an effect that changes a mean, and how to read them.
@@ -66,7 +113,7 @@ def steady_evidence(
 
 
 def unsteady_evidence(
-    found: StochasticEffect,
+    found: StochasticEvidence,
     flight: AnyFlight,
     residuals: Sequence[ChannelData],
     vehicle: Vehicle,
@@ -109,7 +156,7 @@ def _unsteady_group(effect: str) -> str:
     return f"unsteady-{effect}"
 
 
-def phases_of(flight: FlightModel) -> Spans:
+def phases_of(flight: ModelledFlight) -> Spans:
     """Phases of a flight."""
     return spans_of(flight.aligned.inputs.t_s, flight.aligned.phases)
 
@@ -120,7 +167,6 @@ def time_group(flight: int) -> str:
 
 
 Array = NDArray[np.float64]
-Flights = Sequence[Sequence[ChannelData]]
 MOST_CHANNELS, MOST_FLIGHTS = 2, 2
 MOST_DOTS = 600
 """Of a scatter; more lie on each other."""
@@ -137,7 +183,7 @@ BEFORE, AFTER, PREDICTED = "model as it stood", "model with the effect", "what t
 
 
 def evidence_figure(
-    acts: Attribution, with_all: Flights, flight: int, spans: Spans, time: str, budget: Budget
+    acts: SteadyEvidence, with_all: Flights, flight: int, spans: Spans, time: str, budget: Budget
 ) -> Figure:
     """Residual without and with an effect over what the effect predicts, over time.
 
@@ -173,7 +219,7 @@ def evidence_figure(
     return panels.figure
 
 
-def agreement_figure(acts: Attribution, with_all: Flights, flight: int) -> Figure | None:
+def agreement_figure(acts: SteadyEvidence, with_all: Flights, flight: int) -> Figure | None:
     """Residual without and with an effect over what the effect predicts of it; None where that is a
     constant, or lost in noise.
 
@@ -221,7 +267,7 @@ def varies(predicted: Array, left: Array) -> bool:
     return more and bool(np.std(predicted) > STANDS_OUT * np.std(left))
 
 
-def _varies_on(acts: Attribution, with_all: Flights, flight: int, name: str) -> bool:
+def _varies_on(acts: SteadyEvidence, with_all: Flights, flight: int, name: str) -> bool:
     without, complete = (_of(f[flight], name) for f in (acts.without, with_all))
     return varies(without.residual - complete.residual, complete.residual)
 
@@ -238,7 +284,7 @@ def strongest(t_s: Array, predicted: Array) -> tuple[float, float]:
     return float(t_s[first]), float(t_s[first]) + LONGEST_S
 
 
-def loudest(acts: Attribution, with_all: Flights) -> int:
+def loudest(acts: SteadyEvidence, with_all: Flights) -> int:
     """The flight in which an effect predicts most of its clearest channel."""
     sizes = []
     for a, b in zip(acts.without, with_all, strict=True):
@@ -315,7 +361,7 @@ _MARK = "#c23b66"
 
 
 def unsteady_figure(
-    found: StochasticEffect,
+    found: StochasticEvidence,
     flight: AnyFlight,
     residuals: Sequence[ChannelData],
     vehicle: Vehicle,
@@ -342,7 +388,9 @@ def unsteady_figure(
     return None
 
 
-def _still(found: StochasticEffect, flight: AnyFlight, time: str, budget: Budget) -> Figure | None:
+def _still(
+    found: StochasticEvidence, flight: AnyFlight, time: str, budget: Budget
+) -> Figure | None:
     """Readings of a sensor around the instant from which one of them stands still."""
     channel = found.channels[0]
     sensor = next(s for s in SENSORS if channel in s.columns)
@@ -366,7 +414,7 @@ def _still(found: StochasticEffect, flight: AnyFlight, time: str, budget: Budget
 
 
 def _spectra(
-    found: StochasticEffect, flight: AnyFlight, vehicle: Vehicle, budget: Budget
+    found: StochasticEvidence, flight: AnyFlight, vehicle: Vehicle, budget: Budget
 ) -> Figure | None:
     """Spectra of readings, the noise that the vehicle file says, and the effect."""
     observable_as = EFFECTS[found.effect].observable_as
@@ -416,7 +464,7 @@ def _noise(
 
 
 def _slow_force(
-    found: StochasticEffect, residuals: Sequence[ChannelData], vehicle: Vehicle, budget: Budget
+    found: StochasticEvidence, residuals: Sequence[ChannelData], vehicle: Vehicle, budget: Budget
 ) -> Figure | None:
     """What is left of the accelerometer: slow, and more than its noise."""
     names = [c for c in residuals if c.name in found.channels]
@@ -439,7 +487,7 @@ def _slow_force(
 
 
 def slow_force_over_time(
-    found: StochasticEffect, residuals: Sequence[ChannelData], time: str, budget: Budget
+    found: StochasticEvidence, residuals: Sequence[ChannelData], time: str, budget: Budget
 ) -> Figure | None:
     """The same over time.
 

@@ -4,19 +4,10 @@ from pathlib import Path
 from typing import Any
 
 from twin.effects import EFFECTS, RandomForce
-from twin.explain.estimates import (
-    channels_and_phases,
-    estimates_of,
-    listed_effects,
-    probability_of,
-    rivals,
-    stochastic_effect,
-)
-from twin.explain.explanation import Explanation
 
+from ..explain_record import EffectRecord
+from ..explanation import ExplainResult, alternatives, shrink_words, why_lost
 from ..formatting import certainty, number, number_cells, percent, pretty_unit, title
-from ..headline import got_worse, headline
-from ..wording import hover_sentence
 from .autopilot import Strip, autopilot_content, strip
 from .drawing import Budget, fitted
 from .evidence import (
@@ -29,34 +20,25 @@ from .evidence import (
 )
 from .overview import flight_spans, overview, overview_plots
 from .page import Plot, plot, render
-from .words import (
-    by_prior,
-    calibrated_rows,
-    day_rows,
-    instead,
-    meaning,
-    shrink_words,
-    shrinking,
-    why_lost,
-)
 
 MOST_AFFECTED = 2
 """Channels of an effect that are drawn over time."""
 
 
-def write_explain_report(found: Explanation, path: Path) -> None:
+def write_page(result: ExplainResult, path: Path) -> None:
     """Write the page; the same findings give the same bytes.
 
     Args:
-        found: What was found.
+        result: What was found.
         path: HTML file to write; an existing one is replaced.
     """
-    path.write_text(fitted(lambda budget: _page(found, budget)), encoding="utf-8")
+    path.write_text(fitted(lambda budget: _page(result, budget)), encoding="utf-8")
 
 
-def _page(found: Explanation, budget: Budget) -> str:
+def _page(result: ExplainResult, budget: Budget) -> str:
     """Text of the page."""
-    listed = sorted(listed_effects(found), key=lambda e: not EFFECTS[e].in_the_air)
+    record = result.record
+    listed = sorted(record.effects, key=lambda e: not EFFECTS[e.name].in_the_air)
     return render(
         "explain.html.j2",
         {
@@ -65,69 +47,62 @@ def _page(found: Explanation, budget: Budget) -> str:
             "unit": pretty_unit,
             "shrink_words": shrink_words,
         },
-        claim=headline(found).text,
-        got_worse=got_worse(found),
-        hover=[f"{h.flight}: {hover_sentence(found.vehicle.name, h)}" for h in found.hovers],
-        found=found,
-        shrinking=shrinking(found),
-        effects=[_effect(found, e, budget) for e in listed],
-        flight=_flight(found, budget),
-        strips=_strips(found),
-        before_after=_before_after(found, budget),
-        gaps=() if found.comparison is None else found.comparison.gaps,
-        alike=[] if found.naming is None else found.naming.resemblances,
-        calibrated=calibrated_rows(found),
-        days=day_rows(found),
-        stable=all(m.stable for m in found.missions),
+        found=record,
+        claim=record.headline.text,
+        got_worse=result.got_worse,
+        hover=result.hover,
+        shrinking=result.shrinking,
+        effects=[_effect(result, e, budget) for e in listed],
+        flight=_flight(result, budget),
+        strips=_strips(result),
+        before_after=_before_after(result, budget),
+        calibrated=result.calibrated_rows(),
+        days=result.day_rows(),
     )
 
 
-def _effect(found: Explanation, effect: str, budget: Budget) -> dict[str, Any]:
+def _effect(result: ExplainResult, effect: EffectRecord, budget: Budget) -> dict[str, Any]:
     """One effect as the template reads it."""
-    channels, phases = channels_and_phases(found, effect)
-    figures, how, over = _evidence(found, effect, budget)
+    figures, how, over = _evidence(result, effect.name, budget)
+    descriptions = result.descriptions(effect.name)
+    least = result.details.settings.inference.selection.least
     return {
-        "name": title(effect),
-        "meaning": meaning(effect),
-        "certainty": certainty(probability_of(found, effect)),
+        "name": title(effect.name),
+        "meaning": _meaning(effect.name),
+        "certainty": certainty(effect.probability),
         "numbers": [
-            {
-                "name": t.number.name,
-                "description": t.number.about.description,
-                **dict(
-                    zip(
-                        ("value", "unit", "interval"),
-                        number_cells(t.value, t.number.about.unit, t.ci95),
-                        strict=True,
-                    )
-                ),
-                "informed_by": by_prior(found, t.prior_share),
-            }
-            for t in estimates_of(found, effect)
+            (
+                name,
+                descriptions[name],
+                *number_cells(p.value, p.unit, p.ci95),
+                result.remark(p.prior_share),
+            )
+            for name, p in effect.parameters.items()
         ],
-        "instead": instead(found, effect),
-        "channels": channels,
-        "phases": phases,
+        "instead": alternatives(effect),
+        "channels": effect.channels,
+        "phases": effect.phases,
         "figures": figures,
         "how": how,
         "strip": over,
         "rivals": [
-            {
-                "name": title(r["name"]),
-                "meaning": meaning(r["name"]),
-                "certainty": certainty(r["probability"]),
-                "why": why_lost(r, found.settings.inference),
-            }
-            for r in rivals(found, effect)
+            (title(r.name), _meaning(r.name), certainty(r.probability), why_lost(r, least))
+            for r in effect.rivals
         ],
     }
 
 
-def _flight(found: Explanation, budget: Budget) -> dict[str, Any]:
+def _meaning(effect: str) -> str:
+    """What an effect is, in one line; "" of nothing."""
+    return EFFECTS[effect].meaning if effect in EFFECTS else ""
+
+
+def _flight(result: ExplainResult, budget: Budget) -> dict[str, Any]:
     """The last recorded flight, held out where one was: its track, motors and battery."""
-    if not found.recorded:
+    recorded = result.details.recorded
+    if not recorded:
         return {"name": "", "track": [], "logged": None, "view": None}
-    flight = found.recorded[-1]
+    flight = recorded[-1]
     phases = flight_spans(flight)
     shown = overview(flight)
     track, logged = overview_plots("flight", shown, phases, budget)
@@ -135,9 +110,10 @@ def _flight(found: Explanation, budget: Budget) -> dict[str, Any]:
     return {"name": flight.name, "track": track, "logged": logged, "view": view}
 
 
-def _strips(found: Explanation) -> list[Strip]:
+def _strips(result: ExplainResult) -> list[Strip]:
     """Modes and events of the held-out flights, whose time axes carry residuals."""
-    flights = () if found.comparison is None else found.comparison.model.flights
+    compared = result.details.comparison
+    flights = () if compared is None else compared.model.flights
     strips = [
         strip(time_group(i), f.flight.autopilot, float(f.flight.time_s[-1]))
         for i, f in enumerate(flights)
@@ -146,15 +122,16 @@ def _strips(found: Explanation) -> list[Strip]:
 
 
 def _evidence(
-    found: Explanation, effect: str, budget: Budget
+    result: ExplainResult, effect: str, budget: Budget
 ) -> tuple[list[Plot], str, Strip | None]:
     """Figures that convince of an effect, how to read them, and the strip over them if it is not
     one of the page; no figures where there is nothing."""
+    found = result.details
     acts = next((a for a in found.attributions if a.effect == effect), None)
     compared = found.comparison
     if acts is not None and compared is not None:
         return *steady_evidence(acts, compared.after, compared.model.flights, budget), None
-    unsteady = stochastic_effect(found, effect)
+    unsteady = next((u for u in found.stochastic if u.effect == effect), None)
     recorded = [] if unsteady is None else [f for f in found.recorded if f.has(*unsteady.channels)]
     if unsteady is None or not recorded:
         return [], "", None
@@ -166,8 +143,9 @@ def _evidence(
     return *shown, unsteady_strip(effect, flight)
 
 
-def _before_after(found: Explanation, budget: Budget) -> list[Plot]:
+def _before_after(result: ExplainResult, budget: Budget) -> list[Plot]:
     """Figures over time of the most affected channels."""
+    found = result.details
     compared = found.comparison
     if compared is None or not found.values:
         return []

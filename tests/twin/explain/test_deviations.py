@@ -12,11 +12,11 @@ from twin.explain.estimates import calibrated_effects, estimates_of
 from twin.explain.explanation import Explanation, explain
 from twin.explain.inference.fit import Fit
 from twin.explain.inference.selection import _resemblances, name_effects
-from twin.explain.result_json import explain_json
 from twin.explain.settings import DEFAULT
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle, parse_vehicle, vehicle_text
 from uavtwin.demo.flights import fly
+from uavtwin.explain_record import explain_record
 
 COPTER = load_vehicle("copter_default")
 FEW = (
@@ -55,7 +55,7 @@ def test_an_error_that_the_file_allows_for_is_no_name_but_a_better_number() -> N
     found = explained(unsure_of_mass("5 %"), heavier)
     assert found.verdict == "nothing"
     assert calibrated_effects(found) == ["mass_offset"]
-    ((calibrated),) = explain_json(found)["calibrated"]
+    ((calibrated),) = explain_record(found).json()["calibrated"]
     number = calibrated["parameters"]["mass_kg"]
     assert number["value"] == pytest.approx(0.05 * COPTER.mass_kg, rel=0.2)
     assert number["ci95"][0] < 0.05 * COPTER.mass_kg < number["ci95"][1]

@@ -15,10 +15,11 @@ from twin.errors import ModelError
 from twin.logs import Flight
 from twin.physics.airframe import airframe
 from twin.residuals.channels import GRID_HZ, shifted
-from twin.residuals.gap import Channel, FlightGap, gap_json, pool, rank, summarise
+from twin.residuals.gap import Channel, FlightGap, pool, rank, summarise
 from twin.residuals.spectra import slow_part, spectrum
 from twin.residuals.teacher_forced import airframe_inputs
 from twin.vehicle.file import load_vehicle
+from uavtwin.gaps import gap_record
 
 RATE_HZ = 200.0
 
@@ -127,7 +128,7 @@ def test_flat_and_empty_signals_give_null_and_a_warning() -> None:
     flat = replace(channel, measured=np.full_like(channel.measured, -9.81), name="acc_x")
     none = np.empty(0)
     empty = Channel("acc_y", "m/s2", 0.0, none, none, none, np.empty(0, dtype=np.str_))
-    report = gap_json([gap(flat, empty)])
+    report = gap_record([gap(flat, empty)]).json()
     assert report["channels"]["acc_x"]["share"] is None
     assert report["channels"]["acc_y"]["n"] == 0
     assert report["channels"]["acc_y"]["rms"] is None
@@ -136,7 +137,7 @@ def test_flat_and_empty_signals_give_null_and_a_warning() -> None:
 
 
 def test_gap_json_has_the_published_layout_and_is_strict() -> None:
-    report = gap_json([gap(planted()), gap(planted(), flight="two")])
+    report = gap_record([gap(planted()), gap(planted(), flight="two")]).json()
     assert json.loads(json.dumps(report, allow_nan=False)) == report
     assert {"flights", "channels", "warnings"} <= set(report)
     channel = report["channels"]["acc_z"]
@@ -150,7 +151,7 @@ def test_gap_json_has_the_published_layout_and_is_strict() -> None:
 
 
 def test_one_name_at_two_horizons_gives_two_channels() -> None:
-    report = gap_json([gap(planted(), replace(planted(), horizon_s=0.5))])
+    report = gap_record([gap(planted(), replace(planted(), horizon_s=0.5))]).json()
     assert set(report["channels"]) == {"acc_z@0s", "acc_z@0.5s"}
 
 
@@ -172,7 +173,7 @@ def test_any_record_however_short_gives_strict_json(n: int, bad: list[tuple[int,
         simulated=channel.simulated[:n],
         phase=channel.phase[:n],
     )
-    report = json.loads(json.dumps(gap_json([gap(cut)]), allow_nan=False))
+    report = json.loads(json.dumps(gap_record([gap(cut)]).json(), allow_nan=False))
     assert report["channels"]["acc_z"]["n"] == int(np.isfinite(measured).sum())
 
 

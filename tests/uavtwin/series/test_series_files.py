@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from series_rigs.mcap_rig import read_mcap
 
 from cosim.master import Recording
-from twin.residuals.gap import Channel, FlightGap, gap_json
-from uavtwin.gaps import GapResult
+from twin.residuals.gap import Channel, FlightGap
+from uavtwin.gaps import GapResult, gap_record
 from uavtwin.run import Run
 from uavtwin.series import files as series_table
 from uavtwin.series.files import Column, Series, compared, write_all_series, write_series
@@ -160,7 +160,7 @@ def test_residuals_of_a_gap_are_those_of_its_numbers(tmp_path: Path) -> None:
     gaps = (FlightGap("flight", "vehicle", (channel,), (("hover", 0.0, 20.0),), (), {}),)
     (path,) = write_all_series(GapResult(gaps).series(), tmp_path, ("parquet",))
     residual = pd.read_parquet(tmp_path / path)["residual.acc_x"]
-    told = gap_json(gaps)["channels"]["acc_x"]
+    told = gap_record(gaps).json()["channels"]["acc_x"]
     assert np.sqrt(np.mean(residual**2)) == pytest.approx(told["rms"], rel=1e-12)
     assert len(residual) == told["n"] and residual.mean() == pytest.approx(told["mean"], rel=1e-9)
 

@@ -11,10 +11,10 @@ from twin.explain.holdout import compare_holdout
 from twin.explain.model.model import candidates, model_of
 from twin.logs import Flight, read_flight
 from twin.residuals.flight_gap import flight_gap
-from twin.residuals.gap import gap_json
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.gaps import gap_record
 
 COPTER, FEISI = load_vehicle("copter_default"), load_vehicle("feisi_x150")
 LEGS: Waypoints = (
@@ -34,9 +34,9 @@ def simulated() -> Flight:
 
 
 def gap_of(flight: Flight, vehicle: Vehicle) -> dict[str, dict[str, object]]:
-    channels: dict[str, dict[str, object]] = gap_json(
+    channels: dict[str, dict[str, object]] = gap_record(
         [flight_gap(flight, vehicle, WHOLE_FLIGHT_S)]
-    )["channels"]
+    ).json()["channels"]
     return {k: v for k, v in channels.items() if v["horizon_s"] == 0}
 
 
