@@ -1,20 +1,26 @@
 """The effect library: every named physical cause that a model may lack, each defined once."""
 
 from ..vehicle import Vehicle
-from . import air, gust, inertial, mass, propulsion, sensors, timing
-from .definition import Block, Blocks, ComponentName, Effect, EffectParameter, Limit, Period
-from .observability import (
+from . import air, mass, propulsion, sensors, timing
+from .definition import (
     Average,
+    Block,
+    Blocks,
+    ComponentName,
+    Effect,
+    EffectParameter,
     Equation,
+    Limit,
     Lines,
     NoiseFloor,
     Observer,
+    Period,
     RandomForce,
     Repeats,
     Shift,
 )
 
-_MODULES = (air, gust, propulsion, mass, inertial, sensors, timing)
+_MODULES = (air, propulsion, mass, sensors, timing)
 EFFECTS: dict[str, Effect] = {e.name: e for module in _MODULES for e in module.EFFECTS}
 """All effects by identifier."""
 
@@ -78,7 +84,6 @@ __all__ = [
     "Period",
     "RandomForce",
     "Repeats",
-    "Seen",
     "Shift",
     "acting_late",
     "ages",

@@ -7,8 +7,7 @@ import casadi as ca
 
 from ..frames import cross
 from ..vehicle import Vehicle
-from .definition import Block, Effect, EffectParameter
-from .observability import Equation
+from .definition import Block, Effect, EffectParameter, Equation
 from .stages import Motors, Thrust, Wrench
 
 LEAST_LAG_S = 2.5e-3

@@ -1,15 +1,257 @@
-"""Effects between what is there and what magnetometer and barometer read."""
+"""Effects between the true motion and field and what IMU, magnetometer and barometer read."""
 
 from dataclasses import replace
 
 import casadi as ca
+import numpy as np
 
+from ..component import Enumeration
 from ..component.portable import cosine, sine
-from .definition import Block, Effect, EffectParameter
-from .observability import Equation
-from .sensor_stages import BaroReading, EarthField, MagReading
+from ..frames import to_body
+from ..vehicle import Vehicle
+from ..vehicle.thrust_map import hover_level
+from .definition import Block, Effect, EffectParameter, Equation, Lines, NoiseFloor, Repeats
+from .stages import (
+    BaroReading,
+    EarthField,
+    Freezing,
+    ImuMotion,
+    ImuNoise,
+    ImuReading,
+    MagReading,
+    Mounting,
+)
 
 _AXES = (("x", "forward"), ("y", "right"), ("z", "down"))
+IMU_CHANNELS = ("acc_x", "acc_y", "acc_z", "gyro_x", "gyro_y", "gyro_z")
+"""Readings by the channel number of `stuck_sensor`, from 1."""
+_GOLDEN = 0.6180339887498949
+_NO_NOISE = 1e-30
+"""Keeps the derivative of a square root finite where there is no noise at all."""
+
+
+def _rotor_hz(vehicle: Vehicle) -> float:
+    """Turns of a rotor per second in hover: by the thrust map, or a guess from its size.
+
+    The guess is a blade tip at 60 m/s on a rotor that reaches over 0.6 of the arm: within a
+    factor of two for 27 g to 2 kg.
+    """
+    speed = hover_level(vehicle) if vehicle.rotors.from_speed else 100.0 / vehicle.arm_m
+    return speed / (2 * np.pi)
+
+
+def _imu_lever_arm(s: Mounting, p: Block) -> Mounting:
+    return Mounting([r + p[f"{a}_m"] for (a, _), r in zip(_AXES, s.arm_b, strict=True)])
+
+
+def _vibration(f: ImuMotion, p: Block) -> ImuMotion:
+    force, omega = list(f.specific_force_b), list(f.omega_b)
+    for n, spin in enumerate(f.spin, start=1):
+        turns = p.state(f"turns_{n}", "1", f"turns of rotor {n}", n * _GOLDEN % 1.0)
+        p.derivative(f"turns_{n}", spin * p["frequency_hz"])
+        angle = 2 * np.pi * (turns - ca.floor(turns))
+        s, c = sine(angle), cosine(angle)
+        # Once per turn in the plane of the rotor, twice per turn at right angles: two blades.
+        for k, shape in enumerate((c, s, 2 * s * c)):
+            force[k] += p["accel_m_s2"] * spin * spin * shape
+            omega[k] += p["gyro_rad_s"] * spin * spin * shape
+    return replace(f, specific_force_b=force, omega_b=omega)
+
+
+def _accel_scale(r: ImuReading, p: Block) -> ImuReading:
+    return replace(r, acc=[p[a] * v for (a, _), v in zip(_AXES, r.acc, strict=True)])
+
+
+def _gyro_scale(r: ImuReading, p: Block) -> ImuReading:
+    return replace(r, gyro=[p[a] * v for (a, _), v in zip(_AXES, r.gyro, strict=True)])
+
+
+def _accel_misalignment(r: ImuReading, p: Block) -> ImuReading:
+    # Half the tangent for half the angle: no trigonometry, and exactly a rotation.
+    x, y, z = (p[f"{a}_rad"] / 2 for a, _ in _AXES)
+    norm = ca.sqrt(1 + x * x + y * y + z * z)
+    return replace(r, acc=to_body([1 / norm, x / norm, y / norm, z / norm], r.acc))
+
+
+def _accel_bias(r: ImuReading, p: Block) -> ImuReading:
+    return replace(r, acc=[v + p[f"{a}_m_s2"] for (a, _), v in zip(_AXES, r.acc, strict=True)])
+
+
+def _gyro_bias(r: ImuReading, p: Block) -> ImuReading:
+    return replace(r, gyro=[v + p[f"{a}_rad_s"] for (a, _), v in zip(_AXES, r.gyro, strict=True)])
+
+
+def _sensor_noise_level(n: ImuNoise, p: Block) -> ImuNoise:
+    def combined(base: ca.SX, further: ca.SX) -> ca.SX:
+        scaled = p["scale"] * base
+        return ca.sqrt(scaled * scaled + further * further + _NO_NOISE)
+
+    return ImuNoise(combined(n.acc, p["accel_m_s2"]), combined(n.gyro, p["gyro_rad_s"]))
+
+
+def _stuck_sensor(f: Freezing, p: Block) -> Freezing:
+    late = f.time_s >= p["time_s"]
+    return replace(
+        f,
+        stuck=[
+            ca.logic_or(s, ca.logic_and(late, ca.fabs(p["channel"] - n) < 0.5))
+            for n, s in enumerate(f.stuck, start=1)
+        ],
+    )
+
+
+IMU_LEVER_ARM = Effect(
+    "imu_lever_arm",
+    "the accelerometer sits elsewhere than the model has it, and feels turns",
+    "imu",
+    Mounting,
+    tuple(
+        EffectParameter(
+            f"{a}_m", "m", f"place on top of the model's, {d}", s, (-1, 1), scale=lambda v: v.arm_m
+        )
+        for (a, d), s in zip(_AXES, (0.3, -0.2, 0.2), strict=True)
+    ),
+    ("acc", "gyro"),
+    "kinematics of a rigid body, as in twin/physics/sensors/imu.py",
+    _imu_lever_arm,
+)
+
+VIBRATION = Effect(
+    "vibration",
+    "unbalanced rotors shake the IMU at their own frequency",
+    "imu",
+    ImuMotion,
+    (
+        EffectParameter(
+            "frequency_hz",
+            "Hz",
+            "turns of a rotor per second in hover",
+            1.0,
+            (0.3, 3),
+            neutral=None,
+            scale=_rotor_hz,
+        ),
+        EffectParameter(
+            "accel_m_s2", "m/s2", "acceleration by one rotor in hover, amplitude", 1.0, (0, 20)
+        ),
+        EffectParameter(
+            "gyro_rad_s", "rad/s", "body rate by one rotor in hover, amplitude", 0.02, (0, 1)
+        ),
+    ),
+    ("acc", "gyro"),
+    "rotating unbalance, force m r omega^2: Den Hartog, Mechanical Vibrations, ch. 2; twice "
+    "per turn from two blades",
+    _vibration,
+    observable_as=Lines("frequency_hz", {"acc": "accel_m_s2", "gyro": "gyro_rad_s"}),
+)
+
+ACCEL_SCALE = Effect(
+    "accel_scale",
+    "the accelerometer reads too much or too little in proportion",
+    "imu",
+    ImuReading,
+    tuple(
+        EffectParameter(a, "1", f"reading over specific force, {d}", s, (0.8, 1.2), 1.0)
+        for (a, d), s in zip(_AXES, (1.05, 0.96, 1.04), strict=True)
+    ),
+    ("acc",),
+    "IEEE Std 1293-2018: scale factor",
+    _accel_scale,
+)
+
+GYRO_SCALE = Effect(
+    "gyro_scale",
+    "the gyroscope reads too much or too little in proportion",
+    "imu",
+    ImuReading,
+    tuple(
+        EffectParameter(a, "1", f"reading over body rate, {d}", s, (0.8, 1.2), 1.0)
+        for (a, d), s in zip(_AXES, (1.05, 0.96, 1.04), strict=True)
+    ),
+    ("gyro", "q"),
+    "IEEE Std 952-1997: scale factor",
+    _gyro_scale,
+)
+
+ACCEL_MISALIGNMENT = Effect(
+    "accel_misalignment",
+    "the accelerometer is mounted at a small angle to the body axes",
+    "imu",
+    ImuReading,
+    tuple(
+        EffectParameter(f"{a}_rad", "rad", f"sensor turned about body {d}", s, (-0.3, 0.3))
+        for (a, d), s in zip(_AXES, (0.04, -0.03, 0.03), strict=True)
+    ),
+    ("acc",),
+    "definition: rotation by Gibbs vector angle / 2, the angles themselves to third order",
+    _accel_misalignment,
+)
+
+ACCEL_BIAS = Effect(
+    "accel_bias",
+    "the accelerometer reads a constant too much",
+    "imu",
+    ImuReading,
+    tuple(
+        EffectParameter(f"{a}_m_s2", "m/s2", f"reading at no specific force, {d}", s, (-2, 2))
+        for (a, d), s in zip(_AXES, (0.2, -0.15, 0.15), strict=True)
+    ),
+    ("acc",),
+    "IEEE Std 1293-2018: bias",
+    _accel_bias,
+)
+
+GYRO_BIAS = Effect(
+    "gyro_bias",
+    "the gyroscope reads a constant too much",
+    "imu",
+    ImuReading,
+    tuple(
+        EffectParameter(f"{a}_rad_s", "rad/s", f"reading at rest, {d}", s, (-0.3, 0.3))
+        for (a, d), s in zip(_AXES, (0.02, -0.015, 0.015), strict=True)
+    ),
+    ("gyro", "q"),
+    "IEEE Std 952-1997: bias",
+    _gyro_bias,
+)
+
+SENSOR_NOISE_LEVEL = Effect(
+    "sensor_noise_level",
+    "the IMU is noisier or quieter than the model says",
+    "imu",
+    ImuNoise,
+    (
+        EffectParameter("scale", "1", "noise over the model's", 1.0, (0.1, 10), 1.0),
+        EffectParameter("accel_m_s2", "m/s2", "further noise of the accelerometer", 0.2, (0, 5)),
+        EffectParameter("gyro_rad_s", "rad/s", "further noise of the gyroscope", 0.01, (0, 0.5)),
+    ),
+    ("acc", "gyro"),
+    "definition: sqrt((scale noise)^2 + further^2), standard deviation of independent noises",
+    _sensor_noise_level,
+    observable_as=NoiseFloor("scale", {"acc": "accel_m_s2", "gyro": "gyro_rad_s"}),
+)
+
+STUCK_SENSOR = Effect(
+    "stuck_sensor",
+    "one reading of the IMU stands still from some time on",
+    "imu",
+    Freezing,
+    (
+        EffectParameter(
+            "channel",
+            "1",
+            "which",
+            3.0,
+            (0, len(IMU_CHANNELS)),
+            kind=Enumeration("ImuChannel", ("none", *IMU_CHANNELS)),
+        ),
+        EffectParameter("time_s", "s", "since when, from the start", 5.0, (0, 3600), neutral=None),
+    ),
+    ("acc", "gyro"),
+    "definition: from the first sample instant at or after that time the last value is repeated",
+    _stuck_sensor,
+    observable_as=Repeats("channel", "time_s", IMU_CHANNELS),
+)
 
 
 def _heading_offset(e: EarthField, p: Block) -> EarthField:
@@ -140,6 +382,15 @@ BARO_DYNAMIC_PRESSURE = Effect(
 )
 
 EFFECTS = (
+    IMU_LEVER_ARM,
+    VIBRATION,
+    ACCEL_SCALE,
+    GYRO_SCALE,
+    ACCEL_MISALIGNMENT,
+    ACCEL_BIAS,
+    GYRO_BIAS,
+    SENSOR_NOISE_LEVEL,
+    STUCK_SENSOR,
     HEADING_OFFSET,
     MAG_SOFT_IRON,
     MAG_HARD_IRON,

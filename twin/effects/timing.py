@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import casadi as ca
 
-from .definition import Block, Effect, EffectParameter, Period, effect_of_records
-from .observability import Average, Shift
-from .sensor_stages import Latency
-from .stages import Motors
+from .definition import Average, Block, Effect, EffectParameter, Period, Shift, effect_of_records
+from .stages import Latency, Motors
 
 COMMAND_PERIOD_S = 1e-3
 """How often the motor commands are taken for their delay."""

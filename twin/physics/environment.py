@@ -1,6 +1,6 @@
 """Environment: steady wind, gusts, and air density of the standard atmosphere.
 
-Gusts are an effect, off by default (`twin.effects.gust`). Density: U.S. Standard Atmosphere 1976,
+Gusts are an effect, off by default (`twin.effects.air`). Density: U.S. Standard Atmosphere 1976,
 troposphere.
 """
 
@@ -9,7 +9,7 @@ import casadi as ca
 from ..component import Component, ComponentBuilder
 from ..component.portable import binomial_power
 from ..effects import Blocks, effects_of
-from ..effects.gust import Breeze
+from ..effects.air import Breeze
 from ..frames import AXES
 from ..vehicle import GRAVITY_M_S2, Vehicle
 from .atmosphere import GAS_CONSTANT_J_KG_K, LAPSE_K_M

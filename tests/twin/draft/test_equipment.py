@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from rig import Rig, plain
 
-from twin.draft.equipment import pressure_at_origin
+from twin.draft.draft import pressure_at_origin
 from twin.logs import Flight
 from twin.physics.sensors.barometer import barometer
 

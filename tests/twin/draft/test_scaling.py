@@ -3,36 +3,36 @@
 import numpy as np
 import pytest
 
-from twin.draft import scaling
+from twin.draft import facts
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.gravity import normal_gravity_m_s2
 from twin.vehicle.layouts import FRAMES, frame
 
 
 def test_inertia_scales_with_mass_and_the_square_of_the_arm() -> None:
-    one, sd = scaling.inertia(1.0, 0.2)
-    assert scaling.inertia(2.0, 0.6)[0] == pytest.approx(18 * one)
+    one, sd = facts.usual_inertia(1.0, 0.2)
+    assert facts.usual_inertia(2.0, 0.6)[0] == pytest.approx(18 * one)
     assert 0.2 < sd < 0.5
     assert one[2] < one[0] + one[1]
 
 
-@pytest.mark.parametrize("body", scaling.BODIES, ids=lambda b: b.source)
-def test_published_bodies_lie_within_two_deviations(body: scaling.PublishedBody) -> None:
-    usual, sd = scaling.inertia(body.mass_kg, body.arm_m)
+@pytest.mark.parametrize("body", facts.BODIES, ids=lambda b: b.source)
+def test_published_bodies_lie_within_two_deviations(body: facts.PublishedBody) -> None:
+    usual, sd = facts.usual_inertia(body.mass_kg, body.arm_m)
     off = np.abs(np.array(body.inertia_kg_m2) / usual - 1.0) / sd
     assert np.all(off < 2.0), off
 
 
 def test_no_law_knows_the_aircraft_that_tests_a_draft() -> None:
     feisi = load_vehicle("feisi_x150")
-    for body in scaling.BODIES:
+    for body in facts.BODIES:
         assert body.mass_kg != feisi.mass_kg
         assert body.arm_m != pytest.approx(feisi.arm_m, rel=1e-3)
 
 
 def test_propellers_of_more_rotors_are_smaller() -> None:
     four, six = (
-        scaling.diameter_m(frame(name).sized(0.25, "given").position) for name in ("x", "hex x")
+        facts.usual_diameter_m(frame(name).sized(0.25, "given").position) for name in ("x", "hex x")
     )
     assert four.value == pytest.approx(0.28, abs=0.02)  # a frame of 500 mm takes 10 to 11 inches
     assert six.value == pytest.approx(four.value / np.sqrt(2), rel=1e-3)
@@ -40,7 +40,7 @@ def test_propellers_of_more_rotors_are_smaller() -> None:
 
 def test_torque_over_thrust_is_that_of_a_measured_propeller() -> None:
     """APC Slow Flyer 10x4.7: 16.4 mm, of the UIUC data site."""
-    told = scaling.torque_per_thrust_m(scaling.Usual(4.7 * 0.0254, 0.0))
+    told = facts.usual_torque_per_thrust_m(facts.Usual(4.7 * 0.0254, 0.0))
     assert told.value == pytest.approx(0.0164, rel=0.05)
 
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from scipy.signal import lfilter
 
-from twin.draft.turning import best_frame, turning
+from twin.draft.hover import best_frame, turning
 from twin.logs import Flight
 from twin.vehicle.layouts import FRAMES, frame
 

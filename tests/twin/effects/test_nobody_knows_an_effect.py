@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from twin.effects import _MODULES, EFFECTS, Effect, Repeats, Shift
-from twin.effects.observability import Average, Lines, NoiseFloor, RandomForce
+from twin.effects.definition import Average, Lines, NoiseFloor, RandomForce
 
 ROOT = Path(__file__).parents[3]
 FOLDERS = ("twin/explain", "twin/residuals", "twin/flight", "uavtwin")
@@ -55,7 +55,7 @@ def test_no_effect_is_known_by_name(path: Path) -> None:
         for line, text in literals(ast.parse(path.read_text(encoding="utf-8")))
         if " " not in text and NAMED.fullmatch(text)
     ]
-    assert not found, "let the effect say how it is seen (twin/effects/observability.py)"
+    assert not found, "let the effect say how it is seen (twin/effects/definition.py)"
 
 
 def test_the_pattern_finds_names() -> None:

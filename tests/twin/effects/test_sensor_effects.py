@@ -12,7 +12,7 @@ from sensor_rig import Array, draws, effect_on, motion, readings
 
 from twin.component import Component
 from twin.effects import EFFECTS, Effect, effects_of
-from twin.effects.inertial import IMU_CHANNELS
+from twin.effects.sensors import IMU_CHANNELS
 from twin.errors import ModelError
 from twin.logs.columns import COLUMNS
 from twin.physics.sensors.barometer import barometer

@@ -9,7 +9,7 @@ from scipy.fft import dct
 from search_rigs.hypotheses import against, fit_set
 
 from twin.effects import EFFECTS
-from twin.effects.slung_load_observer import PLACE, SPEED, hang_load, observe_swing
+from twin.effects.mass import PLACE, SPEED, hang_load, observe_swing
 from twin.explain.inference.fit import Problem
 from twin.explain.model.numbers import with_effects
 from twin.residuals.channels import CHANNEL_HZ, GRID_HZ

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from twin.effects import EFFECTS
-from twin.effects.inertial import SENSOR_NOISE_LEVEL, STUCK_SENSOR, VIBRATION
+from twin.effects.sensors import SENSOR_NOISE_LEVEL, STUCK_SENSOR, VIBRATION
 from twin.explain.model.model import FlightModel, Model
 from twin.explain.model.numbers import numbers_of
 from twin.explain.model.prediction import Physics

@@ -11,7 +11,7 @@ from scipy.signal import welch
 from twin.component import Run
 from twin.component.along import accumulated, mapped
 from twin.component.noise import normal
-from twin.effects.gust import low_altitude_turbulence
+from twin.effects.air import low_altitude_turbulence
 from twin.errors import ModelError
 from twin.physics.environment import environment
 from twin.vehicle.file import load_vehicle

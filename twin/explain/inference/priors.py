@@ -1,16 +1,11 @@
-"""Priors and bounds of a model's numbers.
-
-What is believed of every number of a model before its flights are looked at.
+"""Priors and bounds of the numbers of a model, before its flights are read.
 
 A number that a vehicle file gives with a standard deviation is off by so much with no effect there:
-its spike. An effect that is there adds its own spread: its slab. What a day moves differs between
-flights on top of that.
+its spike. An effect that is there adds its own spread: its slab. Day-to-day variation comes on top.
+Bounds are prior ranges and limits set by physics.
 
 Spike and slab: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83 (1988); George & McCulloch, J. Am.
 Stat. Assoc. 88 (1993).
-
-Where the numbers of a hypothesis may lie: prior ranges, limits that nature sets, and which of
-them a fit has driven a number to.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects.inertial import IMU_CHANNELS
+from ...effects.sensors import IMU_CHANNELS
 from ...residuals.channels import GRID_HZ
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...effects import EFFECTS, Repeats
-from ...effects.inertial import IMU_CHANNELS
-from ...effects.observability import Lines, NoiseFloor
+from ...effects.definition import Lines, NoiseFloor
+from ...effects.sensors import IMU_CHANNELS
 from ...representation import short_repr
 from ..settings import DEFAULT
 from .alarms import EstimatedChange

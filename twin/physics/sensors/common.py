@@ -7,7 +7,7 @@ import casadi as ca
 
 from ...component import ComponentBuilder
 from ...effects import Blocks, ComponentName, effects_of
-from ...effects.sensor_stages import Latency
+from ...effects.stages import Latency
 from ...frames import AXES, FRD, NED
 from ...vehicle import Vehicle
 

@@ -18,8 +18,8 @@ import numpy as np
 
 from ...component import Component, ComponentBuilder
 from ...effects import Blocks
-from ...effects.inertial import IMU_CHANNELS
-from ...effects.sensor_stages import Freezing, ImuMotion, ImuNoise, ImuReading, Latency, Mounting
+from ...effects.sensors import IMU_CHANNELS
+from ...effects.stages import Freezing, ImuMotion, ImuNoise, ImuReading, Latency, Mounting
 from ...frames import AXES, carried
 from ...vehicle import Vehicle
 from .common import (

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 import casadi as ca
 
 from ...component import Component, ComponentBuilder
-from ...effects.sensor_stages import EarthField, MagReading
+from ...effects.stages import EarthField, MagReading
 from ...frames import AXES, to_body
 from ...vehicle import Vehicle
 from .common import (

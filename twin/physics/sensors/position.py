@@ -18,7 +18,7 @@ import casadi as ca
 
 from ...component import Component, ComponentBuilder
 from ...component.portable import cosine, sine
-from ...effects.sensor_stages import Latency
+from ...effects.stages import Latency
 from ...frames import AXES, cross, multiply, to_ned
 from ...vehicle import Vehicle
 from .common import (

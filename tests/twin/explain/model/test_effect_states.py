@@ -9,8 +9,7 @@ import pytest
 from search_rigs.hypotheses import against, fit_set, nothing_of
 
 from twin.effects import EFFECTS, Block, Effect, EffectParameter
-from twin.effects.sensor_stages import ImuReading
-from twin.effects.stages import Thrust
+from twin.effects.stages import ImuReading, Thrust
 from twin.explain.model.model import Model, model_of
 from twin.explain.model.prediction import states_reached
 from twin.logs import Flight

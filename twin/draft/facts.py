@@ -1,16 +1,120 @@
-"""What is usual for an aircraft of some mass and size, with how far usual ones are from it.
+"""What a draft is made of: facts that are given, facts from flights, and usual ones of that size.
 
-Each law is the geometric mean over published aircraft or propellers, its standard deviation that of
-one more of them: the scatter of the logarithms times sqrt(1 + 1/n). None of them has been fitted
-to an aircraft whose flights are used in tests of a draft (`feisi_x150` is left out).
+Each law of what is usual is the geometric mean over published aircraft or propellers, its standard
+deviation that of one more of them: the scatter of the logarithms times sqrt(1 + 1/n). None has
+been fitted to an aircraft whose flights are used in tests of a draft (`feisi_x150` is left out).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
+from ..logs import Flight
+from ..logs.airframe import Airframe
+from ..representation import short_repr
 from ..vehicle import Array
+from ..vehicle.file.draft import Draft
+from .hover import Hover
+
+Kind = Literal["given", "log", "usual"]
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What the owner of an aircraft knows of it.
+
+    Attributes:
+        name: Of the vehicle file.
+        mass_kg: As it flew, battery included.
+        frame: Of `twin.vehicle.layouts.FRAMES`; None: as the logs say.
+        arm_m: From the centre to the farthest rotor; None: as the logs say.
+        diameter_m: Of the propellers; None: usual.
+        pitch_m: Of the propellers; None: usual.
+    """
+
+    name: str
+    mass_kg: float
+    frame: str | None = None
+    arm_m: float | None = None
+    diameter_m: float | None = None
+    pitch_m: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Fact:
+    """A number of a draft in words.
+
+    Attributes:
+        what: The quantity.
+        value: With unit and standard deviation.
+        source: Where it comes from, as it stands in the file.
+    """
+
+    what: str
+    value: str
+    source: str
+
+    @property
+    def kind(self) -> Kind:
+        """Who says it."""
+        return kind_of(self.source)
+
+
+def kind_of(source: str) -> Kind:
+    """Who says a number of a draft: its owner, the logs, or what is usual."""
+    if source.startswith("given"):
+        return "given"
+    return "usual" if source.startswith(("usual", "estimate")) else "log"
+
+
+@dataclass(slots=True)
+class Making:
+    """What is collected on the way.
+
+    Attributes:
+        known: By the owner.
+        flights: Of the aircraft.
+        hovers: Of the flights, one each.
+        file: Entries and notes of the vehicle file.
+        facts: The numbers in words.
+        warnings: What does not fit together.
+    """
+
+    known: Known
+    flights: Sequence[Flight]
+    hovers: Sequence[Hover]
+    file: Draft
+    facts: list[Fact] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    __repr__ = short_repr
+
+    @property
+    def airframe(self) -> Airframe:
+        """What the logs say of the aircraft, each fact by the first log that holds it."""
+        reported = [f.airframe for f in self.flights if f.airframe is not None]
+        return Airframe.together(reported)
+
+    @property
+    def level(self) -> float:
+        """Command of the hover, mean over the flights; speed where they have no commands."""
+        return sum(h.level for h in self.hovers) / len(self.hovers)
+
+    def say(self, what: str, value: str, source: str) -> None:
+        """Add a number in words."""
+        self.facts.append(Fact(what, value, source))
+
+
+def rounded(value: float) -> float:
+    """As many digits as a draft is worth."""
+    return float(f"{float(value):.5g}")
+
+
+def percent(share: float) -> str:
+    """A share as a file and a person have it."""
+    return f"{100 * share:.2g} %"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +196,7 @@ _PITCH = Usual(0.55, 0.3)
 """Pitch over diameter: 0.33 of 15x5 to 0.9 of 5x4.5."""
 
 
-def inertia(mass_kg: float, arm_m: float) -> tuple[Array, float]:
+def usual_inertia(mass_kg: float, arm_m: float) -> tuple[Array, float]:
     """Ixx, Iyy and Izz of an aircraft by its mass and arm, kg m2, and their sd over the value."""
     gyration = [b.gyration for b in BODIES]
     across = _usual([float(np.sqrt(g[0] * g[1])) for g in gyration])
@@ -101,7 +205,7 @@ def inertia(mass_kg: float, arm_m: float) -> tuple[Array, float]:
     return mass_kg * (radii * arm_m) ** 2, max(2.0 * max(across.sd, upright.sd), _GUESSED_SD)
 
 
-def diameter_m(position_m: Array) -> Usual:
+def usual_diameter_m(position_m: Array) -> Usual:
     """Of the propellers by the distance of neighbours, rotor hubs of shape (n, 3), m."""
     share = _usual([d / (np.sqrt(2.0) * arm) for d, arm, _ in PROPELLERS])
     places = np.unique(np.round(position_m[:, :2], 6), axis=0)
@@ -109,12 +213,12 @@ def diameter_m(position_m: Array) -> Usual:
     return Usual(share.value * float(apart[apart > 0].min()), share.sd)
 
 
-def pitch_m(diameter: Usual) -> Usual:
+def usual_pitch_m(diameter: Usual) -> Usual:
     """Of a propeller by its diameter."""
     return Usual(_PITCH.value * diameter.value, float(np.hypot(_PITCH.sd, diameter.sd)))
 
 
-def torque_per_thrust_m(pitch: Usual) -> Usual:
+def usual_torque_per_thrust_m(pitch: Usual) -> Usual:
     """Reaction torque over thrust of a propeller at rest by its pitch, m.
 
     A propeller that slipped through the air like a screw would have pitch / (2 pi).
