@@ -22,17 +22,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from twin.errors import TwinError
-from twin.logs.mavlink.frames import (
-    BAD,
-    GCS,
-    Link,
-    Message,
-    Sequence,
-    checksum_of,
-    dialect,
-    parser,
-    unpacked,
-)
+from twin.logs.mavlink.frames import GCS, Message, MessageParser, Sequence
 
 _FORM = re.compile(r"(udpin|udpout|tcpin):(\[[0-9A-Fa-f:.]+\]|[^:\s]+):([0-9]{1,5})")
 USUAL_PORTS = {"udpin": 14550, "udpout": 14550, "tcpin": 4560}
@@ -228,12 +218,9 @@ class Receiver:
         sender: Where its messages come from; None: nothing came yet.
         datagrams: How many came.
         octets: How many bytes.
-        garbage: Bytes that are no message.
-        wrong: Frames whose checksum or length is wrong.
-        version_1: Messages of MAVLink 1.
         others: Messages of other systems, or of the same id from elsewhere, by who sent them: the
             first 32, and `MORE_OTHERS`.
-        link: Sequence numbers.
+        parser: Takes datagrams apart; counts what is no message.
         silent: Whether the aircraft has not been heard for a while, and may send from another port.
     """
 
@@ -241,11 +228,8 @@ class Receiver:
     sender: Sender | None = None
     datagrams: int = 0
     octets: int = 0
-    garbage: int = 0
-    wrong: int = 0
-    version_1: int = 0
     others: Counter[str] = field(default_factory=Counter)
-    link: Link = field(default_factory=Link)
+    parser: MessageParser = field(default_factory=MessageParser)
     silent: bool = False
     _wanted: int | None = field(init=False)
 
@@ -255,41 +239,16 @@ class Receiver:
     @property
     def sequence(self) -> Sequence:
         """Counts of the aircraft's messages."""
-        return Sequence() if self.system is None else self.link.of(self.system)
+        return Sequence() if self.system is None else self.parser.link.of(self.system)
 
     def messages(self, datagram: bytes, sender: Sender) -> Iterator[Received]:
         """Messages of the aircraft in a datagram, those that came before left out."""
         self.datagrams += 1
         self.octets += len(datagram)
-        for message, frame in self._taken_apart(datagram):
-            if message.get_type() == BAD:
-                self._count_bad(frame)
-            elif self._is_of_the_aircraft(message, sender) and not self.link.add(
-                message.get_srcSystem(),
-                message.get_srcComponent(),
-                message.get_seq(),
-                checksum_of(frame),
-            ):
-                self.version_1 += frame[0] == dialect.PROTOCOL_MARKER_V1
-                yield Received(message, frame)
-
-    def _taken_apart(self, datagram: bytes) -> list[tuple[Message, bytes]]:
-        """Messages of a datagram with their frames.
-
-        A frame does not go on in the next datagram: nothing is kept of a sender.
-        """
-        found = unpacked(datagram)
-        if found is None:
-            reader = parser()
-            found = [(m, bytes(m.get_msgbuf())) for m in reader.parse_buffer(datagram) or ()]
-            self.garbage += reader.buf_len()
-        return found
-
-    def _count_bad(self, content: bytes) -> None:
-        if content and content[0] in (dialect.PROTOCOL_MARKER_V1, dialect.PROTOCOL_MARKER_V2):
-            self.wrong += 1
-        else:
-            self.garbage += len(content)
+        for message, frame in self.parser.push(
+            datagram, lambda m: self._is_of_the_aircraft(m, sender)
+        ):
+            yield Received(message, frame)
 
     def _is_of_the_aircraft(self, message: Message, sender: Sender) -> bool:
         system = message.get_srcSystem()

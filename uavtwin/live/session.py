@@ -430,9 +430,9 @@ class LiveSession:
             total.jumps,
             self._late + sum(self._rows.late.values()),
             self._decoder.strays + self._astray,
-            receiver.garbage,
-            receiver.wrong,
-            receiver.version_1,
+            receiver.parser.garbage,
+            receiver.parser.wrong,
+            receiver.parser.version_1,
             dict(receiver.others),
         )
         worker = self.worker

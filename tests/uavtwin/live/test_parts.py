@@ -215,7 +215,7 @@ def test_strangers_make_no_receiver_deaf() -> None:
         other = bytes(heartbeat(4).pack(parser(4 + port % 250, AUTOPILOT)))
         assert not list(receiver.messages(other, ("127.0.0.1", 10_000 + port)))
     assert len(receiver.others) <= 33 and sum(receiver.others.values()) == 5000
-    assert receiver.others[MORE_OTHERS] > 4900 and receiver.garbage == 5000
+    assert receiver.others[MORE_OTHERS] > 4900 and receiver.parser.garbage == 5000
 
 
 def test_a_single_frame_of_a_stranger_keeps_no_place() -> None:

@@ -1,4 +1,5 @@
-"""MAVLink frames: the dialect, telemetry logs, datagrams, and what a link loses.
+"""MAVLink frames: the dialect, telemetry logs, datagrams, what a link loses, and the one parser
+of files and streams.
 
 The dialect is pymavlink's `ardupilotmega`: `common` and what ArduPilot adds, rotor speeds of its
 speed controllers among it. ESC_STATUS of `common` is in no dialect of pymavlink 2.4.50.
@@ -8,7 +9,7 @@ import re
 import struct
 from array import array
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cache
 from operator import itemgetter
@@ -355,3 +356,62 @@ class Link:
             if owner == system:
                 total.count(one)
         return total
+
+
+# -- one parser for files and streams -----------------------------------------------------------
+
+
+@dataclass(slots=True)
+class MessageParser:
+    """Messages of the bytes of a link.
+
+    A telemetry log is pushed frame by frame, a live link datagram by datagram. A frame does not go
+    on in what is pushed next: nothing is stored of a sender.
+
+    Attributes:
+        link: Sequence numbers.
+        garbage: Bytes that are no message.
+        wrong: Frames whose checksum or length is wrong.
+        version_1: Messages of MAVLink 1.
+        repeated: Messages that came before, left out.
+    """
+
+    link: Link = field(default_factory=Link)
+    garbage: int = 0
+    wrong: int = 0
+    version_1: int = 0
+    repeated: int = 0
+
+    def push(
+        self, content: bytes, accepts: Callable[[Message], bool] = lambda _: True
+    ) -> Iterator[tuple[Message, bytes]]:
+        """Messages of whole frames, with the frames; those that came before are left out.
+
+        Args:
+            content: Frames.
+            accepts: Whether a message is of the link; others are not counted.
+        """
+        for message, frame in self._taken_apart(content):
+            if message.get_type() == BAD:
+                self._count_bad(frame)
+            elif accepts(message):
+                sender = message.get_srcSystem(), message.get_srcComponent()
+                if self.link.add(*sender, message.get_seq(), checksum_of(frame)):
+                    self.repeated += 1
+                    continue
+                self.version_1 += frame[0] == dialect.PROTOCOL_MARKER_V1
+                yield message, frame
+
+    def _taken_apart(self, content: bytes) -> list[tuple[Message, bytes]]:
+        found = unpacked(content)
+        if found is None:
+            reader = parser()
+            found = [(m, bytes(m.get_msgbuf())) for m in reader.parse_buffer(content) or ()]
+            self.garbage += reader.buf_len()
+        return found
+
+    def _count_bad(self, content: bytes) -> None:
+        if content and content[0] in MARKERS:
+            self.wrong += 1
+        else:
+            self.garbage += len(content)

@@ -19,7 +19,7 @@ from ..flight import Array, Finding, Flight, Noted
 from ..formats import ReadOptions
 from ..validate import validate
 from .decoder import GROUPS, LANDED, USED, MavlinkDecoder, Sample, Stamp, best_source
-from .frames import BAD, Frame, Link, dialect, frames, parser
+from .frames import Frame, Link, MessageParser, dialect, frames
 
 _ON_GROUND = dialect.MAV_LANDED_STATE_ON_GROUND
 _NAMED = {
@@ -144,7 +144,7 @@ def _aircraft(
     decoders: defaultdict[int, MavlinkDecoder] = defaultdict(MavlinkDecoder)
     samples: defaultdict[int, _Samples] = defaultdict(_Samples)
     astray: Counter[int] = Counter()
-    reader, lost, wrong, twice = parser(), 0, 0, 0
+    parser, lost = MessageParser(link), 0
     for frame in frames(blob):
         if not isinstance(frame, Frame):
             lost += frame
@@ -152,13 +152,7 @@ def _aircraft(
         if frame.kind not in USED:
             link.add(frame.system, frame.component, frame.number, frame.checksum)
             continue
-        for message in reader.parse_buffer(frame.content) or ():
-            if message.get_type() == BAD:
-                wrong += 1
-                continue
-            if link.add(frame.system, frame.component, frame.number, frame.checksum):
-                twice += 1
-                continue
+        for message, _ in parser.push(frame.content):
             decoder = decoders[frame.system]
             found = decoder.samples(message)
             if decoder.stamp is Stamp.MISLED:
@@ -167,10 +161,10 @@ def _aircraft(
             samples[frame.system].add(found)
     if lost:
         log.note("error", "file", "bytes that are no stamped MAVLink frame", lost)
-    if wrong:
-        log.note("error", "file", "frames whose checksum is wrong", wrong)
-    if twice:
-        log.note("info", "file", "messages that came twice, left out", twice)
+    if parser.wrong:
+        log.note("error", "file", "frames whose checksum is wrong", parser.wrong)
+    if parser.repeated:
+        log.note("info", "file", "messages that came twice, left out", parser.repeated)
     if not link.sequences:
         raise LogError(f"{path.name}: no whole MAVLink frame in {len(blob)} bytes. Copy it again.")
     heard = {s: link.of(s).received for s in link.systems}
