@@ -22,7 +22,7 @@ from twin.explain.holdout import ChannelGap
 from twin.explain.inference.selection import Naming
 from twin.explain.localization import Place
 from twin.explain.unnamed import Equation
-from twin.flight.stability import Mission
+from twin.flight.closed_loop import Mission
 
 from .gaps import HoverRecord, hover_record
 from .headline import headline

@@ -21,11 +21,11 @@ from twin.physics.airframe import airframe
 from twin.residuals.flight_gap import comparable, diagnosis_of
 from twin.residuals.hover import HoverDiagnosis
 from twin.vehicle import Vehicle
-from twin.vehicle.deviation import DEFAULT
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS
 from twin.vehicle.layouts import Layout
 from twin.vehicle.plausibility import Question, questions
+from twin.vehicle.vehicle import DEFAULT
 
 from .display import DisplayMixin, TextTable
 from .formatting import counted

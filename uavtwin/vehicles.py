@@ -8,7 +8,7 @@ from twin import vehicle as numbers
 from twin.component import unknown_name
 from twin.errors import ModelError, TwinError
 from twin.vehicle.file import builtin_vehicles, convert, parse_vehicle, vehicle_text
-from twin.vehicle.file.update import update_text
+from twin.vehicle.file.write import update_text
 
 from .output import output_file
 

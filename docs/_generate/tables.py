@@ -38,10 +38,10 @@ from twin.flight.assembly import CONTROLLERS, flying_twin
 from twin.logs.columns import COLUMNS
 from twin.logs.formats import FORMATS
 from twin.vehicle import Vehicle
-from twin.vehicle.deviation import WORDS
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS
 from twin.vehicle.plausibility import BANDS
+from twin.vehicle.vehicle import WORDS
 from uavtwin.cli.main import app
 from uavtwin.fleets.dataset import TABLES
 from uavtwin.series.files import SIDES

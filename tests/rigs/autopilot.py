@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from twin.component.component import Run
 from twin.flight.closed_loop import SETPOINTS, STEP_S
-from twin.flight.control.lqr_cascade import controller
+from twin.flight.lqr import controller
 from twin.frames import AXES
 from twin.logs.mavlink.encode import Controls, heartbeat, hil_controls
 from twin.logs.mavlink.frames import Message, dialect, parser
 from twin.vehicle import Vehicle
-from twin.vehicle.geodesy import A_M, F
+from twin.vehicle.earth import A_M, F
 from uavtwin.demo.flights import Waypoints, setpoints_along
 from uavtwin.hil.session import PLACE
 from uavtwin.live.datagrams import Address

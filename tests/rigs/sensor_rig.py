@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from twin.component import Component, Run
 from twin.component.along import accumulated, mapped
-from twin.component.noise import normal
+from twin.component.component import normal
 
 Array = NDArray[np.float64]
 

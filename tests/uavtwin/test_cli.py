@@ -151,7 +151,7 @@ def test_demo_names_the_effect_it_hid(
     across = (*start, ("forward", 2.0, (-1.0, 2.0, -1.0)), back)
     monkeypatch.setattr("uavtwin.demo.chain.FIT", {"fit_1": (*there, back), "fit_2": across})
     monkeypatch.setattr("uavtwin.demo.chain.HOLDOUT", {"holdout": across})
-    monkeypatch.setattr("twin.flight.stability.mission_names", lambda: ("takeoff",))
+    monkeypatch.setattr("twin.flight.closed_loop.mission_names", lambda: ("takeoff",))
     code, said, told = run(capsys, "demo", "--seed", 4, "--out", tmp_path / "d")
     truth = json.loads((tmp_path / "d" / "truth.json").read_text())
     assert code == 0

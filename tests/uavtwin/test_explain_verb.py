@@ -24,7 +24,7 @@ from twin.explain.explanation import Explanation
 from twin.explain.settings import DEFAULT
 from twin.explain.settings.group import Value
 from twin.explain.unnamed import Equation
-from twin.flight.stability import Mission
+from twin.flight.closed_loop import Mission
 from twin.logs import read_flight, write_flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
@@ -102,7 +102,7 @@ def run(out: Path, *arguments: object, found: Explanation | None = None) -> Run:
     stdout, stderr, code = io.StringIO(), io.StringIO(), 0
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(stdout), redirect_stderr(stderr):
         patch.setattr(sys, "argv", argv)
-        patch.setattr("twin.flight.stability.mission_names", lambda: ("takeoff",))
+        patch.setattr("twin.flight.closed_loop.mission_names", lambda: ("takeoff",))
         patch.setattr(explain_files, "write_explanation", keep)
         if found is not None:
             patch.setattr(explain_files, "explain", lambda *_, **__: ExplainResult(found))

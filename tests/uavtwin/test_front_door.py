@@ -82,7 +82,7 @@ def names(folder: Path) -> Iterator[dict[str, Any]]:
     names: dict[str, Any] = {}
     stdout, before = io.StringIO(), Path.cwd()
     with pytest.MonkeyPatch.context() as patch, pd.option_context("plotting.backend", "plotly"):
-        patch.setattr("twin.flight.stability.mission_names", lambda: ("takeoff",))
+        patch.setattr("twin.flight.closed_loop.mission_names", lambda: ("takeoff",))
         patch.setattr(sys, "stdout", stdout)
         os.chdir(folder)
         try:

@@ -2,22 +2,20 @@
 
 from .builder import ComponentBuilder
 from .component import (
+    LARGEST_INTEGER,
+    Causality,
     Component,
     Continuous,
     DelayLine,
+    Enumeration,
+    Kind,
     Run,
     Sampling,
     Shortcut,
     State,
-    substeps,
-)
-from .variable import (
-    LARGEST_INTEGER,
-    Causality,
-    Enumeration,
-    Kind,
     Variable,
     check_range,
+    substeps,
     unknown_name,
 )
 

@@ -1,6 +1,13 @@
 """CasADi functions along a record, some thousand rows at a time: what they need apart from their
-results does not grow with its length."""
+results does not grow with its length.
 
+One thread at a time builds CasADi's expressions: CasADi lets go of Python's lock while it works,
+which evaluation bears and building does not: two threads that build at once may end the process.
+Where threads run alongside each other, as live flights do, each that builds, or calls a function
+with CasADi's own matrices, holds this lock.
+"""
+
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -8,7 +15,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from .building import BUILDING
+BUILDING = threading.RLock()
+"""Held while expressions and functions are made."""
+
 
 Array = NDArray[np.float64]
 CHUNK = 1024

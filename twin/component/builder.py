@@ -10,8 +10,18 @@ from collections.abc import Iterable, Sequence
 import casadi as ca
 
 from ..errors import ModelError
-from .component import Component, Continuous, DelayLine, Sampling, Shortcut, State
-from .variable import LARGEST_INTEGER, Kind, Variable, check_range
+from .component import (
+    LARGEST_INTEGER,
+    Component,
+    Continuous,
+    DelayLine,
+    Kind,
+    Sampling,
+    Shortcut,
+    State,
+    Variable,
+    check_range,
+)
 
 
 class ComponentBuilder:

@@ -10,13 +10,26 @@ held over the step, followed by an optional projection (a quaternion back to uni
 
 A sampled component also has memory that changes at the instants t_k = t_0 + k T alone, k = 0, 1,
 ...: x(t_k+) = update(x(t_k-), u, p, w_k, d_k). Here w_k are standard normal draws, a function of
-seed, component and k (`twin.component.noise`), and d_k is what some signals(x, u, p) were a while
+seed, component and k (`normal`), and d_k is what some signals(x, u, p) were a while
 before. `Run` is the reference of how all this is put together.
+
+Rows of the interface table are `Variable`s: names, kinds and ranges, and values held against them.
+
+Noise is counter-based: nothing has to be remembered but the counter, so a rolled-back simulation
+draws the same numbers again, and Python and every FMU on every platform draw the same bits: the
+generator is integer arithmetic and the transformation to a normal variate uses + - * / and sqrt
+alone.
+
+Source: generator, Salmon, Moraes, Dror & Shaw, Parallel random numbers: as easy as 1, 2, 3, SC11
+(Philox4x64-10, as in NumPy); normal quantile, Wichura, Algorithm AS 241, Applied Statistics 37
+(1988), PPND16.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from functools import cached_property
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -24,10 +37,260 @@ from numpy.typing import NDArray
 
 from ..errors import ModelError
 from .along import mapped
-from .noise import normal
-from .variable import Variable, check_range, unknown_name
+
+Causality = Literal["parameter", "input", "output", "local"]
+
+
+@dataclass(frozen=True, slots=True)
+class Enumeration:
+    """Values that have names.
+
+    Attributes:
+        name: Of the type.
+        items: Name of each value; the values are 0, 1, ...
+    """
+
+    name: str
+    items: tuple[str, ...]
+
+    @property
+    def legend(self) -> str:
+        """Codes and what they mean, as text."""
+        return ", ".join(f"{code} {item}" for code, item in enumerate(self.items))
+
+
+Kind = Literal["real", "integer", "boolean"] | Enumeration
+"""What the values of a variable are; all are calculated with as numbers."""
+LARGEST_INTEGER = 2**31 - 1
+"""Of what FMI tools hold in 32 bits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """One row of a component's interface table: a scalar that an FMI tool sees.
+
+    Attributes:
+        name: FMI name, dots for structure (`rotor_1.x`).
+        causality: Who sets it; local: of an FMU alone, for solvers.
+        unit: SI unit; "1" for a pure number.
+        description: One line.
+        start: Value before anybody sets it; an output has none.
+        minimum: Smallest allowed value, itself allowed.
+        maximum: Largest allowed value, itself allowed.
+        fixed: A parameter that counts only until initialisation ends.
+        kind: What its values are; a truth value is held as 0 or 1, an enumeration by its code.
+    """
+
+    name: str
+    causality: Causality
+    unit: str
+    description: str
+    start: float = 0.0
+    minimum: float | None = None
+    maximum: float | None = None
+    fixed: bool = False
+    kind: Kind = "real"
+
+    @property
+    def boolean(self) -> bool:
+        """Whether it is a truth value."""
+        return self.kind == "boolean"
+
+    @property
+    def real(self) -> bool:
+        """Whether it may have any value within its range."""
+        return self.kind == "real"
+
+    @property
+    def kind_name(self) -> str:
+        """The kind as a word."""
+        return "enumeration" if isinstance(self.kind, Enumeration) else self.kind
+
+    @property
+    def meaning(self) -> str:
+        """The description, of an enumeration with its codes."""
+        if isinstance(self.kind, Enumeration):
+            return f"{self.description}: {self.kind.legend}"
+        return self.description
+
+    @property
+    def start_text(self) -> str:
+        """Its start value as people write it."""
+        if isinstance(self.kind, Enumeration):
+            return self.kind.items[int(self.start)]
+        if self.boolean:
+            return "true" if self.start else "false"
+        return f"{self.start:g}"
+
+    @classmethod
+    def from_row(cls, row: Mapping[str, Any]) -> "Variable":
+        """One that `dataclasses.asdict` took apart, perhaps by way of JSON."""
+        kind = row["kind"]
+        if isinstance(kind, Mapping):
+            kind = Enumeration(kind["name"], tuple(kind["items"]))
+        return cls(**{**row, "kind": kind})
+
+
+def unknown_name(owner: str, kind: str, name: str, known: Iterable[str]) -> str:
+    """Text of the error for a misspelt name, with the nearest known one."""
+    known = sorted(known)
+    near = get_close_matches(name, known, n=1, cutoff=0.5)
+    hint = f"Did you mean {near[0]!r}?" if near else f"Known: {', '.join(known)}."
+    return f"{owner}: there is no {kind} {name!r}. {hint}"
+
+
+def check_range(owner: str, variable: Variable, value: float) -> None:
+    """Raise `ModelError` if the value is not finite, outside the range or not of the kind."""
+    low, high = variable.minimum, variable.maximum
+    if not np.isfinite(value):
+        raise ModelError(f"{owner}: {variable.name} = {value} must be a finite number.")
+    if not variable.real and value != int(value):
+        raise ModelError(f"{owner}: {variable.name} = {value:g} must be a whole number.")
+    if isinstance(variable.kind, Enumeration) and not 0 <= value < len(variable.kind.items):
+        raise ModelError(
+            f"{owner}: {variable.name} = {value:g} is none of its values: {variable.kind.legend}."
+        )
+    if (low is not None and value < low) or (high is not None and value > high):
+        span = f"[{'-inf' if low is None else low:}, {'inf' if high is None else high}]"
+        raise ModelError(
+            f"{owner}: {variable.name} = {value:g} {variable.unit} is outside its range {span}."
+        )
+
 
 Array = NDArray[np.float64]
+CHANNELS_PER_BLOCK = 4
+"""One Philox block gives four 64-bit words."""
+
+_A = (
+    3.3871328727963666080,
+    1.3314166789178437745e2,
+    1.9715909503065514427e3,
+    1.3731693765509461125e4,
+    4.5921953931549871457e4,
+    6.7265770927008700853e4,
+    3.3430575583588128105e4,
+    2.5090809287301226727e3,
+)
+_B = (
+    1.0,
+    4.2313330701600911252e1,
+    6.8718700749205790830e2,
+    5.3941960214247511077e3,
+    2.1213794301586595867e4,
+    3.9307895800092710610e4,
+    2.8729085735721942674e4,
+    5.2264952788528545610e3,
+)
+_C = (
+    1.42343711074968357734,
+    4.63033784615654529590,
+    5.76949722146069140550,
+    3.64784832476320460504,
+    1.27045825245236838258,
+    2.41780725177450611770e-1,
+    2.27238449892691845833e-2,
+    7.74545014278341407640e-4,
+)
+_D = (
+    1.0,
+    2.05319162663775882187,
+    1.67638483018380384940,
+    6.89767334985100004550e-1,
+    1.48103976427480074590e-1,
+    1.51986665636164571966e-2,
+    5.47593808499534494600e-4,
+    1.05075007164441684324e-9,
+)
+_E = (
+    6.65790464350110377720,
+    5.46378491116411436990,
+    1.78482653991729133580,
+    2.96560571828504891230e-1,
+    2.65321895265761230930e-2,
+    1.24266094738807843860e-3,
+    2.71155556874348757815e-5,
+    2.01033439929228813265e-7,
+)
+_F = (
+    1.0,
+    5.99832206555887937690e-1,
+    1.36929880922735805310e-1,
+    1.48753612908506148525e-2,
+    7.86869131145613259100e-4,
+    1.84631831751005468180e-5,
+    1.42151175831644588870e-7,
+    2.04426310338993978564e-15,
+)
+_LN2 = 0.6931471805599453
+
+
+def normal(seed: int, stream: int, channels: int, first: int, count: int) -> Array:
+    """Standard normal draws of a sensor.
+
+    Args:
+        seed: Any integer from 0 to 2^63 - 1.
+        stream: Number of the sensor, below 2^32: sensors with one seed draw different numbers.
+        channels: Channels of the sensor.
+        first: Counter of the first draw, >= 0.
+        count: Draws per channel.
+
+    Returns:
+        Shape (count, channels); row i belongs to counter `first + i`.
+    """
+    blocks = -(-channels // CHANNELS_PER_BLOCK)
+    words = [_words(seed, (stream << 32) | block, first, count) for block in range(blocks)]
+    return normal_of_bits(np.hstack(words)[:, :channels])
+
+
+def _words(seed: int, second_key: int, first: int, count: int) -> NDArray[np.uint64]:
+    # NumPy counts up before it draws, so counter k of ours is block k + 1 of the generator.
+    generator = np.random.Philox(
+        key=np.array([seed, second_key], dtype=np.uint64),
+        counter=np.array([first, 0, 0, 0], dtype=np.uint64),
+    )
+    return np.asarray(generator.random_raw(CHANNELS_PER_BLOCK * count), np.uint64).reshape(
+        count, CHANNELS_PER_BLOCK
+    )
+
+
+def normal_of_bits(bits: NDArray[np.uint64]) -> Array:
+    """Standard normal variates of 64-bit words: the quantile of their upper 52 bits."""
+    p = ((bits >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52
+    q = p - 0.5
+    central = 0.180625 - q * q
+    middle = q * _rational(central, _A, _B)
+    tail = np.where(q < 0, p, 1.0 - p)
+    r = np.sqrt(-_log(tail))
+    near = _rational(r - 1.6, _C, _D)
+    far = _rational(r - 5.0, _E, _F)
+    outer = np.where(r <= 5.0, near, far)
+    return np.where(np.abs(q) <= 0.425, middle, np.where(q < 0, -outer, outer))
+
+
+def _rational(x: Array, above: tuple[float, ...], below: tuple[float, ...]) -> Array:
+    return _horner(x, above) / _horner(x, below)
+
+
+def _horner(x: Array, coefficients: tuple[float, ...]) -> Array:
+    value = np.full_like(x, coefficients[-1])
+    for c in coefficients[-2::-1]:
+        value = value * x + c
+    return value
+
+
+def _log(x: Array) -> Array:
+    """Natural logarithm by + - * / alone: the platform's own differs in the last bit.
+
+    log(m 2^e) = 2 atanh((m - 1) / (m + 1)) + e log 2 with m in [sqrt(1/2), sqrt(2)).
+    """
+    m, e = np.frexp(x)
+    small = m < 0.7071067811865476
+    m, e = np.where(small, 2.0 * m, m), e - small
+    s = (m - 1.0) / (m + 1.0)
+    series = np.full_like(x, 1.0 / 23.0)
+    for k in range(21, 0, -2):
+        series = series * (s * s) + 1.0 / k
+    return 2.0 * s * series + e * _LN2
 
 
 @dataclass(frozen=True, slots=True)

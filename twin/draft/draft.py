@@ -15,16 +15,14 @@ from ..errors import ModelError
 from ..logs import Flight
 from ..logs.airframe import Place
 from ..logs.columns import ACC, GYRO, MAG, MAX_MOTORS, MIN_MOTORS
-from ..physics.atmosphere import GAS_CONSTANT_J_KG_K, LAPSE_K_M
+from ..physics.environment import GAS_CONSTANT_J_KG_K, LAPSE_K_M
 from ..representation import short_repr
 from ..vehicle import GRAVITY_M_S2
+from ..vehicle.earth import normal_gravity_m_s2, world_field
 from ..vehicle.file import parse_vehicle
-from ..vehicle.file.draft import Draft
-from ..vehicle.file.write import with_effect_sections
-from ..vehicle.geomagnetism import world_field
-from ..vehicle.gravity import normal_gravity_m_s2
+from ..vehicle.file.write import Draft, with_effect_sections
 from ..vehicle.layouts import FRAMES, Layout, frame, frames_of
-from ..vehicle.sensors import SEA_LEVEL_TEMPERATURE_K
+from ..vehicle.vehicle import SEA_LEVEL_TEMPERATURE_K
 from .facts import BODIES, Fact, Known, Making, percent, rounded, usual_inertia
 from .hover import (
     CLEAR,
@@ -254,7 +252,7 @@ def draft_battery(m: Making) -> None:
 
 
 _MASS_SD = 0.01
-"""Weighed, as `twin.vehicle.deviation.WORDS` has it."""
+"""Weighed, as `twin.vehicle.vehicle.WORDS` has it."""
 _ARM_SD = 0.03
 """Measured with a ruler, as there."""
 _SIZES_APART = 0.1

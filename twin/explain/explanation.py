@@ -8,7 +8,7 @@ import numpy as np
 
 from ..effects import EFFECTS, RandomForce
 from ..errors import LogError, ModelError
-from ..flight.stability import Mission, fly_missions
+from ..flight.closed_loop import Mission, fly_missions
 from ..logs import AnyFlight, Flight, Site
 from ..representation import short_repr
 from ..residuals.flight_gap import diagnosis_of

@@ -23,9 +23,9 @@ from ..physics.sensors.table import components_of_sensors
 from ..representation import short_repr
 from ..vehicle import Vehicle
 from .closed_loop import standing
-from .control.lqr_cascade import controller
-from .control.px4.cascade import px4_controller
+from .lqr import controller
 from .mission import mission, mission_duration_s
+from .px4 import px4_controller
 
 DRIVEN_S = 10.0
 """How long a twin that somebody else drives runs where nobody says."""

@@ -3,9 +3,11 @@
 All steps run inside one CasADi function, so a minute of flight takes seconds. Each step is that of
 a Jacobi co-simulation in which the controller answers at once: outputs of the airframe, then the
 controller's, then both advance with their inputs held.
+
+`fly_missions` flies every mission with a vehicle to which effects were added: does it still fly?
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -14,14 +16,14 @@ from numpy.typing import NDArray
 
 from ..component import Component, unknown_name
 from ..component.along import accumulated
-from ..errors import ModelError
+from ..errors import ModelError, TwinError
 from ..frames import AXES
 from ..physics.airframe import airframe
 from ..representation import short_repr
 from ..vehicle import Vehicle
-from .control.hover import drives, thrust_inverse
-from .control.lqr_cascade import controller
-from .mission import PHASES, mission, mission_duration_s
+from .hover import drives, thrust_inverse
+from .lqr import controller
+from .mission import PHASES, mission, mission_duration_s, mission_names
 
 Array = NDArray[np.float64]
 STEP_S = 1e-3
@@ -335,3 +337,77 @@ def _every(control: Component) -> int:
             f"{STEP_S:g} s."
         )
     return every
+
+
+STEEPEST_RAD = np.radians(75.0)
+FARTHEST_ARMS, FARTHEST_M = 10.0, 0.5
+"""Off the setpoint by more than so many rotor arms, and so many metres, is lost."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """A mission flown in closed loop.
+
+    Attributes:
+        name: Of the mission.
+        stable: Whether it was flown to its end, upright and near its setpoints.
+        worst_m: Largest distance from the setpoint; NaN where it could not be flown.
+        problem: Why it is not stable; "" where it is.
+    """
+
+    name: str
+    stable: bool
+    worst_m: float
+    problem: str
+
+
+def fly_missions(
+    vehicle: Vehicle,
+    names: Sequence[str] | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> tuple[Mission, ...]:
+    """Fly missions with the controller that the vehicle's own numbers give.
+
+    Args:
+        vehicle: With its effects.
+        names: Of the missions; default: all.
+        progress: Called with the share done.
+    """
+    names = list(mission_names() if names is None else names)
+    try:
+        loop = ClosedLoop(vehicle)
+    except TwinError as error:
+        return tuple(Mission(name, False, float("nan"), str(error)) for name in names)
+    flown = []
+    for i, name in enumerate(names):
+        flown.append(_fly(vehicle, loop, name))
+        progress((i + 1) / len(names))
+    return tuple(flown)
+
+
+def _fly(vehicle: Vehicle, loop: ClosedLoop, name: str) -> Mission:
+    try:
+        flight = loop.fly(name)
+    except TwinError as error:
+        return Mission(name, False, float("nan"), str(error))
+    if not np.all(np.isfinite(flight.states)):
+        return Mission(name, False, float("nan"), "the simulation diverges")
+    worst, tilt = float(flight.miss_m.max()), float(flight.tilt_rad.max())
+    problem = lost(worst, tilt, vehicle.arm_m)
+    return Mission(name, not problem, worst, problem)
+
+
+def lost(miss_m: float, tilt_rad: float, arm_m: float) -> str:
+    """Why a flight counts as lost; "" where it does not.
+
+    Args:
+        miss_m: Largest distance from the setpoint.
+        tilt_rad: Largest tilt.
+        arm_m: From the centre to a rotor.
+    """
+    farthest_m, problems = max(FARTHEST_M, FARTHEST_ARMS * arm_m), []
+    if not tilt_rad <= STEEPEST_RAD:
+        problems.append(f"tilts to {np.degrees(tilt_rad):.0f} degrees")
+    if not miss_m <= farthest_m:
+        problems.append(f"{miss_m:.2f} m from the setpoint, more than {farthest_m:.2f} m")
+    return "; ".join(problems)

@@ -9,16 +9,15 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from ..component import Component
-from ..component.sampled import noiseless_outputs
+from ..component.rows import noiseless_outputs
 from ..effects import EFFECTS, Average, Repeats, Shift
 from ..logs import Flight, Site
 from ..logs.columns import QUAT
 from ..physics.airframe import airframe
 from ..physics.sensors.table import components_of_sensors
 from ..vehicle import Vehicle
-from .closed_loop import STEP_S, fly, standing
-from .control.lqr_cascade import controller
-from .stability import FARTHEST_ARMS, FARTHEST_M, STEEPEST_RAD
+from .closed_loop import FARTHEST_ARMS, FARTHEST_M, STEEPEST_RAD, STEP_S, fly, standing
+from .lqr import controller
 
 Array = NDArray[np.float64]
 

@@ -8,6 +8,9 @@ Source: Eq. 5 of the paper the project builds on, "Physics-Aware Multichannel Ve
 for Hybrid Digital Twin Modeling of UAV Systems", with gravity left in NED where it belongs: the
 paper rotates it with the matrix that takes body velocity to earth. G_a is the gyroscopic torque
 of the spinning rotors.
+
+With it: the disturbance observer of a motion that is given while the airframe runs, and the trim of
+an airframe that hovers.
 """
 
 from collections.abc import Iterable, Sequence
@@ -17,19 +20,166 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component, ComponentBuilder
-from ..effects import Blocks, Effect, effects_of
+from ..effects import Blocks, Effect, Period, effects_of
 from ..effects.stages import AIR_DENSITY_KG_M3, Air, Body, Motion, Thrust, Wrench
+from ..errors import ModelError
 from ..frames import AXES, FRD, NED, cross, to_body
 from ..vehicle import Vehicle
-from ..vehicle.thrust_map import hover_level
-from .disturbance_observer import RESTARTS, followed
-from .ground import ground_contact
-from .rigid_body import OUTSIDE, angular_acceleration, inertia_matrix, motion_states, move
-from .rotor_air import hub_loads
-from .rotors import Drive, rotor_equations, rotor_inputs
-from .trim import hover_trim
+from ..vehicle.thrust_map import first_reaching, hover_level
+from .rigid_body import (
+    MOTION,
+    OUTSIDE,
+    START,
+    angular_acceleration,
+    ground_contact,
+    inertia_matrix,
+    motion_states,
+    move,
+)
+from .rotors import Drive, hub_loads, rotor_equations, rotor_inputs
+
+RESTART_PERIOD_S = 1e-3
+"""The communication step of the co-simulation."""
+RESTARTS = Period(RESTART_PERIOD_S, "Time between two instants at which it can be set anew")
+LAG_S, FADE_S = 0.2, 1.0
+"""Of 0.1, 0.2 and 0.5 s, and fades of 0.7 and 1 s, on the residuals of three real hovers
+(RflySimDT) none forecast half a second better by more than a tenth."""
+
+
+def followed(m: ComponentBuilder, motion: Motion, period: ca.SX) -> list[ca.SX]:
+    """Let inputs set the motion while the component runs; force and moment learned meanwhile.
+
+    From one instant with `restart` to the next the motion drifts from the given one by what the
+    equations lack. That is put down to a force and a moment, in a first-order lag, which act from
+    then on and fade once the motion is no longer given: a disturbance observer.
+
+    Args:
+        m: Of the airframe.
+        motion: Its states.
+        period: Time between two of its instants, s, a multiple of `RESTART_PERIOD_S`.
+
+    Returns:
+        Force and moment, body FRD, 6 rows; zero while the observer is switched off.
+
+    Source: Luenberger's observer with an integrating disturbance; Chen, Yang, Guo & Li, IEEE
+    Trans. Industrial Electronics 63, 2016, sec. II.
+    """
+    now = m.input("restart", "1", "Whether the motion is the given one", kind="boolean") > 0.5
+    given = {
+        name: m.input(f"restart.{name}", unit, f"Given {meaning}", START.get(name, 0.0))
+        for name, unit, meaning in MOTION
+    }
+    q = [given[f"q_{a}"] for a in "wxyz"]
+    length = ca.sqrt(sum((c * c for c in q), start=ca.SX(0)))
+    given |= {f"q_{a}": c / ca.fmax(length, 1e-12) for a, c in zip("wxyz", q, strict=True)}
+    states = (*motion.pos_n, *motion.vel_n, *motion.q_nb, *motion.omega_b)
+    for (name, _, _), state in zip(MOTION, states, strict=True):
+        m.update(name, ca.if_else(now, given[name], state))
+
+    on = m.parameter(
+        "disturbance.enabled",
+        0.0,
+        "1",
+        "Whether what the equations lack while the motion is given acts afterwards",
+        kind="boolean",
+        minimum=0,
+        maximum=1,
+    )
+    before = m.memory("restart.before", "1", "whether the motion was given an instant ago")
+    m.update("restart.before", now)
+    follows = ca.logic_and(now, before > 0.5)
+    drift_n = [given[f"vel_{a}"] - v for a, v in zip(AXES, motion.vel_n, strict=True)]
+    missing = [motion.body.mass * v for v in to_body(motion.q_nb, drift_n)]
+    turned = [given[f"omega_{a}"] - w for a, w in zip(AXES, motion.omega_b, strict=True)]
+    missing += [
+        sum((j * w for j, w in zip(row, turned, strict=True)), start=ca.SX(0))
+        for row in motion.body.inertia
+    ]
+    acts = []
+    for (name, unit, meaning), lacks in zip(OUTSIDE, missing, strict=True):
+        lag, fade = (
+            m.parameter(f"disturbance.{kind}.{name}", start, "s", text, minimum=1e-2)
+            for kind, start, text in (
+                ("lag", LAG_S, f"Time constant in which it is learned, {name}"),
+                ("fade", FADE_S, f"Time constant in which it fades, {name}"),
+            )
+        )
+        known = m.memory(f"disturbance.{name}", unit, f"what the equations lack, {meaning}")
+        learned = ca.if_else(follows, known + lacks / lag, known)
+        m.update(f"disturbance.{name}", ca.if_else(now, learned, known * (1 - period / fade)))
+        acts.append(ca.if_else(on, known, 0.0))
+    return acts
+
 
 Array = NDArray[np.float64]
+
+
+def hover_trim(component: Component, vehicle: Vehicle) -> dict[str, float]:
+    """Start values (inputs and initial rotor states) of an unaccelerated level hover.
+
+    Newton's method with the least-norm step on vertical and angular acceleration against the
+    rotor inputs, at steady rotors, with the derivatives of the component's own equations.
+
+    Raises:
+        ModelError: No command inside 0..1 (no positive speed) hovers.
+    """
+    names = [n for n in component.input_names if n.startswith(("cmd_", "rotor_"))]
+    index = [component.input_names.index(n) for n in names]
+    steady = [i for i, s in enumerate(component.states) if s.name.startswith(("rotor_", "effort_"))]
+    v = ca.SX.sym("v", len(names))
+    r = ca.SX.sym("r", len(steady))
+    u = ca.SX(component.input_values())
+    u[index] = v
+    p = component.parameter_values()
+    x = component.initial(u, p)
+    if steady:
+        x[steady] = r
+    rates = component.derivatives(x, u, p)
+    wanted = [
+        i
+        for i, s in enumerate(component.states)
+        if s.name in ("vel_z", "omega_x", "omega_y", "omega_z")
+    ]
+    residual = ca.vertcat(rates[wanted], rates[steady])
+    unknown = ca.vertcat(v, r)
+    newton = ca.Function("newton", [unknown], [residual, ca.jacobian(residual, unknown)])
+    guess = _trim_guess(vehicle, component.input_names, len(steady))
+    for _ in range(50):
+        value, slope = (np.asarray(a, dtype=np.float64) for a in newton(guess))
+        step = np.linalg.pinv(slope) @ value.ravel()
+        guess = guess - step
+        if np.max(np.abs(step)) < 1e-15 * max(1.0, float(np.max(np.abs(guess)))):
+            break
+    value = np.asarray(newton(guess)[0], dtype=np.float64)
+    commands = guess[: len(names)]
+    too_high = component.input_names[index[0]].startswith("cmd_") and commands.max() > 1
+    if (
+        not np.all(np.isfinite(guess))
+        or np.max(np.abs(value)) > 1e-6
+        or commands.min() < 0
+        or too_high
+    ):
+        raise ModelError(
+            f"{vehicle.name}: no hover trim: rotor inputs {np.round(commands, 4).tolist()} leave "
+            f"an acceleration of {np.max(np.abs(value)):.3g}. Check mass, thrust map, rotor "
+            f"positions and directions."
+        )
+    trim = dict(zip(names, commands.tolist(), strict=True))
+    starts = [f"initial.{component.states[i].name}" for i in steady]
+    return trim | dict(zip(starts, guess[len(names) :].tolist(), strict=True))
+
+
+def _trim_guess(vehicle: Vehicle, inputs: Sequence[str], n_steady: int) -> Array:
+    """Equal rotors that carry the weight: argument of the thrust map, then its state if any."""
+    rotors = vehicle.rotors
+    level = hover_level(vehicle)
+    command = level
+    if rotors.from_speed and rotors.speed_rad_s:
+        command = first_reaching(rotors.speed_rad_s, level, 1.0)
+    first = level if "rotor_1" in inputs else command
+    return np.array([first] * rotors.count + [level] * n_steady)
+
+
 REPORTED = "told."
 """Before the name of an input that an airframe also shows, so that others can be fed by it."""
 

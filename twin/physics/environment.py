@@ -12,7 +12,7 @@ from ..effects import Blocks, effects_of
 from ..effects.air import Breeze
 from ..frames import AXES
 from ..vehicle import GRAVITY_M_S2, Vehicle
-from .atmosphere import GAS_CONSTANT_J_KG_K, LAPSE_K_M
+from .environment import GAS_CONSTANT_J_KG_K, LAPSE_K_M
 
 SAMPLE_PERIOD_S = 1e-2
 GROUND_K, GROUND_PA = 288.15, 101325.0

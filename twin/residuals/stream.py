@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..component.building import BUILDING
+from ..component.along import BUILDING
 from ..component.rows import OverRows
 from ..effects import late_actions
 from ..errors import LogError

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..component.building import BUILDING
+from ..component.along import BUILDING
 from ..effects import ages
 from ..logs import Flight
 from .aligned import AlignedFlight

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component
-from ..component.along import Along
-from ..component.building import BUILDING
-from ..component.sampled import noiseless_outputs
+from ..component.along import BUILDING, Along
+from ..component.rows import noiseless_outputs
 from ..draft.consistency import check_airframe, consistency
 from ..effects import acting_late, late_actions
 from ..effects.timing import COMMAND_PERIOD_S

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component
-from ..component.along import Along, mapped
-from ..component.building import BUILDING
+from ..component.along import BUILDING, Along, mapped
 
 Array = NDArray[np.float64]
 

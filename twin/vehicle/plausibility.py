@@ -11,9 +11,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from ..representation import short_repr
-from .deviation import DEFAULT, WORDS, relative_deviation
 from .thrust_map import first_reaching, hover_level, most_thrust_n, polynomial
-from .vehicle import Vehicle
+from .vehicle import DEFAULT, WORDS, Vehicle, relative_deviation
 
 
 @dataclass(frozen=True, slots=True)

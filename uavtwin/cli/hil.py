@@ -165,7 +165,7 @@ def _place(text: str) -> tuple[float, float, float]:
 def _field(place: tuple[float, float, float]) -> dict[str, float]:
     """Start values of the magnetometer at a place."""
     from twin.frames import AXES
-    from twin.vehicle.geomagnetism import world_field
+    from twin.vehicle.earth import world_field
 
     names = (f"magnetometer.field_{a}" for a in AXES)
     return dict(zip(names, world_field(*place, _YEAR), strict=True))

@@ -35,7 +35,7 @@ def quantity(text: str, unit: str, bare: bool = True) -> float:
     Raises:
         ValueError: It is no number, its unit is none or of another kind, or the unit is missing.
     """
-    from twin.vehicle.file.units import factor
+    from twin.vehicle.file.entries import unit_factor
 
     match = _QUANTITY.fullmatch(text)
     if match is None:
@@ -44,7 +44,7 @@ def quantity(text: str, unit: str, bare: bool = True) -> float:
     if not given and not bare:
         raise ValueError(f"{text!r} has no unit such as {unit}")
     try:
-        scale = factor(text, given or unit, unit)
+        scale = unit_factor(text, given or unit, unit)
     except TwinError as error:
         raise ValueError(str(error)) from error
     if scale is None:

@@ -14,7 +14,7 @@ from twin.effects.air import ROTOR_DRAG
 from twin.effects.mass import COG_OFFSET, INERTIA_ERROR, MASS_OFFSET
 from twin.effects.propulsion import THRUST_SCALE
 from twin.flight.closed_loop import STEP_S
-from twin.flight.minimum_jerk import (
+from twin.flight.mission import (
     minimum_jerk,
     minimum_jerk_acceleration,
     minimum_jerk_speed,

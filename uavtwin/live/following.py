@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.component import substeps
-from twin.component.along import Along, EachRow
-from twin.component.building import BUILDING
+from twin.component.along import BUILDING, Along, EachRow
 from twin.errors import TwinError
 from twin.explain.running.alarms import Alarm
 from twin.frames import AXES

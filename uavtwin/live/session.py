@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twin.component.building import BUILDING
+from twin.component.along import BUILDING
 from twin.errors import TwinError
 from twin.explain.running.alarms import Alarm
 from twin.logs.flight import Finding

@@ -17,7 +17,7 @@ from queue import Queue
 from threading import Lock
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
-from twin.component.building import BUILDING
+from twin.component.along import BUILDING
 from twin.errors import TwinError
 from twin.explain.running.alarms import Alarm
 from twin.logs.flight import Finding

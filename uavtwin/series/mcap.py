@@ -18,7 +18,7 @@ from twin.logs import Finding, Flight
 from twin.logs.airframe import Place, origin_of
 from twin.logs.columns import ACC, ACC_NED, COLUMNS, GYRO, MAG, POS, QUAT, VEL, motor_number
 from twin.logs.flight import Severity
-from twin.vehicle.geodesy import geodetic_of_ned
+from twin.vehicle.earth import geodetic_of_ned
 
 if TYPE_CHECKING:
     from mcap.writer import Writer

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.recording import Recording
-from twin.flight.stability import lost
+from twin.flight.closed_loop import lost
 from twin.representation import short_repr
 
 from ..jobs import journal

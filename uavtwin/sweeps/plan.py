@@ -10,7 +10,7 @@ from cosim.interface import read_interface
 from cosim.ssp import read_ssp
 from cosim.system import System
 from twin.component import unknown_name
-from twin.component.variable import check_range
+from twin.component.component import check_range
 from twin.effects import EFFECTS
 from twin.errors import TwinError
 from twin.flight.assembly import Assembly, flying_twin

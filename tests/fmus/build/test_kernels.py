@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fmus.builder import CFLAGS
 from fmus.kernels import NUMBERS, TOGETHER, TRUTHS, kernel_source, kernels, operations, paired
 from twin.errors import FmuError
-from twin.flight.control.lqr_cascade import controller
+from twin.flight.lqr import controller
 from twin.vehicle.file import load_vehicle
 
 Array = NDArray[np.float64]

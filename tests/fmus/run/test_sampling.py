@@ -10,7 +10,7 @@ from cosim.master import Master
 from cosim.system import System
 from fmus import build, component_model
 from twin.component import Component, ComponentBuilder, Run
-from twin.component.noise import normal
+from twin.component.component import normal
 
 PERIOD_S = 0.0035  # no multiple of the communication step
 STEP_S = 1e-3

@@ -12,7 +12,7 @@ from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES, UNKNOWN_PHASE
 from learning.data.flights import ResidualFlight, held, residual_flight, restart_before_s
 from twin.errors import LogError, ModelError
 from twin.flight import closed_loop
-from twin.flight.control.lqr_cascade import controller
+from twin.flight.lqr import controller
 from twin.logs import Flight
 from twin.physics.airframe import airframe
 from twin.physics.sensors.imu import imu

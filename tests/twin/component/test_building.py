@@ -5,8 +5,7 @@ import threading
 import casadi as ca
 import numpy as np
 
-from twin.component.along import Along
-from twin.component.building import BUILDING
+from twin.component.along import BUILDING, Along
 
 
 def step() -> ca.Function:

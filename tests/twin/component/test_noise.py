@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtri
 from scipy.stats import kstest
 
-from twin.component.noise import normal, normal_of_bits
+from twin.component.component import normal, normal_of_bits
 
 COUNT = 200_000
 

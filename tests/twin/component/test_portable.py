@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 from twin.component import portable
-from twin.flight.control.lqr_cascade import controller
-from twin.flight.control.px4.cascade import px4_controller
+from twin.flight.lqr import controller
 from twin.flight.mission import mission, mission_names
+from twin.flight.px4 import px4_controller
 from twin.physics.environment import environment
 from twin.vehicle.file import load_vehicle
 

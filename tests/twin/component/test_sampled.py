@@ -5,7 +5,7 @@ import pytest
 from rig import plain
 from sensor_rig import effect_on, motion, readings
 
-from twin.component.sampled import noiseless_outputs
+from twin.component.rows import noiseless_outputs
 from twin.effects import EFFECTS
 from twin.physics.sensors.imu import imu
 from twin.physics.sensors.position import position_sensor

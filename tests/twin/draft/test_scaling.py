@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from twin.draft import facts
+from twin.vehicle.earth import normal_gravity_m_s2
 from twin.vehicle.file import load_vehicle
-from twin.vehicle.gravity import normal_gravity_m_s2
 from twin.vehicle.layouts import FRAMES, frame
 
 

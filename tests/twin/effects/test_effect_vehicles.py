@@ -12,7 +12,7 @@ from twin.component import Component, Run
 from twin.effects import EFFECTS
 from twin.flight import closed_loop
 from twin.flight.assembly import flying_twin
-from twin.flight.control.lqr_cascade import controller
+from twin.flight.lqr import controller
 from twin.flight.mission import mission
 from twin.logs import Flight
 from twin.physics.airframe import airframe

@@ -19,7 +19,7 @@ from twin.explain.model.model import model_of
 from twin.explain.model.numbers import with_effects
 from twin.explain.settings import DEFAULT
 from twin.explain.usable import reasons_unusable, usable_part
-from twin.flight.stability import fly_missions
+from twin.flight.closed_loop import fly_missions
 from twin.logs import Flight
 from twin.residuals.channels import GRID_HZ
 from twin.vehicle import Vehicle

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from search_rigs.hypotheses import against, fit_set
 from search_rigs.library import library
 
-from twin.component.sampled import noiseless_outputs
+from twin.component.rows import noiseless_outputs
 from twin.explain.explanation import explain
 from twin.explain.inference.fit import Fit
 from twin.explain.inference.sparse_regression import fold_of, over, sparse

@@ -9,7 +9,7 @@ from rig import plain
 
 from twin.errors import ModelError
 from twin.flight.closed_loop import STEP_S, fly, standing
-from twin.flight.control.lqr_cascade import controller
+from twin.flight.lqr import controller
 from twin.flight.simulate_flight import Later, Recorder, Stream, simulate_flight
 from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, POS

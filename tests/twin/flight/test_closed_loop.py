@@ -10,7 +10,7 @@ from rig import BUILTIN
 
 from twin.component import Run
 from twin.flight.closed_loop import SETPOINTS, STEP_S, ClosedLoop, Trajectory, closed_loop, standing
-from twin.flight.control.lqr_cascade import controller
+from twin.flight.lqr import controller
 from twin.flight.mission import mission, mission_names
 from twin.frames import AXES
 from twin.physics.airframe import airframe

@@ -12,11 +12,9 @@ from scipy.spatial.transform import Rotation
 from twin.component import Component, ComponentBuilder
 from twin.errors import ModelError
 from twin.flight.closed_loop import SETPOINTS, fly
-from twin.flight.control.geometry import attitude_error, desired_axes
-from twin.flight.control.hover import linearise, thrust_inverse
-from twin.flight.control.lqr import design
-from twin.flight.control.lqr_cascade import controller
-from twin.flight.control.mixer import mix
+from twin.flight.control_laws import attitude_error, desired_axes
+from twin.flight.hover import linearise, thrust_inverse
+from twin.flight.lqr import controller, design, mix
 from twin.frames import from_euler
 from twin.physics.airframe import airframe
 from twin.vehicle import Vehicle

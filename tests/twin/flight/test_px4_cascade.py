@@ -9,9 +9,13 @@ from rig import with_rotors
 
 from twin.errors import ModelError
 from twin.flight.closed_loop import closed_loop, fly
-from twin.flight.control.px4.cascade import px4_controller, px4_controller_of_log
-from twin.flight.control.px4.mixer import mix_airmode_off
-from twin.flight.control.px4.parameters import PARAMETERS, from_px4
+from twin.flight.px4 import (
+    PARAMETERS,
+    from_px4,
+    mix_airmode_off,
+    px4_controller,
+    px4_controller_of_log,
+)
 from twin.logs.px4.control import Mixer, geometry_scale, low_pass, mix, mixer_scale
 from twin.physics.airframe import airframe
 from twin.vehicle.file import load_vehicle

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from twin.flight.closed_loop import STEP_S
-from twin.flight.minimum_jerk import (
+from twin.flight.mission import (
     FASTEST,
     HARDEST,
     minimum_jerk,

@@ -12,8 +12,7 @@ from scipy.special import ellipj
 
 from twin.errors import ModelError
 from twin.frames import from_euler, rotation_matrix
-from twin.physics.airframe import airframe
-from twin.physics.trim import hover_trim
+from twin.physics.airframe import airframe, hover_trim
 from twin.vehicle import GRAVITY_M_S2
 from twin.vehicle.file import load_vehicle
 

@@ -10,7 +10,7 @@ from scipy.signal import welch
 
 from twin.component import Run
 from twin.component.along import accumulated, mapped
-from twin.component.noise import normal
+from twin.component.component import normal
 from twin.effects.air import low_altitude_turbulence
 from twin.errors import ModelError
 from twin.physics.environment import environment

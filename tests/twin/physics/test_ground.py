@@ -6,7 +6,7 @@ from rig import BUILTIN, Array, Rig, q, vec
 
 from twin.frames import from_euler
 from twin.physics.airframe import airframe
-from twin.physics.ground import CONTACT_HZ, FRICTION
+from twin.physics.rigid_body import CONTACT_HZ, FRICTION
 from twin.vehicle import GRAVITY_M_S2
 from twin.vehicle.file import load_vehicle
 

@@ -11,8 +11,8 @@ from twin.effects import EFFECTS
 from twin.errors import ModelError
 from twin.frames import from_euler
 from twin.physics.sensors.magnetometer import magnetometer
-from twin.vehicle.geomagnetism import world_field
-from twin.vehicle.sensors import EARTH_FIELD_N_T
+from twin.vehicle.earth import world_field
+from twin.vehicle.vehicle import EARTH_FIELD_N_T
 
 IDEAL = Rig(magnetometer(plain()))
 ALL = magnetometer(plain(), EFFECTS)

@@ -10,7 +10,7 @@ from twin.component import Run
 from twin.effects import EFFECTS
 from twin.frames import from_euler, rotation_vector
 from twin.physics.sensors.position import PRESETS, position_sensor
-from twin.vehicle.sensors import Sensors
+from twin.vehicle.vehicle import Sensors
 
 QUIET = {f"{stem}_noise_{a}": 0.0 for stem in ("pos", "vel") for a in "xyz"} | {
     f"pos_walk_{a}": 0.0 for a in "xyz"

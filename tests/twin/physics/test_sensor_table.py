@@ -12,7 +12,7 @@ from twin.logs.columns import COLUMNS
 from twin.physics.sensors.table import BODY, SENSORS, Sensor, sensor_of
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS
-from twin.vehicle.sensors import Sensors
+from twin.vehicle.vehicle import Sensors
 
 VEHICLE = load_vehicle("copter_default")
 every_sensor = pytest.mark.parametrize("row", SENSORS, ids=lambda s: s.name)
@@ -48,7 +48,7 @@ def test_every_key_of_a_sensor_is_read() -> None:
     sections = {s.component for s in SENSORS}
     given = {k for k in FIELDS if k.partition(".")[0] in sections and k.endswith(("noise", "walk"))}
     missing = sorted(given - {f.metadata["key"] for f in fields(Sensors) if f.metadata})
-    assert not missing, f"no number of twin/vehicle/sensors.py: {missing}"
+    assert not missing, f"no number of twin/vehicle/vehicle.py: {missing}"
 
 
 def test_every_effect_stands_in_a_component_that_exists() -> None:

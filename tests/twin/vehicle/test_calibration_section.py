@@ -12,7 +12,7 @@ from twin.errors import ModelError
 from twin.vehicle import Calibration, Vehicle
 from twin.vehicle.file import load_vehicle, parse_vehicle, vehicle_text
 from twin.vehicle.file.calibration import same_calibration
-from twin.vehicle.file.update import update_text
+from twin.vehicle.file.write import update_text
 
 TEXT, _ = vehicle_text("copter_default")
 COMMENT = "# put on by hand"

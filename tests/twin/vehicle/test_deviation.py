@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from twin.effects.priors import PRIORS
 from twin.errors import ModelError
 from twin.vehicle import Deviation, Vehicle, relative_deviation
-from twin.vehicle.deviation import WORDS, share_by_word
 from twin.vehicle.file import builtin_vehicles, load_vehicle, parse_vehicle, vehicle_text
-from twin.vehicle.file.update import update_text
+from twin.vehicle.file.write import update_text
+from twin.vehicle.vehicle import WORDS, share_by_word
 
 FILE = """\
 [body]

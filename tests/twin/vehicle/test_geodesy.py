@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.vehicle.geodesy import A_M, F, geodetic_of_ned
+from twin.vehicle.earth import A_M, F, geodetic_of_ned
 
 E2 = F * (2 - F)
 

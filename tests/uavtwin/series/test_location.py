@@ -16,7 +16,7 @@ from series_rigs.mcap_rig import Read, read_mcap
 from twin.logs import Flight, read_flight, write_flight
 from twin.logs.airframe import Airframe, Place, SourcedValue
 from twin.residuals.gap import Channel, FlightGap
-from twin.vehicle.geodesy import geodetic_of_ned
+from twin.vehicle.earth import geodetic_of_ned
 from uavtwin.gaps import GapResult
 from uavtwin.series.files import write_series
 from uavtwin.series.mcap import write_flight_mcap

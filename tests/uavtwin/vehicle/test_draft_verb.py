@@ -13,7 +13,7 @@ from sample_logs import moving_topics, ulog
 
 import uavtwin as ut
 from twin.logs.airframe import Airframe, Cells, Place, SourcedValue, ThrustCurve
-from twin.vehicle.deviation import relative_deviation
+from twin.vehicle.vehicle import relative_deviation
 from uavtwin.demo.flights import ACC_NOISE_M_S2, GYRO_NOISE_RAD_S, Waypoints, fly
 
 FLIGHT: Waypoints = (

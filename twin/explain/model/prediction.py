@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...component import Component
-from ...component.along import EachRow
-from ...component.building import BUILDING
+from ...component.along import BUILDING, EachRow
 from ...component.rows import OverRows
 from ...effects import acting_late
 from ...residuals.channels import GRID_HZ

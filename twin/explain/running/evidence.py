@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...component.building import BUILDING
+from ...component.along import BUILDING
 from ...effects import EFFECTS, Repeats
 from ...effects.priors import BESIDE
 from ...errors import LogError

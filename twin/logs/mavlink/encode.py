@@ -9,9 +9,9 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from ...physics.atmosphere import GAS_CONSTANT_J_KG_K, LAPSE_K_M
+from ...physics.environment import GAS_CONSTANT_J_KG_K, LAPSE_K_M
 from ...vehicle import GRAVITY_M_S2
-from ...vehicle.sensors import SEA_LEVEL_PRESSURE_PA, SEA_LEVEL_TEMPERATURE_K
+from ...vehicle.vehicle import SEA_LEVEL_PRESSURE_PA, SEA_LEVEL_TEMPERATURE_K
 from ..columns import ACC, GYRO, MAG, POS, QUAT, VEL
 from .decoder import PA_PER_HPA, ROTOR_ARRAY, T_PER_GAUSS
 from .frames import TYPES, Message, dialect

@@ -2,22 +2,108 @@
 
 `FIELDS` says what a key holds; `_SHAPES` says how each shape is read. What is wrong is collected,
 so that one run names every mistake of a file.
+
+The `sd` of an entry is numbers in the entry's unit, or a share in percent.
 """
 
+import math
 import re
-from collections.abc import Callable, Iterator
+import reprlib
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from decimal import Decimal
 from difflib import get_close_matches
+from functools import lru_cache
 from itertools import islice
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...errors import ModelError
 from .. import Array, Deviation
-from . import units
-from .deviations import read_deviation
 from .fields import FIELDS, Field
+
+PLACES = ("rotors.position", "imu.position", "position.antenna")
+"""Keys whose share is of the arm: their numbers may be zero and yet be in doubt."""
+MAPS = ("polynomial", "rates", "table")
+"""Shapes whose numbers are not known one by one."""
+_EXACT = ("list", "pair")
+"""Shapes of what is agreed upon, not measured."""
+_PERCENT = re.compile(r"\s*(\d*\.?\d+(?:e[+-]?\d{1,3})?)\s*%\s*", re.ASCII | re.IGNORECASE)
+
+
+def read_deviation(
+    key: str,
+    sd: object,
+    shape: str,
+    value: Array,
+    numbers: Callable[[object], Array],
+    written: Sequence[int] = (),
+    arm_m: float = math.nan,
+) -> Deviation:
+    """Read the `sd` of an entry.
+
+    Args:
+        key: Names the entry in errors.
+        sd: As it stands in the file.
+        shape: Of the value, as `Field` has it.
+        value: In SI units.
+        numbers: Converts numbers as they stand in the file to SI units.
+        written: Shape of the value as it stands in the file.
+        arm_m: Of the vehicle; a share of a place is of it.
+
+    Raises:
+        ModelError: It is no standard deviation of this value.
+    """
+    if shape in _EXACT:
+        raise ModelError(f"{key} takes no sd: it is agreed upon, not measured. Leave sd out.")
+    if isinstance(sd, str):
+        return Deviation(_share(key, sd))
+    if shape in MAPS:
+        raise ModelError(
+            f"{key}: sd = {sd!r} must be a share of the whole map, as in "
+            f'sd = "5 %": its numbers are not known one by one.'
+        )
+    each = numbers(sd)
+    if each.shape not in {(), tuple(written), (3,) if shape == "inertia" else ()}:
+        raise ModelError(
+            f"{key}: sd = {sd!r} must be one number, for all of the value, or one for each."
+        )
+    if np.any(each <= 0):
+        raise ModelError(f"{key}: sd = {sd!r} must be positive; leave it out where it is unknown.")
+    flat = each.ravel().tolist()
+    if shape == "inertia":
+        share = Deviation.of(flat[:3], np.diagonal(value).tolist()).share
+        return Deviation(share, tuple(flat))
+    return Deviation.of(flat, [arm_m] if key in PLACES else value.ravel().tolist())
+
+
+def written_sd(deviation: Deviation, shape: Sequence[int] = ()) -> str | float | list[float]:
+    """What stands in a file behind `sd =`, in SI units, and is read back as the same.
+
+    Args:
+        deviation: To write.
+        shape: Of the value as it stands in the file.
+    """
+    if deviation.numbers is None:
+        return f"{(Decimal(repr(deviation.share)) * 100).normalize():f} %"
+    if len(deviation.numbers) == 1:
+        return deviation.numbers[0]
+    each = np.array(deviation.numbers)
+    rows: list[float] = (each.reshape(shape) if each.size == np.prod(shape) else each).tolist()
+    return rows
+
+
+def _share(key: str, text: str) -> float:
+    found = _PERCENT.fullmatch(text)
+    share = float(Decimal(found[1]) / 100) if found else math.nan
+    if not 0 < share < math.inf:
+        raise ModelError(
+            f"{key}: sd = {text!r} must be a positive number without quotes, in the unit of the "
+            f'entry, or a share of the value as in sd = "5 %".'
+        )
+    return share
+
 
 _HUGE = 1e60  # larger numbers overflow once multiplied with each other
 _TEXTS = ("name", "description")
@@ -78,7 +164,7 @@ def read_entries(tree: dict[str, Any]) -> Entries:
             entries.texts[name] = text
         else:
             entries.mistakes.append(
-                f"{name} = {units.short(text)} must be text without control characters."
+                f"{name} = {short(text)} must be text without control characters."
             )
     for key, what in FIELDS.items():
         section, name = key.split(".")
@@ -138,7 +224,7 @@ def _all_unknown(tree: dict[str, Any]) -> Iterator[tuple[str, str, set[str]]]:
 def _unknown(kind: str, name: str, known: set[str]) -> str:
     near = get_close_matches(name[:99], sorted(known), n=1, cutoff=0.5)
     hint = f"Did you mean {near[0]!r}?" if near else f"Known: {', '.join(sorted(known))}."
-    return f"unknown {kind}: {units.short(name)}. {hint}"
+    return f"unknown {kind}: {short(name)}. {hint}"
 
 
 def read_number(key: str, entry: Any, unit: str) -> tuple[float, Deviation | None]:
@@ -150,7 +236,7 @@ def read_number(key: str, entry: Any, unit: str) -> tuple[float, Deviation | Non
     _check_form(key, entry, unit)
     value = _si(key, entry.get("value"), entry, unit)
     if value.shape != ():
-        raise ModelError(f"{key} = {units.short(entry.get('value'))} must be one number.")
+        raise ModelError(f"{key} = {short(entry.get('value'))} must be one number.")
     if "sd" not in entry:
         return float(value), None
     given = _numbers_of_sd(key, _to_si(key, entry, unit))
@@ -161,7 +247,7 @@ def _check_form(key: str, entry: Any, unit: str) -> None:
     """Braces with a value and a source."""
     if not isinstance(entry, dict) or not ({"value", "coefficients"} & set(entry)):
         raise ModelError(
-            f"{key} = {units.short(entry)} needs unit and source, as in "
+            f"{key} = {short(entry)} needs unit and source, as in "
             f'{key.split(".")[1]} = {{ value = ..., unit = "{unit or "1"}", source = "..." }}.'
         )
     for part in sorted(entry.keys() - _PARTS):
@@ -183,9 +269,9 @@ def _numbers(key: str, raw: Any) -> Array:
             raise TypeError
         values = np.asarray(raw, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise ModelError(f"{key} = {units.short(raw)} must be numbers.") from None
+        raise ModelError(f"{key} = {short(raw)} must be numbers.") from None
     if not np.all(np.abs(values) < _HUGE):
-        raise ModelError(f"{key} = {units.short(raw)} must be finite, below {_HUGE:g}.")
+        raise ModelError(f"{key} = {short(raw)} must be finite, below {_HUGE:g}.")
     return values
 
 
@@ -199,7 +285,7 @@ def _to_si(key: str, entry: _Entry, unit: str) -> float:
     given = entry.get("unit")
     if not isinstance(given, str):
         raise ModelError(f'{key} has no unit. Add unit = "{unit}" or another one.')
-    factor = units.factor(key, given, _PER_MASS[key] if _is_per_mass(key, entry) else unit)
+    factor = unit_factor(key, given, _PER_MASS[key] if _is_per_mass(key, entry) else unit)
     if factor is None:
         raise ModelError(f'{key} has unit "{given}", which is not a unit of the kind "{unit}".')
     return factor
@@ -234,7 +320,7 @@ def _is_per_mass(key: str, entry: _Entry) -> bool:
     """Whether the unit is that of the value over a mass. Raises ModelError where it is none."""
     if key not in _PER_MASS or entry["unit"] == FIELDS[key].unit:
         return False
-    return units.factor(key, entry["unit"], _PER_MASS[key]) is not None
+    return unit_factor(key, entry["unit"], _PER_MASS[key]) is not None
 
 
 def _check_sign(key: str, values: Array, positive: bool | None) -> None:
@@ -251,14 +337,14 @@ def _check_sign(key: str, values: Array, positive: bool | None) -> None:
 def _scalar(key: str, entry: _Entry) -> Array:
     values = _si(key, entry.get("value"), entry, FIELDS[key].unit)
     if values.shape != ():
-        raise ModelError(f"{key} = {units.short(entry['value'])} must be one number.")
+        raise ModelError(f"{key} = {short(entry['value'])} must be one number.")
     return values
 
 
 def _vector(key: str, entry: _Entry) -> Array:
     values = _si(key, entry.get("value"), entry, FIELDS[key].unit)
     if values.shape != (3,):
-        raise ModelError(f"{key} = {units.short(entry['value'])} must be a list of 3 numbers.")
+        raise ModelError(f"{key} = {short(entry['value'])} must be a list of 3 numbers.")
     return values
 
 
@@ -267,7 +353,7 @@ def _inertia(key: str, entry: _Entry) -> Array:
     values = _si(key, entry.get("value"), entry, FIELDS[key].unit)
     if values.shape not in ((3,), (6,)):
         raise ModelError(
-            f"{key} = {units.short(entry['value'])} must be [Ixx, Iyy, Izz] or "
+            f"{key} = {short(entry['value'])} must be [Ixx, Iyy, Izz] or "
             f"[Ixx, Iyy, Izz, Ixy, Ixz, Iyz]."
         )
     xx, yy, zz, xy, xz, yz = [*values, 0.0, 0.0, 0.0][:6]
@@ -275,7 +361,7 @@ def _inertia(key: str, entry: _Entry) -> Array:
     smallest = np.linalg.eigvalsh(matrix)[0]
     if smallest <= 0:
         raise ModelError(
-            f"{key} = {units.short(entry['value'])} is not positive definite "
+            f"{key} = {short(entry['value'])} is not positive definite "
             f"(smallest principal moment {smallest:g} kg*m^2)."
         )
     return matrix
@@ -292,7 +378,7 @@ def _directions(key: str, entry: _Entry) -> Array:
     words = entry.get("value")
     if not isinstance(words, list) or any(w not in ("cw", "ccw") for w in words):
         raise ModelError(
-            f'{key} = {units.short(words)} must be a list of "cw" and "ccw", seen from above.'
+            f'{key} = {short(words)} must be a list of "cw" and "ccw", seen from above.'
         )
     return np.array([1.0 if w == "cw" else -1.0 for w in words])
 
@@ -301,7 +387,7 @@ def _pair(key: str, entry: _Entry) -> Array:
     values = _numbers(key, entry.get("value"))
     if values.shape != (2,) or values[0] == values[1]:
         raise ModelError(
-            f"{key} = {units.short(entry.get('value'))} must be two different numbers: "
+            f"{key} = {short(entry.get('value'))} must be two different numbers: "
             f"raw command at cmd = 0 and at cmd = 1."
         )
     return values
@@ -312,7 +398,7 @@ def _lag(key: str, entry: _Entry) -> Array:
     values = np.atleast_1d(_si(key, entry.get("value"), entry, FIELDS[key].unit))
     if values.shape not in ((1,), (2,)) or np.any(values < 1e-3):
         raise ModelError(
-            f"{key} = {units.short(entry['value'])} must be one time constant or [up, down], "
+            f"{key} = {short(entry['value'])} must be one time constant or [up, down], "
             f"at least 1 ms; leave it out for none."
         )
     return values[[0, -1]]
@@ -339,8 +425,7 @@ def _rates(key: str, entry: _Entry) -> Array:
     c = _si(key, entry["coefficients"], entry, FIELDS[key].unit)
     if c.shape != (2,) or not np.any(c):
         raise ModelError(
-            f"{key} = {units.short(entry['coefficients'])} must be two numbers [a, b], one above "
-            f"zero."
+            f"{key} = {short(entry['coefficients'])} must be two numbers [a, b], one above zero."
         )
     return c * _per_rad_s(key, entry) ** np.arange(2)
 
@@ -350,7 +435,7 @@ def _per_rad_s(key: str, entry: _Entry) -> float:
     of = entry.get("of")
     if not isinstance(of, str):
         raise ModelError(f'{key} needs of = "rad/s" (or "rpm"): the unit of the speed.')
-    per_rad_s = units.factor(key, "rad/s", of)
+    per_rad_s = unit_factor(key, "rad/s", of)
     if per_rad_s is None:
         raise ModelError(f'{key}: of = "{of}" is not a rotor speed.')
     return per_rad_s
@@ -410,3 +495,60 @@ def _leaves(raw: Any) -> Iterator[Any]:
             yield from _leaves(part)
     else:
         yield raw
+
+
+if TYPE_CHECKING:
+    import pint
+
+_LONGEST_UNIT = 64
+_POWER = re.compile(r"\*\*|\^")
+_PLAIN_POWER = re.compile(
+    r"[^\W\d)]\)?\s*(?:\*\*|\^)\s*\(?-?\d{1,2}(?:[./]\d{1,2})?\)?(?![\d.]|\s*(?:\*\*|\^))"
+)
+_OF_BRACKETS = re.compile(r"\)\s*(?:\*\*|\^)")
+
+
+def unit_factor(key: str, given: str, wanted: str) -> float | None:
+    """Factor from one unit to another, None if they are not of one kind.
+
+    pint, half a second to load, is asked only where the unit is not the wanted one by its text.
+    """
+    if given == wanted:
+        return 1.0
+    if not _is_plain(given):
+        raise ModelError(
+            f"{key} has unit {short(given)}, which is not a unit: write names of units with *, / "
+            f"and powers of one or two digits, {_LONGEST_UNIT} characters at most."
+        )
+    import pint
+
+    try:
+        zero, one = (_registry().Quantity(n, given).to(wanted).magnitude for n in (0.0, 1.0))
+        return float(one) if zero == 0 else None  # degrees Celsius take more than a factor
+    except (pint.DimensionalityError, pint.OffsetUnitCalculusError):
+        return None
+    except Exception as error:  # pint raises tokenizer and attribute errors for bad text
+        bad = wanted if given == "rad/s" else given
+        raise ModelError(
+            f"{key} has unit {short(bad)}, which is not a unit: {short(str(error))}."
+        ) from error
+
+
+def _is_plain(unit: str) -> bool:
+    """Whether a text is short and has no powers of powers: pint would work them out."""
+    if len(unit) > _LONGEST_UNIT or len(_OF_BRACKETS.findall(unit)) > 1:
+        return False
+    return len(_POWER.findall(unit)) == len(_PLAIN_POWER.findall(unit))
+
+
+@lru_cache(maxsize=1)
+def _registry() -> "pint.UnitRegistry[Any]":
+    import pint
+
+    return pint.UnitRegistry()
+
+
+def short(value: object) -> str:
+    """A value as printed in an error, not longer than a line."""
+    text = reprlib.repr(value) if isinstance(value, int) else repr(value)
+    return text if len(text) <= 120 else text[:117] + "..."

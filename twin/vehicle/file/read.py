@@ -1,27 +1,343 @@
 """Vehicle files: TOML to `Vehicle`; a refusal names the file and every key and value at fault.
 
 `docs/guide/vehicle.md` describes the format for people; `FIELDS` is its one definition.
+
+One section after another: body, rotors (maps, lags, aerodynamics), sensors and site, then the
+effects that `[effects.NAME]` switches on.
 """
 
 import re
 import tomllib
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from importlib import resources
+from math import pi
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
+from ...component import unknown_name
+from ...effects import EFFECTS
 from ...errors import ModelError
-from .. import GRAVITY_M_S2, Battery, Vehicle
+from .. import GRAVITY_M_S2, Advance, Battery, Deviation, RotorAir, Rotors, RunUp, Vehicle
+from ..earth import world_field
+from ..thrust_map import most_thrust_n
+from ..vehicle import SEA_LEVEL_TEMPERATURE_K, Sensors
 from .calibration import SECTION, read_calibration
-from .effects import read_effects
-from .entries import Entries, read_entries
+from .entries import Entries, read_entries, read_number
 from .fields import FIELDS
-from .rotors import read_rotors, rotor_contradictions, rotor_doubts, rotors_too_weak
-from .sensors import read_sensors, sensor_contradictions
+
+_THRUST = ("rotors.thrust_from_speed", "rotors.thrust_from_command")
+_RATES = ("rotors.rate_up", "rotors.rate_down")
+_ADVANCE = ("rotors.thrust_by_advance", "rotors.torque_by_advance")
+_NEED_SPEED = tuple(
+    f"rotors.{name}"
+    for name in (
+        "spin_inertia",
+        "reaction_inertia",
+        "drag",
+        "inflow",
+        "flapping_moment",
+        "rolling_moment",
+        "rate_up",
+        "rate_down",
+        "thrust_by_advance",
+        "torque_by_advance",
+    )
+)
+
+
+def rotor_contradictions(entries: Entries) -> Iterator[str]:
+    """Mistakes about rotors that no entry makes by itself."""
+    given, values = entries.given, entries.values
+    yield from _one_of("thrust", *_THRUST, given)
+    if len(given & set(_THRUST)) == 1:
+        yield from _against_thrust(entries)
+    direction, position = values.get("rotors.direction"), values.get("rotors.position")
+    if direction is not None and position is not None and len(direction) != len(position):
+        yield (f"rotors.direction has {len(direction)} entries, rotors.position {len(position)}.")
+    if len(given & set(_RATES)) == 1:
+        yield "rotors.rate_up and rotors.rate_down belong together: give both of them."
+    if given & set(_RATES) and "rotors.lag" in given:
+        yield "rotors.lag and rotors.rate_up say the same thing in two ways: give one of them."
+    if given & set(_ADVANCE) and "rotors.diameter" not in given:
+        yield f"{min(given & set(_ADVANCE))} needs rotors.diameter, for the advance ratio."
+
+
+def _against_thrust(entries: Entries) -> Iterator[str]:
+    """What does not go with the argument of the one thrust map."""
+    of_speed = "rotors.thrust_from_speed" in entries.given
+    by, other = ("speed", "command") if of_speed else ("command", "speed")
+    yield from _one_of(
+        "reaction torque", "rotors.torque_per_thrust", f"rotors.torque_from_{by}", entries.given
+    )
+    useless = {f"rotors.torque_from_{other}"}
+    if not of_speed:
+        useless.add("rotors.speed_from_command")
+        for key in (k for k in _NEED_SPEED if np.any(entries.values.get(k, 0.0))):
+            yield (
+                f"{key} needs the rotor speed: give thrust_from_speed "
+                f"(and speed_from_command for a vehicle driven by commands)."
+            )
+    for key in sorted(useless & entries.given):
+        yield (
+            f"{key} is of no use with thrust_from_{by}. Leave it out, or give "
+            f"thrust_from_{other} instead."
+        )
+
+
+def _one_of(what: str, first: str, second: str, given: set[str]) -> Iterator[str]:
+    found = [key for key in (first, second) if key in given]
+    if len(found) != 1:
+        state = f"{first} and {second} are given" if found else "none is given"
+        yield f"{what} needs exactly one of {first}, {second}; {state}."
+
+
+def rotor_doubts(entries: Entries) -> Iterator[str]:
+    """What looks odd about rotors but is not refused."""
+    given = entries.given
+    if "rotors.voltage_exponent" in given and "rotors.reference_voltage" not in given:
+        yield "rotors.voltage_exponent counts only with rotors.reference_voltage."
+    for key in (k for k in _ADVANCE if k in given):
+        at_rest = float(np.interp(0.0, *entries.values[key].T))
+        if abs(at_rest - 1) > 1e-6:
+            yield f"{key} is {at_rest:g} at rest, where the maps hold and it should be 1."
+    if "rotors.diameter" in given and not given & set(_ADVANCE):
+        yield "rotors.diameter counts only with thrust_by_advance or torque_by_advance."
+    by_command = "rotors.speed_from_command" in given and not given & {"rotors.lag", *_RATES}
+    if "rotors.reaction_inertia" in given and by_command:
+        yield (
+            "rotors.reaction_inertia counts only with measured rotor speeds: by commands and "
+            "without lag the rotors have no acceleration."
+        )
+    of_command = {"rotors.thrust_from_command", "rotors.speed_from_command"}
+    if "rotors.command_range" in given and not of_command & given:
+        yield "rotors.command_range counts only with a polynomial of the command."
+
+
+def rotors_too_weak(vehicle: Vehicle) -> Iterator[str]:
+    """Whether the rotors cannot carry the weight at full command."""
+    rotors = vehicle.rotors
+    if vehicle.drive == "rotor_speed":
+        return
+    most = most_thrust_n(vehicle)
+    if most < vehicle.hover_thrust_n:
+        yield (
+            f"cannot hover: {rotors.count} rotors give at most {most * rotors.count:.4g} N, "
+            f"the weight is {vehicle.hover_thrust_n * rotors.count:.4g} N. Check the thrust "
+            f"map, its unit and rotors.command_range."
+        )
+
+
+def read_rotors(entries: Entries) -> Rotors:
+    """The rotors of entries without mistakes."""
+    from_speed = "rotors.thrust_from_speed" in entries.given
+    thrust = _map(entries, f"rotors.thrust_from_{'speed' if from_speed else 'command'}")
+    if "rotors.torque_per_thrust" in entries.given:
+        ratio = entries.number("rotors.torque_per_thrust")
+        torque = tuple(ratio * c for c in thrust)
+    else:
+        torque = _map(entries, f"rotors.torque_from_{'speed' if from_speed else 'command'}")
+    by_command = "rotors.speed_from_command" in entries.given
+    spin = entries.optional("rotors.spin_inertia", "0, no gyroscopic torque")
+    reaction = entries.optional("rotors.reaction_inertia", "0, no reaction to acceleration")
+    reference = entries.optional("rotors.reference_voltage", "voltage is ignored")
+    exponent = entries.optional("rotors.voltage_exponent", "1")
+    lag_up, lag_down = entries.vector("rotors.lag", "no lag", (0.0, 0.0))
+    return Rotors(
+        position_m=entries.values["rotors.position"],
+        direction=entries.values["rotors.direction"],
+        from_speed=from_speed,
+        thrust_n=thrust,
+        torque_n_m=torque,
+        speed_rad_s=_map(entries, "rotors.speed_from_command") if by_command else None,
+        lag_up_s=float(lag_up),
+        lag_down_s=float(lag_down),
+        spin_inertia_kg_m2=spin or 0.0,
+        reference_voltage_v=reference,
+        voltage_exponent=1.0 if exponent is None else exponent,
+        run_up=_run_up(entries),
+        reaction_inertia_kg_m2=reaction or 0.0,
+        air=_rotor_air(entries),
+        advance=_advance(entries),
+    )
+
+
+def _advance(entries: Entries) -> Advance | None:
+    diameter = entries.optional("rotors.diameter", "of no use")
+    thrust, torque = (
+        tuple((float(j), float(f)) for j, f in entries.vector(key, "as at rest", ()))
+        for key in _ADVANCE
+    )
+    return Advance(diameter, thrust, torque) if diameter and (thrust or torque) else None
+
+
+def _run_up(entries: Entries) -> tuple[RunUp, RunUp] | None:
+    up, down = (entries.vector(key, "by the lag", ()) for key in _RATES)
+    return (RunUp(*up.tolist()), RunUp(*down.tolist())) if len(up) else None
+
+
+def _rotor_air(entries: Entries) -> RotorAir:
+    names = ("drag", "inflow", "lift", "flapping_moment", "rolling_moment")
+    return RotorAir(*(entries.optional(f"rotors.{name}", "0, none") or 0.0 for name in names))
+
+
+def _map(entries: Entries, key: str) -> tuple[float, ...]:
+    """Ascending coefficients: of the speed in rad/s as in the file, or of the command 0..1."""
+    given = entries.values[key]
+    coefficients = given
+    if key.endswith("from_command"):
+        low, high = entries.vector("rotors.command_range", "commands are 0..1", (0.0, 1.0))
+        shifted = Polynomial(given)(Polynomial([low, high - low])).coef
+        coefficients = np.zeros(len(given))
+        coefficients[: len(shifted)] = shifted
+    return tuple(float(c) for c in coefficients)
+
+
+SENSOR_NUMBERS = {
+    f.metadata["key"]: (f.name, f.metadata["stand_in"]) for f in fields(Sensors) if f.metadata
+}
+"""Attribute of `Sensors` by key, and what stands in for it, in words."""
+POSITION = {
+    "position.period": "period_s",
+    "position.delay": "delay_s",
+    "position.antenna": "antenna_m",
+    "position.noise": "noise_m",
+    "position.walk": "walk_m",
+    "position.velocity_noise": "velocity_noise_m_s",
+    "position.attitude_noise": "attitude_noise_rad",
+}
+"""Attribute of `position.PositionErrors` by key."""
+PLACE = ("site.latitude", "site.longitude")
+WHEN = ("site.height", "site.year")
+_HEIGHT_M, _YEAR = 0.0, 2025.5
+_TEMPERATURES_K = (180.0, 340.0)
+
+
+def sensor_contradictions(entries: Entries) -> Iterator[str]:
+    """Mistakes about sensors and site that no entry makes by itself."""
+    given, values = entries.given, entries.values
+    missing = [key for key in PLACE if key not in given]
+    if len(missing) == 1:
+        yield f"[site] is given without {missing[0].split('.')[1]}; give both or neither."
+    if "magnetometer.field" in given:
+        for key in sorted(given & {*PLACE, *WHEN}):
+            yield f"{key} is of no use with magnetometer.field. Leave one of them out."
+    latitude = float(values.get("site.latitude", 0.0))
+    if abs(latitude) > pi / 2:
+        yield f"site.latitude = {latitude:g} rad is beyond a pole."
+    temperature = float(values.get("site.temperature", SEA_LEVEL_TEMPERATURE_K))
+    low, high = _TEMPERATURES_K
+    if not low <= temperature <= high:
+        yield f"site.temperature = {temperature:g} K must be from {low:g} to {high:g} K."
+    if not set(PLACE) - values.keys():
+        try:
+            _site_field(entries)
+        except ModelError as mistake:
+            yield f"site.year: {mistake}"
+
+
+def read_sensors(entries: Entries) -> Sensors:
+    """The sensors of entries without mistakes."""
+    numbers: dict[str, Any] = {}
+    for key, (name, stand_in) in SENSOR_NUMBERS.items():
+        value = entries.optional(key, stand_in)
+        if value is not None:
+            numbers[name] = value
+    position: dict[str, float | tuple[float, ...]] = {}
+    for key, name in POSITION.items():
+        if key in entries.values:
+            given = entries.values[key]
+            position[name] = float(given) if given.shape == () else tuple(given.tolist())
+        else:
+            entries.sources[key] = "default: that of the kind of position sensor"
+    if "magnetometer.field" in entries.values:
+        numbers["field_n_t"] = tuple(entries.values["magnetometer.field"].tolist())
+    elif PLACE[0] in entries.values:
+        numbers["field_n_t"] = _site_field(entries)
+        entries.sources["magnetometer.field"] = "World Magnetic Model at the site"
+    else:
+        entries.sources["magnetometer.field"] = "default: that of southern Germany"
+        entries.sources |= dict.fromkeys(PLACE + WHEN, "default: unknown")
+    return Sensors(**numbers, position=position)
+
+
+def _site_field(entries: Entries) -> tuple[float, ...]:
+    height_m = entries.optional("site.height", f"{_HEIGHT_M:g} m")
+    year = entries.optional("site.year", f"{_YEAR:g}")
+    return world_field(
+        entries.number("site.latitude"),
+        entries.number("site.longitude"),
+        _HEIGHT_M if height_m is None else height_m,
+        _YEAR if year is None else year,
+    )
+
+
+@dataclass(slots=True)
+class SwitchedOn:
+    """Effects of a vehicle file.
+
+    Attributes:
+        values: Every number of each effect in SI units; those the file leaves out at their start.
+        sources: Pedigree by "effects.NAME.PARAMETER".
+        deviations: Standard deviations by the same, where given.
+        mistakes: What is wrong, a line each.
+    """
+
+    values: dict[str, dict[str, float]] = field(default_factory=dict)
+    sources: dict[str, str] = field(default_factory=dict)
+    deviations: dict[str, Deviation] = field(default_factory=dict)
+    mistakes: list[str] = field(default_factory=list)
+
+
+def read_effects(sections: Any, vehicle: Vehicle) -> SwitchedOn:
+    """Read the sections, given as parsed TOML; the vehicle is what they belong to."""
+    on = SwitchedOn()
+    if not isinstance(sections, dict):
+        on.mistakes.append("[effects] must hold one table per effect, [effects.NAME].")
+        return on
+    for name, table in sections.items():
+        if name not in EFFECTS:
+            on.mistakes.append(unknown_name("[effects]", "effect", name, EFFECTS))
+        elif not EFFECTS[name].of_vehicle:
+            on.mistakes.append(
+                f"[effects.{name}] is of a record, not of the aircraft: {EFFECTS[name].meaning}. "
+                f"Take the section out; `explain` and `calibrate` find it in each flight."
+            )
+        elif not isinstance(table, dict):
+            on.mistakes.append(f"[effects.{name}] must be a table of its numbers.")
+        else:
+            _read_effect(name, table, vehicle, on)
+    return on
+
+
+def _read_effect(name: str, table: dict[str, Any], vehicle: Vehicle, on: SwitchedOn) -> None:
+    values = EFFECTS[name].starts(vehicle)
+    units = {n: p.unit for p in EFFECTS[name].parameters for n in p.names(vehicle)}
+    for key, entry in table.items():
+        full = f"effects.{name}.{key}"
+        if key not in values:
+            on.mistakes.append(unknown_name(f"[effects.{name}]", "number", key, values))
+            continue
+        try:
+            values[key], deviation = read_number(full, entry, spelled(units[key]))
+            if deviation is not None:
+                on.deviations[full] = deviation
+            on.sources[full] = entry["source"]
+        except ModelError as mistake:
+            on.mistakes.append(str(mistake))
+    for key in values.keys() - table.keys():
+        on.sources[f"effects.{name}.{key}"] = "default: of the effect library"
+    on.values[name] = values
+
+
+def spelled(fmi_unit: str) -> str:
+    """An FMI unit (`kg.m2`) as people write it in vehicle files (`kg*m^2`)."""
+    return re.sub(r"(?<=[A-Za-z])(\d)", r"^\1", fmi_unit).replace(".", "*")
+
 
 _ROUNDING = 1e-9
 """Share by which the moments of a flat plate may miss their sum."""

@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 from search_rigs.hypotheses import against, fit_set
 
-from twin.component.rows import OverRows
-from twin.component.sampled import noiseless_outputs
+from twin.component.rows import OverRows, noiseless_outputs
 from twin.effects import EFFECTS
 from twin.explain.inference import selection as search
 from twin.explain.inference.adequacy import coherent, credible

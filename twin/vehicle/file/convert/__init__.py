@@ -7,11 +7,11 @@ from pathlib import Path
 
 from ....errors import ModelError
 from ..read import toml_tree
+from .common import read_xml
 from .drone_models import convert_drone_models, is_drone_models
 from .gazebo import convert_gazebo
 from .jsbsim import convert_jsbsim
 from .pyflyt import convert_pyflyt, is_pyflyt
-from .xml import read_xml
 
 KNOWN = (
     "SDF of Gazebo (.sdf), params.toml of drone-models, NAME.yaml of PyFlyt with NAME.urdf next to "

@@ -12,8 +12,8 @@ import numpy as np
 
 from ....errors import ModelError
 from ... import Array
-from ..draft import Draft
-from .rigid import FLU_TO_FRD, six_elements, turned
+from ..write import Draft
+from .common import FLU_TO_FRD, six_elements, turned
 
 MARK = "rpm2thrust"
 """Key that every aircraft of such a file has."""

@@ -14,9 +14,8 @@ import numpy as np
 
 from ....errors import ModelError
 from ... import Array
-from ..draft import Draft
-from .rigid import MassProperties, combined
-from .xml import Element, floats, read_xml
+from ..write import Draft
+from .common import Element, MassProperties, combined, floats, read_xml
 
 SEA_LEVEL_KG_M3 = 1.225
 """Density at which a vehicle file's numbers hold; JSBSim's coefficients have none in them."""

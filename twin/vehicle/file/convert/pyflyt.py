@@ -9,9 +9,20 @@ from pathlib import Path
 import numpy as np
 
 from ....errors import ModelError
-from ..draft import Draft
-from .rigid import FLU_TO_FRD, HERE, MassProperties, Pose, combined, pose_of, six_elements, turned
-from .xml import Element, floats, read_xml
+from ..write import Draft
+from .common import (
+    FLU_TO_FRD,
+    HERE,
+    Element,
+    MassProperties,
+    Pose,
+    combined,
+    floats,
+    pose_of,
+    read_xml,
+    six_elements,
+    turned,
+)
 
 DIRECTIONS = ["ccw", "ccw", "cw", "cw"]
 """Of the four motors, fixed in QuadX: front right, rear left, front left, rear right."""

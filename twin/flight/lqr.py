@@ -4,25 +4,49 @@
     R_d = thrust along a - g, nose at the yaw setpoint
     dω/dt = k_θ θ(R -> R_d) - k_ω ω - k_α α,   lift = (a - g) . thrust axis
 
-For small errors this is the state feedback of `control.lqr` (dividing its position gains by that
+For small errors this is the state feedback of `Gains` (dividing its position gains by that
 of the tilt gives k_p, k_v, k_i), so hover is optimal in its sense; the detour by a desired
 attitude makes it hold at any heading and any tilt. α and the lift behind the rotors' lag are
 modelled in the controller. Limits: tilt, climb, sink and pull of the position error, with
 back-calculation for the integral; the mixer gives up yaw first.
 
-Source: cascade on the thrust vector, Lee, Leok & McClamroch, CDC 2010; back-calculation, Astrom &
-Murray, Feedback Systems, sec. 10.4.
+Gains are linear-quadratic regulators of three chains of integrators. With the mixer turning
+accelerations into rotor thrusts, the hover model falls apart into
+
+| chain | states | input: command of |
+|---|---|---|
+| horizontal | integral, position, velocity, tilt, body rate, lag | angular acceleration |
+| vertical | integral, position, velocity, lag | acceleration |
+| heading | integral, heading, body rate, lag | angular acceleration |
+
+each of which has its own algebraic Riccati equation; the lag is there if the rotors have one.
+Nothing is tuned by hand but the weights, which follow Bryson's rule.
+
+The mixer turns accelerations into rotor inputs: thrust shares, saturation, inverse thrust map. What
+does not fit is given up in this order: yaw first, then lift, roll and pitch last.
+
+Sources: Bryson & Ho, Applied Optimal Control, sec. 5.2; integral action, Franklin, Powell &
+Emami-Naeini, Feedback Control of Dynamic Systems, sec. 7.10; cascade on the thrust vector, Lee,
+Leok & McClamroch, CDC 2010; back-calculation, Astrom & Murray, Feedback Systems, sec. 10.4.
 """
+
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_continuous_are
 
-from ...component import Component, ComponentBuilder
-from ...frames import AXES
-from ...vehicle import GRAVITY_M_S2, Vehicle
-from .geometry import (
+from ..component import Component, ComponentBuilder
+from ..frames import AXES
+from ..vehicle import GRAVITY_M_S2, Vehicle
+from ..vehicle.thrust_map import polynomial
+from .control_laws import (
+    Signals,
     attitude_error,
     clamp,
+    declare_drives,
+    declare_signals,
     desired_axes,
     dot,
     length,
@@ -30,10 +54,188 @@ from .geometry import (
     shorten,
     thrust_axis,
 )
-from .hover import Hover, linearise, thrust_inverse
-from .lqr import Chain, Gains, design
-from .mixer import mix
-from .signals import Signals, declare_drives, declare_signals
+from .hover import Hover, ThrustInverse, linearise, thrust_inverse
+
+Array = NDArray[np.float64]
+ACCEPTABLE = {
+    "integral": 0.25,  # m s
+    "position": 0.25,  # m
+    "velocity": 0.8,  # m/s
+    "tilt": 0.4,  # rad
+    "rate": 4.0,  # rad/s
+    "heading_integral": 0.5,  # rad s
+    "heading": 0.3,  # rad
+    "heading_rate": 1.5,  # rad/s
+    "thrust": 0.25,  # share of the hover thrust of a rotor
+}
+"""Largest deviation that is still fine, per quantity (Bryson's rule): made up, for agile indoor
+flight."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """Feedback `command = -gain @ states` of one chain.
+
+    Attributes:
+        gain: In the order of the states, shape (n,).
+        poles: Closed-loop poles, rad/s, shape (n,).
+    """
+
+    gain: Array
+    poles: NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """All chains, and the mixer they rest on.
+
+    Attributes:
+        mixer_n: Rotor thrusts per upward and angular acceleration, shape (n_rotors, 4).
+    """
+
+    horizontal: Chain
+    vertical: Chain
+    heading: Chain
+    mixer_n: Array
+
+
+def design(hover: Hover) -> Gains:
+    """Gains for a hover model. The weaker of roll and pitch sets those of the horizontal chain."""
+    mixer = np.asarray(np.linalg.pinv(hover.effect), dtype=np.float64)
+    share = ACCEPTABLE["thrust"] * hover.thrust_n.mean()
+    # One newton-for-newton penalty on the rotors, seen by each acceleration command.
+    lift, roll, pitch, yaw = np.sum((mixer / share) ** 2, axis=0)
+    drag = float(hover.drag_1_s[:2].mean())
+    motion = [ACCEPTABLE[k] for k in ("integral", "position", "velocity")]
+    return Gains(
+        horizontal=_chain(
+            [1.0, 1.0, hover.gravity_m_s2, 1.0],
+            [0.0, 0.0, drag, 0.0, 0.0],
+            hover.lag_s,
+            [*motion, ACCEPTABLE["tilt"], ACCEPTABLE["rate"]],
+            max(roll, pitch),
+        ),
+        vertical=_chain([1.0, 1.0], [0.0, 0.0, hover.drag_1_s[2]], hover.lag_s, motion, lift),
+        heading=_chain(
+            [1.0, 1.0],
+            [0.0, 0.0, 0.0],
+            hover.lag_s,
+            [ACCEPTABLE[k] for k in ("heading_integral", "heading", "heading_rate")],
+            yaw,
+        ),
+        mixer_n=mixer,
+    )
+
+
+def _chain(
+    links: list[float], decay: list[float], lag_s: float, acceptable: list[float], penalty: float
+) -> Chain:
+    """Riccati design of `dx_k/dt = link_k x_(k+1) - decay_k x_k`, the input at the end."""
+    n = len(decay)
+    a = np.diag(np.array(links), 1) - np.diag(np.array(decay))
+    b = np.zeros((n, 1))
+    b[-1] = 1.0
+    weight = [1.0 / v**2 for v in acceptable]
+    if lag_s > 0:
+        a = np.block([[a, b], [np.zeros((1, n)), np.array([[-1.0 / lag_s]])]])
+        b = np.vstack([np.zeros((n, 1)), [[1.0 / lag_s]]])
+        weight.append(0.0)  # its own command is weighted
+    q, r = np.diag(weight), np.array([[penalty]])
+    gain = np.linalg.solve(r, b.T @ solve_continuous_are(a, b, q, r)).ravel()
+    return Chain(gain, np.linalg.eigvals(a - b * gain).astype(np.complex128))
+
+
+_TINY = 1e-12
+_WAYS = (
+    ("lift", "kg", "upward acceleration"),
+    ("roll", "kg.m", "angular acceleration about forward"),
+    ("pitch", "kg.m", "angular acceleration about right"),
+    ("yaw", "kg.m", "angular acceleration about down"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Mixed:
+    """Rotor inputs, and the accelerations they give once the rotors have settled."""
+
+    inputs: list[ca.SX]
+    lift: ca.SX
+    angular: list[ca.SX]
+
+
+def mix(
+    m: ComponentBuilder,
+    shares: Array,
+    inverse: ThrustInverse,
+    unit: str,
+    lift: ca.SX,
+    angular: list[ca.SX],
+) -> Mixed:
+    """Declare the mixer's parameters and mix.
+
+    Args:
+        m: The controller.
+        shares: Thrust per acceleration, N, shape (n_rotors, 4): lift, roll, pitch, yaw.
+        inverse: Of the thrust map.
+        unit: Of the rotor inputs.
+        lift: Wanted specific thrust along body up, m/s2.
+        angular: Wanted angular acceleration, rad/s2.
+    """
+    idle = m.parameter("thrust.idle", inverse.idle_n, "N", "Smallest thrust of a rotor", minimum=0)
+    full = m.parameter(
+        "thrust.full", inverse.full_n, "N", "Largest thrust of a rotor", minimum=1e-6
+    )
+    coefficients = [
+        m.parameter(
+            f"inverse.c{k}",
+            float(c),
+            unit,
+            f"Rotor input, coefficient of sqrt(thrust / thrust.full)^{k}",
+        )
+        for k, c in enumerate(inverse.coefficients)
+    ]
+    up, *ways = [
+        [
+            m.parameter(
+                f"mixer_{i}.{way}", float(row[k]), per, f"Thrust of rotor {i} per {meaning}"
+            )
+            for i, row in enumerate(shares, start=1)
+        ]
+        for k, (way, per, meaning) in enumerate(_WAYS)
+    ]
+    turn = [a * angular[0] + b * angular[1] for a, b in zip(ways[0], ways[1], strict=True)]
+    spread = _most(turn) - _least(turn)
+    share = ca.fmin(1.0, (full - idle) / ca.fmax(spread, _TINY))
+    turn = [share * t for t in turn]
+    # Between the lift that keeps the lowest rotor turning and the one that fills the highest.
+    low = _most([(idle - t) / s for t, s in zip(turn, up, strict=True)])
+    high = _least([(full - t) / s for t, s in zip(turn, up, strict=True)])
+    lifted = clamp(lift, low, ca.fmax(low, high))
+    base = [s * lifted + t for s, t in zip(up, turn, strict=True)]
+    yaw = [s * angular[2] for s in ways[2]]
+    room = [
+        ca.if_else(y > 0, full - b, b - idle) / ca.fmax(ca.fabs(y), _TINY)
+        for b, y in zip(base, yaw, strict=True)
+    ]
+    turned = clamp(_least(room), 0.0, 1.0)
+    thrust = [clamp(b + turned * y, idle, full) for b, y in zip(base, yaw, strict=True)]
+    return Mixed(
+        inputs=[polynomial(coefficients, ca.sqrt(t / full)) for t in thrust],
+        lift=lifted,
+        angular=[share * angular[0], share * angular[1], turned * angular[2]],
+    )
+
+
+def _most(values: list[ca.SX]) -> ca.SX:
+    largest = values[0]
+    for value in values[1:]:
+        largest = ca.fmax(largest, value)
+    return largest
+
+
+def _least(values: list[ca.SX]) -> ca.SX:
+    return -_most([-value for value in values])
+
 
 TILT_LIMIT_RAD = 0.7
 CLIMB_LIMIT_M_S2 = 4.0

@@ -7,25 +7,200 @@ PX4 estimates it; the velocity setpoint is shortened as a whole; nothing detects
 
 Source: PX4 v1.12, modules mc_pos_control, mc_att_control, mc_rate_control and
 lib/mixer/MultirotorMixer (BSD licence; written from the description of what they compute).
+
+The mixer has airmode off. It is the same as `mix` of `twin.logs.px4.control`, which works on arrays
+of a log; a test compares them. PX4 keeps angles in degrees; here they are rad. `from_px4` is the
+only place that converts.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
+from pyulog import ULog
 
-from ....component import Component, ComponentBuilder
-from ....component.portable import cosine, sine
-from ....errors import ModelError
-from ....frames import AXES
-from ....logs.px4.control import geometry_scale
-from ....vehicle import GRAVITY_M_S2, Vehicle
-from ..geometry import attitude_error, clamp, desired_axes, length, shorten
-from ..hover import thrust_inverse
-from ..signals import Signals, declare_signals
-from .mixer import blocked_by, mix_airmode_off
-from .parameters import PARAMETERS, from_px4, log_parameters
+from ..component import Component, ComponentBuilder
+from ..component.portable import cosine, sine
+from ..errors import LogError, ModelError
+from ..frames import AXES
+from ..logs.px4.control import geometry_scale
+from ..vehicle import GRAVITY_M_S2, Vehicle
+from .control_laws import (
+    Signals,
+    attitude_error,
+    clamp,
+    declare_signals,
+    desired_axes,
+    length,
+    shorten,
+)
+from .hover import thrust_inverse
+
+Array = NDArray[np.float64]
+_YAW_CEILING = 1.15
+_CLIPPED_LOW = 0.005
+
+
+def mix_airmode_off(controls: list[ca.SX], scale: Array, thrust_factor: ca.SX) -> list[ca.SX]:
+    """Roll, pitch, yaw (-1..1) and thrust (0..1) -> motor commands 0..1.
+
+    Args:
+        controls: Roll, pitch, yaw, thrust.
+        scale: Share of each in each motor, shape (motors, 4).
+        thrust_factor: THR_MDL_FAC.
+    """
+    roll, pitch, yaw = (ca.fmin(ca.fmax(c, -1.0), 1.0) for c in controls[:3])
+    thrust = ca.fmin(ca.fmax(controls[3], 0.0), 1.0)
+    out = [r * roll + p * pitch + t * thrust for r, p, _, t in scale]
+    out = _desaturate(out, scale[:, 3], reduce_only=True)
+    out = _desaturate(_desaturate(out, scale[:, 0]), scale[:, 1])
+    out = [o + y * yaw for o, y in zip(out, scale[:, 2], strict=True)]
+    out = _desaturate(out, scale[:, 2], high=_YAW_CEILING)
+    out = _desaturate(out, scale[:, 3], reduce_only=True)
+    return [ca.fmin(ca.fmax(_linearised(o, thrust_factor), 0.0), 1.0) for o in out]
+
+
+def blocked_by(commands: list[ca.SX], column: Array) -> tuple[ca.SX, ca.SX]:
+    """Whether a motor at its lower end forbids the integral of one axis to grow, and to shrink."""
+    grow, shrink = ca.SX(0), ca.SX(0)
+    for command, share in zip(commands, column.tolist(), strict=True):
+        low = command < _CLIPPED_LOW
+        if share < 0:
+            grow = ca.logic_or(grow, low)
+        if share > 0:
+            shrink = ca.logic_or(shrink, low)
+    return grow, shrink
+
+
+def _linearised(out: ca.SX, factor: ca.SX) -> ca.SX:
+    """Command that gives a thrust when `thrust = factor cmd^2 + (1 - factor) cmd`."""
+    safe = ca.fmax(factor, 1e-3)
+    half = (1.0 - safe) / (2.0 * safe)
+    curved = -half + ca.sqrt(half * half + ca.fmax(out, 0.0) / safe)
+    return ca.if_else(factor > 0, curved, out)
+
+
+def _desaturate(
+    out: list[ca.SX], way: Array, high: float = 1.0, reduce_only: bool = False
+) -> list[ca.SX]:
+    """Shift the outputs along `way` until they fit, or the excess is equal at both ends."""
+    first = _gain(out, way, high)
+    moved = [o + first * w for o, w in zip(out, way, strict=True)]
+    second = 0.5 * _gain(moved, way, high)
+    moved = [o + second * w for o, w in zip(moved, way, strict=True)]
+    if not reduce_only:
+        return moved
+    return [ca.if_else(first > 0, o, n) for o, n in zip(out, moved, strict=True)]
+
+
+def _gain(out: list[ca.SX], way: Array, high: float) -> ca.SX:
+    """How far to go along `way` to undo the worst excess below 0 and above `high`."""
+    low_k, high_k = ca.SX(0), ca.SX(0)
+    for o, w in zip(out, way.tolist(), strict=True):
+        if abs(w) < 1e-7:
+            continue
+        k = ca.if_else(o < 0, -o, ca.if_else(o > high, high - o, 0.0)) / w
+        low_k, high_k = ca.fmin(low_k, k), ca.fmax(high_k, k)
+    return low_k + high_k
+
+
+@dataclass(frozen=True, slots=True)
+class Px4Parameter:
+    """One parameter of PX4.
+
+    Attributes:
+        default: PX4's own, in PX4's unit.
+        unit: SI unit of its value here.
+        meaning: One line.
+        degrees: PX4's unit has degrees where this one has radians.
+        positive: Zero and below make no sense.
+    """
+
+    default: float
+    unit: str
+    meaning: str
+    degrees: bool = False
+    positive: bool = False
+
+
+def _rates() -> dict[str, Px4Parameter]:
+    table: dict[str, Px4Parameter] = {}
+    for axis, p, i, d, most in (
+        ("ROLL", 0.15, 0.2, 0.003, 220.0),
+        ("PITCH", 0.15, 0.2, 0.003, 220.0),
+        ("YAW", 0.2, 0.1, 0.0, 200.0),
+    ):
+        name = axis.lower()
+        table |= {
+            f"MC_{axis}RATE_P": Px4Parameter(p, "s", f"Rate of {name}, proportional"),
+            f"MC_{axis}RATE_I": Px4Parameter(i, "1", f"Rate of {name}, integral"),
+            f"MC_{axis}RATE_D": Px4Parameter(d, "s2", f"Rate of {name}, derivative"),
+            f"MC_{axis}RATE_FF": Px4Parameter(0.0, "s", f"Rate of {name}, feed-forward"),
+            f"MC_{axis}RATE_K": Px4Parameter(1.0, "1", f"Rate of {name}, common factor"),
+            f"MC_{axis}RATE_MAX": Px4Parameter(
+                most, "rad/s", f"Largest rate of {name} (deg/s in PX4)", degrees=True
+            ),
+            f"MC_{axis[0]}R_INT_LIM": Px4Parameter(0.3, "1", f"Largest integral of {name}"),
+        }
+    return table
+
+
+PARAMETERS: dict[str, Px4Parameter] = {
+    "MPC_XY_P": Px4Parameter(0.95, "1/s", "Horizontal position, proportional"),
+    "MPC_Z_P": Px4Parameter(1.0, "1/s", "Vertical position, proportional"),
+    "MPC_XY_VEL_P_ACC": Px4Parameter(
+        1.8, "1/s", "Horizontal velocity, proportional", positive=True
+    ),
+    "MPC_XY_VEL_I_ACC": Px4Parameter(0.4, "1/s2", "Horizontal velocity, integral"),
+    "MPC_XY_VEL_D_ACC": Px4Parameter(0.2, "1", "Horizontal velocity, derivative"),
+    "MPC_Z_VEL_P_ACC": Px4Parameter(4.0, "1/s", "Vertical velocity, proportional"),
+    "MPC_Z_VEL_I_ACC": Px4Parameter(2.0, "1/s2", "Vertical velocity, integral"),
+    "MPC_Z_VEL_D_ACC": Px4Parameter(0.0, "1", "Vertical velocity, derivative"),
+    "MPC_VELD_LP": Px4Parameter(5.0, "Hz", "Low-pass of the derivative of velocity", positive=True),
+    "MPC_XY_VEL_MAX": Px4Parameter(12.0, "m/s", "Largest horizontal velocity"),
+    "MPC_Z_VEL_MAX_UP": Px4Parameter(3.0, "m/s", "Largest climb rate"),
+    "MPC_Z_VEL_MAX_DN": Px4Parameter(1.0, "m/s", "Largest sink rate"),
+    "MPC_TILTMAX_AIR": Px4Parameter(45.0, "rad", "Largest tilt (deg in PX4)", degrees=True),
+    "MPC_THR_HOVER": Px4Parameter(0.5, "1", "Thrust in hover", positive=True),
+    "MPC_THR_MIN": Px4Parameter(0.12, "1", "Smallest thrust", positive=True),
+    "MPC_THR_MAX": Px4Parameter(1.0, "1", "Largest thrust", positive=True),
+    "MC_ROLL_P": Px4Parameter(6.5, "1/s", "Roll, proportional"),
+    "MC_PITCH_P": Px4Parameter(6.5, "1/s", "Pitch, proportional"),
+    "MC_YAW_P": Px4Parameter(2.8, "1/s", "Yaw, proportional"),
+    "MC_YAW_WEIGHT": Px4Parameter(0.4, "1", "Weight of yaw against tilt", positive=True),
+    **_rates(),
+    "IMU_GYRO_CUTOFF": Px4Parameter(30.0, "Hz", "Low-pass of the gyroscope", positive=True),
+    "IMU_DGYRO_CUTOFF": Px4Parameter(
+        30.0, "Hz", "Low-pass of the angular acceleration", positive=True
+    ),
+    "THR_MDL_FAC": Px4Parameter(0.0, "1", "Curvature of thrust over command, 0 linear"),
+}
+
+
+def from_px4(values: Mapping[str, float]) -> dict[str, float]:
+    """Parameters in PX4's units -> those of the controller, in SI; others are left out."""
+    return {
+        name: float(np.radians(value)) if PARAMETERS[name].degrees else float(value)
+        for name, value in values.items()
+        if name in PARAMETERS
+    }
+
+
+def log_parameters(path: Path) -> dict[str, float]:
+    """Parameters with which a PX4 log was started, in PX4's units.
+
+    Raises:
+        LogError: The log holds no parameters.
+    """
+    with path.open("rb") as file:
+        values = ULog(file, ["none"]).initial_parameters
+    if not any(name in PARAMETERS for name in values):
+        raise LogError(f"{path.name}: no multicopter parameters in the log; was it cut short?")
+    return {name: float(value) for name, value in values.items()}
+
 
 SAMPLE_PERIOD_S = 1e-3
 _AXES = ("ROLL", "PITCH", "YAW")

@@ -1,7 +1,12 @@
-"""Where on the Earth a local position is: the ellipsoid WGS 84."""
+"""The Earth at a place: WGS 84 coordinates of a local position, magnetic field, gravity."""
+
+from math import degrees
 
 import numpy as np
 from numpy.typing import NDArray
+from pygeomag import GeoMag
+
+from ..errors import ModelError
 
 Array = NDArray[np.float64]
 A_M = 6378137.0
@@ -44,3 +49,45 @@ def geodetic_of_ned(
     sine = np.sin(latitude)
     height = across * np.cos(latitude) + z * sine - A_M * np.sqrt(1.0 - _E2 * sine**2)
     return np.column_stack([latitude, np.arctan2(y, x), height])
+
+
+def world_field(
+    latitude_rad: float, longitude_rad: float, height_m: float, year: float
+) -> tuple[float, float, float]:
+    """Magnetic flux density by the World Magnetic Model, NED, T.
+
+    Args:
+        latitude_rad: Geodetic, north positive.
+        longitude_rad: East positive.
+        height_m: Over the WGS 84 ellipsoid.
+        year: Decimal year, 2025.5 in the middle of 2025.
+
+    Raises:
+        ModelError: No model covers the year.
+
+    Source: NOAA NCEI and BGS, The US/UK World Magnetic Model for 2025-2030, as computed by
+    pygeomag.
+    """
+    try:
+        model = GeoMag(base_year=year)
+        field = model.calculate(
+            glat=degrees(latitude_rad), glon=degrees(longitude_rad), alt=height_m / 1e3, time=year
+        )
+    except ValueError as error:
+        raise ModelError(f"no magnetic field for the year {year:g}: {error}.") from error
+    return 1e-9 * field.x, 1e-9 * field.y, 1e-9 * field.z
+
+
+def normal_gravity_m_s2(latitude_rad: float, height_m: float) -> float:
+    """Acceleration of free fall at a place.
+
+    Args:
+        latitude_rad: Geodetic, north positive.
+        height_m: Over the ellipsoid.
+
+    Source: Somigliana's formula and its gradient at the surface, WGS 84, NIMA TR8350.2, ch. 4.
+    Valid for: what multirotors reach.
+    """
+    sine = np.sin(latitude_rad) ** 2
+    at_sea = 9.7803253359 * (1 + 0.00193185265241 * sine) / np.sqrt(1 - 0.00669437999013 * sine)
+    return float(at_sea - 3.086e-6 * height_m)

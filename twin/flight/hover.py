@@ -11,12 +11,12 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from ...component import Component
-from ...effects import acting_late
-from ...errors import ModelError
-from ...frames import AXES
-from ...physics.airframe import airframe
-from ...vehicle import Vehicle
+from ..component import Component
+from ..effects import acting_late
+from ..errors import ModelError
+from ..frames import AXES
+from ..physics.airframe import airframe
+from ..vehicle import Vehicle
 
 Array = NDArray[np.float64]
 FULL_OVER_HOVER = 2.5

@@ -1,1 +1,0 @@
-"""What the controllers are made of: hover model, gains, attitude geometry, rotor mixing."""

@@ -1,1 +1,0 @@
-"""PX4's multicopter control: cascade, mixer, parameters."""
