@@ -35,6 +35,7 @@ from .options import Exit
 from .printing import STDERR, STDOUT, print_error
 from .query import query
 from .replay import replay
+from .show import show
 from .simulate import simulate
 from .sweep import sweep
 from .train import train
@@ -59,7 +60,7 @@ _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THRE
 """Read where numpy and scipy are imported, which the verbs do. Of several threads the sums come in
 another order and end in other bits; one is as fast for matrices of this size."""
 VERBS = (
-    *(check, convert, gap, calibrate, explain, demo, export, simulate, sweep, fleet, query),
+    *(check, convert, gap, calibrate, explain, demo, show, export, simulate, sweep, fleet, query),
     *(live, replay, hil, train, evaluate, bench, version),
 )
 
