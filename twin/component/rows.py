@@ -67,6 +67,8 @@ _NUMPY: dict[int, Callable[..., Any]] = {
 }
 
 
+_ZERO = 0.0
+"""The constant of results that are zero by the structure of the function."""
 _Step = tuple[Callable[..., Any], int, tuple[int, ...]]
 
 
@@ -102,7 +104,7 @@ class OverRows:
             arguments: Shape (n, size) each those that differ, shape (size,) each the others.
         """
         n = len(arguments[0])
-        result = np.empty((self._size, n))
+        result = np.zeros((self._size, n))  # rows that stay 0 take no memory
         same = arguments[self._rows :]
         with np.errstate(all="ignore"):
             for first in range(0, n, CHUNK):
@@ -118,7 +120,8 @@ class OverRows:
             if step is _load:
                 work[out] = arguments[given[0]][given[1]]
             elif step is _store:
-                result[out] = work[given[0]]
+                if (value := work[given[0]]) is not _ZERO:
+                    result[out] = value
             else:
                 work[out] = step(*[work[g] for g in given])
 
@@ -132,7 +135,7 @@ def _step(function: ca.Function, k: int) -> _Step | None:
     if op == ca.OP_OUTPUT:
         return (_store, out[1], given) if out[0] == 0 else None
     if op == ca.OP_CONST:
-        value = function.instruction_constant(k)
+        value = function.instruction_constant(k) or _ZERO
         return lambda: value, out[0], ()
     if op not in _NUMPY:
         raise NotImplementedError(

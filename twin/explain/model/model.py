@@ -353,11 +353,13 @@ class FlightModel:
 
 def _sampled(sampled: Callable[[Array], Array], more: Array, slopes: Array) -> tuple[Array, Array]:
     """What is added to a prediction, and its slopes, at the samples of a pose; zeros stay zeros."""
-    both = np.concatenate([more[:, :, None], slopes], axis=2)
-    some = np.flatnonzero(np.any(both, axis=(0, 1)))
+    n, k, m = slopes.shape
+    both = np.zeros((m + 1, k, n)).T  # columns that stay 0 take no memory
+    every = [more, *(slopes[:, :, i] for i in range(m))]
+    some = [i for i, values in enumerate(every) if np.any(values)]
     for first in range(0, len(some), SLOPES_AT_ONCE):  # all at once, they would fill the memory
         few = some[first : first + SLOPES_AT_ONCE]
-        both[:, :, few] = sampled(both[:, :, few])
+        both[:, :, few] = sampled(np.stack([every[i] for i in few], axis=2))
     return both[:, :, 0], both[:, :, 1:]
 
 
