@@ -15,7 +15,7 @@ from twin.explain.inference.fit import INTERVAL
 from twin.explain.model.numbers import Number
 from twin.explain.settings import DEFAULT, SearchSettings
 from twin.logs import Flight
-from twin.residuals.hover import HoverDiagnosis
+from twin.residuals.flight_gap import HoverDiagnosis
 from twin.residuals.teacher_forced import drive_warnings
 from twin.vehicle import Deviation, Vehicle
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from learning.data.channels import phase_codes
 from twin.logs import Flight
 from twin.residuals.aligned import AlignedFlight
-from twin.residuals.imu import in_step
+from twin.residuals.channels import in_step
 from twin.residuals.measured import Signal
 from twin.residuals.teacher_forced import GRID_S, RIGID, SPIN_RATE
 from twin.vehicle import Vehicle

@@ -18,8 +18,7 @@ from twin.logs.read import is_archive_of
 from twin.logs.table import header
 from twin.logs.validate import NO_TABLE, is_recording
 from twin.physics.airframe import airframe
-from twin.residuals.flight_gap import comparable, diagnosis_of
-from twin.residuals.hover import HoverDiagnosis
+from twin.residuals.flight_gap import HoverDiagnosis, comparable, diagnosis_of
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS

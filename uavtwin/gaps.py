@@ -7,9 +7,8 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from twin.logs import AnyFlight
-from twin.residuals.flight_gap import DEFAULT_HORIZON_S, flight_gap
+from twin.residuals.flight_gap import DEFAULT_HORIZON_S, HoverDiagnosis, Mean, flight_gap
 from twin.residuals.gap import UNKNOWN_PHASE, FlightGap, Ranked, Score, band_rows, rank, summaries
-from twin.residuals.hover import HoverDiagnosis, Mean
 from twin.vehicle import Vehicle
 
 from .display import PageMixin, TextTable

@@ -8,8 +8,8 @@ import numpy as np
 
 from twin.effects import EFFECTS
 from twin.physics.sensors.table import BODY, SENSORS, Sensor
+from twin.residuals.flight_gap import HoverDiagnosis, Mean
 from twin.residuals.gap import Channel
-from twin.residuals.hover import HoverDiagnosis, Mean
 
 from .formatting import joined, number, percent, quantity
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from twin.explain.running.alarms import Alarm
 from twin.explain.running.evidence import RunningEvidence
-from twin.explain.running.settings import RUNNING, RunningSettings
+from twin.explain.running.hypotheses import RUNNING, RunningSettings
 from twin.logs import Flight
 from twin.vehicle import Vehicle
 

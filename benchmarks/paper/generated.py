@@ -39,7 +39,7 @@ from twin.flight.mission import PHASES
 from twin.flight.simulate_flight import Recorder, Stream, simulate_flight
 from twin.logs import Flight, read_flight, write_flight
 from twin.logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
-from twin.residuals.spectra import spectrum
+from twin.residuals.gap import spectrum
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.flights import check_names

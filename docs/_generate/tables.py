@@ -31,7 +31,7 @@ from twin.effects.priors import (
     prior_of,
 )
 from twin.explain.model.model import has_mean
-from twin.explain.running.settings import RUNNING
+from twin.explain.running.hypotheses import RUNNING
 from twin.explain.settings import DEFAULT, Setting
 from twin.explain.settings.group import numbers
 from twin.flight.assembly import CONTROLLERS, flying_twin

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import wasserstein_distance
 
-from twin.residuals.gap import BAND_EDGES_HZ
-from twin.residuals.spectra import spectrum
+from twin.residuals.gap import BAND_EDGES_HZ, spectrum
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -21,8 +21,18 @@ from twin.logs import Flight
 from twin.physics.residual_force import INPUTS, OUTPUTS, ForceLaw, features, motion_inputs, waves
 from twin.representation import short_repr
 from twin.residuals.aligned import AlignedFlight, align_flight
-from twin.residuals.channels import CHANNEL_HZ, GRID_HZ, Measured, shifted
-from twin.residuals.imu import OF_IMU, gyro_rate, imu_readings, in_step, predicted_imu, prompt_imu
+from twin.residuals.channels import (
+    CHANNEL_HZ,
+    GRID_HZ,
+    OF_IMU,
+    Measured,
+    gyro_rate,
+    imu_readings,
+    in_step,
+    predicted_imu,
+    prompt_imu,
+    shifted,
+)
 from twin.residuals.measured import Signal
 from twin.vehicle import Vehicle
 

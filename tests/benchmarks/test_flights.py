@@ -26,8 +26,7 @@ from benchmarks.hidden_effects.plants.sensing import flight_table
 from twin.logs.flight import Flight
 from twin.logs.read import read_flight
 from twin.residuals.aligned import align_flight
-from twin.residuals.channels import BAND_HZ, GRID_HZ, low_pass
-from twin.residuals.imu import imu_channels
+from twin.residuals.channels import BAND_HZ, GRID_HZ, imu_channels, low_pass
 from twin.vehicle.file import parse_vehicle
 
 ALLOWED = ("twin.errors", "twin.logs.flight", "twin.logs.table", "twin.vehicle.file")

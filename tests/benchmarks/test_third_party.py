@@ -30,7 +30,7 @@ from benchmarks.hidden_effects.plants.sensing import flight_table
 from twin.residuals.aligned import align_flight
 from twin.logs.flight import Flight
 from twin.residuals.channels import GRID_HZ
-from twin.residuals.imu import imu_channels
+from twin.residuals.channels import imu_channels
 from twin.vehicle.file import parse_vehicle
 
 rms = {}

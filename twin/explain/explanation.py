@@ -11,8 +11,7 @@ from ..errors import LogError, ModelError
 from ..flight.closed_loop import Mission, fly_missions
 from ..logs import AnyFlight, Flight, Site
 from ..representation import short_repr
-from ..residuals.flight_gap import diagnosis_of
-from ..residuals.hover import HoverDiagnosis
+from ..residuals.flight_gap import HoverDiagnosis, diagnosis_of
 from ..residuals.teacher_forced import drive_warnings
 from ..vehicle import Vehicle
 from .design import Suggestion, next_manoeuvre

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ..frames import to_body
 from ..representation import short_repr
 from ..residuals.channels import GRID_HZ, ChannelData
-from ..residuals.spectra import spectrum
+from ..residuals.gap import spectrum
 from .model.model import FlightModel, Model
 from .settings import DEFAULT, AttributionSettings, LocalizationSettings
 

@@ -1,7 +1,8 @@
-"""The measured state of a flight at any time, from whatever the flight holds.
+"""The measured state of a flight at any time, from the signals of the flight.
 
 Where the flight lacks velocity or body rates, they are derived from position and attitude, and
-`MeasuredMotion.notes` says so.
+`MeasuredMotion.notes` says so. Between samples a signal is linear, or a cubic spline (`smooth_at`);
+`resample_like` gives what is known all the time the samples of another signal.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,10 +12,11 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.signal import butter, lfilter, lfilter_zi, savgol_filter
 
 from ..errors import LogError
-from ..frames import rotation_vector
+from ..frames import multiply, rotation_vector
 from ..logs import AnyFlight, Flight, StoredFlight
 from ..logs.columns import GYRO, POS, QUAT, VEL
 from ..representation import short_repr
@@ -397,3 +399,64 @@ def _attitude_doubt(attitude: AnySignal, rates: AnySignal) -> list[str]:
         f"attitude and gyroscope do not turn together (correlation {same:.2f}): check that q "
         f"is [w, x, y, z], body to NED, and that both use forward-right-down axes"
     ]
+
+
+SAME_S = 1e-9
+"""Times of a grid and of a log that are apart by less are the same."""
+
+
+def smooth_at(signal: AnySignal, t_s: Array, derivative: int = 0) -> Array:
+    """A signal or its derivative in time by cubic splines, NaN outside and in gaps.
+
+    Straight lines between samples h apart, and differences over h, would be averages over time,
+    each with a variance of h^2/6 and h^2/12 on average.
+
+    Args:
+        signal: Of any rate.
+        t_s: Times, s, shape (n,).
+        derivative: How often it is differentiated.
+
+    Returns:
+        Shape (n, k).
+    """
+    there = signal.between(float(np.min(t_s)) - LONGEST_GAP_S, float(np.max(t_s)) + LONGEST_GAP_S)
+    if len(there.t_s) < 4:
+        return np.full((len(t_s), signal.values.shape[1]), np.nan)
+    found = CubicSpline(there.t_s, there.values, bc_type="natural")(t_s, derivative)
+    found[~np.isfinite(signal.at(t_s))] = np.nan
+    return np.asarray(found)
+
+
+def resample_like(values: Array, t_s: Array, signal: AnySignal, derivative: int = 0) -> Array:
+    """What `smooth_at` makes of something where it is known at the samples of a signal alone.
+
+    Two signals are compared without what sampling does to one of them when the other passes it,
+    too: near half the rate of the samples that is much.
+
+    Args:
+        values: The derivative of that something, shape (n, k).
+        t_s: Its times, s, shape (n,).
+        signal: Whose samples.
+        derivative: How often it is differentiated.
+
+    Returns:
+        Shape (n, k), NaN where either is unknown.
+    """
+    known = np.all(np.isfinite(values), axis=1)
+    if np.count_nonzero(known) < 4:
+        return np.full_like(values, np.nan)
+    whole = CubicSpline(t_s[known], values[known])
+    if derivative:
+        whole = whole.antiderivative(derivative)
+    there = signal.between(float(t_s[known][0]) - SAME_S, float(t_s[known][-1]) + SAME_S)
+    found = smooth_at(Signal(there.t_s, whole(there.t_s)), t_s, derivative)
+    found[~known] = np.nan
+    return found
+
+
+def turning_at(attitude: AnySignal, t_s: Array) -> Array:
+    """Body rates of an attitude, rad/s, by cubic splines, NaN outside and in gaps, shape (n, 3)."""
+    q, rate = (list(smooth_at(attitude, t_s, k).T) for k in (0, 1))
+    back = [q[0], -q[1], -q[2], -q[3]]
+    half = np.stack(multiply(back, rate)[1:], axis=-1)
+    return np.asarray(2.0 * half / sum(x * x for x in q)[:, None])

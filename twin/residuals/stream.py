@@ -24,10 +24,17 @@ from ..logs.columns import ACC, GYRO, POS, QUAT, VEL
 from ..logs.flight import Settled
 from ..physics.rotors import Drive
 from ..vehicle import Vehicle
-from .airborne import in_flight, resting_height, rotor_thrust, starts_in_air
-from .aligned import AlignedFlight, TwinGrid, components_of, phases_at
-from .channels import GRID_HZ
-from .imu import imu_predictor
+from .aligned import (
+    AlignedFlight,
+    TwinGrid,
+    components_of,
+    in_flight,
+    phases_at,
+    resting_height,
+    rotor_thrust,
+    starts_in_air,
+)
+from .channels import GRID_HZ, imu_predictor
 from .measured import LONGEST_GAP_INTERVALS, LONGEST_GAP_S, MeasuredMotion, measured_motion
 from .recent_rows import LastRows, Rows
 from .short_horizon import Windows

@@ -15,10 +15,9 @@ from ..component.along import BUILDING
 from ..effects import ages
 from ..logs import Flight
 from .aligned import AlignedFlight
-from .channels import EVERY, GRID_HZ, SHORTEST_S
+from .channels import EVERY, GRID_HZ, SHORTEST_S, imu_channels
 from .flight_gap import DEFAULT_HORIZON_S, end_channels
 from .gap import Channel
-from .imu import imu_channels
 from .short_horizon import window_ends
 from .stream import BEFORE_S, NONE, Equations, RunningGrid, Stream, with_motion
 from .teacher_forced import GRID_S

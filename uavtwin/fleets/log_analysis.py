@@ -19,7 +19,7 @@ from twin.explain.inference.fit import INTERVAL
 from twin.logs import AnyFlight
 from twin.logs.airframe import SourcedValue
 from twin.logs.columns import GYRO, QUAT
-from twin.residuals.hover import HoverDiagnosis
+from twin.residuals.flight_gap import HoverDiagnosis
 from twin.vehicle.file import parse_vehicle
 
 from ..file_check import check_flight

@@ -16,8 +16,8 @@ from twin.logs import AnyFlight
 from twin.logs.autopilot import Autopilot, Message, Parameter, Sensor
 from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL, motor_columns
 from twin.representation import short_repr
+from twin.residuals.gap import slow_part
 from twin.residuals.measured import signal_of
-from twin.residuals.spectra import slow_part
 
 from .drawing import Budget, Panels, Spans, thinned
 from .page import BLACK, BLUE, GREY, ORANGE, Figure, Plot, embedded, plot

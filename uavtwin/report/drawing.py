@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.residuals.spectra import slow_part
+from twin.residuals.gap import slow_part
 
 from .page import GREY, Figure, Plot
 

@@ -11,7 +11,7 @@ from twin.logs import AnyFlight, Flight
 from twin.physics.sensors.table import SENSORS, Sensor
 from twin.residuals.aligned import AlignedFlight
 from twin.residuals.channels import BAND_HZ, CHANNEL_HZ, ChannelData
-from twin.residuals.spectra import spectrum
+from twin.residuals.gap import spectrum
 from twin.vehicle import Vehicle
 
 from ..formatting import pretty_unit

@@ -16,15 +16,17 @@ from numpy.typing import NDArray
 from twin.logs.columns import POS
 from twin.residuals.channels import BAND_HZ
 from twin.residuals.gap import (
+    SLOW_HZ,
     Channel,
     FlightGap,
     Ranked,
+    Spectrum,
     Summary,
     rank,
+    spectrum,
     summaries,
     summarise,
 )
-from twin.residuals.spectra import SLOW_HZ, Spectrum, spectrum
 
 from ..formatting import number, percent, pretty_unit
 from ..gaps import GapResult, claim

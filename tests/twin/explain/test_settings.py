@@ -82,9 +82,7 @@ LOCAL = {
         "unnamed.FINER",
         "stochastic.gust.RIDGES",
         "stochastic.gust.NO_NOISE",
-        "running.feed.BEHIND_S",
-        "running.feed.OVERLAP_S",
-        "running.change_detector.RECENT",
+        "running.detector.RECENT",
     },
     "what is believed before any flight, besides the table of priors": {
         "inference.evidence.FAST_RAD_S",
@@ -96,10 +94,10 @@ LOCAL = {
         "inference.fit.WINDOW",
         "inference.spectrum.BANDS_HZ",
         "inference.spectrum.SHORTEST",
-        "running.feed.FRAME_ROWS",
-        "running.noise.EDGES",
-        "running.noise.LONG",
-        "running.shaking.SUB_BANDS_HZ",
+        "running.frames.FRAME_ROWS",
+        "running.detector.EDGES",
+        "running.detector.LONG",
+        "running.frames.SUB_BANDS_HZ",
     },
     "reported numbers and sets, once their probability is known": {
         "inference.inclusion.EXCHANGED",
@@ -109,15 +107,15 @@ LOCAL = {
     "how many columns are held in memory at a time": {"model.model.SLOPES_AT_ONCE"},
     "how numbers are rounded": {
         "inference.evidence.LEAST_EIGENVALUE",
-        "running.noise._RESOLVED",
-        "running.silent._LEAST_POWER",
+        "running.detector._RESOLVED",
+        "running.alarms._LEAST_POWER",
     },
     "mathematics": {
         "inference.fit.INTERVAL",  # 95 % intervals
         "inference.adequacy.POWER_95",
         "estimates._CREDIBLE",
         "inference.whitening._FAR",
-        "running.silent.CELL",
+        "running.alarms.CELL",
         "stochastic.spectral.SURE",
         "stochastic.imu_noise.LOG_MEAN",
         "stochastic.imu_noise.LOG_SD",
@@ -128,6 +126,7 @@ LOCAL = {
     },
     "what matters of a sensor, which its row in the table of sensors says": {
         "unnamed.SMALLEST",
+        "running.frames.OF_POSE",
     },
 }
 """Numbers that decide no verdict, or belong to another definition, by the reason."""
@@ -170,7 +169,7 @@ def test_every_other_number_of_the_search_says_why_it_is_no_setting() -> None:
             value = getattr(node, "value", None)
             if names and value is not None and names[0].isupper() and numeric(value):
                 found |= {f"{module}.{n}" for n in names}
-    found -= {"settings.search.DEFAULT", "running.settings.RUNNING"}
+    found -= {"settings.search.DEFAULT", "running.hypotheses.RUNNING"}
     allowed = set().union(*LOCAL.values())
     assert found - allowed == set()  # make it a setting, or say here why it is none
     assert allowed - found == set()  # what is no longer there

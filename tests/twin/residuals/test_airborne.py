@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from twin.errors import LogError
 from twin.logs import Flight
-from twin.residuals.airborne import carry
-from twin.residuals.aligned import align_flight
+from twin.residuals.aligned import align_flight, carry
 from twin.residuals.channels import GRID_HZ
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle

@@ -5,8 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from twin.frames import from_euler
-from twin.residuals.at_samples import resample_like, smooth_at, turning_at
-from twin.residuals.measured import Signal, rates_of
+from twin.residuals.measured import Signal, rates_of, resample_like, smooth_at, turning_at
 
 T_S = np.arange(2000, dtype=np.float64) * np.float64(0.005)
 

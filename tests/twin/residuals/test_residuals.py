@@ -15,8 +15,7 @@ from twin.errors import ModelError
 from twin.logs import Flight
 from twin.physics.airframe import airframe
 from twin.residuals.channels import GRID_HZ, shifted
-from twin.residuals.gap import Channel, FlightGap, pool, rank, summarise
-from twin.residuals.spectra import slow_part, spectrum
+from twin.residuals.gap import Channel, FlightGap, pool, rank, slow_part, spectrum, summarise
 from twin.residuals.teacher_forced import airframe_inputs
 from twin.vehicle.file import load_vehicle
 from uavtwin.gaps import gap_record

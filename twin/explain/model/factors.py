@@ -28,10 +28,18 @@ from ...logs.columns import ACC_NED, POS, VEL
 from ...physics.sensors.table import BODY, SENSORS, Sensor
 from ...representation import short_repr
 from ...residuals.aligned import AlignedFlight
-from ...residuals.at_samples import resample_like, smooth_at, turning_at
-from ...residuals.channels import POSE_BAND_HZ, Measured, measured, on_grid, rate_over_step, shifted
-from ...residuals.imu import OF_IMU, imu_readings, prompt_imu
-from ...residuals.measured import AnySignal, Signal, rates_of
+from ...residuals.channels import (
+    OF_IMU,
+    POSE_BAND_HZ,
+    Measured,
+    imu_readings,
+    measured,
+    on_grid,
+    prompt_imu,
+    rate_over_step,
+    shifted,
+)
+from ...residuals.measured import AnySignal, Signal, rates_of, resample_like, smooth_at, turning_at
 from ...vehicle import Vehicle
 from .numbers import ACCELEROMETER, DRIVES, GYROSCOPE, PLACE, TURN, Number, age_of, values_of
 from .prediction import SensorBatch

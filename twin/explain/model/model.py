@@ -28,8 +28,7 @@ from ...logs import Flight
 from ...physics.airframe import airframe
 from ...representation import short_repr
 from ...residuals.aligned import align_flight
-from ...residuals.channels import GRID_HZ, ChannelData, mean_over_step, shifted
-from ...residuals.imu import OF_IMU
+from ...residuals.channels import GRID_HZ, OF_IMU, ChannelData, mean_over_step, shifted
 from ...residuals.teacher_forced import choose_drive
 from ...vehicle import Vehicle
 from .factors import FlightContext, imu_factors, motion_factors, other_factors, pose_factors

@@ -19,10 +19,8 @@ from ...component import Component
 from ...component.along import BUILDING, EachRow
 from ...component.rows import OverRows
 from ...effects import acting_late
-from ...residuals.channels import GRID_HZ
-from ...residuals.imu import gyro_rate, prompt_imu
-from ...residuals.teacher_forced import RIGID
-from ...residuals.unmeasured import integrate_states
+from ...residuals.channels import GRID_HZ, gyro_rate, prompt_imu
+from ...residuals.teacher_forced import RIGID, integrate_states
 from ...vehicle import Vehicle
 from .numbers import Number
 

@@ -14,13 +14,10 @@ from ...representation import short_repr
 from ...residuals.recent_rows import Rows
 from ...residuals.stream import LONGEST_WAIT_S, Stream
 from ...vehicle import Vehicle
-from .alarms import Alarm, EstimatedChange, Verdict
-from .change_detector import ChangeDetector, ChangeEvidence
-from .channels import FRAME_S, Frame, FrameFilter
-from .hypotheses import MONITORED_EFFECTS, library_of
-from .noise import AdaptiveNoise
-from .settings import RUNNING, RunningSettings
-from .silent import Shaking, SilentSign, StandStill
+from .alarms import Alarm, EstimatedChange, Shaking, SilentSign, StandStill, Verdict
+from .detector import AdaptiveNoise, ChangeDetector, ChangeEvidence
+from .frames import FRAME_S, Frame, FrameFilter
+from .hypotheses import MONITORED_EFFECTS, RUNNING, RunningSettings, library_of
 
 Array = NDArray[np.float64]
 LEAST_SHARE = 0.05

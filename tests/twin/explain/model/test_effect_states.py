@@ -15,7 +15,7 @@ from twin.explain.model.prediction import states_reached
 from twin.logs import Flight
 from twin.physics.airframe import airframe
 from twin.physics.sensors.imu import imu
-from twin.residuals.unmeasured import integrate_states
+from twin.residuals.teacher_forced import integrate_states
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from twin.explain.running.change_detector import RECENT, ChangeDetector, ChangeEvidence
+from twin.explain.running.detector import RECENT, ChangeDetector, ChangeEvidence
 from twin.explain.running.hypotheses import Hypothesis
 
 Array = NDArray[np.float64]

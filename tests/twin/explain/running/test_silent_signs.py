@@ -3,10 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.explain.running.channels import FRAME_ROWS, Frame
-from twin.explain.running.settings import RUNNING
-from twin.explain.running.shaking import high_power, longest_repeats
-from twin.explain.running.silent import Shaking, StandStill
+from twin.explain.running.alarms import Shaking, StandStill
+from twin.explain.running.frames import FRAME_ROWS, Frame, high_power, longest_repeats
+from twin.explain.running.hypotheses import RUNNING
 from twin.residuals.channels import GRID_HZ
 
 Array = NDArray[np.float64]

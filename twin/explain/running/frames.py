@@ -1,40 +1,141 @@
 """Residuals and their slopes by frames of half a second.
 
-The channels of `twin.explain.model.model`: what accelerometer and gyroscope read against airframe
-and IMU, and against the pose; magnetometer and barometer against the pose. Slopes are derivatives
-of the CasADi expressions at the measured state; the states of the rotors, which nobody measures,
-carry theirs along. Whatever is computed is computed frame by frame on the clock of the grid, so
-that it does not matter in which portions a flight comes.
+The channels of `twin.explain.model.flight`: readings of accelerometer and gyroscope against
+airframe and IMU, and against the pose; magnetometer and barometer against the pose. Slopes are
+derivatives of the CasADi expressions at the measured state; of the rotor states, which no sensor
+measures, are integrated along the flight. All is computed frame by frame on the grid of a stream,
+so that the portions in which a flight arrives do not matter. Readings that repeat and power above
+the band of motion have no equation: they are counted here.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 from scipy.signal import butter, lfilter, lfilter_zi
 
 from ...component import Component
-from ...component.along import EachRow
+from ...component.along import Along, EachRow
+from ...effects.sensors import IMU_CHANNELS
 from ...logs.columns import ACC, GYRO
 from ...physics.sensors.table import BODY, SENSORS
 from ...representation import short_repr
-from ...residuals.airborne import LIFT_OFF_HEIGHT_M
-from ...residuals.channels import BAND_HZ, EVERY, GRID_HZ, POSE_BAND_HZ, on_grid
-from ...residuals.imu import OF_IMU, prompt_imu
+from ...residuals.aligned import LIFT_OFF_HEIGHT_M
+from ...residuals.channels import BAND_HZ, EVERY, GRID_HZ, OF_IMU, POSE_BAND_HZ, on_grid, prompt_imu
 from ...residuals.measured import rates_of, signal_of
 from ...residuals.stream import Stream
+from ...residuals.teacher_forced import rotor_states_of
 from ...vehicle import Vehicle
 from ..model.factors import in_body, named, rows_of
 from ..model.numbers import values_of
 from ..model.prediction import Physics, SensorBatch
 from .hypotheses import Library
-from .lag import LagSlopes
-from .shaking import high_power, longest_repeats
 
 Array = NDArray[np.float64]
+SUB_BANDS_HZ = (25.0, 45.0, 65.0, 85.0, 100.0)
+"""Edges: above the band of motion, below the limit of the grid."""
+
+
+def high_power(readings: Array) -> Array:
+    """Power of readings by sub-band, in their unit squared, shape (k, s).
+
+    Args:
+        readings: A frame on the grid, shape (n, k).
+    """
+    n = len(readings)
+    window = np.hanning(n)[:, None]
+    slope = np.linspace(-1, 1, n)[:, None]
+    still = readings - readings.mean(axis=0)
+    still = still - slope * (slope * still).sum(axis=0) / (slope * slope).sum()
+    power = np.abs(np.fft.rfft(window * still, axis=0)) ** 2
+    power *= 2 / (GRID_HZ * (window**2).sum()) * (GRID_HZ / n)
+    hz = np.fft.rfftfreq(n, 1 / GRID_HZ)
+    edges = np.searchsorted(hz, SUB_BANDS_HZ)
+    return np.stack([power[a:b].sum(axis=0) for a, b in pairwise(edges)], axis=1)
+
+
+def longest_repeats(samples: Mapping[str, tuple[Array, Array]]) -> dict[str, int]:
+    """Most samples in a row that are all the same, by column of the IMU."""
+    found = {}
+    for name, (_, values) in samples.items():
+        columns = [c for c in IMU_CHANNELS if c.startswith(name)]
+        for column, x in zip(columns, values.T, strict=True):
+            if len(x):
+                edges = np.flatnonzero(np.concatenate([[True], np.diff(x) != 0, [True]]))
+                found[column] = int(np.max(np.diff(edges)))
+    return found
+
+
+class LagSlopes:
+    """Derivative of the states of the rotors by numbers that move them.
+
+    With the step r' = F(r, u, theta) of the rotors, z' = F_r z + F_theta, exact derivatives of the
+    step that the twin itself takes.
+
+    Attributes:
+        columns: Positions of these numbers within `Library.columns`.
+    """
+
+    def __init__(self, body: Component, library: Library, physics: Physics) -> None:
+        """Differentiate the step.
+
+        Args:
+            body: Airframe, built with the effects of the library.
+            library: Numbers.
+            physics: Of that airframe.
+        """
+        self._index = rotor_states_of(body)
+        reached = {
+            k: library.name(k)
+            for k in range(len(library.columns))
+            if physics.reached.get(library.name(k).full, frozenset()) & {*self._index}
+        }
+        self.columns = tuple(reached)
+        self._width, n = len(body.states), len(self._index)
+        names = [v.name for v in body.parameters]
+        effects = {number.effect for number in reached.values()}
+        p = ca.SX(body.parameter_values({f"{e}.enabled": 1.0 for e in effects}))
+        theta = ca.SX.sym("theta", len(reached))
+        for k, number in enumerate(reached.values()):
+            p[names.index(number.full)] = theta[k]
+        self._now = np.array([number.now for number in reached.values()])
+        z = ca.SX.sym("z", n * len(reached))
+        v, u = ca.SX.sym("v", n), ca.SX.sym("u", len(body.inputs))
+        x = ca.SX(body.initial(body.input_values(), body.parameter_values()))
+        x[self._index] = v
+        after = body.step(x, u, p, 1 / GRID_HZ)[self._index]
+        moved = ca.jacobian(after, v) @ ca.reshape(z, n, len(reached)) + ca.jacobian(after, theta)
+        moved = ca.substitute(ca.vec(moved), theta, self._now)
+        self._along = Along(ca.Function("carried", [z, v, u], [ca.cse(ca.densify(moved))]))
+        self._state = np.zeros(n * len(reached))
+
+    def along(self, states: Array, inputs: Array) -> list[tuple[int, Array]]:
+        """The next rows: of each column, the change of all states, shape (n, n_x).
+
+        Args:
+            states: Of the airframe, shape (n, n_x).
+            inputs: Of the airframe, shape (n, n_u).
+        """
+        if not self.columns:
+            return []
+        rotors = states[:, self._index]
+        (after,) = self._along(self._state, np.nan_to_num(rotors), inputs)
+        here = np.vstack([self._state, after[:-1]])
+        self._state = after[-1]
+        found = []
+        for k, column in enumerate(self.columns):
+            change = np.zeros((len(states), self._width))
+            n = len(self._index)
+            change[:, self._index] = here[:, k * n : (k + 1) * n]
+            found.append((column, change))
+        return found
+
+
 FRAME_ROWS = 100
 """Rows of the grid in a frame."""
 FRAME_S = FRAME_ROWS / GRID_HZ
