@@ -57,7 +57,7 @@ late, none behind by more than {_BEHIND_S:g} s: {_goal(rows.get("many_10_alarms"
 
 {_growth(rows.get("growth"))}
 
-## Beside a flood
+## During a flood
 
 `pytest tests/uavtwin/live/test_under_load.py`: 1 MB/s of random bytes, of another aircraft's
 messages, of frames with a wrong checksum, beside an aircraft that is sent as fast as it is taken:

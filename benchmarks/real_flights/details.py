@@ -190,7 +190,14 @@ def against_prototype(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
         "`benchmarks/real_flights/prototype.py`). Bold: less than the prototype, by 3 % or more; "
         "*: more by as much."
     )
-    return [*section("Beside the prototype"), text, "", *table(head, lines), "", *_tally(lines)]
+    return [
+        *section("Compared with the prototype"),
+        text,
+        "",
+        *table(head, lines),
+        "",
+        *_tally(lines),
+    ]
 
 
 def _pairs(ours: Sequence[float | None], theirs: Sequence[float], unit: str) -> list[str]:

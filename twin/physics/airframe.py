@@ -180,7 +180,7 @@ def _trim_guess(vehicle: Vehicle, inputs: Sequence[str], n_steady: int) -> Array
     return np.array([first] * rotors.count + [level] * n_steady)
 
 
-REPORTED = "told."
+REPORTED = "drive."
 """Before the name of an input that an airframe also shows, so that others can be fed by it."""
 
 
@@ -205,7 +205,7 @@ def airframe(
         restart: Whether its state can be set while it runs: inputs `restart` and `restart.pos_x`
             to `restart.omega_z`. At the end of every `RESTART_PERIOD_S` in which `restart` is true
             its motion is the given one; rotors and memories go on as they are. What drives it is
-            shown again, `told.cmd_1` and so on, since no part of a twin gives it.
+            shown again, `drive.cmd_1` and so on, since no part of a twin gives it.
         voltage: Whether the battery voltage is an input although nothing in the airframe depends on
             it, for another part that reads its output `voltage`.
 
