@@ -5,7 +5,7 @@ unit norm, rows.
 import math
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from ..errors import LogError
-from ..frames import from_euler, rotation_vector
 from .airframe import Airframe
 from .autopilot import Autopilot, Span, label_phases
-from .columns import EULER, MOTION, QUAT, Columns, beyond, beyond_message, in_order
-from .flight import Array, Finding, Flight, Noted, Severity, Site
+from .columns import MOTION, QUAT, beyond, beyond_message, in_order
+from .flight import Array, Flight, Noted, Severity, Site
 
 # -- time stamps --------------------------------------------------------------------------------
 #
@@ -310,8 +309,6 @@ def _clock(stamp_us: NDArray[np.int64]) -> NDArray[np.float64]:
 NORM_DOUBT = 1e-3
 """Distance of a norm from 1 beyond which that a quaternion was normalised is said."""
 _LEAST_NORM, _MOST_NORM = 0.5, 2.0
-_FARTHEST_RAD = 2 * np.pi
-_APART_RAD = 0.02  # made up: over the rounding of any log, under any mistake of axes
 
 
 def unit_quaternions(log: Noted, q: Array) -> tuple[NDArray[np.bool_], Array]:
@@ -337,72 +334,138 @@ def unit_quaternions(log: Noted, q: Array) -> tuple[NDArray[np.bool_], Array]:
     return usable, q[usable] / norm[usable, None]
 
 
-def with_quaternion(name: str, table: Columns) -> tuple[dict[str, Array], list[Finding]]:
-    """The q_* that stand in for roll, pitch and yaw.
+# -- motors ----------------------------------------------------------------------
+#
+# Which physical output drives which motor, in which unit and range, and what in a log says so.
+#
+# Every reader of an autopilot's log fills one `MotorOutput` per motor; commands are made of nothing
+# else. Where the log does not say it, `source` names what was missing and the reader adds a
+# finding.
+
+
+_STOPPED = 0.01
+"""Command above which a motor runs."""
+_ABSURD = 3.0
+"""Size of a command that is damaged; a pulse width of 0, of motors that are off, is -1 or -2."""
+_IDLE, _WORKING = 0.05, 0.2
+"""Mean command below which motors idle, and above which they draw a current."""
+_STEADY_A = 1e-4
+"""Standard deviation of a current that never changes."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotorOutput:
+    """The output of one motor.
+
+    Attributes:
+        motor: Number of the motor, from 1: `cmd_i` and `rotor_i` of the flight table.
+        place: Message or topic and the field of this output.
+        unit: Of the logged values: "us", "DShot", "CAN", "" for a command 0..1.
+        low: Logged value of command 0.
+        high: Logged value of command 1; below `low` for a reversed output.
+        source: Parameters or fields that say all this.
+    """
+
+    motor: int
+    place: str
+    unit: str
+    low: float
+    high: float
+    source: str
+
+
+def commands_of(outputs: Sequence[MotorOutput], values: Array) -> Array:
+    """Commands of logged values, not clipped, shape (n, motors) as `values`."""
+    low = np.array([o.low for o in outputs])
+    high = np.array([o.high for o in outputs])
+    return np.asarray((values - low) / (high - low))
+
+
+def described(outputs: Sequence[MotorOutput]) -> str:
+    """All outputs in a line, in the order of the motors, with what says so."""
+    ranges = [f"{o.low:g} to {o.high:g} {o.unit}".rstrip() for o in outputs]
+    same = len(set(ranges)) == 1
+    places = [o.place if same else f"{o.place} {r}" for o, r in zip(outputs, ranges, strict=True)]
+    common = f", {ranges[0]}" if same else ""
+    sources = ", ".join(dict.fromkeys(s for o in outputs for s in o.source.split(", ")))
+    return f"{', '.join(places)}{common} ({sources})"
+
+
+@dataclass(frozen=True, slots=True)
+class MotorCommands:
+    """Commands 0..1 of all motors.
+
+    Attributes:
+        t_us: Times, us, shape (n,).
+        cmd: Shape (n, motors).
+        facts: What to print about them.
+    """
+
+    t_us: NDArray[np.int64]
+    cmd: Array
+    facts: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def running(self) -> NDArray[np.bool_]:
+        """Whether any motor gets more than a hundredth, shape (n,)."""
+        return np.asarray((self.cmd > _STOPPED).any(axis=1))
+
+    def clipped(self, log: Noted, source: str) -> "MotorCommands":
+        """The same within 0..1; findings count what lay outside.
+
+        Args:
+            log: Takes the findings.
+            source: Topic or message that they are from.
+        """
+        absurd = int(np.count_nonzero(np.abs(self.cmd) > _ABSURD))
+        if absurd:
+            log.note("error", "cmd", f"values of {source} beyond {_ABSURD:g} set to 0 or 1", absurd)
+        outside = int(np.count_nonzero((self.cmd < -1e-6) | (self.cmd > 1.0 + 1e-6))) - absurd
+        if outside:
+            message = f"values of {source} outside 0..1 (disarmed, or arming) set to its end"
+            log.note("info", "cmd", message, outside)
+        return replace(self, cmd=np.asarray(np.clip(self.cmd, 0.0, 1.0)))
+
+    def doubt_current(self, t_us: NDArray[np.int64], amps: Array) -> str:
+        """Why a logged current does not follow the motors, "" where it may.
+
+        Args:
+            t_us: Times of the current, us, shape (n,).
+            amps: Current, A, shape (n,).
+        """
+        mean = np.interp(t_us, self.t_us, self.cmd.mean(axis=1))
+        idle, working = amps[mean < _IDLE], amps[mean > _WORKING]
+        if len(idle) and len(working) and np.median(working) < 1.5 * np.median(idle):
+            return (
+                f"{np.median(working):.2f} A in flight and {np.median(idle):.2f} A with the motors "
+                "idle: this is not the current of the motors"
+            )
+        return ""
+
+
+def doubt_current(
+    t_us: NDArray[np.int64], amps: Array, commands: MotorCommands | None, source: str
+) -> str:
+    """Why a logged current cannot be that of the motors, "" where it can.
 
     Args:
-        name: File name, for messages.
-        table: By column, one for each of what the file gives.
-
-    Returns:
-        Columns q_*, none where the file gives no Euler angles, not all of them, or a quaternion as
-        well, which then counts; and findings.
-
-    Raises:
-        LogError: Angles that cannot be radians, or another attitude than that of the quaternion.
+        t_us: Times, us, shape (n,).
+        amps: Current, A, shape (n,); NaN: no sample.
+        commands: Clipped; None: not known.
+        source: Topic or message.
     """
-    given = [c for c in EULER if c in table]
-    if not given:
-        return {}, []
-    missing = [c for c in EULER if c not in table]
-    if missing:
-        return {}, [
-            Finding("warning", "attitude", f"not used, the Euler angles lack {', '.join(missing)}")
-        ]
-    angles = np.stack([table[c] for c in EULER], axis=1)
-    _check_radians(name, angles)
-    there = np.isfinite(angles)
-    whole = there.all(axis=1)
-    findings = []
-    partial = int(np.count_nonzero(there.any(axis=1) & ~whole))
-    if partial:
-        message = "rows with NaN in a part of the Euler angles; they are left out there"
-        findings.append(Finding("error", "attitude", message, partial))
-    q_euler = np.full((len(angles), 4), np.nan)
-    q_euler[whole] = from_euler(*angles[whole].T).T
-    if all(c in table for c in QUAT):
-        q_nb = np.stack([table[c] for c in QUAT], axis=1)
-        if (~np.isnan(q_nb)).all(axis=1).any():
-            _check_same(name, q_nb, q_euler)
-            return {}, findings
-    return {c: np.ascontiguousarray(q_euler[:, k]) for k, c in enumerate(QUAT)}, findings
-
-
-def _check_radians(name: str, angles: Array) -> None:
-    """No angle beyond a whole turn."""
-    rows, columns = np.nonzero(np.abs(angles) > _FARTHEST_RAD)
-    if len(rows):
-        value, column = angles[rows[0], columns[0]], EULER[columns[0]]
-        raise LogError(
-            f"{name}: {column} in data row {rows[0] + 1} is {value:.6g}, beyond a whole turn "
-            f"({len(rows)} such values). Is it in degrees? 1 degree = 0.0174533 rad."
-        )
-
-
-def _check_same(name: str, q_nb: Array, q_euler: Array) -> None:
-    """Both attitudes are the same wherever both are there."""
-    size = np.linalg.norm(q_nb, axis=1)
-    both = np.flatnonzero(np.isfinite(size) & (size > 0.5) & np.isfinite(q_euler[:, 0]))
-    unit = q_nb[both] / size[both, None]
-    apart = np.linalg.norm(rotation_vector(unit, q_euler[both]), axis=1)
-    off = np.flatnonzero(apart > _APART_RAD)
-    if len(off):
-        k = off[0]
-        raise LogError(
-            f"{name}: in data row {both[k] + 1} the quaternion and roll, pitch, yaw are "
-            f"{apart[k]:.3g} rad apart ({len(off)} such rows). Both turn the body into NED, yaw "
-            f"first, then pitch, then roll; give one of them."
-        )
+    known = np.isfinite(amps)
+    t_us, amps = t_us[known], amps[known]
+    if not len(amps):
+        return f"{source} has no current"
+    with np.errstate(over="ignore"):
+        if amps.max() <= 0.0:
+            return f"the current is never positive ({amps.min():.2f} A): no current sensor"
+        if amps.std() < _STEADY_A:
+            return f"the current is {amps.mean():.2f} A throughout: no current sensor"
+    if commands is None or not len(commands.t_us):
+        return ""
+    return commands.doubt_current(t_us, amps)
 
 
 # -- rows ---------------------------------------------------------------------------------------

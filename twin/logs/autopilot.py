@@ -143,8 +143,7 @@ class Autopilot:
         failsafes: When a failsafe was active.
         messages: In order of time.
         setpoints: At most one of each of `SETPOINTS`.
-        parameters: Those that differ from their default, by name.
-        defaults_logged: Whether the log holds defaults; without them no parameter is listed.
+        parameters: Those that differ from their default, by name; none without defaults.
         filters: On board, by frequency; the logged signals need not have gone through them.
     """
 
@@ -154,7 +153,6 @@ class Autopilot:
     messages: tuple[Message, ...] = ()
     setpoints: tuple[Setpoint, ...] = ()
     parameters: tuple[Parameter, ...] = ()
-    defaults_logged: bool = False
     filters: tuple[Filter, ...] = ()
 
     __repr__ = short_repr

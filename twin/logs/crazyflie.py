@@ -21,11 +21,7 @@ from ..frames import from_euler
 from ..vehicle import GRAVITY_M_S2
 from ..vehicle.layouts import frame
 from .airframe import Airframe, SourcedValue
-from .assemble import (
-    FlightBuilder,
-    advancing,
-    advancing_samples,
-)
+from .assemble import FlightBuilder, advancing, advancing_samples
 from .autopilot import Span, ground_spans, motion_spans
 from .columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
 from .flight import Array, Finding, Flight, Noted

@@ -5,7 +5,7 @@ import io
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -324,17 +324,8 @@ class StoredFlight:
         names = list(of_file)
         table: dict[str, Any] = {c: self._part(c, first, end) for c in names}
         table["phase"] = pd.Series(self.stored.part("phase", first, end), dtype=object)
-        return Flight(
-            self.name,
-            pd.DataFrame(table, copy=False),
-            self.findings,
-            self.facts,
-            self.source,
-            self.site,
-            self.airframe,
-            self.autopilot,
-            self.settled,
-        )
+        same = {f.name: getattr(self, f.name) for f in fields(Flight) if f.name != "table"}
+        return Flight(table=pd.DataFrame(table, copy=False), **same)
 
     def _rows(self, columns: Sequence[str], first: int, end: int) -> tuple[Array, Array]:
         """Times and values of the rows at which all columns are finite."""

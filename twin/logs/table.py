@@ -6,7 +6,7 @@
 import io
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -20,21 +20,18 @@ from numpy.typing import NDArray
 
 from ..errors import LogError
 from .airframe import Airframe
-from .assemble import with_quaternion
 from .autopilot import Autopilot, check_autopilot
 from .columns import COLUMNS, EULER, MAX_MOTORS, in_order, is_known, motor_columns, over
 from .flight import Array, Finding, Flight, Settled, Site
 from .formats import ReadOptions
 from .stored import ParquetColumns, StoredFlight, as_log_error, opened
-from .validate import check_columns, validate
+from .validate import check_columns, validate, with_quaternion
 
 # -- metadata -----------------------------------------------------------------------------------
 #
 # What a flight table in Parquet says besides its columns, as JSON in the metadata of the file.
 
 _KEY = b"uavtwin"
-_RENAMED = (b'"defaults_told":', b'"defaults_logged":')
-"""A key of notes as it was called until 0.1, and is now."""
 _MOST_ROTORS = 64
 
 
@@ -52,14 +49,12 @@ class Notes:
     @classmethod
     def of(cls, flight: Flight) -> "Notes":
         """Those of a flight."""
-        return cls(
-            flight.facts,
-            flight.findings,
-            flight.site,
-            flight.airframe,
-            flight.autopilot,
-            flight.settled,
-        )
+        return cls(**{f.name: getattr(flight, f.name) for f in fields(cls)})
+
+    def on(self, flight: Flight) -> Flight:
+        """A flight with all of them but facts and findings, which it has already."""
+        of_log = {f.name: getattr(self, f.name) for f in fields(self)[2:]}
+        return replace(flight, **of_log)
 
     def metadata(self) -> dict[bytes, bytes]:
         """As metadata of a Parquet file."""
@@ -76,7 +71,7 @@ def read_notes(metadata: Mapping[bytes, bytes] | None) -> Notes:
     if noted is None:
         return Notes()
     try:
-        found = msgspec.json.decode(noted.replace(*_RENAMED), type=Notes, dec_hook=_array)
+        found = msgspec.json.decode(noted, type=Notes, dec_hook=_array)
         _check(found)
     except (ValueError, TypeError, RecursionError) as error:
         reason = f" ({error})" if isinstance(error, msgspec.ValidationError) else ""
@@ -191,14 +186,7 @@ def read_parquet(path: Path, blob: bytes, options: ReadOptions) -> Flight:
         LogError: It contradicts the definition of the flight table.
     """
     raw, notes, found = _parquet(path, blob)
-    flight = _checked(path, raw, notes.facts, [*notes.findings, *found])
-    return replace(
-        flight,
-        site=notes.site,
-        airframe=notes.airframe,
-        autopilot=notes.autopilot,
-        settled=notes.settled,
-    )
+    return notes.on(_checked(path, raw, notes.facts, [*notes.findings, *found]))
 
 
 def read_csv(path: Path, blob: bytes, options: ReadOptions) -> Flight:

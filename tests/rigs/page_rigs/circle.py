@@ -54,7 +54,6 @@ def _said(t: Array) -> Autopilot:
             Setpoint(GYRO, t[::5], 0.1 * turn[::5, :3]),
         ),
         tuple(Parameter(f"NAME_{k}_{HOSTILE[:9]}", k / 7, -1e-9 * k) for k in range(400)),
-        True,
         tuple(
             Filter("gyro", "tracking notch", 8.0 * k, f"INS_HNTCH_FREQ{HOSTILE[:9]}")
             for k in range(1, 7)

@@ -125,7 +125,6 @@ def test_messages_parameters_and_filters_as_planted(tmp_path: Path) -> None:
         said=[(2.0, "4", "low\nbattery <b>"), (-0.5, "6", "armed"), (3.0, "9", "what")],
     )
     assert found.parameters == (Parameter("A", 1.5, 1.0), Parameter("C", 3.0, 4.0))
-    assert found.defaults_logged
     assert found.messages == (
         Message(-0.5, "info", "armed"),
         Message(2.0, "warning", "low battery <b>"),
@@ -234,7 +233,6 @@ def test_a_flight_table_left_in_its_file_keeps_it(
         messages=(Message(-1.0, "error", as_text(HOSTILE)),),
         setpoints=(setpoint,),
         parameters=(Parameter(HOSTILE[:15], 1.0, 2.0),),
-        defaults_logged=True,
     )
     path = tmp_path / "kept.parquet"
     write_flight(Flight("kept", flight_table(), autopilot=said), path)

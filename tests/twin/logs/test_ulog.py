@@ -14,8 +14,7 @@ from sample_logs import foreign, ulog
 
 from twin.errors import LogError, TwinError
 from twin.logs import Flight, read_flight
-from twin.logs.airframe import MotorOutput
-from twin.logs.assemble import advancing
+from twin.logs.assemble import MotorOutput, advancing
 from twin.logs.columns import motor_columns
 from twin.logs.px4.log import Topic
 from twin.logs.px4.outputs import Outputs

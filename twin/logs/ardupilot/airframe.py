@@ -1,28 +1,25 @@
 """The aircraft and the site of an ArduPilot log: frame, motor outputs, yaw trim, parameters."""
 
-import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from datetime import UTC, date, datetime, timedelta
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from typing import Literal
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from ...vehicle.layouts import CCW, CW, Layout
 from ..airframe import (
     Airframe,
     Cells,
-    MotorOutput,
     Place,
     SourcedValue,
     ThrustCurve,
-    commands_of,
-    described,
+    decimal_year,
     positive_parameter,
 )
+from ..assemble import MotorCommands, MotorOutput, commands_of, described
 from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array, Site
 from .log import (
@@ -182,28 +179,6 @@ _LEAP_S = 18  # since 2017
 _MOST_WEEKS = 4000
 
 
-@dataclass(frozen=True, slots=True)
-class Fix:
-    """Where and when.
-
-    Attributes:
-        latitude_deg: North.
-        longitude_deg: East.
-        altitude_m: Above the sea.
-        day: Date, UTC.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    altitude_m: float
-    day: date
-
-    def __str__(self) -> str:
-        north = f"{abs(self.latitude_deg):.4f} {'N' if self.latitude_deg >= 0.0 else 'S'}"
-        east = f"{abs(self.longitude_deg):.4f} {'E' if self.longitude_deg >= 0.0 else 'W'}"
-        return f"{north}, {east}, {self.altitude_m:.0f} m, {self.day.isoformat()}"
-
-
 def _fixes(log: ArduPilotLog) -> tuple[Topic, "np.ndarray[tuple[int], np.dtype[np.bool_]]"] | None:
     there = log.instances("GPS")
     topic = log.topic("GPS", there[0], "Status") if there else None
@@ -218,8 +193,8 @@ def from_ardupilot_site(log: ArduPilotLog) -> Site | None:
     return Site(False, "GPS has a fix")
 
 
-def fix(log: ArduPilotLog) -> Fix | None:
-    """Median of the fixes, None without any."""
+def median_fix(log: ArduPilotLog) -> tuple[Place, str] | None:
+    """Median of the fixes, also as text; None without any."""
     found = _fixes(log)
     if found is None or not found[1].any():
         return None
@@ -234,7 +209,10 @@ def fix(log: ArduPilotLog) -> Fix | None:
     if abs(where[0]) > 90.0 or abs(where[1]) > 180.0 or not 0.0 <= ms < 7 * 86_400_000:
         return None
     then = _GPS_EPOCH + timedelta(weeks=week, milliseconds=ms, seconds=-_LEAP_S)
-    return Fix(where[0], where[1], where[2], then.date())
+    north = f"{abs(where[0]):.4f} {'N' if where[0] >= 0.0 else 'S'}"
+    east = f"{abs(where[1]):.4f} {'E' if where[1] >= 0.0 else 'W'}"
+    text = f"{north}, {east}, {where[2]:.0f} m, {then.date().isoformat()}"
+    return Place.of_degrees(where[0], where[1], where[2], decimal_year(then)), text
 
 
 # -- motor outputs ------------------------------------------------------------------------------
@@ -242,39 +220,9 @@ def fix(log: ArduPilotLog) -> Fix | None:
 # Motor commands of a DataFlash log: the pulse widths of RCOU, of the outputs that drive motors.
 
 _ENOUGH_HZ = 50.0
-_ABSURD = 2.0
-"""A command farther than that from 0..1 is damaged; a pulse width of 0, of none, is -1 or -2."""
 _OUTPUT = re.compile(r"(?:C|Ch|Chan)([1-9][0-9]?)")
-_IDLE = 0.01
 _ONESHOT125, _SHORT_US = 2.0, 300.0
 """MOT_PWM_TYPE, and what its pulses of 125 to 250 us stay below."""
-
-
-@dataclass(frozen=True, slots=True)
-class MotorCommands:
-    """Commands 0..1 of all motors.
-
-    Attributes:
-        t_us: Times, us, shape (n,).
-        cmd: Shape (n, motors), not clipped.
-        channels: Output of each motor, from 1.
-        facts: What to print about them.
-    """
-
-    t_us: NDArray[np.int64]
-    cmd: Array
-    channels: tuple[int, ...]
-    facts: dict[str, str] = field(default_factory=dict)
-
-    @property
-    def running(self) -> NDArray[np.bool_]:
-        """Whether any motor gets more than a hundredth, shape (n,)."""
-        return np.asarray((self.cmd > _IDLE).any(axis=1))
-
-    def mean_at(self, t_us: NDArray[np.int64]) -> Array:
-        """Mean command of the motors at any time, linear between samples."""
-        mean = np.clip(self.cmd, 0.0, 1.0).mean(axis=1)
-        return np.asarray(np.interp(t_us, self.t_us, mean), dtype=np.float64)
 
 
 def logged_commands(log: ArduPilotLog, get: Callable[[str], Topic | None]) -> MotorCommands | None:
@@ -295,7 +243,7 @@ def logged_commands(log: ArduPilotLog, get: Callable[[str], Topic | None]) -> Mo
     low, high = outputs[0].low, outputs[0].high
     said = f"{topic.name}, {topic.rate_hz:.0f} Hz, outputs {', '.join(map(str, channels))}"
     facts = {"commands": f"{said}, {low:.0f} to {high:.0f} us", "motors": described(outputs)}
-    return MotorCommands(topic.t_us, commands_of(outputs, pwm_us), tuple(channels), facts)
+    return MotorCommands(topic.t_us, commands_of(outputs, pwm_us), facts)
 
 
 def motor_outputs(log: ArduPilotLog, channels: list[int], widths_us: Array) -> list[MotorOutput]:
@@ -378,18 +326,9 @@ def from_ardupilot_commands(log: ArduPilotLog) -> MotorCommands | None:
             "cmd",
             f"motor commands at only {rate_hz:.0f} Hz; each is held until the next",
         )
-    cmd = commands.cmd
-    absurd = int(np.count_nonzero(np.abs(cmd - 0.5) > 0.5 + _ABSURD))
-    if absurd:
-        log.note("error", "cmd", f"values of RCOU beyond {_ABSURD:g} set to 0 or 1", absurd)
-    outside = int(np.count_nonzero((cmd < -1e-6) | (cmd > 1.0 + 1e-6))) - absurd
-    if outside:
-        message = "values of RCOU outside the range of the pulse widths set to its end"
-        log.note("info", "cmd", message, outside)
     if not commands.running.any():
         log.note("warning", "cmd", "the motors never run")
-    clipped = np.asarray(np.clip(cmd, 0.0, 1.0))
-    return MotorCommands(commands.t_us, clipped, commands.channels, commands.facts)
+    return commands.clipped(log, "RCOU")
 
 
 # -- yaw trim -----------------------------------------------------------------------------------
@@ -467,7 +406,7 @@ _OTHERS = {
 
 def from_ardupilot_airframe(log: ArduPilotLog) -> Airframe:
     """What an ArduPilot log says of its aircraft; the place is that of the flight."""
-    params, count, place = log.params, len(channels_of(log)), fix(log)
+    params, count, place = log.params, len(channels_of(log)), median_fix(log)
     return Airframe(
         no_multirotor=_no_multirotor(log),
         rotors=SourcedValue(count, _motors_from(log)) if count else None,
@@ -478,7 +417,7 @@ def from_ardupilot_airframe(log: ArduPilotLog) -> Airframe:
         imu_position_m=_imu_position(params),
         accel_cutoff_hz=positive_parameter(params, "INS_ACCEL_FILTER"),
         gyro_cutoff_hz=positive_parameter(params, "INS_GYRO_FILTER"),
-        place=None if place is None else _place(place),
+        place=None if place is None else SourcedValue(place[0], "GPS of the log"),
         origin=_origin(log),
     )
 
@@ -565,11 +504,4 @@ def _origin(log: ArduPilotLog) -> SourcedValue[Place] | None:
     latitude, longitude, height = there[-1].tolist()
     if abs(latitude) > 90.0 or abs(longitude) > 180.0:
         return None
-    place = Place(math.radians(latitude), math.radians(longitude), height, None)
-    return SourcedValue(place, "ORGN of the log")
-
-
-def _place(found: Fix) -> SourcedValue[Place]:
-    year = found.day.year + (found.day.timetuple().tm_yday - 1) / 365.25
-    north, east = math.radians(found.latitude_deg), math.radians(found.longitude_deg)
-    return SourcedValue(Place(north, east, found.altitude_m, year), "GPS of the log")
+    return SourcedValue(Place.of_degrees(latitude, longitude, height), "ORGN of the log")

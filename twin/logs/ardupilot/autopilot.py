@@ -459,15 +459,13 @@ def from_ardupilot_autopilot(log: ArduPilotLog, end_s: float) -> Autopilot:
     """
     failsafes, failures = _errors(log, end_s)
     said = sorted([*_messages(log), *failures], key=lambda m: m.t_s)
-    has_defaults, parameters = _parameters(log)
     return Autopilot(
         _modes(log, end_s),
         _armed(log, end_s),
         failsafes,
         tuple(said[:MOST_MESSAGES]),
         setpoints(log, end_s),
-        parameters,
-        has_defaults,
+        _parameters(log),
         _filters(log.params),
     )
 
@@ -528,18 +526,18 @@ def _messages(log: ArduPilotLog) -> list[Message]:
     ]
 
 
-def _parameters(log: ArduPilotLog) -> tuple[bool, tuple[Parameter, ...]]:
-    """Whether PARM has defaults, as since ArduPilot 4.3, and the parameters that differ."""
+def _parameters(log: ArduPilotLog) -> tuple[Parameter, ...]:
+    """Parameters that differ from the defaults that PARM has since ArduPilot 4.3."""
     messages = log.content.messages.get("PARM")
     if messages is None or not {"Name", "Default"} <= set(messages.data):
-        return False, ()
+        return ()
     values = messages.data["Default"].astype(np.float64).tolist()
     defaults = {
         name: float(f"{value:.7g}")  # written as float
         for name, value in zip(messages.texts("Name"), values, strict=True)
         if np.isfinite(value)
     }
-    return bool(defaults), differing(log.params, defaults)
+    return differing(log.params, defaults)
 
 
 def _filters(params: dict[str, float]) -> tuple[Filter, ...]:

@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 
 from ...frames import from_euler
 from ..airframe import local_ned
-from ..assemble import FlightBuilder
+from ..assemble import FlightBuilder, MotorCommands, doubt_current
 from ..columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
 from ..doubts import lower_voltage
 from ..flight import Array, Flight
 from ..formats import ReadOptions
 from .airframe import (
     NO_MULTIROTOR,
-    MotorCommands,
-    fix,
+    channels_of,
     frame_name,
     from_ardupilot_airframe,
     from_ardupilot_commands,
     from_ardupilot_site,
     geometry,
+    median_fix,
     yaw_trim,
 )
 from .autopilot import (
@@ -51,15 +51,9 @@ _IN_SENSOR = "INS_MPU6K_FILTER"
 """Low-pass of the sensor up to Copter 3.2; the firmware had none of its own."""
 _LEAST_HZ = 1.0
 _LEAST_V = 1.0
-_IDLE, _WORKING = 0.05, 0.2
 
 
-def si(
-    log: ArduPilotLog,
-    topic: Topic,
-    where: str,
-    fields: tuple[str, ...],
-) -> Array:
+def si(log: ArduPilotLog, topic: Topic, where: str, fields: tuple[str, ...]) -> Array:
     """Fields of a topic in SI; a unit that contradicts the documented one is a finding."""
     if wrong := topic.contradicted(fields):
         label, unit = topic.source.units.labels[wrong[0]], topic.documented(wrong[0])[0]
@@ -68,18 +62,14 @@ def si(
     return topic.si(fields)
 
 
-def add_imu(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> dict[str, str]:
-    """Accelerometer and gyroscope that the estimator uses.
-
-    Returns:
-        Facts on rates and filters.
-    """
-    facts: dict[str, str] = {}
+def add_imu(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> None:
+    """Accelerometer and gyroscope that the estimator uses; facts on rates and filters."""
     for where, fields, names in (("gyro", _GYRO, GYRO), ("acc", _ACC, ACC)):
         there = log.instances("IMU")
         if not there:
             log.note("warning", where, "no IMU in the log. Set LOG_BITMASK bit 7 or 18")
-            facts |= _rates(log, flight) if where == "gyro" else {}
+            if where == "gyro":
+                _add_rates(log, flight)
             continue
         instance = used.imu if used.imu in there else there[0]
         topic = log.topic("IMU", instance, *fields)
@@ -90,21 +80,20 @@ def add_imu(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> dict[str
         flight.add(where, names, topic.t_us - delay_us, values)
         raw = topic.raw("GHz") if topic.has("GHz") else np.zeros(1)
         sampled = f", {np.median(raw):.0f} Hz sampled" if np.median(raw) > 0.0 else ""
-        facts[f"{where} from"] = (
+        flight.facts[f"{where} from"] = (
             f"IMU {instance} of {len(there)}, {topic.rate_hz:.0f} Hz in the log{sampled}"
         )
-    return facts
 
 
-def _rates(log: ArduPilotLog, flight: FlightBuilder) -> dict[str, str]:
+def _add_rates(log: ArduPilotLog, flight: FlightBuilder) -> None:
     """Body rates as the rate controller has them, for logs without IMU."""
     topic = log.topic("RATE", None, *_RATES)
     if topic is None:
-        return {}
+        return
     delay_us = _filter_delay_us(log, flight, "gyro")
     rates = si(log, topic, "gyro", _RATES)
     flight.add("gyro", GYRO, topic.t_us - delay_us, rates)
-    return {"gyro from": f"RATE, {topic.rate_hz:.0f} Hz"}
+    flight.facts["gyro from"] = f"RATE, {topic.rate_hz:.0f} Hz"
 
 
 def _filter_delay_us(log: ArduPilotLog, flight: FlightBuilder, where: str) -> int:
@@ -184,36 +173,13 @@ def _add_current(
     log: ArduPilotLog, flight: FlightBuilder, topic: Topic, commands: MotorCommands | None
 ) -> None:
     amps = si(log, topic, "ibat_a", ("Curr",))
-    unknown = np.isnan(amps[:, 0])
-    if (doubt := _current_doubt(topic.t_us[~unknown], amps[~unknown, 0], commands)) is not None:
-        log.note("warning", "ibat_a", f"left out: {doubt}", len(amps))
+    if reason := doubt_current(topic.t_us, amps[:, 0], commands, "BAT"):
+        log.note("warning", "ibat_a", f"left out: {reason}", len(amps))
         return
+    unknown = np.isnan(amps[:, 0])
     if unknown.any():
         log.note("warning", "ibat_a", "samples hold no current", int(unknown.sum()))
     flight.add("ibat_a", ("ibat_a",), topic.t_us[~unknown], amps[~unknown])
-
-
-def _current_doubt(
-    t_us: NDArray[np.int64], amps: Array, commands: MotorCommands | None
-) -> str | None:
-    """Why the logged current cannot be that of the motors."""
-    if len(amps) == 0:
-        return "BAT has no current"
-    with np.errstate(invalid="ignore", over="ignore"):
-        if amps.max() <= 0.0:
-            return f"the current is never positive ({amps.min():.2f} A): no current sensor"
-        if np.ptp(amps) < 1e-4:
-            return f"the current is {amps[0]:.2f} A throughout: no current sensor"
-    if commands is None:
-        return None
-    mean = commands.mean_at(t_us)
-    idle, working = amps[mean < _IDLE], amps[mean > _WORKING]
-    if len(idle) and len(working) and np.median(working) < 1.5 * np.median(idle):
-        return (
-            f"{np.median(working):.2f} A in flight and {np.median(idle):.2f} A with the motors "
-            "idle: this is not the current of the motors"
-        )
-    return None
 
 
 # -- motion -------------------------------------------------------------------------------------
@@ -234,19 +200,13 @@ _RESETS = {60: "height", 62: "yaw"}
 """EV of a reset of the estimator."""
 
 
-def add_motion(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> dict[str, str]:
-    """Attitude, velocity and position.
-
-    Returns:
-        Facts on where they come from.
-    """
-    facts = {}
+def add_motion(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> None:
+    """Attitude, velocity and position; facts on where they come from."""
     if source := _add_attitude(log, flight, used):
-        facts["attitude from"] = source
+        flight.facts["attitude from"] = source
     if source := _add_course(log, flight, used):
-        facts["position from"] = source
+        flight.facts["position from"] = source
     _resets(log)
-    return facts
 
 
 def _add_attitude(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> str:
@@ -348,35 +308,31 @@ _LEAST_GOOD = 0.8
 _FEWEST = 20
 
 
-def add_rotors(
-    log: ArduPilotLog, flight: FlightBuilder, commands: MotorCommands | None
-) -> dict[str, str]:
+def add_rotors(log: ArduPilotLog, flight: FlightBuilder, commands: MotorCommands | None) -> None:
     """Rotor speeds of all motors, from the instances of ESC that belong to their outputs.
 
     Speeds come from each controller in its own time. They are put on the times of the one that
-    reports least, linear between two reports at most 0.25 s apart.
-
-    Returns:
-        Facts on them.
+    reports least, linear between two reports at most 0.25 s apart. A fact says which they are.
     """
     there = log.instances("ESC")
     if not there or commands is None:
-        return {}
-    wanted = instances_of(commands.channels, there)
+        return
+    channels = channels_of(log)
+    wanted = instances_of(tuple(channels), there)
     if not wanted:
         log.note(
             "warning",
             "rotor",
             f"left out: ESC has instances {', '.join(map(str, there))}, the motors are outputs "
-            f"{', '.join(map(str, commands.channels))}",
+            f"{', '.join(map(str, channels))}",
         )
-        return {}
+        return
     topics = [log.topic("ESC", k, "RPM") for k in wanted]
     found = [t for t in topics if t is not None and len(t.t_us) >= _FEWEST]
     if len(found) < len(wanted):
         message = f"left out: ESC reports speeds of {len(found)} of {len(wanted)} motors"
         log.note("warning", "rotor", message)
-        return {}
+        return
     speeds = [np.abs(si(log, t, "rotor", ("RPM",))[:, 0]) for t in found]
     log.findings += lower_voltage(
         {
@@ -387,7 +343,7 @@ def add_rotors(
     )
     if why := _doubt(found, speeds, commands):
         log.note("warning", "rotor", f"left out: {why}", sum(map(len, speeds)))
-        return {}
+        return
     least = min(range(len(found)), key=lambda k: len(found[k].t_us))
     slowest = found[least]
     columns = [_at(slowest.t_us, t.t_us, s) for t, s in zip(found, speeds, strict=True)]
@@ -407,7 +363,7 @@ def add_rotors(
     rates = ", ".join(f"{t.rate_hz:.0f}" for t in found)
     poles = log.params.get("SERVO_BLH_POLES", 0.0)
     counted = f"; SERVO_BLH_POLES {poles:.0f}, which scales what DShot reports" if poles else ""
-    return {"rotor speeds": f"ESC {', '.join(map(str, wanted))} at {rates} Hz{counted}"}
+    flight.facts["rotor speeds"] = f"ESC {', '.join(map(str, wanted))} at {rates} Hz{counted}"
 
 
 def instances_of(channels: tuple[int, ...], there: list[int]) -> list[int]:
@@ -471,13 +427,13 @@ def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     log = open_ardupilot(path, blob)
     flight = FlightBuilder(log, path, _facts(log) | use_the_flight(log), "the motors ran")
     facts, used = flight.facts, primary(log)
-    facts |= add_imu(log, flight, used)
+    add_imu(log, flight, used)
     add_compass(log, flight, used)
     add_barometer(log, flight, used)
-    facts |= add_motion(log, flight, used)
+    add_motion(log, flight, used)
     commands = from_ardupilot_commands(log)
     add_battery(log, flight, commands)
-    facts |= add_rotors(log, flight, commands)
+    add_rotors(log, flight, commands)
     if commands is not None:
         n = commands.cmd.shape[1]
         flight.add("cmd", motor_columns("cmd", n), commands.t_us, commands.cmd)
@@ -487,8 +443,8 @@ def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     phases = from_ardupilot_phases(log, used)
     if flown_modes := modes(log):
         facts["modes"] = flown_modes
-    if where := fix(log):
-        facts["place"] = str(where)
+    if place := median_fix(log):
+        facts["place"] = place[1]
     found = flight.flight(
         table,
         phases,

@@ -415,11 +415,7 @@ def _lost(blob: bytes, first: int, sizes: dict[int, int], solid: int, damage: Da
 
 
 def _define_message(
-    blob: bytes,
-    at: int,
-    walk: _Walk,
-    sizes: dict[int, int],
-    lists: dict[int, _Places],
+    blob: bytes, at: int, walk: _Walk, sizes: dict[int, int], lists: dict[int, _Places]
 ) -> None:
     """Take a FMT message in."""
     number, length, *texts = struct.unpack_from("<BB4s16s64s", blob, at)

@@ -17,11 +17,7 @@ from numpy.typing import NDArray
 from ...vehicle import GRAVITY_M_S2
 from ...vehicle.layouts import Layout, frame
 from ..airframe import Airframe, Place, SourcedValue, local_ned
-from ..assemble import (
-    FlightBuilder,
-    advancing_samples,
-    unit_quaternions,
-)
+from ..assemble import FlightBuilder, advancing_samples, unit_quaternions
 from ..autopilot import (
     MOST_MESSAGES,
     Autopilot,
@@ -94,28 +90,28 @@ def add(
     flight.add(where, names, t_us[keep], values[keep])
 
 
-def add_signals(log: BlackboxLog, flight: FlightBuilder) -> dict[str, str]:
-    """Everything but motors and satellites; facts."""
-    facts = _add_gyro(log, flight)
+def add_signals(log: BlackboxLog, flight: FlightBuilder) -> None:
+    """Everything but motors and satellites."""
+    _add_gyro(log, flight)
     _add_acceleration(log, flight)
-    facts |= _add_attitude(log, flight)
+    _add_attitude(log, flight)
     _add_barometer(log, flight)
     _add_battery(log, flight)
-    return facts
 
 
-def _add_gyro(log: BlackboxLog, flight: FlightBuilder) -> dict[str, str]:
+def _add_gyro(log: BlackboxLog, flight: FlightBuilder) -> None:
     name, scale = gyro_field(log), rate_scale(log)
     if not name:
         log.note("warning", "gyro", "no gyroADC in the log: enable the field GYRO of Blackbox")
-        return {}
+        return
     if np.isnan(scale):
         value = log.header.settings.get("gyro_scale", "")[:20]
         log.note("error", "gyro", f"left out, the head says gyro_scale {value!r}, no number")
-        return {}
+        return
     main = log.recording.main
     add(log, flight, "gyro", GYRO, main.t_us, main.columns(three(name)) * TURNED * scale)
-    return {"gyro from": f"{name}, {'before' if name == 'gyroUnfilt' else 'after'} the filters"}
+    side = "before" if name == "gyroUnfilt" else "after"
+    flight.facts["gyro from"] = f"{name}, {side} the filters"
 
 
 def _add_acceleration(log: BlackboxLog, flight: FlightBuilder) -> None:
@@ -135,16 +131,17 @@ def _add_acceleration(log: BlackboxLog, flight: FlightBuilder) -> None:
     add(log, flight, "acc", ACC, main.t_us - delay_us, values)
 
 
-def _add_attitude(log: BlackboxLog, flight: FlightBuilder) -> dict[str, str]:
+def _add_attitude(log: BlackboxLog, flight: FlightBuilder) -> None:
     """The vector part of the quaternion; its scalar part is never negative."""
     main = log.recording.main
     if not main.has(*three("imuQuaternion")):
-        return {}
+        return
     vector = main.columns(three("imuQuaternion")) / _FULL_16_BITS
     scalar = np.sqrt(np.maximum(1.0 - np.sum(vector**2, axis=1), 0.0))
     usable, q = unit_quaternions(log, np.column_stack([scalar, vector * TURNED]))
     add(log, flight, "q", QUAT, main.t_us[usable], q)
-    return {"attitude from": "imuQuaternion; without a compass, north is where it took off"}
+    source = "imuQuaternion; without a compass, north is where it took off"
+    flight.facts["attitude from"] = source
 
 
 def _add_barometer(log: BlackboxLog, flight: FlightBuilder) -> None:
@@ -231,12 +228,9 @@ def add_satellites(log: BlackboxLog, flight: FlightBuilder) -> SourcedValue[Plac
     else:
         log.note("info", "vel", "Betaflight before 4.6 does not log the velocity north, east, down")
     log.note("info", "pos", "fixes of the satellites as they came, no estimate of the autopilot")
-    return SourcedValue(_place(log, degrees[good][0], float(up_m[good][0])), "GPS of the log")
-
-
-def _place(log: BlackboxLog, degrees: Array, height_m: float) -> Place:
-    north, east = np.radians(degrees).tolist()
-    return Place(north, east, height_m, _year(log))
+    latitude, longitude = degrees[good][0].tolist()
+    first = Place.of_degrees(latitude, longitude, up_m[good][0], _year(log))
+    return SourcedValue(first, "GPS of the log")
 
 
 def _year(log: BlackboxLog) -> float | None:
@@ -380,12 +374,11 @@ def mixed(log: BlackboxLog, motors: Motors) -> dict[str, float]:
     return found
 
 
-def layout_of(log: BlackboxLog, motors: Motors) -> tuple[Layout | None, dict[str, str]]:
-    """Where the motors are and how they turn, and facts; None where that is not known."""
+def layout_of(log: BlackboxLog, motors: Motors, facts: dict[str, str]) -> Layout | None:
+    """Where the motors are and how they turn, None where that is not known; adds to the facts."""
     if motors.count != 4:
-        return None, {}
+        return None
     correlation = mixed(log, motors)
-    facts = {}
     if correlation:
         text = ", ".join(f"{axis} {r:+.2f}" for axis, r in correlation.items())
         facts["mixer"] = f"QUADX; controllers against motors by axis: {text}"
@@ -393,7 +386,7 @@ def layout_of(log: BlackboxLog, motors: Motors) -> tuple[Layout | None, dict[str
     if wrong:
         message = f"motors do not follow the controllers as in QUADX ({', '.join(wrong)})"
         log.note("warning", "cmd", f"{message}: another mixer, or motors remapped")
-        return None, facts
+        return None
     sure = min(correlation.get(axis, 0.0) for axis in ("roll", "pitch")) > _SURE
     layout = frame("betaflight x", _CONFIRMED if sure else _DOUBT)
     if not sure:
@@ -403,14 +396,14 @@ def layout_of(log: BlackboxLog, motors: Motors) -> tuple[Layout | None, dict[str
     if abs(yaw) < _SURE:
         message = "the log does not give yaw_motors_reversed: motors 1 and 4 taken for clockwise"
         log.note("info", "cmd", message)
-        return replace(layout, senses_known=False), facts
+        return replace(layout, senses_known=False)
     if yaw < 0.0:
         facts["propellers"] = "reversed, as the motors follow the yaw controller"
         turned: NDArray[np.float64] = -layout.direction
         source = layout.source.replace("not reversed", "reversed")
-        return replace(layout, direction=turned, source=source), facts
+        return replace(layout, direction=turned, source=source)
     facts["propellers"] = "not reversed, as the motors follow the yaw controller"
-    return layout, facts
+    return layout
 
 
 # -- the autopilot ------------------------------------------------------------------------------
@@ -574,12 +567,11 @@ def read_blackbox(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     facts |= _facts(log)
     if which:
         facts["flight in the file"] = which
-    facts |= add_signals(log, flight)
+    add_signals(log, flight)
     motors = add_motors(log, flight)
     origin = add_satellites(log, flight)
     table = flight.lay_out(_ADVICE)
-    airframe, more = _airframe(log, motors, origin)
-    facts |= more
+    airframe = _airframe(log, motors, origin, layout_of(log, motors, facts))
     autopilot = from_betaflight(log, float(table["time"].iloc[-1]))
     if autopilot.modes:
         facts["modes"] = ", ".join(f"{m.name} from {m.start_s:.1f} s" for m in autopilot.modes[:8])
@@ -597,16 +589,15 @@ def _facts(log: BlackboxLog) -> dict[str, str]:
 
 
 def _airframe(
-    log: BlackboxLog, motors: Motors, origin: SourcedValue[Place] | None
-) -> tuple[Airframe, dict[str, str]]:
-    """What the log says of the aircraft, and facts on the mixer."""
-    layout, facts = layout_of(log, motors)
+    log: BlackboxLog, motors: Motors, origin: SourcedValue[Place] | None, layout: Layout | None
+) -> Airframe:
+    """What the log says of the aircraft."""
     cutoff_hz, pulse = accel_cutoff_hz(log), motors.pulse_us
     on_gyro = [f for f in filters_of(log) if f.sensor == "gyro"]
     words = ", ".join(f"{f.kind} {f.frequency_hz:g} Hz ({f.source})" for f in on_gyro)
     low = [f for f in on_gyro if f.kind == "low-pass"]
     filtered = gyro_field(log) == "gyroADC"
-    airframe = Airframe(
+    return Airframe(
         rotors=SourcedValue(motors.count, "motor outputs of the log")
         if motors.count >= MIN_MOTORS
         else None,
@@ -622,4 +613,3 @@ def _airframe(
         origin=origin,
         filters="" if filtered else words,
     )
-    return airframe, facts

@@ -271,11 +271,7 @@ def tag2_3s32(data: bytes, at: int) -> tuple[list[int], int]:
         return [sign_extended(tag >> shift, 2) for shift in (4, 2, 0)], at + 1
     if size == 1:
         rest = data[at + 1]
-        return [
-            sign_extended(tag, 4),
-            sign_extended(rest >> 4, 4),
-            sign_extended(rest, 4),
-        ], at + 2
+        return [sign_extended(tag, 4), sign_extended(rest >> 4, 4), sign_extended(rest, 4)], at + 2
     if size == 2:
         return [
             sign_extended(tag, 6),

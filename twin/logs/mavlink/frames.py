@@ -65,7 +65,7 @@ _STAMP = struct.Struct(">Q")
 _HEAD = _STAMP.size
 _YEAR_2000_US, _YEAR_2100_US = 946_684_800_000_000, 4_102_444_800_000_000
 _DAY_US = 86_400_000_000
-_V1, _V2 = MARKERS
+_V1 = MARKERS[0]
 _SIGNATURE = 13
 _BEGIN = re.compile(rb"(?s)(?=\x00[\x03-\x0e].{6}[\xfd\xfe])")
 """A stamp of the years 2000 to 2100 by its first two bytes, and the first byte of a frame."""

@@ -22,10 +22,7 @@ from .decoder import GROUPS, LANDED, USED, MavlinkDecoder, Sample, Stamp, best_s
 from .frames import Frame, Link, MessageParser, dialect, frames
 
 _ON_GROUND = dialect.MAV_LANDED_STATE_ON_GROUND
-_NAMED = {
-    dialect.MAV_LANDED_STATE_TAKEOFF: "takeoff",
-    dialect.MAV_LANDED_STATE_LANDING: "land",
-}
+_NAMED = {dialect.MAV_LANDED_STATE_TAKEOFF: "takeoff", dialect.MAV_LANDED_STATE_LANDING: "land"}
 _SHOWN = 8
 """Kinds of message that an error lists."""
 

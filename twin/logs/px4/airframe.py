@@ -13,6 +13,7 @@ from ..airframe import (
     Place,
     SourcedValue,
     ThrustCurve,
+    decimal_year,
     positive_parameter,
 )
 from ..columns import MAX_MOTORS, MIN_MOTORS
@@ -28,15 +29,7 @@ _OTHER_ALLOCATION = {
     **dict.fromkeys((10, 11), "a helicopter"),
 }
 """CA_AIRFRAME."""
-_RANGES = {
-    4: "x",
-    5: "+",
-    6: "hex x",
-    7: "hex +",
-    8: "octo x",
-    9: "octo +",
-    10: "wide",
-}
+_RANGES = {4: "x", 5: "+", 6: "hex x", 7: "hex +", 8: "octo x", 9: "octo +", 10: "wide"}
 """Frame by the thousands of SYS_AUTOSTART, PX4 airframes reference."""
 _GENERIC_M = 0.15
 """Coordinate of PX4's generic quadrotor, which many aircraft keep: no size of theirs."""
@@ -213,12 +206,7 @@ def _place(log: Px4Log) -> SourcedValue[Place] | None:
         possible = abs(latitude) <= 90.0 and abs(longitude) <= 360.0 and abs(height) < _HIGHEST_M
         if not possible or not (latitude or longitude):
             continue
-        place = Place(
-            float(np.radians(latitude)),
-            float(np.radians(longitude)),
-            float(height),
-            _year(topic, fixed),
-        )
+        place = Place.of_degrees(latitude, longitude, height, _year(topic, fixed))
         return SourcedValue(place, f"{name} of the log, {int(fixed.sum())} fixes")
     return None
 
@@ -235,10 +223,8 @@ def _origin(log: Px4Log) -> SourcedValue[Place] | None:
     latitude, longitude, height = there[-1]
     if abs(latitude) > 90.0 or abs(longitude) > 360.0 or not (latitude or longitude):
         return None
-    north, east = (float(v) for v in np.radians([latitude, longitude]))
-    return SourcedValue(
-        Place(north, east, float(height), None), "vehicle_local_position of the log"
-    )
+    place = Place.of_degrees(latitude, longitude, height)
+    return SourcedValue(place, "vehicle_local_position of the log")
 
 
 def _degrees(topic: Topic) -> Array | None:
@@ -257,8 +243,7 @@ def _year(topic: Topic, fixed: NDArray[np.bool_]) -> float | None:
     utc_s = float(np.median(topic.data["time_utc_usec"][fixed].astype(np.float64))) * 1e-6
     if not _EARLIEST_S < utc_s < 4.0e9:
         return None
-    when = datetime.fromtimestamp(utc_s, UTC)
-    return round(when.year + (when.timetuple().tm_yday - 1) / 365.25, 2)
+    return round(decimal_year(datetime.fromtimestamp(utc_s, UTC)), 2)
 
 
 # -- site ---------------------------------------------------------------------------------------

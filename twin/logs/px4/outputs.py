@@ -9,14 +9,12 @@ Source: PX4, lib/mixer_module, drivers/dshot, drivers/uavcan and drivers/pwm_out
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..airframe import MotorOutput, commands_of
-from ..assemble import FlightBuilder
+from ..assemble import FlightBuilder, MotorOutput, commands_of
 from ..columns import motor_columns
 from ..doubts import lower_voltage
 from ..flight import Array
@@ -48,21 +46,6 @@ _CAN_ENABLE = 3.0
 _BETAFLIGHT = (1, 2, 3, 0)
 """Channel of motors 1 to 4 with MOT_ORDERING = 1."""
 _MOST_CHANNELS = 16
-
-
-@dataclass(frozen=True, slots=True)
-class MotorCommands:
-    """Commands 0..1 of all motors.
-
-    Attributes:
-        t_us: Times, us since the start of the log, shape (n,).
-        cmd: Shape (n, motors).
-        facts: What to print about them.
-    """
-
-    t_us: NDArray[np.int64]
-    cmd: Array
-    facts: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -442,20 +425,18 @@ def from_px4_rpm(rpm: Array) -> Array:
     return np.abs(rpm) * _RPM_RAD_S
 
 
-def add_rotors(log: Px4Log, flight: FlightBuilder, motors: int | None) -> dict[str, str]:
-    """Rotor speeds of all motors, on the clock of the controllers of motor 1.
+def add_rotors(log: Px4Log, flight: FlightBuilder, motors: int | None) -> None:
+    """Rotor speeds of all motors, on the clock of the controllers of motor 1; a fact says the slot
+    of each motor in esc_status.
 
     Args:
         log: Takes the findings.
         flight: Takes the speeds.
         motors: Number of commands; None: there are none.
-
-    Returns:
-        Facts: the slot of each motor, and what says so.
     """
     topics = [t for k in log.instances("esc_status") if (t := log.topic("esc_status", k))]
     if not topics:
-        return {}
+        return
     found, alive = _slots(log, topics)
     log.findings += lower_voltage({m: s.volts for m, s in found.items()})
     count = motors or motor_count(log) or len(found)
@@ -468,7 +449,7 @@ def add_rotors(log: Px4Log, flight: FlightBuilder, motors: int | None) -> dict[s
             f"left out: esc_status has no speed {whose} that changes",
             len(topics[0].t_us),
         )
-        return {}
+        return
     slots = [found[m] for m in range(1, count + 1)]
     base = slots[0].topic
     speeds = [
@@ -478,7 +459,7 @@ def add_rotors(log: Px4Log, flight: FlightBuilder, motors: int | None) -> dict[s
     flight.add("rotor", columns, base.t_us, from_px4_rpm(np.column_stack(speeds)))
     where = ", ".join(f"motor {m + 1} in slot {s.number + 1}" for m, s in enumerate(slots))
     said = ", ".join(dict.fromkeys(s.source for s in slots))
-    return {"rotor speeds": f"esc_status, {where} ({said})"}
+    flight.facts["rotor speeds"] = f"esc_status, {where} ({said})"
 
 
 def _slots(log: Px4Log, topics: list[Topic]) -> tuple[dict[int, _Slot], int]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..airframe import MotorOutput, described
+from ..assemble import MotorCommands, MotorOutput, described
 from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array
 from .control import (
@@ -27,7 +27,7 @@ from .control import (
 )
 from .imu import from_px4_interval
 from .log import Px4Log, Topic
-from .outputs import MotorCommands, Outputs, logged_outputs
+from .outputs import Outputs, logged_outputs
 
 # -- rebuilt ------------------------------------------------------------------------------------
 
@@ -389,7 +389,6 @@ def _scale(log: Px4Log, outputs: Outputs, controls: Topic) -> Array:
 
 _ENOUGH_HZ = 100.0
 _BACKWARD = 0.01
-_ABSURD = 3.0  # a pulse width of 0 us, of motors that are off, is -1 or -2
 
 
 def from_px4_commands(log: Px4Log, rebuild: bool | None) -> MotorCommands | None:
@@ -437,13 +436,14 @@ def _from_motors(log: Px4Log) -> MotorCommands | None:
             "values of motors that turn backward (reversible_flags), which is not known: set to 0"
         )
         log.note("error", "cmd", text, backward)
-    cmd = _clipped(log, _through_curve(log, control), "actuator_motors")
+    cmd = _through_curve(log, control)
     outputs = [
         MotorOutput(k + 1, f"actuator_motors control[{k}]", "", 0.0, 1.0, "number of the field")
         for k in range(count)
     ]
     rate = f"actuator_motors, {topic.rate_hz:.0f} Hz"
-    return MotorCommands(topic.t_us, cmd, {"commands": rate, "motors": described(outputs)})
+    found = MotorCommands(topic.t_us, cmd, {"commands": rate, "motors": described(outputs)})
+    return found.clipped(log, "actuator_motors")
 
 
 def _through_curve(log: Px4Log, thrust: Array) -> Array:
@@ -479,10 +479,9 @@ def _from_outputs(log: Px4Log, rebuild: bool | None) -> MotorCommands | None:
         log.note(
             "warning", "cmd", f"motor commands at only {rate:.0f} Hz; each is held until the next"
         )
-    cmd = _clipped(log, outputs.cmd, "actuator_outputs")
     facts["commands"] = f"actuator_outputs, {rate:.0f} Hz"
     facts["motors"] = described(outputs.motors)
-    return MotorCommands(outputs.topic.t_us, cmd, facts)
+    return MotorCommands(outputs.topic.t_us, outputs.cmd, facts).clipped(log, "actuator_outputs")
 
 
 def _rebuilt(log: Px4Log, outputs: Outputs, requested: bool) -> MotorCommands:
@@ -518,19 +517,3 @@ def _rebuilt(log: Px4Log, outputs: Outputs, requested: bool) -> MotorCommands:
         "motors": described(outputs.motors),
     }
     return MotorCommands(commands.t_us, commands.cmd, facts)
-
-
-def _clipped(log: Px4Log, cmd: Array, where: str) -> Array:
-    """Commands within 0..1, counting what lay outside."""
-    absurd = int(np.count_nonzero(np.abs(cmd) > _ABSURD))
-    if absurd:
-        log.note("error", "cmd", f"values of {where} beyond {_ABSURD:g} set to 0 or 1", absurd)
-    outside = int(np.count_nonzero((cmd < -1e-6) | (cmd > 1.0 + 1e-6))) - absurd
-    if outside:
-        log.note(
-            "info",
-            "cmd",
-            f"values of {where} outside 0..1 (disarmed, or arming) set to its end",
-            outside,
-        )
-    return np.asarray(np.clip(cmd, 0.0, 1.0))

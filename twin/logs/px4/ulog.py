@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..assemble import FlightBuilder
+from ..assemble import FlightBuilder, MotorCommands, doubt_current
 from ..autopilot import (
     Autopilot,
     Filter,
@@ -26,7 +26,7 @@ from ..formats import ReadOptions
 from .airframe import FILTERS, from_px4_airframe, from_px4_site
 from .imu import add_barometer, add_imu, add_magnetometer, from_px4_gauss
 from .log import Px4Log, Topic, open_px4
-from .outputs import MotorCommands, add_rotors, from_px4_rpm
+from .outputs import add_rotors, from_px4_rpm
 from .rebuild import from_px4_commands
 
 # -- phases -------------------------------------------------------------------------------------
@@ -159,7 +159,6 @@ def from_px4_autopilot(log: Px4Log, end_s: float) -> Autopilot:
             if s
         ),
         differing(log.params, log.defaults),
-        bool(log.defaults),
         _filters(log.params),
     )
 
@@ -253,8 +252,8 @@ def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     _estimate(log, flight)
     commands = from_px4_commands(log, options.rebuild_commands)
     _end(log)
-    flight.facts |= _battery(log, flight, commands)
-    flight.facts |= add_rotors(log, flight, None if commands is None else commands.cmd.shape[1])
+    _battery(log, flight, commands)
+    add_rotors(log, flight, None if commands is None else commands.cmd.shape[1])
     if commands is not None:
         n = commands.cmd.shape[1]
         flight.add("cmd", motor_columns("cmd", n), commands.t_us, commands.cmd)
@@ -355,42 +354,38 @@ def _resets(log: Px4Log, where: str, topic: Topic, counters: tuple[str, ...]) ->
         )
 
 
-def _battery(log: Px4Log, flight: FlightBuilder, commands: MotorCommands | None) -> dict[str, str]:
-    """Voltage of the battery that drives the motors and, where there is a sensor, its current.
-
-    Returns:
-        Facts: the instance of battery_status, and what says so.
-    """
-    topic, facts = _battery_in_use(log)
+def _battery(log: Px4Log, flight: FlightBuilder, commands: MotorCommands | None) -> None:
+    """Voltage of the battery that drives the motors and, where there is a sensor, its current."""
+    topic, said = _battery_in_use(log)
     if topic is None:
-        return {}
+        return
+    if said:
+        flight.facts["battery"] = said
     volts = _volts(topic)
     if volts.any():
         flight.add("vbat_v", ("vbat_v",), topic.t_us, volts[:, None])
     if not topic.has("current_a"):
-        return facts
+        return
     current = topic.columns(("current_a",))
-    reason = _current_doubt(topic, current[:, 0], commands)
-    if reason:
+    if reason := doubt_current(topic.t_us, current[:, 0], commands, "battery_status"):
         log.note("warning", "ibat_a", f"left out: {reason}", len(current))
     else:
         flight.add("ibat_a", ("ibat_a",), topic.t_us, current)
-    return facts
 
 
-def _battery_in_use(log: Px4Log) -> tuple[Topic | None, dict[str, str]]:
+def _battery_in_use(log: Px4Log) -> tuple[Topic | None, str]:
     """The battery that is connected and has a voltage, of several the one whose voltage fits its
-    cells and sags; and facts on the choice."""
+    cells and sags; and what decided, "" where there is one."""
     instances = log.instances("battery_status")
     topics = [(k, t) for k in instances if (t := log.topic("battery_status", k)) is not None]
     live = [(k, t) for k, t in topics if np.nanmax(_volts(t), initial=0.0) >= _LEAST_V]
     if topics and not live:
         log.note("warning", "vbat_v", f"left out: battery_status never exceeds {_LEAST_V:g} V")
     if not live:
-        return (topics[0][1] if topics else None), {}
+        return (topics[0][1] if topics else None), ""
     instance, topic = max(live, key=lambda each: (*_battery_rank(log, each[1]), -each[0]))
     if len(instances) == 1:
-        return topic, {}
+        return topic, ""
     rank = _battery_rank(log, topic)
     others = [k for k, t in live if t is not topic and _battery_rank(log, t) == rank]
     if others:
@@ -402,7 +397,7 @@ def _battery_in_use(log: Px4Log) -> tuple[Topic | None, dict[str, str]]:
         )
     left = ", ".join(str(k) for k in instances if k != instance)
     said = f"battery_status {instance}, connected and with a voltage; not {left}"
-    return topic, {"battery": said}
+    return topic, said
 
 
 def _volts(topic: Topic) -> Array:
@@ -422,26 +417,6 @@ def _battery_rank(log: Px4Log, topic: Topic) -> tuple[bool, bool, bool]:
     middle = float(np.nanmedian(volts))
     fits = not cells > 0.0 or _CELL_V[0] < middle / cells < _CELL_V[1]
     return connected, fits, float(np.nanstd(volts)) > _SAGS_V
-
-
-def _current_doubt(topic: Topic, amps: Array, commands: MotorCommands | None) -> str:
-    """Why the logged current cannot be that of the motors, "" where it can."""
-    if not np.isfinite(amps).any():
-        return "battery_status has no current"
-    if np.nanmax(amps) <= 0.0:
-        return f"the current is never positive ({np.nanmin(amps):.2f} A): no current sensor"
-    if np.nanstd(amps) < 1e-4:
-        return f"the current is {np.nanmean(amps):.2f} A throughout: no current sensor"
-    if commands is None or len(commands.t_us) == 0:
-        return ""
-    mean_cmd = np.interp(topic.t_us, commands.t_us, commands.cmd.mean(axis=1))
-    idle, working = amps[mean_cmd < 0.05], amps[mean_cmd > 0.2]
-    if len(idle) and len(working) and np.nanmedian(working) < 1.5 * np.nanmedian(idle):
-        return (
-            f"{np.nanmedian(working):.2f} A in flight and {np.nanmedian(idle):.2f} A with the "
-            "motors idle: this is not the current of the motors"
-        )
-    return ""
 
 
 __all__ = ["Finding", "from_px4_gauss", "from_px4_rpm", "read_ulog"]
