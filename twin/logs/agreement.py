@@ -17,14 +17,14 @@ from .columns import ACC, ACC_NED, GYRO, MAG, POS, QUAT, VEL, Columns
 from .flight import Array, Finding
 
 _WINDOW_S = 0.5  # shorter in a short record
-_LONGEST_S = 36_000.0
+_LONGEST_S = 36_000.0  # of a record that is compared: windows without end otherwise
 _FEWEST = 20  # windows
 _STEPS = 0.02  # windows with a reset of the estimator: three in a minute and a half
 _TURNED_RAD = 0.02
 """In a window, rms: of a gyroscope that is off by 2 deg/s at rest it is less."""
 _BOTH_TURNED_RAD = 0.005
 """The same where both turn: of an attitude that is known to 0.2 deg it is less at rest."""
-_MOVED_M = 0.02
+_MOVED_M = 0.02  # in a window, of a position that moves; one at rest is noise
 _AGAINST_M = 0.003
 """In a window: noise hides that two signals are the same, and does not turn their sign."""
 _ROWS = 1 << 12
@@ -46,7 +46,7 @@ _PUSHED_M_S2 = 0.1
 _HEADINGS = 0.3
 """Rms of the nose's direction from which on the axes of a compass are judged: +-20 degrees."""
 _TILTS = 0.05
-"""The same of the vertical axis, which tells of the level field by tilts."""
+"""The same of the vertical axis, which shows the level field by tilts."""
 _LIKE, _UNLIKE = 0.1, 0.2
 """Share of the variance of a compass that one field leaves, and from which on it is none."""
 

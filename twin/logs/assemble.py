@@ -23,11 +23,11 @@ from .flight import Array, Flight, Noted, Severity, Site
 #
 # Time stamps put in order: which samples of a series can stay.
 
-_JUMP_US = 60_000_000
-_FEW = 0.02
-_PAUSE_S = 0.2
-_PAUSE_INTERVALS = 2.2
-_LATEST = 0.5
+_JUMP_US = 60_000_000  # between two groups of samples that are not of one flight
+_FEW = 0.02  # share of samples below which such a group is damage
+_PAUSE_S = 0.2  # shortest pause of a steady signal
+_PAUSE_INTERVALS = 2.2  # the same in median intervals
+_LATEST = 0.5  # share of the record after which a signal begins late
 
 
 def filter_delay_us(cutoff_hz: float) -> int:
@@ -247,7 +247,7 @@ def out_of_place(
         stamps_us: Their stamps, each of the same shape.
 
     Returns:
-        Per topic, shape (n,); positive: stamped later than what was written beside it.
+        Per topic, shape (n,); positive: stamped later than its neighbours in the file.
     """
     if not places:
         return []
@@ -308,7 +308,7 @@ def _clock(stamp_us: NDArray[np.int64]) -> NDArray[np.float64]:
 
 NORM_DOUBT = 1e-3
 """Distance of a norm from 1 beyond which that a quaternion was normalised is said."""
-_LEAST_NORM, _MOST_NORM = 0.5, 2.0
+_LEAST_NORM, _MOST_NORM = 0.5, 2.0  # of a quaternion; beyond is damage
 
 
 def unit_quaternions(log: Noted, q: Array) -> tuple[NDArray[np.bool_], Array]:

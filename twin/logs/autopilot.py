@@ -18,14 +18,14 @@ Sensor = Literal["gyro", "acc"]
 FilterKind = Literal["low-pass", "notch", "tracking notch"]
 Level = Literal["emergency", "alert", "critical", "error", "warning", "notice", "info", "debug", ""]
 """Of a message, as syslog has them; "": not logged."""
-LEVELS: tuple[Level, ...] = get_args(Level)
+LEVELS: tuple[Level, ...] = get_args(Level)  # gravest first
 
 SETPOINTS: tuple[tuple[str, ...], ...] = (POS, VEL, QUAT, GYRO)
 """Columns of the flight table that may have a setpoint."""
 MOST_EVENTS = 1000
 """Largest number of modes, of failsafes and of times armed that are stored."""
-MOST_MESSAGES = 2000
-MOST_PARAMETERS = 5000
+MOST_MESSAGES = 2000  # largest number that is stored
+MOST_PARAMETERS = 5000  # largest number that is stored
 MOST_SAMPLES = 10_000
 """Of a setpoint: more than any screen shows; some megabytes of a flight table at most."""
 LONGEST = 300
@@ -104,7 +104,7 @@ class Filter:
         sensor: Of which readings.
         kind: What it does; a tracking notch follows the rotors from its frequency upwards.
         frequency_hz: Cut-off of a low-pass, centre of a notch.
-        source: The parameter that tells it.
+        source: The parameter that says it.
     """
 
     sensor: Sensor
@@ -291,9 +291,9 @@ def _check_setpoint(given: Setpoint) -> None:
 Span = tuple[str, float, float]
 """Name of a phase, its start and its end in s; the end belongs to the next span."""
 
-_CLIMB_M_S = 0.3
-_CRUISE_M_S = 1.0
-_STEP_S = 0.5
+_CLIMB_M_S = 0.3  # mean of a step, by which takeoff and landing are known; made up
+_CRUISE_M_S = 1.0  # over ground, between hover and forward flight; made up
+_STEP_S = 0.5  # length of a phase by motion
 
 
 def label_phases(t_s: Array, spans: Sequence[Span]) -> NDArray[np.object_]:
@@ -337,7 +337,7 @@ def motion_spans(t_s: Array, velocity_n: Array, ground: list[Span]) -> list[Span
     Args:
         t_s: Times of the velocity, s, shape (n,).
         velocity_n: NED, m/s, shape (n, 3).
-        ground: From `ground_spans`; without any, nothing tells takeoff from landing.
+        ground: From `ground_spans`; without any, takeoff and landing cannot be distinguished.
 
     Returns:
         The phases flown, then `ground`; `ground` alone where it or the velocity is missing.

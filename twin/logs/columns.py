@@ -14,8 +14,8 @@ Columns = Mapping[str, NDArray[Any]]
 """A flight table by column: numbers as float64, `phase` as text, shape (n,) each. In memory, or in
 a file from which each is read on demand."""
 
-PHASES = ("takeoff", "hover", "forward", "tour", "land", "ground")
-MIN_MOTORS, MAX_MOTORS = 3, 12
+PHASES = ("takeoff", "hover", "forward", "tour", "land", "ground")  # of a flight
+MIN_MOTORS, MAX_MOTORS = 3, 12  # of a multirotor
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Column:
         return "{i}" in self.name
 
 
-COLUMNS: tuple[Column, ...] = (
+COLUMNS: tuple[Column, ...] = (  # in the order of a table
     Column("time", "s", "time from the start of the record, strictly increasing; required"),
     Column("cmd_{i}", "1", "command of motor i as the speed controller receives it, 0..1"),
     Column("rotor_{i}", "rad/s", "measured speed of rotor i, not negative"),
@@ -69,17 +69,17 @@ COLUMNS: tuple[Column, ...] = (
     Column("phase", "", "phase of flight: " + ", ".join(PHASES) + ', or "" where unknown'),
 )
 
-ACC = ("acc_x", "acc_y", "acc_z")
-GYRO = ("gyro_x", "gyro_y", "gyro_z")
-MAG = ("mag_x", "mag_y", "mag_z")
-POS = ("pos_x", "pos_y", "pos_z")
-VEL = ("vel_x", "vel_y", "vel_z")
-QUAT = ("q_w", "q_x", "q_y", "q_z")
-ACC_NED = ("acc_ned_x", "acc_ned_y", "acc_ned_z")
-EULER = ("roll_rad", "pitch_rad", "yaw_rad")
-MOTION = (*ACC, *GYRO, *POS, *VEL, *QUAT, *ACC_NED)
+ACC = ("acc_x", "acc_y", "acc_z")  # specific force, FRD, m/s^2
+GYRO = ("gyro_x", "gyro_y", "gyro_z")  # body rates, FRD, rad/s
+MAG = ("mag_x", "mag_y", "mag_z")  # magnetic field, FRD, T
+POS = ("pos_x", "pos_y", "pos_z")  # NED, m
+VEL = ("vel_x", "vel_y", "vel_z")  # NED, m/s
+QUAT = ("q_w", "q_x", "q_y", "q_z")  # body FRD to NED, Hamilton, unit norm
+ACC_NED = ("acc_ned_x", "acc_ned_y", "acc_ned_z")  # acceleration of the motion, NED, m/s^2
+EULER = ("roll_rad", "pitch_rad", "yaw_rad")  # yaw, then pitch, then roll
+MOTION = (*ACC, *GYRO, *POS, *VEL, *QUAT, *ACC_NED)  # of which a flight needs one
 
-_MOTOR = re.compile(r"(cmd|rotor)_([1-9][0-9]{0,3})")
+_MOTOR = re.compile(r"(cmd|rotor)_([1-9][0-9]{0,3})")  # name of a motor's column
 
 
 def motor_columns(stem: str, n: int) -> tuple[str, ...]:
@@ -169,7 +169,7 @@ SIGNALS: dict[str, tuple[str, ...]] = {
 }
 """Columns that a limit is of; `rotor` has one column per motor."""
 
-_UNITS = {
+_UNITS = {  # the likeliest mistake, by signal
     "acc": "in mg? An accelerometer at rest reads 9.8 m/s^2",
     "gyro": "in degrees per second? 1 rad/s = 57.3",
     "mag": "in gauss? The Earth has 2.5e-5 to 6.5e-5 T (1 gauss = 1e-4 T)",

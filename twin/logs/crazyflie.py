@@ -38,14 +38,14 @@ from .formats import ReadOptions
 # gaps. At the end the CRC-32 of all of it. Little-endian. Source: Bitcraze, crazyflie-firmware,
 # usddeck.c.
 
-_TYPES = frozenset("bBhHiIqQefd?")
+_TYPES = frozenset("bBhHiIqQefd?")  # letters of Python's struct
 _STAMPS = {1: ("<u4", 1000), 2: ("<u8", 1)}
 """By version: type of a time, and how many us its unit has."""
-_HEAD = struct.Struct("<BHH")
-_CRC_BYTES = 4
-_LONGEST_NAME = 256
-_MOST_VARIABLES = 10_000
-_NEVER_US = 2**62
+_HEAD = struct.Struct("<BHH")  # magic byte, version, number of kinds
+_CRC_BYTES = 4  # at the end
+_LONGEST_NAME = 256  # bytes; longer ones are damage
+_MOST_VARIABLES = 10_000  # of all kinds; more are damage
+_NEVER_US = 2**62  # what a time beyond int64 becomes
 TIME, KIND = "#time", "#kind"
 """Fields of an event that are no variables; no C name begins so."""
 
@@ -192,13 +192,13 @@ def _starts(
 
 # -- the flight ---------------------------------------------------------------------------------
 
-_MOTORS = 4
-_FULL = 65535.0
+_MOTORS = 4  # of every Crazyflie
+_FULL = 65535.0  # PWM of command 1
 _ACC_HZ, _GYRO_HZ = 30.0, 80.0
 """ACCEL_LPF_CUTOFF_FREQ and GYRO_LPF_CUTOFF_FREQ of the firmware, at 1 kHz, second order."""
 _IS_FLYING = 4
 """Bit of supervisor.info."""
-_PER_RPM = 2.0 * np.pi / 60.0
+_PER_RPM = 2.0 * np.pi / 60.0  # rad/s
 
 
 def _turned(factor: float) -> Callable[[Array], Array]:
@@ -248,7 +248,8 @@ def _three(group: str, names: str = "x y z") -> tuple[str, ...]:
 
 
 _CMD, _ROTOR = motor_columns("cmd", _MOTORS), motor_columns("rotor", _MOTORS)
-_VELOCITIES = "vx vy vz"
+"""Columns of the motors."""
+_VELOCITIES = "vx vy vz"  # of stateEstimate
 _SIGNALS = (
     _Signal("acc", ACC, _three("acc"), _turned(GRAVITY_M_S2), _ACC_HZ),
     _Signal("gyro", GYRO, _three("gyro"), _turned(np.pi / 180.0), _GYRO_HZ),

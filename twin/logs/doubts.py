@@ -23,8 +23,8 @@ from .columns import ACC, GYRO, MAG, POS, QUAT, VEL, Columns, other_unit
 from .flight import Array, Finding
 from .motor_checks import doubt_motors
 
-_FASTEST_ROTOR_RAD_S = 4500.0
-_FROZEN_S = 2.0
+_FASTEST_ROTOR_RAD_S = 4500.0  # 43,000 rpm: over the fastest racing motors under load
+_FROZEN_S = 2.0  # without a change, from which on a signal is frozen; made up
 _FEWEST = 20  # samples of a signal below which nothing is tested
 _NOTHING = 0.9
 """Share of samples that are exactly zero in a column that holds nothing."""
@@ -32,8 +32,8 @@ _LEVEL = 0.9999
 """Component of a quaternion that rounds to one while the others change by little."""
 _APART = 2.0
 """Factor between one motor and the others; of recorded flights it is 0.84 to 1.18."""
-_OF_MOTION = ("acc", "gyro", "q", "vel", "pos")
-_AIRBORNE = ("hover", "forward", "tour")
+_OF_MOTION = ("acc", "gyro", "q", "vel", "pos")  # signals that change in flight
+_AIRBORNE = ("hover", "forward", "tour")  # phases in the air
 
 
 def doubts(table: Columns, layout: Layout | None = None) -> list[Finding]:
@@ -379,14 +379,14 @@ def _moving(
 
 _LYING_COS = np.cos(np.radians(45.0))
 """A multirotor that is tilted further cannot stand still in the air."""
-_STILL_M_S2, _STILL_M_S = 2.0, 0.3
-_LYING_S = 1.0
-_RAN_S = 0.5
-_RUNS = 0.05
-_FLIES = 0.15
-_AT_LIMIT = 0.01
-_WARNED, _NAMED = 0.05, 0.01
-_LOWER_V, _LOWER_SHARE = 0.25, 0.015
+_STILL_M_S2, _STILL_M_S = 2.0, 0.3  # of what is at rest: off gravity; and as velocity
+_LYING_S = 1.0  # on its side, of a tip-over
+_RAN_S = 0.5  # before a tip-over in which motors ran
+_RUNS = 0.05  # mean command of motors that run
+_FLIES = 0.15  # mean command of an aircraft in the air
+_AT_LIMIT = 0.01  # distance of a command from an end of its range
+_WARNED, _NAMED = 0.05, 0.01  # share of the flight at a limit for a warning, and for a word
+_LOWER_V, _LOWER_SHARE = 0.25, 0.015  # below the others, V and share, of a lower supply
 
 
 def incidents(table: Columns) -> list[Finding]:
@@ -436,7 +436,7 @@ def _tip_over(table: Columns) -> list[Finding]:
 
 
 def _at_rest(table: Columns, t_s: Array, q: Array) -> NDArray[np.bool_] | None:
-    """Whether nothing accelerates the aircraft at these times; None where no signal tells."""
+    """Whether nothing accelerates the aircraft at these times; None without a signal of it."""
     if all(c in table for c in ACC):
         t_acc, acc = samples(table, ACC)
         if len(t_acc) >= _FEWEST:

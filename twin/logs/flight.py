@@ -59,7 +59,7 @@ class Site:
 
 @dataclass(frozen=True, slots=True)
 class Settled:
-    """What was settled while a flight was still going on, for whoever computes it again later.
+    """What was settled while a flight was still going on, for computing it again later.
 
     Afterwards all of it could be had of the whole flight, a little different; a filter that is
     designed for another rate gives other numbers.

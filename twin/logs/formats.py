@@ -16,12 +16,13 @@ from ..errors import LogError
 from .flight import Flight
 
 HEAD = 4096
-"""Bytes from the start of a file that a signature may look at."""
+"""Bytes from the start of a file that a signature may use."""
 _TELLING = 4
 """Bytes of a longer signature after which a difference is damage, not another format."""
 _LETTERS = string.ascii_letters.encode() + string.digits.encode() + b" :"
-_CENTURY_US = 946_684_800_000_000, 4_102_444_800_000_000
-_BEFORE_TEXT = b"\xef\xbb\xbf \t\r\n\"'"
+"""Of text that is no signature."""
+_CENTURY_US = 946_684_800_000_000, 4_102_444_800_000_000  # 2000 to 2100, us since 1970
+_BEFORE_TEXT = b"\xef\xbb\xbf \t\r\n\"'"  # byte-order mark, blanks, quotes
 
 
 class Signature(Protocol):
@@ -106,7 +107,7 @@ class Stamped:
         )
 
     def damage(self, head: bytes) -> str:
-        """A time alone tells too little."""
+        """A time alone says too little."""
         return ""
 
     def __str__(self) -> str:
@@ -287,7 +288,7 @@ def recognise(blob: bytes, formats: Sequence[LogFormat] = FORMATS) -> LogFormat 
     if len(found) > 1:
         raise LogError(
             f"begins like {' and like '.join(f.name for f in found)} and can be read as neither. "
-            f"Write it anew as one of: {known_formats(formats)}."
+            f"Write it again as one of: {known_formats(formats)}."
         )
     return found[0] if found else None
 

@@ -31,7 +31,7 @@ _CARRIES = 0.3
 _UNEXPLAINED = 1.2
 """Ratio of the variance that the labelling of the log leaves to what another one leaves, from which
 on the first is doubted, if its R^2 is also at most `_HALF` of the other's on a channel."""
-_HALF = 0.5
+_HALF = 0.5  # see `_UNEXPLAINED`
 _CLEARLY = 1.5
 """The ratio that suffices alone: neighbours of a hexarotor act nearly alike.
 
@@ -39,11 +39,12 @@ Chosen on the recorded flights of rflysimdt, px4_negatives, quiver_pt1, nanobenc
 crazyflie_motor_delay and rflymad_sil (docs/dev/decisions/motor_checks.md): none is doubted. Lowered
 from 2 on a simulated octorotor of the tests, which therefore do not score it.
 """
-_CELL_S = 0.02
+_CELL_S = 0.02  # shortest over which signals are averaged
 _MARGIN_S = 1.0
 """Around the cells, for the lags."""
-_SLOW_S = 2.0
+_SLOW_S = 2.0  # variations slower than that are taken out
 _LAGS_S = (-0.04, -0.02, 0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2, 0.3)
+"""Of motor and telemetry."""
 _FEWEST, _MOST = 200, 30_000
 """Cells."""
 _MOST_EXHAUSTIVE, _LIKELY = 8, 50
@@ -61,9 +62,9 @@ _HOVER = 0.1, 0.95
 _ELASTICITY = 0.35, 5.0
 """Relative thrust by relative command: 2 for a speed proportional to the command, 1 for a thrust;
 recorded flights have 0.8 to 1.6."""
-_AXES = "xyz"
+_AXES = "xyz"  # of the body
 
-_TINY = 1e-12
+_TINY = 1e-12  # keeps a division finite
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +204,7 @@ def _beaten(own: Array, other: Array) -> bool:
 # -- rotor speeds behind commands -------------------------------------------------------------
 
 _MISNUMBERED = "left out: speeds do not follow the commands of their own motors"
+"""Begin of a finding, by which it is known."""
 
 
 def is_misnumbered(finding: Finding) -> bool:

@@ -39,15 +39,15 @@ _MOST_RATIO = 100
 """Of the size unpacked over that of the archive: text logs compress by up to 20."""
 _ALWAYS = 16_000_000
 """Bytes that may be unpacked whatever the ratio."""
-_SHOWN = 6
+_SHOWN = 6  # files of an archive that an error lists
 _FEWEST = 16
 """Bytes alike from which on a file counts as erased."""
-_ZIP = (Magic(b"PK\x03\x04"), Magic(b"PK\x05\x06"))
-_STREAMS = (
+_ZIP = (Magic(b"PK\x03\x04"), Magic(b"PK\x05\x06"))  # of archives with and without members
+_STREAMS = (  # signature, name, how it is opened
     (Magic(b"\x1f\x8b"), "gzip-compressed", gzip.open),
     (Magic(b"BZh"), "bzip2-compressed", bz2.open),
 )
-_NO_MEMBERS = ("__MACOSX/", ".DS_Store")
+_NO_MEMBERS = ("__MACOSX/", ".DS_Store")  # files that macOS adds
 _OF_SYSTEMS = {
     "modelDescription.xml": "an FMU, no flight. uavtwin check and simulate read it.",
     "SystemStructure.ssd": "a system of FMUs (SSP), no flight. uavtwin simulate runs it.",
@@ -168,7 +168,7 @@ def unpacked(blob: bytes, deepest: int = _DEEPEST) -> Unpacked:
     return Unpacked(blob)
 
 
-_TOO_LARGE = (
+_TOO_LARGE = (  # end of an error
     f"over {_MOST_RATIO} times its size, as no flight log does. Unpack it first if it is one."
 )
 

@@ -39,22 +39,23 @@ LEAST_R2 = 0.3
 """Below it a regression says nothing."""
 _SURE = 2.0
 """Standard deviations by which a delay is beyond a limit."""
-_BLOCK_S = 2.0
-_FEWEST_BLOCKS, _MOST_BLOCKS = 5, 150
-_FEWEST_SAMPLES = 40
-_SLOW_S = 1.0
+_BLOCK_S = 2.0  # of the jackknife: several time constants
+_FEWEST_BLOCKS, _MOST_BLOCKS = 5, 150  # of a record
+_FEWEST_SAMPLES = 40  # of a signal
+_SLOW_S = 1.0  # variations slower than that are taken out
 _TURNING = 0.05  # command
-_MOST_HZ = 50.0
+_MOST_HZ = 50.0  # of speeds that are used: more say the same
 _CONSTANTS_S = np.array([0.0, 0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.14, 0.2, 0.28, 0.4])
-_DELAYS_S = np.arange(-0.1, 0.601, 0.02)
-_NEAR_S = np.arange(-0.04, 0.0401, 0.005)
-_LAG_STEP_S = 0.005
+"""Grid of T."""
+_DELAYS_S = np.arange(-0.1, 0.601, 0.02)  # coarse grid of d
+_NEAR_S = np.arange(-0.04, 0.0401, 0.005)  # fine grid about the best of it
+_LAG_STEP_S = 0.005  # by which the lag is integrated
 _INTERPOLATED = 0.1
 """Of the interval of the commands: by this the smoothing of a straight line between two of them
 shifts the delay, which the jackknife does not show (found at 10 Hz on simulated flights)."""
-_GRID_S = 0.02
+_GRID_S = 0.02  # of motion and speeds
 _AHEAD = np.arange(-15, 31)  # steps of the grid by which the motion may be ahead of the speeds
-_BAND_HZ = (0.4, 4.0)
+_BAND_HZ = (0.4, 4.0)  # in which motion follows the speeds
 _LONGEST_S = 1200.0
 """Of a longer record its middle is used."""
 

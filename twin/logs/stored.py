@@ -29,11 +29,11 @@ from .flight import Array, Finding, Flight, Settled, Site, finite_rows, missing_
 # pyarrow holds a footer in memory some ten times over, takes names that are not UTF-8, and raises
 # exceptions of many kinds. Here a footer has a bound, and what cannot be read is a `LogError`.
 
-_MAGIC = b"PAR1"
-_TAIL = 8
+_MAGIC = b"PAR1"  # first and last bytes of Parquet
+_TAIL = 8  # bytes: length of the footer and magic
 MOST_FOOTER = 16 << 20
 """Bytes: 10,000 columns in 8 row groups take 8 MB."""
-_MOST_TEXT = 4 << 20
+_MOST_TEXT = 4 << 20  # bytes of a text in a footer
 _MOST_ENTRIES = 100_000
 """Of one text and one list in the footer."""
 
@@ -105,7 +105,7 @@ def _check_footer(source: Path | bytes, name: str) -> None:
     if tail[4:] == _MAGIC and footer > MOST_FOOTER:
         raise LogError(
             f"{name}: the footer of this Parquet file has {footer} of its {size} bytes; at most "
-            f"{MOST_FOOTER} are read. Write the table anew, without metadata and in row groups of "
+            f"{MOST_FOOTER} are read. Write the table again, without metadata and in row groups of "
             f"some 10,000 rows."
         )
 

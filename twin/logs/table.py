@@ -31,8 +31,8 @@ from .validate import check_columns, validate, with_quaternion
 #
 # What a flight table in Parquet says besides its columns, as JSON in the metadata of the file.
 
-_KEY = b"uavtwin"
-_MOST_ROTORS = 64
+_KEY = b"uavtwin"  # of the metadata
+_MOST_ROTORS = 64  # of a layout; more are damage
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,14 +150,14 @@ def write_flight(flight: Flight, path: str | Path) -> None:
 
 # -- reading ------------------------------------------------------------------------------------
 
-_LONGEST_LINE = 1_000_000
+_LONGEST_LINE = 1_000_000  # characters; longer ones are no table
 _MOST_ROWS = 10_000_000  # an hour at 2.8 kHz
-_MOST_COLUMNS = 10_000
+_MOST_COLUMNS = 10_000  # that are read
 _MOST_CELLS = 100_000_000  # 0.8 GB of float64
 HELD_CELLS = 10_000_000
 """Larger tables in Parquet stay in their file: 80 MB of float64, eight minutes at 1 kHz."""
-_SHOWN = 40
-_EMPTY = ["", "nan", "NaN", "NAN"]
+_SHOWN = 40  # characters of a name in an error
+_EMPTY = ["", "nan", "NaN", "NAN"]  # cells without a sample
 
 
 def header(path: Path) -> list[str]:
@@ -413,11 +413,12 @@ def _phase(raw: pa.Table) -> NDArray[np.object_]:
 # Cut off at any byte, such a file is whole up to the last batch before it. At its end it is folded
 # into Parquet, batch by batch.
 
-_GROUP_ROWS = 1 << 16
+_GROUP_ROWS = 1 << 16  # rows of a row group
 _UNUSED = ("roll_rad", "pitch_rad", "yaw_rad", "acc_ned_x", "acc_ned_y", "acc_ned_z")
+"""Columns that no live flight has."""
 _END = b"\xff\xff\xff\xff\x00\x00\x00\x00"
 """Of a stream that was ended."""
-CUT = "cut off while it was written; what came in the last second before that is missing"
+CUT = "cut off while it was written; what came in the last second before that is missing"  # finding
 
 
 def flight_schema(motors: int) -> pa.Schema:

@@ -36,15 +36,15 @@ from .columns import (
 from .doubts import gaps
 from .flight import Array, Finding
 
-_MOST_UNKNOWN = 100
-_SHOWN = 40
-_TINY = 1e-6
+_MOST_UNKNOWN = 100  # columns that are listed by name
+_SHOWN = 40  # characters of a name in an error
+_TINY = 1e-6  # rounding of a command
 _OVERFLOW = 0.5
 """Commands may be so far outside 0..1 and count as overflow, where less than `_MOSTLY` are."""
-_MOSTLY = 0.2
+_MOSTLY = 0.2  # share of commands outside from which on the unit is wrong
 
 
-NO_TABLE = (
+NO_TABLE = (  # of a recording
     "a recording of uavtwin simulate holds what the parts of a simulation gave, no flight table: "
     "to use it as one, keep time and rename the columns that a flight would log, imu.acc_x to acc_x"
 )
@@ -91,7 +91,7 @@ def check_columns(name: str, columns: list[str]) -> list[Finding]:
         raise LogError(f"{name}: no column 'time' (s). It has: {first}.")
     if not any(c in columns for c in (*MOTION, *EULER)):
         raise LogError(
-            f"{name}: no motion signal beside time; at least one of acc, gyro, pos, vel, q, "
+            f"{name}: no motion signal besides time; at least one of acc, gyro, pos, vel, q, "
             f"roll, pitch and yaw, acc_ned is needed. It has: {first}."
         )
     missing = [c for c in QUAT if c not in columns]

@@ -35,11 +35,11 @@ from .mcap import (
 )
 
 Array = NDArray[np.float64]
-"""Nanoseconds in a second."""
 BLOCK_ROWS = 1 << 16
 """Rows that are put together at a time."""
-MEASURED, TWIN, EXPLAINED, CORRECTED = (*("measured", "twin", "explained", "corrected"),)
-SPREAD, MODEL = "spread", "model"
+# Sides: who says a quantity.
+MEASURED, TWIN, EXPLAINED, CORRECTED = "measured", "twin", "explained", "corrected"
+SPREAD, MODEL = "spread", "model"  # sides of a live flight and of a draw
 SIDES: Mapping[str, tuple[str, str]] = {
     MEASURED: ("gap, explain, evaluate", "of the flight, filtered as the twin's"),
     TWIN: ("gap, explain, evaluate", "of the vehicle that was given, on the flight's commands"),
@@ -160,7 +160,7 @@ def compared(
 #
 # Series as MCAP: a topic per side, a field per channel.
 
-_BLOCK_ROWS = 1 << 12
+_BLOCK_ROWS = 1 << 12  # rows that are in memory at once
 PLACED = (MEASURED, TWIN, EXPLAINED, CORRECTED)
 """Sides that are somewhere; the others are differences and spreads."""
 
@@ -220,7 +220,7 @@ FOLDER = "series"
 """Of the files, in the folder of a result."""
 METADATA = b"uavtwin"
 """Key of what Parquet keeps of a series: its name and facts, as JSON."""
-_LONGEST_NAME = 100
+_LONGEST_NAME = 100  # characters of a file name
 
 
 def chosen_forms(csv: bool, mcap: bool) -> tuple[Form, ...]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mcap.writer import Writer
 
 Schema = dict[str, Any]
-NS = 1_000_000_000
+NS = 1_000_000_000  # in a second
 
 
 def nanoseconds(t_s: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -207,8 +207,8 @@ class PlotTopics:
 # north, z up, and gives the body a `base_link`, x forward, y left, z up, as ROS has them (REP 103).
 # In the 3D panel, `map` is the frame to display.
 
-TF, TF_STATIC, POSE, LOG = "/tf", "/tf_static", "/pose", "/log"
-LOCATION = "/location"
+TF, TF_STATIC, POSE, LOG = "/tf", "/tf_static", "/pose", "/log"  # topics
+LOCATION = "/location"  # topic
 LONGEST_STEP_S = 1.0
 """Between two positions; the pose between those farther apart is not interpolated."""
 MEANINGS: Mapping[str, str] = {
@@ -217,19 +217,19 @@ MEANINGS: Mapping[str, str] = {
     TF_STATIC: "`map` to `ned`, `frd` to `base_link`, at the first instant",
     POSE: "the same in `ned`",
     LOCATION: "latitude and longitude, degrees, and height, m, where the position has a sample, of "
-    "flights whose log tells the origin of its positions",
+    "flights whose log has the origin of its positions",
     LOG: "phases where they begin; what the reader counted or doubts, at the first instant",
 }
 """Of the topics that are no plain numbers."""
 Array = NDArray[np.float64]
-MAP, NED, FRD, BASE_LINK = "map", "ned", "frd", "base_link"
-_HALF = float(np.sqrt(0.5))
+MAP, NED, FRD, BASE_LINK = "map", "ned", "frd", "base_link"  # frames
+_HALF = float(np.sqrt(0.5))  # sine of 45 degrees
 _STATIC = (
     (MAP, NED, {"x": _HALF, "y": _HALF, "z": 0.0, "w": 0.0}),  # x <-> y, z turned over
     (FRD, BASE_LINK, {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}),  # half a turn about x
 )
-_ORIGIN = {"x": 0.0, "y": 0.0, "z": 0.0}
-_LEVELS = {"info": 2, "warning": 3, "error": 4}
+_ORIGIN = {"x": 0.0, "y": 0.0, "z": 0.0}  # of a frame
+_LEVELS = {"info": 2, "warning": 3, "error": 4}  # foxglove.Log
 
 
 def _object(title: str, **fields: Schema) -> Schema:
@@ -237,6 +237,7 @@ def _object(title: str, **fields: Schema) -> Schema:
     return {"title": title, "type": "object", "properties": fields, "required": list(fields)}
 
 
+# Schemas, https://docs.foxglove.dev/docs/visualization/message-schemas
 _NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
 _TIME = _object(
     "time",
@@ -399,7 +400,7 @@ TOPICS: Mapping[str, tuple[str, ...]] = {
     "/battery": ("vbat_v", "ibat_a"),
 }
 """Columns of the flight table by topic; fields of the messages are called as the columns."""
-_BLOCK_ROWS = 1 << 12
+_BLOCK_ROWS = 1 << 12  # rows that are in memory at once
 
 
 def write_flight_mcap(flight: Flight, path: Path) -> None:

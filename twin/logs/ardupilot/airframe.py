@@ -73,7 +73,7 @@ class Geometry:
         return np.array([1.0 if s == "ccw" else -1.0 for s in self.sense])
 
 
-CLASSES = {
+CLASSES = {  # FRAME_CLASS
     1: "quad",
     2: "hexa",
     3: "octa",
@@ -87,7 +87,7 @@ NO_MULTIROTOR = {6: "helicopter", 8: "singlecopter", 9: "coaxcopter", 11: "dual 
     13: "quad helicopter"
 }
 """FRAME_CLASS whose motors, as SERVOn_FUNCTION calls them, are swash plates and flaps."""
-TYPES = {
+TYPES = {  # FRAME_TYPE
     0: "plus",
     1: "x",
     2: "v",
@@ -173,10 +173,10 @@ def frame_name(frame_class: int, frame_type: int) -> str:
 #
 # Where and when a DataFlash log was flown, by its satellites.
 
-_FIX_3D = 3
-_GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
+_FIX_3D = 3  # GPS.Status
+_GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)  # of weeks of GPS
 _LEAP_S = 18  # since 2017
-_MOST_WEEKS = 4000
+_MOST_WEEKS = 4000  # to the year 2056: later ones are damage
 
 
 def _fixes(log: ArduPilotLog) -> tuple[Topic, "np.ndarray[tuple[int], np.dtype[np.bool_]]"] | None:
@@ -219,8 +219,8 @@ def median_fix(log: ArduPilotLog) -> tuple[Place, str] | None:
 #
 # Motor commands of a DataFlash log: the pulse widths of RCOU, of the outputs that drive motors.
 
-_ENOUGH_HZ = 50.0
-_OUTPUT = re.compile(r"(?:C|Ch|Chan)([1-9][0-9]?)")
+_ENOUGH_HZ = 50.0  # of motor commands; below, a finding
+_OUTPUT = re.compile(r"(?:C|Ch|Chan)([1-9][0-9]?)")  # column of RCOU by release
 _ONESHOT125, _SHORT_US = 2.0, 300.0
 """MOT_PWM_TYPE, and what its pulses of 125 to 250 us stay below."""
 
@@ -335,8 +335,8 @@ def from_ardupilot_commands(log: ArduPilotLog) -> MotorCommands | None:
 #
 # The yaw trim of a flight: what rotors of one sense get beyond those of the other.
 
-_FLYING = ("hover", "forward", "tour")
-_FEWEST = 20
+_FLYING = ("hover", "forward", "tour")  # phases in which the heading is held
+_FEWEST = 20  # samples of a mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -389,13 +389,13 @@ def yaw_trim(table: pd.DataFrame, rotors: Geometry) -> YawTrim | None:
 
 _FRAME_SD = 0.05
 """How far a real frame is from the circle of its name, over the arm; by judgement, as of PX4."""
-_FULL_CELL_V = 4.2
-_IMU = tuple(f"INS_POS1_{a}" for a in "XYZ")
+_FULL_CELL_V = 4.2  # of a lithium polymer cell
+_IMU = tuple(f"INS_POS1_{a}" for a in "XYZ")  # place of the first IMU, m
 _SPIN_MIN, _SPIN_MAX = 0.15, 0.95  # ArduPilot's defaults
-_EKF_ORIGIN = 0
+_EKF_ORIGIN = 0  # ORGN.Type
 _COUNTED = {"XKF1", "NKF1", "EKF1", "PSCN"}
 """Messages whose positions are counted from it."""
-_OTHERS = {
+_OTHERS = {  # firmware by the first word of its name
     "Plane": "a fixed-wing aircraft",
     "Rover": "a rover",
     "Sub": "a submarine",

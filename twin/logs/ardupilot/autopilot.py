@@ -39,11 +39,11 @@ from .log import OTHERS, ArduPilotLog, Topic, firmware
 SpanUs = tuple[int, int]
 """Begin and end, us."""
 
-_PAUSE_US = 60_000_000
+_PAUSE_US = 60_000_000  # with stopped motors, which parts two flights
 ARMED, DISARMED, _AUTO_ARMED = 10, 11, 15
 """EV by number."""
-_STILL_ON_US = 500_000
-_SHOWN = 8
+_STILL_ON_US = 500_000  # between the last command and the end of a log that was cut
+_SHOWN = 8  # events that a text lists
 
 
 def armed_spans(log: ArduPilotLog) -> list[SpanUs]:
@@ -99,7 +99,7 @@ def use_the_flight(log: ArduPilotLog) -> dict[str, str]:
     """
     spans, ends = armed_spans(log), _ends(log)
     if not spans:
-        log.note("info", "log", "it tells no time in which the motors run: all of it is used")
+        log.note("info", "log", "no time in which the motors run is known: all of it is used")
         return {"clock": f"t = 0 is {log.start_us * 1e-6:.6f} s after boot, the start of the log"}
     stretches: list[list[SpanUs]] = []
     for span in spans:
@@ -136,7 +136,7 @@ def use_the_flight(log: ArduPilotLog) -> dict[str, str]:
 
 _FAMILIES = {3: "XK", 2: "NK", 1: "EK"}
 """By AHRS_EKF_TYPE."""
-_HIGHEST = 16
+_HIGHEST = 16  # cores and sensors by number; beyond is damage
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +220,7 @@ def _most(log: ArduPilotLog, topic: Topic | None, column: str, where: str, what:
 
 # -- phases -------------------------------------------------------------------------------------
 #
-# Phases, flight modes and failures that a DataFlash log tells.
+# Phases, flight modes and failures of a DataFlash log.
 
 MODES = {
     **dict(
@@ -240,8 +240,8 @@ SUBSYSTEMS = {
     **{26: "sensor failsafe", 27: "leak failsafe", 29: "vibration failsafe"},
 }
 """Subsystems of ERR by number."""
-_NOT_LANDED, _LANDED = 28, 18
-_MOST = 2.0**53
+_NOT_LANDED, _LANDED = 28, 18  # EV by number
+_MOST = 2.0**53  # counters beyond lose whole numbers as float64
 
 
 def from_ardupilot_phases(log: ArduPilotLog, used: Primary) -> list[Span]:
@@ -355,11 +355,11 @@ def _grown(log: ArduPilotLog, name: str, instance: int | None, field: str) -> in
 #
 # Setpoints of ArduPilot's controllers, in the units of the flight table.
 
-_AXES = "NED"
+_AXES = "NED"  # PSCN, PSCE, PSCD
 _TOGETHER_S = 0.2
 """The messages of three axes are of one step of the controller: sound logs, under 1 ms."""
-_ANGLES = ("DesRoll", "DesPitch", "DesYaw")
-_RATES = ("RDes", "PDes", "YDes")
+_ANGLES = ("DesRoll", "DesPitch", "DesYaw")  # of ATT
+_RATES = ("RDes", "PDes", "YDes")  # of RATE
 
 
 def setpoints(log: ArduPilotLog, end_s: float) -> tuple[Setpoint, ...]:
@@ -438,16 +438,16 @@ def _until(topic: Topic, end_s: float) -> tuple[Topic, Array]:
 
 _LASTING = (2, 3, 5, 6, 8, 9, 11, 16, 17, 18, 23, 26, 27, 29)
 """Subsystems of ERR whose code 0 says that it is over; those of the others are instants."""
-_LONGEST_S = 365 * 86_400.0
-_LEAST_HZ = 1.0
-_LOW_PASSES: tuple[tuple[str, Sensor], ...] = (
+_LONGEST_S = 365 * 86_400.0  # a year: times beyond are damage
+_LEAST_HZ = 1.0  # of a filter that is switched on
+_LOW_PASSES: tuple[tuple[str, Sensor], ...] = (  # parameter and sensor
     ("INS_GYRO_FILTER", "gyro"),
     ("INS_ACCEL_FILTER", "acc"),
 )
-_HARMONIC_NOTCHES = ("INS_HNTCH", "INS_HNTC2")
+_HARMONIC_NOTCHES = ("INS_HNTCH", "INS_HNTC2")  # stems of parameters since 4.2
 _NOTCH = "INS_NOTCH"
 """Before ArduPilot 4.2."""
-_MOST_HARMONICS = 16
+_MOST_HARMONICS = 16  # bits of INS_HNTCH_HMNCS
 
 
 def from_ardupilot_autopilot(log: ArduPilotLog, end_s: float) -> Autopilot:

@@ -42,15 +42,16 @@ from .log import OTHERS, ArduPilotLog, Topic, board, firmware, frame_of, motor_v
 #
 # In SI: inertial sensors, compass, barometer, battery.
 
-_ACC = ("AccX", "AccY", "AccZ")
-_GYRO = ("GyrX", "GyrY", "GyrZ")
-_RATES = ("R", "P", "Y")
-_MAG = ("MagX", "MagY", "MagZ")
+_ACC = ("AccX", "AccY", "AccZ")  # of IMU
+_GYRO = ("GyrX", "GyrY", "GyrZ")  # of IMU
+_RATES = ("R", "P", "Y")  # of RATE
+_MAG = ("MagX", "MagY", "MagZ")  # of MAG
 _FILTERS = {"gyro": "INS_GYRO_FILTER", "acc": "INS_ACCEL_FILTER"}
+"""Cut-off of the low-pass of each sensor."""
 _IN_SENSOR = "INS_MPU6K_FILTER"
 """Low-pass of the sensor up to Copter 3.2; the firmware had none of its own."""
-_LEAST_HZ = 1.0
-_LEAST_V = 1.0
+_LEAST_HZ = 1.0  # of a filter that is switched on
+_LEAST_V = 1.0  # of a battery that is connected
 
 
 def si(log: ArduPilotLog, topic: Topic, where: str, fields: tuple[str, ...]) -> Array:
@@ -186,8 +187,8 @@ def _add_current(
 #
 # Attitude, velocity and position of a DataFlash log, as the estimator had them.
 
-_Q = ("Q1", "Q2", "Q3", "Q4")
-_ANGLES = ("Roll", "Pitch", "Yaw")
+_Q = ("Q1", "Q2", "Q3", "Q4")  # of XKQ and NKQ
+_ANGLES = ("Roll", "Pitch", "Yaw")  # of ATT and XKF1
 _CONTROLLERS = (
     (("PSCN", "PN", "VN", 1.0), ("PSCE", "PE", "VE", 1.0), ("PSCD", "PD", "VD", 1.0)),
     (("PSC", "PX", "VX", 1.0), ("PSC", "PY", "VY", 1.0), ("CTUN", "Alt", "CRt", -1.0)),
@@ -195,7 +196,7 @@ _CONTROLLERS = (
 )
 """Message, place, rate and sign per axis of NED: since ArduPilot 4.1, Copter 3.6 to 4.0, up to 3.5;
 CTUN counts upwards."""
-_FASTER = 2.0
+_FASTER = 2.0  # ratio of rates from which on ATT is taken instead of quaternions
 _RESETS = {60: "height", 62: "yaw"}
 """EV of a reset of the estimator."""
 
@@ -302,10 +303,10 @@ def _resets(log: ArduPilotLog) -> None:
 #
 # Rotor speeds that the speed controllers report (ESC), put on one clock where they are good.
 
-_TURNING = 0.1
-_LONGEST_S = 0.25
-_LEAST_GOOD = 0.8
-_FEWEST = 20
+_TURNING = 0.1  # command from which on a rotor must report a speed
+_LONGEST_S = 0.25  # between two reports that are interpolated
+_LEAST_GOOD = 0.8  # share of its working time in which a rotor is reported
+_FEWEST = 20  # reports of a controller that is read
 
 
 def add_rotors(log: ArduPilotLog, flight: FlightBuilder, commands: MotorCommands | None) -> None:

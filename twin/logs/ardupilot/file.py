@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 HEADER = 3
 """Bytes before the content of a message: two that mark it, and its type."""
-FMT_NUMBER = 0x80
+FMT_NUMBER = 0x80  # type of FMT, LogStructure.h
 
 _TYPES: dict[str, tuple[str, float]] = {
     **{k: (v, 1.0) for k, v in {"b": "i1", "B": "u1", "M": "u1", "h": "<i2", "H": "<u2"}.items()},
@@ -28,7 +28,7 @@ _TYPES: dict[str, tuple[str, float]] = {
     "L": ("<i4", 1e7),
 }
 """Of each letter of a format: the type in the file, and what a number is divided by."""
-_MOST_COLUMNS = 64
+_MOST_COLUMNS = 64  # a message has 16 letters of format; beyond is damage
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +69,7 @@ class Definition:
 
 
 FMT = Definition(FMT_NUMBER, "FMT", "BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
+"""Definition of the messages that define the others."""
 
 
 def define(number: int, length: int | None, name: str, letters: str, columns: str) -> Definition:
@@ -106,7 +107,7 @@ class Units:
     Attributes:
         labels: By column: ArduPilot's name of the unit, such as `deg/s`.
         multipliers: By column: times which a number in the file is in that unit.
-        instance: The column that tells instances apart, "" where none does.
+        instance: The column that numbers instances, "" where none does.
     """
 
     labels: Mapping[str, str] = field(default_factory=dict)
@@ -145,11 +146,11 @@ def units_of(
     return Units(labels, factors, instance)
 
 
-_INSTANCE = ("I", "C", "Instance", "Inst")
+_INSTANCE = ("I", "C", "Instance", "Inst")  # columns that number instances before FMTU
 
 
 def instance_column(definition: Definition, units: Units) -> str:
-    """The column that tells instances apart, also in logs older than FMTU; "" where none does."""
+    """The column that numbers instances, also in logs older than FMTU; "" where none does."""
     usual = [c for c in _INSTANCE if c in definition.columns and not definition.is_text(c)]
     found = units.instance or (usual[0] if usual else "")
     return found if found and not definition.is_text(found) else ""
@@ -161,7 +162,7 @@ def text(raw: bytes | str) -> str:
     return decoded.partition("\0")[0]
 
 
-_RAD = np.pi / 180.0
+_RAD = np.pi / 180.0  # one degree
 SI: dict[str, tuple[str, float]] = {
     **{k: ("angle", _RAD) for k in ("deg", "degheading", "deglatitude", "deglongitude")},
     "rad": ("angle", 1.0),
@@ -258,7 +259,7 @@ class Content:
     damage: Damage
 
 
-UNIT_MESSAGES = ("FMTU", "UNIT", "MULT")
+UNIT_MESSAGES = ("FMTU", "UNIT", "MULT")  # messages that give units to the others
 
 
 def with_units(found: Mapping[str, Messages], wanted: Collection[str]) -> dict[str, Messages]:
@@ -308,8 +309,8 @@ def _by_letter(given: Messages | None, column: str) -> dict[str, str | float]:
 # A message counts where the next one begins right behind it. Where that is not so, or its type is
 # not defined, the bytes up to the next such message are lost and counted, nothing more.
 
-MARK = b"\xa3\x95"
-_SHOWN = 8
+MARK = b"\xa3\x95"  # first bytes of a message, HEAD_BYTE1 and 2
+_SHOWN = 8  # characters of a name in a finding
 _Places = tuple["array[int]", "array[int]"]
 
 
@@ -457,7 +458,7 @@ def _decoded(
 #
 # DataFlash logs as text, a message per line: `ATT, 1234, 0.1, ...`, numbers as they are meant.
 
-_LONGEST_LINE = 10_000
+_LONGEST_LINE = 10_000  # of a text log; longer ones are damage
 
 
 def read_plain(blob: bytes, wanted: Collection[str]) -> Content:

@@ -41,7 +41,7 @@ class Quantity:
     by_letter: Mapping[str, float] = field(default_factory=dict)
 
 
-_HUNDREDTHS = {"h": 1e-2}
+_HUNDREDTHS = {"h": 1e-2}  # of a field that was int16 in hundredths
 QUANTITIES = (
     Quantity("IMU", "GyrX GyrY GyrZ", "rad/s"),
     Quantity("IMU", "AccX AccY AccZ", "m/s/s"),
@@ -71,6 +71,7 @@ QUANTITIES = (
 """Frames are those of the flight table in every release, FRD and NED; what counts upwards (Alt and
 CRt) changes its sign where it is read."""
 _BY_FIELD = {(m, f): q for q in QUANTITIES for m in q.messages.split() for f in q.fields.split()}
+"""Quantity by message and field."""
 
 
 def documented_unit(message: str, column: str, letter: str) -> tuple[str, float]:
@@ -141,12 +142,12 @@ OLDER = {
 }
 """Before ArduPilot 4.1 an instance had a name of its own: the names of instance 0, 1, ..."""
 
-_LONGEST_US = 365 * 86_400 * 1_000_000
-_NEVER_US = 2**62
-_BLOCK = 512
+_LONGEST_US = 365 * 86_400 * 1_000_000  # a year: times beyond are damage
+_NEVER_US = 2**62  # what a time beyond int64 becomes
+_BLOCK = 512  # bytes that ArduPilot writes at once
 _PAUSE_OF_TELEMETRY = ("ESC", *OLDER["ESC"])
 """Messages that come when the bus has them: their pauses are reported with the rotor speeds."""
-_NAMED = 3
+_NAMED = 3  # definitions that a finding lists
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -464,8 +465,8 @@ def _parameters(log: ArduPilotLog) -> None:
 
 OTHERS = re.compile(r"(?:Ardu|APM:)(Plane|Rover|Sub)|AntennaTracker|Blimp")
 """Firmware that flies no multirotor, but for quadplanes."""
-_FIRMWARE = re.compile(r"Ardu|APM:|AntennaTracker|Blimp")
-_FRAME = re.compile(r"Frame: (\w+)")
+_FIRMWARE = re.compile(r"Ardu|APM:|AntennaTracker|Blimp")  # how its message begins
+_FRAME = re.compile(r"Frame: (\w+)")  # message of Copter up to 3.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -525,12 +526,12 @@ def _is_hex(word: str) -> bool:
 
 MOTOR_FUNCTIONS = {**{33 + k: k + 1 for k in range(8)}, **{82 + k: k + 9 for k in range(4)}}
 """SERVOn_FUNCTION of an output that drives a motor: the number of the motor."""
-_OUTPUTS = 32
+_OUTPUTS = 32  # SERVO1 to SERVO32
 TRICOPTER = (1, 2, 4)
 """Its motors by number."""
 _DIGITAL = range(4, 9)
 """MOT_PWM_TYPE of DShot, whose outputs are logged as 1000 to 2000."""
-_DIGITAL_US = (1000.0, 2000.0)
+_DIGITAL_US = (1000.0, 2000.0)  # range of outputs without pulses of their own
 
 
 def motor_value(params: Mapping[str, float], name: str, default: float) -> float:
@@ -541,7 +542,7 @@ def motor_value(params: Mapping[str, float], name: str, default: float) -> float
 
 
 def motor_channels(params: Mapping[str, float]) -> list[int]:
-    """Output, from 1, of motor 1, 2, ... as SERVOn_FUNCTION tells; [] where that leaves a hole.
+    """Output, from 1, of motor 1, 2, ... by SERVOn_FUNCTION; [] where that leaves a hole.
 
     A tricopter has motors 1, 2 and 4.
     """

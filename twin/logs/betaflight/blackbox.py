@@ -42,12 +42,12 @@ from .frames import DISARM, MODES, SYNC_BEEP, BlackboxLog, open_blackbox
 Times = NDArray[np.int64]
 TURNED = np.array((1.0, -1.0, -1.0))
 """From Betaflight's axes to FRD or NED."""
-_FULL_16_BITS = 32767.0
+_FULL_16_BITS = 32767.0  # value of 1 in imuQuaternion
 _SEA_LEVEL_PA, _SCALE_M, _EXPONENT = 101_325.0, 44_330.0, 0.190295
 """Betaflight's own height by pressure, barometer.c."""
-_HIGH_RESOLUTION = 10.0
-_FRESH_US = 100_000
-_HUNDREDTHS_SINCE = (4, 0)
+_HIGH_RESOLUTION = 10.0  # factor on rates with blackbox_high_resolution
+_FRESH_US = 100_000  # after which a value that did not change counts as new
+_HUNDREDTHS_SINCE = (4, 0)  # release from which on vbatLatest is in 0.01 V
 
 
 def three(stem: str) -> tuple[str, ...]:
@@ -196,10 +196,10 @@ def _fresh(t_us: Times, values: Array) -> NDArray[np.int64]:
 #
 # Satellite fixes of a Blackbox log: place, velocity, time of day.
 
-_DEGREES = 1e-7
-_FEWEST_SATELLITES = 4
-_DECIMETRES_SINCE = (4, 0)
-_COORDINATES = ("GPS_coord[0]", "GPS_coord[1]")
+_DEGREES = 1e-7  # unit of GPS_coord
+_FEWEST_SATELLITES = 4  # of a fix in three dimensions
+_DECIMETRES_SINCE = (4, 0)  # release from which on GPS_altitude is in 0.1 m
+_COORDINATES = ("GPS_coord[0]", "GPS_coord[1]")  # latitude, longitude
 _DATE = re.compile(r"(20\d\d)-(\d\d)-(\d\d)T")
 """0000-01-01 where the firmware does not know the time."""
 
@@ -258,21 +258,21 @@ def site_of(origin: SourcedValue[Place] | None) -> Site | None:
 
 _DIGITAL = (5, 6, 7, 8)
 """DSHOT150, 300, 600 and PROSHOT1000 in motor_pwm_protocol."""
-_DSHOT_STOP, _DSHOT_FULL = 48.0, 2047.0
-_PULSE_STOP, _PULSE_FULL = 1000.0, 2000.0
-_FEATURE_3D = 1 << 12
-_PER_ERPM = 100.0 * 2.0 * np.pi / 60.0
-_TURNING = 0.05
-_MOST_SILENT = 0.2
-_SURE = 0.5
+_DSHOT_STOP, _DSHOT_FULL = 48.0, 2047.0  # DSHOT values of command 0 and 1
+_PULSE_STOP, _PULSE_FULL = 1000.0, 2000.0  # us, defaults of mincommand and maxthrottle
+_FEATURE_3D = 1 << 12  # bit of features
+_PER_ERPM = 100.0 * 2.0 * np.pi / 60.0  # rad/s of a hundred revolutions per minute
+_TURNING = 0.05  # command from which on a rotor must report a speed
+_MOST_SILENT = 0.2  # share of frames without such a report
+_SURE = 0.5  # correlation from which on the mixer counts as known
 _QUAD = {
     "roll": np.array((-1.0, -1.0, 1.0, 1.0)),
     "pitch": np.array((1.0, -1.0, 1.0, -1.0)),
     "yaw": np.array((1.0, -1.0, -1.0, 1.0)),
 }
 """What QUADX adds to each motor for a positive output of a controller."""
-_CONFIRMED = "QUADX, as the motors follow the controllers"
-_DOUBT = "four motors, taken for QUADX"
+_CONFIRMED = "QUADX, as the motors follow the controllers"  # source of a layout
+_DOUBT = "four motors, taken for QUADX"  # source of a layout
 
 
 @dataclass(frozen=True, slots=True)
@@ -412,7 +412,7 @@ def layout_of(log: BlackboxLog, motors: Motors, facts: dict[str, str]) -> Layout
 
 _ARMED, _ANGLE, _HORIZON = 1, 2, 4
 """Bits of the flight modes; those above mean other things in other versions."""
-_REASONS = {
+_REASONS = {  # of a disarming, core.h
     0: "arming disabled",
     1: "failsafe",
     2: "throttle timeout",
@@ -426,9 +426,10 @@ _REASONS = {
     10: "crash flip",
     255: "system",
 }
-_ALARMING = (1, 5, 6)
+_ALARMING = (1, 5, 6)  # reasons that are warnings
 _FAILSAFES = {1: "signal of the receiver lost", 2: "failsafe landing", 3: "failsafe landed"}
-_LEAST_HZ = 1.0
+"""FailsafePhase."""
+_LEAST_HZ = 1.0  # of a filter that is switched on
 
 
 def from_betaflight(log: BlackboxLog, end_s: float) -> Autopilot:
@@ -547,7 +548,8 @@ def filters_of(log: BlackboxLog) -> tuple[Filter, ...]:
 # -- the flight ---------------------------------------------------------------------------------
 
 _ADVICE = "Enable the fields GYRO, ACC and MOTOR of Blackbox (blackbox_disable_*) and fly again."
-_SHOWN = 60
+"""Where nothing of the motion is logged."""
+_SHOWN = 60  # characters of a text of the head
 
 
 def read_blackbox(path: Path, blob: bytes, options: ReadOptions) -> Flight:

@@ -42,12 +42,12 @@ from .header import (
 
 SYNC_BEEP, ADJUSTMENT, RESUME, DISARM, MODES, END = 0, 13, 14, 15, 30, 255
 """Kinds of events."""
-_END_TEXT = b"End of log\0"
-_LONGEST = 256
-_JUMP_US = 10_000_000
-_JUMP_LOOPS = 5000
-_WORD, _HALF = 0xFFFFFFFF, 0x80000000
-_MAIN, _LETTERS = "IP", "IPSGHE"
+_END_TEXT = b"End of log\0"  # of the event END
+_LONGEST = 256  # bytes of a frame; longer ones are damage
+_JUMP_US = 10_000_000  # between two frames; larger steps are damage
+_JUMP_LOOPS = 5000  # the same by loop number
+_WORD, _HALF = 0xFFFFFFFF, 0x80000000  # 32 bits, and the sign among them
+_MAIN, _LETTERS = "IP", "IPSGHE"  # letters of main frames, and of all
 
 
 @dataclass(slots=True)
@@ -405,9 +405,11 @@ class _Stream:
 # A Blackbox file opened with care: which flight of it is read, and what of it is damaged.
 
 _BETAFLIGHT = re.compile(r"(?:Betaflight|EmuFlight)\s*/?\s*(\d+)\.(\d+)")
+"""Name and release in the head."""
 _OTHERS = re.compile(r"INAV|Rotorflight|Baseflight|Cleanflight|Indiflight", re.IGNORECASE)
-_LATEST = (2025, 12)
-_FEWEST = 2
+"""Firmware of the same format, other units."""
+_LATEST = (2025, 12)  # release that is assumed
+_FEWEST = 2  # main frames of a flight
 
 
 @dataclass(slots=True)

@@ -31,13 +31,14 @@ MAGIC = b"H Product:Blackbox"
 SIGNED_VB, UNSIGNED_VB, NEG_14BIT, TAG8_8SVB, TAG2_3S32, TAG8_4S16, NULL = 0, 1, 3, 6, 7, 8, 9
 """Encodings that Betaflight uses."""
 ENCODINGS = frozenset((SIGNED_VB, UNSIGNED_VB, NEG_14BIT, TAG8_8SVB, TAG2_3S32, TAG8_4S16, NULL))
-PREDICTORS = frozenset(range(12))
+"""That are read."""
+PREDICTORS = frozenset(range(12))  # that are known
 
-_NEXT_LINE = re.compile(rb"\nH [ -~]{1,80}:")
-_LONGEST_LINE = 4096
-_MOST_FIELDS = 200
-_MOST_INTERVAL = 65_536
-_ITERATION, _TIME = "loopIteration", "time"
+_NEXT_LINE = re.compile(rb"\nH [ -~]{1,80}:")  # of the head, behind a damaged one
+_LONGEST_LINE = 4096  # bytes; longer ones are damage
+_MOST_FIELDS = 200  # of a frame; more are damage
+_MOST_INTERVAL = 65_536  # loops between frames; more are damage
+_ITERATION, _TIME = "loopIteration", "time"  # fields that each main frame begins with
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +209,7 @@ def flights(blob: bytes) -> list[tuple[int, int]]:
 # raises IndexError at the end of the bytes and ValueError where no such thing can stand. Source:
 # Betaflight's documentation, "Blackbox logging internals", and encoding.c.
 
-_LONGEST_SHIFT = 28
+_LONGEST_SHIFT = 28  # bits: five bytes of seven
 
 
 def unsigned_vb(data: bytes, at: int) -> tuple[int, int]:
@@ -336,7 +337,7 @@ def tag8_4s16_v1(data: bytes, at: int) -> tuple[list[int], int]:
 #
 # Reading what the definition of a frame of a Blackbox log lists, field after field.
 
-_GROUPS = {TAG2_3S32: 3, TAG8_4S16: 4}
+_GROUPS = {TAG2_3S32: 3, TAG8_4S16: 4}  # fields that are encoded together
 
 Read = Callable[[bytes, int], tuple[list[int], int]]
 """Values of a frame whose fields begin at a place in the data, and where they end. IndexError or

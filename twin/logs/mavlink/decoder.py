@@ -114,7 +114,7 @@ def best_source(counts: Mapping[str, int]) -> str:
 
 LATEST_US = 2**53
 """Year 2255 in us since 1970: no clock of an aircraft, since boot or since 1970, is beyond it."""
-_BACK_US, _AHEAD_US = 1_000_000, 60_000_000
+_BACK_US, _AHEAD_US = 1_000_000, 60_000_000  # from the newest stamp, of the same clock
 _RESTART = 20
 """Lead of strays that agree with each other over stamps of the clock that is a restart."""
 _CONFIRMED = 5
@@ -128,7 +128,7 @@ class Stamp(Enum):
 
     FINE = "of the clock"
     STRAY = "far from the clock"
-    RESTART = "of a clock that began anew"
+    RESTART = "of a clock that restarted"
     MISLED = "of the clock; those before were strays"
     IMPOSSIBLE = "no time"
 
@@ -178,19 +178,20 @@ def _follows(t_us: int, newest_us: int) -> bool:
 
 ROTOR_ARRAY = "rotor_rads"
 """Name of the DEBUG_FLOAT_ARRAY that holds rotor speeds, rad/s."""
-T_PER_GAUSS = 1e-4
-PA_PER_HPA = 100.0
-_RPM = 2 * math.pi / 60
-_PULSES_US = (1000.0, 2000.0)
+T_PER_GAUSS = 1e-4  # T
+PA_PER_HPA = 100.0  # Pa
+_RPM = 2 * math.pi / 60  # rad/s
+_PULSES_US = (1000.0, 2000.0)  # of command 0 and 1 where no parameter says
 _SERVOS = 16
 """Outputs in a SERVO_OUTPUT_RAW."""
-_UNKNOWN_16 = 65535
+_UNKNOWN_16 = 65535  # of a field that is not known
 _MOST_PARAMETERS = 4096
 """Largest number of parameters that are stored; autopilots have up to some 2000."""
-_MOST_REASONS = 200
-_NO_ATTITUDE = (math.nan,) * 4
+_MOST_REASONS = 200  # counted by name: damage invents no end of them
+_NO_ATTITUDE = (math.nan,) * 4  # of angles that are not finite
 _FRAMES_B = (dialect.MAV_FRAME_BODY_NED, dialect.MAV_FRAME_BODY_FRD)
-_PULSE_PARAMETERS = (
+"""Of ODOMETRY's velocity along the body."""
+_PULSE_PARAMETERS = (  # PX4 up to 1.12, later, ArduPilot
     ("PWM_MIN", "PWM_MAX"),
     ("PWM_MAIN_MIN", "PWM_MAIN_MAX"),
     ("MOT_PWM_MIN", "MOT_PWM_MAX"),
@@ -210,7 +211,7 @@ class MavlinkDecoder:
         dropped: Number of samples and numbers that were left out, by signal and reason.
         parameters: Finite values of PARAM_VALUE by name.
         stamp: What the stamp of the last message was; None: it has none. After `RESTART` the
-            samples returned belong to a clock that began anew; after `MISLED` all samples before
+            samples returned belong to a clock that restarted; after `MISLED` all samples before
             them are of stray stamps.
     """
 
@@ -245,7 +246,7 @@ class MavlinkDecoder:
         """Samples of a message, finite, within limits, and of the aircraft's clock.
 
         Samples of stray stamps wait: they are returned when the clock turns out to have begun
-        anew (`stamp`).
+        again (`stamp`).
         """
         kind = message.get_type()
         self.stamp = None
@@ -310,7 +311,7 @@ class MavlinkDecoder:
         return self._at(1000 * int(message.time_boot_ms))
 
     def _at_32(self, t_us: int) -> int:
-        """A time of which the lower 32 bits were sent: they begin anew every 71 minutes."""
+        """A time of which the lower 32 bits were sent: they wrap around every 71 minutes."""
         if self.newest_us is None:
             return self._at(t_us)
         ahead = (t_us - self.newest_us + 2**31) % 2**32 - 2**31
@@ -489,7 +490,7 @@ class MavlinkDecoder:
             yield Sample(LANDED, "EXTENDED_SYS_STATE", self.newest_us, (float(m.landed_state),))
 
 
-_READ: dict[str, Callable[[MavlinkDecoder, Message], Found]] = {
+_READ: dict[str, Callable[[MavlinkDecoder, Message], Found]] = {  # kinds of message that are read
     "HEARTBEAT": MavlinkDecoder._heartbeat,
     "PARAM_VALUE": MavlinkDecoder._parameter,
     "HIGHRES_IMU": MavlinkDecoder._highres_imu,
@@ -516,7 +517,8 @@ _READ: dict[str, Callable[[MavlinkDecoder, Message], Found]] = {
 USED = frozenset(i for i, kind in dialect.mavlink_map.items() if kind.msgname in _READ)
 """Ids of the messages that are read."""
 _NAMES = frozenset(kind.msgname for kind in dialect.mavlink_map.values())
-_UNKNOWN = "of unknown kind"
+"""Kinds of message of the dialect."""
+_UNKNOWN = "of unknown kind"  # other kinds
 
 
 def _scaled(values: Iterable[float], factor: float) -> tuple[float, ...]:

@@ -16,13 +16,13 @@ from ..columns import ACC, GYRO, MAG, POS, QUAT, VEL
 from .decoder import PA_PER_HPA, ROTOR_ARRAY, T_PER_GAUSS
 from .frames import TYPES, Message, dialect
 
-_FIELDS_OF = ((ACC, 0x7), (GYRO, 0x38), (MAG, 0x1C0))
-_PRESSURE = 0x200
-_ARRAY = 58
-_ACTUATORS = 32
-_CELLS = 10
-_NONE_16 = 65535
-_LANDED = {
+_FIELDS_OF = ((ACC, 0x7), (GYRO, 0x38), (MAG, 0x1C0))  # bits of HIGHRES_IMU.fields_updated
+_PRESSURE = 0x200  # the same of abs_pressure
+_ARRAY = 58  # numbers of DEBUG_FLOAT_ARRAY
+_ACTUATORS = 32  # of ACTUATOR_OUTPUT_STATUS
+_CELLS = 10  # of BATTERY_STATUS
+_NONE_16 = 65535  # of a cell that is not there
+_LANDED = {  # state by phase
     "ground": dialect.MAV_LANDED_STATE_ON_GROUND,
     "takeoff": dialect.MAV_LANDED_STATE_TAKEOFF,
     "land": dialect.MAV_LANDED_STATE_LANDING,
@@ -171,12 +171,13 @@ def _ms(t_us: int) -> int:
 
 IMU_BITS, MAG_BITS, BARO_BITS = 0x3F, 0x1C0, 0x1A00
 """Bits of `fields_updated`: accelerometer and gyroscope, magnetometer, barometer."""
-KELVIN = 273.15
-CONTROLS = 16
-_LOCKSTEP = 1
-_FIX_3D, _SATELLITES = 3, 10
-_INT16, _UINT16 = 32767, 65534
+KELVIN = 273.15  # of 0 degrees Celsius
+CONTROLS = 16  # of HIL_ACTUATOR_CONTROLS
+_LOCKSTEP = 1  # bit of HIL_ACTUATOR_CONTROLS.flags
+_FIX_3D, _SATELLITES = 3, 10  # of HIL_GPS, and satellites
+_INT16, _UINT16 = 32767, 65534  # largest number of int16, and of uint16 that is known
 _POWER = GAS_CONSTANT_J_KG_K * LAPSE_K_M / GRAVITY_M_S2
+"""Of the pressure ratio, ICAO standard atmosphere."""
 Three = Sequence[float]
 
 

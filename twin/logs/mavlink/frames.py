@@ -22,8 +22,8 @@ Message = Any
 """A message of pymavlink: its fields are attributes, its kind is `get_type()`."""
 MARKERS = (dialect.PROTOCOL_MARKER_V1, dialect.PROTOCOL_MARKER_V2)
 """First bytes of a frame of MAVLink 1 and 2."""
-GCS = dialect.MAV_TYPE_GCS
-AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
+GCS = dialect.MAV_TYPE_GCS  # MAV_TYPE of a ground station
+AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1  # component id
 BAD = "BAD_DATA"
 """Kind of what is no message, as pymavlink calls it."""
 MOTORS = {
@@ -35,8 +35,8 @@ MOTORS = {
     dialect.MAV_TYPE_DODECAROTOR: 12,
 }
 """Motors of an aircraft by the type in its heartbeat."""
-TYPES = {count: kind for kind, count in MOTORS.items()}
-AUTOPILOTS = {
+TYPES = {count: kind for kind, count in MOTORS.items()}  # MAV_TYPE by motors
+AUTOPILOTS = {  # names by MAV_AUTOPILOT
     dialect.MAV_AUTOPILOT_PX4: "PX4",
     dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot",
     dialect.MAV_AUTOPILOT_GENERIC: "generic autopilot",
@@ -61,12 +61,12 @@ def parser(system: int = 0, component: int = 0) -> Any:
 #
 # The time is in us since 1970, 8 bytes, the most significant first.
 
-_STAMP = struct.Struct(">Q")
-_HEAD = _STAMP.size
-_YEAR_2000_US, _YEAR_2100_US = 946_684_800_000_000, 4_102_444_800_000_000
-_DAY_US = 86_400_000_000
-_V1 = MARKERS[0]
-_SIGNATURE = 13
+_STAMP = struct.Struct(">Q")  # us since 1970
+_HEAD = _STAMP.size  # bytes of the stamp
+_YEAR_2000_US, _YEAR_2100_US = 946_684_800_000_000, 4_102_444_800_000_000  # us since 1970
+_DAY_US = 86_400_000_000  # between two stamps of one log at most
+_V1 = MARKERS[0]  # first byte of MAVLink 1
+_SIGNATURE = 13  # bytes at the end of a signed frame
 _BEGIN = re.compile(rb"(?s)(?=\x00[\x03-\x0e].{6}[\xfd\xfe])")
 """A stamp of the years 2000 to 2100 by its first two bytes, and the first byte of a frame."""
 
@@ -174,10 +174,10 @@ def _length(blob: bytes, at: int) -> int:
 # message, which is most of what listening costs. What comes in flight are whole frames of known
 # kinds made of numbers; all else is pymavlink's: text, signatures, MAVLink 1, damage.
 
-_HEADER = struct.Struct("<BBBBBBBHB")
-_CHECKSUM_SIZE = 2
-_KIND = struct.Struct("<HB")
-_MARKER = MARKERS[1]
+_HEADER = struct.Struct("<BBBBBBBHB")  # of MAVLink 2
+_CHECKSUM_SIZE = 2  # bytes
+_KIND = struct.Struct("<HB")  # message id, 24 bits
+_MARKER = MARKERS[1]  # first byte of MAVLink 2
 
 
 class Unpacked(tuple[Any, ...]):
@@ -247,11 +247,11 @@ def _made(kind: int) -> tuple[bytes, struct.Struct, type[Unpacked]] | None:
 #
 # What a MAVLink link loses, by the sequence numbers of its messages.
 
-_MODULUS = 256
+_MODULUS = 256  # of sequence numbers, 8 bits
 _REORDERED = 128
 """A number that is so far behind the newest is an older message, not a loss of more."""
 _JUMP = 64
-"""More messages missing than this at once are a jump: a sender that began anew, or a long gap."""
+"""More messages missing than this at once are a jump: a sender that restarted, or a long gap."""
 _MOST_SENDERS = 512
 """Components whose sequence is followed at once; of more, those heard from last."""
 

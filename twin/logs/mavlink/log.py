@@ -21,8 +21,9 @@ from ..validate import validate
 from .decoder import GROUPS, LANDED, USED, MavlinkDecoder, Sample, Stamp, best_source
 from .frames import Frame, Link, MessageParser, dialect, frames
 
-_ON_GROUND = dialect.MAV_LANDED_STATE_ON_GROUND
+_ON_GROUND = dialect.MAV_LANDED_STATE_ON_GROUND  # EXTENDED_SYS_STATE.landed_state
 _NAMED = {dialect.MAV_LANDED_STATE_TAKEOFF: "takeoff", dialect.MAV_LANDED_STATE_LANDING: "land"}
+"""Phase by landed_state."""
 _SHOWN = 8
 """Kinds of message that an error lists."""
 
@@ -237,7 +238,7 @@ def _note(log: _Log, decoder: MavlinkDecoder, link: Link, system: int, table: pd
     ):
         low, high = decoder.pulses_us
         message = f"pulses, where there are some, count as 0..1 from {low:g} to {high:g} us"
-        log.note("info", "cmd", f"{message}: no parameter was sent that tells")
+        log.note("info", "cmd", f"{message}: no parameter was sent that says so")
 
 
 def _listed(kinds: Counter[str]) -> str:

@@ -39,9 +39,9 @@ _LARGEST_M = 1.0
 """From here on coordinates are proportions: PX4 needs no more of them."""
 _TYPED_SD = 0.05
 """Of coordinates that somebody typed in, over the arm; by judgement."""
-_MOST_CELLS, _MOST_V = 60, 5.5
-_HIGHEST_M = 2e4
-_FIX_3D = 3
+_MOST_CELLS, _MOST_V = 60, 5.5  # in series, and volts of one: beyond is damage
+_HIGHEST_M = 2e4  # of a fix; beyond is damage
+_FIX_3D = 3  # fix_type
 _MOVED_DEG = 1e-6
 """A tenth of a metre: an estimator that moves its origin further starts again."""
 _EARLIEST_S = 1.0e9  # 2001: receivers without a date begin in 1970 or 1980
@@ -161,7 +161,7 @@ def _cells(log: Px4Log) -> SourcedValue[Cells] | None:
     )
 
 
-_BATTERY = ("N_CELLS", "V_CHARGED", "V_EMPTY", "CAPACITY", "R_INTERNAL")
+_BATTERY = ("N_CELLS", "V_CHARGED", "V_EMPTY", "CAPACITY", "R_INTERNAL")  # parameters BATn_*
 
 
 def _imu_position(log: Px4Log) -> SourcedValue[tuple[float, float, float]] | None:
@@ -250,8 +250,8 @@ def _year(topic: Topic, fixed: NDArray[np.bool_]) -> float | None:
 #
 # Indoors or outdoors, by the source of its position.
 
-_GNSS = ("vehicle_gps_position", "sensor_gps")
-_TRACKED = ("vehicle_visual_odometry", "vehicle_mocap_odometry")
+_GNSS = ("vehicle_gps_position", "sensor_gps")  # topics, newest name last
+_TRACKED = ("vehicle_visual_odometry", "vehicle_mocap_odometry")  # topics of a pose from outside
 _AID_VISION = 8 | 16
 """EKF2_AID_MASK of PX4 up to 1.13: position and yaw of external vision. EKF2_EV_CTRL, which follows
 it, allows vision from the factory on and says nothing."""

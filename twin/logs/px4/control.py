@@ -19,10 +19,10 @@ from scipy.signal import lfilter
 from ...vehicle.layouts import FRAMES
 from ..flight import Array
 
-_I_FACTOR_RAD_S = np.radians(400.0)
-_MIN_DT_S, _MAX_DT_S = 0.000125, 0.02
-_YAW_CEILING = 1.15
-_CLIPPED_LOW = 0.005
+_I_FACTOR_RAD_S = np.radians(400.0)  # of RateControl: the integral grows less at high rates
+_MIN_DT_S, _MAX_DT_S = 0.000125, 0.02  # bounds of the step in mc_rate_control
+_YAW_CEILING = 1.15  # of the mixer: yaw may use 15 % more
+_CLIPPED_LOW = 0.005  # command below which a motor is at its lower end
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,7 +272,7 @@ def _airmode_all(c: Array, scale: Array) -> Array:
     return _desaturate(_desaturate(c @ scale.T, scale[:, 3]), scale[:, 2])
 
 
-_AIRMODES: dict[int, Callable[[Array, Array], Array]] = {
+_AIRMODES: dict[int, Callable[[Array, Array], Array]] = {  # MC_AIRMODE
     0: _airmode_off,
     1: _airmode_roll_pitch,
     2: _airmode_all,
@@ -283,10 +283,11 @@ _AIRMODES: dict[int, Callable[[Array, Array], Array]] = {
 #
 # Multirotor geometries of PX4's mixers and the airframes that use them.
 
-_MOMENT = 0.05
+_MOMENT = 0.05  # of a rotor over its thrust, m; any number gives the same shares
 _GEOMETRIES = {"quad_x": "x", "quad_wide": "wide", "quad_plus": "+", "hex_x": "hex x"}
 """Mixers whose commands are rebuilt, and the frame of each."""
 _AIRFRAMES = {4001: "quad_x", 4010: "quad_x", 4011: "quad_x", 10016: "quad_wide"}
+"""Mixer by SYS_AUTOSTART."""
 
 
 def airframe_mixer(autostart: float) -> str | None:

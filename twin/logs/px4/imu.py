@@ -22,15 +22,15 @@ from .log import Px4Log, Topic
 
 Times = NDArray[np.int64]
 
-_GAUSS_T = 1e-4
-_MBAR_PA = 100.0
-_NO_RELATIVE_TIME = 2**31 - 1
-_SAME_ROW_US = 600
-_LONGEST_WINDOW_US = 100_000
+_GAUSS_T = 1e-4  # T
+_MBAR_PA = 100.0  # Pa
+_NO_RELATIVE_TIME = 2**31 - 1  # of a row without an acceleration
+_SAME_ROW_US = 600  # between accelerometer and gyroscope that share a row
+_LONGEST_WINDOW_US = 100_000  # averaging time; beyond is damage
 _FARTHEST_US = 30_000  # between accelerometer and gyro of one message; sound logs: under 5 ms
-_EARLIEST_US = 2**62
-_OVERLAP = 1.5
-_COMBINED = "sensor_combined"
+_EARLIEST_US = 2**62  # before any stamp
+_OVERLAP = 1.5  # intervals that an averaging time may span
+_COMBINED = "sensor_combined"  # topic
 
 
 def from_px4_gauss(field: Array) -> Array:
@@ -39,7 +39,7 @@ def from_px4_gauss(field: Array) -> Array:
 
 
 def from_px4_interval(values: NDArray[np.generic]) -> Times:
-    """Averaging time, us: the type of the field tells the unit, s as float (up to PX4 1.7), else
+    """Averaging time, us: the type of the field gives the unit, s as float (up to PX4 1.7), else
     us."""
     with np.errstate(invalid="ignore", over="ignore"):
         if values.dtype.kind == "f":
@@ -163,7 +163,7 @@ def _combined(log: Px4Log) -> _Source | None:
 
 
 def _increments(log: Px4Log) -> _Source | None:
-    """Of vehicle_imu: increments over their time, None where the log has none that it tells."""
+    """Of vehicle_imu: increments over their time, None where the log has no usable time."""
     there = log.fields("vehicle_imu")
     lengths = [
         next((f for f in (f"{stem}_dt", "dt") if f in there), "")

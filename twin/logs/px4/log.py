@@ -35,6 +35,7 @@ _LONGEST = 10000  # bytes of a message; longer ones are damage
 _MOST_FIELDS = 65535  # the length of a message has 16 bits, a field at least 8
 _MOST_UNFOLDED = 2_000_000  # fields of all subscriptions together; a PX4 log has some 5000
 _BASIC = re.compile(r"u?int(8|16|32|64)_t|float|double|bool|char")
+"""Types of a field that are no format."""
 _ADDED = 3  # bytes before the name of the topic in a subscription
 
 
@@ -149,11 +150,11 @@ def _unfolded(
 
 # -- the log ------------------------------------------------------------------------------------
 
-_MESSAGES = b"BFIMPQADLCSOR"
+_MESSAGES = b"BFIMPQADLCSOR"  # kinds of message of ULog
 _EVENTS = ("vehicle_command",)  # several may carry the same time
 _ASIDE = ("vehicle_local_position_setpoint", "vehicle_status")
 """Of no signal: no sample is judged by them."""
-_ON_CHANGE = (
+_ON_CHANGE = (  # topics without a steady rate
     *("actuator_armed", "estimator_sensor_bias", "vehicle_land_detected"),
     *(*_EVENTS, *_ASIDE),
 )
@@ -162,11 +163,11 @@ _LEVELS: dict[int, Level] = {
     **{ord("4"): "warning", ord("5"): "notice", ord("6"): "info", ord("7"): "debug"},
 }
 """Of logged messages, as the ULog format has them."""
-_LONGEST_US = 365 * 86_400 * 1_000_000
-_LATEST_US = 1_000_000
+_LONGEST_US = 365 * 86_400 * 1_000_000  # a year: times beyond are damage
+_LATEST_US = 1_000_000  # between sampling and publication; beyond is no time
 _STRAY_US = 700_000  # sound logs: under 500 ms in the burst of their first second
 _SLOW_MS = 150.0  # sound logs have at most 25
-TOPICS = (
+TOPICS = (  # that are parsed
     "actuator_armed",
     "actuator_controls_0",
     "actuator_motors",

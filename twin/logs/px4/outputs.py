@@ -22,7 +22,7 @@ from .log import Px4Log, Topic
 
 FIRST_FUNCTION, MOST_FUNCTIONS = 101, 12
 """Value of a FUNC parameter, or of esc_report.actuator_function, for motor 1, and how many."""
-_FUNCTION = re.compile(r"([A-Z0-9_]+)_FUNC([1-9][0-9]?)")
+_FUNCTION = re.compile(r"([A-Z0-9_]+)_FUNC([1-9][0-9]?)")  # driver and channel of a FUNC parameter
 _RANGES = {
     "PWM_MAIN": (1000.0, 2000.0),
     "PWM_AUX": (1000.0, 2000.0),
@@ -34,18 +34,19 @@ _RANGES = {
 }
 """Defaults of DRIVER_MINk and _MAXk, in the order in which the drivers start."""
 _UNITS = {"UAVCAN_EC": "CAN", "UCAN1_ESC": "CAN", "SIM_GZ_EC": "1/1000"}
-_CAN_FULL = 8191.0
+"""Of drivers that send no pulse widths."""
+_CAN_FULL = 8191.0  # value of command 1, uavcan.equipment.esc.RawCommand
 _DSHOT_FULL, _DSHOT_MIN = 1999.0, 0.055
 """Largest value of the DShot driver, and the default of DSHOT_MIN."""
-_DSHOT_TIMERS = (-5.0, -4.0, -3.0)
-NO_RANGE = "no PWM range"
+_DSHOT_TIMERS = (-5.0, -4.0, -3.0)  # DRIVER_TIMn of DShot150 to 600
+NO_RANGE = "no PWM range"  # source of a default range
 _SHORTEST_US, _LONGEST_US = 800.0, 2200.0
 """Of pulse widths that PX4 accepts."""
 _CAN_ENABLE = 3.0
 """UAVCAN_ENABLE from which on ESCs are on the bus."""
 _BETAFLIGHT = (1, 2, 3, 0)
 """Channel of motors 1 to 4 with MOT_ORDERING = 1."""
-_MOST_CHANNELS = 16
+_MOST_CHANNELS = 16  # of actuator_outputs
 
 
 @dataclass(frozen=True, slots=True)
@@ -391,11 +392,11 @@ def _is_dshot(log: Px4Log, c: _Channel, topic: Topic) -> bool:
 # its index on the bus, which is UAVCAN_EC_FUNCk; before FUNC parameters index k was motor k.
 # Source: PX4, msg/EscReport.msg, drivers/dshot/DShot.cpp, drivers/uavcan/actuators/esc.cpp.
 
-_RPM_RAD_S = 2.0 * np.pi / 60.0
-_SLOTS = 12
+_RPM_RAD_S = 2.0 * np.pi / 60.0  # rad/s
+_SLOTS = 12  # of esc_status
 _CAN = 4
 """esc_connectiontype."""
-_CAN_DRIVERS = ("UAVCAN_EC", "UCAN1_ESC")
+_CAN_DRIVERS = ("UAVCAN_EC", "UCAN1_ESC")  # whose slots are places on the bus
 
 
 @dataclass(frozen=True, slots=True)
@@ -486,7 +487,7 @@ def _slots(log: Px4Log, topics: list[Topic]) -> tuple[dict[int, _Slot], int]:
     return found, alive
 
 
-_BY_PLACE = "by place"
+_BY_PLACE = "by place"  # source of a slot's motor
 
 
 def _motor_of(log: Px4Log, topic: Topic, slot: int) -> tuple[int, str]:

@@ -31,18 +31,18 @@ from .outputs import Outputs, logged_outputs
 
 # -- rebuilt ------------------------------------------------------------------------------------
 
-MATCH_GOAL_US = 10.0
+MATCH_GOAL_US = 10.0  # rms of rebuilt less logged pulse width, us; made up
 MISS_US, MISS_LIMITED = 30.0, 0.01
 """From which on rebuilt commands are not those that were flown: a foreign or adaptive controller,
 other filters. 3 % of a range of 1000 us is what a motor's gain is known to; no log chose them."""
-_AXES = ("ROLL", "PITCH", "YAW")
-_SETPOINT = ("roll", "pitch", "yaw", "thrust_body[2]")
-_MIXER_TOLERANCE_US = 5.0
-_PAIRED_US = 1000
-_VERSIONS = ((1, 11), (1, 12), (1, 13))
-_LONGEST_GAP_S = 5.0
+_AXES = ("ROLL", "PITCH", "YAW")  # of parameters
+_SETPOINT = ("roll", "pitch", "yaw", "thrust_body[2]")  # fields of vehicle_rates_setpoint
+_MIXER_TOLERANCE_US = 5.0  # rms by which a mixer is the one that flew
+_PAIRED_US = 1000  # between outputs and the controls that they are made of
+_VERSIONS = ((1, 11), (1, 12), (1, 13))  # of PX4 whose controller is `control`
+_LONGEST_GAP_S = 5.0  # of the gyroscope that a cubic bridges
 _MOST_PER_SAMPLE = 400.0  # 8 kHz logged at 20 Hz
-_MOST_BIAS_RAD_S = 1.0
+_MOST_BIAS_RAD_S = 1.0  # of a gyroscope; beyond is damage
 _MOST_INTEGRAL = 10.0  # of a control of -1..1
 _DAMAGED = 100.0  # rad/s; larger values and NaN come from damaged logs
 
@@ -387,8 +387,8 @@ def _scale(log: Px4Log, outputs: Outputs, controls: Topic) -> Array:
 
 # -- commands -----------------------------------------------------------------------------------
 
-_ENOUGH_HZ = 100.0
-_BACKWARD = 0.01
+_ENOUGH_HZ = 100.0  # of logged commands that need no rebuilding
+_BACKWARD = 0.01  # control below which a motor turns backward
 
 
 def from_px4_commands(log: Px4Log, rebuild: bool | None) -> MotorCommands | None:

@@ -33,11 +33,11 @@ from .rebuild import from_px4_commands
 #
 # Phases of a PX4 log: the markers of the test script, else how the vehicle moves.
 
-_MARKER = 183
-_BEGIN, _END = 666, 777
-_MODES = {(2, 3): "takeoff", (2, 6): "hover", (2, 7): "land"}
+_MARKER = 183  # vehicle_command.command of RflySim's scripts
+_BEGIN, _END = 666, 777  # param7 of a marker
+_MODES = {(2, 3): "takeoff", (2, 6): "hover", (2, 7): "land"}  # param1 and param2 of a marker
 _NOT_A_PHASE = {(2, 1)}  # prepares the offboard mode before takeoff
-_SEAM_S = 0.1
+_SEAM_S = 0.1  # between two phases that follow each other
 
 
 def from_px4_phases(log: Px4Log) -> list[Span]:
@@ -125,7 +125,7 @@ Source: PX4, msg/vehicle_status.msg of 1.10 to 1.16.
 """
 _ARMED = 2
 """vehicle_status.arming_state, in every release."""
-_UNIT_NORM = 0.01
+_UNIT_NORM = 0.01  # from 1, of a quaternion that is one
 _OF: dict[str, tuple[Sensor, FilterKind]] = {
     "gyroscope": ("gyro", "low-pass"),
     "accelerometer": ("acc", "low-pass"),
@@ -231,7 +231,7 @@ def _filters(params: dict[str, float]) -> tuple[Filter, ...]:
 
 # -- the flight ---------------------------------------------------------------------------------
 
-_LEAST_V = 1.0
+_LEAST_V = 1.0  # of a battery that is connected
 _CELL_V = (2.5, 4.6)  # discharged, and the highest voltage of any lithium cell
 _SAGS_V = 0.02  # a regulated supply does less
 
