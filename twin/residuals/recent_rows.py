@@ -126,12 +126,6 @@ class LastRows:
         retained[first - 1] = True  # of whose phase the next row may be
         self._portions = [{c: values[retained] for c, values in rows.items()}]
 
-    def cut(self, before_s: float) -> None:
-        """Let go of all rows before a time."""
-        rows = self.rows()
-        first = int(np.searchsorted(rows["time"], before_s, side="right"))
-        self._portions = [{c: values[first:] for c, values in rows.items()}]
-
     def rows(self) -> Rows:
         """All that there are, in one piece."""
         if len(self._portions) != 1:

@@ -114,6 +114,15 @@ class Windows:
                 states[:, k - (steps - tail)] = self._read(u[starts + k])
         return states
 
+    def after(self, x: Array, u: Array) -> Array:
+        """State of the airframe after a grid step with each row of inputs, shape (n_x,).
+
+        Args:
+            x: State before, shape (n_x,).
+            u: Inputs, shape (n, n_u).
+        """
+        return self._body.after(x, u)
+
     def _read(self, u: Array) -> Array:
         """`READ` of the present states, shape (w, 13); of a gyroscope without memory the state of
         the sensor does not matter."""

@@ -137,6 +137,7 @@ class GridRows:
         return GridRows(first, *(getattr(self, name)[part] for name in _ARRAYS))
 
 
+_NO_MOTION = MeasuredMotion(None, None, None, None, False, ())
 _ARRAYS = ("t_s", "u", "rotors", "states", "phases", "carried", "grounded")
 
 
@@ -214,12 +215,13 @@ class RunningGrid:
         self.rows = everything.between(everything.end - keep, everything.end)
         self.piece_of = np.concatenate([self.piece_of, piece_of])[-len(self.rows.t_s) :]
 
-    def piece(self, first: int, end: int) -> AlignedFlight:
+    def piece(self, first: int, end: int, motion: MeasuredMotion = _NO_MOTION) -> AlignedFlight:
         """Some of the rows as a flight of their own, those that count in the air.
 
         Args:
             first: Number of the first.
             end: Number of the row after the last.
+            motion: Of a window that holds them, for those who need it.
         """
         assert self.rows is not None
         rows = self.rows.between(first, end)
@@ -228,7 +230,7 @@ class RunningGrid:
             self.airframe,
             self.imu,
             Inputs(self._columns, rows.t_s, rows.u, rows.rotors, ()),
-            _NO_MOTION,
+            motion,
             rows.states,
             rows.phases,
             self.piece_of[part] != NONE,
@@ -239,14 +241,6 @@ class RunningGrid:
         """First row of the piece that a row is in, `NONE` where it is in none."""
         assert self.rows is not None
         return int(self.piece_of[number - self.rows.first])
-
-
-_NO_MOTION = MeasuredMotion(None, None, None, None, False, ())
-
-
-def with_motion(aligned: AlignedFlight, motion: MeasuredMotion) -> AlignedFlight:
-    """The same, with the motion of a window that holds it."""
-    return replace(aligned, motion=motion)
 
 
 class Stream:

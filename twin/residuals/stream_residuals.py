@@ -19,7 +19,7 @@ from .channels import EVERY, GRID_HZ, SHORTEST_S, imu_channels
 from .flight_gap import DEFAULT_HORIZON_S, end_channels
 from .gap import Channel
 from .short_horizon import window_ends
-from .stream import BEFORE_S, NONE, Equations, RunningGrid, Stream, with_motion
+from .stream import BEFORE_S, NONE, Equations, RunningGrid, Stream
 from .teacher_forced import GRID_S
 
 _AFTER = 24
@@ -98,7 +98,7 @@ class StreamResiduals:
         short = self._short_horizon()
         block = None
         if end > reported + 1:
-            block = with_motion(stream.grid.piece(reported + 1, end), stream.motion)
+            block = stream.grid.piece(reported + 1, end, stream.motion)
             self._reported_row, self._reported_s = end - 1, (end - 1) / GRID_HZ
         stream.needed_s = self._reported_s
         return ResidualBlock(start_s, self._reported_s, channels, short, block, stream.window)
@@ -173,7 +173,7 @@ class StreamResiduals:
         if not starts:
             return ()
         first = min(starts)
-        aligned = with_motion(fine.piece(first, rows.end), motion)
+        aligned = fine.piece(first, rows.end, motion)
         here = np.array(starts, dtype=np.intp) - first
         predicted = window_ends(aligned, here, steps, tail=0, windows=self._windows)[:, 0]
         return tuple(end_channels(aligned, here + steps, predicted, self._horizon_s))

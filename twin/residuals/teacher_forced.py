@@ -299,14 +299,6 @@ class InputSignals:
         return u
 
 
-def airframe_inputs(flight: AnyFlight, vehicle: Vehicle, airframe: Component, t_s: Array) -> Inputs:
-    """Inputs of the airframe on a uniform grid, as `InputSignals` has them."""
-    signals = InputSignals(flight, vehicle, airframe)
-    u = signals.at(t_s)
-    rotors = RotorStates(airframe, float(t_s[1] - t_s[0])).along(u)
-    return Inputs(signals.columns, t_s, u, rotors, signals.notes)
-
-
 def _held(signal: AnySignal, t_s: Array) -> Array:
     return signal.held(t_s)[:, 0]
 

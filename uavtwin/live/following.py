@@ -18,8 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.component import substeps
-from twin.component.along import BUILDING, Along, EachRow
+from twin.component.along import BUILDING, EachRow
 from twin.errors import TwinError
 from twin.explain.running.alarms import Alarm
 from twin.frames import AXES
@@ -98,11 +97,7 @@ class FollowingTwin:
         names = [s.name for s in body.states]
         self._index = {g: [names.index(n) for n in states] for g, states in _POSE.items()}
         x, u = ca.SX.sym("x", len(names)), ca.SX.sym("u", len(self._u))
-        n, h = substeps(GRID_S, body.max_step_s)
-        after = x
-        for _ in range(n):
-            after = body.step(after, u, self._p, h)
-        self._step = Along(ca.Function("step", [x, u], [after]))
+        self._windows = equations.windows
         outputs = body.outputs(x, u, self._p)
         place = {name: i for i, name in enumerate(body.output_names)}
         sensed = ca.vertcat(*[outputs[place[name]] for name in sensor.input_names])
@@ -167,8 +162,7 @@ class FollowingTwin:
             return
         steps = round(1e-6 * pause_us / GRID_S)
         if steps:
-            (along,) = self._step(self._x, np.tile(self._u, (steps, 1)))
-            self._x = along[-1]
+            self._x = self._windows.after(self._x, np.tile(self._u, (steps, 1)))
         self._t_us += round(1e6 * GRID_S) * steps
         if self._observer_s is not None:
             self._draw(GRID_S * steps, self._observer_s)

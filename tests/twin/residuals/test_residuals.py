@@ -16,7 +16,7 @@ from twin.logs import Flight
 from twin.physics.airframe import airframe
 from twin.residuals.channels import GRID_HZ, shifted
 from twin.residuals.gap import Channel, FlightGap, pool, rank, slow_part, spectrum, summarise
-from twin.residuals.teacher_forced import airframe_inputs
+from twin.residuals.teacher_forced import InputSignals
 from twin.vehicle.file import load_vehicle
 from uavtwin.gaps import gap_record
 
@@ -188,8 +188,7 @@ def test_rotors_accelerate_as_their_measured_speeds_say() -> None:
     )
     body = airframe(vehicle, "rotor_speed")
     grid_s = np.linspace(0.2, 1.2, 1000, endpoint=False)
-    inputs = airframe_inputs(flight, vehicle, body, grid_s)
-    found = inputs.u[:, body.input_names.index("spin_rate_3")]
+    found = InputSignals(flight, vehicle, body).at(grid_s)[:, body.input_names.index("spin_rate_3")]
     exact = 50 * 2 * np.pi * np.cos(2 * np.pi * grid_s)
     assert np.abs(found - exact).max() < 0.02 * np.abs(exact).max()
 

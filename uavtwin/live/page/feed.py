@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 import numpy as np
@@ -29,7 +29,7 @@ from twin.residuals.gap import Channel
 from twin.residuals.stream_residuals import ResidualBlock
 from twin.vehicle import Vehicle
 
-from ..following import Following
+from ..following import Following, Reading
 from ..status import LiveStatus, alarm_json
 
 if TYPE_CHECKING:
@@ -197,35 +197,6 @@ _VECTORS: Mapping[str, Sequence[str]] = {"acc": ACC, "gyro": GYRO, "vel": VEL, "
 _SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 
 
-class TwinReading(Protocol):
-    """What the twin reads now; SI, NED, FRD."""
-
-    @property
-    def acc_b(self) -> Sequence[float]:
-        """Specific force, m/s^2."""
-        ...
-
-    @property
-    def gyro_b(self) -> Sequence[float]:
-        """Body rates as the gyroscope shows them, rad/s."""
-        ...
-
-    @property
-    def position_n(self) -> Sequence[float]:
-        """North, east, down, m."""
-        ...
-
-    @property
-    def velocity_n(self) -> Sequence[float]:
-        """North, east, down, m/s."""
-        ...
-
-    @property
-    def q_nb(self) -> Sequence[float]:
-        """Attitude, body to NED, w first."""
-        ...
-
-
 class PageFeed:
     """Turns what is known into messages; a method each for the thread that knows it.
 
@@ -258,7 +229,7 @@ class PageFeed:
         """Whether the state is to be told now, on the monotonic clock."""
         return at_s >= self._next_s
 
-    def state(self, t_s: float, reading: TwinReading | None, at_s: float) -> None:
+    def state(self, t_s: float, reading: Reading | None, at_s: float) -> None:
         """Tell the state of aircraft and twin.
 
         Args:
@@ -349,7 +320,7 @@ def _attitude(q_nb: Sequence[float]) -> dict[str, float]:
     return told | dict(zip(QUATERNION, q_nb, strict=True))
 
 
-def _twin_named(reading: TwinReading) -> dict[str, float]:
+def _twin_named(reading: Reading) -> dict[str, float]:
     vectors = {
         ACC: reading.acc_b,
         GYRO: reading.gyro_b,

@@ -29,7 +29,7 @@ from twin.logs.mavlink.frames import dialect
 from twin.residuals.gap import Channel
 from twin.vehicle.file import load_vehicle
 from uavtwin.live.datagrams import Address
-from uavtwin.live.following import Following
+from uavtwin.live.following import Following, Reading
 from uavtwin.live.page.document import document
 from uavtwin.live.page.feed import Hub, PageFeed
 from uavtwin.live.page.server import PageServer
@@ -46,15 +46,14 @@ INKED = """(c => new Set(new Uint32Array(
 """Whether more colours than three are on a canvas."""
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
-    acc_b: tuple[float, ...] = (0.0, 0.0, -9.0)
-    gyro_b: tuple[float, ...] = (0.0, 0.0, 0.0)
-    position_n: tuple[float, ...] = (1.0, 2.0, -3.0)
-    velocity_n: tuple[float, ...] = (0.0, 0.0, 0.0)
-    q_nb: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
-
-
+TWIN = Reading(
+    acc_b=(0.0, 0.0, -9.0),
+    gyro_b=(0.0, 0.0, 0.0),
+    position_n=(1.0, 2.0, -3.0),
+    velocity_n=(0.0, 0.0, 0.0),
+    q_nb=(1.0, 0.0, 0.0, 0.0),
+    omega_b=(0.0, 0.0, 0.0),
+)
 WEAK = Alarm(
     "rotor_efficiency_loss",
     (EstimatedChange("loss_3", 0.1, 0.004, "1"),),
@@ -86,7 +85,7 @@ def fly(feed: PageFeed, t_s: float, acc_z: float = -9.8) -> None:
     feed.sample(Sample("q", "ODOMETRY", 0, (math.cos(0.05), math.sin(0.05), 0.0, 0.0)))
     feed.sample(Sample("cmd", "ACTUATOR_OUTPUT_STATUS", 0, (0.5, 0.6, 0.7, 0.8)))
     feed.sample(Sample("vbat_v", "BATTERY_STATUS", 0, (15.25,)))
-    feed.state(t_s, Reading(position_n=(north + 0.1, east, -2.1)), time.monotonic())
+    feed.state(t_s, replace(TWIN, position_n=(north + 0.1, east, -2.1)), time.monotonic())
 
 
 @dataclass(frozen=True, slots=True)
