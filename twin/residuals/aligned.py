@@ -54,7 +54,7 @@ LEAST_CARRY, TRUSTED_CARRY = 0.15, 1.5
 """Modelled thrust over weight below which nothing flies, however wrong the file: idling rotors;
 factor either way by which the file may be off before it is of any concern here."""
 START_S = 0.2
-"""From the begin of a record, in which it is told whether it begins in the air."""
+"""From the begin of a record, s: it decides whether the record begins in the air. Made up."""
 
 
 def starts_in_air(carried: NDArray[np.bool_], grounded: NDArray[np.bool_], step_s: float) -> bool:
@@ -175,7 +175,7 @@ def rotor_thrust(body: Component, rotors: int) -> OverRows:
 LONGEST_FLIGHT_S = 10_000.0
 """Of what is held in memory the most is one signal of the flight, or 200 Hz of all states."""
 AT_LIMIT = 1e-3
-"""A command this close to 0 or 1 is at its limit: what the motor does is not told by it."""
+"""A command this close to 0 or 1 is at its limit: it does not determine what the motor does."""
 BLOCK_ROWS = 1 << 18
 """Rows of a block: with inputs and states some 70 MB."""
 

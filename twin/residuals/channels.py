@@ -86,7 +86,7 @@ class Measured:
         filters_hz: Low-passes that a prediction has to pass, one after the other.
         rows: Per uninterrupted piece, the grid points it covers.
         settle: Grid points at the start of a piece that the filters take.
-        values: At the rows that are kept, all pieces together, shape (n, c).
+        values: At the retained rows, all pieces together, shape (n, c).
         t_s: Times of these rows, shape (n,).
         piece: Number of the piece, shape (n,).
     """
@@ -103,7 +103,7 @@ class Measured:
     __repr__ = short_repr
 
     def filtered(self, values: Array, filters_hz: Sequence[float]) -> Array:
-        """Rows that are kept of values on the grid, low-passed piece by piece."""
+        """Retained rows of values on the grid, low-passed piece by piece."""
         return self._over_pieces(values, filters_hz, EVERY)
 
     def unfiltered(self, values: Array) -> Array:
@@ -163,8 +163,8 @@ def measured(
         known: Grid points that count, shape (n,).
         band_hz: Low-pass of readings and prediction.
         sensor_hz: Low-pass that the readings have behind them and a prediction has not.
-        together: Whether the rows kept are among those of every other sensor that is so filtered,
-            wherever both are known.
+        together: Whether the retained rows are among those of every other sensor that is so
+            filtered, wherever both are known.
     """
     pieces = _pieces(known & np.all(np.isfinite(values), axis=1))
     if not pieces:
@@ -411,7 +411,7 @@ def predicted_imu(aligned: AlignedFlight, vehicle: Vehicle) -> Array:
 
 
 def imu_predictor(body: Component, vehicle: Vehicle) -> OverRows:
-    """The same of states and inputs of an airframe, for whoever asks for it more than once."""
+    """The same of states and inputs of an airframe, to be evaluated more than once."""
     sensor = prompt_imu(vehicle)
     x, u = ca.SX.sym("x", len(body.states)), ca.SX.sym("u", len(body.inputs))
     y = body.outputs(x, u, body.parameter_values({"ground.enabled": 0.0}))
@@ -421,7 +421,7 @@ def imu_predictor(body: Component, vehicle: Vehicle) -> OverRows:
     shown = sensor.outputs(sensor.initial(sensed, p), sensed, p)
     both = ca.vertcat(shown[:3], gyro_rate(sensor, sensed, shown))
     readings = ca.cse(ca.densify(ca.substitute(both, sensed, true_motion)))
-    return OverRows(ca.Function("felt", [x, u], [readings]), 2)
+    return OverRows(ca.Function("imu", [x, u], [readings]), 2)
 
 
 def in_step(aligned: AlignedFlight, vehicle: Vehicle) -> Array:
@@ -443,7 +443,7 @@ def imu_channels(
     Args:
         flight: As read.
         vehicle: The twin.
-        aligned: The flight on a grid of `GRID_HZ`; where nobody else holds it, it is gone before
+        aligned: The flight on a grid of `GRID_HZ`; if it has no other holder, it is freed before
             the readings are there.
         predictor: `imu_predictor` of the airframe, where it is at hand.
     """

@@ -381,7 +381,7 @@ def _short_horizon(
     The flight is gone through twice, in blocks: where it is airborne is known at its end alone.
     """
     known = np.zeros(alignment.rows, dtype=np.bool_)
-    first: list[Block] = []  # kept where it is the only one
+    first: list[Block] = []  # stored where it is the only one
 
     def noted() -> Iterator[Block]:
         """All blocks, what is known of them noted."""

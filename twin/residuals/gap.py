@@ -284,7 +284,7 @@ def pool(channels: Sequence[Channel], seed: int = 0) -> Summary:
             float(np.max(np.abs(c.measured[np.isfinite(c.measured)]), initial=0.0))
             for c in channels
         )
-        if signal_rms <= 1e-9 * largest:  # flat to rounding: no share of it can be told
+        if signal_rms <= 1e-9 * largest:  # flat to rounding: a share of it is not defined
             signal_rms = math.nan
     phases = dict.fromkeys(str(p) for part in parts for p in part.phase)
     name, unit, horizon_s = kinds[0]

@@ -276,7 +276,7 @@ def _is_filtered(samples: int, rate_hz: float, cutoff_hz: float) -> bool:
 def _filtered(column: Array, rate_hz: float, cutoff_hz: float) -> Array:
     """Butterworth, forward and backward, of a column, shape (n,)."""
     b, a, settled = _butterworth(cutoff_hz / (rate_hz / 2))
-    # as scipy's filtfilt, which works out anew how a settled filter begins
+    # as scipy's filtfilt, which computes the state of a settled filter each time
     start, end = (2 * column[k] - column[rows] for k, rows in ((0, _BEFORE), (-1, _AFTER)))
     passed = np.concatenate([start, column, end])
     for _ in range(2):

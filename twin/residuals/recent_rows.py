@@ -19,7 +19,7 @@ Rows = Mapping[str, NDArray[np.float64] | NDArray[np.object_]]
 
 
 class Recent(Flight):
-    """The last seconds of a flight: what `Flight` says of its columns, told from arrays.
+    """The last seconds of a flight: the interface of `Flight` on arrays.
 
     A table of pandas takes longer to say what it holds than all that is computed of it; it is made
     where it is asked for.
@@ -111,8 +111,8 @@ class LastRows:
 
         Args:
             before_s: Time, s.
-            needed: How many of the last samples among them are kept of a signal, by the first of
-                its columns; one of every other.
+            needed: How many of the last samples among them are retained of a signal, by the first
+                of its columns; one of every other.
         """
         rows = self.rows()
         first = int(np.searchsorted(rows["time"], before_s))

@@ -61,7 +61,7 @@ def window_ends(
         aligned: A flight on the grid of its twin.
         starts: Grid points at which the windows start, shape (w,); all states known there.
         steps: Grid steps per window.
-        tail: Grid points before the last one that are kept as well, at most `steps`.
+        tail: Grid points before the last one that are returned as well, at most `steps`.
         progress: Called with the share done, 0..1.
         windows: Of airframe and IMU of the flight, where they are at hand.
 
@@ -170,7 +170,7 @@ class _Batch:
         return self._initial(u)
 
     def start(self, x: Array, u: Array) -> None:
-        """Begin anew at states and inputs, the first sample instant included."""
+        """Restart at states and inputs, the first sample instant included."""
         self.x = x
         if self._lines is not None:
             self._lines.clear(len(x))
@@ -234,5 +234,5 @@ class _Lines:
 
 
 def _moves_gyro(state: str) -> bool:
-    """Whether a state of the IMU is felt by the gyroscope when there is no noise."""
+    """Whether a state of the IMU is observable in the gyroscope when there is no noise."""
     return not state.startswith("acc_") and not state.endswith((".drift", ".noise"))

@@ -256,7 +256,7 @@ class InputSignals:
     Commands and voltage hold their last sample; measured rotor speeds are linear between two.
     What no flight table holds, such as the wind, stays at its start value; rotor accelerations are
     those of the measured rotor speeds. Effects of the vehicle by which commands act late act here,
-    so that they are to be off in the airframe: a delay line knows no past where an airframe is
+    so that they are to be off in the airframe: a delay line has no past where an airframe is
     started in mid-flight.
 
     Attributes:
@@ -394,10 +394,10 @@ def measured_states(
     origin: specific force and angular acceleration need them for drag alone.
 
     Args:
-        airframe: With what it says of states that nobody measures.
+        airframe: It says how unmeasured states change.
         motion: Measured motion.
         inputs: On a uniform grid.
-        hidden: States that nobody measures, up to this block of rows; None: it is the first.
+        hidden: Unmeasured states, up to this block of rows; None: it is the first.
     """
     t = inputs.t_s
     x = np.zeros((len(t), len(airframe.states)))
@@ -433,14 +433,14 @@ def _arrived(airframe: Component) -> dict[int, str]:
 
 
 def hidden_of(airframe: Component, step_s: float) -> "HiddenStates":
-    """What nobody measures of an airframe, nothing of it known yet."""
+    """Unmeasured states of an airframe, at their start."""
     measured = {i for i, s in enumerate(airframe.states) if s.name in RIGID}
     measured |= {*rotor_states_of(airframe), *_arrived(airframe)}
     return HiddenStates(airframe, sorted(set(range(len(airframe.states))) - measured), step_s)
 
 
 def hidden_states(airframe: Component, index: list[int], x: Array, inputs: Inputs) -> Array:
-    """States that nobody measures of a whole flight, as `HiddenStates` has them.
+    """Unmeasured states of a whole flight, as `HiddenStates` has them.
 
     Args:
         airframe: It says how they change, and where they start.
@@ -455,7 +455,7 @@ def hidden_states(airframe: Component, index: list[int], x: Array, inputs: Input
 
 
 class HiddenStates:
-    """States that nobody measures, such as a load on its rope, integrated along the measured ones,
+    """Unmeasured states, such as a load on its rope, integrated along the measured ones,
     one block of rows after another.
 
     Where the motion is unknown its last known values count.

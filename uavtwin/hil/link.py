@@ -48,7 +48,7 @@ class AutopilotLink:
 
     Attributes:
         counts: What came and went.
-        peer: Who is connected, HOST:PORT; "": nobody.
+        peer: Who is connected, HOST:PORT; "": no connection.
     """
 
     def __init__(self, where: Address, patience_s: float) -> None:
@@ -163,7 +163,7 @@ class AutopilotLink:
         return found
 
     def _refuse(self) -> None:
-        """One aircraft has one autopilot: whoever comes later is turned away."""
+        """One aircraft has one autopilot: a later connection is refused."""
         with contextlib.suppress(OSError):
             late, _ = self._door.accept()
             late.close()

@@ -49,7 +49,7 @@ class HilStatus:
     """A flight under an autopilot.
 
     Attributes:
-        peer: Who flew, HOST:PORT; "": nobody connected.
+        peer: Autopilot, HOST:PORT; "": none connected.
         flight_s: Simulated time.
         wall_s: That it took, from the connection on.
         answers: HIL_ACTUATOR_CONTROLS that came.
@@ -61,7 +61,7 @@ class HilStatus:
         unknown: Motor commands of armed motors that were no number, taken for 0.
         link: Counts of messages, garbage, refused connections.
         ended: Why it ended; "": it goes on.
-        fine: Whether it ended as was asked for.
+        fine: Whether it ended as requested.
     """
 
     peer: str = ""

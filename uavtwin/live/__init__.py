@@ -1,1 +1,1 @@
-"""The twin beside a flying aircraft, over MAVLink; and a log played as one."""
+"""The twin of a flying aircraft, over MAVLink; and a log played as one."""

@@ -153,7 +153,7 @@ class Arrivals:
         for _ in range(most):
             try:
                 content, ancillary, _, sender = self._receive()
-            except OSError:  # nothing more is there, or what was sent to nobody came back
+            except OSError:  # nothing more is there, or what was sent to a closed port came back
                 self._empty_s = time.monotonic()
                 return
             now_s, now_ns = _both_clocks()
@@ -289,7 +289,7 @@ Point = tuple[float, float]
 MEMORY_S = 60.0
 """Older points are forgotten: clocks drift with temperature."""
 _BIN_S = 0.5
-"""Of so long the lowest point is kept."""
+"""Length of a bin of which the lowest point is stored, s. Made up."""
 _LONG_ENOUGH_S = 5.0
 """A shorter time says nothing of the drift."""
 
@@ -315,7 +315,7 @@ class ClockEstimate:
 
 @dataclass(slots=True)
 class ClockWatch:
-    """Takes times in and tells what the clock is."""
+    """Estimates offset and drift of the aircraft's clock from times of messages."""
 
     _above: dict[int, Point] = field(default_factory=dict)
     _below: dict[int, Point] = field(default_factory=dict)
@@ -327,7 +327,7 @@ class ClockWatch:
         _keep_lowest(self._above, aircraft_s, at_s - aircraft_s)
 
     def answered(self, request_s: float, aircraft_s: float, at_s: float) -> None:
-        """TIMESYNC: asked and answered at times of ours, what the aircraft's clock was between."""
+        """TIMESYNC: request and answer at times of ours, what the aircraft's clock was between."""
         self.came(aircraft_s, at_s)
         _keep_lowest(self._below, aircraft_s, -(request_s - aircraft_s))
 

@@ -2,8 +2,8 @@
 
 At each reading of the IMU the airframe is stepped to its time on the newest commands, in the steps
 of the FMUs; every horizon it is set to the measured state, or an observer draws it there all the
-time. Rotors, which nobody measures, go on. `Publisher` sends it as MAVLink, for the screens of
-ground stations.
+time. Rotor states, which no sensor measures, go on. `Publisher` sends it as MAVLink, for screens
+of ground stations.
 """
 
 import contextlib
@@ -46,7 +46,7 @@ _LONGEST_US = 500_000
 
 @dataclass(frozen=True, slots=True)
 class Following:
-    """How the twin is kept with the aircraft.
+    """How the state of the twin is corrected by the measured one.
 
     Attributes:
         horizon_s: It is set to what was measured that often, and free in between.
@@ -88,7 +88,7 @@ class FollowingTwin:
 
         Args:
             equations: Of the vehicle.
-            following: How it is kept with the aircraft.
+            following: How its state is corrected.
         """
         body, sensor = equations.airframe, equations.imu
         self._p = body.parameter_values({"ground.enabled": 0.0})
@@ -236,11 +236,11 @@ class Publisher:
         return float(np.percentile(self._ages_s, 99)) if self._ages_s else float("nan")
 
     def alarm(self, alarm: Alarm) -> None:
-        """Tell an alarm with the next messages; from any thread."""
+        """Send an alarm with the next messages; from any thread."""
         self._alarms.put(alarm)
 
     def anomaly(self, score: float) -> None:
-        """Tell the compensator's score with the next messages; from any thread."""
+        """Send the compensator's score with the next messages; from any thread."""
         self._alarms.put(score)
 
     def tick(self, aircraft: int | None) -> None:
@@ -298,7 +298,7 @@ class Publisher:
     def _send(self, message: Message) -> None:
         frame = message.pack(self._packer)
         self._packer.seq = (self._packer.seq + 1) % 256
-        with contextlib.suppress(OSError):  # nobody listens there, as yet
+        with contextlib.suppress(OSError):  # no listener there, as yet
             self._socket.sendto(frame, self._to.pair)
             self.sent += 1
 

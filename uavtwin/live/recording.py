@@ -252,7 +252,7 @@ class Recording:
         self.begin_section()
 
     def begin_section(self) -> None:
-        """A flight of its own begins: the aircraft's clock began anew."""
+        """A flight of its own begins: the aircraft's clock restarted."""
         self._end_section()
         self._section += 1
         schemas = {"flight": flight_schema(self._motors), "residuals": _RESIDUALS}

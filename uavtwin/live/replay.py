@@ -94,7 +94,7 @@ _BEAT_US = 1_000_000
 
 
 def motors_of(flight: Flight) -> int:
-    """How many motors a flight tells of, 0: of none."""
+    """Number of motors in a flight."""
     stems = ("cmd", "rotor")
     return max(
         (i for i in range(1, MAX_MOTORS + 1) for s in stems if flight.has(f"{s}_{i}")), default=0
@@ -259,7 +259,7 @@ class Replay:
     def _deliver(self) -> None:
         now = time.monotonic() if self._faults.jitter_s else float("inf")
         for datagram in self._link.due(now):
-            with contextlib.suppress(OSError):  # nobody listens there, as yet
+            with contextlib.suppress(OSError):  # no listener there, as yet
                 select.select([], [self._socket], [], 1.0)
                 self._socket.sendto(datagram, self._to.pair)
 
@@ -278,7 +278,7 @@ class Replay:
             now = time.monotonic()
             if now > until:
                 raise TwinError(
-                    f"{self._to}: nobody there answers TIMESYNC, which --speed max goes by. Start "
+                    f"{self._to}: no answer to TIMESYNC, which --speed max needs. Start "
                     f"uavtwin live first, or give a speed."
                 )
             if now > again:

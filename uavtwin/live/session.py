@@ -1,4 +1,4 @@
-"""A live flight: listens to an aircraft, records it, and flies the twin beside it."""
+"""A live flight: listens to an aircraft, records it, and flies its twin."""
 
 import contextlib
 import math
@@ -62,7 +62,7 @@ class LiveOptions:
         hold_s: So long rows wait for messages that were overtaken.
         duration_s: Ends after so long; None: it does not.
         until_silent_s: Ends when an aircraft that was heard is silent for so long.
-        request_rates: Whether the aircraft is asked for streams, the one command that is sent.
+        request_rates: Whether streams are requested of the aircraft, the one command that is sent.
         publish: Where the twin is sent to as an aircraft of its own; None: nowhere.
         publish_system: System id of the twin.
 
@@ -93,7 +93,7 @@ class LiveOptions:
 
     @property
     def following(self) -> Following:
-        """How the twin is kept with the aircraft."""
+        """How the state of the twin is corrected."""
         return Following(self.horizon_s, self.observer_s)
 
 
@@ -118,7 +118,7 @@ class LiveSession:
             vehicle: The twin.
             options: How.
             evidence: Makes evidence for a flight section; None: no alarms.
-            page: Gets what the page shows; None: nobody looks.
+            page: Gets what the page shows; None: no page.
             compensator: Of the sensors; None: there is none.
 
         Raises:
@@ -215,7 +215,7 @@ class LiveSession:
         return self.known((time.process_time() - began_cpu) / (time.monotonic() - began))
 
     def _alarm(self, alarm: Alarm) -> None:
-        """Tell an alarm that was raised or has ended, in the thread of the twin."""
+        """Report an alarm that was raised or has ended, in the thread of the twin."""
         entry = alarm_json(alarm, self.worker.sections)
         self._alarms[entry["section"], alarm.effect, alarm.raised_s] = entry
         if self._publisher is not None:
@@ -317,7 +317,7 @@ class LiveSession:
             page.state(1e-6 * (sample.t_us - zero_us), reading, at_s)
 
     def _new_section(self) -> None:
-        """The aircraft's clock began anew: what came before is a flight of its own."""
+        """The aircraft's clock restarted: what came before is a flight of its own."""
         self.hand_over(True)
         self._late += sum(self._rows.late.values())
         self._decoder.dropped.clear()
@@ -364,8 +364,8 @@ class LiveSession:
     def _timesync(self, m: Message, at_s: float) -> None:
         """Answer a question for the time, or take an answer.
 
-        The answer holds the middle between question and answer: who asked does not notice that it
-        was waited in between.
+        The answer holds the middle between question and answer, so that the wait in between does
+        not enter.
         """
         if not m.tc1:
             answered_s = (at_s + time.monotonic()) / 2

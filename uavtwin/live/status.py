@@ -43,7 +43,7 @@ def sentence(alarm: Alarm) -> str:
     text = f"since {alarm.since_s:.1f} s: {said} ({', '.join(details)})"
     if alarm.others:
         known = " or ".join(f"{_words(e)} ({p:.0%})" for e, p in alarm.others.items())
-        text += f"; cannot be told from {known}"
+        text += f"; indistinguishable from {known}"
     if alarm.closed_s is not None:
         text += f"; over since {alarm.closed_s:.1f} s"
     return text
@@ -67,25 +67,25 @@ def alarm_json(alarm: Alarm, section: int) -> dict[str, Any]:
 
 
 NEEDED_BY: dict[str, tuple[str, str]] = {
-    "acc": ("HIGHRES_IMU", "nothing is told of forces: drag, thrust, mass"),
-    "gyro": ("HIGHRES_IMU", "nothing is told of moments"),
-    "q": ("ODOMETRY or ATTITUDE_QUATERNION", "the twin has no state and tells nothing"),
+    "acc": ("HIGHRES_IMU", "no residuals of forces: drag, thrust, mass"),
+    "gyro": ("HIGHRES_IMU", "no residuals of moments"),
+    "q": ("ODOMETRY or ATTITUDE_QUATERNION", "the twin has no state: no residuals"),
     "vel": (
         "ODOMETRY or LOCAL_POSITION_NED",
-        "nothing is told of drag and wind, nor over a short horizon",
+        "no residuals over a short horizon, nothing on drag and wind",
     ),
     "pos": (
         "ODOMETRY or LOCAL_POSITION_NED",
-        "nothing is told of ground effect, and take-off goes by thrust alone",
+        "nothing on ground effect; take-off is recognised by thrust alone",
     ),
     "cmd": (
         "ACTUATOR_OUTPUT_STATUS or SERVO_OUTPUT_RAW",
-        "the twin has no commands and tells nothing",
+        "the twin has no commands: no residuals",
     ),
-    "vbat_v": ("BATTERY_STATUS", "nothing is told of a battery that sags"),
+    "vbat_v": ("BATTERY_STATUS", "nothing on battery sag"),
     "landed": ("EXTENDED_SYS_STATE", "flight phases are unknown"),
 }
-"""By signal the message that it is read from, and what cannot be told without it."""
+"""By signal the message that it is read from, and what is missing without it."""
 RATES_HZ = {
     dialect.MAVLINK_MSG_ID_HIGHRES_IMU: 200.0,
     dialect.MAVLINK_MSG_ID_ODOMETRY: 50.0,
@@ -95,11 +95,11 @@ RATES_HZ = {
     dialect.MAVLINK_MSG_ID_BATTERY_STATUS: 5.0,
     dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
 }
-"""By kind of message, what the aircraft is asked for where that is wanted."""
+"""By kind of message, the requested rate, Hz, with `request_rates`."""
 
 
 def missing(sources: Mapping[str, str]) -> dict[str, str]:
-    """What is missing: by signal, which message to ask for, and what cannot be told."""
+    """What is missing: by signal, which message to request, and what is missing without it."""
     return {
         group: f"no {message}: {what}"
         for group, (message, what) in NEEDED_BY.items()
@@ -144,11 +144,11 @@ class LinkStatus:
 
 @dataclass(frozen=True, slots=True)
 class ModelStatus:
-    """The compensator beside the twin.
+    """The compensator.
 
     Attributes:
         horizon_s: How old the newest residual is that it sees; infinite: it sees none.
-        until_s: Up to where of the flight it has told.
+        until_s: Up to where of the flight it has been evaluated, s.
         anomaly: How strange the last seconds were, the most; above 1 rarely on flights like those
             of training.
         unusual: Share of the flight so far above 1.
@@ -172,16 +172,16 @@ class LiveStatus:
         link: Counts.
         clock: The aircraft's clock on ours; None: nothing came.
         sources: Which message each signal is taken from.
-        missing: What is not there, and what cannot be told without it.
+        missing: Signals that are absent, and what is missing without them.
         waits_for: Why the twin has not started; "": it has.
-        sections: How many flights there were: the clock began anew, or a stream came later.
+        sections: How many flights there were: the clock restarted, or a stream came later.
         flight_s: Time of the newest row of the flight table.
         rms: Of residuals, by channel, up to now.
         units: Of the channels.
         busy: Share of one core that this process takes.
         published_age_p99_s: Of what the twin publishes, 99 in 100: from when the message came that
             it was made of; NaN: nothing was published.
-        alarms: Each as it was told last, `alarms.alarm_json`.
+        alarms: The latest `alarm_json` of each.
         model: The compensator; None: there is none.
         errors: What failed while the flight was recorded, once each.
     """

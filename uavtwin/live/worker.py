@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 ERRORS = "errors.txt"
 """In the folder of a recording: tracebacks."""
 _MOST = 50
-"""Different errors of which the text is kept."""
+"""Number of different errors whose text is stored. Made up."""
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
@@ -141,7 +141,7 @@ class Batch:
 
 
 class _NewSection:
-    """The aircraft's clock began anew."""
+    """The aircraft's clock restarted."""
 
 
 class _End:
@@ -149,7 +149,7 @@ class _End:
 
 
 class Worker:
-    """Takes rows in, tells residuals and alarms. An error of a part ends that part of the section.
+    """Takes rows, reports residuals and alarms. An error of a part ends that part of the section.
 
     Attributes:
         sections: How many flights there were.
@@ -191,11 +191,11 @@ class Worker:
         self._queue.put(batch)
 
     def new_section(self) -> None:
-        """The aircraft's clock began anew."""
+        """The aircraft's clock restarted."""
         self._queue.put(_NewSection())
 
     def close(self) -> None:
-        """Tell what is left, and end."""
+        """Report what is left, and end."""
         self._queue.put(_End())
         self._thread.join()
 
@@ -276,7 +276,7 @@ class Worker:
             self._on_alarm(alarm)
 
     def _finish(self) -> None:
-        """Tell what the section leaves, and note what was settled in it."""
+        """Report what the section leaves, and note what was settled in it."""
         self._publish(self._parts.run(Part.TWIN, self._residuals.update, final=True))
 
     def _restart(self) -> None:

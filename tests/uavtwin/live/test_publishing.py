@@ -66,7 +66,9 @@ def test_an_alarm_says_what_has_changed_and_else_what_its_effect_is() -> None:
     )
     stuck = Alarm("stuck_sensor", (), 20.0, 22.0, 0.9, 0.01, {"vibration": 0.08}, closed_s=25.0)
     assert sentence(stuck).startswith("since 20.0 s: stuck sensor, ")
-    assert sentence(stuck).endswith("(90%); cannot be told from vibration (8%); over since 25.0 s")
+    assert sentence(stuck).endswith(
+        "(90%); indistinguishable from vibration (8%); over since 25.0 s"
+    )
 
 
 def test_it_follows_in_the_steps_of_the_fmus(copter: Vehicle) -> None:

@@ -138,7 +138,7 @@ class StandStill:
                 self._usual[column] = max(n, self._usual.get(column, 1))
 
     def follow(self, frame: Frame) -> frozenset[str]:
-        """Look at the next frame; signals of which a reading stands still meanwhile."""
+        """Take the next frame; returns signals of which a reading stands still."""
         suspect = set()
         for column, n in frame.repeats.items():
             signal = column.partition("_")[0]
@@ -190,7 +190,7 @@ class Shaking:
             self._usual = np.maximum(np.mean(loud, axis=0), _LEAST_POWER)
 
     def follow(self, frame: Frame) -> None:
-        """Look at the next frame."""
+        """Take the next frame."""
         if self._usual is None or not frame.loud.size:
             self._past.clear()
             return

@@ -199,7 +199,7 @@ class ChangeDetector:
             hypotheses: What may begin.
             standing: Deviation of each standing number, then of each constant, shape (k,).
             forget: What a frame counts one frame later, at most 1.
-            oldest: Frames back to which a beginning is looked for.
+            oldest: Frames back to which a change may have begun.
             least: Frames that a jump has to last to be one.
         """
         self._hypotheses, self._unit = list(hypotheses), np.array(standing)
@@ -212,7 +212,7 @@ class ChangeDetector:
 
     @property
     def candidate_starts(self) -> int:
-        """Beginnings that are being looked at."""
+        """Number of frames that are candidates for the beginning."""
         return len(self._past)
 
     def add(self, number: int, rows: Sequence[tuple[NDArray[np.intp], Array]]) -> None:
@@ -235,7 +235,7 @@ class ChangeDetector:
         self._past = [(n, g) for n, g in self._past if self._may_begin(n)]
 
     def _may_begin(self, number: int) -> bool:
-        """Whether a frame is still looked at as the beginning: the older, the fewer."""
+        """Whether a frame is still a candidate for the beginning: the older, the fewer."""
         age = self._now - number
         step = 1 << max(0, (age // RECENT).bit_length())
         return age <= self._oldest and number % step == 0 if age >= RECENT else True
@@ -280,7 +280,7 @@ class ChangeDetector:
         """Let what began with a frame belong to the standing model from now on.
 
         Numbers and constants are as they are given all frames so far and the jump; the sums begin
-        anew from there.
+        again from there.
 
         Args:
             change: Of this moment.

@@ -21,7 +21,7 @@ from .hypotheses import MONITORED_EFFECTS, RUNNING, RunningSettings, library_of
 
 Array = NDArray[np.float64]
 LEAST_SHARE = 0.05
-"""Probability from which on another effect is worth a mention."""
+"""Least probability with which another effect is listed. Made up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ class RunningEvidence:
         self._nothing = 1.0
 
     def update(self, rows: Rows) -> Verdict:
-        """Follow a flight that nobody else puts on a grid.
+        """Follow a flight on a grid of its own.
 
         Args:
             rows: Of a flight table by column, later than those before; a second of them, or any

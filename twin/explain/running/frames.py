@@ -276,7 +276,7 @@ class FrameFilter:
         first, end = -(-rows.first // FRAME_ROWS), rows.end // FRAME_ROWS
         if self._next is not None and first <= self._next:
             first = self._next
-        else:  # the first frame, or the one after frames that nobody asked for
+        else:  # the first frame, or the one after frames that were not taken
             self._passed, self._last = {}, {}
         if end <= first:
             return []
@@ -362,7 +362,7 @@ class FrameFilter:
         return Frame(number, flying, rows, loud, longest_repeats(block.samples), counted)
 
     def _is_flying(self, block: GridBlock, predicted: Array) -> bool:
-        """Whether the rotors carry, above the resting place, and nobody says otherwise."""
+        """Whether the rotors carry, above the resting place, and the log does not say otherwise."""
         force = np.linalg.norm(predicted[:, :3], axis=1)
         carried = force > 0.5 * self._vehicle.gravity_m_s2
         height = -block.states[:, self._height]

@@ -84,7 +84,7 @@ class RunningSettings(Group):
         "made up",
     )
     repeats: int = setting(
-        6, "samples", "all the same, from which on a reading is kept out of the evidence", "made up"
+        6, "samples", "all the same, from which on a reading does not enter the evidence", "made up"
     )
     repeat_nats: float = setting(
         0.3, "nats", "for a reading that stands still, of one more sample just as before", "made up"
@@ -111,7 +111,7 @@ RUNNING = RunningSettings()
 
 Array = NDArray[np.float64]
 MONITORED_EFFECTS = tuple(BEGINNINGS)
-"""What a pilot fears, and is told while it flies."""
+"""Effects of which a pilot is warned in flight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +149,7 @@ class Library:
         columns: Positions, among the numbers, of those that may be off.
         standing: Deviation by which the standing model may be off in each of the columns.
         hypotheses: What may begin; columns count within `columns`.
-        silent: Effects that change no mean, which are told by rules of their own.
+        silent: Effects that change no mean, which have rules of their own.
     """
 
     effects: tuple[str, ...]

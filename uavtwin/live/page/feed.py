@@ -44,15 +44,15 @@ QUEUE = 64
 MOST_VIEWERS = 32
 SILENT_S = 60.0
 """The page asks for the time every 2 s, in the background once a minute: where there are too many
-viewers, one that has asked for nothing for longer gives its place to a new one."""
+viewers, one that has requested nothing for longer gives its place to a new one."""
 
 
 class Viewer:
-    """One who looks on.
+    """One viewer.
 
     Attributes:
         dropped: Messages that it lost, because it did not keep up.
-        heard_s: When it asked for anything last, on the clock of the hub.
+        heard_s: Time of its last request, on the clock of the hub.
         ended: Whether it has to go.
     """
 
@@ -102,7 +102,7 @@ class Hub:
 
     @property
     def viewers(self) -> int:
-        """How many look on."""
+        """Number of viewers."""
         return len(self._viewers)
 
     def send(self, kind: str, content: Mapping[str, Any], key: str = "", keep: bool = True) -> None:
@@ -111,8 +111,8 @@ class Hub:
         Args:
             kind: What it is.
             content: What it says; what is no finite number becomes null.
-            key: Of those of one key only the newest is kept for later viewers.
-            keep: Whether it is kept for them.
+            key: Of those of one key only the newest is stored for later viewers.
+            keep: Whether it is stored for them.
         """
         message = msgspec.json.encode({"kind": kind, **content})
         with self._lock:
@@ -149,7 +149,7 @@ class Hub:
             return viewer
 
     def leave(self, viewer: Viewer) -> None:
-        """It looks on no more."""
+        """The viewer has left."""
         with self._lock, contextlib.suppress(ValueError):
             self._viewers.remove(viewer)
 
@@ -191,14 +191,14 @@ class ExpectedBands:
 EVERY_S = 0.05
 """Between two states of aircraft and twin."""
 _STORED_EVERY = 4
-"""Of so many states one is kept for viewers that come later."""
+"""Of so many states one is stored for viewers that come later."""
 _LONGEST_TEXT = 200
 _VECTORS: Mapping[str, Sequence[str]] = {"acc": ACC, "gyro": GYRO, "vel": VEL, "pos": POS}
 _SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 
 
 class PageFeed:
-    """Turns what is known into messages; a method each for the thread that knows it.
+    """Turns what is known into messages; a method for each thread.
 
     Messages: `about`, `now` (columns of the flight table, those of the twin behind `twin.`, their
     differences behind `gap.`), `residuals`, `alarm`, `said`, `health`. Each `at` is a time in ms
@@ -211,7 +211,7 @@ class PageFeed:
         Args:
             hub: Where messages go to.
             vehicle: Name of the twin.
-            following: How the twin is kept with the aircraft.
+            following: How the state of the twin is corrected.
         """
         self._hub = hub
         self._measured: dict[str, tuple[float, ...]] = {}
@@ -226,11 +226,11 @@ class PageFeed:
         self._measured[sample.group] = sample.values
 
     def is_due(self, at_s: float) -> bool:
-        """Whether the state is to be told now, on the monotonic clock."""
+        """Whether the state is to be sent now, on the monotonic clock."""
         return at_s >= self._next_s
 
     def state(self, t_s: float, reading: Reading | None, at_s: float) -> None:
-        """Tell the state of aircraft and twin.
+        """Send the state of aircraft and twin.
 
         Args:
             t_s: Of the flight.
@@ -238,18 +238,18 @@ class PageFeed:
             at_s: When the newest sample came, on the monotonic clock.
         """
         self._next_s, self._count = at_s + EVERY_S, self._count + 1
-        told: dict[str, Any] = {"t": round(t_s, 4), "at": _ms(at_s)}
+        columns: dict[str, Any] = {"t": round(t_s, 4), "at": _ms(at_s)}
         measured = self._named()
-        told |= {n: _short(v) for n, v in measured.items()}
+        columns |= {n: _short(v) for n, v in measured.items()}
         if reading is not None:
             twin = _twin_named(reading)
-            told |= {f"twin.{n}": _short(v) for n, v in twin.items()}
-            told |= {
+            columns |= {f"twin.{n}": _short(v) for n, v in twin.items()}
+            columns |= {
                 f"gap.{n}": _short(_difference(n, measured[n], v))
                 for n, v in twin.items()
                 if n in measured
             }
-        self._hub.send("now", told, keep=self._count % _STORED_EVERY == 1)
+        self._hub.send("now", columns, keep=self._count % _STORED_EVERY == 1)
 
     def said(self, severity: int, text: str) -> None:
         """What the aircraft says of itself (STATUSTEXT)."""
@@ -258,9 +258,9 @@ class PageFeed:
         text = text.encode("utf-8", "replace").decode()
         self._hub.send("said", {"at": _ms(), "severity": name, "text": text[:_LONGEST_TEXT]})
 
-    def known(self, told: LiveStatus) -> None:
+    def known(self, status: LiveStatus) -> None:
         """Health of the streams and of this program."""
-        content = {**told.json(), "at": _ms(), "viewers": self._hub.viewers}
+        content = {**status.json(), "at": _ms(), "viewers": self._hub.viewers}
         self._hub.send("health", content, key="health")
 
     # -- of the thread of the twin ------------------------------------------------------------
@@ -272,7 +272,7 @@ class PageFeed:
             self._bands = ExpectedBands()
         self._until_s = block.end_s
         self._bands.add(channels)
-        told = [
+        described = [
             {
                 "name": c.name,
                 "unit": c.unit,
@@ -283,7 +283,7 @@ class PageFeed:
             }
             for c in channels
         ]
-        content = {"at": _ms(), "until": block.end_s, "channels": told}
+        content = {"at": _ms(), "until": block.end_s, "channels": described}
         self._hub.send("residuals", content)
 
     def alarm(self, alarm: Alarm, section: int) -> None:
@@ -316,8 +316,8 @@ QUATERNION = tuple(f"q_{a}" for a in ("w", *AXES))
 
 def _attitude(q_nb: Sequence[float]) -> dict[str, float]:
     angles = np.degrees(to_euler(np.array(q_nb, dtype=np.float64)))
-    told = dict(zip(ANGLES, angles.tolist(), strict=True))
-    return told | dict(zip(QUATERNION, q_nb, strict=True))
+    named = dict(zip(ANGLES, angles.tolist(), strict=True))
+    return named | dict(zip(QUATERNION, q_nb, strict=True))
 
 
 def _twin_named(reading: Reading) -> dict[str, float]:
@@ -389,7 +389,7 @@ def open_page(serve: str, token: str | None, vehicle: Vehicle, following: Follow
         serve: HOST:PORT.
         token: What viewers must know; None: nothing.
         vehicle: The twin.
-        following: How the twin is kept with the aircraft.
+        following: How the state of the twin is corrected.
 
     Raises:
         TwinError: The address is none, is taken, or needs a token; or packages are missing.

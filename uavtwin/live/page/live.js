@@ -36,7 +36,7 @@
 
   function takeNow(m) {
     var t = column("now.t");
-    if (t.length && m.t < t[t.length - 1] - 1) { // the clock began anew
+    if (t.length && m.t < t[t.length - 1] - 1) { // the clock restarted
       Object.keys(columns).forEach(function (k) { delete columns[k]; });
       bands = {}; t = column("now.t");
     }
@@ -104,7 +104,7 @@
     var all = Array.from(alarms.values()).sort(function (a, b) { return isOver(a) - isOver(b) || b.raised_s - a.raised_s; });
     var open = all.filter(function (a) { return !isOver(a); });
     id("alarms").replaceChildren.apply(id("alarms"), all.length ? all.slice(0, 30).map(function (a) {
-      var words = a.text + "; told at " + a.raised_s.toFixed(1) + " s.";
+      var words = a.text + "; raised at " + a.raised_s.toFixed(1) + " s.";
       var e = element("p", words, isOver(a) ? "alarm over" : "alarm");
       e.dataset.effect = a.effect;
       return e;
@@ -132,7 +132,7 @@
       ["clock", clock ? "ours less the aircraft's " + number(clock.offset_s, 4) + " s, drift " + number(clock.drift_ppm, 1) + " ppm, by " + clock.source : "unknown"],
       ["signals", Object.entries(m.sources).map(function (s) { return s[0] + " of " + s[1]; }).join(", ") || "none"],
       ["flights", m.sections + " since the start; the twin " + (m.waits_for ? "waits for " + m.waits_for : "flies")],
-      ["this program", number(100 * m.busy, 0) + " % of a core; " + m.viewers + " look on; this viewer lost " + lost + " messages"]
+      ["this program", number(100 * m.busy, 0) + " % of a core; " + m.viewers + " viewers; this viewer lost " + lost + " messages"]
     ];
     if (m.model) rows.splice(7, 0, ["compensator", "anomaly " + number(m.model.anomaly, 2) + " (above 1 is unusual), " + number(100 * m.model.unusual, 1) + " % of the flight above; " +
       number(100 * m.model.inside, 0) + " % where training has been; sees residuals of " + number(m.model.horizon_s, 2) + " s ago"]);

@@ -256,7 +256,7 @@ class PageServer:
         return f"http://{host}:{self.where.port}/"
 
     def close(self) -> None:
-        """End; viewers are told."""
+        """End; viewers are notified."""
         self._server.should_exit = True
         self._thread.join(_GRACE_S + 3)
         self._socket.close()

@@ -56,7 +56,7 @@ def messages(viewer: ClientConnection, count: int) -> list[dict[str, Any]]:
 def test_the_page_is_one_document_that_may_load_nothing() -> None:
     with served() as (_, server):
         status, text, headers = get(server)
-        assert status == 200 and "Twin beside the flight" in text
+        assert status == 200 and "Flight and twin" in text
         policy = headers["content-security-policy"]
         assert "default-src 'none'" in policy and "frame-ancestors 'none'" in policy
         scripts = policy.partition("script-src ")[2].partition(";")[0].split()

@@ -171,12 +171,12 @@ def test_alarms_are_told_in_words_and_end(opened: Browser) -> None:
         opened.visit(server.url, WIDE)
         feed.alarm(WEAK, 1)
         until(opened, "document.querySelector('#alarms .alarm') !== null")
-        assert text(opened, "#alarms") == f"{sentence(WEAK)}; told at 14.5 s."
+        assert text(opened, "#alarms") == f"{sentence(WEAK)}; raised at 14.5 s."
         feed.alarm(replace(WEAK, closed_s=20.0), 1)
         until(opened, "document.querySelector('#alarms .over') !== null")
         over = sentence(replace(WEAK, closed_s=20.0))
         assert "over since 20.0 s" in over
-        assert text(opened, "#alarms") == f"{over}; told at 14.5 s."
+        assert text(opened, "#alarms") == f"{over}; raised at 14.5 s."
         opened.visit(server.url, WIDE)  # one who comes later
         until(opened, "document.querySelector('#alarms .over') !== null")
         assert opened.complaints == []
