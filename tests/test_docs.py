@@ -1,25 +1,25 @@
 """Documentation says what the code says; every example and every TOML of it works."""
 
 import importlib.util
+import inspect
 import json
 import os
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
 import pytest
 from cli_rig import run
 
 import uavtwin as ut
-from twin.draft import hover_of
-from twin.residuals.gap import Channel, FlightGap
 from twin.vehicle.file import parse_vehicle
+from uavtwin.cli.main import VERBS
+from uavtwin.cli.options import Prints
+from uavtwin.cli.vehicle import vehicle as vehicle_app
 from uavtwin.demo.flights import fly, hide
-from uavtwin.file_check import CheckReport, hover_json
-from uavtwin.gaps import gap_record
+from uavtwin.record import Record, keys, schema
 
 ROOT = Path(__file__).parents[1]
 
@@ -100,53 +100,60 @@ def test_deviations_and_effects_of_the_documentation_load() -> None:
     }
 
 
-def _json_keys(section: str) -> set[str]:
-    """Names in code in a section of the page of JSON keys."""
-    page = (ROOT / "docs" / "reference" / "json.md").read_text("utf-8")
-    return set(re.findall(r"`([^`]+)`", page.split(f"## {section}\n")[1].split("\n## ")[0]))
+def _json_verbs() -> dict[str, Prints | None]:
+    """What `--json` of each verb that has it prints."""
+    found: dict[str, Prints | None] = {}
+    for verb in (*VERBS, *(c.callback for c in vehicle_app.registered_commands)):
+        assert verb is not None
+        parameter = inspect.signature(verb).parameters.get("as_json")
+        if parameter is not None:
+            about = getattr(parameter.annotation, "__metadata__", ())
+            found[verb.__name__] = next((a for a in about if isinstance(a, Prints)), None)
+    return found
 
 
-def test_every_key_of_the_gap_is_documented() -> None:
-    """Of a gap with a channel, a phase, a band and a place."""
-    t = np.arange(0.0, 20.0, 0.01)
-    measured, phase = np.sin(t), np.full(len(t), "hover")
-    channel = Channel("acc_x", "m/s^2", 0.0, t, measured, np.zeros_like(t), phase)
-    spans = (("hover", 0.0, 20.0),)
-    content = gap_record([FlightGap("flight", "vehicle", (channel,), spans, (), {})]).json()
-    documented = _json_keys("gap.json")
-    found = content["channels"]["acc_x"]
-    for keys in (
-        content,
-        content["flights"][0],
-        content["flights"][0]["phases"][0],
-        found,
-        found["by_phase"]["hover"],
-        found["bands"][0],
-        content["worst"][0],
-    ):
-        assert set(keys) <= documented, set(keys) - documented
+def test_every_verb_with_json_says_what_it_prints() -> None:
+    """Behind `Json` in the type of its option; the reference is made of it."""
+    verbs = _json_verbs()
+    assert len(verbs) > 15
+    assert [verb for verb, prints in verbs.items() if prints is None] == []
 
 
-def test_every_key_of_check_and_draft_is_documented() -> None:
-    """Of a made hover of ten seconds."""
-    t = np.arange(0.0, 10.0, 0.01)
-    table = pd.DataFrame({"time": t, "phase": "hover", "vbat_v": 11.0})
-    table[[f"cmd_{i}" for i in range(1, 5)]] = 0.4
-    flight = ut.Flight("made", table)
-    drafted = ut.draft_vehicle(flight, 1.0, arm_m=0.2, frame="x").json()
-    documented = _json_keys("vehicle draft --json") | _json_keys("check --json")
-    told = hover_of(flight)
-    assert told is not None
-    hover = hover_json(told, None)
-    for keys in (
-        drafted,
-        drafted["hover"],
-        drafted["hover"]["flights"][0],
-        drafted["numbers"][0],
-        CheckReport("made", {}, (), (), (), ()).json(),
-        hover,
-    ):
-        assert set(keys) <= documented, set(keys) - documented
+@pytest.mark.parametrize(
+    "name", sorted({r for p in _json_verbs().values() if p is not None for r in p.records})
+)
+def test_every_key_of_json_is_documented(name: str) -> None:
+    """Nested ones too: `keys` refuses a field that is not in the `Attributes:` of its class."""
+    module, _, record = name.partition(":")
+    content = getattr(import_module(module), record)
+    listed = [k.path for k in keys(content)]
+    assert len(listed) == len(set(listed)) > 0
+    described = schema(content)["$defs"]
+    assert all(p["description"] for d in described.values() for p in d["properties"].values())
+
+
+def test_a_key_that_is_not_documented_is_found() -> None:
+    class Inner(Record, frozen=True, kw_only=True):
+        """Part.
+
+        Attributes:
+            known: Fine.
+        """
+
+        known: float
+        new: float
+
+    class Outer(Record, frozen=True, kw_only=True):
+        """Whole.
+
+        Attributes:
+            parts: By name.
+        """
+
+        parts: dict[str, tuple[Inner, ...]]
+
+    with pytest.raises(TypeError, match=r"Inner\.new"):
+        list(keys(Outer))
 
 
 def test_every_public_name_is_in_the_reference() -> None:

@@ -24,9 +24,9 @@ from .display import DisplayMixin, TextTable
 from .explanation import SET_BY_PRIOR, check_payloads
 from .flights import checked_flights
 from .formatting import counted, joined, number, number_cells, readable, title
-from .gaps import hover_record
+from .gaps import HoverRecord, hover_record
 from .headline import calibrated_headline
-from .record import Headline
+from .record import Headline, Record
 from .wording import hover_sentence
 
 if TYPE_CHECKING:
@@ -65,6 +65,83 @@ _FLY: tuple[tuple[tuple[str, ...], str, str], ...] = (
     ),
 )
 """What to fly where numbers are not determined: numbers by how they begin, in words, and how."""
+
+
+class NumberRecord(Record, frozen=True, kw_only=True):
+    """A number of the aircraft.
+
+    Attributes:
+        name: "effect.number".
+        value: In its unit.
+        unit: SI.
+        ci95: 95 % interval; null: it has none.
+        no_effect: Value where the effect is absent.
+        before: Value in the draft.
+        prior_share: Posterior over prior deviation; 1: the flights say nothing.
+        determined: Whether the flights rather than the prior set it.
+    """
+
+    name: str
+    value: float
+    unit: str
+    ci95: tuple[float, float] | None
+    no_effect: float | None
+    before: float
+    prior_share: float | None
+    determined: bool
+
+
+class DifferenceRecord(Record, frozen=True, kw_only=True):
+    """A number that stands out of the day of a flight.
+
+    Attributes:
+        difference: From what all flights share.
+        sd: Its standard deviation.
+    """
+
+    difference: float
+    sd: float
+
+
+class DaysRecord(Record, frozen=True, kw_only=True):
+    """How much days differ.
+
+    Attributes:
+        determined: Whether there were flights enough to estimate it.
+        sd: Standard deviation between flights, by number.
+        per_flight: What stands out: flight, then number.
+    """
+
+    determined: bool
+    sd: dict[str, float]
+    per_flight: dict[str, dict[str, DifferenceRecord]]
+
+
+class CalibrateRecord(Record, frozen=True, kw_only=True):
+    """What normal flights say of the numbers of an aircraft.
+
+    Attributes:
+        headline: The sentence on top.
+        vehicle: Name of the draft.
+        flights: Names of those that were fitted.
+        warnings: What a reader must know, flights that were left out among it.
+        hover: Of each flight that hovers, with the draft.
+        numbers: In the order of what matters.
+        undetermined: Numbers that these flights do not determine.
+        days: How much days differ.
+        fly_next: Flights that would determine them.
+    """
+
+    headline: Headline
+    vehicle: str
+    flights: tuple[str, ...]
+    warnings: tuple[str, ...]
+    hover: tuple[HoverRecord, ...]
+    numbers: tuple[NumberRecord, ...]
+    undetermined: tuple[str, ...]
+    days: DaysRecord
+    fly_next: tuple[str, ...]
+
 
 Progress = Callable[[float], None]
 
@@ -145,17 +222,16 @@ class CalibrateResult(DisplayMixin):
 
     def numbers_table(self) -> TextTable:
         """The numbers of this aircraft, in words; what flights do not determine says so."""
-        rows = []
-        for n in self._numbers():
-            estimate = self._estimates[n.full]
-            rows.append(
-                (
-                    n.full,
-                    *number_cells(estimate.value, n.about.unit, estimate.ci95),
-                    SET_BY_PRIOR if n.full in self.undetermined else "",
-                    n.about.description,
-                )
+        meaning = {n.full: n.about.description for n in self._numbers()}
+        rows = (
+            (
+                n.name,
+                *number_cells(n.value, n.unit, n.ci95),
+                "" if n.determined else SET_BY_PRIOR,
+                meaning[n.name],
             )
+            for n in self.record.numbers
+        )
         return TextTable(("number", "value", "unit", "95 % interval", "", "meaning"), tuple(rows))
 
     def days_table(self) -> TextTable:
@@ -187,41 +263,46 @@ class CalibrateResult(DisplayMixin):
         effects = dict.fromkeys(name.partition(".")[0] for name in self.undetermined)
         return joined([e.replace("_", " ") for e in effects])
 
-    def json(self) -> dict[str, Any]:
-        """The same for programs."""
+    @cached_property
+    def record(self) -> CalibrateRecord:
+        """Every number that is printed."""
         known = self.details.vehicle.calibration
         assert known is not None
-        return {
-            "headline": self.headline.json(),
-            "vehicle": self.draft.name,
-            "flights": list(self.flights),
-            "warnings": list(self.warnings),
-            "hover": [hover_record(h).json() for h in self.hovers],
-            "numbers": [
-                {
-                    "name": n.full,
-                    "value": t.value,
-                    "unit": n.about.unit,
-                    "ci95": None if t.ci95 is None else list(t.ci95),
-                    "no_effect": t.no_effect,
-                    "before": n.now,
-                    "prior_share": t.prior_share,
-                    "determined": n.full not in self.undetermined,
-                }
-                for n in self._numbers()
-                for t in [self._estimates[n.full]]
-            ],
-            "undetermined": list(self.undetermined),
-            "days": {
-                "determined": len(self.flights) >= DAYS,
-                "sd": dict(known.days),
-                "per_flight": {
-                    flight: {n: {"difference": v, "sd": sd} for n, (v, sd) in own.items()}
+        return CalibrateRecord(
+            headline=self.headline,
+            vehicle=self.draft.name,
+            flights=self.flights,
+            warnings=self.warnings,
+            hover=tuple(map(hover_record, self.hovers)),
+            numbers=tuple(map(self._number, self._numbers())),
+            undetermined=self.undetermined,
+            days=DaysRecord(
+                determined=len(self.flights) >= DAYS,
+                sd=dict(known.days),
+                per_flight={
+                    flight: {n: DifferenceRecord(difference=v, sd=sd) for n, (v, sd) in own.items()}
                     for flight, own in self.details.days.items()
                 },
-            },
-            "fly_next": list(self.fly_next()),
-        }
+            ),
+            fly_next=self.fly_next(),
+        )
+
+    def _number(self, n: Number) -> NumberRecord:
+        estimate = self._estimates[n.full]
+        return NumberRecord(
+            name=n.full,
+            value=estimate.value,
+            unit=n.about.unit,
+            ci95=estimate.ci95,
+            no_effect=estimate.no_effect,
+            before=n.now,
+            prior_share=estimate.prior_share,
+            determined=n.full not in self.undetermined,
+        )
+
+    def json(self) -> dict[str, Any]:
+        """The content of `--json`."""
+        return self.record.json()
 
     def sections(self) -> Iterable[str | TextTable]:
         """All that `findings` says, and the warnings."""

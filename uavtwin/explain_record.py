@@ -26,7 +26,7 @@ from twin.flight.closed_loop import Mission
 
 from .gaps import HoverRecord, hover_record
 from .headline import headline
-from .record import Headline, Record
+from .record import Headline, Record, Section
 
 
 class ParameterRecord(Record, frozen=True, kw_only=True):
@@ -329,7 +329,7 @@ class SettingsRecord(Record, frozen=True, kw_only=True):
     changed: dict[str, Any]
 
 
-class ExplainRecord(Record, frozen=True, kw_only=True):
+class ExplainRecord(Section, frozen=True, kw_only=True):
     """What flights say about a model.
 
     Attributes:
@@ -362,6 +362,7 @@ class ExplainRecord(Record, frozen=True, kw_only=True):
         settings: What decided.
     """
 
+    section = "explain.json"
     digits: ClassVar[int | None] = 6
     verdict: str
     headline: Headline

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import UNSET, UnsetType
 
 from fmus.inspect import inspect_fmu
 from twin.draft import Hover, drives, hover_of
@@ -28,9 +29,65 @@ from twin.vehicle.vehicle import DEFAULT
 
 from .display import DisplayMixin, TextTable
 from .formatting import counted
-from .gaps import hover_record
+from .gaps import HoverRecord, hover_record
+from .record import Record
 from .vehicle_draft import hover_drive
 from .wording import hover_sentence
+
+
+class FlightHover(Record, frozen=True, kw_only=True):
+    """The hover of a flight.
+
+    Attributes:
+        drive: `command`, or `rotor_speed` in rad/s.
+        level: Median of the mean of the motors.
+        each: Median of each motor.
+        split: Of each motor, over the mean of all, less one.
+        seconds: How long it is.
+        hovers: False: the flight hovers nowhere, this is all of it.
+        voltage_v: Median battery voltage; null: not logged.
+        twin: With `--vehicle`; null without.
+    """
+
+    drive: str
+    level: float
+    each: tuple[float, ...]
+    split: tuple[float, ...]
+    seconds: float
+    hovers: bool
+    voltage_v: float | None
+    twin: HoverRecord | None
+
+
+class CheckRecord(Record, frozen=True, kw_only=True):
+    """What `check` says of one file.
+
+    Attributes:
+        file: Its name.
+        facts: What it holds, by name; of a flight the kind of aircraft, hover, split of the motors
+            and voltage first, with `--vehicle` the hover of both.
+        problems: What is wrong: exit code 1.
+        warnings: What is likely wrong, or missing: exit code 1.
+        questions: What is odd about a vehicle and may yet be right.
+        notes: What was done or assumed.
+        good_for: What it can be used for.
+        observable: Effects that `explain` can look for in a flight, by component.
+        not_observable: Effects that it cannot, and what is missing.
+        hover: Of a flight; null: it has none.
+        error: Why it cannot be read, instead of all else but `file`.
+    """
+
+    file: str
+    facts: dict[str, str] | UnsetType = UNSET
+    problems: tuple[str, ...] | UnsetType = UNSET
+    warnings: tuple[str, ...] | UnsetType = UNSET
+    questions: tuple[Question, ...] | UnsetType = UNSET
+    notes: tuple[str, ...] | UnsetType = UNSET
+    good_for: tuple[str, ...] | UnsetType = UNSET
+    observable: tuple[str, ...] | UnsetType = UNSET
+    not_observable: tuple[str, ...] | UnsetType = UNSET
+    hover: FlightHover | UnsetType | None = UNSET
+    error: str | UnsetType = UNSET
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -59,22 +116,17 @@ class CheckReport(DisplayMixin):
     questions: tuple[Question, ...] = ()
     observable: tuple[str, ...] = ()
     not_observable: tuple[str, ...] = ()
-    hover: dict[str, Any] | None = None
+    hover: FlightHover | None = None
+
+    @property
+    def record(self) -> CheckRecord:
+        """The content of `--json`."""
+        names = (n for n in CheckRecord.__struct_fields__ if n != "error")
+        return CheckRecord(**{name: getattr(self, name) for name in names})
 
     def json(self) -> dict[str, Any]:
-        """The report as plain data."""
-        return {
-            "file": self.file,
-            "facts": self.facts,
-            "problems": list(self.problems),
-            "warnings": list(self.warnings),
-            "questions": [q.json() for q in self.questions],
-            "notes": list(self.notes),
-            "good_for": list(self.good_for),
-            "observable": list(self.observable),
-            "not_observable": list(self.not_observable),
-            "hover": self.hover,
-        }
+        """The same as plain data."""
+        return self.record.json()
 
     def lines(self) -> list[tuple[str, str]]:
         """What a person reads, line by line: kind and text."""
@@ -248,7 +300,7 @@ def check_flight(flight: AnyFlight, file: str, vehicle: Vehicle | None = None) -
         not_observable=tuple(
             f"{', '.join(names)}: {why}" for why, names in observable.unknown.items()
         ),
-        hover=None if hover is None else hover_json(hover, diagnosis),
+        hover=None if hover is None else _hover_record(hover, diagnosis),
     )
 
 
@@ -307,19 +359,19 @@ def aircraft_facts(flight: AnyFlight, hover: Hover | None) -> dict[str, str]:
     return facts
 
 
-def hover_json(hover: Hover, diagnosis: HoverDiagnosis | None) -> dict[str, Any]:
+def _hover_record(hover: Hover, diagnosis: HoverDiagnosis | None) -> FlightHover:
     """A hover as numbers, and the diagnosis of a twin in it."""
     volts = hover.voltage_v
-    return {
-        "drive": "command" if hover.cmd is not None else "rotor_speed",
-        "level": hover.level,
-        "each": list(hover.each),
-        "split": list(hover.split),
-        "seconds": hover.seconds,
-        "hovers": hover.hovers,
-        "voltage_v": None if volts is None else float(np.median(volts)),
-        "twin": None if diagnosis is None else hover_record(diagnosis).json(),
-    }
+    return FlightHover(
+        drive="command" if hover.cmd is not None else "rotor_speed",
+        level=hover.level,
+        each=tuple(hover.each),
+        split=tuple(hover.split),
+        seconds=hover.seconds,
+        hovers=hover.hovers,
+        voltage_v=None if volts is None else float(np.median(volts)),
+        twin=None if diagnosis is None else hover_record(diagnosis),
+    )
 
 
 def compare_hover(

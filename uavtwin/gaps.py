@@ -240,7 +240,7 @@ class GapPlace(Record, frozen=True, kw_only=True):
     rms_ci95: tuple[float, float]
 
 
-class GapRecord(Record, frozen=True, kw_only=True):
+class GapRecord(Section, frozen=True, kw_only=True):
     """The gap between flights and their twin.
 
     Attributes:
@@ -251,6 +251,7 @@ class GapRecord(Record, frozen=True, kw_only=True):
         warnings: What a reader must know.
     """
 
+    section = "gap.json"
     headline: Headline
     flights: tuple[GapFlight, ...]
     channels: dict[str, GapChannel]

@@ -17,6 +17,7 @@ from .flights import checked_flights
 from .formatting import counted
 from .model_card.license import UNSAID, check_license
 from .output import check_folder, results_folder
+from .record import Record
 from .vehicles import checked_vehicle
 
 if TYPE_CHECKING:
@@ -31,6 +32,22 @@ if TYPE_CHECKING:
 Progress = Callable[[float], None]
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
+
+
+class TrainRecord(Record, frozen=True, kw_only=True):
+    """What training made.
+
+    Attributes:
+        claim: What the model is good for, a sentence.
+        files: Names of what was written, the page first.
+        seed: Of everything that was drawn.
+        options: As they were decided, by name.
+    """
+
+    claim: str
+    files: tuple[str, ...]
+    seed: int
+    options: dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -51,14 +68,12 @@ class TrainResult(DisplayMixin):
     seed: int = 0
     options: Mapping[str, Any] = field(default_factory=dict)
 
-    def json(self) -> dict[str, Any]:
-        """What was made, as strict JSON content."""
-        return {
-            "claim": self.claim,
-            "files": list(self.files),
-            "seed": self.seed,
-            "options": dict(self.options),
-        }
+    @property
+    def record(self) -> TrainRecord:
+        """The content of `--json`."""
+        return TrainRecord(
+            claim=self.claim, files=self.files, seed=self.seed, options=dict(self.options)
+        )
 
     def model(self) -> "TrainedModel | ForceModel":
         """The model itself."""

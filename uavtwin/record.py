@@ -42,6 +42,13 @@ def plain(value: Any, digits: int | None = None) -> Any:
     return _strict(msgspec.to_builtins(value, str_keys=True, enc_hook=_of_numpy), digits)
 
 
+def content_of(value: Any) -> Any:
+    """A record, a dataclass or several as strict JSON content."""
+    if isinstance(value, list | tuple):
+        return [content_of(v) for v in value]
+    return value.json() if isinstance(value, Record) else plain(value)
+
+
 def _of_numpy(value: Any) -> Any:
     """A scalar or an array of numpy as values of Python; others as text."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
@@ -114,11 +121,13 @@ def _keys(kind: inspect.Type, path: str) -> Iterator[Key]:
         case inspect.StructType() | inspect.DataclassType():
             about, before = documented(kind.cls), f"{path}." if path else ""
             for field in kind.fields:
-                if field.name not in about:
-                    raise TypeError(f"{kind.cls.__qualname__}.{field.name}: lacks in Attributes.")
-                yield Key(before + field.name, type_text(field.type), about[field.name])
+                name = field.encode_name
+                if name not in about:
+                    raise TypeError(f"{kind.cls.__qualname__}.{name}: is not in Attributes.")
+                missing = ", may be missing" if field.default is msgspec.UNSET else ""
+                yield Key(before + name, type_text(field.type) + missing, about[name])
                 if not _own_section(field.type):
-                    yield from _keys(field.type, before + field.name)
+                    yield from _keys(field.type, before + name)
         case inspect.UnionType():
             for one in kind.types:
                 yield from _keys(one, path)
@@ -126,6 +135,17 @@ def _keys(kind: inspect.Type, path: str) -> Iterator[Key]:
             yield from _keys(kind.item_type, f"{path}[]")
         case inspect.DictType():
             yield from _keys(kind.value_type, f"{path}.*")
+
+
+def sections(record: type) -> dict[str, type]:
+    """Classes that have a section of their own, by its heading, that a record holds."""
+    every = _classes(inspect.type_info(record))
+    return {c.section: c for c in every if c is not record and issubclass(c, Section)}
+
+
+def summary_of(record: type) -> str:
+    """First line of the documentation of a class."""
+    return cleandoc(record.__doc__ or "").partition("\n")[0]
 
 
 def _own_section(kind: inspect.Type) -> str:

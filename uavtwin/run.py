@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec import UNSET, UnsetType
 from numpy.typing import NDArray
 
 from cosim.interface import read_interface
@@ -18,9 +19,10 @@ from twin.component import unknown_name
 from twin.errors import TwinError
 from twin.vehicle import Vehicle
 
-from .display import DisplayMixin, TextTable
+from .display import PageMixin, TextTable
 from .formatting import counted
 from .output import output_file, sha256
+from .record import Record
 from .series.files import Column, Series, write_frame, write_series_mcap
 from .simulation import Scenario, run_scenario, scenario_system, summary
 from .vehicles import checked_vehicle
@@ -38,8 +40,29 @@ _FIGURES = {
 }
 
 
+class RunRecord(Record, frozen=True, kw_only=True):
+    """Figures of a flight; those of a system in which nothing flies are missing.
+
+    Attributes:
+        tracking_rms_m: Distance from the setpoint in the air, rms.
+        tracking_worst_m: The largest.
+        tilt_worst_rad: Largest angle from upright.
+        end_pos_m: Where it ended, NED.
+        incomplete: Why the run did not come to its end; missing where it did.
+        warnings: What was asked for although it changes nothing, as wind on an aircraft without
+            drag; missing where nothing was.
+    """
+
+    tracking_rms_m: float | UnsetType = UNSET
+    tracking_worst_m: float | UnsetType = UNSET
+    tilt_worst_rad: float | UnsetType = UNSET
+    end_pos_m: tuple[float, ...] | UnsetType = UNSET
+    incomplete: str | UnsetType = UNSET
+    warnings: tuple[str, ...] | UnsetType = UNSET
+
+
 @dataclass(frozen=True, slots=True, repr=False)
-class Run(DisplayMixin):
+class Run(PageMixin):
     """A simulation that was run.
 
     Attributes:
@@ -59,6 +82,8 @@ class Run(DisplayMixin):
     ended: RunError | Interrupted | None = None
     fmus: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+
+    page = "uavtwin.report.simulation"
 
     @property
     def claim(self) -> str:
@@ -86,24 +111,18 @@ class Run(DisplayMixin):
         """Every output, a column each, over the time in s."""
         return self.recording.frame().set_index("time")
 
+    @property
+    def record(self) -> RunRecord:
+        """Figures of the flight."""
+        return RunRecord(
+            **summary(self.recording),
+            incomplete=self.recording.incomplete or UNSET,
+            warnings=tuple(self.warnings) or UNSET,
+        )
+
     def json(self) -> dict[str, Any]:
-        """The content of `summary.json`: figures of a flight, empty where nothing flies.
-
-        `incomplete` is in it where the run did not come to its end, and says why; `warnings`
-        where something was asked for that changes nothing.
-        """
-        more = {"incomplete": self.recording.incomplete, "warnings": list(self.warnings)}
-        return summary(self.recording) | {k: v for k, v in more.items() if v}
-
-    def report(self, path: str | Path) -> Path:
-        """Write the page, one HTML file that opens offline; returns its path."""
-        from .report.simulation import write_simulation_report
-
-        with output_file(Path(path)) as file:
-            write_simulation_report(
-                self.recording, self.units, self.claim, self.facts, self.name, file
-            )
-        return Path(path)
+        """The content of `summary.json`."""
+        return self.record.json()
 
     def save(self, path: str | Path) -> Path:
         """Write the recording as `.parquet`, `.csv` or `.mcap`; returns its path.

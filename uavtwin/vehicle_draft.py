@@ -1,11 +1,15 @@
 """A vehicle file drafted from flights of an aircraft, as a result to print and to save."""
 
+import dataclasses
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
+
+from msgspec import UNSET, UnsetType, field, structs
 
 from twin import vehicle as numbers
 from twin.draft import Drafted, Known, draft, kind_of
@@ -16,12 +20,87 @@ from twin.vehicle.thrust_map import hover_level, polynomial
 
 from .display import DisplayMixin, TextTable
 from .flights import check_names, checked_flights
+from .record import Record
 from .vehicles import Vehicle
 
 INCH_M = 0.0254
 _FROM = {"given": "you", "log": "log", "usual": "usual"}
 _PROPELLER = re.compile(r"(\d+(?:\.\d+)?)[xX](\d+(?:\.\d+)?)(?:[xX]\d)?")
 _LARGEST_M = 20.0
+
+
+class DraftHover(Record, frozen=True, kw_only=True):
+    """The hover of a flight.
+
+    Attributes:
+        flight: Its name.
+        level: Median of the mean of the motors.
+        each: Median of each motor.
+        seconds: How long it is.
+        hovers: False: the flight hovers nowhere, this is all of it.
+        where: Which part of the flight it is, in words.
+    """
+
+    flight: str
+    level: float
+    each: tuple[float, ...]
+    seconds: float
+    hovers: bool
+    where: str
+
+
+class DraftLevel(Record, frozen=True, kw_only=True):
+    """How the draft and the flights hover.
+
+    Attributes:
+        drive: `command`, or `rotor_speed` in rad/s.
+        draft: Level at which the draft carries its weight.
+        flights: One of each.
+    """
+
+    drive: str
+    draft: float
+    flights: tuple[DraftHover, ...]
+
+
+class EntryRecord(Record, frozen=True, kw_only=True):
+    """An entry of the vehicle file.
+
+    Attributes:
+        key: In the file.
+        value: Number, text, or list of numbers.
+        unit: As in the file.
+        sd: In the unit, or "5 %"; null: none.
+        source: As in the file.
+        from: `given`, `log` or `usual`.
+    """
+
+    key: str
+    value: Any
+    unit: str
+    sd: Any
+    source: str
+    from_: str = field(name="from")
+
+
+class DraftRecord(Record, frozen=True, kw_only=True):
+    """A vehicle in draft.
+
+    Attributes:
+        vehicle: Its name.
+        hover: Of draft and flights.
+        numbers: Entries of the file.
+        warnings: What does not fit together.
+        file: That was written; missing where none was.
+        next: The command to run next.
+    """
+
+    vehicle: str
+    hover: DraftLevel
+    numbers: tuple[EntryRecord, ...]
+    warnings: tuple[str, ...]
+    file: str | UnsetType = UNSET
+    next: str | UnsetType = UNSET
 
 
 @dataclass(frozen=True, repr=False)
@@ -35,7 +114,7 @@ class DraftResult(DisplayMixin):
     """
 
     vehicle: Vehicle
-    details: Drafted = field(repr=False)
+    details: Drafted = dataclasses.field(repr=False)
     files: tuple[str, ...] = ()
 
     @property
@@ -72,28 +151,37 @@ class DraftResult(DisplayMixin):
         better = name.with_name(f"{name.stem}_calibrated.toml")
         return f"uavtwin calibrate {' '.join(self.files)} --vehicle {out} --out {better}"
 
-    def json(self) -> dict[str, Any]:
-        """The same for programs."""
-        return {
-            "vehicle": self.vehicle.name,
-            "hover": {
-                "drive": self.vehicle.drive,
-                "draft": self.hover_command,
-                "flights": [
-                    {
-                        "flight": h.flight,
-                        "level": h.level,
-                        "each": list(h.each),
-                        "seconds": h.seconds,
-                        "hovers": h.hovers,
-                        "where": h.where,
-                    }
+    @cached_property
+    def record(self) -> DraftRecord:
+        """Every number that is printed."""
+        return DraftRecord(
+            vehicle=self.vehicle.name,
+            hover=DraftLevel(
+                drive=self.vehicle.drive,
+                draft=self.hover_command,
+                flights=tuple(
+                    DraftHover(
+                        flight=h.flight,
+                        level=h.level,
+                        each=tuple(h.each),
+                        seconds=h.seconds,
+                        hovers=h.hovers,
+                        where=h.where,
+                    )
                     for h in self.details.hovers
-                ],
-            },
-            "numbers": list(_numbers(self.vehicle.text)),
-            "warnings": list(self.warnings),
-        }
+                ),
+            ),
+            numbers=tuple(_entries(self.vehicle.text)),
+            warnings=self.warnings,
+        )
+
+    def written(self, out: Path) -> DraftRecord:
+        """The same once it is saved, with the file and the command to run next."""
+        return structs.replace(self.record, file=str(out), next=self.next(str(out)))
+
+    def json(self) -> dict[str, Any]:
+        """The content of `--json`."""
+        return self.record.json()
 
     def sections(self) -> Iterable[str | TextTable]:
         """Sentence, numbers, warnings."""
@@ -192,8 +280,8 @@ def hover_drive(vehicle: numbers.Vehicle) -> float:
     return high
 
 
-def _numbers(text: str) -> Iterator[dict[str, Any]]:
-    """Every entry of a vehicle file: key, value, unit, sd, source and who says it."""
+def _entries(text: str) -> Iterator[EntryRecord]:
+    """Every entry of a vehicle file."""
     pending = list(tomllib.loads(text).items())
     while pending:
         key, entry = pending.pop(0)
@@ -202,11 +290,11 @@ def _numbers(text: str) -> Iterator[dict[str, Any]]:
         if "source" not in entry:
             pending = [(f"{key}.{k}", v) for k, v in entry.items()] + pending
             continue
-        yield {
-            "key": key,
-            "value": entry.get("value", entry.get("coefficients")),
-            "unit": entry.get("unit", "1"),
-            "sd": entry.get("sd"),
-            "source": entry["source"],
-            "from": kind_of(entry["source"]),
-        }
+        yield EntryRecord(
+            key=key,
+            value=entry.get("value", entry.get("coefficients")),
+            unit=entry.get("unit", "1"),
+            sd=entry.get("sd"),
+            source=entry["source"],
+            from_=kind_of(entry["source"]),
+        )

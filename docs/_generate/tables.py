@@ -6,10 +6,13 @@ Each document holds a pair of markers; what stands between them is replaced. `--
 nothing and exits 1 if a table is out of date.
 """
 
+import inspect
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 from typer.main import get_command
@@ -42,8 +45,11 @@ from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS
 from twin.vehicle.plausibility import BANDS
 from twin.vehicle.vehicle import WORDS
-from uavtwin.cli.main import app
+from uavtwin.cli.main import VERBS, app
+from uavtwin.cli.options import Prints
+from uavtwin.cli.vehicle import vehicle as vehicle_app
 from uavtwin.fleets.dataset import TABLES
+from uavtwin.record import keys, sections, summary_of
 from uavtwin.series.files import SIDES
 from uavtwin.series.mcap import FOXGLOVE, MEANINGS, TOPICS
 
@@ -379,6 +385,48 @@ def _option(parameter: TyperArgument | TyperOption) -> Sequence[str]:
     return names, default, parameter.help or "-"
 
 
+def json_keys() -> str:
+    """A section of keys for every verb with `--json`, and for what several of them hold."""
+    parts: list[str] = []
+    shared: dict[str, type] = {}
+    for name, verb in _callbacks():
+        parameter = inspect.signature(verb).parameters.get("as_json")
+        prints = [a for a in getattr(parameter and parameter.annotation, "__metadata__", ())]
+        for about in (a for a in prints if isinstance(a, Prints)):
+            classes = [_class(text) for text in about.records]
+            tables = [_keys_table(record) for record in classes]
+            heading = about.file or f"{name} --json"
+            parts.append(
+                "\n\n".join([f"## {heading}", *([about.about] * bool(about.about)), *tables])
+            )
+            shared |= {s: c for record in classes for s, c in sections(record).items()}
+    own = [
+        f"### {heading[0].upper()}{heading[1:]}\n\n{summary_of(c)}\n\n{_keys_table(c)}"
+        for heading, c in sorted(shared.items())
+        if f"## {heading}\n" not in "\n".join(parts)
+    ]
+    return "\n\n".join([*parts, "## Held by several", *own])
+
+
+def _callbacks() -> Iterator[tuple[str, Callable[..., Any]]]:
+    """Verbs and their functions."""
+    yield from ((verb.__name__, verb) for verb in VERBS)
+    for command in vehicle_app.registered_commands:
+        assert command.callback is not None
+        yield f"vehicle {command.callback.__name__.rstrip('_')}", command.callback
+
+
+def _class(text: str) -> type:
+    module, _, name = text.partition(":")
+    found: type = getattr(import_module(module), name)
+    return found
+
+
+def _keys_table(record: type) -> str:
+    lines = [(f"`{k.path}`", k.type, k.meaning) for k in keys(record)]
+    return "\n".join(rows(("key", "is", "holds"), lines))
+
+
 DOCUMENTS = {
     "guide/flight_table.md": flight_table,
     "reference/vehicle_fields.md": vehicle,
@@ -387,6 +435,7 @@ DOCUMENTS = {
     "reference/priors.md": priors,
     "reference/settings.md": settings,
     "reference/cli.md": command_line,
+    "reference/json.md": json_keys,
     "guide/log_formats.md": log_formats,
     "guide/series.md": series,
     "guide/compensator.md": compensator,

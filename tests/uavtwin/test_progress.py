@@ -36,9 +36,9 @@ def test_the_bar_is_on_stderr_and_stdout_holds_the_json_alone(
     seen = terminal(monkeypatch)
     with printing.progress("explaining") as step:
         step(0.5)
-    printing.print_json({"verdict": "named"})
+    printing.print_rows([{"verdict": "named"}])
     assert "explaining" in seen.getvalue()
-    assert json.loads(capsys.readouterr().out) == {"verdict": "named"}
+    assert json.loads(capsys.readouterr().out) == [{"verdict": "named"}]
 
 
 def test_explain_shows_it_with_json_too(

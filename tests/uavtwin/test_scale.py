@@ -12,6 +12,7 @@ import pytest
 from twin.errors import TwinError
 from uavtwin.bench import scale
 from uavtwin.bench.scale import Took, run_scale, slope, took, write_long
+from uavtwin.record import plain
 
 
 def flown(rows: int) -> pd.DataFrame:
@@ -64,7 +65,7 @@ def test_children_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
     assert all(30.0 < t.peak_mb < 1500.0 and t.processor_s > 0.05 for t in found.runs)
     assert [s.verb for s in found.slopes] == ["read", "check"]
-    json.dumps(found.as_json(), allow_nan=False)
+    json.dumps(plain(found), allow_nan=False)
 
 
 @pytest.mark.slow

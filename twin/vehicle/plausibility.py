@@ -6,7 +6,7 @@ A vehicle that is impossible is refused, or in doubt (`Vehicle.doubts`), where i
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,10 +36,6 @@ class Question:
     def __str__(self) -> str:
         """In one line."""
         return f"{self.key} = {self.value}: {self.why} {self.way_out}"
-
-    def json(self) -> dict[str, str]:
-        """As plain data."""
-        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True)

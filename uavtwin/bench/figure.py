@@ -1,18 +1,20 @@
 """One figure of `uavtwin bench`."""
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One measured figure; no value where it was skipped, `what` then says why."""
+    """One measured figure.
+
+    Attributes:
+        what: Was measured; where it was skipped, why.
+        value: In its unit; None: skipped.
+        unit: Of it.
+        goal: That it is held against.
+    """
 
     what: str
     value: float | None
     unit: str
     goal: str
-
-    def as_json(self) -> dict[str, Any]:
-        """As plain data."""
-        return asdict(self)

@@ -9,9 +9,8 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -79,10 +78,6 @@ class Scale:
     rate_hz: float
     runs: tuple[Took, ...]
     slopes: tuple[Slope, ...]
-
-    def as_json(self) -> dict[str, Any]:
-        """As plain data."""
-        return asdict(self)
 
 
 def run_scale(

@@ -6,7 +6,7 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import Json
+from .options import Json, Prints
 from .printing import print_json, print_table, progress
 
 if TYPE_CHECKING:
@@ -25,7 +25,14 @@ def bench(
         str, typer.Option(help="Lengths of these flights, with commas between.")
     ] = "5,10,30",
     rate: Annotated[float, typer.Option(help="Rows of these flights per second.")] = 1000.0,
-    as_json: Json = False,
+    as_json: Annotated[
+        Json,
+        Prints(
+            "uavtwin.bench.figure:Row",
+            "uavtwin.bench.scale:Scale",
+            about="A list of figures; with `--scale` time and memory against length of flight.",
+        ),
+    ] = False,
 ) -> None:
     """Measure the speed figures of the README, here and now."""
     from ..display import TextTable
@@ -38,7 +45,7 @@ def bench(
     with progress("measuring") as step:
         rows = run_bench(step)
     if as_json:
-        print_json([row.as_json() for row in rows])
+        print_json(rows)
         return
     cells = ((r.what, "-" if r.value is None else f"{r.value:.3g}", r.unit, r.goal) for r in rows)
     print_table(TextTable(("what", "value", "unit", "goal"), tuple(cells)))
@@ -55,7 +62,7 @@ def _scale(minutes: str, rate_hz: float, as_json: bool) -> None:
     with progress("measuring") as step:
         found = run_scale(lengths, rate_hz, progress=step)
     if as_json:
-        print_json(found.as_json())
+        print_json(found)
         return
     _print_scale(found)
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .explain import flight_payloads, site_record
-from .options import Exit, Force, Indoor, Json, Payload, Rebuild, TrustVehicle, VehicleName
+from .options import Exit, Force, Indoor, Json, Payload, Prints, Rebuild, TrustVehicle, VehicleName
 from .printing import STDERR, STDOUT, print_damage, print_json, print_sections, progress
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def calibrate(
     rebuild_commands: Rebuild = None,
     trust_vehicle: TrustVehicle = False,
     force: Force = False,
-    as_json: Json = False,
+    as_json: Annotated[Json, Prints("uavtwin.calibration:CalibrateRecord")] = False,
 ) -> None:
     """Fit all numbers of one aircraft to normal flights of it, and write its vehicle file."""
     from .. import calibration
@@ -52,7 +52,7 @@ def calibrate(
     }
     inputs = [p for p in (*flights, Path(vehicle)) if p.is_file()]
     if as_json:
-        print_json(found.json())
+        print_json(found.record)
     else:
         _print(found)
     with recorded_file(out, force) as (file, note):

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Exit, Json
+from .options import Exit, Json, Prints
 from .printing import STDOUT, print_error, print_json
 
 _STYLES = {
@@ -25,10 +25,12 @@ def check(
         str | None,
         typer.Option(help="Vehicle whose hover is compared with that of each flight."),
     ] = None,
-    as_json: Json = False,
+    as_json: Annotated[
+        Json, Prints("uavtwin.file_check:CheckRecord", about="A list, one of each file.")
+    ] = False,
 ) -> None:
     """Say what a file holds, what is wrong with it and what it is good for."""
-    from ..file_check import check_file
+    from ..file_check import CheckRecord, check_file
     from ..vehicles import load_vehicle
 
     model = None if vehicle is None else load_vehicle(vehicle)
@@ -38,11 +40,11 @@ def check(
             report = check_file(path, model)
         except Exception as error:  # one that cannot be read hides none of the others
             worst = max(worst, print_error(error, f"check {path}"))
-            reports.append({"file": path.name, "error": str(error)})
+            reports.append(CheckRecord(file=path.name, error=str(error)))
             continue
         if report.problems or report.warnings:
             worst = max(worst, Exit.FINDINGS)
-        reports.append(report.json())
+        reports.append(report.record)
         if not as_json:
             STDOUT.print(report.file, style="bold")
             for kind, text in report.lines():

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Exit, Force, Json, Out
+from .options import Exit, Force, Json, Out, Prints
 from .printing import (
     STDERR,
     STDOUT,
@@ -26,10 +26,10 @@ def demo(
     ] = "copter_default",
     out: Out = Path("demo"),
     force: Force = False,
-    as_json: Json = False,
+    as_json: Annotated[Json, Prints("uavtwin.demo.chain:DemoRecord")] = False,
 ) -> None:
     """Hide an effect in built-in flights; find, name and add it, and show that the gap shrinks."""
-    from ..demo.chain import demo_json, run_demo, write_demo
+    from ..demo.chain import demo_record, run_demo, write_demo
     from ..output import OptionalSteps, check_folder, results_folder, write_run
     from ..vehicles import load_vehicle
 
@@ -38,7 +38,7 @@ def demo(
     with progress("flying, comparing, explaining") as step:
         chain = run_demo(model, seed, step)
     if as_json:
-        print_json(demo_json(chain))
+        print_json(demo_record(chain))
     else:
         STDOUT.print(chain.gap.claim, style="bold")
         print_explanation(chain.found)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Csv, Exit, Force, Json, Mcap, Out, Rebuild, TrustVehicle
+from .options import Csv, Exit, Force, Json, Mcap, Out, Prints, Rebuild, TrustVehicle
 from .printing import (
     print_damage,
     print_incomplete,
@@ -37,7 +37,16 @@ def evaluate(
     csv: Csv = False,
     mcap: Mcap = False,
     force: Force = False,
-    as_json: Json = False,
+    as_json: Annotated[
+        Json,
+        Prints(
+            "uavtwin.sensors.evaluation:EvaluationRecord",
+            "uavtwin.force.evaluate:ForceRecord",
+            file="evaluation.json",
+            about="Of a compensator of sensors, then of a learned force: "
+            "[the compensator](../guide/compensator.md).",
+        ),
+    ] = False,
 ) -> None:
     """Measure a compensator on other flights, beside trivial baselines.
 
@@ -75,7 +84,7 @@ def evaluate(
     inputs = [*flights, *(model / n for n in numbers if (model / n).is_file())]
     inputs += [Path(p) for p in (explained, physics) if p and Path(p).is_file()]
     if as_json:
-        print_json(found.json())
+        print_json(found.record)
     else:
         print_sections(found.sections())
     steps = OptionalSteps()

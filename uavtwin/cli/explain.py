@@ -18,6 +18,7 @@ from .options import (
     Mcap,
     Out,
     Payload,
+    Prints,
     Rebuild,
     TrustVehicle,
     named_numbers,
@@ -69,7 +70,14 @@ def explain(
     csv: Csv = False,
     mcap: Mcap = False,
     force: Force = False,
-    as_json: Json = False,
+    as_json: Annotated[
+        Json,
+        Prints(
+            "uavtwin.explain_record:ExplainRecord",
+            file="explain.json",
+            about="Six significant digits. Verdicts: [Explain](../guide/explain.md#verdicts).",
+        ),
+    ] = False,
 ) -> None:
     """Name the physical effect that a model lacks, add it, and show that the gap shrinks."""
     given = _one_vehicle(vehicle if since else vehicle_named(vehicle, ""), since)
@@ -111,7 +119,7 @@ def explain(
     }
     inputs = [p for p in (*flights, *held, Path(given)) if p.is_file()]
     if as_json:
-        print_json(found.json())
+        print_json(found.record)
     else:
         print_explanation(found)
     steps = OptionalSteps()

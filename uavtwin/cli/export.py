@@ -9,7 +9,7 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import VEHICLE_VARIABLE, Force, Json, Out, start_values, vehicle_named
+from .options import VEHICLE_VARIABLE, Force, Json, Out, Prints, start_values, vehicle_named
 from .printing import print_files, print_json, progress
 
 if TYPE_CHECKING:
@@ -119,7 +119,9 @@ def export(
     start: Starts = None,
     out: Out = Path("fmus_out"),
     force: Force = False,
-    as_json: Json = False,
+    as_json: Annotated[
+        Json, Prints("uavtwin.exports.write:WrittenFile", about="A list, one of each file.")
+    ] = False,
 ) -> None:
     """Build components as native FMUs, FMI 2 and 3, and list what was written."""
     from ..output import check_folder, results_folder, write_run
@@ -149,7 +151,7 @@ def export(
             folder, "export", {"components": components, **choice.recorded()}, choice.inputs()
         )
     if as_json:
-        print_json([row.as_json() for row in written])
+        print_json(written)
     else:
         print_files(written)
 

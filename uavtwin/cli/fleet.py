@@ -13,6 +13,7 @@ from .options import (
     Indoor,
     Json,
     Out,
+    Prints,
     Scheduler,
     TrustVehicle,
     Workers,
@@ -59,7 +60,9 @@ def fleet(
     ] = 4.0,
     out: Out = Path("fleet"),
     force: Force = False,
-    as_json: Json = False,
+    as_json: Annotated[
+        Json, Prints("uavtwin.fleets.result:FleetRecord", file="fleet.json")
+    ] = False,
 ) -> None:
     """Check, compare and explain many logs: which aircraft differs, what drifts, which log is bad.
 
@@ -77,7 +80,7 @@ def fleet(
     with progress("looking") as done:
         result = run_fleet(
             *(list(logs), request, out, work, force, done),
-            lambda r: print_json(r.json()) if as_json else STDOUT.print(str(r)),
+            lambda r: print_json(r.record) if as_json else STDOUT.print(str(r)),
             lambda r, folder: _note(r, folder, request),
             _found,
         )

@@ -5,7 +5,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import Csv, Exit, Force, Horizon, Json, Mcap, Out, Rebuild, TrustVehicle, VehicleName
+from .options import (
+    Csv,
+    Exit,
+    Force,
+    Horizon,
+    Json,
+    Mcap,
+    Out,
+    Prints,
+    Rebuild,
+    TrustVehicle,
+    VehicleName,
+)
 from .printing import (
     STDERR,
     STDOUT,
@@ -31,7 +43,14 @@ def gap(
     csv: Csv = False,
     mcap: Mcap = False,
     force: Force = False,
-    as_json: Json = False,
+    as_json: Annotated[
+        Json,
+        Prints(
+            "uavtwin.gaps:GapRecord",
+            file="gap.json",
+            about="What the numbers mean: [the gap](../guide/gap.md).",
+        ),
+    ] = False,
 ) -> None:
     """Fly the twin on the commands of real flights and report where the two disagree."""
     from .. import gaps
@@ -55,7 +74,7 @@ def gap(
     }
     inputs = [*logs, Path(vehicle)] if Path(vehicle).is_file() else logs
     if as_json:
-        print_json(found.json())
+        print_json(found.record)
     else:
         _print_gap(found)
     steps = OptionalSteps()

@@ -12,7 +12,18 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import Effects, Exit, Gusts, Json, Starts, VehicleName, Wind, seconds, start_values
+from .options import (
+    Effects,
+    Exit,
+    Gusts,
+    Json,
+    Prints,
+    Starts,
+    VehicleName,
+    Wind,
+    seconds,
+    start_values,
+)
 from .printing import STDERR, STDOUT, print_json
 from .simulate import three_numbers
 
@@ -59,7 +70,7 @@ def hil(
     seed: Annotated[int, typer.Option(min=0, help="Of every noise.")] = 0,
     effect: Effects = None,
     start: Starts = None,
-    as_json: Json = False,
+    as_json: Annotated[Json, Prints("uavtwin.hil.session:HilStatus")] = False,
 ) -> None:
     """Let an autopilot fly the twin: PX4's simulator interface, in lockstep.
 
@@ -96,7 +107,7 @@ def hil(
         with closing(_twin(aircraft, Path(folder), scenario, model)) as twin:
             status = _fly(aircraft, twin, options)
     if as_json:
-        print_json(status.json())
+        print_json(status)
     else:
         STDOUT.print(status.line())
     if status.clipped or status.unknown:

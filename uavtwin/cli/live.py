@@ -11,7 +11,7 @@ import typer
 
 from twin.errors import TwinError, install_command
 
-from .options import VEHICLE_VARIABLE, Exit, Horizon, Json, seconds
+from .options import VEHICLE_VARIABLE, Exit, Horizon, Json, Prints, seconds
 from .printing import STDERR, STDOUT, print_json
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def live(
     serve: Serve = None,
     token: Token = None,
     alarms: Alarms = True,
-    as_json: Json = False,
+    as_json: Annotated[Json, Prints("uavtwin.live.status:LiveStatus")] = False,
 ) -> None:
     """Listen to a flying aircraft, fly the twin beside it, tell and record where they differ.
 
@@ -142,7 +142,7 @@ def live(
         serve = _demo_page()
     status = _fly(vehicle or _DEMO_VEHICLE, options, serve, token, alarms, demo, model)
     if as_json:
-        print_json(status.json())
+        print_json(status)
     else:
         _print(status, out)
     if demo:

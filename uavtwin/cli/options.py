@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -112,6 +113,28 @@ def start_values(texts: Sequence[str] | None) -> dict[str, float]:
 
 Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace files that are there.")]
+
+
+@dataclass(frozen=True, slots=True)
+class Prints:
+    """What `--json` of a verb prints, for the reference of JSON keys: behind `Json` in its type.
+
+    Attributes:
+        records: "MODULE:CLASS" of each kind of content.
+        file: That has the same content; "": none.
+        about: What else there is to know, in Markdown.
+    """
+
+    records: tuple[str, ...]
+    file: str
+    about: str
+
+    def __init__(self, *records: str, file: str = "", about: str = "") -> None:
+        object.__setattr__(self, "records", records)
+        object.__setattr__(self, "file", file)
+        object.__setattr__(self, "about", about)
+
+
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 Csv = Annotated[bool, typer.Option("--csv", help="Series as CSV, not Parquet.")]
 Mcap = Annotated[

@@ -6,7 +6,7 @@ import tempfile
 import time
 import traceback
 import unicodedata
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,12 +29,15 @@ from ..output import json_text
 from .options import Exit
 
 if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
     from twin.logs import AnyFlight
 
     from ..display import TextTable
     from ..explanation import ExplainResult
     from ..exports.write import WrittenFile
     from ..output import OptionalSteps
+    from ..record import Record
 
 
 class _Terminal(Console):
@@ -132,9 +135,18 @@ def _kept_traceback(error: Exception) -> str:
     return name
 
 
-def print_json(content: Any) -> None:
-    """Results for machines."""
-    sys.stdout.write(json_text(content))
+def print_json(
+    content: "Record | DataclassInstance | Sequence[Record | DataclassInstance]",
+) -> None:
+    """A result for machines; its keys are those of the class, in the reference of JSON keys."""
+    from ..record import content_of
+
+    sys.stdout.write(json_text(content_of(content)))
+
+
+def print_rows(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Rows for machines, whose keys nobody knows before."""
+    sys.stdout.write(json_text(rows))
 
 
 def print_table(table: "TextTable", unbroken: str = "") -> None:

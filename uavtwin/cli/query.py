@@ -9,8 +9,8 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import Json, seconds
-from .printing import print_json, print_table
+from .options import Json, Prints, seconds
+from .printing import print_rows, print_table
 
 
 def query(
@@ -19,7 +19,9 @@ def query(
         str, typer.Argument(help="One SELECT over flights, channels, effects, findings.")
     ],
     time_limit: Annotated[float, seconds("Of the query, s.")] = 300.0,
-    as_json: Json = False,
+    as_json: Annotated[
+        Json, Prints(about="A list of rows, by the columns of the `SELECT`.")
+    ] = False,
     as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV instead of a table.")] = False,
 ) -> None:
     """Ask the tables of a fleet, in the SQL of DuckDB; nothing else is read, nothing is written."""
@@ -30,7 +32,7 @@ def query(
         raise TwinError("query: --json and --csv are both given. Choose one.")
     answer = run_query(folder, sql, time_limit)
     if as_json:
-        print_json(answer.records())
+        print_rows(answer.records())
     elif as_csv:
         writer = csv.writer(sys.stdout, lineterminator="\n")
         writer.writerow(answer.names)

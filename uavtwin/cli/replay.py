@@ -7,7 +7,7 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import Json, Rebuild, of_unit, seconds
+from .options import Json, Prints, Rebuild, of_unit, seconds
 from .printing import STDOUT, print_json, progress
 
 
@@ -30,7 +30,7 @@ def replay(
     seed: Annotated[int, typer.Option(min=0, help="Of loss and jitter.")] = 0,
     system: Annotated[int, typer.Option(help="System id of the aircraft, 1 to 255.")] = 1,
     rebuild_commands: Rebuild = None,
-    as_json: Json = False,
+    as_json: Annotated[Json, Prints("uavtwin.live.replay:Played")] = False,
 ) -> None:
     """Play a log as a MAVLink aircraft, with faults of a radio link where they are asked for."""
     from twin.logs import read_flight
@@ -54,14 +54,7 @@ def replay(
     finally:
         aircraft.close()
     if as_json:
-        print_json(
-            {
-                "messages": report.messages,
-                "lost": report.lost,
-                "seconds": report.seconds,
-                "wall_s": report.wall_s,
-            }
-        )
+        print_json(report)
     else:
         STDOUT.print(
             f"sent to {where}: {report.messages} messages of {report.seconds:.1f} s of flight in "

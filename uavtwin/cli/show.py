@@ -1,11 +1,10 @@
 """`uavtwin show`: the equations of a component, with its numbers."""
 
-from dataclasses import asdict
 from typing import Annotated
 
 import typer
 
-from .options import Effects, Json, start_values, vehicle_named
+from .options import Effects, Json, Prints, start_values, vehicle_named
 from .printing import STDOUT, print_json
 
 
@@ -28,7 +27,9 @@ def show(
     contact: Annotated[
         bool, typer.Option("--contact", help="With the forces of the ground, which flight lacks.")
     ] = False,
-    as_json: Json = False,
+    as_json: Annotated[
+        Json, Prints("fmus.equations:Equation", about="A list, one of each.")
+    ] = False,
 ) -> None:
     """Print the equations of a component as they are assembled, the vehicle's numbers put in.
 
@@ -44,7 +45,7 @@ def show(
     values = {f"{e}.enabled": 1.0 for e in effect or ()} | start_values(start)
     equations = equations_of(shown, values, contact)
     if as_json:
-        print_json([asdict(e) for e in equations])
+        print_json(equations)
         return
     width = max(len(e.left) for e in equations)
     STDOUT.print(shown.description)

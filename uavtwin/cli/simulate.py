@@ -22,6 +22,7 @@ from .options import (
     Mcap,
     MemoryLimit,
     Out,
+    Prints,
     Starts,
     Wind,
     seconds,
@@ -75,7 +76,7 @@ def simulate(
     mcap: Mcap = False,
     out: Out = Path("simulation"),
     force: Force = False,
-    as_json: Json = False,
+    as_json: Annotated[Json, Prints("uavtwin.run:RunRecord", file="summary.json")] = False,
 ) -> None:
     """Fly a scenario, or run an .ssp, and record every output."""
     from cosim.limits import Limits
@@ -125,7 +126,7 @@ def simulate(
     for warning in run.warnings:
         STDERR.print(f"warning: {warning}", style="yellow")
     if as_json:
-        print_json(run.json())
+        print_json(run.record)
     elif run.ended is None:
         STDOUT.print(run.claim, style="bold")
         if realtime:

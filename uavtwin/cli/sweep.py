@@ -16,6 +16,7 @@ from .options import (
     Json,
     MemoryLimit,
     Out,
+    Prints,
     Scheduler,
     Starts,
     Wind,
@@ -68,7 +69,9 @@ def sweep(
     memory_limit: MemoryLimit = 4.0,
     out: Out = Path("sweep"),
     force: Force = False,
-    as_json: Json = False,
+    as_json: Annotated[
+        Json, Prints("uavtwin.sweeps.result:SweepRecord", file="sweep.json")
+    ] = False,
 ) -> None:
     """Fly a scenario many times, each time with other numbers, and see what matters.
 
@@ -104,7 +107,7 @@ def sweep(
     with progress("flying") as done:
         result = run_sweep(
             *(base, points, out, work, duration, step, named, force, done),
-            lambda r: print_json(r.json()) if as_json else STDOUT.print(str(r)),
+            lambda r: print_json(r.record) if as_json else STDOUT.print(str(r)),
             lambda r, folder: _note(r, folder, Path(vehicle).name, options, inputs),
         )
     if as_json:

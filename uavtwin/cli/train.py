@@ -7,7 +7,7 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import Exit, Force, Json, Out, Rebuild, TrustVehicle, VehicleName, seconds
+from .options import Exit, Force, Json, Out, Prints, Rebuild, TrustVehicle, VehicleName, seconds
 from .printing import STDOUT, print_damage, print_json, print_written, progress
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def train(
     rebuild_commands: Rebuild = None,
     trust_vehicle: TrustVehicle = False,
     force: Force = False,
-    as_json: Json = False,
+    as_json: Annotated[Json, Prints("uavtwin.learned:TrainRecord")] = False,
 ) -> None:
     """Train a compensator on what a vehicle model leaves unexplained in flights.
 
@@ -90,7 +90,7 @@ def train(
     def alongside(trained: "TrainResult", folder: Path) -> None:
         """Print what was trained, before the folder is moved to its place, and write run.json."""
         if as_json:
-            print_json(trained.json())
+            print_json(trained.record)
         else:
             STDOUT.print(trained.claim, style="bold")
         options = {

@@ -8,7 +8,7 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import Exit, Force, Json, Rebuild, quantity
+from .options import Exit, Force, Json, Prints, Rebuild, quantity
 from .printing import STDERR, STDOUT, print_damage, print_json, print_sections
 
 vehicle = typer.Typer(no_args_is_help=True, help="Make a vehicle file.")
@@ -70,7 +70,7 @@ def draft(
     ),
     rebuild_commands: Rebuild = None,
     force: Force = False,
-    as_json: Json = False,
+    as_json: Annotated[Json, Prints("uavtwin.vehicle_draft:DraftRecord")] = False,
 ) -> None:
     """Draft the vehicle file of the aircraft that flew: from its logs, its mass and its size."""
     from ..flights import read_flights
@@ -96,7 +96,7 @@ def draft(
     for warning in found.warnings:
         STDERR.print(f"warning: {warning}", style="yellow")
     if as_json:
-        print_json({**found.json(), "file": str(out), "next": found.next(str(out))})
+        print_json(found.written(out))
     else:
         print_sections((found.sentence, found.table()))
     found.vehicle.save(out)

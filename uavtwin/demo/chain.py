@@ -10,10 +10,12 @@ from twin.logs.table import write_flight
 from twin.representation import short_repr
 from twin.vehicle import Vehicle
 
+from ..explain_record import ExplainRecord
 from ..explanation import ExplainResult, explain, write_explanation, write_fmus
 from ..formatting import title
-from ..gaps import GapResult, gap
+from ..gaps import GapRecord, GapResult, gap
 from ..output import OptionalSteps, write_json
+from ..record import Record
 from .flights import WAYPOINTS, Hidden, Waypoints, fly, hide
 
 SIDEWAYS: Waypoints = tuple((p, t, (-0.8 * y, 0.8 * x, z)) for p, t, (x, y, z) in WAYPOINTS)
@@ -32,6 +34,38 @@ DIAGONAL: Waypoints = (
 """A flight of another shape, to be held out."""
 FIT = {"fit_1": WAYPOINTS, "fit_2": SIDEWAYS}
 HOLDOUT = {"holdout": DIAGONAL}
+
+
+class TruthRecord(Record, frozen=True, kw_only=True):
+    """What was hidden.
+
+    Attributes:
+        effect: Its name.
+        text: In words.
+    """
+
+    effect: str
+    text: str
+
+
+class DemoRecord(Record, frozen=True, kw_only=True):
+    """A demonstration.
+
+    Attributes:
+        gap: Of the first flight.
+        explain: What was found.
+        truth: What was hidden.
+        named_rightly: Whether that is what was found, alone.
+    """
+
+    gap: GapRecord
+    explain: ExplainRecord
+    truth: TruthRecord
+    named_rightly: bool
+
+    def json(self) -> dict[str, Any]:
+        """As strict JSON content, `explain` with the digits of `explain.json`."""
+        return super().json() | {"explain": self.explain.json()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,11 +149,11 @@ def write_demo(
     return [*written, "flights/", "gap.html", "gap.json", "truth.json"]
 
 
-def demo_json(demo: Demo) -> dict[str, Any]:
-    """Everything for a program."""
-    return {
-        "gap": demo.gap.json(),
-        "explain": demo.found.json(),
-        "truth": {"effect": demo.hidden.effect, "text": demo.hidden.text},
-        "named_rightly": demo.right,
-    }
+def demo_record(demo: Demo) -> DemoRecord:
+    """Everything in numbers."""
+    return DemoRecord(
+        gap=demo.gap.record,
+        explain=demo.found.record,
+        truth=TruthRecord(effect=demo.hidden.effect, text=demo.hidden.text),
+        named_rightly=demo.right,
+    )

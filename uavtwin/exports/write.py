@@ -2,9 +2,8 @@
 
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from cosim.ssp import write_ssp
 from cosim.whole_twin import COMPENSATOR, fused_model, parts_of, system_of
@@ -19,6 +18,7 @@ from twin.errors import TwinError
 from ..display import DisplayMixin, TextTable
 from ..formatting import counted
 from ..output import results_folder, sha256
+from ..record import Record
 from .parts import Twin
 
 Exportable = Component | FmuModel | NetworkFile | Twin
@@ -71,8 +71,7 @@ class Product:
     model: FmuModel | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class WrittenFile:
+class WrittenFile(Record, frozen=True, kw_only=False, omit_defaults=True):
     """A file that was written.
 
     Attributes:
@@ -81,7 +80,7 @@ class WrittenFile:
         platforms: For which it holds binaries.
         bytes: Its size.
         sha256: Of its content.
-        note: What the user should know of it, or "".
+        note: What the user should know of it; missing where there is none.
     """
 
     file: str
@@ -90,11 +89,6 @@ class WrittenFile:
     bytes: int
     sha256: str
     note: str = ""
-
-    def as_json(self) -> dict[str, Any]:
-        """As plain data, without a note where there is none."""
-        content = asdict(self) | {"platforms": list(self.platforms)}
-        return content if self.note else {k: v for k, v in content.items() if k != "note"}
 
 
 def products_of(

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from ..display import TextTable
+from ..record import Record
 from .dataset import MOTORS, read_table
 from .log_analysis import misfit
 
@@ -17,6 +18,33 @@ _NUMBERS = ("hover_command", "hover_speed_rad_s", "carried", "back_m", "right_m"
 _SPLIT = tuple(f"motor_{i}" for i in range(1, MOTORS + 1))
 _ABOUT = ("log", "aircraft", "status", "vehicle", "verdict", "named")
 HEADER = ("hover", "carried", "back, mm", "right, mm", "strongest motor", "weakest motor", "named")
+
+
+class AircraftRecord(Record, frozen=True, kw_only=True):
+    """An aircraft in short; null for what is unknown.
+
+    Attributes:
+        aircraft: Its name.
+        flights: How many.
+        vehicle: Of its vehicle file.
+        hover_command, hover_speed_rad_s, carried, back_m, right_m: Medians of its flights, as of
+            the columns of `flights`.
+        split: Of the motors, median.
+        named: Flights that name an effect, by effect.
+        misfit: Why the vehicle file does not fit; null where it does.
+    """
+
+    aircraft: str
+    flights: int
+    vehicle: str | None
+    hover_command: float
+    hover_speed_rad_s: float
+    carried: float
+    back_m: float
+    right_m: float
+    split: tuple[float, ...]
+    named: dict[str, int]
+    misfit: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,17 +104,18 @@ class Overview:
         cells = (f"{name} {text}" for name, text in known if text)
         return f"{self.name}: {'; '.join([self.status or f'{self.flights} flights', *cells])}"
 
-    def json(self) -> dict[str, Any]:
-        """For `fleet.json`; null for what is unknown."""
-        return {
-            "aircraft": self.name,
-            "flights": self.flights,
-            "vehicle": self.vehicle or None,
-            **{k: v if np.isfinite(v) else None for k, v in self.numbers.items()},
-            "split": list(self.split),
-            "named": self.named,
-            "misfit": self.misfit or None,
-        }
+    @property
+    def record(self) -> AircraftRecord:
+        """For `fleet.json`."""
+        return AircraftRecord(
+            aircraft=self.name,
+            flights=self.flights,
+            vehicle=self.vehicle or None,
+            split=self.split,
+            named=dict(self.named),
+            misfit=self.misfit or None,
+            **{name: self.numbers[name] for name in _NUMBERS},
+        )
 
 
 def of_logs(folder: Path, most: int | None = None) -> list[Overview]:

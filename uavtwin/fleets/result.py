@@ -2,17 +2,18 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from ..display import DisplayMixin, TextTable
-from ..output import output_file
+from ..display import PageMixin, TextTable
+from ..record import Record
 from .dataset import read_table
 from .fleet_statistics import Difference, Drift, Spread, compared, explained_aircraft, spreads
-from .overview import UNNAMED, Overview, of_aircraft, of_logs, table_of
+from .overview import UNNAMED, AircraftRecord, Overview, of_aircraft, of_logs, table_of
 from .statistics import FEWEST_AIRCRAFT, FEWEST_FLIGHTS
 
 MOST_ROWS = 20
@@ -20,8 +21,106 @@ MOST_ROWS = 20
 BAD = ("unreadable", "failed", "refused", "findings")
 
 
-@dataclass(frozen=True, slots=True, repr=False)
-class FleetResult(DisplayMixin):
+class EstimateRecord(Record, frozen=True, kw_only=True):
+    """A number of an aircraft.
+
+    Attributes:
+        aircraft: Which.
+        value: Estimate from its own flights.
+        sd: Its standard deviation.
+        named: Explanations that name the effect.
+        explained: Explanations.
+        own: The estimate, drawn to the type as far as it is unsure.
+        own_sd: Standard deviation of `own`.
+    """
+
+    aircraft: str
+    value: float
+    sd: float
+    named: int
+    explained: int
+    own: float
+    own_sd: float
+
+
+class SpreadRecord(Record, frozen=True, kw_only=True):
+    """A number of an effect over aircraft.
+
+    Attributes:
+        effect: Its name.
+        number: Of the effect.
+        unit: SI.
+        of_type: Whether the effect is one of the type.
+        mean: Over aircraft.
+        sd: Of the mean.
+        low: Lower end of its 95 % interval; null: one aircraft alone.
+        high: Upper end.
+        between: Standard deviation between aircraft.
+        explained: Aircraft that were explained.
+        aircraft: Those that have it.
+    """
+
+    effect: str
+    number: str
+    unit: str
+    of_type: bool
+    mean: float
+    sd: float
+    low: float
+    high: float
+    between: float
+    explained: int
+    aircraft: tuple[EstimateRecord, ...]
+
+
+class ComparisonCounts(Record, frozen=True, kw_only=True):
+    """How many tests were made.
+
+    Attributes:
+        differences: Comparisons of aircraft.
+        drifts: Slopes over time.
+    """
+
+    differences: int
+    drifts: int
+
+
+class FleetRecord(Record, frozen=True, kw_only=True):
+    """What the logs of a fleet say together.
+
+    Attributes:
+        vehicle: Name of the vehicle file of all; null: each aircraft has its own.
+        logs: How many.
+        statuses: How many logs are of which status.
+        aircraft: Flights by aircraft.
+        unnamed: Flights whose log names no aircraft.
+        dated: Flights with a date.
+        cannot: What could not be determined, and why.
+        misfits: Aircraft that their vehicle file does not fit, and why.
+        overview: Of each aircraft.
+        tests: How many were made.
+        differences: Those that are significant, the clearest first.
+        drifts: Those that are significant.
+        effects: Of each number of an effect that aircraft have.
+    """
+
+    vehicle: str | None
+    logs: int
+    statuses: dict[str, int]
+    aircraft: dict[str, int]
+    unnamed: int
+    dated: int
+    cannot: tuple[str, ...]
+    misfits: tuple[str, ...]
+    overview: tuple[AircraftRecord, ...]
+    tests: ComparisonCounts
+    differences: tuple[Difference, ...]
+    drifts: tuple[Drift, ...]
+    effects: tuple[SpreadRecord, ...]
+
+
+@dataclass(frozen=True, repr=False)
+class FleetResult(PageMixin):
     """What came of a fleet.
 
     Attributes:
@@ -49,6 +148,8 @@ class FleetResult(DisplayMixin):
     spreads: tuple[Spread, ...]
     explained: Mapping[str, int] = field(default_factory=dict)
     rows: tuple[Overview, ...] = ()
+
+    page = "uavtwin.report.fleet"
 
     @property
     def logs(self) -> int:
@@ -143,31 +244,28 @@ class FleetResult(DisplayMixin):
             rows["error"] = rows["error"].fillna(rows["log"].map(text))
         return rows
 
+    @cached_property
+    def record(self) -> FleetRecord:
+        """Every number that is printed."""
+        return FleetRecord(
+            vehicle=self.vehicle or None,
+            logs=self.logs,
+            statuses=dict(self.statuses),
+            aircraft=dict(self.aircraft),
+            unnamed=self.unnamed,
+            dated=self.dated,
+            cannot=tuple(self.cannot),
+            misfits=tuple(self.misfits),
+            overview=tuple(r.record for r in self.rows),
+            tests=ComparisonCounts(differences=len(self.differences), drifts=len(self.drifts)),
+            differences=tuple(self.differing),
+            drifts=tuple(self.drifting),
+            effects=tuple(map(_spread, self.spreads)),
+        )
+
     def json(self) -> dict[str, Any]:
         """The content of `fleet.json`."""
-        return {
-            "vehicle": self.vehicle or None,
-            "logs": self.logs,
-            "statuses": dict(self.statuses),
-            "aircraft": dict(self.aircraft),
-            "unnamed": self.unnamed,
-            "dated": self.dated,
-            "cannot": list(self.cannot),
-            "misfits": list(self.misfits),
-            "overview": [r.json() for r in self.rows],
-            "tests": {"differences": len(self.differences), "drifts": len(self.drifts)},
-            "differences": [_finite(asdict(d)) for d in self.differing],
-            "drifts": [_finite(asdict(d)) for d in self.drifting],
-            "effects": [_spread(s) for s in self.spreads],
-        }
-
-    def report(self, path: str | Path) -> Path:
-        """Write the page, one HTML file that opens offline; returns its path."""
-        from ..report.fleet import write_fleet_report
-
-        with output_file(Path(path)) as file:
-            write_fleet_report(self, file)
-        return Path(path)
+        return self.record.json()
 
     def sections(self) -> Iterable[str | TextTable]:
         """The claim, each aircraft, each log, what differs, what drifts, effects, bad logs."""
@@ -253,36 +351,24 @@ def result_of(folder: Path, vehicle: str) -> FleetResult:
     )
 
 
-def _spread(s: Spread) -> dict[str, Any]:
+def _spread(s: Spread) -> SpreadRecord:
     c = s.common
-    content: dict[str, Any] = _finite(
-        {
-            "effect": s.effect,
-            "number": s.number,
-            "unit": s.unit,
-            "of_type": s.of_type,
-            "mean": c.mean,
-            "sd": c.sd,
-            "low": c.low,
-            "high": c.high,
-            "between": c.between,
-            "explained": s.explained,
-            "aircraft": [
-                asdict(a) | {"own": float(c.own[i]), "own_sd": float(c.own_sd[i])}
-                for i, a in enumerate(s.aircraft)
-            ],
-        }
+    return SpreadRecord(
+        effect=s.effect,
+        number=s.number,
+        unit=s.unit,
+        of_type=s.of_type,
+        mean=c.mean,
+        sd=c.sd,
+        low=c.low,
+        high=c.high,
+        between=c.between,
+        explained=s.explained,
+        aircraft=tuple(
+            EstimateRecord(**asdict(a), own=float(c.own[i]), own_sd=float(c.own_sd[i]))
+            for i, a in enumerate(s.aircraft)
+        ),
     )
-    return content
-
-
-def _finite(value: Any) -> Any:
-    """Null for what JSON cannot hold."""
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _interval(s: Spread) -> str:

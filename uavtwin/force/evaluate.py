@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from ..exports.write import export
 from ..flights import check_names
 from ..formatting import counted, number, percent, pretty_unit
 from ..output import output_file
+from ..record import Record
 from ..report.learning_figures import horizons_figure
 from ..report.page import plot, render
 from ..series.files import CORRECTED, TWIN, Column, Series, residual_of
@@ -39,7 +41,39 @@ CLAIMED_S = 0.5
 Progress = Callable[[float], None]
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+class ForceRecord(Record, frozen=True, kw_only=True):
+    """What a learned force does on other flights.
+
+    Attributes:
+        protocol: `force`.
+        vehicle: That it was learned for.
+        flights: Names.
+        claim: The sentence of the report.
+        horizons_s: How long after it was left alone a twin was compared.
+        inside: At each of `horizons_s`, how often the corrected twin was inside the envelope then,
+            by flight.
+        windows: How often twins were left alone, by flight.
+        hovers: Of each flight that hovered, and of `explained` and `corrected` hovering by
+            themselves in closed loop.
+        summary: Of each `model` and `horizon_s` the rms of `position` (m), `velocity` (m/s),
+            `attitude` (rad) and `rates` (rad/s), three axes and all flights together, and
+            `over_explained_median`, `over_explained_largest` of its cells.
+        cells: `rms` and `unit` of each `model`, `flight`, `horizon_s`, `quantity` and `axis`.
+    """
+
+    protocol: str
+    vehicle: str
+    flights: tuple[str, ...]
+    claim: str
+    horizons_s: tuple[float, ...]
+    inside: dict[str, tuple[float, ...]]
+    windows: dict[str, int]
+    hovers: dict[str, Steadiness]
+    summary: tuple[dict[str, Any], ...]
+    cells: tuple[dict[str, Any], ...]
+
+
+@dataclass(frozen=True, repr=False)
 class ForceEvaluation(DisplayMixin):
     """What exported twins made of flights.
 
@@ -85,20 +119,25 @@ class ForceEvaluation(DisplayMixin):
         the claim."""
         return tuple(self._series(name, flown) for name, flown in self.flown.items())
 
+    @cached_property
+    def record(self) -> ForceRecord:
+        """Every number that is printed."""
+        return ForceRecord(
+            protocol="force",
+            vehicle=self.model.vehicle,
+            flights=tuple(self.inside),
+            claim=self.claim,
+            horizons_s=HORIZONS_S,
+            inside=dict(self.inside),
+            windows=dict(self.windows),
+            hovers=dict(self.hovers),
+            summary=tuple(summary(self.table).to_dict("records")),
+            cells=tuple(self.table.to_dict("records")),
+        )
+
     def json(self) -> dict[str, Any]:
         """The content of `evaluation.json`."""
-        return {
-            "protocol": "force",
-            "vehicle": self.model.vehicle,
-            "flights": list(self.inside),
-            "claim": self.claim,
-            "horizons_s": list(HORIZONS_S),
-            "inside": {name: list(shares) for name, shares in self.inside.items()},
-            "windows": dict(self.windows),
-            "hovers": {name: _numbers(h) for name, h in self.hovers.items()},
-            "summary": summary(self.table).to_dict("records"),
-            "cells": self.table.to_dict("records"),
-        }
+        return self.record.json()
 
     def report(self, path: str | Path) -> Path:
         """Write the page, one HTML file that opens offline; returns its path."""

@@ -3,19 +3,19 @@
 from collections.abc import Iterator, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from ..fleets.fleet_statistics import Drift, Measure, Spread, measures
+from ..fleets.overview import of_logs, table_of
+from ..fleets.result import FleetResult
+from ..fleets.statistics import FALSE_SHARE
 from ..formatting import number, pretty_unit
 from .drawing import Panels
 from .page import BLUE, GREY, ORANGE, Plot, plot, render
-
-if TYPE_CHECKING:
-    from ..fleets.fleet_statistics import Drift, Measure, Spread
-    from ..fleets.result import FleetResult
 
 Array = NDArray[np.float64]
 MOST_ROWS = 100
@@ -32,15 +32,13 @@ OUT = "#c23b66"
 _PX = 210
 
 
-def write_fleet_report(result: "FleetResult", path: Path) -> None:
+def write_page(result: FleetResult, path: Path) -> None:
     """Write the page.
 
     Args:
         result: To show.
         path: HTML file to write; an existing one is replaced.
     """
-    from ..fleets.overview import of_logs, table_of
-    from ..fleets.statistics import FALSE_SHARE
 
     by_aircraft, over_time = _drawn(result)
     bad = result.bad_logs(MOST_ROWS)
@@ -72,7 +70,7 @@ def write_fleet_report(result: "FleetResult", path: Path) -> None:
     path.write_text(page, encoding="utf-8")
 
 
-def _facts(result: "FleetResult") -> dict[str, str]:
+def _facts(result: FleetResult) -> dict[str, str]:
     """What the fleet is."""
     return {
         "logs": str(result.logs),
@@ -82,9 +80,8 @@ def _facts(result: "FleetResult") -> dict[str, str]:
     }
 
 
-def _drawn(result: "FleetResult") -> tuple[list[Plot], list[Plot]]:
+def _drawn(result: FleetResult) -> tuple[list[Plot], list[Plot]]:
     """Figures by aircraft, and over time; each number is read once."""
-    from ..fleets.fleet_statistics import measures
 
     first = {d.number: k for k, d in reversed(list(enumerate(result.differences)))}
     numbers = sorted(first, key=lambda n: first[n])[:MOST_NUMBERS]
@@ -104,7 +101,7 @@ def _drawn(result: "FleetResult") -> tuple[list[Plot], list[Plot]]:
     )
 
 
-def _by_aircraft(m: "Measure", out: set[str]) -> Plot:
+def _by_aircraft(m: Measure, out: set[str]) -> Plot:
     """A number of every flight, by aircraft."""
     names = sorted({str(a) for a in m.table["aircraft"]})
     if len(names) > MOST_AIRCRAFT:
@@ -135,7 +132,7 @@ def _values(table: pd.DataFrame, aircraft: str) -> Array:
     return np.asarray(own[:: max(1, -(-len(own) // MOST_POINTS))])
 
 
-def _over_time(m: "Measure", drift: "Drift", k: int) -> Plot:
+def _over_time(m: Measure, drift: Drift, k: int) -> Plot:
     """A number of an aircraft against the date, with its slope."""
     own = m.table[m.table["aircraft"] == drift.aircraft].dropna(subset=["date_year"])
     own = own.iloc[:: -(-len(own) // MOST_POINTS)]
@@ -159,12 +156,12 @@ def _over_time(m: "Measure", drift: "Drift", k: int) -> Plot:
     return plot(f"drift-{k}", label, panels.figure)
 
 
-def _effect_plots(spreads: "Sequence[Spread]") -> list[Plot]:
+def _effect_plots(spreads: Sequence[Spread]) -> list[Plot]:
     """Numbers of effects, an estimate per aircraft."""
     return list(_effects(spreads))
 
 
-def _effects(spreads: "Sequence[Spread]") -> Iterator[Plot]:
+def _effects(spreads: Sequence[Spread]) -> Iterator[Plot]:
     for s in spreads:
         several = s.aircraft[:MOST_AIRCRAFT]
         if len(several) < 2:

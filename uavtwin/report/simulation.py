@@ -12,6 +12,7 @@ from cosim.recording import Recording
 from twin.flight.mission import PHASES
 
 from ..formatting import pretty_unit
+from ..run import Run
 from .drawing import Budget, Panels, Spans, fitted, spans_of, thinned
 from .page import BLACK, BLUE, Figure, Plot, plot, render
 from .track import Track, track_plots
@@ -26,6 +27,11 @@ _FOLLOWED = (
 )
 """What is flown, what is wanted of it, both in words, and its axes."""
 PHASE = "mission.phase"
+
+
+def write_page(run: Run, path: Path) -> None:
+    """Write the page of a run; an existing file is replaced."""
+    write_simulation_report(run.recording, run.units, run.claim, run.facts, run.name, path)
 
 
 def write_simulation_report(

@@ -1,18 +1,16 @@
 """The page that `uavtwin sweep` leaves: how runs ended, what matters for it, the worst of them."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from ..formatting import number, pretty_unit
+from ..sweeps.result import SweepResult
 from .drawing import Panels
 from .page import BLUE, GREY, ORANGE, Plot, plot, render
-
-if TYPE_CHECKING:
-    from ..sweeps.result import SweepResult
 
 Array = NDArray[np.float64]
 MOST_POINTS = 3000
@@ -22,7 +20,7 @@ COLOURS = {"flown": BLUE, "run": BLUE, "lost": ORANGE, "failed": "#c23b66"}
 _PX = 210
 
 
-def write_sweep_report(result: "SweepResult", path: Path) -> None:
+def write_page(result: SweepResult, path: Path) -> None:
     """Write the page.
 
     Args:
@@ -39,7 +37,6 @@ def write_sweep_report(result: "SweepResult", path: Path) -> None:
         names = [i.factor for i in influences[:MOST_FACTORS]]
         if names:
             plots.append(_against(shown, names, figure, unit))
-    content = result.json()
     page = render(
         "sweep.html.j2",
         {"number": number},
@@ -47,7 +44,7 @@ def write_sweep_report(result: "SweepResult", path: Path) -> None:
         claim=result.claim,
         method=result.design.method,
         outcomes=result.counts,
-        figures=content["figures"],
+        figures=result.record.figures,
         units={n: pretty_unit(u) for n, u in result.units.items()},
         figure=figure,
         influences=influences,

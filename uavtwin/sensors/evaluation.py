@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from ..display import DisplayMixin, TextTable
 from ..flights import check_names
 from ..formatting import counted, number, percent, pretty_unit
 from ..output import output_file
+from ..record import Record
 from ..report.drawing import Budget, fitted
 from ..report.learning_figures import (
     anomaly_figure,
@@ -42,7 +44,56 @@ MODEL = "model"
 Progress = Callable[[float], None]
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+class AnomalyRecord(Record, frozen=True, kw_only=True):
+    """The anomaly score on a flight; null of a model that gives none.
+
+    Attributes:
+        flight: Its name.
+        share_above_1: How often it is an alarm.
+        largest: Score.
+        at_s: When that was.
+    """
+
+    flight: str
+    share_above_1: float | None
+    largest: float | None
+    at_s: float | None
+
+
+class EvaluationRecord(Record, frozen=True, kw_only=True):
+    """What a compensator of sensors does on other flights.
+
+    Attributes:
+        family: Of the model.
+        runs: What corrected: `fmu`, the exported one, or `python` of a family that has none.
+        protocol: What the compensator saw.
+        horizon: Age of the newest residual that it saw, samples.
+        horizon_s: The same in s.
+        rate_hz: Of the samples.
+        vehicle: That was compensated.
+        flights: Names.
+        claim: The sentence of the report.
+        groups: Rows of the table per sensor: the compensator against its linear part alone and the
+            trivial baselines.
+        channels: The same per channel.
+        anomaly: Of each flight.
+    """
+
+    family: str
+    runs: str
+    protocol: str
+    horizon: int
+    horizon_s: float
+    rate_hz: float
+    vehicle: str
+    flights: tuple[str, ...]
+    claim: str
+    groups: tuple[dict[str, Any], ...]
+    channels: tuple[dict[str, Any], ...]
+    anomaly: tuple[AnomalyRecord, ...]
+
+
+@dataclass(frozen=True, repr=False)
 class Evaluation(DisplayMixin):
     """A model and what it makes of flights.
 
@@ -77,9 +128,31 @@ class Evaluation(DisplayMixin):
         what the model says of itself."""
         return tuple(_series(self, i) for i in range(len(self.flights)))
 
+    @cached_property
+    def record(self) -> EvaluationRecord:
+        """Every number that is printed."""
+        info = self.model.info
+        return EvaluationRecord(
+            family=self.model.family,
+            runs=self.runs,
+            protocol=info.protocol,
+            horizon=info.horizon,
+            horizon_s=info.horizon / info.rate_hz,
+            rate_hz=info.rate_hz,
+            vehicle=info.vehicle,
+            flights=tuple(f.name for f in self.flights),
+            claim=self.claim,
+            groups=tuple(_rows(by_group(self))),
+            channels=tuple(_rows(self.table)),
+            anomaly=tuple(
+                AnomalyRecord(flight=f.name, **_anomaly(f, c))
+                for f, c in zip(self.flights, self.corrected, strict=True)
+            ),
+        )
+
     def json(self) -> dict[str, Any]:
         """The content of `evaluation.json`."""
-        return evaluation_json(self)
+        return self.record.json()
 
     def report(self, path: str | Path) -> Path:
         """Write the page, one HTML file that opens offline; returns its path."""
@@ -260,34 +333,8 @@ def evaluation_table(found: Evaluation) -> TextTable:
     return TextTable(header, tuple(rows))
 
 
-def evaluation_json(found: Evaluation) -> dict[str, Any]:
-    """Everything for a machine; a figure that is not defined is null."""
-    info = found.model.info
-    return {
-        "family": found.model.family,
-        "runs": found.runs,
-        "protocol": info.protocol,
-        "horizon": info.horizon,
-        "horizon_s": info.horizon / info.rate_hz,
-        "rate_hz": info.rate_hz,
-        "vehicle": info.vehicle,
-        "flights": [f.name for f in found.flights],
-        "claim": evaluation_claim(found),
-        "groups": _records(by_group(found)),
-        "channels": _records(found.table),
-        "anomaly": [
-            {"flight": f.name, **_anomaly(f, c)}
-            for f, c in zip(found.flights, found.corrected, strict=True)
-        ],
-    }
-
-
-def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = table.to_dict("records")
-    return [
-        {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}
-        for row in rows
-    ]
+def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
+    return [{str(k): v for k, v in row.items()} for row in table.to_dict("records")]
 
 
 def _anomaly(flight: ResidualFlight, corrected: Corrected) -> dict[str, Any]:

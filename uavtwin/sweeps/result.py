@@ -1,7 +1,8 @@
 """A sweep that was run: a row per run."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -13,9 +14,10 @@ import pyarrow.parquet as pq
 
 from twin.effects import EFFECTS
 
-from ..display import DisplayMixin, TextTable
+from ..display import PageMixin, TextTable
 from ..formatting import counted
 from ..output import output_file
+from ..record import Record
 from ..simulation import Scenario
 from .design import Design, Value
 from .outcome import FIGURES, Outcome
@@ -26,8 +28,48 @@ LED_BY = "tracking_worst_m"
 WORST = 10
 
 
-@dataclass(frozen=True, slots=True, repr=False)
-class SweepResult(DisplayMixin):
+class Quantiles(Record, frozen=True, kw_only=True):
+    """A figure over the runs that have it.
+
+    Attributes:
+        p5: 5 % of the runs are below.
+        p50: Median.
+        p95: 95 % of the runs are below.
+    """
+
+    p5: float
+    p50: float
+    p95: float
+
+
+class SweepRecord(Record, frozen=True, kw_only=True):
+    """Many runs of one scenario.
+
+    Attributes:
+        scenario: Its name.
+        method: How points were chosen.
+        runs: How many.
+        outcomes: How many ended `flown`, `lost`, `run`, `failed`.
+        figures: By column of `runs.parquet`.
+        influences: Of each factor that varies, the largest first; none where there are too few
+            runs.
+        worst: Numbers of the worst runs.
+        warnings: What was asked for although it changes nothing, as wind on an aircraft without
+            drag.
+    """
+
+    scenario: str
+    method: str
+    runs: int
+    outcomes: dict[str, int]
+    figures: dict[str, Quantiles]
+    influences: tuple[Influence, ...]
+    worst: tuple[int, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, repr=False)
+class SweepResult(PageMixin):
     """What came of a sweep.
 
     Attributes:
@@ -48,6 +90,8 @@ class SweepResult(DisplayMixin):
     periods: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     _influences: dict[str, list[Influence]] = field(default_factory=dict, init=False)
+
+    page = "uavtwin.report.sweep"
 
     @property
     def figures(self) -> list[str]:
@@ -116,38 +160,34 @@ class SweepResult(DisplayMixin):
         named = str(self.table["vehicle"][run]) if "vehicle" in self.table else self.vehicle
         return command_of(self.scenarios[run], named)
 
-    def json(self) -> dict[str, Any]:
-        """The content of `sweep.json`."""
+    @cached_property
+    def record(self) -> SweepRecord:
+        """Every number that is printed."""
         quantiles = {}
         for name in self.figures:
             known = self.table[name].dropna()
             if len(known):
                 five, half, most = np.percentile(known, [5, 50, 95])
-                quantiles[name] = {"p5": float(five), "p50": float(half), "p95": float(most)}
-        influences = self.influences()
-        return {
-            "scenario": self.name,
-            "method": self.design.method,
-            "runs": len(self.table),
-            "outcomes": self.counts,
-            "figures": quantiles,
-            "influences": [{k: _known(v) for k, v in asdict(i).items()} for i in influences],
-            "worst": [int(run) for run in self.worst()["run"]],
-            "warnings": list(self.warnings),
-        }
+                quantiles[name] = Quantiles(p5=float(five), p50=float(half), p95=float(most))
+        return SweepRecord(
+            scenario=self.name,
+            method=self.design.method,
+            runs=len(self.table),
+            outcomes=self.counts,
+            figures=quantiles,
+            influences=tuple(self.influences()),
+            worst=tuple(int(run) for run in self.worst()["run"]),
+            warnings=self.warnings,
+        )
+
+    def json(self) -> dict[str, Any]:
+        """The content of `sweep.json`."""
+        return self.record.json()
 
     def save(self, path: str | Path) -> Path:
         """Write the table as Parquet; returns its path."""
         with output_file(Path(path)) as file:
             pq.write_table(pa.Table.from_pandas(self.table, preserve_index=False), file)
-        return Path(path)
-
-    def report(self, path: str | Path) -> Path:
-        """Write the page, one HTML file that opens offline; returns its path."""
-        from ..report.sweep import write_sweep_report
-
-        with output_file(Path(path)) as file:
-            write_sweep_report(self, file)
         return Path(path)
 
     def sections(self) -> Iterable[str | TextTable]:
@@ -181,11 +221,6 @@ class SweepResult(DisplayMixin):
 def _short(value: float) -> str:
     """Two digits, nothing where it is not known."""
     return f"{value:.2f}" if np.isfinite(value) else ""
-
-
-def _known(value: Any) -> Any:
-    """A number as JSON has it: null where it is not known."""
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def table_of(points: Sequence[Mapping[str, Value]], outcomes: Iterable[Outcome]) -> pd.DataFrame:
