@@ -5,7 +5,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from twin.effects import EFFECTS
+from twin.effects import EFFECTS, advice_of
+from twin.effects.wording import ADVICE
 from twin.errors import TwinError
 from twin.explain.calibration import Calibrated
 from twin.explain.calibration import calibrate as fitted
@@ -14,6 +15,7 @@ from twin.explain.explanation import UNKNOWN_SITE, hovers_of, sited, usable_of
 from twin.explain.inference.fit import INTERVAL
 from twin.explain.model.numbers import Number
 from twin.explain.settings import DEFAULT, SearchSettings
+from twin.formatting import counted, joined, number, number_cells, readable, title
 from twin.logs import Flight
 from twin.residuals.flight_gap import HoverDiagnosis
 from twin.residuals.teacher_forced import drive_warnings
@@ -23,7 +25,6 @@ from . import vehicles
 from .display import DisplayMixin, TextTable
 from .explanation import SET_BY_PRIOR, check_payloads
 from .flights import checked_flights
-from .formatting import counted, joined, number, number_cells, readable, title
 from .gaps import HoverRecord, hover_record
 from .headline import calibrated_headline
 from .record import Headline, Record
@@ -34,37 +35,6 @@ if TYPE_CHECKING:
 
 DAYS = 3
 """Flights from which on they teach how much days differ."""
-_FLY: tuple[tuple[tuple[str, ...], str, str], ...] = (
-    (
-        ("thrust_scale", "mass_offset"),
-        "thrust and mass",
-        "climb and sink briskly for half a minute, and weigh the aircraft (sd of body.mass), or "
-        "fly once with a known mass aboard (--payload)",
-    ),
-    (
-        ("rotor_drag",),
-        "drag",
-        "fast straight legs, 10 s each way, forward and sideways",
-    ),
-    (
-        ("yaw_torque_scale", "rotor_inertia_torque", "inertia_error.scale_z"),
-        "yaw torque",
-        "yaw steps of 90°, quick ones, each way",
-    ),
-    (
-        ("motor_lag", "inertia_error.scale_x", "inertia_error.scale_y", "command_delay"),
-        "inertia and lag",
-        "sharp roll and pitch doublets, five of each",
-    ),
-    (("battery_sag",), "battery sag", "one flight that takes the battery from full to low"),
-    (("cog_offset",), "centre of mass", "hover for a minute, and turn on the spot meanwhile"),
-    (
-        ("heading_offset", "mag_soft_iron", "mag_hard_iron"),
-        "compass",
-        "turn through a full circle in hover, slowly, twice",
-    ),
-)
-"""What to fly where numbers are not determined: numbers by how they begin, in words, and how."""
 
 
 class NumberRecord(Record, frozen=True, kw_only=True):
@@ -250,10 +220,8 @@ class CalibrateResult(DisplayMixin):
 
     def fly_next(self) -> tuple[str, ...]:
         """Flights that would determine what these do not."""
-        found = []
-        for names, what, how in _FLY:
-            if any(u.startswith(name) for u in self.undetermined for name in names):
-                found.append(f"{what}: {how}")
+        needed = [advice_of(name) for name in self.undetermined]
+        found = [f"{a.topic}: {a.fly}" for a in ADVICE if a in needed]
         if len(self.flights) < DAYS:
             found.append(f"days: {DAYS} flights or more, on different days")
         return tuple(found)

@@ -18,6 +18,17 @@ from twin.explain.explanation import Explanation
 from twin.explain.model.numbers import numbers_of, with_effects
 from twin.explain.settings import DEFAULT, SearchSettings
 from twin.explain.stochastic.spectral import SURE
+from twin.formatting import (
+    certainty,
+    counted,
+    joined,
+    number,
+    number_cells,
+    percent,
+    pretty_unit,
+    readable,
+    title,
+)
 from twin.logs import AnyFlight
 from twin.residuals.channels import ChannelData
 from twin.vehicle import Deviation, Vehicle
@@ -34,17 +45,6 @@ from .explain_record import (
 from .exports.parts import component
 from .exports.write import export_parts
 from .flights import opened_flights
-from .formatting import (
-    certainty,
-    counted,
-    joined,
-    number,
-    number_cells,
-    percent,
-    pretty_unit,
-    readable,
-    title,
-)
 from .headline import got_worse
 from .output import OptionalSteps, write_json
 from .record import Headline

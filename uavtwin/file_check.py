@@ -13,6 +13,7 @@ from twin.draft import Hover, drives, hover_of
 from twin.draft.consistency import consistency
 from twin.errors import LogError, ModelError, TwinError
 from twin.explain.usable import observable_effects
+from twin.formatting import counted
 from twin.logs import AnyFlight, open_flight
 from twin.logs.columns import POS, QUAT, VEL
 from twin.logs.read import is_archive_of
@@ -28,7 +29,6 @@ from twin.vehicle.plausibility import Question, questions
 from twin.vehicle.vehicle import DEFAULT
 
 from .display import DisplayMixin, TextTable
-from .formatting import counted
 from .gaps import HoverRecord, hover_record
 from .record import Record
 from .vehicle_draft import hover_drive

@@ -6,6 +6,7 @@ from functools import cached_property
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
+from twin.formatting import counted, number, percent, pretty_unit
 from twin.logs import AnyFlight
 from twin.residuals.flight_gap import DEFAULT_HORIZON_S, HoverDiagnosis, Mean, flight_gap
 from twin.residuals.gap import UNKNOWN_PHASE, FlightGap, Ranked, Score, band_rows, rank, summaries
@@ -13,7 +14,6 @@ from twin.vehicle import Vehicle
 
 from .display import PageMixin, TextTable
 from .flights import opened_flights
-from .formatting import counted, number, percent, pretty_unit
 from .record import Headline, Record, Section
 from .series.files import TWIN, Column, Series, compared
 from .vehicles import checked_vehicle

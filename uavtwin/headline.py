@@ -26,8 +26,8 @@ from twin.explain.explanation import Explanation
 from twin.explain.inference.adequacy import Detectable
 from twin.explain.inference.fit import Fit
 from twin.explain.inference.selection import Naming
+from twin.formatting import certainty, joined, number, percent, pretty_unit, quantity, title
 
-from .formatting import certainty, joined, number, percent, pretty_unit, quantity, title
 from .record import Headline
 from .wording import BLIND_ORDER, blind_clause, clause, said, said_numbers
 

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, cast
 
 from twin.errors import TwinError, install_command
+from twin.formatting import counted
 from twin.logs import Flight
 from twin.vehicle import Vehicle
 
 from .display import DisplayMixin, TextTable
 from .flights import checked_flights
-from .formatting import counted
 from .model_card.license import UNSAID, check_license
 from .output import check_folder, results_folder
 from .record import Record

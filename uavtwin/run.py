@@ -17,10 +17,10 @@ from cosim.master import Algorithm, Interrupted, Recording, RunError
 from cosim.system import System
 from twin.component import unknown_name
 from twin.errors import TwinError
+from twin.formatting import counted
 from twin.vehicle import Vehicle
 
 from .display import PageMixin, TextTable
-from .formatting import counted
 from .output import output_file, sha256
 from .record import Record
 from .series.files import Column, Series, write_frame, write_series_mcap

@@ -37,13 +37,13 @@ from twin.errors import TwinError
 from twin.flight.closed_loop import STEP_S, closed_loop
 from twin.flight.mission import PHASES
 from twin.flight.simulate_flight import Recorder, Stream, simulate_flight
+from twin.formatting import number, pretty_unit
 from twin.logs import Flight, read_flight, write_flight
 from twin.logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
 from twin.residuals.gap import spectrum
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.flights import check_names
-from uavtwin.formatting import number, pretty_unit
 from uavtwin.output import check_file, output_file, recorded_file
 from uavtwin.report.drawing import Budget, Panels, fitted, thinned
 from uavtwin.report.page import BLACK, ORANGE, Figure, Plot, plot, render

@@ -19,19 +19,15 @@ from typer.main import get_command
 
 from learning.model.registry import FAMILIES
 from twin.component import Component, Enumeration, Variable
-from twin.effects import EFFECTS, EffectParameter
-from twin.effects.priors import (
-    BEGINNINGS,
-    CHANGES,
+from twin.effects import BEGINNINGS, EFFECTS, Effect, EffectParameter, prior_of
+from twin.effects.parameters import (
     COMMON,
     LAST,
-    ONLY_MORE,
     RARE,
     UNMEASURED,
     Normal,
     Prior,
     always_said,
-    prior_of,
 )
 from twin.explain.model.model import has_mean
 from twin.explain.running.hypotheses import RUNNING
@@ -229,17 +225,39 @@ def effects() -> str:
         for own, mark in ((e.parameters, ""), (e.of_logs, "†"))
         for p in own
     ]
+    declined = [
+        (f"`{what}`", meaning, ", ".join(f"`{e.name}`" for e in _without(what)))
+        for what, meaning in DECLINED.items()
+    ]
     return "\n".join(
         [
             "## Effects",
             "",
             *rows(("effect", "in", "meaning", "needs", "source"), overview),
             "",
+            "## Declined on purpose",
+            "",
+            *rows(("by `None`", "means", "effects"), declined),
+            "",
             "## Parameters",
             "",
             *rows(("parameter", "unit", "start", "range", "meaning"), numbers),
         ]
     )
+
+
+DECLINED = {
+    "prior": "rare, and anywhere in its range; or it changes no mean",
+    "change": "it does not change from one flight to the next",
+    "alarm": "live flights neither watch it nor let the model be off by it",
+    "wording": "a report gives its numbers alone",
+    "advice": "there is nothing in particular to fly for it",
+}
+"""What an effect declines by None, and what that means."""
+
+
+def _without(what: str) -> list[Effect]:
+    return [e for e in EFFECTS.values() if getattr(e, what) is None]
 
 
 def _number(effect: str, parameter: EffectParameter, model: Vehicle, note: str) -> Sequence[str]:
@@ -262,7 +280,8 @@ ODDS = {UNMEASURED: "unmeasured", COMMON: "common", RARE: "rare", LAST: "last"}
 def priors() -> str:
     """What is expected of every effect before a flight, and of what changes on an aircraft."""
     usual = {name: prior_of(e) for name, e in EFFECTS.items() if has_mean(e)}
-    only_more = ", ".join(f"`{e}`" for e in ONLY_MORE)
+    changes = {name: e.change for name, e in EFFECTS.items() if e.change is not None}
+    only_more = ", ".join(f"`{e}`" for e, change in changes.items() if change.one_sided)
     return "\n".join(
         [
             "## Of an aircraft",
@@ -273,7 +292,7 @@ def priors() -> str:
             "",
             f"Nothing else changes. Only more, never less: {only_more}.",
             "",
-            *_priors(CHANGES),
+            *_priors(changes),
             "",
             "## Of a beginning in flight",
             "",

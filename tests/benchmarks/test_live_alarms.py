@@ -12,8 +12,7 @@ from benchmarks.live_alarms.flights import (
     with_numbers,
 )
 from benchmarks.live_alarms.page import outcome, page
-from twin.effects import EFFECTS
-from twin.effects.priors import BEGINNINGS
+from twin.effects import BEGINNINGS, EFFECTS
 from twin.explain.running.hypotheses import MONITORED_EFFECTS
 from twin.vehicle.file import load_vehicle
 

@@ -25,6 +25,7 @@ from twin.explain.settings import DEFAULT
 from twin.explain.settings.group import Value
 from twin.explain.unnamed import Equation
 from twin.flight.closed_loop import Mission
+from twin.formatting import certainty
 from twin.logs import read_flight, write_flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
@@ -34,7 +35,6 @@ from uavtwin.cli.explain import flight_payloads
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.explain_record import explain_record
 from uavtwin.explanation import ExplainResult, explained_vehicle, vehicle_today
-from uavtwin.formatting import certainty
 from uavtwin.headline import headline
 
 pytestmark = pytest.mark.slow

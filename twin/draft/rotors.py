@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, lfilter, sosfiltfilt
 
-from ..effects import EFFECTS
-from ..effects.priors import PRIORS, prior_of
+from ..effects import EFFECTS, prior_of
 from ..logs import Flight
 from ..logs.airframe import ThrustCurve
 from ..logs.columns import ACC
@@ -44,7 +43,7 @@ _EXPO_SD = 0.5
 _EXTREMES = (0.9, 2.8)
 _GRID_S = 0.01
 _SLOW_HZ = 2.0
-_LAG_S = PRIORS["motor_lag"].of("tau_s", False).mean
+_LAG_S = prior_of(EFFECTS["motor_lag"]).of("tau_s", False).mean
 _LEAST_CORRELATION = 0.7
 _LEAST_S = 5.0
 _LAG_SD = 0.08
@@ -137,7 +136,7 @@ def _lagged(command: Array) -> Array:
 
 def voltage_sag(hovers: Sequence[Hover], e: float, reference_v: float, command: float) -> Estimate:
     """k from the commands that a hover took at different voltages, and from what is usual."""
-    prior = PRIORS["battery_sag"].of("slope", False)
+    prior = prior_of(EFFECTS["battery_sag"]).of("slope", False)
     usual = Estimate(
         prior.mean, prior.sd, f"usual {prior.mean:g} of motor controllers without compensation"
     )
@@ -245,7 +244,7 @@ def draft_rotors(m: Making, layout: Layout, gravity_m_s2: float) -> Supply:
     else:
         _command_map(m, weight, supply)
     _torque(m, layout)
-    prior = PRIORS["motor_lag"]
+    prior = prior_of(EFFECTS["motor_lag"])
     lag, source = prior.of("tau_s", False), f"usual: {prior.reason}"
     m.file.number("rotors.lag", lag.mean, "s", source, percent(lag.sd / lag.mean))
     m.say("motor lag", f"{1e3 * lag.mean:.0f} ms, sd {percent(lag.sd / lag.mean)}", source)
@@ -271,7 +270,7 @@ def rotor_effects(m: Making, vehicle: Vehicle, supply: Supply) -> dict[str, dict
     for name in ("rotor_inertia_torque", "gyroscopic_torque"):
         (about,) = EFFECTS[name].parameters
         expected = prior_of(EFFECTS[name]).of(about.name, False).sized(about, vehicle)
-        source = f"estimate by thrust and arm; {PRIORS['rotor_inertia_torque'].reason}"
+        source = f"estimate by thrust and arm; {prior_of(EFFECTS['rotor_inertia_torque']).reason}"
         effects[name] = {about.name: _written(expected.mean, expected.sd, source)}
     value = f"{expected.mean:.3g} N m s a rotor in hover, sd {percent(expected.sd / expected.mean)}"
     m.say("rotor momentum", value, "estimate by thrust and arm")

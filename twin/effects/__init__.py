@@ -4,11 +4,11 @@ from ..vehicle import Vehicle
 from . import air, mass, propulsion, sensors, timing
 from .definition import (
     Average,
+    Begins,
     Block,
     Blocks,
     ComponentName,
     Effect,
-    EffectParameter,
     Equation,
     Limit,
     Lines,
@@ -18,11 +18,43 @@ from .definition import (
     RandomForce,
     Repeats,
     Shift,
+    Stands,
+    prior_of,
 )
+from .parameters import EffectParameter, Prior
+from .wording import Advice
 
 _MODULES = (air, propulsion, mass, sensors, timing)
 EFFECTS: dict[str, Effect] = {e.name: e for module in _MODULES for e in module.EFFECTS}
 """All effects by identifier."""
+
+
+def _beginnings() -> dict[str, Prior]:
+    placed = []
+    for e in EFFECTS.values():
+        if isinstance(e.alarm, Begins) and e.beginning is not None:
+            placed.append((e.alarm.place, e.name, e.beginning))
+    return {name: prior for _, name, prior in sorted(placed, key=lambda row: row[0])}
+
+
+BEGINNINGS = _beginnings()
+"""What may begin within a second in flight: priors of the changes of its numbers, by effect."""
+STANDING = tuple(
+    name
+    for _, name in sorted(
+        (e.alarm.place, e.name) for e in EFFECTS.values() if isinstance(e.alarm, Stands)
+    )
+)
+"""Effects by which a calibrated model may be a little off all the time; they do not begin in
+flight."""
+
+
+def advice_of(number: str) -> Advice | None:
+    """What to fly where a number, "effect.number", is undetermined."""
+    effect, _, name = number.partition(".")
+    advice = EFFECTS[effect].advice or {}
+    begins = [k for k in advice if name.startswith(k)]
+    return advice[max(begins, key=len)] if begins else None
 
 
 def effects_of(component: ComponentName) -> tuple[Effect, ...]:
@@ -69,8 +101,11 @@ def _shifts(vehicle: Vehicle, acts: bool) -> dict[str, float]:
 
 
 __all__ = [
+    "BEGINNINGS",
     "EFFECTS",
+    "STANDING",
     "Average",
+    "Begins",
     "Block",
     "Blocks",
     "ComponentName",
@@ -85,9 +120,12 @@ __all__ = [
     "RandomForce",
     "Repeats",
     "Shift",
+    "Stands",
     "acting_late",
+    "advice_of",
     "ages",
     "effects_for",
     "effects_of",
     "late_actions",
+    "prior_of",
 ]

@@ -25,8 +25,10 @@ from ..component.portable import decay
 from ..errors import ModelError
 from ..frames import cross
 from ..vehicle import Vehicle
-from .definition import Block, Effect, EffectParameter, Limit, RandomForce
+from .definition import Begins, Block, Effect, Limit, RandomForce, Stands
+from .parameters import COMMON, RARE, EffectParameter, Normal, Prior
 from .stages import Air, Thrust, Wrench
+from .wording import FLY_FOR_DRAG, Undetected, Wording, drag_clause, wind_clause
 
 FOOT_M = 0.3048
 GUST_HEIGHT_M = 6.096
@@ -156,6 +158,11 @@ GUST = Effect(
         ("intensity_u", "intensity_v", "intensity_w"), ("length_u", "length_v", "length_w")
     ),
     of_weather=True,
+    prior=None,
+    change=None,
+    alarm=None,
+    wording=None,
+    advice=None,
 )
 
 
@@ -276,6 +283,22 @@ ROTOR_DRAG = Effect(
     "Faessler, Franchi & Scaramuzza, RA-L 3 (2018), eq. 7, with rotor speed as in Foerster, System "
     "Identification of the Crazyflie 2.0, ETH Zurich (2015); 0.38 1/s measured on a Crazyflie",
     _rotor_drag,
+    prior=Prior(
+        COMMON,
+        "0.1 to 0.5 1/s published; attacks within the height of motors and propellers; theory has "
+        "it grow with rotor speed, identified models and simulators often leave that out",
+        {
+            "": Normal(0.2, 0.2),
+            "height_m": Normal(0.0, 0.02),
+            "spin_share": Normal(0.7, 0.4),
+        },
+    ),
+    change=None,
+    alarm=Stands(5),
+    wording=Wording(
+        drag_clause, undetected=Undetected(7, "rotor drag below {}"), secondary=("height_m",)
+    ),
+    advice={"": FLY_FOR_DRAG},
 )
 
 PARASITIC_DRAG = Effect(
@@ -295,6 +318,11 @@ PARASITIC_DRAG = Effect(
     "the whole speed: Folk, Paulos & Kumar, RotorPy, arXiv 2306.04485",
     _parasitic_drag,
     _slowing,
+    prior=Prior(RARE, "0.5 rho Cd A / m", {"": Normal(0.0, 0.03)}),
+    change=None,
+    alarm=Stands(6),
+    wording=None,
+    advice=None,
 )
 
 INDUCED_INFLOW = Effect(
@@ -306,6 +334,11 @@ INDUCED_INFLOW = Effect(
     ("acc", "vel", "q"),
     "Leishman, Principles of Helicopter Aerodynamics, sec. 2.13: linear part of the climb",
     _induced_inflow,
+    prior=Prior(RARE, "momentum theory: 1 / (2 v_i) to 1 / v_i", {"": Normal(0.05, 0.04)}),
+    change=None,
+    alarm=None,
+    wording=None,
+    advice=None,
 )
 
 TRANSLATIONAL_LIFT = Effect(
@@ -322,6 +355,11 @@ TRANSLATIONAL_LIFT = Effect(
     ("acc", "vel", "q"),
     "Glauert's inflow in forward flight, Leishman, sec. 2.14, eq. 2.125 at zero disc angle",
     _translational_lift,
+    prior=Prior(RARE, "Glauert", {"gain": Normal(0.0, 0.3), "induced_m_s": Normal(4.0, 2.0)}),
+    change=None,
+    alarm=None,
+    wording=None,
+    advice=None,
 )
 
 BLADE_FLAPPING = Effect(
@@ -338,6 +376,15 @@ BLADE_FLAPPING = Effect(
     ("acc", "vel", "q", "gyro"),
     "Mahony, Kumar & Corke, IEEE Robotics & Automation Magazine 19 (2012), p. 25",
     _blade_flapping,
+    prior=Prior(
+        RARE,
+        "stiff propellers tilt little",
+        {"k_rad_s_m": Normal(0.005, 0.01), "height_m": Normal(0.03, 0.03)},
+    ),
+    change=None,
+    alarm=None,
+    wording=None,
+    advice=None,
 )
 
 FLAPPING_MOMENT = Effect(
@@ -360,6 +407,11 @@ FLAPPING_MOMENT = Effect(
     "hub moment of stiff rotors, proportional to rotor speed and to that through the air: Martin & "
     "Salaun, ICRA 2010; Folk, Paulos & Kumar, RotorPy, arXiv 2306.04485 (k_flap, other sign)",
     _flapping_moment,
+    prior=Prior(RARE, "hub moment of stiff rotors", {"": Normal(0.0, 0.01)}),
+    change=None,
+    alarm=None,
+    wording=None,
+    advice=None,
 )
 
 STEADY_WIND = Effect(
@@ -376,6 +428,21 @@ STEADY_WIND = Effect(
     "definition: velocity of the air, NED",
     _steady_wind,
     of_weather=True,
+    prior=Prior(
+        COMMON,
+        "up to 12 m/s is flown in; no mean vertical wind near the ground; indoors a draught",
+        {"": Normal(0.0, 4.0, 2.0), "down_m_s": Normal(0.0, 0.3)},
+        indoors={"": Normal(0.0, 0.1, 0.03), "down_m_s": Normal(0.0, 0.03)},
+    ),
+    change=Prior(
+        COMMON,
+        "weather",
+        {"": Normal(0.0, 4.0), "down_m_s": Normal(0.0, 0.3)},
+        indoors={"": Normal(0.0, 0.3), "down_m_s": Normal(0.0, 0.05)},
+    ),
+    alarm=Begins(4),
+    wording=Wording(wind_clause, undetected=Undetected(8, "a steady wind below {}")),
+    advice=None,
 )
 
 GROUND_EFFECT = Effect(
@@ -398,6 +465,15 @@ GROUND_EFFECT = Effect(
     ("acc", "pos", "q"),
     "Cheeseman & Bennett, ARC R&M 3021 (1955), far-field 1 + (R/4z)^2, bounded at the ground",
     _ground_effect,
+    prior=Prior(
+        COMMON,
+        "Cheeseman & Bennett 1955",
+        {"gain": Normal(0.3, 0.2), "height_m": Normal(2.0, 1.0)},
+    ),
+    change=None,
+    alarm=None,
+    wording=None,
+    advice=None,
 )
 
 EFFECTS = (

@@ -5,6 +5,9 @@ gives the stage back with some of them changed. `Blocks` puts terms into a compo
 tunable parameters, `<effect>.enabled` first, off by default. What is off is left out exactly:
 the quantities are those of the component without the effect, to the last bit.
 
+An effect also declares what everybody beyond its equation needs: prior, change since a calibration,
+alarm, wording, advice. Each is given, or declined by None; one that is forgotten does not import.
+
 How an effect is observable, which is what a search uses to find it:
 
 | kind | what it leaves in a record |
@@ -22,15 +25,17 @@ Numbers are given by their names within the effect, signals as in `Effect.needs`
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..component import ComponentBuilder, Kind
+from ..component import ComponentBuilder
 from ..vehicle import Vehicle
+from .parameters import RARE, EffectParameter, Normal, Prior
+from .wording import Advice, Wording
 
 Array = NDArray[np.float64]
 
@@ -170,71 +175,6 @@ ComponentName = str
 Stage = TypeVar("Stage")
 RECORD = "record"
 """In the place of a component, for effects of a log: no aircraft has them, and no FMU."""
-TRIFLE = 0.01
-"""Share of its range by which a number moves at least where an effect is one to speak of:
-a percent of the mass."""
-
-
-@dataclass(frozen=True, slots=True)
-class EffectParameter:
-    """One number of an effect.
-
-    Attributes:
-        name: Within the effect, ending in its unit where it has one (`k_xy_1_s`).
-        unit: SI unit.
-        description: One line.
-        start: A middling size, which counts once the effect is switched on.
-        bounds: Smallest and largest value that a fit considers.
-        neutral: Value at which the effect vanishes; None for a shape (a height, a time constant
-            of something else).
-        scale: Vehicle quantity that start, bounds and neutral are multiples of; None: absolute.
-        per_rotor: Whether every rotor has one: `name_1`, `name_2`, ...
-        trifle: Smallest change worth a name, in the unit of `bounds`; None: `TRIFLE` of that range.
-        floor: Smallest value that a vehicle allows, absolute, where that is below the bounds.
-        kind: What its values are.
-        ends: Whether it may well be at a bound, as a share may be none or all: that is no hint that
-            another effect is meant.
-    """
-
-    name: str
-    unit: str
-    description: str
-    start: float
-    bounds: tuple[float, float]
-    neutral: float | None = 0.0
-    scale: Callable[[Vehicle], float] | None = None
-    per_rotor: bool = False
-    trifle: float | None = None
-    floor: Callable[[Vehicle], float] | None = None
-    ends: bool = False
-    kind: Kind = "real"
-
-    @property
-    def smallest(self) -> float:
-        """Smallest change worth a name."""
-        low, high = self.bounds
-        return TRIFLE * (high - low) if self.trifle is None else self.trifle
-
-    def names(self, vehicle: Vehicle) -> list[str]:
-        """Names of its numbers: one, or one per rotor."""
-        if not self.per_rotor:
-            return [self.name]
-        return [f"{self.name}_{i}" for i in range(1, vehicle.rotors.count + 1)]
-
-    def sized(self, vehicle: Vehicle) -> "EffectParameter":
-        """The same with absolute numbers for a vehicle."""
-        k = 1.0 if self.scale is None else self.scale(vehicle)
-        low, high = (k * b for b in self.bounds)
-        neutral, trifle = (None if v is None else k * v for v in (self.neutral, self.trifle))
-        return replace(
-            self,
-            start=k * self.start,
-            bounds=(low if self.floor is None else min(low, self.floor(vehicle)), high),
-            neutral=neutral,
-            trifle=trifle,
-            scale=None,
-            floor=None,
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,6 +203,34 @@ def _no_limits(_: Vehicle) -> tuple[Limit, ...]:
 
 
 @dataclass(frozen=True, slots=True)
+class Begins:
+    """An alarm: it may begin within a second in mid-flight.
+
+    Attributes:
+        place: In the list of what is monitored, 1 first: what a pilot has to act on soonest.
+        prior: Of the change of its numbers, whatever the weather; None: `Effect.change`.
+        quiet_share: Share of its usual spread by which the calibrated model may be off by it before
+            it begins: 1 but for effects that show only once something else has changed, such as the
+            voltage; what a quiet start does not show counts as begun by then.
+    """
+
+    place: int
+    prior: Prior | None = None
+    quiet_share: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Stands:
+    """No alarm: a calibrated model may be a little off by it all the time.
+
+    Attributes:
+        place: In the list of those, 1 first.
+    """
+
+    place: int
+
+
+@dataclass(frozen=True, slots=True)
 class Effect:
     """A physical cause that a model may lack.
 
@@ -277,6 +245,13 @@ class Effect:
         source: Paper and equation, or the measurement.
         term: `(stage, block) -> stage`, pure.
         limits: What its numbers together can be, for a vehicle.
+        prior: What is expected of it; None: that it is rare and anywhere in its range.
+        change: What is expected of a change since a calibration; None: it does not change from one
+            flight to the next.
+        alarm: What a live flight makes of it; None: nothing.
+        wording: Its clauses in a report; None: its numbers alone are given.
+        advice: What to fly where its numbers are undetermined, by number or by the beginning of its
+            name, "" for all others; None: nothing in particular.
         observable_as: How a flight shows it.
         of_logs: Numbers that it has in a log alone, and in no component.
         period: How often the airframe is sampled for its memory; None: it has no memory there.
@@ -292,6 +267,12 @@ class Effect:
     source: str
     term: Callable[[Any, "Block"], Any] = field(repr=False)
     limits: Callable[[Vehicle], tuple[Limit, ...]] = field(default=_no_limits, repr=False)
+    _: KW_ONLY
+    prior: Prior | None
+    change: Prior | None
+    alarm: Begins | Stands | None
+    wording: Wording | None
+    advice: Mapping[str, Advice] | None
     observable_as: Observability = field(default_factory=Equation)
     of_logs: tuple[EffectParameter, ...] = ()
     period: Period | None = None
@@ -317,6 +298,11 @@ class Effect:
         """See `Equation.mistaken_for`."""
         return self.observable_as.mistaken_for if isinstance(self.observable_as, Equation) else ()
 
+    @property
+    def beginning(self) -> Prior | None:
+        """Prior of a beginning in mid-flight; None: it is not monitored."""
+        return self.alarm.prior or self.change if isinstance(self.alarm, Begins) else None
+
     def starts(self, vehicle: Vehicle) -> dict[str, float]:
         """Its numbers by name, each at its start value."""
         sized = [p.sized(vehicle) for p in self.parameters]
@@ -330,6 +316,12 @@ def effect_of_records(
     needs: tuple[str, ...],
     source: str,
     observable_as: Observability,
+    *,
+    prior: Prior | None,
+    change: Prior | None,
+    alarm: Begins | Stands | None,
+    wording: Wording | None,
+    advice: Mapping[str, Advice] | None,
 ) -> Effect:
     """An effect without a term in any component. Arguments as of `Effect`."""
     return Effect(
@@ -341,9 +333,26 @@ def effect_of_records(
         needs,
         source,
         lambda stage, _: stage,
+        prior=prior,
+        change=change,
+        alarm=alarm,
+        wording=wording,
+        advice=advice,
         observable_as=observable_as,
         of_logs=numbers,
     )
+
+
+def prior_of(effect: Effect) -> Prior:
+    """Of an effect; of one without a prior, that it is rare and anywhere in its range."""
+    if effect.prior is not None:
+        return effect.prior
+    numbers = {}
+    for p in (*effect.parameters, *effect.of_logs):
+        low, high = p.bounds
+        middle = (low + high) / 2 if p.neutral is None else p.neutral
+        numbers[p.name] = Normal(middle, (high - low) / 4)
+    return Prior(RARE, "a quarter of the range: nothing else is known", numbers)
 
 
 class Block:

@@ -30,8 +30,21 @@ from numpy.typing import NDArray
 from ..component.along import accumulated
 from ..frames import to_body
 from ..vehicle import Vehicle
-from .definition import Block, Effect, EffectParameter, Equation, Limit, Observer
+from .definition import Begins, Block, Effect, Equation, Limit, Observer, Stands
+from .parameters import COMMON, RARE, UNMEASURED, EffectParameter, Normal, Prior
 from .stages import Body, Wrench
+from .wording import (
+    FLY_FOR_CENTRE_OF_MASS,
+    FLY_FOR_INERTIA,
+    FLY_FOR_THRUST,
+    FLY_FOR_YAW_TORQUE,
+    Undetected,
+    Wording,
+    inertia_clause,
+    load_clause,
+    mass_clause,
+    place_clause,
+)
 
 Array = NDArray[np.float64]
 Course = tuple[Array, Array]
@@ -223,6 +236,13 @@ MASS_OFFSET = Effect(
     ("acc",),
     "definition",
     _mass_offset,
+    prior=Prior(
+        COMMON, "battery, payload of up to 30 %", {"": Normal(0.0, 0.12)}, corrects="body.mass"
+    ),
+    change=Prior(COMMON, "payload of 5 to 25 %", {"": Normal(0.1, 0.1)}, one_sided=True),
+    alarm=Begins(2),
+    wording=Wording(mass_clause, undetected=Undetected(3, "a mass that is off by less than {}")),
+    advice={"": FLY_FOR_THRUST},
 )
 
 COG_OFFSET = Effect(
@@ -260,6 +280,18 @@ COG_OFFSET = Effect(
     "definition: rotor hubs move the other way; the airframe gives the specific force where the "
     "vehicle file has the centre of mass, so the IMU keeps its place",
     _cog_offset,
+    prior=Prior(
+        UNMEASURED,
+        "place of the battery, put in anew before every flight",
+        {"": Normal(0.0, 0.05, 0.015)},
+        corrects="rotors.position",
+    ),
+    change=Prior(COMMON, "where it is strapped on", {"": Normal(0.0, 0.15)}),
+    alarm=Begins(3),
+    wording=Wording(
+        place_clause, undetected=Undetected(4, "a centre of mass that is off by less than {}")
+    ),
+    advice={"": FLY_FOR_CENTRE_OF_MASS},
 )
 
 INERTIA_ERROR = Effect(
@@ -278,6 +310,18 @@ INERTIA_ERROR = Effect(
     "inequality: Goldstein, Classical Mechanics, ch. 5",
     _inertia_error,
     _rigid,
+    prior=Prior(
+        UNMEASURED,
+        "CAD or bifilar 5 to 10 % off, guessed 30 %",
+        {"": Normal(1.0, 0.25)},
+        corrects="body.inertia",
+    ),
+    change=Prior(COMMON, "it turns with the payload", {"": Normal(0.1, 0.1)}, one_sided=True),
+    alarm=Stands(4),
+    wording=Wording(
+        inertia_clause, undetected=Undetected(5, "inertia that is off by less than {}")
+    ),
+    advice={"scale_z": FLY_FOR_YAW_TORQUE, "": FLY_FOR_INERTIA},
 )
 
 SLUNG_LOAD = Effect(
@@ -298,6 +342,20 @@ SLUNG_LOAD = Effect(
     observable_as=Equation(
         Observer(_follow_load, _place_load, ("acc_x", "acc_y"), DIRECTION_GAIN_1_S)
     ),
+    prior=Prior(
+        RARE,
+        "only where somebody hung one",
+        {"mass_kg": Normal(0.0, 0.2), "length_m": Normal(0.7, 0.7)},
+    ),
+    change=Prior(
+        RARE,
+        "a load of 5 to 25 % on a rope",
+        {"mass_kg": Normal(0.1, 0.1), "length_m": Normal(0.7, 0.7)},
+        one_sided=True,
+    ),
+    alarm=None,
+    wording=Wording(load_clause, undetected=Undetected(6, "a slung load below {}")),
+    advice=None,
 )
 
 EFFECTS = (MASS_OFFSET, COG_OFFSET, INERTIA_ERROR, SLUNG_LOAD)

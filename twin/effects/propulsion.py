@@ -1,14 +1,30 @@
 """Effects between motor command and rotor wrench."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import casadi as ca
 
 from ..frames import cross
 from ..vehicle import Vehicle
-from .definition import Block, Effect, EffectParameter, Equation
+from .definition import Begins, Block, Effect, Equation, Stands
+from .parameters import COMMON, RARE, UNMEASURED, EffectParameter, Normal, Prior
 from .stages import Motors, Thrust, Wrench
+from .wording import (
+    FLY_FOR_BATTERY_SAG,
+    FLY_FOR_INERTIA,
+    FLY_FOR_THRUST,
+    FLY_FOR_YAW_TORQUE,
+    Undetected,
+    Wording,
+    delay_clause,
+    factor_clause,
+    rotor_clause,
+    sag_clause,
+)
+
+QUICKEST_LAG_S = 0.008
+"""Smallest lag that a grid of 5 ms can tell from none."""
+
 
 LEAST_LAG_S = 2.5e-3
 """Below it no lag of a file is made shorter: half the longest step that is integrated."""
@@ -90,19 +106,14 @@ def _voltage(vehicle: Vehicle) -> float:
     return vehicle.voltage_v
 
 
-def _momentum(
-    description: str,
-    source: str,
-    name: str,
-    meaning: str,
-    stage: type[Thrust | Wrench],
-    term: Callable[..., Thrust | Wrench],
-    needs: tuple[str, ...],
-) -> Effect:
-    parameter = EffectParameter(
-        "momentum_n_m_s", "N.m.s", description, 1.0, (0, 10), scale=_hover_momentum
-    )
-    return Effect(name, meaning, "airframe", stage, (parameter,), needs, source, term)
+_MOMENTUM = EffectParameter(
+    "momentum_n_m_s",
+    "N.m.s",
+    "spin momentum of one rotor in hover",
+    1.0,
+    (0, 10),
+    scale=_hover_momentum,
+)
 
 
 THRUST_SCALE = Effect(
@@ -118,6 +129,19 @@ THRUST_SCALE = Effect(
     ("acc",),
     "definition: one factor on the thrust map",
     _thrust_scale,
+    prior=Prior(
+        UNMEASURED,
+        "maps come from other propellers: bench tests 10 to 30 % off, copied files 50 %",
+        {"": Normal(1.0, 0.3)},
+        corrects="rotors.thrust",
+    ),
+    change=None,
+    alarm=Stands(1),
+    wording=Wording(
+        factor_clause("its rotors give", "thrust"),
+        undetected=Undetected(2, "thrust that is off by less than {}"),
+    ),
+    advice={"": FLY_FOR_THRUST},
 )
 
 THRUST_CURVE = Effect(
@@ -133,6 +157,11 @@ THRUST_CURVE = Effect(
     ("acc",),
     "definition: first-order change of the shape of the map about hover",
     _thrust_curve,
+    prior=Prior(RARE, "the shape of a map is better known than its size", {"": Normal(0.0, 0.15)}),
+    change=None,
+    alarm=Stands(2),
+    wording=None,
+    advice=None,
 )
 
 BATTERY_SAG = Effect(
@@ -156,6 +185,24 @@ BATTERY_SAG = Effect(
     "thrust of a brushless motor against voltage, slope 1 to 2: Podhradsky, Coopmans & Jensen, "
     "J. Intell. Robot. Syst. 74 (2014)",
     _battery_sag,
+    prior=Prior(
+        COMMON,
+        "slope 1 to 2 (Podhradsky et al. 2014) on every motor controller without compensation",
+        {"slope": Normal(1.3, 0.6), "reference_v": Normal(1.0, 0.05)},
+        unsaid=lambda v: not v.states_voltage,
+    ),
+    change=None,
+    alarm=Begins(
+        7,
+        Prior(
+            COMMON,
+            "a cell that fails or freezes: slope as of motor controllers without compensation",
+            {"slope": Normal(1.3, 0.6), "reference_v": Normal(1.0, 0.05)},
+        ),
+        quiet_share=0.1,
+    ),
+    wording=Wording(sag_clause),
+    advice={"": FLY_FOR_BATTERY_SAG},
 )
 
 MOTOR_LAG = Effect(
@@ -177,6 +224,19 @@ MOTOR_LAG = Effect(
     ("acc", "gyro"),
     "first-order rotor dynamics: Mahony, Kumar & Corke 2012, p. 22; 75 ms measured on a Crazyflie",
     _motor_lag,
+    prior=Prior(
+        UNMEASURED,
+        "whole lag of all published airframes: 15 to 75 ms",
+        {"": Normal(0.03, 0.015)},
+        corrects="rotors.lag",
+        already=lambda v: v.rotors.lag_up_s,
+        timed=True,
+        least=lambda v: None if v.rotors.follows else QUICKEST_LAG_S,
+    ),
+    change=None,
+    alarm=Begins(8, Prior(RARE, "a bearing, a controller that is hot", {"": Normal(0.0, 0.03)})),
+    wording=Wording(delay_clause("its rotors follow")),
+    advice={"": FLY_FOR_INERTIA},
 )
 
 ROTOR_EFFICIENCY_LOSS = Effect(
@@ -201,26 +261,67 @@ ROTOR_EFFICIENCY_LOSS = Effect(
     "the square of its speed, one with a damaged blade may keep more of its torque",
     _rotor_efficiency_loss,
     observable_as=Equation(mistaken_for=("cog_offset", "thrust_scale", "mass_offset")),
+    prior=Prior(
+        RARE,
+        "propellers of one bag differ by 2 to 5 %, damaged blades cost up to 30 %; slower rotors "
+        "lose torque as they lose thrust, damaged blades less of it, those of many simulators none",
+        {"loss": Normal(0.0, 0.12), "torque_share": Normal(0.8, 0.5)},
+    ),
+    change=Prior(
+        COMMON,
+        "a nicked blade costs 5 to 30 % of its rotor's thrust",
+        {"loss": Normal(0.1, 0.1), "torque_share": Normal(1.0, 0.3)},
+        one_sided=True,
+    ),
+    alarm=Begins(1),
+    wording=Wording(
+        rotor_clause, undetected=Undetected(1, "a loss below {} of the thrust of one rotor")
+    ),
+    advice=None,
 )
 
-ROTOR_INERTIA_TORQUE = _momentum(
-    "spin momentum of one rotor in hover",
-    "reaction to the rotor's own acceleration; measured on a Crazyflie: R2 of yaw 0.52 to 0.92",
+ROTOR_INERTIA_TORQUE = Effect(
     "rotor_inertia_torque",
     "rotors that speed up or slow down twist the body about the yaw axis",
+    "airframe",
     Thrust,
-    _rotor_inertia_torque,
+    (_MOMENTUM,),
     ("gyro",),
+    "reaction to the rotor's own acceleration; measured on a Crazyflie: R2 of yaw 0.52 to 0.92",
+    _rotor_inertia_torque,
+    prior=Prior(
+        COMMON,
+        "0.9 to 1.6 times the guess from thrust and arm: OS4 (Bouabdallah 2007), AR.Drone, "
+        "Hummingbird, an F450, a quadrotor of 1.8 kg; Crazyflie by mass and radius of its blades",
+        {"": Normal(1.0, 0.5)},
+        corrects="rotors.reaction_inertia",
+        unsaid=lambda v: not v.rotors.follows,
+    ),
+    change=None,
+    alarm=None,
+    wording=None,
+    advice={"": FLY_FOR_YAW_TORQUE},
 )
 
-GYROSCOPIC_TORQUE = _momentum(
-    "spin momentum of one rotor in hover",
-    "Stevens, Lewis & Johnson, eq. 1.7-8 with the momentum of the rotors",
+GYROSCOPIC_TORQUE = Effect(
     "gyroscopic_torque",
     "spinning rotors resist roll and pitch rates with a torque at right angles",
+    "airframe",
     Wrench,
-    _gyroscopic_torque,
+    (_MOMENTUM,),
     ("gyro",),
+    "Stevens, Lewis & Johnson, eq. 1.7-8 with the momentum of the rotors",
+    _gyroscopic_torque,
+    prior=Prior(
+        RARE,
+        "the same momentum",
+        {"": Normal(1.0, 0.5)},
+        corrects="rotors.spin_inertia",
+    ),
+    change=None,
+    alarm=None,
+    wording=None,
+    advice=None,
 )
 
 YAW_TORQUE_SCALE = Effect(
@@ -232,6 +333,16 @@ YAW_TORQUE_SCALE = Effect(
     ("gyro",),
     "definition: one factor on the torque map",
     _yaw_torque_scale,
+    prior=Prior(
+        UNMEASURED,
+        "torque coefficients are the least known numbers of a file",
+        {"": Normal(1.0, 0.5)},
+        corrects="rotors.torque",
+    ),
+    change=None,
+    alarm=Stands(3),
+    wording=Wording(factor_clause("its rotors give", "yaw torque")),
+    advice={"": FLY_FOR_YAW_TORQUE},
 )
 
 THRUST_TILT = Effect(
@@ -246,6 +357,11 @@ THRUST_TILT = Effect(
     ("acc", "q"),
     "definition: axis of the thrust in body axes",
     _thrust_tilt,
+    prior=Prior(COMMON, "1 to 2 degrees of frame and board", {"": Normal(0.0, 0.03)}),
+    change=None,
+    alarm=None,
+    wording=None,
+    advice=None,
 )
 
 EFFECTS = (

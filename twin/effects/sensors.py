@@ -10,7 +10,8 @@ from ..component.portable import cosine, sine
 from ..frames import to_body
 from ..vehicle import Vehicle
 from ..vehicle.thrust_map import hover_level
-from .definition import Block, Effect, EffectParameter, Equation, Lines, NoiseFloor, Repeats
+from .definition import Begins, Block, Effect, Equation, Lines, NoiseFloor, Repeats, Stands
+from .parameters import COMMON, RARE, UNMEASURED, EffectParameter, Normal, Prior
 from .stages import (
     BaroReading,
     EarthField,
@@ -21,6 +22,7 @@ from .stages import (
     MagReading,
     Mounting,
 )
+from .wording import FLY_FOR_COMPASS, Wording, heading_clause, reading_clause
 
 _AXES = (("x", "forward"), ("y", "right"), ("z", "down"))
 IMU_CHANNELS = ("acc_x", "acc_y", "acc_z", "gyro_x", "gyro_y", "gyro_z")
@@ -114,6 +116,16 @@ IMU_LEVER_ARM = Effect(
     ("acc", "gyro"),
     "kinematics of a rigid body, as in twin/physics/sensors/imu.py",
     _imu_lever_arm,
+    prior=Prior(
+        UNMEASURED,
+        "boards sit anywhere on the frame",
+        {"": Normal(0.0, 0.25)},
+        corrects="imu.position",
+    ),
+    change=None,
+    alarm=Stands(7),
+    wording=None,
+    advice=None,
 )
 
 VIBRATION = Effect(
@@ -143,6 +155,11 @@ VIBRATION = Effect(
     "per turn from two blades",
     _vibration,
     observable_as=Lines("frequency_hz", {"acc": "accel_m_s2", "gyro": "gyro_rad_s"}),
+    prior=None,
+    change=None,
+    alarm=Begins(12, Prior(COMMON, "a blade that is nicked or loose", {"": Normal(0.0, 1.0)})),
+    wording=None,
+    advice=None,
 )
 
 ACCEL_SCALE = Effect(
@@ -157,6 +174,11 @@ ACCEL_SCALE = Effect(
     ("acc",),
     "IEEE Std 1293-2018: scale factor",
     _accel_scale,
+    prior=Prior(COMMON, "MEMS, data sheets 0.5 to 3 %", {"": Normal(1.0, 0.01)}),
+    change=None,
+    alarm=Stands(8),
+    wording=None,
+    advice=None,
 )
 
 GYRO_SCALE = Effect(
@@ -171,6 +193,11 @@ GYRO_SCALE = Effect(
     ("gyro", "q"),
     "IEEE Std 952-1997: scale factor",
     _gyro_scale,
+    prior=Prior(COMMON, "MEMS, data sheets 0.5 to 3 %", {"": Normal(1.0, 0.01)}),
+    change=None,
+    alarm=Stands(9),
+    wording=None,
+    advice=None,
 )
 
 ACCEL_MISALIGNMENT = Effect(
@@ -185,6 +212,11 @@ ACCEL_MISALIGNMENT = Effect(
     ("acc",),
     "definition: rotation by Gibbs vector angle / 2, the angles themselves to third order",
     _accel_misalignment,
+    prior=Prior(COMMON, "mounting of the board", {"": Normal(0.0, 0.02)}),
+    change=None,
+    alarm=None,
+    wording=None,
+    advice=None,
 )
 
 ACCEL_BIAS = Effect(
@@ -199,6 +231,11 @@ ACCEL_BIAS = Effect(
     ("acc",),
     "IEEE Std 1293-2018: bias",
     _accel_bias,
+    prior=Prior(COMMON, "zero-g offset of 20 to 60 mg, warmth", {"": Normal(0.0, 0.15, 0.1)}),
+    change=Prior(COMMON, "a sensor that was hit or warm", {"": Normal(0.0, 0.5)}),
+    alarm=Begins(5),
+    wording=Wording(reading_clause("accelerometer", "m/s2")),
+    advice=None,
 )
 
 GYRO_BIAS = Effect(
@@ -213,6 +250,11 @@ GYRO_BIAS = Effect(
     ("gyro", "q"),
     "IEEE Std 952-1997: bias",
     _gyro_bias,
+    prior=Prior(COMMON, "1 deg/s", {"": Normal(0.0, 0.015)}),
+    change=Prior(COMMON, "a sensor that was hit or warm", {"": Normal(0.0, 0.05)}),
+    alarm=Begins(6),
+    wording=Wording(reading_clause("gyroscope", "rad/s")),
+    advice=None,
 )
 
 SENSOR_NOISE_LEVEL = Effect(
@@ -229,6 +271,11 @@ SENSOR_NOISE_LEVEL = Effect(
     "definition: sqrt((scale noise)^2 + further^2), standard deviation of independent noises",
     _sensor_noise_level,
     observable_as=NoiseFloor("scale", {"acc": "accel_m_s2", "gyro": "gyro_rad_s"}),
+    prior=None,
+    change=None,
+    alarm=Begins(13, Prior(RARE, "a sensor that fails", {"": Normal(0.0, 1.0)})),
+    wording=None,
+    advice=None,
 )
 
 STUCK_SENSOR = Effect(
@@ -251,6 +298,11 @@ STUCK_SENSOR = Effect(
     "definition: from the first sample instant at or after that time the last value is repeated",
     _stuck_sensor,
     observable_as=Repeats("channel", "time_s", IMU_CHANNELS),
+    prior=None,
+    change=None,
+    alarm=Begins(11, Prior(COMMON, "a sensor that hangs", {"": Normal(0.0, 1.0)})),
+    wording=None,
+    advice=None,
 )
 
 
@@ -300,6 +352,15 @@ HEADING_OFFSET = Effect(
             "pose_rad", "rad", "logged attitude turned about the vertical", 0.2, (-1.6, 1.6)
         ),
     ),
+    prior=Prior(
+        COMMON,
+        "declination, frame of the motion capture, steel in floors",
+        {"yaw_rad": Normal(0.0, 0.2, 0.15), "pose_rad": Normal(0.0, 0.2, 0.1)},
+    ),
+    change=Prior(COMMON, "steel nearby, a compass that was moved", {"": Normal(0.0, 0.3)}),
+    alarm=Stands(10),
+    wording=Wording(heading_clause, largest_alone=True),
+    advice={"": FLY_FOR_COMPASS},
 )
 
 MAG_SOFT_IRON = Effect(
@@ -323,6 +384,15 @@ MAG_SOFT_IRON = Effect(
     "Gebre-Egziabher et al., J. Aerospace Engineering 19 (2006), symmetric part: the rest "
     "is a rotation",
     _mag_soft_iron,
+    prior=Prior(
+        COMMON,
+        "5 %",
+        {**{2 * a: Normal(1.0, 0.05) for a in "xyz"}, "": Normal(0.0, 0.05)},
+    ),
+    change=None,
+    alarm=None,
+    wording=None,
+    advice={"": FLY_FOR_COMPASS},
 )
 
 MAG_HARD_IRON = Effect(
@@ -340,6 +410,18 @@ MAG_HARD_IRON = Effect(
     "Gebre-Egziabher et al., J. Aerospace Engineering 19 (2006); range: five times the earth's "
     "field, beside motors, batteries and steel in floors",
     _mag_hard_iron,
+    prior=Prior(
+        UNMEASURED, "up to the field itself where nobody calibrated", {"": Normal(0.0, 4e-5)}
+    ),
+    change=None,
+    alarm=Begins(
+        9,
+        Prior(
+            COMMON, "a tenth to half of the earth's field: a magnet, steel", {"": Normal(0.0, 1e-5)}
+        ),
+    ),
+    wording=None,
+    advice={"": FLY_FOR_COMPASS},
 )
 
 MAG_CURRENT_COUPLING = Effect(
@@ -355,6 +437,11 @@ MAG_CURRENT_COUPLING = Effect(
     "field of a conductor, proportional to its current; ArduPilot compensates it in the same form "
     "(COMPASS_MOT_X, _Y, _Z)",
     _mag_current_coupling,
+    prior=Prior(RARE, "ArduPilot's compassmot", {"": Normal(0.0, 3e-7)}),
+    change=None,
+    alarm=None,
+    wording=None,
+    advice=None,
 )
 
 BARO_BIAS = Effect(
@@ -367,6 +454,15 @@ BARO_BIAS = Effect(
     "definition; 870 to 1084 hPa at sea level on record (WMO archive of extremes), and a file that "
     "knows no reference pressure of the day shows their distance from its own",
     _baro_bias,
+    prior=Prior(
+        UNMEASURED,
+        "weather 10 hPa, altitude of the place",
+        {"": Normal(0.0, 1500.0, 20.0)},
+    ),
+    change=None,
+    alarm=Begins(10, Prior(COMMON, "a draught, a blocked port", {"": Normal(0.0, 100.0)})),
+    wording=None,
+    advice=None,
 )
 
 BARO_DYNAMIC_PRESSURE = Effect(
@@ -379,6 +475,11 @@ BARO_DYNAMIC_PRESSURE = Effect(
     "static pressure error of a port, p + k rho v^2 / 2; PX4 corrects it in the same form "
     "(EKF2_PCOEF_XP and others)",
     _baro_dynamic_pressure,
+    prior=Prior(RARE, "static port", {"": Normal(0.0, 0.3)}),
+    change=None,
+    alarm=None,
+    wording=None,
+    advice=None,
 )
 
 EFFECTS = (

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import casadi as ca
 
-from .definition import Average, Block, Effect, EffectParameter, Period, Shift, effect_of_records
+from .definition import Average, Block, Effect, Period, Shift, effect_of_records
+from .parameters import COMMON, LAST, RARE, EffectParameter, Normal, Prior
 from .stages import Latency, Motors
+from .wording import FLY_FOR_INERTIA, Wording, delay_clause
 
 COMMAND_PERIOD_S = 1e-3
 """How often the motor commands are taken for their delay."""
@@ -47,6 +49,11 @@ IMU_DELAY = Effect(
     "definition; samples between two instants on a straight line",
     _later,
     observable_as=Shift({"delay_s": ("acc", "gyro")}),
+    prior=Prior(COMMON, "filters, bus", {"": Normal(0.0, 0.008)}),
+    change=Prior(RARE, "another filter", {"": Normal(0.0, 0.02)}),
+    alarm=None,
+    wording=Wording(delay_clause("its IMU reads")),
+    advice=None,
 )
 
 POSITION_DELAY = Effect(
@@ -69,6 +76,11 @@ POSITION_DELAY = Effect(
             "attitude_s", "s", "age of the attitude", 0.1, (0, 0.5), trifle=POSE_SAMPLING_S
         ),
     ),
+    prior=Prior(COMMON, "motion capture 36 to 100 ms, GNSS 100 to 200 ms", {"": Normal(0.0, 0.05)}),
+    change=Prior(RARE, "another receiver", {"": Normal(0.0, 0.05)}),
+    alarm=None,
+    wording=Wording(delay_clause("its position arrives"), largest_alone=True),
+    advice=None,
 )
 
 COMMAND_DELAY = Effect(
@@ -86,6 +98,16 @@ COMMAND_DELAY = Effect(
     _commands_later,
     observable_as=Shift({"delay_s": ("cmd",)}, acts=True),
     period=Period(COMMAND_PERIOD_S, "Time between two looks at the commands, for command_delay"),
+    prior=Prior(
+        COMMON,
+        "a loop and a frame of PWM; 10 to 30 ms where commands come by radio",
+        {"": Normal(0.004, 0.012)},
+        start=True,
+    ),
+    change=Prior(RARE, "another firmware", {"": Normal(0.0, 0.02)}),
+    alarm=None,
+    wording=Wording(delay_clause("its motors get their commands")),
+    advice={"": FLY_FOR_INERTIA},
 )
 
 _CLOCKS = (
@@ -114,6 +136,20 @@ CLOCK_OFFSET = effect_of_records(
     ("gyro",),  # another signal that a flight lacks has no clock there
     "definition: the same added to every clock changes nothing, so one of them is the reference",
     Shift({name: signals for name, _, signals, _ in _CLOCKS}),
+    prior=Prior(
+        LAST,
+        "records put together from several clocks, each flight by itself; what an aircraft logs "
+        "on board has one",
+        {
+            "": Normal(0.0, 0.03),
+            "pose_s": Normal(0.0, 0.03, 0.02),
+            "attitude_s": Normal(0.0, 0.03, 0.02),
+        },
+    ),
+    change=None,
+    alarm=None,
+    wording=None,
+    advice=None,
 )
 
 POSE_SMOOTHING = effect_of_records(
@@ -130,6 +166,16 @@ POSE_SMOOTHING = effect_of_records(
     "x - (q/2) x'' of an average with variance q, to second order: Taylor's theorem; exact for "
     "motion that is slow over its width",
     Average({"attitude_s2": ("q",), "position_s2": ("pos", "vel")}),
+    prior=Prior(
+        COMMON,
+        "motion capture and smoothers average over some frames: 30 ms",
+        {"": Normal(0.0, 9e-4)},
+        start=True,
+    ),
+    change=None,
+    alarm=None,
+    wording=None,
+    advice=None,
 )
 
 EFFECTS = (IMU_DELAY, POSITION_DELAY, COMMAND_DELAY, CLOCK_OFFSET, POSE_SMOOTHING)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..effects import EFFECTS
-from ..effects.priors import CHANGES, RARE
+from ..effects.parameters import RARE
 from ..errors import LogError
 from ..logs import Flight
 from ..representation import short_repr
@@ -136,7 +136,8 @@ def _refused(problem: Problem, state: State, settings: InferenceSettings) -> dic
     than `explain` believes: nothing is wrong with the aircraft, that is what a calibration is told.
     """
     b, found = problem.priors, {}
-    damage = [c for c in state.effects if b.odds[c] <= RARE and effect_of(c) in CHANGES]
+    rare = [c for c in state.effects if b.odds[c] <= RARE]
+    damage = [c for c in rare if EFFECTS[effect_of(c)].change is not None]
     values = problem.values(state.best.x)
     tension = b.tension({b.names[i]: values[b.names[i]] for i in b.of(damage) if not b.shape[i]})
     for name, away in tension.items():

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from twin.formatting import title
 from twin.logs import Flight
 from twin.logs.table import write_flight
 from twin.representation import short_repr
@@ -12,7 +13,6 @@ from twin.vehicle import Vehicle
 
 from ..explain_record import ExplainRecord
 from ..explanation import ExplainResult, explain, write_explanation, write_fmus
-from ..formatting import title
 from ..gaps import GapRecord, GapResult, gap
 from ..output import OptionalSteps, write_json
 from ..record import Record

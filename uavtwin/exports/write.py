@@ -14,9 +14,9 @@ from fmus.platforms import Platform, compilers, select_platforms
 from fmus.python_slave.build import build_network_slave, build_python_slave
 from twin.component import Component, unknown_name
 from twin.errors import TwinError
+from twin.formatting import counted
 
 from ..display import DisplayMixin, TextTable
-from ..formatting import counted
 from ..output import results_folder, sha256
 from ..record import Record
 from .parts import Twin

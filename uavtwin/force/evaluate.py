@@ -13,6 +13,7 @@ import pandas as pd
 from learning.force.candidates import LAWS
 from learning.force.model import VEHICLE_FILE, ForceModel, observer_starts
 from twin.errors import TwinError
+from twin.formatting import counted, number, percent, pretty_unit
 from twin.frames import AXES
 from twin.logs import Flight
 from twin.physics.rotors import Drive
@@ -22,7 +23,6 @@ from ..display import DisplayMixin, TextTable
 from ..exports.parts import LearnedForce, learned_force, twin
 from ..exports.write import export
 from ..flights import check_names
-from ..formatting import counted, number, percent, pretty_unit
 from ..output import output_file
 from ..record import Record
 from ..report.learning_figures import horizons_figure

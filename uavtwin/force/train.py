@@ -15,11 +15,11 @@ from learning.force.model import (
     save_force,
 )
 from twin.errors import TwinError
+from twin.formatting import number, percent
 from twin.logs import Flight
 from twin.physics.residual_force import OUTPUTS
 
 from ..flights import check_names
-from ..formatting import number, percent
 from ..report.page import render
 from ..vehicles import Vehicle
 from .choice import BETTER, OBSERVER, WORSE

@@ -6,7 +6,8 @@ from math import isfinite, nan
 from operator import itemgetter
 from typing import Any
 
-from ..formatting import number, percent
+from twin.formatting import number, percent
+
 from .markdown import Table
 
 CORRECTED, ALONE = "model", "linear part alone"

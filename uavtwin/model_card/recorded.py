@@ -8,8 +8,8 @@ from typing import Any
 from learning.force.candidates import LAWS
 from learning.model.registry import family_row
 from twin.errors import TwinError
+from twin.formatting import number
 
-from ..formatting import number
 from .markdown import Table
 from .measured import Result
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.effects import EFFECTS, Lines, NoiseFloor, RandomForce, Repeats
+from twin.formatting import pretty_unit
 from twin.logs import AnyFlight, Flight
 from twin.physics.sensors.table import SENSORS, Sensor
 from twin.residuals.aligned import AlignedFlight
@@ -14,7 +15,6 @@ from twin.residuals.channels import BAND_HZ, CHANNEL_HZ, ChannelData
 from twin.residuals.gap import spectrum
 from twin.vehicle import Vehicle
 
-from ..formatting import pretty_unit
 from .autopilot import Strip, strip
 from .drawing import TREND_HZ, Axis, Budget, Panels, Spans, spans_of, thinned
 from .page import BLACK, BLUE, GREY, ORANGE, Figure, Plot, plot

@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Any
 
 from twin.effects import EFFECTS, RandomForce
+from twin.formatting import certainty, number, number_cells, percent, pretty_unit, title
 
 from ..explain_record import EffectRecord
 from ..explanation import ExplainResult, alternatives, shrink_words, why_lost
-from ..formatting import certainty, number, number_cells, percent, pretty_unit, title
 from .autopilot import Strip, autopilot_content, strip
 from .drawing import Budget, fitted
 from .evidence import (

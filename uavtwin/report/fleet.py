@@ -9,11 +9,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from twin.formatting import number, pretty_unit
+
 from ..fleets.fleet_statistics import Drift, Measure, Spread, measures
 from ..fleets.overview import of_logs, table_of
 from ..fleets.result import FleetResult
 from ..fleets.statistics import FALSE_SHARE
-from ..formatting import number, pretty_unit
 from .drawing import Panels
 from .page import BLUE, GREY, ORANGE, Plot, plot, render
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.formatting import number, percent, pretty_unit
 from twin.logs.columns import POS
 from twin.residuals.channels import BAND_HZ
 from twin.residuals.gap import (
@@ -28,7 +29,6 @@ from twin.residuals.gap import (
     summarise,
 )
 
-from ..formatting import number, percent, pretty_unit
 from ..gaps import GapResult, claim
 from ..wording import KINDS, Kind, describe, grouped, hover_sentence, mode
 from .autopilot import autopilot_content

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..formatting import pretty_unit
+from twin.formatting import pretty_unit
+
 from .drawing import Budget, Panels, thinned
 from .page import BLACK, BLUE, GREY, ORANGE, Figure
 

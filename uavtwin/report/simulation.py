@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from cosim.recording import Recording
 from twin.flight.mission import PHASES
+from twin.formatting import pretty_unit
 
-from ..formatting import pretty_unit
 from ..run import Run
 from .drawing import Budget, Panels, Spans, fitted, spans_of, thinned
 from .page import BLACK, BLUE, Figure, Plot, plot, render

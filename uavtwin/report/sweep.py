@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ..formatting import number, pretty_unit
+from twin.formatting import number, pretty_unit
+
 from ..sweeps.result import SweepResult
 from .drawing import Panels
 from .page import BLUE, GREY, ORANGE, Plot, plot, render

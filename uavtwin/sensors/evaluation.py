@@ -19,13 +19,13 @@ from learning.model.corrected import Corrected, Model
 from learning.model.family import TrainedModel
 from learning.model.folder import load
 from twin.errors import TwinError
+from twin.formatting import counted, number, percent, pretty_unit
 from twin.logs import Flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 
 from ..display import DisplayMixin, TextTable
 from ..flights import check_names
-from ..formatting import counted, number, percent, pretty_unit
 from ..output import output_file
 from ..record import Record
 from ..report.drawing import Budget, fitted

@@ -20,10 +20,10 @@ from learning.preset import SEEDS, Protocol
 from learning.training.checkpoint import CHECKPOINT
 from learning.training.fit import fit_model
 from twin.errors import TwinError
+from twin.formatting import number, percent, pretty_unit
 from twin.logs import Flight
 
 from ..flights import check_names
-from ..formatting import number, percent, pretty_unit
 from ..output import check_folder
 from ..report.learning_figures import curve_figure
 from ..report.page import Plot, plot, render

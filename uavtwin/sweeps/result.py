@@ -13,9 +13,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from twin.effects import EFFECTS
+from twin.formatting import counted
 
 from ..display import PageMixin, TextTable
-from ..formatting import counted
 from ..output import output_file
 from ..record import Record
 from ..simulation import Scenario

@@ -7,7 +7,6 @@ import pytest
 from search_rigs.library import library
 
 from twin.effects import EFFECTS
-from twin.effects.priors import CHANGES
 from twin.errors import LogError, ModelError
 from twin.explain.calibration import Calibrated, calibrate
 from twin.explain.explanation import Explanation, explain
@@ -17,6 +16,7 @@ from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
+CHANGES = {name: e.change for name, e in EFFECTS.items() if e.change is not None}
 COPTER = load_vehicle("copter_default")
 TRUE = COPTER.with_effects({"thrust_scale": {"scale": 0.88}, "mass_offset": {"mass_kg": 0.08}})
 """What flies: the file is wrong about thrust and mass."""

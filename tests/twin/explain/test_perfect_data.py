@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from twin.effects import EFFECTS
-from twin.effects.priors import PRIORS
+from twin.effects import EFFECTS, prior_of
 from twin.explain.explanation import explain
 from twin.explain.inference.priors import priors_of
 from twin.explain.model.model import model_of
@@ -80,7 +79,7 @@ def test_a_channel_without_noise_among_noisy_ones_does_not_end_the_search(
 
 def test_the_prior_of_a_lag_is_about_the_whole(perfect: Flight) -> None:
     """Two files of one aircraft expect the same whole lag, and none below zero."""
-    whole = PRIORS["motor_lag"].of("tau_s", False).mean
+    whole = prior_of(EFFECTS["motor_lag"]).of("tau_s", False).mean
     for lag_s in (0.005, 0.05, 0.12):
         vehicle = with_lag(COPTER, lag_s)
         model = model_of([perfect], vehicle, [EFFECTS["motor_lag"]])
@@ -88,4 +87,4 @@ def test_the_prior_of_a_lag_is_about_the_whole(perfect: Flight) -> None:
         (i,) = [k for k, n in enumerate(priors.names) if n == "motor_lag.tau_s"]
         assert priors.mean[i] + lag_s == pytest.approx(whole)
         assert priors.low[i] + lag_s > 0
-        assert priors.slab[i] > PRIORS["motor_lag"].of("tau_s", False).sd
+        assert priors.slab[i] > prior_of(EFFECTS["motor_lag"]).of("tau_s", False).sd

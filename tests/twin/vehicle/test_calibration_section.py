@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from twin.effects import EFFECTS
-from twin.effects.priors import CHANGES
 from twin.errors import ModelError
 from twin.vehicle import Calibration, Vehicle
 from twin.vehicle.file import load_vehicle, parse_vehicle, vehicle_text
@@ -15,6 +14,7 @@ from twin.vehicle.file.calibration import same_calibration
 from twin.vehicle.file.write import update_text
 
 TEXT, _ = vehicle_text("copter_default")
+CHANGES = {name: e.change for name, e in EFFECTS.items() if e.change is not None}
 COMMENT = "# put on by hand"
 NUMBERS = ("thrust_scale.scale", "mass_offset.mass_kg", "clock_offset.pose_s")
 SD = np.array([0.0123456789, 3.3e-3, 1 / 3 * 1e-3])

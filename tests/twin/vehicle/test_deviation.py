@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.effects.priors import PRIORS
+from twin.effects import EFFECTS, prior_of
 from twin.errors import ModelError
 from twin.vehicle import Deviation, Vehicle, relative_deviation
 from twin.vehicle.file import builtin_vehicles, load_vehicle, parse_vehicle, vehicle_text
@@ -116,7 +116,7 @@ def test_whatever_an_effect_corrects_can_be_asked_for(vehicle: Vehicle) -> None:
     assert relative_deviation(by_ratio, "rotors.torque") == (0.3, True)
     sources = dict.fromkeys([*vehicle.sources, "rotors.spin_inertia"], "measured")
     known = replace(vehicle, sources=sources, deviations={})
-    for key in {p.corrects for p in PRIORS.values()} - {None}:
+    for key in {p.corrects for p in map(prior_of, EFFECTS.values())} - {None}:
         assert key is not None
         assert relative_deviation(known, key) == (0.03, False), key
 

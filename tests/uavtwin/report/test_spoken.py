@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from twin.effects import EFFECTS
 from twin.explain.inference.adequacy import Detectable
-from uavtwin.formatting import quantity, readable
+from twin.formatting import quantity, readable
 from uavtwin.headline import blind, undetermined
 from uavtwin.wording import clause, said, said_numbers
 

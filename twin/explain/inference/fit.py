@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import csd, welch
 
-from ...effects import EFFECTS
-from ...effects.priors import prior_of
+from ...effects import EFFECTS, prior_of
 from ...representation import short_repr
 from ...residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
 from ..model.model import Model

@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS, EffectParameter, Limit, Shift
-from ...effects.priors import CHANGES, ONLY_MORE, prior_of
+from ...effects import EFFECTS, EffectParameter, Limit, Shift, prior_of
 from ...errors import ModelError
 from ...representation import short_repr
 from ...vehicle import Vehicle, relative_deviation
@@ -181,17 +180,18 @@ def priors_since(model: Model) -> Priors:
     slab = np.sqrt(np.diag(file))
     for i, (name, cause) in enumerate(zip(usual.names, usual.cause, strict=True)):
         day[i] = known.days.get(name, day[i])
-        effect = effect_of(cause)
-        if effect not in CHANGES:
+        change = EFFECTS[effect_of(cause)].change
+        if change is None:
             continue
         number = model.numbers[usual.columns[i]]
         about, stem = parameter_of(number)
-        expected = CHANGES[effect].of(stem, indoors).sized(about, model.vehicle)
+        expected = change.of(stem, indoors).sized(about, model.vehicle)
         mean[i] = expected.mean if usual.shape[i] else mean[i] + expected.mean
         slab[i] = np.hypot(slab[i], expected.sd)
-        if effect in ONLY_MORE and not usual.shape[i]:
+        if change.one_sided and not usual.shape[i]:
             low[i] = usual.now[i]
-    odds = {c: CHANGES[effect_of(c)].odds for c in usual.cause if effect_of(c) in CHANGES}
+    changes = {c: EFFECTS[effect_of(c)].change for c in usual.cause}
+    odds = {c: change.odds for c, change in changes.items() if change is not None}
     return replace(usual, mean=mean, slab=slab, file=file, low=low, held=held, day=day, odds=odds)
 
 

@@ -13,8 +13,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS, Shift
-from ...effects.priors import LAST, UNMEASURED, prior_of
+from ...effects import EFFECTS, Shift, prior_of
+from ...effects.parameters import LAST, UNMEASURED
 from ...representation import short_repr
 from .evidence import LaplaceEvidence
 from .fit import Problem, State, gained_by_following

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...component.along import BUILDING
-from ...effects import EFFECTS, Repeats
-from ...effects.priors import BESIDE
+from ...effects import EFFECTS, STANDING, Repeats
 from ...errors import LogError
 from ...representation import short_repr
 from ...residuals.recent_rows import Rows
@@ -73,7 +72,7 @@ class RunningEvidence:
         vehicle: Vehicle,
         effects: Sequence[str] = MONITORED_EFFECTS,
         settings: RunningSettings = RUNNING,
-        standing_effects: Sequence[str] = BESIDE,
+        standing_effects: Sequence[str] = STANDING,
     ) -> None:
         """Begin a flight.
 

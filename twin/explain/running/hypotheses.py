@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS, Equation
-from ...effects.priors import BEGINNINGS, PRIORS, SHOWN_BY_CHANGE, Prior
+from ...effects import BEGINNINGS, EFFECTS, Begins, Equation, prior_of
+from ...effects.parameters import Prior
 from ...errors import ModelError
 from ...representation import short_repr
 from ...vehicle import Vehicle
@@ -196,19 +196,14 @@ def library_of(
     own = tuple(e for e in every if isinstance(EFFECTS[e].observable_as, Equation))
     numbers = tuple(numbers_of((EFFECTS[e] for e in own), vehicle))
     columns = tuple(i for i, n in enumerate(numbers) if not n.shape)
-    standing = np.array(
-        [
-            SHOWN_BY_CHANGE.get(numbers[i].effect, 1.0) * _sd(PRIORS, numbers[i], vehicle)[1]
-            for i in columns
-        ]
-    )
+    standing = np.array([_standing(numbers[i], vehicle) for i in columns])
     found = []
     for effect in (e for e in effects if e in own):
         mine = [k for k, i in enumerate(columns) if numbers[i].effect == effect]
         parts = {numbers[columns[k]].name: [k] for k in mine}
         several = numbers[columns[mine[0]]].about.per_rotor
         for name, chosen in parts.items() if several else [("", mine)]:
-            expected = [_sd(BEGINNINGS, numbers[columns[k]], vehicle) for k in chosen]
+            expected = [_expected(BEGINNINGS[effect], numbers[columns[k]], vehicle) for k in chosen]
             share = -np.log(len(mine)) if several else 0.0
             found.append(
                 Hypothesis(
@@ -225,10 +220,17 @@ def library_of(
     return Library(own, numbers, columns, settings.standing * standing, tuple(found), silent)
 
 
-def _sd(table: dict[str, Prior], number: Number, vehicle: Vehicle) -> tuple[float, float]:
+def _standing(number: Number, vehicle: Vehicle) -> float:
+    """Standard deviation by which the calibrated model may be off in a number."""
+    effect = EFFECTS[number.effect]
+    share = effect.alarm.quiet_share if isinstance(effect.alarm, Begins) else 1.0
+    return share * _expected(prior_of(effect), number, vehicle)[1]
+
+
+def _expected(prior: Prior, number: Number, vehicle: Vehicle) -> tuple[float, float]:
     """Expected value and deviation of a number, for a vehicle."""
     about, stem = parameter_of(number)
-    expected = table[number.effect].of(stem, indoors=False).sized(about, vehicle)
+    expected = prior.of(stem, indoors=False).sized(about, vehicle)
     return expected.mean, expected.sd
 
 

@@ -60,6 +60,11 @@ HEAT_DROOP = Effect(
     ("acc",),
     "made up for this test",
     _heat_droop,
+    prior=None,
+    change=None,
+    alarm=None,
+    wording=None,
+    advice=None,
 )
 WARMING_GYRO = Effect(
     "warming_gyro",
@@ -73,6 +78,11 @@ WARMING_GYRO = Effect(
     ("gyro", "q"),
     "made up for this test",
     _warming_gyro,
+    prior=None,
+    change=None,
+    alarm=None,
+    wording=None,
+    advice=None,
 )
 RIVALS = {
     "airframe": ("thrust_scale", "mass_offset", "accel_scale"),
