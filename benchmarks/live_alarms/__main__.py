@@ -19,6 +19,7 @@ from .page import page
 from .run import evaluated, file_of, score_case, write_row
 
 QUIET_S = 240.0
+"""Length of a flight in which nothing begins, s. Made up."""
 QUIET = 8
 """Flights of four minutes in which nothing begins."""
 FIRST_SEED = 1000

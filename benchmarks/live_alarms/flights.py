@@ -220,9 +220,11 @@ def _recorder(v: Vehicle, seed: int) -> Recorder:
 
 
 PAGE = Path(__file__).parents[2] / "docs" / "results" / "real_flights.md"
+"""Page with the numbers of the recorded aircraft."""
 SETS = ("real", "nanobench", "simulated")
 """Scenarios of `benchmarks.real_flights`."""
 MICRO = {"µT": 1e-6, "µT/A": 1e-6}
+"""Units of the page in SI units."""
 _VALUE = re.compile(r"^(-?[\d.]+(?:e-?\d+)?) \(")
 
 

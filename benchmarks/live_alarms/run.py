@@ -18,6 +18,7 @@ from twin.vehicle import Vehicle
 from .flights import Case, aircraft, flown
 
 BLOCK_S = 1.0
+"""Length of a portion of rows, s: as in a live flight."""
 
 
 @dataclass

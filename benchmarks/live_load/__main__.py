@@ -18,6 +18,7 @@ from .page import page
 from .runs import aircraft_at_once, growth
 
 _SECONDS = 25.0
+"""Length of a flight of the ages and of several aircraft, s. Made up."""
 
 
 def main() -> int:

@@ -19,10 +19,15 @@ from uavtwin.live.datagrams import Address
 FLOODS = ("garbage", "valid", "damaged")
 """Random bytes; messages of another aircraft; the same with a wrong checksum."""
 _SYSTEM = 7
+"""System id of the other aircraft."""
 _LARGEST = 1200
+"""Bytes of a datagram, at most: below the MTU of Ethernet."""
 _DIFFERENT = 256
+"""Number of different datagrams, sent in turn."""
 _NUMBERS = 256
+"""Sequence numbers of MAVLink, one byte."""
 _PAUSE_S = 0.005
+"""Between two bursts, s. Made up."""
 
 
 @dataclass(frozen=True, slots=True)

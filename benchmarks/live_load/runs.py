@@ -56,7 +56,9 @@ def long_flight(vehicle: Vehicle, seconds: float) -> Flight:
 
 
 _EVERY_S = 2.0
+"""Between two readings of the memory, s. Made up."""
 MIB = 2.0**20
+"""Bytes."""
 
 
 def growth(seconds: float, speed: float, vehicle_name: str = "copter_default") -> dict[str, Any]:

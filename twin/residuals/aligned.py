@@ -47,6 +47,7 @@ CLEAR_HEIGHT_M = 0.5
 CLEAR_S = 1.0
 """For this long it has to be."""
 _ROUNDING = 1e-9
+"""Relative deviation below which a signal is constant, 1: rounding of float64 sums."""
 FOLLOWS, BLOCK_S, FEWEST_BLOCKS = 0.7, 0.25, 12
 """Correlation from which on the specific force follows the thrust, both as means over blocks of
 time, of which so many are needed."""

@@ -43,6 +43,8 @@ from .teacher_forced import GRID_S
 
 Array = NDArray[np.float64]
 _BLOCK_S, _FEWEST_BLOCKS = 1.0, 2
+"""Length of a block, s, longer than the correlation of residuals; fewest blocks that give a
+standard error. Made up."""
 SURE = 2.0
 """Standard errors from which on a value of the diagnosis differs from zero."""
 
@@ -153,6 +155,7 @@ def diagnose(
 
 
 _TURNS = (("gyro_rate_y", 1), ("gyro_rate_x", 0))
+"""Channel of the moment about an axis, and the axis of the arm that it belongs to."""
 
 
 def _both(channel: Channel | None, hover: Hover) -> tuple[Array, Array, Array] | None:
@@ -234,6 +237,7 @@ def _weakest(vehicle: Vehicle, back: Mean | None, right: Mean | None) -> WeakRot
 
 
 DEFAULT_HORIZON_S = 0.5
+"""Short horizon, s: residuals grow to centimetres and do not diverge yet. Made up."""
 LIKELY_WEIGHT = (0.5, 2.0)
 """Measured over predicted specific force along the thrust, beyond which the vehicle is doubted."""
 

@@ -34,6 +34,7 @@ ROWS = 1 << 18
 _EDGE = 9
 """Samples by which a signal is mirrored at its ends before it is filtered: `filtfilt`'s own."""
 _BEFORE, _AFTER = slice(_EDGE, 0, -1), slice(-2, -_EDGE - 2, -1)
+"""Samples that are mirrored at the start and at the end."""
 LONGEST_GAP_INTERVALS = 5.0
 """A pause of more than so many median intervals is a gap: no state is made up inside it."""
 LONGEST_GAP_S = 0.25

@@ -138,6 +138,7 @@ class GridRows:
 
 
 _NO_MOTION = MeasuredMotion(None, None, None, None, False, ())
+"""Of pieces whose motion is not used."""
 _ARRAYS = ("t_s", "u", "rotors", "states", "phases", "carried", "grounded")
 
 

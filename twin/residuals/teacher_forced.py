@@ -175,10 +175,11 @@ class _Sampled:
 
 
 GRID_S = 1e-3
+"""Step of the grid, s: the communication step of the co-simulation."""
 SPIN_RATE = "spin_rate_"
-"""What inputs of the airframe for rotor accelerations start with."""
-"""Step of the grid: the communication step of the co-simulation."""
+"""Prefix of the airframe's inputs for rotor accelerations."""
 _WARM_UP_S = 2.0
+"""For which rotors settle on the first inputs, s: twenty time constants of 0.1 s."""
 RIGID = tuple(f"{s}_{a}" for s in ("pos", "vel", "omega") for a in AXES) + tuple(
     f"q_{a}" for a in "wxyz"
 )

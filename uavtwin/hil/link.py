@@ -15,7 +15,9 @@ from ..live.datagrams import Address
 SYSTEM = 1
 """System id of the simulator: that of the aircraft, as PX4's own simulators have it."""
 _WAIT_S = 0.1
+"""Between two checks whether to end, s. Made up."""
 _LONGEST = 65536
+"""Bytes that are read at once."""
 _MOST_GARBAGE = 65536
 """Bytes without a single message after which who connected speaks something else."""
 

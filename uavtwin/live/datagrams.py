@@ -28,6 +28,7 @@ _FORM = re.compile(r"(udpin|udpout|tcpin):(\[[0-9A-Fa-f:.]+\]|[^:\s]+):([0-9]{1,
 USUAL_PORTS = {"udpin": 14550, "udpout": 14550, "tcpin": 4560}
 """Of ground stations, and of PX4's simulators."""
 _FORCED = getattr(socket, "SO_RCVBUFFORCE", 33)
+"""Socket option of Linux for administrators, which has no name in Python."""
 _BUFFER = 8 << 20
 """Bytes that the kernel may keep until they are read: some seconds of a fast aircraft."""
 
@@ -110,11 +111,13 @@ def _socket(where: Address) -> socket.socket:
 
 
 _LONGEST = 65536
+"""Bytes of a datagram, at most: the limit of UDP."""
 _STAMPED = getattr(socket, "SO_TIMESTAMPNS", 35) if sys.platform == "linux" else None
 """Option and kind of the stamp, which Python has no name for before 3.14."""
 _STAMP = struct.Struct("@ll")
 """Seconds and ns since 1970."""
 _ANCILLARY_BYTES = socket.CMSG_SPACE(_STAMP.size) if _STAMPED is not None else 0
+"""Space for the kernel's stamp."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -191,13 +191,17 @@ class FollowingTwin:
 
 
 DEFAULT_SYSTEM = 2
+"""System id of the published twin."""
 _EVERY_US = 20_000
+"""Between two published states, us: 50 Hz. Made up."""
 _BEAT_S = 1.0
+"""Between two heartbeats, s, as MAVLink recommends."""
 ANOMALY = "anomaly"
 """Name of the compensator's score."""
 _TEXT, _NAME = 50, 10
 """Characters of a STATUSTEXT, and of a NAMED_VALUE_FLOAT."""
 _AGES = 10_000
+"""Number of ages of which the 99th percentile is taken. Made up."""
 
 
 class Publisher:

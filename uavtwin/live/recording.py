@@ -41,6 +41,7 @@ _SILENT_US = 5_000_000
 _MOST_WAITING = 100_000
 """Samples that may wait: of a clock that stands still none would ever be released."""
 _CRUISE_M_S = 1.0
+"""Horizontal speed above which a phase of flight is forward, m/s. Made up."""
 _PHASES = {
     dialect.MAV_LANDED_STATE_ON_GROUND: "ground",
     dialect.MAV_LANDED_STATE_TAKEOFF: "takeoff",

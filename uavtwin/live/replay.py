@@ -91,6 +91,7 @@ BOOT_US = 10_000_000
 _SCREEN_US = 100_000
 """Between two messages for the screens of ground stations."""
 _BEAT_US = 1_000_000
+"""Between two heartbeats, us, as MAVLink recommends."""
 
 
 def motors_of(flight: Flight) -> int:
@@ -151,7 +152,9 @@ MAX_SPEED = float("inf")
 _STEP_US = 100_000
 """Of the flight, between two times at which an answer is waited for."""
 _ANSWER_S = 10.0
+"""Longest wait for an answer to TIMESYNC, s. Made up."""
 _ASK_AGAIN_S = 0.5
+"""Between two requests for it, s. Made up."""
 
 
 @dataclass(frozen=True, slots=True)

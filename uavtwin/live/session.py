@@ -37,6 +37,7 @@ SILENT_S = 2.0
 _PAUSE_S = 0.5
 """After so long nothing that was overtaken is waited for."""
 _WAIT_S = 0.05
+"""Longest wait for a datagram, s. Made up."""
 _AT_ONCE = 200
 """Datagrams that are taken before anything else has its turn."""
 _GATHER_S = 0.02

@@ -126,6 +126,7 @@ EVERY_S = 1.0
 ALARMS_EVERY_S = 0.5
 """Of flight, between two verdicts on what is wrong, s: a frame of `twin.explain.running`."""
 _MOST_BEHIND_S = 3.0
+"""Of flight after which residuals are computed although rows wait, s. Made up."""
 _WAITING = 10
 """Batches of rows that may wait, a second: then the receiver waits, and what comes waits in the
 kernel. A sender in step goes no faster; of what is killed no more is lost."""

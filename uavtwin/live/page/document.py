@@ -23,10 +23,14 @@ from .feed import ANGLES
 
 HERE = Path(__file__).parent
 _PANEL_PX, _LOW_PX = 118, 96
+"""Heights of panels, px."""
 _MOTOR_COLOURS = ("#1f5fd0", "#e07b1a", "#2f8f5b", "#8a4fbf", "#b58900", "#c23b66", "#3aa0a8")
 _NONE = np.zeros(0)
+"""Of a curve that the stream will fill."""
 MEASURED_LINE = {"color": BLACK, "width": 1.3}
+"""Line of the measured flight."""
 TWIN_LINE = {"color": BLUE, "width": 1.3}
+"""Line of the twin."""
 BOTH = (("", "measured", MEASURED_LINE), ("twin.", "twin", TWIN_LINE))
 """Both aircraft: what stands before their columns, name, line."""
 TABLE: Sequence[tuple[str, str, Sequence[str], int]] = (

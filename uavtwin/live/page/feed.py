@@ -38,10 +38,13 @@ if TYPE_CHECKING:
 HISTORY_S = 300.0
 """So much of the flight is there for a viewer that comes later."""
 _MOST_STORED = 20_000
+"""Messages that are stored at most. Made up."""
 _MOST_KEYS = 500
+"""Keys of which the newest message is stored, at most. Made up."""
 QUEUE = 64
 """Messages that wait for one viewer, about three seconds."""
 MOST_VIEWERS = 32
+"""Viewers at once, at most. Made up."""
 SILENT_S = 60.0
 """The page asks for the time every 2 s, in the background once a minute: where there are too many
 viewers, one that has requested nothing for longer gives its place to a new one."""
@@ -157,7 +160,9 @@ class Hub:
 LEARNT_S = 20.0
 """Of samples in the air, from which the band is learnt; it stays then."""
 COVERED = 0.95
+"""Share of the residuals within a band."""
 _FEWEST = 20
+"""Samples of which a band is computed, at least. Made up."""
 Key = tuple[str, float]
 
 
@@ -193,6 +198,7 @@ EVERY_S = 0.05
 _STORED_EVERY = 4
 """Of so many states one is stored for viewers that come later."""
 _LONGEST_TEXT = 200
+"""Characters of a text of the aircraft that are shown. Made up."""
 _VECTORS: Mapping[str, Sequence[str]] = {"acc": ACC, "gyro": GYRO, "vel": VEL, "pos": POS}
 _SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 

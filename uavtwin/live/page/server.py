@@ -36,6 +36,7 @@ from .feed import Hub, Viewer
 _FORM = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+):([0-9]{1,5})")
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+)(:[0-9]{1,5})?")
 SHORTEST_TOKEN = 8
+"""Characters of a token, at least. Made up."""
 TOKEN_HEADER = "x-uavtwin-token"
 
 
@@ -110,7 +111,9 @@ class Doors:
 _LONGEST = 1024
 """Bytes of what a viewer may say."""
 _START_S = 20.0
+"""Longest start of the server, s. Made up."""
 _GRACE_S = 2
+"""For which connections may end by themselves, s. Made up."""
 _TOO_MANY = 1013
 """WebSocket: try again later."""
 _MOST_IDLE = 64
@@ -118,6 +121,7 @@ _MOST_IDLE = 64
 _REQUEST_S, _ANSWER_S = 5.0, 60.0
 """Time for a request to be complete, and for its answer to be taken."""
 _BACKLOG = 128
+"""Connections that wait to be accepted, as usual for servers."""
 
 
 class _Question(msgspec.Struct):
