@@ -14,7 +14,6 @@ from pathlib import Path
 
 from twin.component import Variable
 from twin.errors import FmuError
-from twin.physics.residual_force import INPUTS, SEEN
 
 from .model import Constant, FmuModel, Submodel
 from .network_file import (
@@ -173,8 +172,7 @@ def interface_model(
     sees = {"free": "sees no measurement", "reconstruct": "sees the present measurement"}.get(
         network.protocol, f"sees measurements as old as {network.horizon} samples"
     )
-    of = "force and moment" if network.commands[0].startswith(SEEN) else "the sensors"
-    return FmuModel("compensator", f"Learned correction of {of}{name}, {sees}", (part,))
+    return FmuModel("compensator", f"Learned correction of the sensors{name}, {sees}", (part,))
 
 
 def _inputs(network: NetworkFile) -> list[Variable]:
@@ -198,9 +196,7 @@ def _inputs(network: NetworkFile) -> list[Variable]:
 
 
 def _drive(name: str, number: int) -> tuple[str, str]:
-    """Unit and meaning of what drives the rotors, or of the motion that stands for it."""
-    if (seen := name.removeprefix(SEEN)) in dict(INPUTS) and seen != name:
-        return dict(INPUTS)[seen], f"What a network sees, {seen}"
+    """Unit and meaning of what drives the rotors."""
     unit, what = ("rad/s", "Speed") if name.startswith("rotor_") else ("1", "Command")
     return unit, f"{what} of motor {number}"
 

@@ -6,11 +6,11 @@ Systems") contradicts itself and its published code (RflySim/RflySimDT: `README.
 
 | the text | against it | switch |
 |---|---|---|
-| Eq. 10 sums over all codes | Algorithm 1: the soft code | `codebook_target` |
-| Eq. 10 detaches the latent | Algorithm 1, line 13: the codes | `swapped_stop` |
+| Eq. 10 sums over all codes | Algorithm 1: the soft code | none: the soft code |
+| Eq. 10 detaches the latent | Algorithm 1, line 13: the codes | none: as Eq. 10 |
 | Eq. 9 feeds the decoder the soft code | line 14 detaches it | `straight_through` |
-| Eq. 14 compares a thing with itself: 0 | line 20: moments of input, output | `distribution` |
-| Adam | AdamW | `optimiser` |
+| Eq. 14 compares a thing with itself: 0 | line 20: moments of input, output | none: moments |
+| Adam | AdamW | none: Adam |
 | units never stated | published: each phase's range is -1..1 | `normalise` |
 | windows of 100 | published: 150, one every 4 samples | `window`, `stride` |
 | norms are sums | its figures are means | `norms` |
@@ -21,16 +21,16 @@ the error; ours is measured - simulated, and a standardised network does not min
 dims", which the published code shows to be `learning.data.channels`.
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Literal
 
 from twin.errors import ModelError
 from twin.representation import short_repr
 
 Clustering = Literal["kmeans", "sensors", "none", "channels"]
 Protocol = Literal["reconstruct", "track", "free", "generate"]
-Normalise = Literal["pooled", "phase", "centred", "range"]
+Normalise = Literal["pooled", "centred", "range"]
 PROTOCOLS: tuple[Protocol, ...] = ("reconstruct", "track", "free")
 """Those whose corrections are compared sample by sample; what is generated is not."""
 
@@ -43,7 +43,7 @@ class Preset:
         name: As printed.
         clustering: `kmeans` on mean, variance and lag autocorrelation of each channel; `sensors`:
             one network per sensor; `none`: one for all channels; `channels`: one per channel.
-        n_clusters: Of `kmeans`; None: the number of the best silhouette, 2..8.
+        n_clusters: Of `kmeans`.
         encoder_units: Size of each LSTM layer before the quantiser.
         decoder_units: Size of each LSTM layer behind it.
         code_size: Size D of latent and codes.
@@ -59,26 +59,20 @@ class Preset:
         codebook_start: `uniform`: within 1/K, as published (all codes then look alike);
             `softmax`: on the sphere |e|^2 = D temperature / 2, where the assignment tells them
             apart.
-        codebook_target: What the codebook is drawn to the latent by: `soft` code, `nearest` code
-            or `every` code.
-        swapped_stop: `beta` weighs the codebook's term instead of the latent's.
+        codebook_target: What the codebook is drawn to the latent by: `soft` or `nearest` code.
         straight_through: The soft code is detached, its gradient passed to the latent.
         beta: Weight of the latent's term within the quantiser's loss.
         weight_reconstruction: Of the mean square error.
         weight_quantiser: Of the quantiser's loss.
-        weight_distribution: Of the distribution's loss.
+        weight_distribution: Of the differences of mean and spread between output and target.
         norms: `sums`: norms as Eqs. 10 and 14 and lines 18 to 21 write them, sums over the numbers
             of a code and over the channels; `means`: means over both, a cluster being worth what
             another is.
-        distribution: `moments`: differences of mean and spread between output and target;
-            `none`: Eq. 14 as it stands.
         spread_head: The network predicts its spread; else it is a constant per phase and channel.
         linear: A linear prediction under the network, of which it learns what that leaves.
-        normalise: `pooled`: mean and spread of each channel; `phase`: both per phase; `centred`:
-            mean per phase, one spread about it; `range`: the range of each phase becomes -1..1.
-        optimiser: With `learning_rate` and `weight_decay`.
-        learning_rate: At the start.
-        weight_decay: Of AdamW.
+        normalise: `pooled`: mean and spread of each channel; `centred`: mean per phase, one spread
+            about it; `range`: the range of each phase becomes -1..1.
+        learning_rate: Of Adam, at the start.
         schedule: Of the learning rate over `epochs`.
         clip: Largest norm of the gradient; None: any.
         clip_parameters: Largest size of a weight, as line 28 clips the parameters; None: any.
@@ -96,7 +90,7 @@ class Preset:
 
     name: str
     clustering: Clustering = "sensors"
-    n_clusters: int | None = 4
+    n_clusters: int = 4
     encoder_units: tuple[int, ...] = (64,)
     decoder_units: tuple[int, ...] = (64,)
     code_size: int = 32
@@ -108,21 +102,17 @@ class Preset:
     quantiser: Literal["soft", "hard", "none"] = "soft"
     temperature: float = 1.0
     codebook_start: Literal["uniform", "softmax"] = "softmax"
-    codebook_target: Literal["soft", "nearest", "every"] = "soft"
-    swapped_stop: bool = False
+    codebook_target: Literal["soft", "nearest"] = "soft"
     straight_through: bool = False
     beta: float = 0.25
     weight_reconstruction: float = 1.0
     weight_quantiser: float = 0.01
     weight_distribution: float = 0.1
     norms: Literal["means", "sums"] = "means"
-    distribution: Literal["moments", "none"] = "moments"
     spread_head: bool = True
     linear: bool = True
     normalise: Normalise = "centred"
-    optimiser: Literal["adam", "adamw"] = "adam"
     learning_rate: float = 2e-3
-    weight_decay: float = 0.01
     schedule: Literal["constant", "cosine"] = "cosine"
     clip: float | None = 1.0
     clip_parameters: float | None = None
@@ -215,34 +205,6 @@ in all, and its figures are of these windows, in ranges of -1..1, hover numbered
 BEST = Preset(name="best")
 """What measurably beats it: docs/results/paper.md."""
 
-FORCE = Preset(
-    name="force",
-    clustering="kmeans",
-    n_clusters=2,
-    encoder_units=(32,),
-    decoder_units=(32,),
-    code_size=16,
-    n_codes=64,
-    linear=False,
-    normalise="pooled",
-    epochs=40,
-    patience=15,
-)
-"""Of force and moment that a law leaves (`learning.force`): small, as its sequences are. It
-has no envelope of its own: that of the law fades what it says."""
-
 SEEDS = MappingProxyType({"paper": 42, "published": 42})
 """Of everything that is drawn, by the name of the preset, where nobody says; of others 0."""
 PRESETS = MappingProxyType({p.name: p for p in (PAPER, PUBLISHED, BEST)})
-
-
-def preset_named(name: str) -> Preset:
-    """The preset of that name."""
-    if name not in PRESETS:
-        raise ModelError(f"no preset {name!r}; there are {', '.join(PRESETS)}")
-    return PRESETS[name]
-
-
-def preset_json(preset: Preset) -> dict[str, Any]:
-    """As JSON content."""
-    return asdict(preset)

@@ -54,8 +54,7 @@ def _laws(folder: Path) -> Iterator[tuple[str, LearnedForce, float]]:
     shipped = learned_force(folder)
     yield SHIPPED, shipped, WIND_M_S
     yield STILL, shipped, 0.0
-    outputs = tuple(replace(o, network=False) for o in shipped.model.outputs)
     for name, rival in shipped.model.rivals.items():
-        if rival.law.linear.any() or rival.law.waves.any():
-            model = replace(shipped.model, law=rival.law, outputs=outputs)
+        if rival.law.linear.any():
+            model = replace(shipped.model, law=rival.law)
             yield name, LearnedForce(model), WIND_M_S

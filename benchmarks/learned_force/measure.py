@@ -49,7 +49,7 @@ def measure(rotation: Rotation, places: Places) -> dict[str, Any]:
         "named": named,
         "taught": [f.name for f in taught],
         "claim": force_claim(folder),
-        "outputs": [(o.law, o.network) for o in load_force(folder).outputs],
+        "outputs": [o.law for o in load_force(folder).outputs],
         "evaluation": said,
         "closed_loop": closed_loop(folder, FLIGHTS, zlib.crc32(rotation.name.encode())),
         "seconds": {

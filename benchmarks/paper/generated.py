@@ -355,7 +355,7 @@ def evaluate_generated(
         One row per model, seed, flight, phase and channel.
     """
     check_flights(train, test)
-    scale = residual_scale(train, "channel")
+    scale = residual_scale(train)
     rows: list[dict[str, Any]] = []
     for name, make in models.items():
         for seed in seeds:

@@ -380,7 +380,7 @@ class Innovations(Family[InnovationsPreset, InnovationsModel]):
         count = sum(name.endswith(".every") for name in tensors)
         sensors = tuple(_sensor(tensors, i) for i in range(count))
         mean, scale = tensors["mean"], tensors["scale"]
-        if mean.shape != (N_PHASES, len(info.channels)) or scale.shape != mean.shape:
+        if mean.shape != (N_PHASES, len(CHANNELS)) or scale.shape != mean.shape:
             raise ValueError(f"means of shape {mean.shape}, spreads of shape {scale.shape}")
         return InnovationsModel(info, Generator(mean, scale, sensors, info.preset.drive, info.seed))
 

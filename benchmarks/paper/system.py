@@ -23,7 +23,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from learning.data.channels import N_PHASES
+from learning.data.channels import CHANNELS, N_PHASES, SEEN
 from learning.data.flights import ResidualFlight
 from learning.data.scaling import Scaling, fit_scaling, in_spans
 from learning.data.sequences import SpanSequence, one_hot, sequences
@@ -401,7 +401,7 @@ class SystemModel:
         weights = {k: torch.from_numpy(v) for k, v in _under(tensors, _NETWORK).items()}
         system.load_state_dict(weights)
         expected = tensors[_EXPECTED]
-        if expected.shape != (N_PHASES, len(info.channels)):
+        if expected.shape != (N_PHASES, len(CHANNELS)):
             raise ValueError(f"expected spread of shape {expected.shape}")
         return cls(info, name, system.eval(), scaling, _under(tensors, _PRIOR), expected)
 
@@ -477,7 +477,7 @@ class SystemFamily(Family[SystemPreset, SystemModel]):
         if task.checkpoints is None:
             (folder / CHECKPOINT).unlink(missing_ok=True)
         write_json(folder / CURVE, curve)
-        nothing = np.zeros((N_PHASES, len(info.channels)))
+        nothing = np.zeros((N_PHASES, len(CHANNELS)))
         info = replace(info, metrics={"epochs": preset.epochs, "best_epoch": preset.epochs})
         model = SystemModel(info, self.preset.name, system, scaling, prior, nothing)
         if task.protocol == "generate":
@@ -497,10 +497,10 @@ class SystemFamily(Family[SystemPreset, SystemModel]):
         return ()
 
     def _begun(self, info: ModelInfo[SystemPreset]) -> System:
-        n_channels = len(info.channels)
+        n_channels = len(CHANNELS)
         n_given = n_channels
         if info.protocol == "free":
-            n_given = len(info.channels.seen) + info.n_commands
+            n_given = len(SEEN) + info.n_commands
         elif info.protocol == "generate" and not self.system.autoencoder:
             n_given = 0
         return self.system(info.preset, n_given, n_channels)

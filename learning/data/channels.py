@@ -1,7 +1,6 @@
-"""The residual channels, their groups, and the phases that condition them."""
+"""The residual channels, their groups, the features, and the phases that condition them."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
 from types import MappingProxyType
 
 import numpy as np
@@ -9,8 +8,6 @@ from numpy.typing import NDArray
 
 from twin.flight.mission import PHASES
 from twin.frames import AXES
-from twin.physics.residual_force import INPUTS, OUTPUTS, SEEN
-from twin.representation import short_repr
 
 _SENSORS = (
     ("gyro", "rad/s"),
@@ -28,66 +25,20 @@ GROUPS = MappingProxyType(
 """Columns of each sensor."""
 
 
-@dataclass(frozen=True, slots=True)
-class Channels:
-    """What a compensator corrects, and what it looks at.
-
-    Attributes:
-        names: Of the channels.
-        units: Of the channels.
-        groups: Columns of each sensor, or of whatever belongs together.
-        seen: Columns of what the twin gives that are features.
-        commands: Names of the other features; (): what drives the rotors.
-        place: Physical inputs of the envelope besides those: places among `seen`, each one alone or
-            the length of two; (): there is no envelope.
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    groups: Mapping[str, slice]
-    seen: tuple[int, ...]
-    commands: tuple[str, ...] = ()
-    place: tuple[tuple[int, ...], ...] = ()
-
-    __repr__ = short_repr
-
-    def __len__(self) -> int:
-        return len(self.names)
+SEEN = tuple(i for i, c in enumerate(CHANNELS) if c not in ("pos_x", "pos_y"))
+"""Channels whose virtual readings are features: all but the place over ground, on which no effect
+depends."""
+_PLACES = (("gyro_x",), ("gyro_y",), ("gyro_z",), ("vel_x", "vel_y"), ("vel_z",))
+PLACES = tuple(tuple(SEEN.index(CHANNELS.index(c)) for c in some) for some in _PLACES)
+"""Physical inputs of the envelope, alongside what drives the rotors: places among `SEEN`, each one
+alone or the length of two. These are rates, speed over ground and climb; neither heading nor
+height."""
 
 
-_SEEN = tuple(c for c in CHANNELS if c not in ("pos_x", "pos_y"))
-_PLACE = (("gyro_x",), ("gyro_y",), ("gyro_z",), ("vel_x", "vel_y"), ("vel_z",))
-SENSORS = Channels(
-    CHANNELS,
-    UNITS,
-    dict(GROUPS),
-    seen=tuple(CHANNELS.index(c) for c in _SEEN),
-    place=tuple(tuple(_SEEN.index(c) for c in some) for some in _PLACE),
-)
-"""Of the sensors. All that the twin reads is looked at but the place over ground, on which no
-effect depends. Heading and height take no part in the envelope: rates, speed over ground and
-climb do, and what drives the rotors."""
-FORCES = Channels(
-    tuple(f"left_{kind}_{a}" for kind, a in OUTPUTS),
-    tuple("m/s²" if kind == "force" else "rad/s²" for kind, _ in OUTPUTS),
-    {"left_force": slice(0, 3), "left_moment": slice(3, 6)},
-    seen=(),
-    commands=tuple(SEEN + name for name, _ in INPUTS),
-)
-"""Specific force and angular acceleration that the equations lack, by the motion it comes with."""
-
-
-def channels_named(names: Iterable[str]) -> Channels:
-    """The channels of these names.
-
-    Raises:
-        ValueError: There are none.
-    """
-    wanted = tuple(names)
-    for known in (SENSORS, FORCES):
-        if known.names == wanted:
-            return known
-    raise ValueError(f"channels {', '.join(wanted)}: this version knows none of these")
+def check_channels(names: Iterable[str]) -> None:
+    """Raise ValueError unless these are `CHANNELS`."""
+    if (given := tuple(names)) != CHANNELS:
+        raise ValueError(f"channels {', '.join(given)}: this version has {', '.join(CHANNELS)}")
 
 
 UNKNOWN_PHASE = len(PHASES)

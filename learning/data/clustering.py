@@ -5,15 +5,14 @@ the channels: in raw units the one with the largest numbers decides alone.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.cluster import KMeans
-from sklearn.metrics import silhouette_score
 from threadpoolctl import threadpool_limits
 
 from ..preset import Preset
+from .channels import CHANNELS, GROUPS
 from .flights import ResidualFlight
 
 Array = NDArray[np.float64]
@@ -22,7 +21,6 @@ Clusters = tuple[tuple[int, ...], ...]
 
 LAG = 1
 """Samples between the two ends of the autocorrelation."""
-MOST_CLUSTERS = 8
 
 
 def clusters_of(
@@ -36,14 +34,13 @@ def clusters_of(
         chosen: Per flight the samples that may be used, shape (n,).
         seed: Of k-means.
     """
-    channels = flights[0].channels
-    numbers = range(len(channels))
+    numbers = range(len(CHANNELS))
     if preset.clustering == "none":
         return (tuple(numbers),)
     if preset.clustering == "channels":
         return tuple((i,) for i in numbers)
     if preset.clustering == "sensors":
-        return tuple(tuple(numbers[columns]) for columns in channels.groups.values())
+        return tuple(tuple(numbers[columns]) for columns in GROUPS.values())
     return kmeans_clusters(channel_statistics(flights, chosen), preset.n_clusters, seed)
 
 
@@ -53,7 +50,7 @@ def channel_statistics(flights: Sequence[ResidualFlight], chosen: Sequence[BoolA
     Samples held between two measurements count: what the network sees is correlated by them. A
     channel without a sample has zeros.
     """
-    found = np.zeros((len(flights[0].channels), 3))
+    found = np.zeros((len(CHANNELS), 3))
     for c in range(len(found)):
         parts = []
         for flight, use in zip(flights, chosen, strict=True):
@@ -70,32 +67,18 @@ def channel_statistics(flights: Sequence[ResidualFlight], chosen: Sequence[BoolA
     return found
 
 
-def kmeans_clusters(statistics: Array, n_clusters: int | None, seed: int) -> Clusters:
+def kmeans_clusters(statistics: Array, n_clusters: int, seed: int) -> Clusters:
     """k-means groups of the rows, the same for the same input and seed.
 
     Args:
         statistics: Shape (channels, numbers).
-        n_clusters: None: the number with the best silhouette, 2..8.
+        n_clusters: At most; fewer where fewer rows differ.
         seed: Of the starts.
     """
     spread = statistics.std(axis=0)
     points = (statistics - statistics.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
-    distinct = len(np.unique(points, axis=0))
-    if n_clusters is not None:
-        return _grouped(_labels(points, min(n_clusters, distinct), seed))
-    best: tuple[float, Any] = (-np.inf, np.zeros(len(points), dtype=np.intp))
-    for k in range(2, min(MOST_CLUSTERS, distinct - 1, len(points) - 1) + 1):
-        labels = _labels(points, k, seed)
-        best = max(best, (float(silhouette_score(points, labels)), labels), key=lambda b: b[0])
-    return _grouped(best[1])
-
-
-def _labels(points: Array, k: int, seed: int) -> NDArray[np.intp]:
+    k = min(n_clusters, len(np.unique(points, axis=0)))
     with threadpool_limits(1):  # fifteen points: threads would only wait for each other
         labels = KMeans(n_clusters=k, n_init=20, random_state=seed).fit_predict(points)
-    return np.asarray(labels, dtype=np.intp)
-
-
-def _grouped(labels: NDArray[np.intp]) -> Clusters:
     groups = [tuple(int(i) for i in np.flatnonzero(labels == k)) for k in np.unique(labels)]
     return tuple(sorted(groups))

@@ -5,7 +5,7 @@
 Each row of `whitening` is an input beyond what those before it tell of it, over how far it went by
 itself: a vehicle that turned fast and stood still has been to fast turns, and not to speed.
 
-Up to d = 1 a model may say all that it learned. From there to `WAVES_END` a network fades, from
+Up to d = 1 a model may say all that it learned. From there to `NETWORK_END` a network fades, from
 `LINEAR_BEGIN` to `LINEAR_END` what is linear, neither in a step; a learned force fades alike
 (`twin.physics.residual_force`).
 """
@@ -17,12 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.physics.residual_force import LINEAR_BEGIN, LINEAR_END, WAVES_END
+from twin.physics.residual_force import LINEAR_BEGIN, LINEAR_END
 from twin.representation import short_repr
 
 Array = NDArray[np.float64]
 Values = Any
 """An array or a tensor: whatever has `+ - * /`, `abs` and `clip`."""
+NETWORK_END = 2.0
+"""Distance at which a network has faded out. Not chosen on flights."""
 INSIDE = 0.995
 """Share of the training that is inside, and of each flight that the others have not seen: flights
 differ by more than a flight does within itself."""
@@ -123,7 +125,7 @@ def _known(distance: Array) -> Array:
 
 def network_share(d: Values) -> Values:
     """How much of a network counts at a distance."""
-    return _fade(d, 1.0, WAVES_END)
+    return _fade(d, 1.0, NETWORK_END)
 
 
 def linear_share(d: Values) -> Values:

@@ -35,7 +35,7 @@ from twin.residuals.teacher_forced import GRID_S, predicted_readings, sensor_rea
 from twin.vehicle import Vehicle
 
 from ..preset import Protocol
-from .channels import CHANNELS, GROUPS, SENSORS, Channels, phase_codes
+from .channels import CHANNELS, GROUPS, phase_codes
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -69,7 +69,6 @@ class ResidualFlight:
         phase: Code of the phase, `channels.PHASE_CODES`, shape (n,).
         spans: Rows [a, b) in the air and without gaps, in order; outside nothing is fresh.
         notes: What is missing or was assumed.
-        channels: Of which it is; the text above tells of those of the sensors.
         log_sha256: `Flight.fingerprint` of the flight, "" where not known.
     """
 
@@ -83,7 +82,6 @@ class ResidualFlight:
     phase: IntArray
     spans: tuple[tuple[int, int], ...]
     notes: tuple[str, ...] = ()
-    channels: Channels = SENSORS
     log_sha256: str = ""
 
     __repr__ = short_repr

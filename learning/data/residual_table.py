@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from twin.errors import LogError, ModelError
 from twin.logs.stored import opened
 
-from .channels import channels_named
+from .channels import CHANNELS, check_channels
 from .flights import ResidualFlight
 
 _BLOCKS = ("virtual", "residual", "fresh")
@@ -59,15 +59,16 @@ def _frame(flight: ResidualFlight) -> pd.DataFrame:
     columns |= {f"cmd_{i + 1}": c for i, c in enumerate(flight.commands.T)}
     for block in _BLOCKS:
         values = getattr(flight, block)
-        columns |= {f"{block}.{c}": values[:, i] for i, c in enumerate(flight.channels.names)}
+        columns |= {f"{block}.{c}": values[:, i] for i, c in enumerate(CHANNELS)}
     return pd.DataFrame(columns)
 
 
 def _flight(name: str, frame: pd.DataFrame, rate_hz: float) -> ResidualFlight:
     stem = f"{_BLOCKS[0]}."
-    channels = channels_named(c.removeprefix(stem) for c in frame if c.startswith(stem))
+    names = [c.removeprefix(stem) for c in frame if c.startswith(stem)]
+    check_channels(names)
     virtual, residual, fresh = (
-        frame[[f"{block}.{c}" for c in channels.names]].to_numpy() for block in _BLOCKS
+        frame[[f"{block}.{c}" for c in CHANNELS]].to_numpy() for block in _BLOCKS
     )
     commands = [c for c in frame if c.startswith("cmd_")]
     rows = frame.groupby("span").indices
@@ -82,5 +83,4 @@ def _flight(name: str, frame: pd.DataFrame, rate_hz: float) -> ResidualFlight:
         commands=frame[commands].to_numpy().reshape(len(frame), len(commands)),
         phase=frame["phase"].to_numpy(dtype=np.intp),
         spans=tuple(spans),
-        channels=channels,
     )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from twin.representation import short_repr
 
 from ..preset import Normalise
-from .channels import N_PHASES, Channels
+from .channels import CHANNELS, N_PHASES, PLACES, SEEN
 from .envelope import UNLIMITED, Envelope
 from .flights import ResidualFlight
 
@@ -71,49 +71,38 @@ class Scaling:
         return Envelope(self.place_centre, self.place_scale, self.place_whitening, reach)
 
 
-def feature_names(channels: Channels, n_commands: int) -> tuple[str, ...]:
+def feature_names(n_commands: int) -> tuple[str, ...]:
     """Names of the features, in order: virtual signals, then commands."""
-    commands = channels.commands or tuple(f"cmd_{i + 1}" for i in range(n_commands))
-    return (*(channels.names[i] for i in channels.seen), *commands)
+    return (*(CHANNELS[i] for i in SEEN), *(f"cmd_{i + 1}" for i in range(n_commands)))
 
 
 def features_of(flight: ResidualFlight) -> Array:
     """Features in their own units, NaN where the twin could not read, shape (n, features)."""
-    return np.hstack([flight.virtual[:, list(flight.channels.seen)], flight.commands])
+    return np.hstack([flight.virtual[:, list(SEEN)], flight.commands])
 
 
-def place_names(channels: Channels, n_commands: int) -> tuple[str, ...]:
-    """Names of the physical inputs of the envelope, in order; () without an envelope."""
-    names = feature_names(channels, n_commands)
-    if not channels.place:
-        return ()
-    seen = ("speed" if len(some) > 1 else names[some[0]] for some in channels.place)
-    return (*seen, *names[len(channels.seen) :])
+def place_names(n_commands: int) -> tuple[str, ...]:
+    """Names of the physical inputs of the envelope, in order."""
+    names = feature_names(n_commands)
+    seen = ("speed" if len(some) > 1 else names[some[0]] for some in PLACES)
+    return (*seen, *names[len(SEEN) :])
 
 
-def places_of(raw: Array, channels: Channels) -> Array:
+def places_of(raw: Array) -> Array:
     """Physical inputs of the envelope, shape (n, places).
 
     Args:
         raw: Features in their own units, shape (n, features).
-        channels: Of which they are.
     """
-    if not channels.place:
-        return np.zeros((len(raw), 0))
     seen = [
-        raw[:, some[0]] if len(some) == 1 else np.hypot(*raw[:, some].T)
-        for some in _lists(channels)
+        raw[:, some[0]] if len(some) == 1 else np.hypot(*raw[:, list(some)].T) for some in PLACES
     ]
-    return np.column_stack([*seen, raw[:, len(channels.seen) :]])
+    return np.column_stack([*seen, raw[:, len(SEEN) :]])
 
 
-def _lists(channels: Channels) -> list[list[int]]:
-    return [list(some) for some in channels.place]
-
-
-def _reserve(places: Array, channels: Channels) -> Array:
+def _reserve(places: Array) -> Array:
     """What is no other place, by physical input."""
-    names = [channels.names[channels.seen[some[0]]] for some in channels.place]
+    names = [CHANNELS[SEEN[some[0]]] for some in PLACES]
     own = [RATE_RESERVE if name.startswith("gyro") else SPEED_RESERVE for name in names]
     drives = np.nan_to_num(np.nanmean(np.abs(places[:, len(own) :]), axis=0))
     return np.array([*own, *(DRIVE_RESERVE * drives)])
@@ -172,11 +161,9 @@ def fit_scaling(
             scale[:, c] = _positive(float(about.std()), float(np.abs(mean[:, c]).max()))
     virtual = np.concatenate([f.virtual[c] for f, c in zip(flights, chosen, strict=True)])
     each = [features_of(f)[c] for f, c in zip(flights, chosen, strict=True)]
-    features, channels = np.concatenate(each), flights[0].channels
-    envelope = Envelope.none(0)
-    if channels.place:
-        places = [places_of(raw, channels) for raw in each if len(raw)]
-        envelope = Envelope.of(places, _reserve(np.vstack(places), channels))
+    features = np.concatenate(each)
+    places = [places_of(raw) for raw in each if len(raw)]
+    envelope = Envelope.of(places, _reserve(np.vstack(places)))
     about = np.nan_to_num((residual - mean[phase]) / scale[phase])
     least, most, centre, spread = np.array([_limits(column) for column in features.T]).T
     return Scaling(

@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from twin.errors import ModelError
 
 from ..preset import Protocol
-from .channels import N_PHASES, Channels
+from .channels import N_PHASES
 from .flights import ResidualFlight
 from .scaling import Scaling, features_of, places_of, standardised
 
@@ -158,19 +158,19 @@ def _span(
         features=features,
         slow=np.hstack(slow),
         phase=phase,
-        distance=_distance(raw, flight.channels, scaling, protocol),
+        distance=_distance(raw, scaling, protocol),
     )
 
 
-def limited(channels: Channels, protocol: Protocol) -> bool:
+def limited(protocol: Protocol) -> bool:
     """Whether there is an envelope: what repeats what it is given, or sees nothing, has none."""
-    return bool(channels.place) and protocol in ("track", "free")
+    return protocol in ("track", "free")
 
 
-def _distance(raw: Array, channels: Channels, scaling: Scaling, protocol: Protocol) -> Array:
-    if not limited(channels, protocol):
+def _distance(raw: Array, scaling: Scaling, protocol: Protocol) -> Array:
+    if not limited(protocol):
         return np.zeros(len(raw))
-    return scaling.envelope.distance(places_of(raw, channels))
+    return scaling.envelope.distance(places_of(raw))
 
 
 def one_hot(phase: NDArray[np.intp]) -> Array:

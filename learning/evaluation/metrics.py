@@ -64,22 +64,6 @@ def coverage(left: Array, spread: Array, times: float) -> float:
     return float(np.mean(np.abs(left) <= times * spread)) if len(left) else math.nan
 
 
-def reliability(left: Array, spread: Array, bins: int = 10) -> Array:
-    """Predicted against actual spread: samples in order of the predicted one, in equal parts.
-
-    Args:
-        left: What is left, shape (n,).
-        spread: Predicted standard deviation, shape (n,), same unit.
-        bins: Number of parts, at most n.
-
-    Returns:
-        Root mean square of predicted spread and of what is left in each part, shape (bins, 2).
-    """
-    order = np.argsort(spread, kind="stable")
-    parts = np.array_split(order, min(bins, len(order))) if len(order) else []
-    return np.array([[rmse(spread[p]), rmse(left[p])] for p in parts]).reshape(-1, 2)
-
-
 def band_powers(t_s: Array, values: Array) -> Array:
     """Power about the mean in each of `BANDS`, unit^2, shape (4,).
 

@@ -19,7 +19,7 @@ flight) as one model left it:
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -85,7 +85,6 @@ def evaluate(
     train: Sequence[ResidualFlight],
     test: Sequence[ResidualFlight],
     task: Task,
-    standardise: Literal["channel", "phase"] = "channel",
 ) -> pd.DataFrame:
     """Score models and the baselines of their protocol.
 
@@ -94,8 +93,6 @@ def evaluate(
         train: What baselines and standardised units are made from.
         test: Flights to score, none of them in `train`.
         task: Protocol the models work under.
-        standardise: Standardised units from all training samples of a channel, or from those of
-            the same phase.
 
     Returns:
         One row per model, flight, phase and channel; see the module. A channel without a fresh
@@ -106,7 +103,7 @@ def evaluate(
     """
     check_flights(train, test)
     models = fitted(model, train, task)
-    scale = residual_scale(train, standardise)
+    scale = residual_scale(train)
     known = [[Cell(flight, *cell, scale) for cell in cells(flight)] for flight in test]
     rows: list[dict[str, Any]] = []
     for name, each in models.items():

@@ -1,7 +1,7 @@
 """What one row of an evaluation holds: which samples, and the figures of what is left of them."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from twin.errors import ModelError
 
 from ..data.channels import CHANNELS, GROUPS, N_PHASES, PHASE_CODES, UNITS
 from ..data.flights import ResidualFlight
-from ..model.baselines import by_phase, phase_means
+from ..model.baselines import phase_means
 from ..model.corrected import Corrected
 from . import metrics
 
@@ -22,19 +22,13 @@ GROUP_OF = {c: g for g, columns in GROUPS.items() for c in CHANNELS[columns]}
 PHASE_OF = {code: name for name, code in PHASE_CODES.items()}
 
 
-def residual_scale(
-    train: Sequence[ResidualFlight], standardise: Literal["channel", "phase"]
-) -> Array:
+def residual_scale(train: Sequence[ResidualFlight]) -> Array:
     """Spread of the training residual, shape (phases, 15); 1 where there is none."""
     mean = phase_means(train)
-    if standardise == "phase":
-        spread = np.sqrt(by_phase(train, [(f.residual - mean[f.phase]) ** 2 for f in train]))
-    else:
-        pooled = [
-            np.concatenate([f.residual[f.fresh[:, c], c] for f in train])
-            for c in range(len(CHANNELS))
-        ]
-        spread = np.tile([v.std() if len(v) else 0.0 for v in pooled], (N_PHASES, 1))
+    pooled = [
+        np.concatenate([f.residual[f.fresh[:, c], c] for f in train]) for c in range(len(CHANNELS))
+    ]
+    spread = np.tile([v.std() if len(v) else 0.0 for v in pooled], (N_PHASES, 1))
     return np.where(spread > 1e-9 * np.abs(mean) + 1e-15, spread, 1.0)
 
 

@@ -13,7 +13,7 @@ import onnx
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ..data.channels import N_PHASES
+from ..data.channels import CHANNELS, N_PHASES
 from ..model.compensator import Compensator
 from ..model.network import LOG_SPREAD_LIMIT, ClusterNetwork, LstmStack
 from .graph import Graph
@@ -80,7 +80,7 @@ def _seen_table(model: Compensator, number: int) -> Array:
     network = model.network
     cluster = network.networks[number]
     assert isinstance(cluster, ClusterNetwork)
-    n_known = len(model.info.channels) if network.sees_known else 0
+    n_known = len(CHANNELS) if network.sees_known else 0
     n_features = len(model.features) if network.sees_features else 0
     own = network.clusters[number] if network.sees_known else ()
     rows = [*own, *range(n_known, n_known + n_features)]
@@ -182,7 +182,7 @@ def _read_out(
     One product: the clusters' numbers side by side, zero for the channels of others.
     """
     preset, gain = model.info.preset, numbers(model.gate * model.leftover)
-    n, units, n_channels = len(clusters), preset.decoder_units[-1], len(model.info.channels)
+    n, units, n_channels = len(clusters), preset.decoder_units[-1], len(CHANNELS)
     width = units + (preset.code_size if preset.skip else 0)
     weights = np.zeros((n, width, 2, n_channels))
     biases = np.zeros((2, n_channels))

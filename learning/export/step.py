@@ -16,10 +16,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from twin.physics.residual_force import LINEAR_BEGIN, LINEAR_END, WAVES_END
+from twin.physics.residual_force import LINEAR_BEGIN, LINEAR_END
 
-from ..data.channels import N_PHASES
-from ..data.envelope import BEYOND
+from ..data.channels import CHANNELS, N_PHASES, PLACES, SEEN
+from ..data.envelope import BEYOND, NETWORK_END
 from ..data.sequences import LAGS, SMOOTHING_S, limited, running_mean, smoothing
 from ..model.compensator import NO_SPREAD, Compensator
 from .graph import Graph
@@ -41,7 +41,7 @@ def streaming_model(compensator: Compensator, batch: int | None = None) -> onnx.
     """
     info = compensator.info
     graph = Graph("compensator", batch)
-    n = len(info.channels)
+    n = len(CHANNELS)
     widths = [n, info.n_commands, 1, n, n, compensator.state_size]
     for name, width in zip(INPUTS, widths, strict=True):
         graph.input(name, width)
@@ -71,7 +71,7 @@ class _Sample:
 
 
 def _sample(g: Graph, model: Compensator) -> _Sample:
-    n = len(model.info.channels)
+    n = len(CHANNELS)
     names, widths = ["virtual", "command", "phase"], [n, model.info.n_commands, 1]
     if model.info.protocol != "free":
         fresh = g.op("Greater", "valid", g.floats([[0.5]]))
@@ -87,7 +87,7 @@ def _sample(g: Graph, model: Compensator) -> _Sample:
 
 def _step(g: Graph, model: Compensator) -> None:
     """`Compensator.step` as operators."""
-    rows, protocol, n = model.history, model.info.protocol, len(model.info.channels)
+    rows, protocol, n = model.history, model.info.protocol, len(CHANNELS)
     parts = g.split("state", list(model.state_sizes), axis=1)
     past, mean_so_far, readings, begun, strange, slow, cells = parts
     with g.scope("inputs"):
@@ -135,9 +135,9 @@ def _step(g: Graph, model: Compensator) -> None:
         if log_spread:
             expected = g.op("Mul", expected, g.op("Exp", log_spread))
         inside, rms = sample.whole, g.floats(_row(model.rms))
-        if limited(model.info.channels, protocol):
+        if limited(protocol):
             distance = _distance(g, model, raw)
-            close = _fade(g, distance, 1.0, WAVES_END)
+            close = _fade(g, distance, 1.0, NETWORK_END)
             linear = g.op("Mul", linear, _fade(g, distance, LINEAR_BEGIN, LINEAR_END))
             more = g.op("Mul", more, close)
             expected = g.op("Add", rms, g.op("Mul", close, g.op("Sub", expected, rms)))
@@ -168,9 +168,8 @@ def _one_hot(g: Graph, sample: _Sample) -> str:
 def _raw_features(g: Graph, model: Compensator, sample: _Sample) -> str:
     """Virtual signals and commands that are features, in their units, shape (B, F)."""
     both = g.op("Concat", sample.virtual, sample.command, axis=1)
-    channels = model.info.channels
-    n = len(channels)
-    places = [*channels.seen, *range(n, n + model.info.n_commands)]
+    n = len(CHANNELS)
+    places = [*SEEN, *range(n, n + model.info.n_commands)]
     return g.op("Gather", both, g.integers(*places), axis=1)
 
 
@@ -187,7 +186,7 @@ def _tables(g: Graph, model: Compensator, here: str) -> list[str]:
     mean, scale, reading = (numbers(t) for t in (model.mean, model.scale, model.reading))
     expected = np.abs(scale) * numbers(model.spread_factor)
     row = g.op("MatMul", here, g.floats(np.hstack([mean, scale, reading, expected])))
-    return g.split(row, [len(model.info.channels)] * 4, axis=1)
+    return g.split(row, [len(CHANNELS)] * 4, axis=1)
 
 
 def _remembered(
@@ -218,7 +217,7 @@ def _read_then(
     g: Graph, model: Compensator, sample: _Sample, readings: str, begun: str
 ) -> tuple[str, str, str]:
     """What the twin read at the newest known residual (B, 15); next state of the readings."""
-    n, last, time = len(model.info.channels), model.readings - 1, g.integers(1)
+    n, last, time = len(CHANNELS), model.readings - 1, g.integers(1)
     kept = g.reshape(g.op("Greater", begun, g.floats([[0.5]])), 0, 1, 1)
     virtual = g.reshape(sample.virtual, 0, 1, n)
     rows = g.op("Where", kept, g.reshape(readings, 0, -1, n), virtual)  # (B, readings, 15)
@@ -234,7 +233,7 @@ def _offset(
     g: Graph, model: Compensator, known: str, read: str, mean_so_far: str
 ) -> tuple[str, str]:
     """Running means of known residual and reading (B, 2, 15); next state of sums and weights."""
-    n, (kept, prior) = len(model.info.channels), running_mean(model.info.rate_hz)
+    n, (kept, prior) = len(CHANNELS), running_mean(model.info.rate_hz)
     there = g.op("Cast", g.op("Greater", g.op("Abs", known), g.floats([[0.0]])), to=_FLOAT)
     new = g.concat(known, g.op("Mul", read, there), there, axis=1)
     mean_so_far = g.op("Add", g.op("Mul", mean_so_far, g.floats([[kept]])), new)
@@ -265,14 +264,14 @@ def _smoothed(g: Graph, model: Compensator, features: str, slow: str) -> str:
 
 def _distance(g: Graph, model: Compensator, raw: str) -> str:
     """From where training has been, shape (B, 1)."""
-    channels, parts = model.info.channels, []
-    for some in channels.place:
+    parts = []
+    for some in PLACES:
         own = g.op("Gather", raw, g.integers(*some), axis=1)
         if len(some) > 1:
             square = g.op("ReduceSum", g.op("Mul", own, own), g.integers(1), keepdims=1)
             own = g.op("Sqrt", square)
         parts.append(own)
-    first = len(channels.seen)
+    first = len(SEEN)
     drives = g.columns(raw, first, first + model.info.n_commands)
     centred = g.op("Sub", g.concat(*parts, drives, axis=1), g.floats(_row(model.place_centre)))
     whitening = numbers(model.place_whitening) / numbers(model.place_scale)

@@ -11,7 +11,7 @@ import onnx
 import torch
 from numpy.typing import NDArray
 
-from ..data.channels import N_PHASES, PHASE_CODES
+from ..data.channels import CHANNELS, GROUPS, N_PHASES, PHASE_CODES, SEEN, UNITS
 from ..model.compensator import Compensator
 from ..threads import one_thread
 from .int8 import deviation, quantised
@@ -60,9 +60,9 @@ def metadata(compensator: Compensator) -> dict[str, str]:
     info = compensator.info
     scaling = compensator.scaling()
     values: dict[str, Any] = {
-        "channels": info.channels.names,
-        "units": info.channels.units,
-        "groups": tuple(info.channels.groups),
+        "channels": CHANNELS,
+        "units": UNITS,
+        "groups": tuple(GROUPS),
         "commands": _motors(compensator),
         "phases": dict(PHASE_CODES),
         "rate_hz": info.rate_hz,
@@ -85,14 +85,8 @@ def metadata(compensator: Compensator) -> dict[str, str]:
 
 
 def _motors(compensator: Compensator) -> list[str]:
-    """Flight-table columns of what drove the rotors: commands, 0..1, or speeds in rad/s.
-
-    Where channels see something else it is that.
-    """
-    channels = compensator.info.channels
-    if channels.commands:
-        return list(channels.commands)
-    means = compensator.feature_mean[len(channels.seen) :].tolist()
+    """Flight-table columns of what drove the rotors: commands, 0..1, or speeds in rad/s."""
+    means = compensator.feature_mean[len(SEEN) :].tolist()
     kind = "rotor" if max(means, default=0.0) > LARGEST_COMMAND else "cmd"
     return [f"{kind}_{i}" for i in range(1, len(means) + 1)]
 
@@ -110,14 +104,13 @@ def reference_vectors(compensator: Compensator, seed: int = 0) -> dict[str, NDAr
     walk = np.cumsum(rng.normal(size=(n, len(compensator.features))), axis=0) / np.sqrt(n)
     walk[n // 3 : 2 * n // 3 : 10] *= 30
     features = scaling.feature_mean + scaling.feature_scale * walk
-    channels = compensator.info.channels
-    virtual = np.zeros((n, len(channels)))
-    virtual[:, list(channels.seen)] = features[:, : len(channels.seen)]
+    virtual = np.zeros((n, len(CHANNELS)))
+    virtual[:, list(SEEN)] = features[:, : len(SEEN)]
     phase = rng.integers(N_PHASES, size=1 + n // 50).repeat(50)[:n]
     residual = scaling.mean[phase] + scaling.scale[phase] * rng.normal(size=virtual.shape)
     rows = {
         "virtual": virtual,
-        "command": features[:, len(channels.seen) :],
+        "command": features[:, len(SEEN) :],
         "phase": phase[:, None],
         "measured": virtual + residual,
         "valid": rng.random(virtual.shape) < 0.7,

@@ -5,12 +5,11 @@
 | `none` | nothing: the equations are right, or no law was found that holds on another flight |
 | `constant` | the mean over flights of what each has on average |
 | `linear` | a sum over few of `FEATURES` |
-| `waves` | the same and random Fourier features of the motion: any smooth function |
 
-How strongly weights are held at zero is decided by flights that take no part in the fit: each in
-turn is left out, and its innovations, what is new from one sample to the next, are to be as
-probable as can be. With a single flight its quarters take the place of flights. Which law is used
-is decided by the twin that flies it (`uavtwin.force`).
+How much flights that take no part in the fit speak for a law: each in turn is left out, and the
+likelihood of its innovations, what is new from one sample to the next, is taken. With a single
+flight its quarters take the place of flights. Which law is used is decided by the twin that flies
+it (`uavtwin.force`).
 
 No law may push along the velocity or turn along the rate that it depends on: such weights end at
 zero.
@@ -27,12 +26,10 @@ from twin.physics.residual_force import FEATURES
 from twin.representation import short_repr
 
 from .forecast import Observer, observer_of
-from .regression import Fit, Moments, missed, moments_of, pieces_of, ridge, sparse, summed
+from .regression import Fit, Moments, least_squares, missed, moments_of, pieces_of, sparse, summed
 
 Array = NDArray[np.float64]
-LAWS = ("none", "constant", "linear", "waves")
-PENALTIES = (1.0, 1e2, 1e4, 1e6)
-"""Prior precisions tried, of the weight of a wave of size one, per square of the output's unit."""
+LAWS = ("none", "constant", "linear")
 QUARTERS = 4
 WORTH = 3.0
 """Nats that flights left out must speak for something before it is believed: odds of twenty."""
@@ -52,8 +49,8 @@ class Design:
     """What explains one flight, and its six outputs.
 
     Attributes:
-        features: `FEATURES` and then random ones, constant first, each of the order of one: as
-            force and as moment show them, shape (n, k) each.
+        features: `FEATURES`, constant first, each of the order of one: as force and as moment show
+            them, shape (n, k) each.
         left: Shape (n, 6).
         piece: Number of the uninterrupted piece of flight of each row, shape (n,).
         moments: Of the features and three outputs, of force and of moment, each about its mean in
@@ -95,14 +92,12 @@ class Candidate:
 
     Attributes:
         law: Of `LAWS`.
-        penalty: Of its weights; 0 of a law without.
         weights: Per feature, 0 where the law has none, shape (k,).
         gain: Log-likelihood of the flights left out over that of `none`, nats.
         observer: Of what the law leaves.
     """
 
     law: str
-    penalty: float
     weights: Array
     gain: float
     observer: Observer
@@ -126,27 +121,22 @@ def candidates(flights: Sequence[Design], output: int) -> dict[str, Candidate]:
     linear, limits = [_linear(train, output) for train, _ in folds], _limits(every, output)
     found = {}
     for law in LAWS:
-        tried = PENALTIES if law == "waves" else (0.0,)
-        said = [
-            sum(
-                _likelihood(_fitted(law, train, own, p, limits), test)
-                for (train, test), own in zip(folds, linear, strict=True)
-            )
-            for p in tried
-        ]
-        best = int(np.argmax(said))
-        weights = _fitted(law, whole, _linear(whole, output), tried[best], limits).weights
+        gain = sum(
+            _likelihood(_fitted(law, train, own, limits), test)
+            for (train, test), own in zip(folds, linear, strict=True)
+        )
+        weights = _fitted(law, whole, _linear(whole, output), limits).weights
         offsets = np.array(
             [np.mean(f.left[:, output] - f.features[half] @ weights) for f in flights]
         )
         worth = _worth(offsets)
         if law == "constant" or (law != "none" and worth > WORTH):
             weights[0] = offsets.mean() / flights[0].features[half][0, 0]
-            said[best] += worth
+            gain += worth
         observer = observer_of(
             [(f.left[:, output] - f.features[half] @ weights, pieces_of(f.piece)) for f in flights]
         )
-        found[law] = Candidate(law, tried[best], weights, said[best], observer)
+        found[law] = Candidate(law, weights, gain, observer)
     nothing = found[LAWS[0]].gain
     return {law: replace(c, gain=c.gain - nothing) for law, c in found.items()}
 
@@ -173,22 +163,10 @@ def _linear(moments: Moments, output: int) -> list[int]:
     return sorted(c + 1 for c in chosen)
 
 
-def _fitted(law: str, moments: Moments, linear: Sequence[int], penalty: float, most: Array) -> Fit:
+def _fitted(law: str, moments: Moments, linear: Sequence[int], most: Array) -> Fit:
     """A law, with a weight for every feature."""
-    n = len(most)
-    of_law = {
-        "none": [],
-        "constant": [],
-        "linear": list(linear),
-        "waves": [*linear, *range(len(FEATURES), n)],
-    }
-    own, few = of_law[law], list(linear)
-    start = None
-    if law == "waves":  # begins with the linear law, which it holds
-        start = np.zeros(len(own))
-        start[: len(few)] = ridge(moments.of([*few, n]), np.zeros(len(few)), most[few]).weights
-    strength = np.where(np.array(own) < len(FEATURES), 0.0, penalty)
-    fit = ridge(moments.of([*own, n]), strength, most[own], start)
+    n, own = len(most), list(linear) if law == "linear" else []
+    fit = least_squares(moments.of([*own, n]), most[own])
     weights = np.zeros(n)
     weights[own] = fit.weights
     return replace(fit, weights=weights)

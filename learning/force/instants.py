@@ -18,7 +18,7 @@ from twin.effects import ages
 from twin.errors import LogError
 from twin.frames import AXES, to_body
 from twin.logs import Flight
-from twin.physics.residual_force import INPUTS, OUTPUTS, ForceLaw, features, motion_inputs, waves
+from twin.physics.residual_force import INPUTS, OUTPUTS, features, motion_inputs
 from twin.representation import short_repr
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.channels import (
@@ -227,14 +227,6 @@ def _motion(aligned: AlignedFlight, vehicle: Vehicle, voltage_v: Array) -> Array
     )
     rows = OverRows(ca.Function("motion", [x, u, volts], [ca.densify(motion)]), 3)
     return rows(in_step(aligned, vehicle), aligned.inputs.u, voltage_v)
-
-
-def random_features(law: ForceLaw, block: int) -> list[ca.Function]:
-    """`INPUTS` to the random features of a law, as functions of some of them each."""
-    x = ca.SX.sym("x", len(INPUTS))
-    every = waves(law, x)
-    bounds = range(0, len(law.phases), block)
-    return [ca.Function("waves", [x], [ca.densify(every[a : a + block])]) for a in bounds]
 
 
 def inputs_of(flight: Instants) -> Array:

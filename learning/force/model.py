@@ -15,9 +15,8 @@ from twin.representation import short_repr
 
 from .forecast import Observer
 
-FILE, VEHICLE_FILE, NETWORK_FOLDER = "force.json", "vehicle.toml", "network"
-NETWORK_FILE = f"{NETWORK_FOLDER}/model.onnx"
-FORMAT = 2
+FILE, VEHICLE_FILE = "force.json", "vehicle.toml"
+FORMAT = 3
 """Version of the file's layout."""
 _OUTPUTS = tuple(f"{kind}_{a}" for kind, a in OUTPUTS)
 
@@ -27,7 +26,7 @@ class Flown:
     """One law of one output, or its observer, over flights that took no part in its fit.
 
     Attributes:
-        law: Of `learning.force.candidates.LAWS`, or what flying added to them.
+        law: Of `learning.force.candidates.LAWS`, or `observer`.
         gain: Nats by which the flights are more probable than without it; 0 of an observer, which
             flying alone decides on.
         ratio: Error over that without it, geometric mean over flights, quantities and horizons;
@@ -49,13 +48,11 @@ class Output:
         law: That is used.
         observer: Of what it leaves.
         tried: Every law, as flown; empty where a single flight was given.
-        network: Whether the network adds to the law.
     """
 
     law: str
     observer: Observer
     tried: tuple[Flown, ...] = ()
-    network: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +116,7 @@ class ForceModel:
         flights: That taught it.
         vehicle: Name of the vehicle.
         vehicle_sha256: Of its file.
-        seed: Of the random features.
+        seed: Of the air of the missions that it had to fly.
     """
 
     law: ForceLaw
@@ -139,12 +136,6 @@ class ForceModel:
         """Parameters of a driven twin by which its observer is that of the law."""
         return observer_starts([o.observer for o in self.outputs])
 
-    @property
-    def network_starts(self) -> dict[str, float]:
-        """Parameters of a twin by which its network acts as chosen; {} without one."""
-        used = [o.network for o in self.outputs]
-        return network_starts(used) if any(used) else {}
-
 
 def observer_starts(observers: Sequence[Observer]) -> dict[str, float]:
     """Parameters of a driven twin by which its observer has these numbers, one per output."""
@@ -153,12 +144,6 @@ def observer_starts(observers: Sequence[Observer]) -> dict[str, float]:
         starts[f"airframe.disturbance.lag.{name}"] = observer.lag_s
         starts[f"airframe.disturbance.fade.{name}"] = observer.fade_s
     return starts
-
-
-def network_starts(used: Sequence[bool]) -> dict[str, float]:
-    """Parameters of a twin by which its network adds to some outputs."""
-    names = (f"residual_force.network.{name}" for name in _OUTPUTS)
-    return dict(zip(names, map(float, used), strict=True))
 
 
 def save_force(model: ForceModel, folder: Path) -> None:
@@ -233,7 +218,6 @@ def _model(content: Mapping[str, Any]) -> ForceModel:
                 said["law"],
                 Observer(**said["observer"]),
                 tuple(Flown(**f) for f in said["tried"]),
-                bool(said["network"]),
             )
             for said in content["outputs"].values()
         ),

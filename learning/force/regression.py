@@ -1,4 +1,4 @@
-"""Ridge regression under noise that is not white.
+"""Least squares under noise that is not white.
 
 What the equations leave of a flight is mostly slow: gusts, a battery, a rope. A controller answers
 it, so commands go with it; plain least squares reads the answer as the cause and learns a model
@@ -124,8 +124,8 @@ class Fit:
     new: float
 
 
-def ridge(moments: Moments, penalty: Array, most: Array, start: Array | None = None) -> Fit:
-    """Weights by penalised least squares on what is whitened by the noise that they leave.
+def least_squares(moments: Moments, most: Array) -> Fit:
+    """Weights by least squares on what is whitened by the noise that they leave.
 
     Noise that is slow can stand for a slow cause, and weights for slow noise: from weights of zero
     one ends in the former, from plain least squares in the latter. Both are tried, and the more
@@ -133,27 +133,21 @@ def ridge(moments: Moments, penalty: Array, most: Array, start: Array | None = N
 
     Args:
         moments: Of the features and, last, of what they explain.
-        penalty: Prior precision of each weight, in units of what is new, shape (m - 1,); 0: none.
         most: Largest weight allowed, infinite without a limit, shape (m - 1,).
-        start: Weights to begin with in place of both, where they are known nearly.
     """
-    nothing = np.zeros(len(penalty))
-    if not len(penalty):
+    nothing = np.zeros(len(most))
+    if not len(most):
         return Fit(nothing, *noise_of(moments, nothing))
-    starts = (nothing, _plain(moments, most)) if start is None else (start,)
-    fits = [_settled(moments, penalty, most, begin) for begin in starts]
-    surprise = [
-        moments.rows / 2 * np.log(f.new) + f.weights @ (penalty * f.weights) / 2 for f in fits
-    ]
-    return fits[int(np.argmin(surprise))]
+    fits = [_settled(moments, most, begin) for begin in (nothing, _plain(moments, most))]
+    return min(fits, key=lambda fit: fit.new)
 
 
-def _settled(moments: Moments, penalty: Array, most: Array, weights: Array) -> Fit:
+def _settled(moments: Moments, most: Array, weights: Array) -> Fit:
     """Weights and noise in turn, until neither changes."""
     noise, new = noise_of(moments, weights)
     for _ in range(ROUNDS):
         white = moments.whitened(noise) / new
-        normal = white[:-1, :-1] + np.diag(penalty + _TINY * moments.rows)
+        normal = white[:-1, :-1] + _TINY * moments.rows * np.eye(len(most))
         before, weights = weights, _bounded(normal, white[:-1, -1], most)
         noise, new = noise_of(moments, weights)
         step = weights - before
@@ -181,15 +175,15 @@ def sparse(moments: Moments, most: Array) -> tuple[list[int], Fit]:
     n = len(most)
     price = np.log(max(moments.rows, 2)) / 2 + np.log(max(n, 1))
     chosen: list[int] = []
-    fit = ridge(moments.of([n]), np.zeros(0), np.zeros(0))
-    flat = _settled(moments, np.zeros(n), most, _plain(moments, most)).noise
+    fit = least_squares(moments.of([n]), np.zeros(0))
+    flat = _settled(moments, most, _plain(moments, most)).noise
     while len(chosen) < min(MOST, n):
         tried = {}
         for noise in (fit.noise, flat):
             for column in _promising(moments.whitened(noise), chosen):
                 if column not in tried:
                     own = [*chosen, column]
-                    tried[column] = ridge(moments.of([*own, n]), np.zeros(len(own)), most[own])
+                    tried[column] = least_squares(moments.of([*own, n]), most[own])
         best = min(tried, key=lambda c: tried[c].new)
         if moments.rows / 2 * np.log(fit.new / tried[best].new) < price:
             break
@@ -234,20 +228,6 @@ def missed(moments: Moments, weights: Array, noise: Array) -> float:
     """Mean square of what weights and a filter, of other flights perhaps, leave."""
     left = moments.between(np.append(-weights, 1.0))
     return float(noise @ left @ noise) / moments.rows + 1e-30
-
-
-def saved(taught: Moments, seen: Moments) -> float:
-    """Nats by which a series is less surprising than another.
-
-    Args:
-        taught: Of one column, whose noise is taken.
-        seen: Of two columns, the other series and the one.
-    """
-    noise, _ = noise_of(taught, np.zeros(0))
-    other, one = (seen.of([c]) for c in (0, 1))
-    nothing = np.zeros(0)
-    ratio = missed(one, nothing, noise) / missed(other, nothing, noise)
-    return -seen.rows / 2 * float(np.log(ratio))
 
 
 def _bounded(normal: Array, right: Array, most: Array) -> Array:

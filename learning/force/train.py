@@ -10,25 +10,17 @@ from numpy.typing import NDArray
 from twin.errors import LogError
 from twin.frames import AXES
 from twin.physics.airframe import airframe
-from twin.physics.residual_force import FEATURES, INPUTS, OUTPUTS, ForceLaw, power
+from twin.physics.residual_force import FEATURES, OUTPUTS, ForceLaw, power
 from twin.representation import short_repr
 from twin.residuals.channels import CHANNEL_HZ
 from twin.vehicle import Vehicle
 
 from ..data.envelope import BEYOND, TRIFLE, Envelope
 from .candidates import Candidate, Design, candidates
-from .instants import Instants, inputs_of, linear_features, random_features
+from .instants import Instants, inputs_of, linear_features
 from .regression import ORDER
 
 Array = NDArray[np.float64]
-WAVES = 64
-"""Random features."""
-LENGTH = 4.0
-"""Over which they change, in standard deviations of the inputs; two instants are 4.9 apart on
-average. Neither number was chosen on flights."""
-_RATES = tuple(i for i, (name, _) in enumerate(INPUTS) if name.startswith("omega_"))
-"""Inputs that no wave depends on: what the controller does with the rates would pass for a law of
-them, and a wave of a rate can feed energy in where a linear law is kept from it."""
 RESERVE = (*(0.5,) * 3, *(0.5,) * 3, 0.1, *(0.05,) * 3, 0.05, 0.3)
 """By input, what is no other place, in its unit: a flight with the battery half full is as good as
 one with the full one, where training had only full ones."""
@@ -36,8 +28,6 @@ PASSIVE = 1e-6
 """Rate of energy fed in, 1/s, below which nothing is."""
 HALVINGS = 30
 """In the search for what may stay of a law that feeds energy in."""
-BLOCK = 16
-"""Random features that are evaluated at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +36,7 @@ class Prepared:
 
     Attributes:
         vehicle: Whose equations leave something.
-        empty: A law that says nothing: where the flights have been, and the random features.
+        empty: A law that says nothing: where the flights have been.
         seen: By flight.
         designs: By flight.
         size: Of each feature, by which those of the designs are divided, shape (k,).
@@ -64,7 +54,7 @@ class Prepared:
 
     def design(self, flight: Instants) -> Design:
         """The design of a flight, of these or another."""
-        force, moment = _features(flight, self.empty)
+        force, moment = flight.seen(linear_features())
         return Design.of((force / self.size, moment / self.size), flight.left, flight.piece)
 
     def candidates(self) -> list[dict[str, Candidate]]:
@@ -74,9 +64,7 @@ class Prepared:
     def law(self, chosen: Sequence[Candidate]) -> tuple[ForceLaw, float]:
         """The law of six candidates, made passive; as `made_passive` returns it."""
         weights = np.stack([c.weights for c in chosen]) / self.size
-        n = len(FEATURES)
-        law = replace(self.empty, linear=weights[:, :n], waves=weights[:, n:])
-        law, taken = made_passive(law, self.own)
+        law, taken = made_passive(replace(self.empty, linear=weights), self.own)
         return replace(law, most=BEYOND * self.largest(law)), taken
 
     def largest(self, law: ForceLaw) -> Array:
@@ -87,23 +75,22 @@ class Prepared:
 
     def weights(self, law: ForceLaw) -> Array:
         """Of a law, per output and feature of the designs, shape (6, k)."""
-        return np.asarray(np.hstack([law.linear, law.waves]) * self.size)
+        return np.asarray(law.linear * self.size)
 
 
-def prepare(seen: Sequence[Instants], vehicle: Vehicle, seed: int) -> Prepared:
+def prepare(seen: Sequence[Instants], vehicle: Vehicle) -> Prepared:
     """What may explain what a vehicle's equations leave, as far as these flights say.
 
     Args:
         seen: One or more flights.
         vehicle: As of `instants`.
-        seed: Of the random features.
 
     Raises:
         LogError: A flight is too short.
     """
     per_push, per_motion = _slopes(vehicle)
-    empty = _empty(seen, np.asarray(np.linalg.inv(per_push)), seed)
-    size = np.std(np.vstack([_features(f, empty)[1] for f in seen]), axis=0)
+    empty = _empty(seen, np.asarray(np.linalg.inv(per_push)))
+    size = np.std(np.vstack([f.seen(linear_features())[1] for f in seen]), axis=0)
     sizes, own = np.where(size > TRIFLE, size, 1.0), _symmetric(empty.units @ per_motion)
     unsized = Prepared(vehicle, empty, tuple(seen), (), sizes, own)
     prepared = replace(unsized, designs=tuple(unsized.design(f) for f in seen))
@@ -116,33 +103,12 @@ def prepare(seen: Sequence[Instants], vehicle: Vehicle, seed: int) -> Prepared:
     return prepared
 
 
-def _features(flight: Instants, empty: ForceLaw) -> tuple[Array, Array]:
-    """Linear and random features, some columns at a time, which bounds the memory."""
-    parts = [flight.seen(f) for f in (linear_features(), *random_features(empty, BLOCK))]
-    force, moment = (np.hstack(columns) for columns in zip(*parts, strict=True))
-    return force, moment
-
-
-def without_waves(law: ForceLaw) -> ForceLaw:
-    """The law without random features where none of them has a weight."""
-    if law.waves.any():
-        return law
-    frequencies = np.zeros((0, len(INPUTS)))
-    return replace(law, waves=np.zeros((6, 0)), frequencies=frequencies, phases=np.zeros(0))
-
-
-def _empty(seen: Sequence[Instants], units: Array, seed: int) -> ForceLaw:
-    """A law that says nothing yet: where the flights have been, and the random features."""
-    rng = np.random.default_rng(seed)
+def _empty(seen: Sequence[Instants], units: Array) -> ForceLaw:
+    """A law that says nothing yet: where the flights have been."""
     places = [inputs_of(f) for f in seen]
     envelope = Envelope.of(places, np.array(RESERVE))
-    frequencies = rng.normal(size=(WAVES, len(INPUTS))) / LENGTH
-    frequencies[:, list(_RATES)] = 0.0
     return ForceLaw(
         linear=np.zeros((6, len(FEATURES))),
-        waves=np.zeros((6, WAVES)),
-        frequencies=frequencies,
-        phases=rng.uniform(0, 2 * np.pi, WAVES),
         centre=envelope.centre,
         scale=envelope.scale,
         whitening=envelope.whitening,
@@ -155,9 +121,9 @@ def _empty(seen: Sequence[Instants], units: Array, seed: int) -> ForceLaw:
 def made_passive(law: ForceLaw, own: Array) -> tuple[ForceLaw, float]:
     """The law without what would feed energy in about hover, beyond what the airframe takes.
 
-    What couples one motion with a force along another, and what the waves say, is lessened until
-    nothing is fed in; a push against its own motion, which feeds nothing in, stays. Velocities
-    count by the root of the mass, body rates by that of the inertia.
+    What couples one motion with a force along another is lessened until nothing is fed in; a push
+    against its own motion, which feeds nothing in, stays. Velocities count by the root of the mass,
+    body rates by that of the inertia.
 
     Args:
         law: As it was fitted.
@@ -185,12 +151,12 @@ def made_passive(law: ForceLaw, own: Array) -> tuple[ForceLaw, float]:
 
 
 def _lessened(law: ForceLaw, share: float) -> ForceLaw:
-    """The law with a share of its waves and of what couples motions."""
+    """The law with a share of what couples motions."""
     linear = law.linear.copy()
     of_motion = linear[:, 1:7]
     kept = np.diag(np.minimum(np.diag(of_motion), 0.0))
     linear[:, 1:7] = kept + share * (of_motion - kept)
-    return replace(law, linear=linear, waves=share * law.waves)
+    return replace(law, linear=linear)
 
 
 def _symmetric(form: Array) -> Array:

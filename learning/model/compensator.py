@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ..data.channels import N_PHASES
+from ..data.channels import CHANNELS, N_PHASES, PLACES, SEEN
 from ..data.envelope import Values, linear_share, network_share
 from ..data.flights import ResidualFlight
 from ..data.scaling import Scaling, feature_names, place_names
@@ -84,10 +84,10 @@ class Compensator(nn.Module):
         super().__init__()
         check_protocol(info.protocol, info.horizon)
         self.info = info
-        self.features = feature_names(info.channels, info.n_commands)
+        self.features = feature_names(info.n_commands)
         """Names of the features, in order."""
-        n_channels, n_features = len(info.channels), len(self.features)
-        n_places = len(place_names(info.channels, info.n_commands))
+        n_channels, n_features = len(CHANNELS), len(self.features)
+        n_places = len(place_names(info.n_commands))
         regressors = n_regressors(info.protocol, n_features)
         self.network = SvqNetwork(info.preset, info.protocol, info.clusters, n_features)
         shapes = {
@@ -129,7 +129,7 @@ class Compensator(nn.Module):
     @property
     def n_offset(self) -> int:
         """Numbers of the running means: sums of residuals, sums of readings, and weights."""
-        return 3 * len(self.info.channels) if self.info.protocol == "track" else 0
+        return 3 * len(CHANNELS) if self.info.protocol == "track" else 0
 
     @property
     def n_slow(self) -> int:
@@ -140,7 +140,7 @@ class Compensator(nn.Module):
     def state_sizes(self) -> tuple[int, int, int, int, int, int, int]:
         """Parts of the packed state: history, running means, readings, 1 once begun, strangeness of
         the newest reading of each channel, slow features, network."""
-        n = len(self.info.channels)
+        n = len(CHANNELS)
         past, readings = self.history * n, self.readings * n
         begun = min(self.readings, 1)
         now = begun, begun * n, self.n_slow
@@ -211,12 +211,12 @@ class Compensator(nn.Module):
         state: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """One sample of finite numbers."""
-        n, rows = len(self.info.channels), self.history
+        n, rows = len(CHANNELS), self.history
         parts = torch.split(state, list(self.state_sizes), dim=-1)
         past, mean_so_far, readings, begun, strange, slow, network_state = parts
         here = torch.relu(1 - torch.abs(phase - self.phases))  # one-hot, (1, phases)
         mean, scale = here @ self.mean, here @ self.scale
-        raw = torch.cat([virtual[:, list(self.info.channels.seen)], command], dim=-1)
+        raw = torch.cat([virtual[:, list(SEEN)], command], dim=-1)
         features = (raw - self.feature_mean) / self.feature_scale
         features = torch.minimum(torch.maximum(features, self.least), self.most)
         own = (virtual - here @ self.reading) / scale
@@ -278,7 +278,7 @@ class Compensator(nn.Module):
         """
         self.info.check_flight(flight)
         n = len(flight.t_s)
-        correction = np.zeros((n, len(self.info.channels)))
+        correction = np.zeros((n, len(CHANNELS)))
         spread = np.tile(self.rms.double().numpy(), (n, 1))
         anomaly, inside = np.zeros(n), np.zeros(n, dtype=np.bool_)
         scaling, base = self.scaling(), self.base.double().numpy()
@@ -336,12 +336,12 @@ class Compensator(nn.Module):
 
     def details(self) -> dict[str, Any]:
         """The envelope (`learning.data.envelope`); {} without one."""
-        if not limited(self.info.channels, self.info.protocol):
+        if not limited(self.info.protocol):
             return {"envelope": {}}
         said = self.scaling().envelope
         return {
             "envelope": {
-                "inputs": list(place_names(self.info.channels, self.info.n_commands)),
+                "inputs": list(place_names(self.info.n_commands)),
                 "centre": said.centre.tolist(),
                 "scale": said.scale.tolist(),
                 "whitening": said.whitening.tolist(),
@@ -354,16 +354,15 @@ class Compensator(nn.Module):
 
     def _distance(self, raw: Tensor) -> Tensor:
         """From where training has been, shape (1, 1)."""
-        channels = self.info.channels
-        if not limited(channels, self.info.protocol):
+        if not limited(self.info.protocol):
             return torch.zeros_like(raw[:, :1])
         seen = [
             torch.linalg.vector_norm(raw[:, list(s)], dim=-1, keepdim=True)
             if len(s) > 1
             else raw[:, list(s)]
-            for s in channels.place
+            for s in PLACES
         ]
-        places = torch.cat([*seen, raw[:, len(channels.seen) :]], dim=-1)
+        places = torch.cat([*seen, raw[:, len(SEEN) :]], dim=-1)
         white = ((places - self.place_centre) / self.place_scale) @ self.place_whitening.T
         return torch.sqrt((white**2).mean(-1, keepdim=True)) / self.place_reach
 

@@ -16,7 +16,7 @@ from safetensors.numpy import load_file, save_file
 
 from twin.errors import ModelError
 
-from ..data.channels import channels_named
+from ..data.channels import CHANNELS, UNITS, check_channels
 from .info import ModelInfo
 from .registry import UNSAID, family_row
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 WEIGHTS = "weights.safetensors"
 MODEL = "model.json"
 CURVE = "learning_curve.json"
-FORMAT = 3
+FORMAT = 4
 """Version of the folder's layout."""
 
 
@@ -76,9 +76,9 @@ def info_json(model: "TrainedModel") -> dict[str, Any]:
         "horizon": info.horizon,
         "rate_hz": info.rate_hz,
         "n_commands": info.n_commands,
-        "channels": list(info.channels.names),
-        "units": list(info.channels.units),
-        "clusters": [[info.channels.names[i] for i in cluster] for cluster in info.clusters],
+        "channels": list(CHANNELS),
+        "units": list(UNITS),
+        "clusters": [[CHANNELS[i] for i in cluster] for cluster in info.clusters],
         **model.details(),
         "preset": asdict(info.preset),
         "seed": info.seed,
@@ -94,15 +94,14 @@ def info_from_json(content: Mapping[str, Any], family: "Family[Any, Any]") -> Mo
     """What `info_json` was made from."""
     if content["format"] != FORMAT:
         raise ValueError(f"layout {content['format']}")
-    channels = channels_named(content["channels"])
-    same = {f.name for f in fields(ModelInfo)} - {"preset", "clusters", "flights", "channels"}
-    numbers = {name: i for i, name in enumerate(channels.names)}
+    check_channels(content["channels"])
+    same = {f.name for f in fields(ModelInfo)} - {"preset", "clusters", "flights"}
+    numbers = {name: i for i, name in enumerate(CHANNELS)}
     clusters = [[numbers[name] for name in cluster] for cluster in content["clusters"]]
     return ModelInfo(
         preset=_preset_from_json(content["preset"], family),
         clusters=tuple(tuple(cluster) for cluster in clusters),
         flights=tuple(content["flights"]),
-        channels=channels,
         **{name: content[name] for name in same},
     )
 

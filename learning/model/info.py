@@ -6,7 +6,6 @@ from typing import Any, Generic, TypeVar
 from twin.errors import ModelError
 from twin.representation import short_repr
 
-from ..data.channels import SENSORS, Channels
 from ..data.clustering import Clusters
 from ..data.flights import ResidualFlight
 from ..preset import Protocol
@@ -31,7 +30,6 @@ class ModelInfo(Generic[P]):
         flights: Of the training: name, sha256, samples, seconds.
         training: Hash of all that decides the numbers.
         metrics: As measured on the validation time, where the family keeps some.
-        channels: That it corrects.
     """
 
     preset: P
@@ -46,17 +44,11 @@ class ModelInfo(Generic[P]):
     flights: tuple[dict[str, Any], ...] = ()
     training: str = ""
     metrics: dict[str, Any] = field(default_factory=dict)
-    channels: Channels = SENSORS
 
     __repr__ = short_repr
 
     def check_flight(self, flight: ResidualFlight) -> None:
-        """Raise ModelError unless the flight has the model's rate, channels and commands."""
-        if flight.channels.names != self.channels.names:
-            raise ModelError(
-                f"{flight.name}: residuals of {', '.join(flight.channels.names)}; the model "
-                f"corrects {', '.join(self.channels.names)}"
-            )
+        """Raise ModelError unless the flight has the model's rate and commands."""
         if flight.rate_hz != self.rate_hz:
             raise ModelError(
                 f"{flight.name}: residuals at {flight.rate_hz:g} Hz, the model was trained at "

@@ -20,9 +20,9 @@ def check_flights(flights: Sequence[ResidualFlight]) -> None:
     """Raise ModelError unless there are flights, of one kind, each with a measured residual."""
     if not flights:
         raise ModelError("training needs at least one flight")
-    kinds = {(f.rate_hz, f.commands.shape[1], " ".join(f.channels.groups)) for f in flights}
+    kinds = {(f.rate_hz, f.commands.shape[1]) for f in flights}
     if len(kinds) > 1:
-        said = ", ".join(f"{r:g} Hz of {g} with {m} motor commands" for r, m, g in sorted(kinds))
+        said = ", ".join(f"{r:g} Hz with {m} motor commands" for r, m in sorted(kinds))
         raise ModelError(f"training flights differ: {said}; train on flights of one kind")
     for flight in flights:
         if not flight.spans or not flight.fresh[in_spans(flight)].any():
@@ -76,5 +76,4 @@ def describe_training(
         vehicle_sha256=task.vehicle_sha256,
         flights=tuple(about),
         training=hash_training(decides),
-        channels=flights[0].channels,
     )

@@ -61,7 +61,7 @@ def losses(
         for latent, codebook in zip(out.latents, quantisers, strict=True):
             quantiser = quantiser + quantiser_loss(latent, codebook.codes, preset)
     distribution = nought
-    if preset.distribution == "moments" and preset.weight_distribution:
+    if preset.weight_distribution:
         distribution = moments_loss(out.y, target, scored) * _length(target.shape[-1], preset)
     spread = nought
     if preset.spread_head:
@@ -81,20 +81,14 @@ def quantiser_loss(latent: Latent, codes: Tensor, preset: Preset) -> Tensor:
     Args:
         latent: Shape (batch, time, D) and (batch, time, K).
         codes: Shape (K, D).
-        preset: `codebook_target`, `swapped_stop`, `beta`.
+        preset: `codebook_target`, `beta`.
     """
-    if preset.codebook_target == "every":
-        to_codes, to_latent = _every(latent.z.detach(), codes), _every(latent.z, codes.detach())
-    else:
-        code = latent.code
-        if preset.codebook_target == "nearest":
-            code = codes[latent.logits.argmax(-1)]
-        to_codes = torch.mean((latent.z.detach() - code) ** 2)
-        to_latent = torch.mean((latent.z - code.detach()) ** 2)
-    both = preset.beta * to_codes + to_latent
-    if not preset.swapped_stop:
-        both = to_codes + preset.beta * to_latent
-    return both * _length(codes.shape[-1], preset)
+    code = latent.code
+    if preset.codebook_target == "nearest":
+        code = codes[latent.logits.argmax(-1)]
+    to_codes = torch.mean((latent.z.detach() - code) ** 2)
+    to_latent = torch.mean((latent.z - code.detach()) ** 2)
+    return (to_codes + preset.beta * to_latent) * _length(codes.shape[-1], preset)
 
 
 def moments_loss(y: Tensor, target: Tensor, scored: Tensor) -> Tensor:
@@ -118,12 +112,6 @@ def moments_loss(y: Tensor, target: Tensor, scored: Tensor) -> Tensor:
 def _length(n: int, preset: Preset) -> int:
     """What makes a mean over n numbers the sum that the text writes."""
     return n if preset.norms == "sums" else 1
-
-
-def _every(z: Tensor, codes: Tensor) -> Tensor:
-    """Mean over all codes and numbers of (z - e)^2, without a tensor of all differences."""
-    spread = codes.var(dim=0, unbiased=False)
-    return torch.mean((z - codes.mean(0)) ** 2 + spread)
 
 
 def _mean(values: Tensor, scored: Tensor) -> Tensor:

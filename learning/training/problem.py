@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..data.channels import N_PHASES
+from ..data.channels import CHANNELS, N_PHASES
 from ..data.clustering import clusters_of
 from ..data.envelope import UNLIMITED
 from ..data.flights import ResidualFlight
@@ -71,10 +71,7 @@ class Workpiece:
         clusters = clusters_of(preset, flights, usable, seed)
         rate_hz, n_commands = flights[0].rate_hz, flights[0].commands.shape[1]
         self.compensator = Compensator(
-            ModelInfo(
-                *(preset, protocol, horizon, rate_hz, n_commands, clusters, seed),
-                channels=flights[0].channels,
-            )
+            ModelInfo(preset, protocol, horizon, rate_hz, n_commands, clusters, seed)
         )
         scaling = fit_scaling(flights, usable, preset.normalise)
         self.compensator.set_scaling(scaling)
@@ -90,7 +87,7 @@ class Workpiece:
             base = fit_base(self.spans, [s.fresh for s in self.spans], protocol, rate_hz)
         self.compensator.base.copy_(torch.from_numpy(base))
         self.left = [s.d - predict_base(s, base, protocol, scaling.largest) for s in self.spans]
-        self.leftover = np.ones(len(flights[0].channels))
+        self.leftover = np.ones(len(CHANNELS))
         if protocol != "reconstruct":
             square = _mean_square(self.left, self.train)
             self.leftover = np.where(square > 0, np.sqrt(square), 1.0)
@@ -202,8 +199,7 @@ class Workpiece:
 
     def validation_mse(self) -> dict[str, dict[str, float]]:
         """Per channel what the linear prediction leaves, and what the network does besides."""
-        names = self.compensator.info.channels.names
-        rows = zip(names, self.error_without, self.error_with, strict=True)
+        rows = zip(CHANNELS, self.error_without, self.error_with, strict=True)
         return {n: {"linear": float(a), "with_network": float(b)} for n, a, b in rows}
 
 

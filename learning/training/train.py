@@ -8,7 +8,7 @@ the machine is shared.
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from ..model.compensator import Compensator
 from ..model.family import Progress, silent
 from ..model.folder import CURVE, MODEL, load, save, write_json
 from ..model.network import ClusterNetwork, SvqNetwork
-from ..preset import Preset, Protocol, preset_json
+from ..preset import Preset, Protocol
 from ..threads import one_thread
 from .checkpoint import CHECKPOINT, Standing, load_checkpoint, save_checkpoint
 from .inputs import check_flights, describe_flight, hash_training
@@ -80,7 +80,7 @@ def train(
     check_flights(flights)
     check_protocol(protocol, horizon)
     about = [describe_flight(f) for f in flights]
-    training = hash_training([preset_json(preset), protocol, horizon, seed, about])
+    training = hash_training([asdict(preset), protocol, horizon, seed, about])
     folder.mkdir(parents=True, exist_ok=True)
     if resume and (folder / MODEL).is_file():
         done = load(folder)
@@ -121,7 +121,7 @@ def _fit(
 ) -> Standing:
     """Run the epochs that are left; the network ends with its best weights."""
     preset, network = piece.preset, piece.network
-    optimiser = _optimiser(network, preset)
+    optimiser = torch.optim.Adam(list(network.parameters()), lr=preset.learning_rate, fused=True)
     standing, best = Standing(training), _copy(network)
     found = load_checkpoint(folder, training, {NETWORK: optimiser})
     if found is not None:
@@ -212,13 +212,6 @@ def _tired(standing: Standing, preset: Preset) -> bool:
     if preset.patience is None or standing.best_error is None:
         return False
     return standing.epoch - standing.best_epoch >= preset.patience
-
-
-def _optimiser(network: SvqNetwork, preset: Preset) -> torch.optim.Optimizer:
-    rate, parameters = preset.learning_rate, list(network.parameters())
-    if preset.optimiser == "adamw":
-        return torch.optim.AdamW(parameters, lr=rate, weight_decay=preset.weight_decay, fused=True)
-    return torch.optim.Adam(parameters, lr=rate, fused=True)
 
 
 def _copy(network: SvqNetwork) -> dict[str, Tensor]:

@@ -114,7 +114,6 @@ def flying_twin(
     control: str = "lqr",
     effects: Iterable[str] | None = None,
     law: ForceLaw | None = None,
-    network: bool = False,
     position: Kind = "gnss",
 ) -> Assembly:
     """A vehicle with its sensors that flies a mission from standing on the ground.
@@ -128,7 +127,6 @@ def flying_twin(
         effects: Effects to build in, switched off, as blocks of parameters; None: `effects_for`
             the vehicle.
         law: Of what its equations leave of force and moment; None: nothing is known of it.
-        network: Whether something else adds to the law (`residual_force`).
         position: Kind of position sensor.
 
     Raises:
@@ -139,7 +137,7 @@ def flying_twin(
     effects = effects_for(vehicle) if effects is None else tuple(effects)
     pilot = {"mission": mission(vehicle, scenario), "controller": CONTROLLERS[control](vehicle)}
     body = airframe(vehicle, effects=effects)
-    parts = pilot | _aircraft(vehicle, body, effects, law, network, position)
+    parts = pilot | _aircraft(vehicle, body, effects, law, position)
     if vehicle.battery is not None:
         parts["battery"] = battery(vehicle)
     return Assembly(parts, connected_by_name(parts), mission_duration_s(scenario))
@@ -150,7 +148,6 @@ def driven_twin(
     drive: Drive,
     effects: Iterable[str] | None = None,
     law: ForceLaw | None = None,
-    network: bool = False,
     position: Kind = "gnss",
 ) -> Assembly:
     """A vehicle with its sensors whose rotors somebody else drives, as a log does.
@@ -164,7 +161,6 @@ def driven_twin(
         effects: Effects to build in, switched off, as blocks of parameters; None: `effects_for`
             the vehicle.
         law: Of what its equations leave of force and moment; None: nothing is known of it.
-        network: Whether something else adds to the law (`residual_force`).
         position: Kind of position sensor.
 
     Raises:
@@ -172,7 +168,7 @@ def driven_twin(
     """
     effects = effects_for(vehicle) if effects is None else tuple(effects)
     body = airframe(vehicle, drive, effects, restart=True, voltage=law is not None)
-    parts = _aircraft(vehicle, body, effects, law, network, position)
+    parts = _aircraft(vehicle, body, effects, law, position)
     return Assembly(parts, connected_by_name(parts), DRIVEN_S)
 
 
@@ -181,11 +177,10 @@ def _aircraft(
     body: Component,
     effects: tuple[str, ...],
     law: ForceLaw | None,
-    network: bool,
     position: Kind,
 ) -> dict[str, Component]:
     """The air, an airframe that stands in it, what acts on it beyond its equations, its sensors."""
-    beyond = {} if law is None else {"residual_force": residual_force(vehicle, law, network)}
+    beyond = {} if law is None else {"residual_force": residual_force(vehicle, law)}
     return {
         "environment": environment(vehicle),
         "airframe": body.with_starts(standing(body, vehicle)),

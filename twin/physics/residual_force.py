@@ -1,16 +1,14 @@
 """What the equations leave of force and moment, as a law of the motion that flights have taught.
 
-    [force, moment] = units * bound(near(d) * linear @ features(x)
-                                    + close(d) * waves @ cos(k z + phase))
+    [force, moment] = units * bound(near(d) * linear @ features(x))
     z = (x - centre) / scale           d = |whitening @ z| / sqrt(len(z)) / reach
 
 x is the motion as the air and the rotors know it (`INPUTS`): no gravity, heading or position is in
 it, so that the law means the same on every mission. Up to d = 1 it has been among the flights that
-taught it; `close` fades to zero from there to `WAVES_END`, `near` from `LINEAR_BEGIN` to
-`LINEAR_END`, both without a step; and of each nothing is said beyond `most`. So force and
-moment are bounded, however the vehicle moves; a network adds its own, as far as the waves count.
+taught it; `near` fades to zero from `LINEAR_BEGIN` to `LINEAR_END` without a step; and each output
+stays within `most`. So force and moment are bounded, however the vehicle moves.
 
-Source: random features, Rahimi & Recht, NIPS 2007; the fade, Perlin's smoothstep.
+Source: the fade, Perlin's smoothstep.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component, ComponentBuilder
-from ..component.portable import cosine
 from ..errors import ModelError
 from ..frames import AXES, to_body
 from ..representation import short_repr
@@ -41,8 +38,6 @@ INPUTS = (
 """Physical inputs: velocity through the air and body rates, body FRD; squared rotor speed over that
 in hover, its mean less one and its parts that turn about each axis; voltage over the nominal one
 less one; nearness to the ground, 1 / (1 + (height / arm)^2)."""
-SEEN = "seen_"
-"""Before the name of an input, that of the output by which a network sees it."""
 OUTPUTS = (*(("force", a) for a in AXES), *(("moment", a) for a in AXES))
 FEATURES = (
     "one",
@@ -54,21 +49,17 @@ FEATURES = (
 )
 """What the linear part is linear in: a constant, the inputs, and products that physics knows: drag
 of rotors and of the body, a curved thrust map, gyroscopic moments."""
-WAVES_END = 2.0
 LINEAR_BEGIN, LINEAR_END = 3.0, 6.0
-"""Ends of the fades, in distances up to which training has been. None was chosen on flights."""
+"""Ends of the fade, in distances up to which training has been. Neither was chosen on flights."""
 
 
 @dataclass(frozen=True, slots=True)
 class ForceLaw:
-    """Numbers of a law; `n` random features, 0 without.
+    """Numbers of a law.
 
     Attributes:
         linear: Specific force, m/s2, and angular acceleration, rad/s2, per feature, shape
             (6, len(FEATURES)).
-        waves: The same per random feature, shape (6, n).
-        frequencies: Of the random features over z, shape (n, len(INPUTS)).
-        phases: Shape (n,).
         centre: Of the inputs, shape (len(INPUTS),).
         scale: Of the inputs, above 0, the same shape.
         whitening: Makes z uncorrelated, shape (len(INPUTS), len(INPUTS)).
@@ -79,9 +70,6 @@ class ForceLaw:
     """
 
     linear: Array
-    waves: Array
-    frequencies: Array
-    phases: Array
     centre: Array
     scale: Array
     whitening: Array
@@ -93,12 +81,9 @@ class ForceLaw:
 
     def __post_init__(self) -> None:
         """Raise ModelError where shapes or numbers are none."""
-        n, d = len(self.phases), len(INPUTS)
+        d = len(INPUTS)
         shapes = {
             "linear": (6, len(FEATURES)),
-            "waves": (6, n),
-            "frequencies": (n, d),
-            "phases": (n,),
             "centre": (d,),
             "scale": (d,),
             "whitening": (d, d),
@@ -185,46 +170,36 @@ def distance(law: ForceLaw, x: ca.SX) -> ca.SX:
     return ca.sqrt(ca.fmax(ca.sumsqr(white) / len(INPUTS), 1e-30)) / law.reach
 
 
-def waves(law: ForceLaw, x: ca.SX) -> ca.SX:
-    """The random features of inputs, shape (n, 1)."""
-    angles = ca.mtimes(ca.SX(law.frequencies), (x - law.centre) / law.scale) + law.phases
-    return ca.vertcat(*[cosine(angles[i]) for i in range(len(law.phases))])
-
-
-def accelerations(law: ForceLaw, x: ca.SX, linear: ca.SX, of_waves: ca.SX, most: ca.SX) -> ca.SX:
+def accelerations(law: ForceLaw, x: ca.SX, linear: ca.SX, most: ca.SX) -> ca.SX:
     """Specific force, m/s2, and angular acceleration, rad/s2, that a law gives, shape (6, 1).
 
     Args:
-        law: Envelope and random features.
+        law: Envelope.
         x: `INPUTS`.
         linear: Weights in the place of the law's.
-        of_waves: The same of the random features.
         most: In the place of the law's, shape (6, 1).
     """
     d = distance(law, x)
     said = _fade(d, LINEAR_BEGIN, LINEAR_END) * ca.mtimes(linear, features(x))
-    if len(law.phases):
-        said += _fade(d, 1.0, WAVES_END) * ca.mtimes(of_waves, waves(law, x))
     return ca.fmin(ca.fmax(said, -most), most)
 
 
 def parameter_values(law: ForceLaw) -> dict[str, float]:
-    """What the component may be given of another law with the same envelope and random features."""
-    linear, of_waves, most = _parameter_names(law)
-    names = [*(n for table in (linear, of_waves) for row in table for n in row), *most]
-    values = np.concatenate([law.linear.ravel(), law.waves.ravel(), law.most])
+    """What the component may be given of another law with the same envelope."""
+    linear, most = _parameter_names()
+    names = [*(n for row in linear for n in row), *most]
+    values = np.concatenate([law.linear.ravel(), law.most])
     return dict(zip(names, values.tolist(), strict=True))
 
 
-def _parameter_names(law: ForceLaw) -> tuple[list[list[str]], list[list[str]], list[str]]:
-    """Parameters of the component: linear weights, weights of waves, and bounds."""
+def _parameter_names() -> tuple[list[list[str]], list[str]]:
+    """Parameters of the component: linear weights, and bounds."""
     outputs = [f"{kind}_{a}" for kind, a in OUTPUTS]
     linear = [[f"linear.{o}.{f.replace(' ', '_')}" for f in FEATURES] for o in outputs]
-    of_waves = [[f"wave.{o}.{i}" for i in range(1, len(law.phases) + 1)] for o in outputs]
-    return linear, of_waves, [f"most.{o}" for o in outputs]
+    return linear, [f"most.{o}" for o in outputs]
 
 
-def residual_force(vehicle: Vehicle, law: ForceLaw, network: bool = False) -> Component:
+def residual_force(vehicle: Vehicle, law: ForceLaw) -> Component:
     """The law as a component: fed by the airframe's outputs, it feeds its forces and moments.
 
     Its weights and bounds are tunable parameters (`parameter_values`), so that anybody can read
@@ -233,9 +208,6 @@ def residual_force(vehicle: Vehicle, law: ForceLaw, network: bool = False) -> Co
     Args:
         vehicle: Whose equations leave something.
         law: What is known of it.
-        network: Whether something else adds to the law: inputs `correction.left_force_x` and so on,
-            m/s2 and rad/s2, and outputs `seen_*`, which are `INPUTS`. It counts as far as the
-            random features do, each output by its parameter `network.force_x`.
     """
     m = ComponentBuilder("residual_force", f"What the equations of {vehicle.name} leave, as taught")
     vel_n = [m.input(f"vel_{a}", "m/s", f"Velocity, NED {a}") for a in AXES]
@@ -254,15 +226,9 @@ def residual_force(vehicle: Vehicle, law: ForceLaw, network: bool = False) -> Co
     )
     air_b = to_body(q_nb, [v - w for v, w in zip(vel_n, wind_n, strict=True)])
     x = motion_inputs(vehicle, air_b, omega_b, spin, voltage, ground - down)
-    of_linear, of_waves, bounds = _parameter_names(law)
-    linear, amplitudes = _weights(m, of_linear, law.linear), _weights(m, of_waves, law.waves)
-    said = accelerations(law, x, linear, amplitudes, _bounds(m, bounds, law.most))
-    if network:
-        for i, (kind, a) in enumerate(OUTPUTS):
-            m.output(f"left_{kind}_{a}", _unit(kind), f"What the law says of {kind} {a}", said[i])
-        for i, (name, unit) in enumerate(INPUTS):
-            m.output(SEEN + name, unit, f"What a network sees, {name}", x[i])
-        said += _fade(distance(law, x), 1.0, WAVES_END) * _corrections(m)
+    names, bounds = _parameter_names()
+    linear = _weights(m, names, law.linear)
+    said = accelerations(law, x, linear, _bounds(m, bounds, law.most))
     acts = enabled * ca.mtimes(ca.SX(law.units), said)
     for i, (kind, a) in enumerate(OUTPUTS):
         unit, meaning = ("N", "Force along") if kind == "force" else ("N.m", "Moment about")
@@ -270,19 +236,6 @@ def residual_force(vehicle: Vehicle, law: ForceLaw, network: bool = False) -> Co
     d = distance(law, x)
     m.output("distance", "1", "Of the motion from that of the training, 1 where this ends", d)
     return m.build()
-
-
-def _corrections(m: ComponentBuilder) -> ca.SX:
-    """What a network adds, as far as each output lets it, shape (6, 1)."""
-    rows = []
-    for kind, a in OUTPUTS:
-        name = f"correction.left_{kind}_{a}"
-        given = m.input(name, _unit(kind), f"What a network adds, {kind} {a}")
-        share = m.parameter(
-            f"network.{kind}_{a}", 0.0, "1", f"Share of it that acts, {kind} {a}", minimum=0
-        )
-        rows.append(share * given)
-    return ca.vertcat(*rows)
 
 
 def _unit(kind: str) -> str:
@@ -294,13 +247,9 @@ def power(law: ForceLaw) -> Array:
     """What a law feeds in about hover, W, as a quadratic form, shape (6, 6).
 
     power = y @ form @ y of y = [air velocity, body rates]; without an eigenvalue above 0 it takes
-    energy, however the vehicle moves there. Waves count by their slope at rest, at the voltage and
-    the height of the training.
+    energy, however the vehicle moves there.
     """
-    x = np.where(np.arange(len(INPUTS)) < len(INPUTS) - 2, 0.0, law.centre)
-    angles = law.frequencies @ ((x - law.centre) / law.scale) + law.phases
-    slopes = -np.sin(angles)[:, None] * (law.frequencies / law.scale)[:, :6]
-    per_motion = law.units @ (law.linear[:, 1:7] + law.waves @ slopes)
+    per_motion = law.units @ law.linear[:, 1:7]
     return np.asarray((per_motion + per_motion.T) / 2)
 
 

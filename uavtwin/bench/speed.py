@@ -169,9 +169,6 @@ def _linear_law() -> ForceLaw:
     d = len(INPUTS)
     return ForceLaw(
         linear=np.full((6, len(FEATURES)), 1e-9),
-        waves=np.zeros((6, 0)),
-        frequencies=np.zeros((0, d)),
-        phases=np.zeros(0),
         centre=np.zeros(d),
         scale=np.ones(d),
         whitening=np.tri(d),

@@ -52,7 +52,7 @@ def evaluate(
 
     A learned force is measured by replaying them through exported FMUs.
     """
-    from learning.force.model import FILE, NETWORK_FILE
+    from learning.force.model import FILE
 
     from ..flights import read_alike
     from ..learned import check_extra_learn, write_measured_card
@@ -80,7 +80,7 @@ def evaluate(
         "trust_vehicle": trust_vehicle,
         "series": list(forms),
     }
-    numbers = ("vehicle.toml", "model.json", "weights.safetensors", FILE, NETWORK_FILE)
+    numbers = ("vehicle.toml", "model.json", "weights.safetensors", FILE)
     inputs = [*flights, *(model / n for n in numbers if (model / n).is_file())]
     inputs += [Path(p) for p in (explained, physics) if p and Path(p).is_file()]
     if as_json:

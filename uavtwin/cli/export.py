@@ -204,9 +204,8 @@ class Choice:
         """Files that are read."""
         from fmus.compensator import FILE, INT8_FILE
         from learning.force.model import FILE as FORCE_FILE
-        from learning.force.model import NETWORK_FILE
 
-        files = (INT8_FILE if self.int8 else FILE, FORCE_FILE, NETWORK_FILE)
+        files = (INT8_FILE if self.int8 else FILE, FORCE_FILE)
         trained = [] if self.model is None else [self.model / n for n in files]
         given = (Path(self.vehicle), self.flight, *trained)
         return [p for p in given if p is not None and p.is_file()]

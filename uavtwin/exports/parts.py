@@ -91,12 +91,10 @@ class LearnedForce:
 
     Attributes:
         model: Law and observer.
-        network: That adds to the law; None: nothing does.
         folder: That it was read from, for messages.
     """
 
     model: "ForceModel"
-    network: NetworkFile | None = None
     folder: Path = Path("learned force")
 
     __repr__ = short_repr
@@ -132,27 +130,18 @@ def twin(
     _check_position("twin", position)
     if compensator is not None:
         check_compensator(compensator, model)
-    law, network = None, False
+    law = None
     if force is not None:
         told = force.model
         _check_taught(str(force.folder), told.vehicle, told.vehicle_sha256, model)
-        law, network = force.model.law, force.network is not None
-        if network and compensator is not None:
-            raise TwinError(
-                f"{force.folder}: a learned force with a network, and a compensator of the "
-                f"sensors; a twin has room for one network. Give one of them."
-            )
-        compensator = compensator or force.network
+        law = force.model.law
     if drive is None:
-        assembly = flying_twin(
-            model, mission, controller, law=law, network=network, position=position
-        )
+        assembly = flying_twin(model, mission, controller, law=law, position=position)
     else:
         _check_drive("twin", drive)
-        assembly = driven_twin(model, drive, law=law, network=network, position=position)
-    if force is not None:
-        observer = force.model.observer_starts if drive is not None else {}
-        assembly = assembly.with_starts(observer | force.model.network_starts)
+        assembly = driven_twin(model, drive, law=law, position=position)
+        if force is not None:
+            assembly = assembly.with_starts(force.model.observer_starts)
     return Twin(model.name, assembly, compensator)
 
 
@@ -249,13 +238,10 @@ def learned_force(folder: str | Path) -> LearnedForce:
 
     Raises:
         ModelError: The folder holds none.
-        FmuError: Its network is missing or damaged.
     """
-    from learning.force.model import NETWORK_FOLDER, load_force
+    from learning.force.model import load_force
 
-    model = load_force(Path(folder))
-    network = read_network(Path(folder, NETWORK_FOLDER)) if model.network_starts else None
-    return LearnedForce(model, network, Path(folder))
+    return LearnedForce(load_force(Path(folder)), Path(folder))
 
 
 def _check_taught(model: str, name: str, sha256: str, vehicle: Vehicle) -> None:

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.slave import Slave
-from fmus.compensator import read_network
 from learning.force.candidates import LAWS
-from learning.force.model import NETWORK_FOLDER, Checked, ForceModel, Output
+from learning.force.model import Checked, ForceModel, Output
 from twin.errors import FmuError
 from twin.flight.assembly import gust_switches
 from twin.flight.mission import mission_duration_s
@@ -27,7 +26,6 @@ from twin.vehicle import Vehicle
 from ..exports.parts import LearnedForce, twin
 from ..exports.write import export
 from .memory import Memory
-from .network import NETWORK
 from .open_loop import DISTANCE
 
 Array = NDArray[np.float64]
@@ -177,21 +175,19 @@ def _tracked(fmu: Path, duration_s: float, starts: Mapping[str, float]) -> Track
 
 def kept(
     chosen: ForceModel,
-    model: Callable[[Sequence[str], Sequence[bool]], ForceModel],
-    folder: Path,
+    model: Callable[[Sequence[str]], ForceModel],
     vehicle: Vehicle,
     memory: Memory,
     progress: Callable[[float], None],
 ) -> ForceModel:
     """The learned force with which no mission is lost that is flown without it.
 
-    One after the other is withdrawn until that is so: the network first, then the law by which
-    flights left out gain least.
+    One after the other is withdrawn until that is so, first the law by which flights left out gain
+    least.
 
     Args:
         chosen: As flights have chosen it.
-        model: The same of these laws, and with the network on these outputs.
-        folder: With the network.
+        model: The same of these laws.
         vehicle: Whose twin.
         memory: Of the steps that were taken before.
         progress: Called with the share done.
@@ -202,8 +198,7 @@ def kept(
     lost: list[int] = []
     left, most = chosen, len(_used(chosen))
     while _used(left):
-        network = read_network(folder / NETWORK_FOLDER) if left.network_starts else None
-        force = LearnedForce(left, network)
+        force = LearnedForce(left)
 
         def flown(mission: str, own: Sequence[Mapping[str, float]], force: LearnedForce) -> Array:
             """Whether the law loses each flight of a mission, shape (flights,)."""
@@ -218,30 +213,27 @@ def kept(
         progress(len(lost) / (most + 1))
         if not lost[-1]:
             break
-        laws, networks, name = _without_weakest(left.outputs)
+        laws, name = _without_weakest(left.outputs)
         withdrawn.append(name)
-        left = model(laws, networks)
+        left = model(laws)
     flights = len(airs) if lost else 0
     return replace(left, closed_loop=Checked(flights, sum(lost[:1]), tuple(withdrawn)))
 
 
 def _used(model: ForceModel) -> list[str]:
-    """Laws and the network that a model uses."""
-    laws = [o.law for o in model.outputs if o.law != LAWS[0]]
-    return [*laws, *([NETWORK] if model.network_starts else [])]
+    """Laws that a model uses."""
+    return [o.law for o in model.outputs if o.law != LAWS[0]]
 
 
-def _without_weakest(outputs: Sequence[Output]) -> tuple[list[str], list[bool], str]:
-    """Laws and networks with one law or the network less, and the name of what went."""
-    laws, networks = [o.law for o in outputs], [o.network for o in outputs]
-    if any(networks):
-        return laws, [False] * len(outputs), NETWORK
+def _without_weakest(outputs: Sequence[Output]) -> tuple[list[str], str]:
+    """Laws with one less, and the name of what went."""
+    laws = [o.law for o in outputs]
     used = [i for i, law in enumerate(laws) if law != LAWS[0]]
     i = max(used, key=lambda i: _weakness(outputs[i]))
     kind, axis = OUTPUTS[i]
     name = f"{kind} {axis} {laws[i]}"
     laws[i] = LAWS[0]
-    return laws, networks, name
+    return laws, name
 
 
 def _weakness(output: Output) -> tuple[float, float]:

@@ -227,15 +227,12 @@ class _Fleet:
         self._forces: dict[str, LearnedForce | None] = {EXPLAINED: None}
         self._starts: dict[str, Mapping[str, float]] = {}
         self._files: dict[str, str] = {}
-        plain = tuple(replace(o, network=False) for o in force.model.outputs)
         for name, rival in force.model.rivals.items():
             law = "" if name == LAWS[0] else f" + {name}"
             own = f"{OBSERVED}{law}"
-            model = replace(force.model, law=rival.law, outputs=plain)
-            self._forces[own] = LearnedForce(model)
+            self._forces[own] = LearnedForce(replace(force.model, law=rival.law))
             self._starts[own] = in_force(rival.law) | observer_starts(rival.observers)
-            if not len(rival.law.phases):  # what tells them apart are start values
-                self._files[own] = OBSERVED
+            self._files[own] = OBSERVED  # what tells them apart are start values
         self._forces[SHIPPED] = force
         self._vehicles = dict.fromkeys(self._forces, vehicle)
         if physics is not None:

@@ -16,7 +16,7 @@ from learning.force.instants import Instants
 from learning.force.model import observer_starts
 from learning.force.train import Prepared, prepare
 from twin.flight.assembly import driven_twin
-from twin.physics.residual_force import OUTPUTS, WAVES_END, ForceLaw, parameter_values
+from twin.physics.residual_force import OUTPUTS, ForceLaw, parameter_values
 from twin.physics.rotors import Drive
 from twin.representation import short_repr
 from twin.vehicle import Vehicle
@@ -27,7 +27,7 @@ from .open_loop import DISTANCE, Replay
 Array = NDArray[np.float64]
 ALONE_S = 0.5
 """So long a twin that is let go has to stay inside the envelope."""
-WIDER = WAVES_END
+WIDER = 2.0
 """Most by which the envelope grows for that: where a law has faded before, it has not been."""
 _PART = "residual_force."
 
@@ -51,19 +51,16 @@ class Lesson:
     __repr__ = short_repr
 
     @classmethod
-    def of(
-        cls, seen: Sequence[Instants], vehicle: Vehicle, drive: Drive, seed: int, place: Path
-    ) -> "Lesson":
+    def of(cls, seen: Sequence[Instants], vehicle: Vehicle, drive: Drive, place: Path) -> "Lesson":
         """The lesson of these flights.
 
         Args:
             seen: One or more.
             vehicle: Whose equations leave something.
             drive: Of the twin.
-            seed: Of the random features.
             place: File of the twin.
         """
-        prepared = prepare(seen, vehicle, seed)
+        prepared = prepare(seen, vehicle)
         return cls(prepared, prepared.candidates(), drive, place)
 
     @property

@@ -8,7 +8,7 @@ resumed reads them in the same order instead of flying again, and ends with the 
 import base64
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -41,10 +41,9 @@ class Memory(journal.Journal[int]):
         Raises:
             ValueError, KeyError, TypeError: It is of no step.
         """
-        if not (isinstance(content["what"], str) and isinstance(content["files"], dict)):
+        if not (isinstance(content["what"], str)):
             raise ValueError
-        for text in (content["array"], *content["files"].values()):
-            base64.b64decode(text, validate=True)
+        base64.b64decode(content["array"], validate=True)
         return len(self.done)
 
     def array(self, what: str, make: Callable[[], Array]) -> Array:
@@ -58,19 +57,8 @@ class Memory(journal.Journal[int]):
             flat = np.frombuffer(base64.b64decode(kept["array"]), dtype=np.float64)
             return flat.reshape(kept["shape"]).copy()
         made = np.asarray(make(), dtype=np.float64)
-        self._add(what, made, {})
+        self._add(what, made)
         return made
-
-    def files(self, what: str, folder: Path, make: Callable[[], object]) -> None:
-        """Files that the next step writes into a folder, from the journal where they are there."""
-        if (kept := self._next(what)) is not None:
-            folder.mkdir(parents=True, exist_ok=True)
-            for name, text in kept["files"].items():
-                (folder / Path(name).name).write_bytes(base64.b64decode(text))
-            return
-        make()
-        made = {p.name: p.read_bytes() for p in sorted(folder.iterdir()) if p.is_file()}
-        self._add(what, np.zeros(0), made)
 
     def _next(self, what: str) -> journal.Content | None:
         """Line of the next step; None: it has not been taken."""
@@ -82,13 +70,12 @@ class Memory(journal.Journal[int]):
             raise self.foreign(self._count + 1)
         return kept
 
-    def _add(self, what: str, array: Array, files: Mapping[str, bytes]) -> None:
+    def _add(self, what: str, array: Array) -> None:
         self.write(
             {
                 "what": what,
                 "shape": list(array.shape),
                 "array": base64.b64encode(array.tobytes()).decode(),
-                "files": {name: base64.b64encode(c).decode() for name, c in files.items()},
             }
         )
 

@@ -105,12 +105,6 @@ class Replay:
         other._changes = _changes(other._names, other._given)
         return other
 
-    def thinned(self, every: int) -> "Replay":
-        """The same, left alone every so many times only."""
-        other = copy(self)
-        other._left = self._left[::every]
-        return other
-
     def through(
         self,
         fmu: Path,

@@ -7,10 +7,8 @@ from learning.force.candidates import LAWS
 from learning.force.forecast import NEVER_S
 from learning.force.model import (
     FILE,
-    NETWORK_FOLDER,
     VEHICLE_FILE,
     ForceModel,
-    Output,
     load_force,
     save_force,
 )
@@ -25,8 +23,6 @@ from ..vehicles import Vehicle
 from .choice import BETTER, OBSERVER, WORSE
 from .learn import Progress, learn_force
 from .memory import Memory
-from .network import NETWORK
-from .refinement import REFINED
 
 REPORT = "report.html"
 _DEFAULTS = {
@@ -84,7 +80,7 @@ def train_force(
     Args:
         flights: To learn from.
         vehicle: Explained or calibrated.
-        seed: Of the random features.
+        seed: Of the air of the missions.
         out: Folder, which is there.
         memory: Of the steps that were taken before.
         progress: Called with the share done.
@@ -96,12 +92,11 @@ def train_force(
         TwinError: A flight cannot be learned from, or two have one name.
     """
     check_names(flights)
-    model = learn_force(flights, vehicle, seed, out, memory, progress)
+    model = learn_force(flights, vehicle, seed, memory, progress)
     save_force(model, out)
     (out / VEHICLE_FILE).write_text(vehicle.toml(), "utf-8")
     (out / REPORT).write_text(_page(model), encoding="utf-8")
-    network = [NETWORK_FOLDER] if model.network_starts else []
-    return [REPORT, FILE, VEHICLE_FILE, *network]
+    return [REPORT, FILE, VEHICLE_FILE]
 
 
 def force_claim(out: Path) -> str:
@@ -111,9 +106,9 @@ def force_claim(out: Path) -> str:
 
 def _claim(model: ForceModel) -> str:
     used = [
-        f"{name} {laws}"
+        f"{name} {output.law}"
         for name, output in zip(NAMES, model.outputs, strict=True)
-        if (laws := _laws(output)) != LAWS[0]
+        if output.law != LAWS[0]
     ]
     if len(model.flights) == 1:
         return (
@@ -134,13 +129,6 @@ def _claim(model: ForceModel) -> str:
     return f"force: {law}{lost}; beside it {beside}."
 
 
-def _laws(output: Output) -> str:
-    """Law of an output, and the network where it adds to it."""
-    if not output.network:
-        return output.law
-    return NETWORK if output.law == LAWS[0] else f"{output.law} and {NETWORK}"
-
-
 def _page(model: ForceModel) -> str:
     return render(
         "force_training.html.j2",
@@ -149,11 +137,11 @@ def _page(model: ForceModel) -> str:
         worse=WORSE,
         claim=_claim(model),
         model=model,
-        laws=(OBSERVER, *LAWS[1:], REFINED, NETWORK),
+        laws=(OBSERVER, *LAWS[1:]),
         outputs=[
             {
                 "name": name,
-                "law": _laws(output),
+                "law": output.law,
                 "learns": output.observer.lag_s < NEVER_S,
                 "observer": output.observer,
                 "tried": {f.law: f for f in output.tried},

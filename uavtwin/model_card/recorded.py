@@ -42,8 +42,7 @@ def facts(about: Mapping[str, Any]) -> list[list[str]]:
     found = {"protocol": about["protocol"], "seed": str(about["seed"])}
     if about["protocol"] == "force":
         used = [f"{n} {o['law']}" for n, o in about["outputs"].items()]
-        networks = [n for n, o in about["outputs"].items() if o["network"]]
-        found |= {"laws": ", ".join(used), "network adds to": ", ".join(networks) or "nothing"}
+        found |= {"laws": ", ".join(used)}
     else:
         row = family_row(about["family"])
         ahead = f"{about['horizon']} samples, {1e3 * about['horizon'] / about['rate_hz']:g} ms"
@@ -99,7 +98,7 @@ def limits(about: Mapping[str, Any], result: Result | None) -> list[str]:
         gone = about["closed_loop"]["withdrawn"]
         if gone:
             found.append(f"Withdrawn, as missions were lost with it: {', '.join(gone)}.")
-        none = [n for n, o in about["outputs"].items() if o["law"] == LAWS[0] and not o["network"]]
+        none = [n for n, o in about["outputs"].items() if o["law"] == LAWS[0]]
         if none:
             found.append(f"No law for {', '.join(none)}.")
     shut = [c for c, e in _validation(about).items() if e["with_network"] >= e["linear"]]

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from fmus.compensator import FILE
-from learning.data.channels import CHANNELS, SENSORS, UNITS
+from learning.data.channels import CHANNELS, UNITS
 from learning.data.flights import ResidualFlight, residual_flight, restart_before_s
 from learning.data.residual_table import read_residuals
 from learning.evaluation.protocols import WHOLE, Task, evaluate, pooled
@@ -214,10 +214,6 @@ def evaluate_model(
     vehicle = load_vehicle(folder / VEHICLE_FILE)
     check_names(given)
     check_new(given, folder, model)
-    if model.info.channels != SENSORS:
-        raise TwinError(
-            f"{folder}: is the network of a learned force; evaluate the folder above it."
-        )
     if model.info.protocol == "generate":
         raise TwinError(
             f"{folder}: draws signals and corrects nothing. In a source checkout `python -m "

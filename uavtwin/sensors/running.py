@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cosim.slave import Slave
 from fmus.compensator import NetworkFile
 from learning.data.flights import ResidualFlight, residual_flight, restart_before_s
-from twin.errors import LogError, TwinError
+from twin.errors import LogError
 from twin.logs import Flight
 from twin.vehicle import Vehicle
 
@@ -61,15 +61,7 @@ class RunningCompensator:
             fmu: Of the compensator.
             network: That it was made from.
             vehicle: The twin.
-
-        Raises:
-            TwinError: What it corrects is no sensor.
         """
-        if network.groups and network.groups[0].startswith("left_"):
-            raise TwinError(
-                f"{network.path.parent}: adds to a law of force and has no readings to correct; "
-                f"give a compensator of the sensors."
-            )
         self.network, self._vehicle = network, vehicle
         old_s = network.horizon / network.rate_hz
         self.horizon_s = old_s if network.sees_measurements else float("inf")

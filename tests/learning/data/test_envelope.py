@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from learning.data.channels import CHANNELS, SENSORS
+from learning.data.channels import CHANNELS
+from learning.data.channels import SEEN as COLUMNS
 from learning.data.envelope import (
     INSIDE,
     UNLIMITED,
@@ -17,7 +18,7 @@ from learning.data.envelope import (
 from learning.data.scaling import place_names, places_of
 
 Array = NDArray[np.float64]
-SEEN = [CHANNELS[i] for i in SENSORS.seen]
+SEEN = [CHANNELS[i] for i in COLUMNS]
 RESERVE = np.full(3, 0.1)
 
 
@@ -106,6 +107,6 @@ def test_neither_heading_nor_height_takes_part(turn: float, height: float) -> No
     turned[:, east] = s * raw[:, north] + c * raw[:, east]
     turned[:, [SEEN.index(f"mag_{a}") for a in "xyz"]] += 1.0
     turned[:, SEEN.index("pos_z")] += height
-    names = place_names(SENSORS, 4)
-    assert places_of(raw, SENSORS).shape == (20, len(names))
-    np.testing.assert_allclose(places_of(turned, SENSORS), places_of(raw, SENSORS), atol=1e-9)
+    names = place_names(4)
+    assert places_of(raw).shape == (20, len(names))
+    np.testing.assert_allclose(places_of(turned), places_of(raw), atol=1e-9)

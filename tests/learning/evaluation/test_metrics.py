@@ -50,7 +50,6 @@ def test_of_nothing_nothing_is_known() -> None:
         metrics.log_spectral_distance(nothing, nothing, nothing),
     ):
         assert np.isnan(value)
-    assert metrics.reliability(nothing, nothing).shape == (0, 2)
     assert metrics.share_removed(0.25, 1.0) == 0.75
 
 
@@ -59,14 +58,6 @@ def test_coverage_of_a_gaussian() -> None:
     spread = np.full(100_000, 3.0)
     assert metrics.coverage(left, spread, 1) == pytest.approx(0.6827, abs=0.01)
     assert metrics.coverage(left, spread, 2) == pytest.approx(0.9545, abs=0.005)
-
-
-def test_reliability_shows_a_spread_that_is_half_too_small() -> None:
-    rng = np.random.default_rng(2)
-    true = rng.uniform(0.5, 2.0, 50_000)
-    curve = metrics.reliability(true * rng.standard_normal(50_000), true / 2, bins=5)
-    assert np.all(np.diff(curve[:, 0]) > 0)
-    np.testing.assert_allclose(curve[:, 1] / curve[:, 0], 2.0, rtol=0.03)
 
 
 def test_band_powers_add_up_to_the_variance() -> None:

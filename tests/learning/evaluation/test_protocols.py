@@ -9,7 +9,6 @@ import pytest
 
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight, held
-from learning.evaluation.calibration import calibration, reliability
 from learning.evaluation.protocols import TASKS, WHOLE, Task, evaluate, pooled
 from learning.model.corrected import Corrected, Model
 from twin.errors import ModelError
@@ -122,13 +121,6 @@ def test_bands_hold_the_variance() -> None:
     assert np.nansum(powers) == pytest.approx(r["spread_before"] ** 2, rel=0.15)
 
 
-def test_standardised_by_phase() -> None:
-    table = evaluate(None, TRAIN, TEST, FREE, standardise="phase")
-    mean = table[(table.model == "mean") & (table.group == "acc")]
-    for phase in ("hover", "tour"):
-        assert mean[mean.phase == phase]["rmse_std"].mean() == pytest.approx(1.0, abs=0.05)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("task", TASKS, ids=lambda t: f"{t.protocol}-{t.horizon}")
 def test_baselines_of_every_task(task: Task) -> None:
@@ -169,32 +161,6 @@ def test_pooled_by_phase_agrees_with_the_whole() -> None:
     whole = pooled(table[table.phase == WHOLE], ["model", "group"]).set_index(["model", "group"])
     for name in ("n", "mse", "mae", "mse_std", "within_1", "within_2", "inside"):
         np.testing.assert_allclose(parts[name], whole[name], err_msg=name)
-
-
-# -- calibration ----------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Centred:
-    """Takes the offset away; its spread is right in hover and half of what is right on tour."""
-
-    def run(self, flight: ResidualFlight) -> Corrected:
-        n = len(flight.t_s)
-        spread = np.where(flight.phase == TOUR, 1.5, 1.0)[:, None] * np.ones((1, 15))
-        return Corrected(np.full((n, 15), 5.0), spread, np.zeros(n), np.ones(n, dtype=np.bool_))
-
-
-def test_calibration_against_a_gaussian() -> None:
-    flights = [flight_of(k, n=4000) for k in range(2)]
-    shares = calibration(Centred(), flights).set_index("group")
-    # Hover: within one and two spreads; tour: within half a spread and one.
-    assert shares.loc["acc", "within_1"] == pytest.approx((0.6827 + 0.3829) / 2, abs=0.01)
-    assert shares.loc["acc", "within_2"] == pytest.approx((0.9545 + 0.6827) / 2, abs=0.01)
-    assert shares.loc["acc", "n"] == 24000 and shares.loc["mag", "n"] == 2400
-    curve = reliability(Centred(), flights, bins=2)
-    acc = curve[curve.group == "acc"]
-    np.testing.assert_allclose(acc["predicted"], [1.0, 1.5])
-    np.testing.assert_allclose(acc["left"], [1.0, 3.0], rtol=0.03)
 
 
 # -- what is refused ------------------------------------------------------------------------

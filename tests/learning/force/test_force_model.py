@@ -30,9 +30,6 @@ def _law(n: int) -> ForceLaw:
     d = len(INPUTS)
     return ForceLaw(
         linear=rng.normal(size=(6, len(FEATURES))),
-        waves=rng.normal(size=(6, n)),
-        frequencies=rng.normal(size=(n, d)),
-        phases=rng.normal(size=n),
         centre=rng.normal(size=d),
         scale=np.ones(d),
         whitening=np.eye(d),
@@ -44,10 +41,14 @@ def _law(n: int) -> ForceLaw:
 
 MODEL = ForceModel(
     law=_law(0),
-    rivals={name: Rival(_law(n), (NO_OBSERVER,) * 6) for name, n in (("linear", 0), ("waves", 3))},
+    rivals={
+        name: Rival(_law(n), (NO_OBSERVER,) * 6) for name, n in (("constant", 3), ("linear", 0))
+    },
     outputs=(
         Output(
-            "linear", Observer(0.2, 1.0), (Flown("linear", 12.0, 0.9, 1.01), Flown("waves", -3.0))
+            "linear",
+            Observer(0.2, 1.0),
+            (Flown("constant", -3.0), Flown("linear", 12.0, 0.9, 1.01)),
         ),
         *(Output("none", NO_OBSERVER) for _ in range(5)),
     ),

@@ -191,7 +191,7 @@ def test_envelope_of_the_training_data_holds_them() -> None:
 def test_a_feature_never_seen_limits_nothing(column: int) -> None:
     unseen = np.arange(15) == column
     blind = replace(FLIGHT, virtual=FLIGHT.virtual * np.where(unseen, np.nan, 1.0))
-    scaling = fit_scaling([blind], [in_spans(blind)], "phase")
+    scaling = fit_scaling([blind], [in_spans(blind)], "centred")
     assert scaling.feature_scale[column] == UNLIMITED
     model = untrained("free", 0, tiny())
     model.set_scaling(scaling)

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from learning.data.channels import CHANNELS, GROUPS, SENSORS, Channels
+from learning.data.channels import CHANNELS, GROUPS, PLACES, SEEN
 from learning.data.flights import ResidualFlight
 from learning.export.write import export_onnx
 from learning.model.compensator import Compensator, ModelInfo
@@ -25,7 +25,6 @@ Array = NDArray[np.float64]
 Rows = dict[str, NDArray[np.float32]]
 N = len(CHANNELS)
 CLUSTERS = ((0, 1, 2, 6), (3, 4, 9), (5, 7, 8, 10, 14), (11, 12, 13))
-FORCE_CLUSTERS = ((0, 1, 4), (2, 3, 5))
 TINY = replace(
     BEST,
     name="tiny",
@@ -52,7 +51,6 @@ def compensator(
     rate_hz: float = 100.0,
     envelope: float = 4.0,
     vehicle: str = "",
-    channels: Channels = SENSORS,
 ) -> Compensator:
     """A model whose every weight and buffer is something, as after training.
 
@@ -65,14 +63,10 @@ def compensator(
         rate_hz: Samples per second.
         envelope: How far it reaches, in spreads of its inputs.
         vehicle: Name it is trained for.
-        channels: That it corrects.
     """
     torch.manual_seed(seed)
     horizon = horizon if protocol == "track" else 0
-    clusters = CLUSTERS if channels is SENSORS else FORCE_CLUSTERS
-    info = ModelInfo(
-        *(preset, protocol, horizon, rate_hz, commands, clusters, seed, vehicle), channels=channels
-    )
+    info = ModelInfo(preset, protocol, horizon, rate_hz, commands, CLUSTERS, seed, vehicle)
     model = Compensator(info)
     model.mean.normal_(std=0.1)
     model.scale.uniform_(0.5, 1.5)
@@ -97,9 +91,9 @@ def compensator(
 
 def _place(model: Compensator, envelope: float) -> None:
     """Physical inputs about the means of the features, each mixed with the others."""
-    seen = [some[0] for some in model.info.channels.place]
-    first = len(model.info.channels.seen)
-    columns = [*seen, *range(first, first + model.info.n_commands)] if seen else []
+    seen = [some[0] for some in PLACES]
+    first = len(SEEN)
+    columns = [*seen, *range(first, first + model.info.n_commands)]
     model.place_centre.copy_(model.feature_mean[columns])
     model.place_scale.copy_(model.feature_scale[columns])
     mixed = torch.eye(len(columns)) + 0.1 * torch.randn(len(columns), len(columns))

@@ -24,7 +24,6 @@ from twin.physics.residual_force import (
     INPUTS,
     LINEAR_END,
     OUTPUTS,
-    WAVES_END,
     ForceLaw,
     power,
     residual_force,
@@ -42,15 +41,12 @@ def units(vehicle: Vehicle) -> Array:
     return found
 
 
-def law(n: int = 5, seed: int = 0) -> ForceLaw:
-    """Weights of every kind, an envelope of a metre per second and the like."""
+def law(seed: int = 0) -> ForceLaw:
+    """Weights of every feature, an envelope of a metre per second and the like."""
     rng = np.random.default_rng(seed)
     d = len(INPUTS)
     return ForceLaw(
         linear=rng.normal(size=(6, len(FEATURES))),
-        waves=rng.normal(size=(6, n)),
-        frequencies=rng.normal(size=(n, d)) / 3,
-        phases=rng.uniform(0, 6, n),
         centre=np.zeros(d),
         scale=np.ones(d),
         whitening=np.eye(d),
@@ -60,13 +56,13 @@ def law(n: int = 5, seed: int = 0) -> ForceLaw:
     )
 
 
-def alone(n: int = 0, **weights: float) -> ForceLaw:
+def alone(**weights: float) -> ForceLaw:
     """A law of a few linear weights, "output feature" -> value."""
     linear = np.zeros((6, len(FEATURES)))
     for name, value in weights.items():
         output, _, feature = name.partition("__")
         linear[NAMES.index(output), FEATURES.index(feature)] = value
-    return replace(law(n), linear=linear)
+    return replace(law(), linear=linear)
 
 
 def motion(**values: float) -> dict[str, float]:
@@ -98,7 +94,6 @@ def test_within_the_envelope_it_is_its_formula(
     (wx, wy, wz), v = omega, np.array(vel)
     products = [*(mean * v), *(np.linalg.norm(v) * v), mean**2, wy * wz, wx * wz, wx * wy]
     said = one.linear @ np.array([1.0, *x, *products])
-    said += one.waves @ np.cos(one.frequencies @ x + one.phases)
     assert found["distance"] == pytest.approx(np.sqrt(np.mean(x**2)), abs=1e-9)
     np.testing.assert_allclose(
         [found[n] for n in NAMES], units(VEHICLE) @ said, rtol=1e-9, atol=1e-9
@@ -137,15 +132,6 @@ def test_it_fades_without_a_step_and_ends_at_zero() -> None:
     assert np.all(steps < 0.01 * np.ptp(acts, axis=0))  # one of 4000 steps, not a jump
 
 
-def test_waves_end_before_the_linear_part() -> None:
-    only = replace(law(), linear=np.zeros((6, len(FEATURES))))
-    rig = Rig(residual_force(VEHICLE, only))
-    for away, acts in ((0.5, True), (WAVES_END + 0.01, False)):
-        vel = away * np.sqrt(len(INPUTS))
-        answer = rig.outputs(np.zeros(0), rig.inputs(motion(vel_y=vel)))
-        assert any(answer[n] != 0 for n in NAMES) == acts
-
-
 @settings(max_examples=25)
 @given(three, st.floats(0, 3), st.integers(0, 99))
 def test_nothing_is_said_beyond_what_may_be(vel: Array, most: float, seed: int) -> None:
@@ -169,7 +155,7 @@ def test_wind_is_no_ground_speed() -> None:
 def test_power_is_what_force_and_moment_do_per_second() -> None:
     """About hover: force times velocity and moment times rate, by the component itself."""
     rng = np.random.default_rng(2)
-    one = replace(law(0), linear=np.zeros((6, len(FEATURES))))
+    one = replace(law(), linear=np.zeros((6, len(FEATURES))))
     linear = one.linear.copy()
     linear[:, 1:7] = rng.normal(size=(6, 6))
     one = replace(one, linear=linear)
@@ -183,7 +169,7 @@ def test_power_is_what_force_and_moment_do_per_second() -> None:
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"phases": np.zeros(4)}, "shape"),
+        ({"centre": np.zeros(4)}, "shape"),
         ({"centre": np.full(len(INPUTS), np.nan)}, "finite"),
         ({"scale": np.zeros(len(INPUTS))}, "above 0"),
         ({"reach": np.inf}, "above 0"),
@@ -204,7 +190,7 @@ def test_its_arrays_make_it_again() -> None:
 
 def test_laws_of_other_numbers_have_the_kernels_of_one_compilation() -> None:
     one, other = (
-        generated_sources(component_model(residual_force(VEHICLE, law(2, seed))), "token")
+        generated_sources(component_model(residual_force(VEHICLE, law(seed))), "token")
         for seed in (0, 1)
     )
     assert [name for name in one if one[name] != other[name]] == ["part_residual_force.c"]
@@ -214,7 +200,7 @@ def test_laws_of_other_numbers_have_the_kernels_of_one_compilation() -> None:
 def test_fused_fmu_flies_by_the_law(tmp_path: Path) -> None:
     """Against airframe and law in Python, outputs exchanged at each millisecond (Jacobi): in a step
     the law answers what it was given at the start of the one before."""
-    one = replace(law(), linear=0.2 * law().linear, waves=0.2 * law().waves, reach=3.0)
+    one = replace(law(), linear=0.2 * law().linear, reach=3.0)
     parts = driven_twin(VEHICLE, "command", (), one).parts
     body, beyond = parts["airframe"], Rig(parts["residual_force"])
     path = build(

@@ -1,7 +1,6 @@
 """Laws that have to fly before they are shipped, by exported FMUs in random air."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ import pytest
 from learning.force.forecast import NO_OBSERVER
 from learning.force.instants import instants
 from learning.force.model import Checked, Flown, ForceModel, Output
-from learning.force.train import prepare, without_waves
+from learning.force.train import prepare
 from twin.physics.residual_force import FEATURES, OUTPUTS, ForceLaw
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import fly
@@ -32,9 +31,7 @@ def empty() -> ForceLaw:
         ("takeoff", 2.5, (0.0, 0.0, -2.0)),
         ("tour", 4.0, (4.0, 2.0, -2.0)),
     )
-    return without_waves(
-        prepare([instants(fly(COPTER, COPTER, 1, "one", legs), COPTER)], COPTER, 0).empty
-    )
+    return prepare([instants(fly(COPTER, COPTER, 1, "one", legs), COPTER)], COPTER).empty
 
 
 def _model(empty: ForceLaw, *weights: tuple[str, str, float]) -> ForceModel:
@@ -63,16 +60,15 @@ def _model(empty: ForceLaw, *weights: tuple[str, str, float]) -> ForceModel:
 
 @pytest.mark.long
 def test_what_loses_missions_is_withdrawn_and_what_does_not_stays(
-    empty: ForceLaw, tmp_path: Path, memory: Memory
+    empty: ForceLaw, memory: Memory
 ) -> None:
-    def model(laws: Sequence[str], networks: Sequence[bool]) -> ForceModel:
+    def model(laws: Sequence[str]) -> ForceModel:
         both = zip((laws[0], laws[4]), (DRAG, TURNS), strict=True)
         return _model(empty, *(weight for law, weight in both if law == "linear"))
 
     found = kept(
         _model(empty, DRAG, TURNS),
         model,
-        tmp_path,
         COPTER,
         memory,
         lambda _: None,
@@ -82,12 +78,11 @@ def test_what_loses_missions_is_withdrawn_and_what_does_not_stays(
     assert 0 < found.closed_loop.lost <= found.closed_loop.flights == FLIGHTS
 
 
-def test_no_law_has_nothing_to_fly(empty: ForceLaw, tmp_path: Path, memory: Memory) -> None:
+def test_no_law_has_nothing_to_fly(empty: ForceLaw, memory: Memory) -> None:
     none = _model(empty)
     found = kept(
         none,
-        lambda *_: none,
-        tmp_path,
+        lambda _: none,
         COPTER,
         memory,
         lambda _: None,

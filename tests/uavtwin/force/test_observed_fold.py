@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from learning.data.envelope import BEYOND
 from learning.force.candidates import Candidate
 from learning.force.forecast import AHEAD_S, NEVER_S, NO_OBSERVER, Observer
-from learning.force.instants import instants
+from learning.force.instants import inputs_of, instants
 from learning.force.train import prepare
-from twin.physics.residual_force import OUTPUTS
+from twin.physics.residual_force import FEATURES, OUTPUTS
 from twin.residuals.teacher_forced import choose_drive
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
@@ -39,8 +40,8 @@ def _fold(plant: Vehicle, observer: Observer, place: Path, memory: Memory) -> Fo
     """A flight of a plant, and a twin of COPTER with this observer of every output."""
     flight = fly(COPTER, plant, 1, "one", ROUND)
     seen = instants(flight, COPTER)
-    prepared = prepare([seen], COPTER, 0)
-    fitted = [{"none": Candidate("none", 0.0, np.zeros(len(prepared.size)), 0.0, observer)}]
+    prepared = prepare([seen], COPTER)
+    fitted = [{"none": Candidate("none", np.zeros(len(prepared.size)), 0.0, observer)}]
     lesson = Lesson(
         prepared, len(OUTPUTS) * fitted, choose_drive(flight, COPTER), place / "twin.fmu"
     )
@@ -93,3 +94,17 @@ def test_the_envelope_holds_where_the_twin_goes_by_itself(tmp_path: Path, memory
     capped = replace(lesson, prepared=replace(lesson.prepared, empty=tiny), place=tmp_path / "2")
     widest = capped.running([fold.replay], fold.memory).prepared.empty.reach
     assert widest == pytest.approx(WIDER * tiny.reach)
+
+
+@pytest.mark.slow
+def test_a_law_says_at_most_so_many_times_what_it_said_in_its_flights() -> None:
+    drag_1_s = 0.6
+    prepared = prepare([instants(fly(COPTER, DRAGGED, 1, "one", ROUND), COPTER)], COPTER)
+    weights = np.zeros((len(OUTPUTS), len(FEATURES)))
+    weights[0, FEATURES.index("air_x")] = -drag_1_s
+    laws = [Candidate("linear", w * prepared.size, 1.0, NO_OBSERVER) for w in weights]
+    law, _ = prepared.law(laws)
+    (seen,) = prepared.seen
+    speed = np.abs(inputs_of(seen)[:, FEATURES.index("air_x") - 1]).max()
+    assert law.most[0] == pytest.approx(BEYOND * drag_1_s * speed, rel=0.05)  # low-passed
+    assert not law.most[1:].any()

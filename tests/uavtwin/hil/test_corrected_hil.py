@@ -56,9 +56,6 @@ def pushed_forward(mass_kg: float) -> ForceModel:
     linear[0, FEATURES.index("one")] = PUSH_M_S2
     law = ForceLaw(
         linear=linear,
-        waves=np.zeros((len(OUTPUTS), 0)),
-        frequencies=np.zeros((0, n)),
-        phases=np.zeros(0),
         centre=np.zeros(n),
         scale=np.ones(n),
         whitening=np.eye(n),
