@@ -62,7 +62,7 @@ def test_caches_of_benchmarks_follow_every_source_they_come_from() -> None:
 
     hashed = {f.resolve() for f in source_files()}
     files = modules_of(ROOT, PACKAGES)
-    makers = ("learning.data.flights", "learning.data.residual_table", "twin.logs.read")
+    makers = ("learning.data.flights", "twin.logs.read")
     needed = set(makers).union(*(graph().find_upstream_modules(m) for m in makers))
     packages = {"learning", "learning.data"}  # a line of text each
     assert {files[m].resolve() for m in needed & files.keys() - packages} - hashed == set()

@@ -101,7 +101,7 @@ def _in_one_thread(verb: Callable[_P, _R]) -> Callable[_P, _R]:
     @wraps(verb)
     def _inside(*args: _P.args, **named: _P.kwargs) -> _R:
         with extra_learn():
-            from learning.threads import one_thread
+            from learning.compute import one_thread
         with one_thread():
             return verb(*args, **named)
 

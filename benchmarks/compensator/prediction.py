@@ -40,10 +40,10 @@ from learning.data.flights import (
     restart_before_s,
 )
 from learning.data.scaling import in_spans
-from learning.evaluation.protocols import WHOLE, Task, evaluate, pooled
+from learning.evaluation import WHOLE, Task, evaluate, pooled
 from learning.export.write import export_onnx
 from learning.model.compensator import LINEAR_PART, Compensator
-from learning.model.corrected import Model
+from learning.model.family import Model
 from learning.preset import BEST, Preset, Protocol
 from learning.training.train import train
 from twin.explain.explanation import explain

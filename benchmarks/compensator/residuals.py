@@ -16,14 +16,15 @@ from pathlib import Path
 
 import twin
 from learning import preset
-from learning.data import channels, flights, residual_table
+from learning.data import channels, flights
 from learning.data.flights import (
     DEFAULT_HORIZON_S,
     DEFAULT_RATE_HZ,
     ResidualFlight,
+    read_residuals,
     residual_flight,
+    write_residuals,
 )
-from learning.data.residual_table import read_residuals, write_residuals
 from twin.logs import read_flight
 from twin.vehicle.file import load_vehicle
 
@@ -92,7 +93,7 @@ def source_files() -> list[Path]:
     """The sources that make a residual flight, and those that keep it."""
     root = Path(next(iter(twin.__path__)))
     files = [f for f in sorted(root.rglob("*.py")) if f.relative_to(root).parts[0] != "explain"]
-    return files + [Path(str(m.__file__)) for m in (preset, channels, flights, residual_table)]
+    return files + [Path(str(m.__file__)) for m in (preset, channels, flights)]
 
 
 def _state() -> str:

@@ -25,9 +25,9 @@ from plotly.subplots import make_subplots
 from torch import Tensor, nn
 
 from learning.data.channels import CHANNELS, GROUPS, N_PHASES
-from learning.export.step import streaming_model
+from learning.export.streaming import streaming_model
 from learning.model.compensator import untrained_compensator
-from learning.model.info import ModelInfo
+from learning.model.family import ModelInfo
 from learning.model.registry import FamilyRow
 from learning.preset import BEST, PAPER
 from uavtwin.bench.compensator import CLUSTERS, onnxruntime_cost

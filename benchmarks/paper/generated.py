@@ -22,15 +22,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from learning import metrics
 from learning.data.channels import CHANNELS, GROUPS, N_PHASES, UNITS
-from learning.data.flights import ResidualFlight, residual_flight, restart_before_s
-from learning.data.residual_table import read_residuals
-from learning.evaluation import metrics
-from learning.evaluation.protocols import WHOLE
-from learning.evaluation.scores import GROUP_OF, cells, check_finite, check_flights, residual_scale
+from learning.data.flights import ResidualFlight, read_residuals, residual_flight, restart_before_s
+from learning.evaluation import GROUP_OF, WHOLE, cells, check_finite, check_flights, residual_scale
 from learning.model.baselines import by_phase, phase_means
-from learning.model.corrected import Corrected, Model
-from learning.model.family import TrainedModel
+from learning.model.family import Corrected, Model, TrainedModel
 from learning.model.folder import MODEL as MODEL_JSON
 from learning.model.folder import WEIGHTS, load
 from twin.errors import TwinError

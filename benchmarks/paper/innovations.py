@@ -25,11 +25,16 @@ from threadpoolctl import threadpool_limits
 from learning.data.channels import CHANNELS, GROUPS, N_PHASES
 from learning.data.flights import ResidualFlight
 from learning.model.baselines import by_phase, phase_means
-from learning.model.corrected import Corrected
-from learning.model.family import Family, Progress, Tensors, TrainingTask
-from learning.model.info import ModelInfo
+from learning.model.family import (
+    Corrected,
+    Family,
+    ModelInfo,
+    Progress,
+    Tensors,
+    TrainingTask,
+    describe_training,
+)
 from learning.preset import Protocol
-from learning.training.inputs import describe_training
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

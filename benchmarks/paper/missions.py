@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 
 from benchmarks.compensator.residuals import residuals
 from benchmarks.compensator.simulated import Individual, produce
+from learning.compute import one_thread
 from learning.data.flights import DEFAULT_RATE_HZ, ResidualFlight, restart_before_s
 from learning.data.scaling import in_spans
-from learning.model.family import TrainedModel, TrainingTask
+from learning.model.family import TrainedModel, TrainingTask, describe_flight
 from learning.model.folder import MODEL, load
 from learning.model.registry import family_row
-from learning.threads import one_thread
-from learning.training.fit import fit_model
-from learning.training.inputs import describe_flight
+from learning.training.train import fit_model
 
 from .trainings import MODALITIES, Run, keyed, rows_of, units
 

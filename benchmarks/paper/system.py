@@ -23,20 +23,25 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from learning.compute import CPU, device_named, one_thread
 from learning.data.channels import CHANNELS, N_PHASES, SEEN
 from learning.data.flights import ResidualFlight
 from learning.data.scaling import Scaling, fit_scaling, in_spans
 from learning.data.sequences import SpanSequence, one_hot, sequences
-from learning.devices import CPU, device_named
 from learning.model.baselines import by_phase
-from learning.model.corrected import Corrected
-from learning.model.family import Family, Progress, Tensors, TrainingTask, no_alarm
+from learning.model.family import (
+    Corrected,
+    Family,
+    ModelInfo,
+    Progress,
+    Tensors,
+    TrainingTask,
+    describe_training,
+    no_alarm,
+)
 from learning.model.folder import CURVE, write_json
-from learning.model.info import ModelInfo
 from learning.preset import Normalise, Protocol
-from learning.threads import one_thread
 from learning.training.checkpoint import CHECKPOINT, Standing, load_checkpoint, save_checkpoint
-from learning.training.inputs import describe_training
 from learning.training.windows import TrainingSamples, Window
 from twin.errors import ModelError
 from twin.representation import short_repr

@@ -25,16 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import learning
+from learning import metrics
+from learning.compute import device_named, one_thread
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight
-from learning.devices import device_named
-from learning.evaluation import metrics
-from learning.model.corrected import Model
-from learning.model.family import FamilyPreset, TrainingTask
+from learning.model.family import FamilyPreset, Model, TrainingTask
 from learning.model.folder import write_json
 from learning.model.registry import family_row
 from learning.preset import Protocol
-from learning.threads import one_thread
 from twin.errors import LogError, ModelError
 from twin.logs.stored import as_log_error, opened
 
@@ -113,7 +111,7 @@ def run_all(
         out: Folder of the results.
         runs: To be done.
         jobs: Trainings at a time.
-        device: To train on, as of `learning.devices`; it is no part of what a run is known by.
+        device: To train on, as of `learning.compute`; it is no part of what a run is known by.
     """
     distinct = list({r.key(): r for r in runs}.values())
     missing = [r for r in distinct if not _file(out, r).is_file()]

@@ -37,7 +37,7 @@ from benchmarks.paper.figures import (
 )
 from benchmarks.paper.missions import real_missions, simulated_missions
 from benchmarks.paper.trainings import pack_scores, paper_flights, run_all, unpack_scores
-from learning.devices import device_named
+from learning.compute import device_named
 from learning.preset import BEST, PAPER
 
 OURS = (PAPER.name, BEST.name)

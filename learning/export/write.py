@@ -1,21 +1,30 @@
-"""A trained compensator as files for any runtime: `model.onnx`, int8, reference vectors."""
+"""A trained compensator as files for any runtime: `model.onnx`, int8, reference vectors.
+
+`model_int8.onnx` has weights of 8 bits: about half of the size, nearly the same numbers. Quantised
+are the products of weights with what a cluster computed itself: LSTM cells and latent, most of all
+weights. A row of weights has one scale; what it is multiplied by has one that is found at each
+sample; sums are exact, of integers, and the same in every runtime. What comes in stays float, since
+a single large reading would leave few steps for the others, and so do codebook, linear prediction
+and read-out.
+"""
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import onnx
+import onnxruntime
 import torch
 from numpy.typing import NDArray
+from onnx import NodeProto, TensorProto, helper, numpy_helper
 
+from ..compute import one_thread
 from ..data.channels import CHANNELS, GROUPS, N_PHASES, PHASE_CODES, SEEN, UNITS
 from ..model.compensator import Compensator
-from ..threads import one_thread
-from .int8 import deviation, quantised
-from .step import INPUTS, OUTPUTS, streaming_model
+from .streaming import INPUTS, OUTPUTS, streaming_model
 
 MODEL_FILE, INT8_FILE, REFERENCE_FILE = "model.onnx", "model_int8.onnx", "reference.npz"
 FORMAT = "uavtwin compensator 1"
@@ -28,7 +37,7 @@ LARGEST_COMMAND = 1.0
 def export_onnx(compensator: Compensator, folder: Path) -> Path:
     """Write the streaming model, the same in int8, and vectors to check any runtime by.
 
-    What int8 costs is among its metadata: `int8_deviation`, see `int8.deviation`.
+    What int8 costs is among its metadata: `int8_deviation`, see `deviation`.
 
     Args:
         compensator: Trained.
@@ -124,3 +133,119 @@ def reference_vectors(compensator: Compensator, seed: int = 0) -> dict[str, NDAr
             said.append([o.numpy()[0] for o in outputs])
     columns = zip(OUTPUTS[:-1], zip(*said, strict=True), strict=True)
     return inputs | {name: np.stack(rows) for name, rows in columns}
+
+
+Vectors = Mapping[str, NDArray[np.float32]]
+LARGEST = 127
+"""Of a weight; -128 is left out, so that a row and its negative have the same steps."""
+_FLAT = "flat"
+"""Constant: shape of a row per cluster."""
+
+
+def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
+    """The model with smaller weights, checked; without shapes of what is between its operators."""
+    given = onnx.ModelProto()
+    given.CopyFrom(model)
+    wide = set(_wide_products(model))
+    numbers = {t.name: t for t in given.graph.initializer}
+    numbers[_FLAT] = numpy_helper.from_array(np.array([0, 1, -1], np.int64), _FLAT)
+    nodes: list[NodeProto] = []
+    for node in given.graph.node:
+        if node.name not in wide:
+            nodes.append(node)
+            continue
+        x, name = node.input
+        rows, scale = _rows(numpy_helper.to_array(numbers.pop(name)))
+        for array, suffix in ((rows, "rows"), (scale, "scale")):
+            numbers[f"{name}_{suffix}"] = numpy_helper.from_array(array, f"{name}_{suffix}")
+        nodes += _integer_product(x, name, node.output[0])
+    for field, kept in (("node", nodes), ("initializer", numbers.values())):
+        given.graph.ClearField(field)
+        getattr(given.graph, field).extend(kept)
+    onnx.checker.check_model(given, full_check=True)
+    return given
+
+
+def _rows(weights: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+    """A column of weights as a row of integers, and what they are to be multiplied by.
+
+    Args:
+        weights: Shape (C, n, m).
+
+    Returns:
+        Shapes (C, m, n) and (C, 1, m).
+    """
+    scale = np.abs(weights).max(axis=1, keepdims=True) / LARGEST
+    scale[scale == 0] = 1
+    return np.rint(weights / scale).astype(np.int8).swapaxes(1, 2), scale
+
+
+def _integer_product(x: str, weights: str, out: str) -> list[NodeProto]:
+    """`out` = x times the weights, by way of integers; shapes (C, 1, n) and (C, 1, m)."""
+    steps, step, zero, column, sums = (f"{out}_{n}" for n in ("x", "step", "zero", "column", "sum"))
+    row, floats, factor = (f"{out}_{n}" for n in ("row", "float", "factor"))
+    make = helper.make_node
+    return [
+        make("DynamicQuantizeLinear", [x], [steps, step, zero]),
+        make("Transpose", [steps], [column], perm=[0, 2, 1]),
+        make("MatMulInteger", [f"{weights}_rows", column, "", zero], [sums]),
+        make("Reshape", [sums, _FLAT], [row]),
+        make("Cast", [row], [floats], to=TensorProto.FLOAT),
+        make("Mul", [f"{weights}_scale", step], [factor]),
+        make("Mul", [floats, factor], [out]),
+    ]
+
+
+def deviation(model: onnx.ModelProto, reference: Vectors) -> float:
+    """Rms difference of the correction over its rms, median of the channels that have one.
+
+    Args:
+        model: As exported.
+        reference: Inputs, and the outputs that they should have.
+    """
+    right = reference["correction"].astype(np.float64)
+    wrong = streamed(model, reference)["correction"] - right
+    rms = np.sqrt(np.mean(right**2, axis=0))
+    used = rms > 0
+    return (
+        float(np.median(np.sqrt(np.mean(wrong**2, axis=0))[used] / rms[used]))
+        if used.any()
+        else 0.0
+    )
+
+
+def streamed(model: onnx.ModelProto, inputs: Vectors) -> dict[str, NDArray[np.float32]]:
+    """Outputs by onnxruntime on one thread, sample after sample from the state zero.
+
+    Args:
+        model: As exported.
+        inputs: By name, shape (samples, width) each.
+
+    Returns:
+        By name, shape (samples, width) each.
+    """
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    session = onnxruntime.InferenceSession(
+        model.SerializeToString(), options, providers=["CPUExecutionProvider"]
+    )
+    (size,) = (i.shape[1] for i in session.get_inputs() if i.name == INPUTS[-1])
+    state, rows = np.zeros((1, size), np.float32), []
+    for k in range(len(inputs[INPUTS[0]])):
+        now = {name: inputs[name][k : k + 1] for name in INPUTS[:-1]}
+        *said, state = session.run(None, now | {INPUTS[-1]: state})
+        rows.append([s[0] for s in said])
+    columns = [np.stack(column) for column in zip(*rows, strict=True)]
+    return dict(zip(OUTPUTS[:-1], columns, strict=True))
+
+
+def _wide_products(model: onnx.ModelProto) -> Iterator[str]:
+    """Names of the products of what each cluster computed with weights used once: no codebook."""
+    inferred = onnx.shape_inference.infer_shapes(model).graph
+    batches = {t.name for t in model.graph.initializer if len(t.dims) == 3}
+    own = {v.name for v in inferred.value_info if len(v.type.tensor_type.shape.dim) == 3}
+    uses = [name for node in model.graph.node for name in node.input]
+    for node in model.graph.node:
+        once = [name for name in node.input if name in batches and uses.count(name) == 1]
+        if node.op_type == "MatMul" and node.input[0] in own and once == [node.input[1]]:
+            yield node.name

@@ -26,7 +26,7 @@ class Flown:
     """One law of one output, or its observer, over flights that took no part in its fit.
 
     Attributes:
-        law: Of `learning.force.candidates.LAWS`, or `observer`.
+        law: Of `learning.force.laws.LAWS`, or `observer`.
         gain: Nats by which the flights are more probable than without it; 0 of an observer, which
             flying alone decides on.
         ratio: Error over that without it, geometric mean over flights, quantities and horizons;

@@ -21,6 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from ..compute import one_thread
 from ..data.channels import CHANNELS, N_PHASES, PLACES, SEEN
 from ..data.envelope import Values, linear_share, network_share
 from ..data.flights import ResidualFlight
@@ -39,10 +40,8 @@ from ..data.sequences import (
     smoothing,
 )
 from ..preset import Preset
-from ..threads import one_thread
-from .corrected import Corrected, between
-from .info import ModelInfo
-from .linear_predictor import bounded, predict_base
+from .family import Corrected, ModelInfo, between
+from .linear import bounded, predict_base
 from .network import NetworkOut, SvqNetwork
 
 __all__ = ["LINEAR_PART", "Compensator", "ModelInfo", "network_inputs", "untrained_compensator"]

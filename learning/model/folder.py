@@ -17,7 +17,7 @@ from safetensors.numpy import load_file, save_file
 from twin.errors import ModelError
 
 from ..data.channels import CHANNELS, UNITS, check_channels
-from .info import ModelInfo
+from .family import ModelInfo
 from .registry import UNSAID, family_row
 
 if TYPE_CHECKING:

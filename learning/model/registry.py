@@ -1,6 +1,6 @@
 """The families of compensators: one row each; `train`, `evaluate` and the folder go by this table.
 
-A family is a class in `learning.families` with its presets, and its row here. Nothing is imported
+A family is a class with its presets, and its row here. Nothing is imported
 before it is used. The systems of the paper's comparison have their rows in `benchmarks.paper`,
 which is part of the source checkout and of no wheel.
 """
@@ -54,7 +54,7 @@ FAMILIES: tuple[FamilyRow, ...] = (
         meaning="FC-MC-SVQ network over the linear prediction",
         presets=("paper", "published", "best"),
         onnx=True,
-        member="learning.families.svq:Svq",
+        member="learning.training.train:Svq",
         otherwise="best",
     ),
     FamilyRow(
@@ -62,7 +62,7 @@ FAMILIES: tuple[FamilyRow, ...] = (
         meaning="the linear prediction alone: what the network has to beat",
         presets=("linear",),
         onnx=False,
-        member="learning.families.linear:Linear",
+        member="learning.model.linear:Linear",
     ),
     FamilyRow(
         name="trivial",
@@ -78,7 +78,7 @@ FAMILIES: tuple[FamilyRow, ...] = (
             "linear-in-inputs",
         ),
         onnx=False,
-        member="learning.families.trivial:Trivial",
+        member="learning.model.baselines:Trivial",
     ),
 )
 UNSAID = "svq"

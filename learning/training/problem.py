@@ -15,10 +15,9 @@ from ..data.flights import ResidualFlight
 from ..data.scaling import fit_scaling, in_spans
 from ..data.sequences import sequences
 from ..model.compensator import Compensator, ModelInfo
-from ..model.linear_predictor import fit_base, gates, predict_base, time_blocks
+from ..model.linear import fit_base, gates, left_out_errors, predict_base, time_blocks
 from ..model.network import NetworkOut, SvqNetwork
 from ..preset import Preset, Protocol
-from .left_out import left_out_errors
 from .windows import MANY_FLIGHTS, TrainingSamples, validation_rows
 
 Array = NDArray[np.float64]

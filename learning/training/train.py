@@ -7,7 +7,7 @@ the machine is shared.
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -19,17 +19,28 @@ from torch import Tensor
 
 from twin.errors import ModelError
 
+from ..compute import CPU, device_named, one_thread
 from ..data.flights import ResidualFlight
 from ..data.sequences import check_protocol
-from ..devices import CPU
 from ..model.compensator import Compensator
-from ..model.family import Progress, silent
+from ..model.family import (
+    Family,
+    FamilyPreset,
+    ModelInfo,
+    Progress,
+    Tensors,
+    TrainedModel,
+    TrainingTask,
+    check_flights,
+    describe_flight,
+    hash_training,
+    silent,
+)
 from ..model.folder import CURVE, MODEL, load, save, write_json
 from ..model.network import ClusterNetwork, SvqNetwork
-from ..preset import Preset, Protocol
-from ..threads import one_thread
+from ..model.registry import FamilyRow, check_preset
+from ..preset import PRESETS, PROTOCOLS, Preset, Protocol
 from .checkpoint import CHECKPOINT, Standing, load_checkpoint, save_checkpoint
-from .inputs import check_flights, describe_flight, hash_training
 from .losses import Losses, losses
 from .problem import Workpiece
 
@@ -216,3 +227,84 @@ def _tired(standing: Standing, preset: Preset) -> bool:
 
 def _copy(network: SvqNetwork) -> dict[str, Tensor]:
     return {k: v.detach().clone() for k, v in network.state_dict().items()}
+
+
+def fit_model(
+    flights: Sequence[ResidualFlight],
+    row: FamilyRow,
+    preset: FamilyPreset,
+    task: TrainingTask,
+    folder: Path,
+    progress: Progress = silent,
+) -> TrainedModel:
+    """Train a model of any family on all flights and write its folder.
+
+    Args:
+        flights: At one rate and with one number of commands.
+        row: The family.
+        preset: One of the family's, or a changed one.
+        task: Protocol, horizon, seed, vehicle.
+        folder: Made if it does not exist.
+        progress: Called as the work goes on, and at its end.
+
+    Raises:
+        ModelError: The flights do not fit together, the preset is not for this protocol, or the
+            folder belongs to another training.
+    """
+    check_flights(flights)
+    check_protocol(task.protocol, task.horizon)
+    check_preset(row, preset, task.protocol)
+    folder.mkdir(parents=True, exist_ok=True)
+    with one_thread():
+        model: TrainedModel = row.load().fit(flights, preset, task, folder, progress)
+    save(model, folder)
+    progress(1.0, 0.0)
+    return model
+
+
+class Svq(Family[Preset, Compensator]):
+    """The paper's network and what measurably beats it."""
+
+    def presets(self) -> Mapping[str, Preset]:
+        """As in `learning.preset`."""
+        return PRESETS
+
+    def protocols(self, preset: Preset) -> Sequence[Protocol]:
+        """All of them."""
+        return PROTOCOLS
+
+    def fit(
+        self,
+        flights: Sequence[ResidualFlight],
+        preset: Preset,
+        task: TrainingTask,
+        folder: Path,
+        progress: Progress,
+    ) -> Compensator:
+        """Train; a checkpoint in the folder is gone on from."""
+        return train(
+            flights,
+            preset,
+            task.protocol,
+            task.horizon,
+            task.seed,
+            folder,
+            progress,
+            vehicle=task.vehicle,
+            vehicle_sha256=task.vehicle_sha256,
+            device=device_named(task.device),
+            checkpoints=task.checkpoints,
+        )
+
+    def build(self, info: ModelInfo[Preset], tensors: Tensors) -> Compensator:
+        """The network with these weights."""
+        model = Compensator(info)
+        model.load_state_dict({k: torch.from_numpy(v) for k, v in tensors.items()})
+        return model.eval()
+
+    def export(self, model: Compensator, folder: Path) -> tuple[str, ...]:
+        """The streaming model as ONNX, the same in int8, reference vectors."""
+        from ..export.write import INT8_FILE, MODEL_FILE, REFERENCE_FILE, export_onnx
+
+        export_onnx(model, folder)
+        return MODEL_FILE, INT8_FILE, REFERENCE_FILE

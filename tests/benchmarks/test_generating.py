@@ -21,7 +21,7 @@ from benchmarks.paper.innovations import (
 )
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight, held
-from learning.model.corrected import Model
+from learning.model.family import Model
 
 Array = np.ndarray
 HOVER, TAKEOFF = PHASE_CODES["hover"], PHASE_CODES["takeoff"]

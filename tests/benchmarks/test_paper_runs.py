@@ -43,7 +43,7 @@ from benchmarks.paper.trainings import (
     unpack_scores,
 )
 from learning.data.channels import GROUPS, N_PHASES
-from learning.export.step import streaming_model
+from learning.export.streaming import streaming_model
 from learning.model.compensator import ModelInfo, untrained_compensator
 from learning.model.folder import write_json
 from learning.model.registry import family_row, preset_named

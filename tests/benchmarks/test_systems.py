@@ -11,7 +11,7 @@ from learning_rigs.system_rig import PHASES, SYSTEMS, known, small
 from benchmarks.paper.families import SYSTEMS as ROWS
 from benchmarks.paper.system import Batch, SystemModel
 from learning.data.flights import ResidualFlight
-from learning.evaluation.metrics import wasserstein
+from learning.metrics import wasserstein
 from learning.model.registry import family_row
 from twin.errors import ModelError
 
@@ -41,7 +41,7 @@ AUTOENCODERS = [
 ]
 SMOKE = "cvae"
 """Learns and draws in every run; the others, which take minutes, in `make test-long`. That each is
-trained, stored and read is in `tests/learning/families`."""
+trained, stored and read is in `tests/learning/model`."""
 BY_CRITIC = ("wgan", "tsgan")
 """Without a term that says how far off a residual is."""
 

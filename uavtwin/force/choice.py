@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.force.candidates import LAWS, WORTH
+from learning.force.laws import LAWS, WORTH
 from learning.force.model import Flown
 from twin.physics.residual_force import OUTPUTS
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.slave import Slave
-from learning.force.candidates import LAWS
+from learning.force.laws import LAWS
 from learning.force.model import Checked, ForceModel, Output
 from twin.errors import FmuError
 from twin.flight.assembly import gust_switches

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from learning.force.candidates import LAWS
+from learning.force.laws import LAWS
 from learning.force.model import VEHICLE_FILE, ForceModel, observer_starts
 from twin.errors import TwinError
 from twin.formatting import counted, number, percent, pretty_unit

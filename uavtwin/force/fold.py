@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from cosim.whole_twin import fused_model
 from fmus import build
 from learning.data.envelope import INSIDE
-from learning.force.candidates import LAWS, Candidate
 from learning.force.forecast import AHEAD_S, NO_OBSERVER
 from learning.force.instants import Instants
+from learning.force.laws import LAWS, Candidate, Prepared, prepare
 from learning.force.model import observer_starts
-from learning.force.train import Prepared, prepare
 from twin.flight.assembly import driven_twin
 from twin.physics.residual_force import OUTPUTS, ForceLaw, parameter_values
 from twin.physics.rotors import Drive

@@ -2,7 +2,7 @@
 
 First each output's observer has to bring the driven twin closer on flights that took no part in
 its choice, and the envelope grows to where the twin goes by itself (`fold`). Then the laws of
-`learning.force.candidates` by which flights left out are more probable than without are put into
+`learning.force.laws` by which flights left out are more probable than without are put into
 the FMU of the driven twin, one after the other beside what was chosen before, and flights that took
 no part in their fit are replayed through it. A law is taken where the twin is then less far off,
 beside its observer, and in no quantity farther. Last, missions in random air withdraw what makes
@@ -15,9 +15,9 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from learning.force.candidates import LAWS
 from learning.force.forecast import AHEAD_S
 from learning.force.instants import instants
+from learning.force.laws import LAWS
 from learning.force.model import Checked, ForceModel, Output, Rival, Taught
 from twin.errors import TwinError
 from twin.logs import Flight

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from learning.force.candidates import LAWS
 from learning.force.forecast import NEVER_S
+from learning.force.laws import LAWS
 from learning.force.model import (
     FILE,
     VEHICLE_FILE,

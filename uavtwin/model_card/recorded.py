@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from learning.force.candidates import LAWS
+from learning.force.laws import LAWS
 from learning.model.registry import family_row
 from twin.errors import TwinError
 from twin.formatting import number

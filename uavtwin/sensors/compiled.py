@@ -13,7 +13,7 @@ from cosim.slave import Slave
 from fmus import build
 from fmus.compensator import NetworkFile, native_model, read_network
 from learning.data.flights import ResidualFlight
-from learning.model.corrected import Corrected
+from learning.model.family import Corrected
 
 Array = NDArray[np.float64]
 _KINDS = ("correction", "spread")

@@ -11,12 +11,10 @@ import pandas as pd
 
 from fmus.compensator import FILE
 from learning.data.channels import CHANNELS, UNITS
-from learning.data.flights import ResidualFlight, residual_flight, restart_before_s
-from learning.data.residual_table import read_residuals
-from learning.evaluation.protocols import WHOLE, Task, evaluate, pooled
+from learning.data.flights import ResidualFlight, read_residuals, residual_flight, restart_before_s
+from learning.evaluation import WHOLE, Task, evaluate, pooled
 from learning.model.compensator import LINEAR_PART, Compensator
-from learning.model.corrected import Corrected, Model
-from learning.model.family import TrainedModel
+from learning.model.family import Corrected, Model, TrainedModel
 from learning.model.folder import load
 from twin.errors import TwinError
 from twin.formatting import counted, number, percent, pretty_unit
@@ -99,7 +97,7 @@ class Evaluation(DisplayMixin):
 
     Attributes:
         model: The compensator.
-        table: As `learning.evaluation.protocols.evaluate` gives it: a row per model, flight, phase,
+        table: As `learning.evaluation.evaluate` gives it: a row per model, flight, phase,
             channel.
         flights: Residuals against the model's own vehicle.
         explained: What another vehicle's sensors read on the same grid, by flight; or None.

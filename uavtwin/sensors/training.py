@@ -9,16 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from learning.compute import device_named
 from learning.data.channels import CHANNELS, UNITS
-from learning.data.flights import ResidualFlight, residual_flight, restart_before_s
-from learning.data.residual_table import write_residuals
-from learning.devices import device_named
+from learning.data.flights import ResidualFlight, residual_flight, restart_before_s, write_residuals
 from learning.model.family import TrainingTask
 from learning.model.folder import CURVE, MODEL, WEIGHTS
 from learning.model.registry import FamilyRow, check_preset, chosen, family_row
 from learning.preset import SEEDS, Protocol
 from learning.training.checkpoint import CHECKPOINT
-from learning.training.fit import fit_model
+from learning.training.train import fit_model
 from twin.errors import TwinError
 from twin.formatting import number, percent, pretty_unit
 from twin.logs import Flight

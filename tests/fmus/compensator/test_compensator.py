@@ -44,7 +44,7 @@ from fmus.compensator import (
 from fmus.platforms import compilers, select_platforms
 from fmus.python_slave.build import build_network_slave
 from learning.data.channels import CHANNELS, GROUPS
-from learning.export.int8 import streamed
+from learning.export.write import streamed
 from learning.model.compensator import Compensator
 from twin.errors import FmuError, TwinError
 from twin.flight.assembly import Assembly, connected_by_name, flying_twin

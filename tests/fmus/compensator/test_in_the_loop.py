@@ -15,7 +15,7 @@ from cosim.whole_twin import fused_model
 from fmus import build
 from fmus.compensator import FILE, compensator_model
 from learning.data.channels import CHANNELS
-from learning.export.int8 import streamed
+from learning.export.write import streamed
 from twin.flight.assembly import flying_twin
 from twin.vehicle.file import load_vehicle
 

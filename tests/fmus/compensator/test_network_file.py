@@ -31,7 +31,7 @@ from fmus.description import model_description
 from fmus.network_file import MAX_NUMBERS, OUTPUTS, plain_copy, take_one_sample
 from fmus.source import generated_sources
 from learning.data.channels import CHANNELS, GROUPS, UNITS
-from learning.export.step import streaming_model
+from learning.export.streaming import streaming_model
 from learning.export.write import metadata
 from learning.preset import PRESETS, PROTOCOLS, Preset, Protocol
 from twin.errors import FmuError

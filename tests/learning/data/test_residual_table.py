@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from learning.data.channels import CHANNELS
-from learning.data.flights import ResidualFlight
-from learning.data.residual_table import read_residuals, write_residuals
+from learning.data.flights import ResidualFlight, read_residuals, write_residuals
 from twin.errors import ModelError
 
 

@@ -15,9 +15,15 @@ from places import ROOT
 
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES, UNITS
 from learning.export.graph import IR_VERSION, OPSET
-from learning.export.int8 import deviation, streamed
-from learning.export.step import INPUTS, OUTPUTS, streaming_model
-from learning.export.write import INT8_FILE, MODEL_FILE, REFERENCE_FILE, reference_vectors
+from learning.export.streaming import INPUTS, OUTPUTS, streaming_model
+from learning.export.write import (
+    INT8_FILE,
+    MODEL_FILE,
+    REFERENCE_FILE,
+    deviation,
+    reference_vectors,
+    streamed,
+)
 from learning.model.compensator import Compensator
 
 EXAMPLE = ROOT / "examples" / "compensate_with_onnxruntime.py"

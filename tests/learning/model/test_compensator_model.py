@@ -19,7 +19,7 @@ from learning.data.envelope import INSIDE, UNLIMITED
 from learning.data.flights import ResidualFlight
 from learning.data.scaling import fit_scaling, in_spans
 from learning.model.compensator import Compensator, ModelInfo
-from learning.model.corrected import Corrected
+from learning.model.family import Corrected
 from learning.preset import Preset
 from twin.errors import ModelError
 

@@ -19,7 +19,7 @@ from learning.data.scaling import fit_scaling, in_spans
 from learning.data.sequences import LAGS, sequences
 from learning.model.compensator import Compensator
 from learning.model.folder import CURVE, MODEL, WEIGHTS, load
-from learning.model.linear_predictor import fit_base, gates, predict_base, regressors
+from learning.model.linear import fit_base, gates, predict_base, regressors
 from learning.preset import Preset, Protocol
 from learning.training.checkpoint import CHECKPOINT
 from learning.training.train import train

@@ -10,7 +10,7 @@ from learning.data.flights import ResidualFlight
 from learning.model.family import TrainingTask
 from learning.model.registry import family_row
 from learning.preset import Protocol
-from learning.training.fit import fit_model
+from learning.training.train import fit_model
 
 SYSTEMS = (
     *("cvae", "vqvae", "wgan", "tsgan", "vqgan", "cgan", "mrgan", "vqwwvae", "tdm", "timeddpm"),

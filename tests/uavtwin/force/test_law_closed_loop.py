@@ -7,8 +7,8 @@ import pytest
 
 from learning.force.forecast import NO_OBSERVER
 from learning.force.instants import instants
+from learning.force.laws import prepare
 from learning.force.model import Checked, Flown, ForceModel, Output
-from learning.force.train import prepare
 from twin.physics.residual_force import FEATURES, OUTPUTS, ForceLaw
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import fly

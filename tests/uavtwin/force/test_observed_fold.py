@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from learning.data.envelope import BEYOND
-from learning.force.candidates import Candidate
 from learning.force.forecast import AHEAD_S, NEVER_S, NO_OBSERVER, Observer
 from learning.force.instants import inputs_of, instants
-from learning.force.train import prepare
+from learning.force.laws import Candidate, prepare
 from twin.physics.residual_force import FEATURES, OUTPUTS
 from twin.residuals.teacher_forced import choose_drive
 from twin.vehicle import Vehicle

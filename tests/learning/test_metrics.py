@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from learning.evaluation import metrics
+from learning import metrics
 
 SAMPLES = st.lists(st.floats(-1e3, 1e3, width=32), min_size=1, max_size=50).map(np.array)
 

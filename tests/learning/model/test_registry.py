@@ -64,7 +64,7 @@ def test_names_are_those_of_one_family() -> None:
 def test_the_registry_imports_no_family() -> None:
     code = (
         "import sys; from learning.model.registry import families; families()\n"
-        "print([m for m in sys.modules if m == 'torch' or m.startswith('learning.families')])"
+        "print([m for m in sys.modules if m == 'torch' or m.startswith('learning.training')])"
     )
     said = subprocess.run(
         [sys.executable, "-c", code],

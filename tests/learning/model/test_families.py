@@ -13,12 +13,11 @@ import torch
 from learning_rigs.residual_rig import made_up
 
 from learning.data.flights import ResidualFlight
-from learning.families.linear import LinearModel
-from learning.families.svq import Svq
 from learning.model.baselines import fit_baselines
 from learning.model.compensator import Compensator
 from learning.model.family import TrainedModel, TrainingTask
 from learning.model.folder import MODEL, WEIGHTS, load, save
+from learning.model.linear import LinearModel
 from learning.model.registry import (
     FAMILIES,
     FamilyRow,
@@ -28,7 +27,7 @@ from learning.model.registry import (
     preset_named,
 )
 from learning.preset import PRESETS, PROTOCOLS, Protocol
-from learning.training.fit import fit_model
+from learning.training.train import Svq, fit_model
 from twin.errors import ModelError
 
 HORIZONS = {"reconstruct": 0, "track": 2, "free": 0, "generate": 0}

@@ -3,7 +3,7 @@
 import torch
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from learning.threads import one_thread
+from learning.compute import one_thread
 
 
 def _blas() -> list[int]:

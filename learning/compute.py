@@ -1,6 +1,14 @@
-"""Where a network is trained: on the processor, or on a GPU where torch finds one."""
+"""Where and how numbers are computed: processor or GPU, one thread.
+
+One thread: small matrices gain nothing from two, and lose a lot on a shared machine; and sums in
+another order are other bytes, in numpy's BLAS as in torch.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import torch
+from threadpoolctl import threadpool_limits
 
 from twin.errors import ModelError
 
@@ -26,3 +34,15 @@ def device_named(name: str) -> torch.device:
             "(cpu, auto), or install a torch that is built for this machine's GPU"
         )
     return torch.device("cuda", torch.cuda.current_device())
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Torch and BLAS work with one thread inside, with as many as before afterwards."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with threadpool_limits(1, user_api="blas"):
+            yield
+    finally:
+        torch.set_num_threads(before)

@@ -9,8 +9,8 @@ import pytest
 
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight, held
-from learning.evaluation.protocols import TASKS, WHOLE, Task, evaluate, pooled
-from learning.model.corrected import Corrected, Model
+from learning.evaluation import TASKS, WHOLE, Task, evaluate, pooled
+from learning.model.family import Corrected, Model
 from twin.errors import ModelError
 
 Array = np.ndarray

@@ -1,1 +1,0 @@
-"""The families of compensators, one module each; `learning.model.registry` names them."""
