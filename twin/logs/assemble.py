@@ -16,8 +16,8 @@ from scipy.ndimage import median_filter
 from ..errors import LogError
 from .airframe import Airframe
 from .autopilot import Autopilot, Span, label_phases
-from .columns import MOTION, QUAT, beyond, beyond_message, in_order
-from .flight import Array, Flight, Noted, Severity, Site
+from .columns import MOTION, QUAT, beyond_limit, beyond_message, in_order
+from .flight import Array, FindingCollector, Flight, Severity, Site
 
 # -- time stamps --------------------------------------------------------------------------------
 #
@@ -124,7 +124,7 @@ def _longest_s(steps_s: NDArray[np.float64]) -> float:
     return max(_PAUSE_S, _PAUSE_INTERVALS * float(np.median(steps_s)))
 
 
-def advancing(t: NDArray[np.int64]) -> tuple[NDArray[np.bool_], int, int, int]:
+def monotonic(t: NDArray[np.int64]) -> tuple[NDArray[np.bool_], int, int, int]:
     """Choose samples so that time strictly increases, dropping as few as possible.
 
     Args:
@@ -194,10 +194,14 @@ def _longest_rise(t: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.array(chain[::-1], dtype=np.int64)
 
 
-def advancing_samples(
-    log: Noted, where: str, t_us: NDArray[np.int64], what: str, severity: Severity = "error"
+def monotonic_samples(
+    log: FindingCollector,
+    where: str,
+    t_us: NDArray[np.int64],
+    what: str,
+    severity: Severity = "error",
 ) -> NDArray[np.bool_]:
-    """Samples to keep so that time strictly increases, as of `advancing`; findings count the rest.
+    """Samples to keep so that time strictly increases, as of `monotonic`; findings count the rest.
 
     Args:
         log: Takes the findings.
@@ -209,7 +213,7 @@ def advancing_samples(
     Returns:
         Shape (n,).
     """
-    keep, backward, repeated, jumped = advancing(t_us)
+    keep, backward, repeated, jumped = monotonic(t_us)
     for count, why in (
         (backward, "whose time runs backward"),
         (repeated, "whose time repeats"),
@@ -237,7 +241,7 @@ APART_S = 0.15
 """Median of a whole topic; sound PX4 logs: under 80 ms for GPS, 10 ms for what is fast."""
 
 
-def out_of_place(
+def stamp_offsets(
     places: Sequence[NDArray[np.int64]], stamps_us: Iterable[NDArray[np.int64]]
 ) -> list[NDArray[np.int64]]:
     """How far each stamp is from the median of its neighbours in the file, us.
@@ -268,15 +272,15 @@ def out_of_place(
     return out
 
 
-def misplaced(
-    log: Noted, names: Sequence[str], off_us: Sequence[NDArray[np.int64]], what: str
+def stray_samples(
+    log: FindingCollector, names: Sequence[str], off_us: Sequence[NDArray[np.int64]], what: str
 ) -> Iterator[NDArray[np.bool_]]:
     """Samples stamped far from their neighbours in the file; findings count them and doubt topics.
 
     Args:
         log: Takes the findings.
         names: Of the topics.
-        off_us: Per topic, as of `out_of_place`.
+        off_us: Per topic, as of `stamp_offsets`.
         what: What a sample is called in the log.
 
     Returns:
@@ -311,7 +315,7 @@ NORM_DOUBT = 1e-3
 _LEAST_NORM, _MOST_NORM = 0.5, 2.0  # of a quaternion; beyond is damage
 
 
-def unit_quaternions(log: Noted, q: Array) -> tuple[NDArray[np.bool_], Array]:
+def unit_quaternions(log: FindingCollector, q: Array) -> tuple[NDArray[np.bool_], Array]:
     """Logged quaternions normalised, those left out whose norm is far from 1; findings count both.
 
     Args:
@@ -381,7 +385,7 @@ def commands_of(outputs: Sequence[MotorOutput], values: Array) -> Array:
     return np.asarray((values - low) / (high - low))
 
 
-def described(outputs: Sequence[MotorOutput]) -> str:
+def describe_outputs(outputs: Sequence[MotorOutput]) -> str:
     """All outputs in a line, in the order of the motors, with what says so."""
     ranges = [f"{o.low:g} to {o.high:g} {o.unit}".rstrip() for o in outputs]
     same = len(set(ranges)) == 1
@@ -410,7 +414,7 @@ class MotorCommands:
         """Whether any motor gets more than a hundredth, shape (n,)."""
         return np.asarray((self.cmd > _STOPPED).any(axis=1))
 
-    def clipped(self, log: Noted, source: str) -> "MotorCommands":
+    def clipped(self, log: FindingCollector, source: str) -> "MotorCommands":
         """The same within 0..1; findings count what lay outside.
 
         Args:
@@ -486,7 +490,7 @@ class FlightBuilder:
         t_us: Times of the rows of the table, shape (n,), once it is laid out.
     """
 
-    log: Noted
+    log: FindingCollector
     path: Path
     facts: dict[str, str] = field(default_factory=dict)
     begin: str = "the log began"
@@ -504,7 +508,7 @@ class FlightBuilder:
             t_us: Strictly increasing times, us, shape (n,).
             values: Shape (n, len(names)).
         """
-        absurd = beyond(where, values)
+        absurd = beyond_limit(where, values)
         if absurd.any():
             message = beyond_message(where, values[absurd])
             self.log.note("error", where, message, int(absurd.sum()))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..representation import short_repr
-from .columns import GYRO, POS, QUAT, SIGNALS, VEL, beyond
+from .columns import GYRO, POS, QUAT, SIGNALS, VEL, beyond_limit
 
 Array = NDArray[np.float64]
 Sensor = Literal["gyro", "acc"]
@@ -218,7 +218,7 @@ def setpoint_of(columns: tuple[str, ...], t_s: Array, values: Array) -> Setpoint
     """
     signal = next((s for s, names in SIGNALS.items() if names == columns), "")
     with np.errstate(invalid="ignore"):
-        absurd = ~np.isfinite(values) | beyond(signal, values)[:, None]
+        absurd = ~np.isfinite(values) | beyond_limit(signal, values)[:, None]
     values = np.where(absurd, np.nan, values)
     there = np.isfinite(values).any(axis=1) & (t_s >= 0.0)
     if not there.any():

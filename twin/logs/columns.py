@@ -223,7 +223,7 @@ def other_unit(signal: str, reading: float) -> str:
     return f"{', '.join(fitting)}: another unit?" if fitting else ""
 
 
-def beyond(signal: str, values: Array) -> NDArray[np.bool_]:
+def beyond_limit(signal: str, values: Array) -> NDArray[np.bool_]:
     """Samples of which a part is beyond the limit of the signal, shape (n,).
 
     Args:

@@ -21,10 +21,10 @@ from ..frames import from_euler
 from ..vehicle import GRAVITY_M_S2
 from ..vehicle.layouts import frame
 from .airframe import Airframe, SourcedValue
-from .assemble import FlightBuilder, advancing, advancing_samples
+from .assemble import FlightBuilder, monotonic, monotonic_samples
 from .autopilot import Span, ground_spans, motion_spans
 from .columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
-from .flight import Array, Finding, Flight, Noted
+from .flight import Array, Finding, FindingCollector, Flight
 from .formats import ReadOptions
 
 # -- the file -----------------------------------------------------------------------------------
@@ -272,7 +272,7 @@ _SIGNALS = (
 
 
 @dataclass(slots=True)
-class _Log(Noted):
+class _Log(FindingCollector):
     """A log while it is read.
 
     Attributes:
@@ -294,7 +294,7 @@ class _Log(Noted):
 
     def ordered(self, events: Events, where: str) -> NDArray[np.bool_]:
         """Which of them can stay so that time increases; findings count the others."""
-        return advancing_samples(self, where, events.t_us - self.start_us, "events")
+        return monotonic_samples(self, where, events.t_us - self.start_us, "events")
 
 
 def read_usd_log(path: Path, blob: bytes, options: ReadOptions) -> Flight:
@@ -311,7 +311,7 @@ def read_usd_log(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     content = read_content(path, blob)
     if not content.events:
         raise LogError(f"{path.name}: a Crazyflie log without a single event; nothing was logged.")
-    log = _Log(path, content, min(int(e.t_us[advancing(e.t_us)[0]].min()) for e in content.events))
+    log = _Log(path, content, min(int(e.t_us[monotonic(e.t_us)[0]].min()) for e in content.events))
     _note_damage(log)
     flight = FlightBuilder(log, path, {"firmware": "Crazyflie"})
     used: set[str] = set()

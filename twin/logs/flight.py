@@ -30,7 +30,7 @@ class Finding:
     count: int = 1
 
 
-class Noted:
+class FindingCollector:
     """What is being read, with findings that grow meanwhile."""
 
     __slots__ = ()

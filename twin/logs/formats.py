@@ -293,7 +293,7 @@ def recognise(blob: bytes, formats: Sequence[LogFormat] = FORMATS) -> LogFormat 
     return found[0] if found else None
 
 
-def nearly(blob: bytes, formats: Sequence[LogFormat] = FORMATS) -> str:
+def damaged_signature(blob: bytes, formats: Sequence[LogFormat] = FORMATS) -> str:
     """What is wrong with a file whose signature is damaged, "" where it has none."""
     for each in formats:
         if damage := each.signature.damage(blob[:HEAD]):

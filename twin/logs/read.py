@@ -21,12 +21,12 @@ from .formats import (
     Magic,
     ReadOptions,
     Signature,
+    damaged_signature,
     known_formats,
-    nearly,
     recognise,
 )
 from .motor_checks import is_misnumbered
-from .rotor_lag import with_speeds_in_step
+from .rotor_lag import align_speed_stamps
 from .stored import AnyFlight
 from .table import open_parquet
 
@@ -215,7 +215,7 @@ def _is_log(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bool:
     """Whether a file in an archive is of a known format, by its head or by its first bytes."""
     with archive.open(member) as file:
         head = file.read(HEAD)
-    return any(f.signature.matches(head) for f in FORMATS) or found_behind(head) is not None
+    return any(f.signature.matches(head) for f in FORMATS) or find_embedded_log(head) is not None
 
 
 def _which(files: Sequence[zipfile.ZipInfo], logs: Sequence[zipfile.ZipInfo]) -> str:
@@ -230,7 +230,7 @@ def _which(files: Sequence[zipfile.ZipInfo], logs: Sequence[zipfile.ZipInfo]) ->
     return f"a ZIP archive without a flight log; it holds {named}{more}."
 
 
-def found_behind(blob: bytes) -> tuple[int, LogFormat] | None:
+def find_embedded_log(blob: bytes) -> tuple[int, LogFormat] | None:
     """Where a log begins behind bytes of another program, a serial logger's or a console's, and its
     format; None where nothing does."""
     starts = [
@@ -244,7 +244,7 @@ def found_behind(blob: bytes) -> tuple[int, LogFormat] | None:
     return at, FORMATS[k]
 
 
-def before_the_head(blob: bytes, at: int) -> Finding:
+def leading_bytes_finding(blob: bytes, at: int) -> Finding:
     """The finding on bytes before a log's head."""
     lead = blob[: min(at, 60)]
     text = lead.decode("ascii", "replace").strip()
@@ -257,7 +257,7 @@ def before_the_head(blob: bytes, at: int) -> Finding:
     )
 
 
-def erased(blob: bytes) -> str:
+def erased_text(blob: bytes) -> str:
     """What is said of a file in which all bytes are the same, "" of any other."""
     if len(blob) < _FEWEST or blob.strip(blob[:1]):
         return ""
@@ -267,14 +267,14 @@ def erased(blob: bytes) -> str:
     )
 
 
-def is_named(blob: bytes, named: _Named) -> str:
+def named_kind(blob: bytes, named: _Named) -> str:
     """What a file is by its first bytes, "" where they say nothing."""
     return next((text for signature, text in named if signature.matches(blob[:HEAD])), "")
 
 
 def likely_kind(blob: bytes) -> str:
     """One sentence on what a file of no known format seems to be."""
-    if said := is_named(blob, (*CERTAIN, *PERHAPS)):
+    if said := named_kind(blob, (*CERTAIN, *PERHAPS)):
         return said
     head = blob[:64]
     if all(32 <= b < 127 or b in b"\t\r\n" for b in head):
@@ -319,16 +319,16 @@ def _located(blob: bytes) -> tuple[LogFormat, bytes, tuple[Finding, ...]]:
     """
     inside = unpacked(blob)
     blob, findings = inside.blob, inside.findings
-    if all_alike := erased(blob):
+    if all_alike := erased_text(blob):
         raise LogError(all_alike)
     if (found := recognise(blob)) is not None:
         return found, blob, findings
-    if named := is_named(blob, CERTAIN):
+    if named := named_kind(blob, CERTAIN):
         raise LogError(named)
-    if (behind := found_behind(blob)) is not None:
+    if (behind := find_embedded_log(blob)) is not None:
         at, found = behind
-        return found, blob[at:], (*findings, before_the_head(blob, at))
-    if damaged := nearly(blob):
+        return found, blob[at:], (*findings, leading_bytes_finding(blob, at))
+    if damaged := damaged_signature(blob):
         raise LogError(f"{damaged}. Copy the log again. Known formats: {known_formats()}.")
     raise LogError(f"{likely_kind(blob)} Known formats: {known_formats()}.")
 
@@ -365,7 +365,7 @@ def _doubted(flight: _F, read_as: LogFormat) -> _F:
     facts = {"format": read_as.name, **flight.facts}
     changed = replace(flight, facts=facts, findings=(*flight.findings, *more))
     if not any(is_misnumbered(f) for f in more):
-        return with_speeds_in_step(changed)
+        return align_speed_stamps(changed)
     speeds = {c for c in changed.columns if c.startswith("rotor_")}
     if isinstance(changed, Flight):
         return replace(changed, table=changed.table.drop(columns=list(speeds)))

@@ -108,7 +108,7 @@ class SpeedLag:
         )
 
 
-def with_speeds_in_step(flight: _F) -> _F:
+def align_speed_stamps(flight: _F) -> _F:
     """The flight with the stamps of its rotor speeds earlier by what no motor can have.
 
     A fact holds the lag of every flight that shows it; a finding says what was done.

@@ -26,7 +26,7 @@ from .columns import (
     SIGNALS,
     VEL,
     Columns,
-    beyond,
+    beyond_limit,
     beyond_message,
     is_known,
     motor_columns,
@@ -208,7 +208,7 @@ def _bounded(table: Columns) -> tuple[dict[str, Array], list[Finding]]:
         out = np.zeros(len(table["time"]), dtype=np.bool_)
         refused = out.copy()  # infinite values are, below
         for column in there:
-            out |= beyond(signal, table[column][:, None])
+            out |= beyond_limit(signal, table[column][:, None])
             refused |= np.isinf(table[column])
         out &= ~refused
         if out.any():

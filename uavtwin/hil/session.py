@@ -26,7 +26,7 @@ from twin.logs.mavlink.encode import (
     IMU_BITS,
     MAG_BITS,
     Controls,
-    Sensed,
+    SensorReadings,
     controls_of,
     heartbeat,
     hil_gps,
@@ -264,7 +264,7 @@ class HilSession:
                     float(np.linalg.norm(through)),
                 )
             )
-        sensed = Sensed(
+        sensed = SensorReadings(
             state["acc"],
             state["gyro"],
             state["mag"],

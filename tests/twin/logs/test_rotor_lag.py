@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from twin.logs import Flight, StoredFlight, open_flight, read_flight
 from twin.logs.columns import motor_columns
-from twin.logs.rotor_lag import LEAST_R2, LONGEST_DEAD_TIME_S, speed_lag, with_speeds_in_step
+from twin.logs.rotor_lag import LEAST_R2, LONGEST_DEAD_TIME_S, align_speed_stamps, speed_lag
 from twin.logs.table import write_flight
 from twin.residuals.teacher_forced import drive_warnings
 from twin.vehicle.file import load_vehicle
@@ -124,7 +124,7 @@ def test_a_planted_delay_is_measured(delay_s: float, speed_hz: float, command_hz
 @pytest.mark.parametrize("seed", range(2))
 def test_speeds_in_time_stay(delay_s: float, seed: int) -> None:
     flight = made(delay_s, seed=seed)
-    read = with_speeds_in_step(flight)
+    read = align_speed_stamps(flight)
     pd.testing.assert_frame_equal(read.table, flight.table)
     assert read.findings == () and "rotor lag" in read.facts
 
@@ -134,7 +134,7 @@ def test_speeds_in_time_stay(delay_s: float, seed: int) -> None:
 @pytest.mark.parametrize("speed_hz", [10.0, 100.0])
 def test_late_stamps_are_set_earlier(delay_s: float, speed_hz: float) -> None:
     flight = made(delay_s, speed_hz=speed_hz)
-    read = with_speeds_in_step(flight)
+    read = align_speed_stamps(flight)
     (finding,) = read.findings
     assert finding.severity == "warning" and finding.where == "rotor"
     assert "clock_offset.rotor_s" in finding.message
@@ -149,13 +149,13 @@ def test_late_stamps_are_set_earlier(delay_s: float, speed_hz: float) -> None:
             np.testing.assert_allclose(one, other, atol=1e-6)
     assert (read.table["phase"] == "hover").all()
     assert np.all(np.diff(read.time_s) > 0.0)
-    assert with_speeds_in_step(read).findings == read.findings  # once is enough
+    assert align_speed_stamps(read).findings == read.findings  # once is enough
 
 
 def test_the_verbs_that_fit_say_what_was_done() -> None:
     """`explain` and `calibrate` print these; `gap` prints all warnings of the readers."""
     vehicle = load_vehicle("copter_default")
-    late, in_time = (with_speeds_in_step(made(s, duration_s=20.0)) for s in (0.1, 0.0))
+    late, in_time = (align_speed_stamps(made(s, duration_s=20.0)) for s in (0.1, 0.0))
     (text,) = drive_warnings(late, vehicle)
     assert text.startswith("made: rotor: time stamps were late and are set ")
     assert drive_warnings(in_time, vehicle) == []
@@ -164,7 +164,7 @@ def test_the_verbs_that_fit_say_what_was_done() -> None:
 def test_late_commands_are_not_late_speeds() -> None:
     """Where the motion comes with the speeds, the stamps stay and the commands are named."""
     flight = made(act_s=0.15)
-    read = with_speeds_in_step(flight)
+    read = align_speed_stamps(flight)
     pd.testing.assert_frame_equal(read.table, flight.table)
     (finding,) = read.findings
     assert "command_delay" in finding.message and "earlier" not in finding.message
@@ -179,7 +179,7 @@ def test_speeds_that_do_not_follow_say_nothing() -> None:
     table.loc[known, speeds] = 400 + 20 * rng.normal(size=(known.sum(), 4))
     alone = replace(flight, table=table)
     assert speed_lag(alone) is None
-    assert with_speeds_in_step(alone) is alone
+    assert align_speed_stamps(alone) is alone
 
 
 @pytest.mark.parametrize("part", ["motors stand", "commands stand still", "short", "holes"])

@@ -14,7 +14,7 @@ from sample_logs import foreign, ulog
 
 from twin.errors import LogError, TwinError
 from twin.logs import Flight, read_flight
-from twin.logs.assemble import MotorOutput, advancing
+from twin.logs.assemble import MotorOutput, monotonic
 from twin.logs.columns import motor_columns
 from twin.logs.px4.log import Topic
 from twin.logs.px4.outputs import Outputs
@@ -140,7 +140,7 @@ def test_backward_and_repeated_times_are_dropped_and_counted(tmp_path: Path) -> 
     ],
 )
 def test_as_few_samples_as_possible_are_dropped(t: list[int], kept: tuple[int, ...]) -> None:
-    keep, *counts = advancing(np.array(t, dtype=np.int64))
+    keep, *counts = monotonic(np.array(t, dtype=np.int64))
     assert (int(keep.sum()), *counts) == kept
     assert np.all(np.diff(np.array(t)[keep]) > 0)
 

@@ -9,7 +9,7 @@ from twin.logs.mavlink.encode import (
     IMU_BITS,
     MAG_BITS,
     Controls,
-    Sensed,
+    SensorReadings,
     controls_of,
     hil_controls,
     hil_gps,
@@ -29,7 +29,9 @@ def wired(message: Message) -> Message:
 
 
 def test_sensors_are_in_gauss_and_hectopascal() -> None:
-    sensed = Sensed((0.1, -0.2, -9.8), (0.01, 0.02, 0.03), (2e-5, 0.0, 4e-5), 95000.0, 288.15)
+    sensed = SensorReadings(
+        (0.1, -0.2, -9.8), (0.01, 0.02, 0.03), (2e-5, 0.0, 4e-5), 95000.0, 288.15
+    )
     m = wired(hil_sensor(1_234_000, sensed, IMU_BITS | MAG_BITS | BARO_BITS))
     assert m.time_usec == 1_234_000 and m.id == 0
     assert (m.xacc, m.yacc, m.zacc) == pytest.approx((0.1, -0.2, -9.8), rel=1e-7)

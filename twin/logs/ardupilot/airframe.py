@@ -19,7 +19,7 @@ from ..airframe import (
     decimal_year,
     positive_parameter,
 )
-from ..assemble import MotorCommands, MotorOutput, commands_of, described
+from ..assemble import MotorCommands, MotorOutput, commands_of, describe_outputs
 from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array, Site
 from .log import (
@@ -242,7 +242,7 @@ def logged_commands(log: ArduPilotLog, get: Callable[[str], Topic | None]) -> Mo
     outputs = motor_outputs(log, channels, pwm_us)
     low, high = outputs[0].low, outputs[0].high
     said = f"{topic.name}, {topic.rate_hz:.0f} Hz, outputs {', '.join(map(str, channels))}"
-    facts = {"commands": f"{said}, {low:.0f} to {high:.0f} us", "motors": described(outputs)}
+    facts = {"commands": f"{said}, {low:.0f} to {high:.0f} us", "motors": describe_outputs(outputs)}
     return MotorCommands(topic.t_us, commands_of(outputs, pwm_us), facts)
 
 

@@ -91,7 +91,7 @@ def _ends(log: ArduPilotLog) -> SpanUs | None:
     return min(int(t.t_us[0]) for t in found), max(int(t.t_us[-1]) for t in found)
 
 
-def use_the_flight(log: ArduPilotLog) -> dict[str, str]:
+def cut_to_flight(log: ArduPilotLog) -> dict[str, str]:
     """Cut a log to its longest stretch of armed time without a pause of a minute.
 
     Returns:
@@ -140,7 +140,7 @@ _HIGHEST = 16  # cores and sensors by number; beyond is damage
 
 
 @dataclass(frozen=True, slots=True)
-class Primary:
+class ActiveEstimator:
     """The core of the EKF that is in charge for most of the flight.
 
     Attributes:
@@ -160,7 +160,7 @@ class Primary:
     gps: int = 0
 
 
-def primary(log: ArduPilotLog) -> Primary:
+def active_estimator(log: ArduPilotLog) -> ActiveEstimator:
     """What flies the aircraft; a change of core, or of what it uses, is noted.
 
     Source: ArduPilot, LogStructure.h of AP_NavEKF3 (XKF4.PI, XKFS) and EK3_IMU_MASK, of whose
@@ -171,7 +171,7 @@ def primary(log: ArduPilotLog) -> Primary:
     }
     there = [f for f, cores in found.items() if cores]
     if not there:
-        return Primary("")
+        return ActiveEstimator("")
     wanted = _FAMILIES.get(int(log.params.get("AHRS_EKF_TYPE", 3.0)), "XK")
     family = wanted if wanted in there else there[0]
     cores = found[family]
@@ -179,7 +179,7 @@ def primary(log: ArduPilotLog) -> Primary:
     core = _most(log, states, "PI", "q", "EKF core in charge")
     core = core if core in cores else cores[0]
     sensors = log.topic("XKFS", core) if family == "XK" and log.instances("XKFS") else None
-    return Primary(
+    return ActiveEstimator(
         family,
         core,
         _imu(int(log.params.get(f"EK{3 if family == 'XK' else 2}_IMU_MASK", 0.0)), core),
@@ -244,7 +244,7 @@ _NOT_LANDED, _LANDED = 28, 18  # EV by number
 _MOST = 2.0**53  # counters beyond lose whole numbers as float64
 
 
-def from_ardupilot_phases(log: ArduPilotLog, used: Primary) -> list[Span]:
+def from_ardupilot_phases(log: ArduPilotLog, used: ActiveEstimator) -> list[Span]:
     """Phases from EV of the land detector, speed and climb rate."""
     ground = _ground(log)
     topic = log.topic(f"{used.family}F1", used.core) if used.family else None

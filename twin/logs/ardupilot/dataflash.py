@@ -28,13 +28,13 @@ from .airframe import (
     yaw_trim,
 )
 from .autopilot import (
-    Primary,
+    ActiveEstimator,
+    active_estimator,
+    cut_to_flight,
     from_ardupilot_autopilot,
     from_ardupilot_phases,
     modes,
     note_failures,
-    primary,
-    use_the_flight,
 )
 from .log import OTHERS, ArduPilotLog, Topic, board, firmware, frame_of, motor_value, open_ardupilot
 
@@ -63,7 +63,7 @@ def si(log: ArduPilotLog, topic: Topic, where: str, fields: tuple[str, ...]) -> 
     return topic.si(fields)
 
 
-def add_imu(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> None:
+def add_imu(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) -> None:
     """Accelerometer and gyroscope that the estimator uses; facts on rates and filters."""
     for where, fields, names in (("gyro", _GYRO, GYRO), ("acc", _ACC, ACC)):
         there = log.instances("IMU")
@@ -116,7 +116,7 @@ def _filter_delay_us(log: ArduPilotLog, flight: FlightBuilder, where: str) -> in
     return flight.filter_delay_us(where, cutoff_hz, name)
 
 
-def add_compass(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> None:
+def add_compass(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) -> None:
     """Compass that the estimator uses."""
     there = log.instances("MAG")
     if not there:
@@ -131,7 +131,7 @@ def add_compass(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> None
     flight.add("mag", MAG, topic.t_us, si(log, topic, "mag", _MAG))
 
 
-def add_barometer(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> None:
+def add_barometer(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) -> None:
     """Static pressure of the barometer that the estimator uses."""
     there = log.instances("BARO")
     if not there:
@@ -201,7 +201,7 @@ _RESETS = {60: "height", 62: "yaw"}
 """EV of a reset of the estimator."""
 
 
-def add_motion(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> None:
+def add_motion(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) -> None:
     """Attitude, velocity and position; facts on where they come from."""
     if source := _add_attitude(log, flight, used):
         flight.facts["attitude from"] = source
@@ -210,7 +210,7 @@ def add_motion(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> None:
     _resets(log)
 
 
-def _add_attitude(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> str:
+def _add_attitude(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) -> str:
     """Quaternions of the core in charge, or ATT where that is logged much faster."""
     topic = log.topic(f"{used.family}Q", used.core, *_Q) if used.family else None
     angles = log.topic("ATT", None, *_ANGLES)
@@ -232,7 +232,7 @@ def _add_attitude(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> st
     return f"{angles.name}, {angles.rate_hz:.0f} Hz"
 
 
-def _add_course(log: ArduPilotLog, flight: FlightBuilder, used: Primary) -> str:
+def _add_course(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) -> str:
     """Position and velocity of the core in charge, else of the position controller, else of POS."""
     topic = log.topic(f"{used.family}F1", used.core) if used.family else None
     pos, vel = ("PN", "PE", "PD"), ("VN", "VE", "VD")
@@ -426,8 +426,8 @@ def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:
         LogError: Nothing in it can be used.
     """
     log = open_ardupilot(path, blob)
-    flight = FlightBuilder(log, path, _facts(log) | use_the_flight(log), "the motors ran")
-    facts, used = flight.facts, primary(log)
+    flight = FlightBuilder(log, path, _facts(log) | cut_to_flight(log), "the motors ran")
+    facts, used = flight.facts, active_estimator(log)
     add_imu(log, flight, used)
     add_compass(log, flight, used)
     add_barometer(log, flight, used)

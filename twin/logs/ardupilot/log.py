@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import LogError
-from ..assemble import Timed, advancing, advancing_samples, misplaced, out_of_place, pauses
-from ..flight import Array, Finding, Noted
+from ..assemble import Timed, monotonic, monotonic_samples, pauses, stamp_offsets, stray_samples
+from ..flight import Array, Finding, FindingCollector
 from .file import MARK, Content, Damage, Messages, in_si, instance_column, read_binary, read_plain
 
 # -- units and clocks of old releases -----------------------------------------------------------
@@ -203,7 +203,7 @@ class Topic(Timed):
 
 
 @dataclass(slots=True)
-class ArduPilotLog(Noted):
+class ArduPilotLog(FindingCollector):
     """One DataFlash log on the clock of a flight.
 
     Attributes:
@@ -304,9 +304,9 @@ class ArduPilotLog(Noted):
             order = np.argsort(t_us, kind="stable")
             return Topic(name, t_us[order], messages, rows[order])
         if with_findings:
-            keep = advancing_samples(self, name, t_us, "messages")
+            keep = monotonic_samples(self, name, t_us, "messages")
         else:
-            keep, *_ = advancing(t_us)
+            keep, *_ = monotonic(t_us)
         if not keep.any():
             return None
         steady = name in STEADY and name not in _PAUSE_OF_TELEMETRY
@@ -435,8 +435,8 @@ def _drop_misplaced(log: ArduPilotLog, timed: Mapping[str, NDArray[np.int64]]) -
     names = [n for n in timed if n not in EVENTS]
     places = [log.content.messages[n].places for n in names]
     stamps = [np.clip(timed[n] - log.start_us, -_LONGEST_US, _LONGEST_US) for n in names]
-    off_us = out_of_place(places, stamps)
-    for name, far in zip(names, misplaced(log, names, off_us, "messages"), strict=True):
+    off_us = stamp_offsets(places, stamps)
+    for name, far in zip(names, stray_samples(log, names, off_us, "messages"), strict=True):
         if far.any():
             log._dropped[name] = far
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...vehicle import GRAVITY_M_S2
 from ...vehicle.layouts import Layout, frame
 from ..airframe import Airframe, Place, SourcedValue, local_ned
-from ..assemble import FlightBuilder, advancing_samples, unit_quaternions
+from ..assemble import FlightBuilder, monotonic_samples, unit_quaternions
 from ..autopilot import (
     MOST_MESSAGES,
     Autopilot,
@@ -50,7 +50,7 @@ _FRESH_US = 100_000  # after which a value that did not change counts as new
 _HUNDREDTHS_SINCE = (4, 0)  # release from which on vbatLatest is in 0.01 V
 
 
-def three(stem: str) -> tuple[str, ...]:
+def vector_fields(stem: str) -> tuple[str, ...]:
     """Fields of three axes."""
     return tuple(f"{stem}[{k}]" for k in range(3))
 
@@ -68,7 +68,7 @@ def rate_scale(log: BlackboxLog) -> float:
 def gyro_field(log: BlackboxLog) -> str:
     """The rates that are read: before the filters on board where they are logged."""
     main = log.recording.main
-    return next((f for f in ("gyroUnfilt", "gyroADC") if main.has(*three(f))), "")
+    return next((f for f in ("gyroUnfilt", "gyroADC") if main.has(*vector_fields(f))), "")
 
 
 def accel_cutoff_hz(log: BlackboxLog) -> float:
@@ -86,7 +86,7 @@ def add(
 ) -> None:
     """Add a signal whose times are those of the firmware."""
     t_us = t_us - log.start_us
-    keep = advancing_samples(log, where, t_us, "frames")
+    keep = monotonic_samples(log, where, t_us, "frames")
     flight.add(where, names, t_us[keep], values[keep])
 
 
@@ -109,14 +109,14 @@ def _add_gyro(log: BlackboxLog, flight: FlightBuilder) -> None:
         log.note("error", "gyro", f"left out, the head says gyro_scale {value!r}, no number")
         return
     main = log.recording.main
-    add(log, flight, "gyro", GYRO, main.t_us, main.columns(three(name)) * TURNED * scale)
+    add(log, flight, "gyro", GYRO, main.t_us, main.columns(vector_fields(name)) * TURNED * scale)
     side = "before" if name == "gyroUnfilt" else "after"
     flight.facts["gyro from"] = f"{name}, {side} the filters"
 
 
 def _add_acceleration(log: BlackboxLog, flight: FlightBuilder) -> None:
     main = log.recording.main
-    if not main.has(*three("accSmooth")):
+    if not main.has(*vector_fields("accSmooth")):
         log.note("warning", "acc", "no accSmooth in the log: enable the accelerometer")
         return
     one_g = log.header.number("acc_1G", 0.0)
@@ -127,16 +127,16 @@ def _add_acceleration(log: BlackboxLog, flight: FlightBuilder) -> None:
     delay_us, cutoff_hz = 0, accel_cutoff_hz(log)
     if cutoff_hz >= 1.0:
         delay_us = flight.filter_delay_us("acc", cutoff_hz, "acc_lpf_hz")
-    values = main.columns(three("accSmooth")) * TURNED * (GRAVITY_M_S2 / one_g)
+    values = main.columns(vector_fields("accSmooth")) * TURNED * (GRAVITY_M_S2 / one_g)
     add(log, flight, "acc", ACC, main.t_us - delay_us, values)
 
 
 def _add_attitude(log: BlackboxLog, flight: FlightBuilder) -> None:
     """The vector part of the quaternion; its scalar part is never negative."""
     main = log.recording.main
-    if not main.has(*three("imuQuaternion")):
+    if not main.has(*vector_fields("imuQuaternion")):
         return
-    vector = main.columns(three("imuQuaternion")) / _FULL_16_BITS
+    vector = main.columns(vector_fields("imuQuaternion")) / _FULL_16_BITS
     scalar = np.sqrt(np.maximum(1.0 - np.sum(vector**2, axis=1), 0.0))
     usable, q = unit_quaternions(log, np.column_stack([scalar, vector * TURNED]))
     add(log, flight, "q", QUAT, main.t_us[usable], q)
@@ -223,8 +223,8 @@ def add_satellites(log: BlackboxLog, flight: FlightBuilder) -> SourcedValue[Plac
         return None
     t_us = gps.t_us[good]
     add(log, flight, "pos", POS, t_us, local_ned(degrees[good, 0], degrees[good, 1], up_m[good]))
-    if gps.has(*three("GPS_velned")):
-        add(log, flight, "vel", VEL, t_us, 0.01 * gps.columns(three("GPS_velned"))[good])
+    if gps.has(*vector_fields("GPS_velned")):
+        add(log, flight, "vel", VEL, t_us, 0.01 * gps.columns(vector_fields("GPS_velned"))[good])
     else:
         log.note("info", "vel", "Betaflight before 4.6 does not log the velocity north, east, down")
     log.note("info", "pos", "fixes of the satellites as they came, no estimate of the autopilot")
@@ -356,7 +356,7 @@ def _add_speeds(log: BlackboxLog, flight: FlightBuilder, commands: Array) -> Non
     add(log, flight, "rotor", motor_columns("rotor", count), main.t_us[~silent], speeds)
 
 
-def mixed(log: BlackboxLog, motors: Motors) -> dict[str, float]:
+def mixer_correlation(log: BlackboxLog, motors: Motors) -> dict[str, float]:
     """Correlation of what each controller puts out with what QUADX makes of it, by axis; {} where
     the log has not got both."""
     main = log.recording.main
@@ -378,7 +378,7 @@ def layout_of(log: BlackboxLog, motors: Motors, facts: dict[str, str]) -> Layout
     """Where the motors are and how they turn, None where that is not known; adds to the facts."""
     if motors.count != 4:
         return None
-    correlation = mixed(log, motors)
+    correlation = mixer_correlation(log, motors)
     if correlation:
         text = ", ".join(f"{axis} {r:+.2f}" for axis, r in correlation.items())
         facts["mixer"] = f"QUADX; controllers against motors by axis: {text}"
@@ -505,11 +505,11 @@ def _messages(log: BlackboxLog, end_s: float) -> tuple[Message, ...]:
 def _rates(log: BlackboxLog) -> Setpoint | None:
     """Rate setpoints of the pilot or of the angle controller, in the same unit as the gyro."""
     main, scale = log.recording.main, rate_scale(log)
-    if not main.has(*three("setpoint")) or np.isnan(scale):
+    if not main.has(*vector_fields("setpoint")) or np.isnan(scale):
         return None
     order = np.argsort(main.t_us, kind="stable")
     t_us, first = np.unique(main.t_us[order], return_index=True)
-    values = main.columns(three("setpoint"))[order][first] * TURNED * scale
+    values = main.columns(vector_fields("setpoint"))[order][first] * TURNED * scale
     return setpoint_of(GYRO, _seconds(log, t_us), values)
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...errors import LogError
 from ..assemble import pauses
-from ..flight import Finding, Noted
+from ..flight import Finding, FindingCollector
 from .header import (
     AVERAGE_2,
     HOME_COORD,
@@ -413,7 +413,7 @@ _FEWEST = 2  # main frames of a flight
 
 
 @dataclass(slots=True)
-class BlackboxLog(Noted):
+class BlackboxLog(FindingCollector):
     """One flight of a file on its clock.
 
     Attributes:

@@ -182,7 +182,7 @@ Three = Sequence[float]
 
 
 @dataclass(frozen=True, slots=True)
-class Sensed:
+class SensorReadings:
     """Readings at one instant, SI.
 
     Attributes:
@@ -217,7 +217,7 @@ class Controls:
     lockstep: bool
 
 
-def hil_sensor(t_us: int, sensed: Sensed, updated: int) -> Message:
+def hil_sensor(t_us: int, sensed: SensorReadings, updated: int) -> Message:
     """HIL_SENSOR.
 
     Args:

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from ...errors import LogError
 from ..airframe import NO_MULTIROTOR, Airframe, SourcedValue
-from ..assemble import FlightBuilder, advancing_samples
+from ..assemble import FlightBuilder, monotonic_samples
 from ..autopilot import Span, ground_spans, motion_spans
 from ..columns import VEL, motor_columns
-from ..flight import Array, Finding, Flight, Noted
+from ..flight import Array, Finding, FindingCollector, Flight
 from ..formats import ReadOptions
 from ..validate import validate
 from .decoder import GROUPS, LANDED, USED, MavlinkDecoder, Sample, Stamp, best_source
@@ -83,7 +83,7 @@ class _Samples:
 
 
 @dataclass(slots=True)
-class _Log(Noted):
+class _Log(FindingCollector):
     """Findings of a log."""
 
     findings: list[Finding] = field(default_factory=list)
@@ -119,7 +119,7 @@ def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     for group, (t_us, values) in by_group.items():
         if group != LANDED:
             columns = GROUPS.get(group) or motor_columns(group, values.shape[1])
-            keep = advancing_samples(log, group, t_us, "samples", "warning")
+            keep = monotonic_samples(log, group, t_us, "samples", "warning")
             flight.add(group, columns, t_us[keep] - start_us, values[keep])
     advice = "Ask for HIGHRES_IMU and ODOMETRY (SET_MESSAGE_INTERVAL) and fly again."
     table = flight.lay_out(advice, ": the aircraft restarted?")

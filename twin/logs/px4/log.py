@@ -17,14 +17,14 @@ from ...errors import LogError
 from ..assemble import (
     APART_S,
     Timed,
-    advancing_samples,
-    misplaced,
     missing_ends,
-    out_of_place,
+    monotonic_samples,
     pauses,
+    stamp_offsets,
+    stray_samples,
 )
 from ..autopilot import MOST_MESSAGES, MOST_PARAMETERS, Level, Message, as_text
-from ..flight import Array, Finding, Noted
+from ..flight import Array, Finding, FindingCollector
 
 # -- definitions of messages --------------------------------------------------------------------
 #
@@ -239,7 +239,7 @@ class Topic(Timed):
 
 
 @dataclass(slots=True)
-class Px4Log(Noted):
+class Px4Log(FindingCollector):
     """One ULog on its own clock.
 
     Attributes:
@@ -327,7 +327,7 @@ class Px4Log(Noted):
                 "times of publication run backward or repeat; those of sampling are used",
                 back,
             )
-        keep = advancing_samples(self, name, t_us, "samples")
+        keep = monotonic_samples(self, name, t_us, "samples")
         if not keep.any():
             return None
         data = {k: v[keep] for k, v in raw.items()}
@@ -495,8 +495,8 @@ def _drop_misplaced(opened: Px4Log, blob: bytes, ids: Mapping[tuple[str, int], i
     whole = [k for k in steady if len(places.get(ids[k], ())) == len(raw[k]["timestamp"])]
     stamps = [_from_px4_us(raw[k]["timestamp"], opened.start_us) for k in whole]
     stamps = [np.clip(s, -_LONGEST_US, _LONGEST_US) for s in stamps]
-    off_us = out_of_place([places[ids[k]] for k in whole], stamps)
-    dropped = misplaced(opened, [name for name, _ in whole], off_us, "samples")
+    off_us = stamp_offsets([places[ids[k]] for k in whole], stamps)
+    dropped = stray_samples(opened, [name for name, _ in whole], off_us, "samples")
     for key, off, far in zip(whole, off_us, dropped, strict=True):
         if far.all():
             del raw[key]

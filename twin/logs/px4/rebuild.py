@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble import MotorCommands, MotorOutput, described
+from ..assemble import MotorCommands, MotorOutput, describe_outputs
 from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array
 from .control import (
@@ -442,7 +442,7 @@ def _from_motors(log: Px4Log) -> MotorCommands | None:
         for k in range(count)
     ]
     rate = f"actuator_motors, {topic.rate_hz:.0f} Hz"
-    found = MotorCommands(topic.t_us, cmd, {"commands": rate, "motors": described(outputs)})
+    found = MotorCommands(topic.t_us, cmd, {"commands": rate, "motors": describe_outputs(outputs)})
     return found.clipped(log, "actuator_motors")
 
 
@@ -480,7 +480,7 @@ def _from_outputs(log: Px4Log, rebuild: bool | None) -> MotorCommands | None:
             "warning", "cmd", f"motor commands at only {rate:.0f} Hz; each is held until the next"
         )
     facts["commands"] = f"actuator_outputs, {rate:.0f} Hz"
-    facts["motors"] = described(outputs.motors)
+    facts["motors"] = describe_outputs(outputs.motors)
     return MotorCommands(outputs.topic.t_us, outputs.cmd, facts).clipped(log, "actuator_outputs")
 
 
@@ -514,6 +514,6 @@ def _rebuilt(log: Px4Log, outputs: Outputs, requested: bool) -> MotorCommands:
     facts = {
         "commands": f"rebuilt from gyro and rate setpoints, {rate:.0f} Hz",
         "commands_match": text,
-        "motors": described(outputs.motors),
+        "motors": describe_outputs(outputs.motors),
     }
     return MotorCommands(commands.t_us, commands.cmd, facts)
