@@ -165,11 +165,19 @@ class Kind:
     axis: Mapping[str, str] = field(default_factory=dict)
 
 
-def _of_sensor(sensor: Sensor) -> Kind:
-    """Kind of the readings of a sensor beside the IMU."""
-    vector = len(sensor.columns) > 1
-    axes, axis = ("body axes", _BODY) if vector else ("", {})
-    return Kind(f"{sensor.signal}_", sensor.title, axes, sensor.words, axis)
+def _of_sensor(sensor: Sensor) -> list[Kind]:
+    """Kinds of the rates of change and the readings of a sensor."""
+    if len(sensor.columns) == 1:
+        axes, axis = "", {}
+    elif sensor.rate is not None:
+        axes, axis = _ROLL, _TURN
+    else:
+        axes, axis = _FRD if sensor.group == BODY else "body axes", _BODY
+    of_rate = [] if sensor.rate is None else [("rate_", sensor.rate.title, sensor.rate.words)]
+    return [
+        Kind(f"{sensor.signal}_{rate}", title, axes, words, axis)
+        for rate, title, words in (*of_rate, ("", sensor.title, sensor.words))
+    ]
 
 
 _BODY = {"x": "forward axis", "y": "right axis", "z": "down axis"}
@@ -178,14 +186,12 @@ _EARTH = {"x": "north", "y": "east", "z": "down"}
 _FRD, _ROLL = "body axes: x forward, y right, z down", "body axes: x roll, y pitch, z yaw"
 _NED = "x north, y east, z down"
 KINDS = (
-    Kind("acc_", "Specific force (accelerometer)", _FRD, "specific force", _BODY),
-    Kind("gyro_rate_", "Angular acceleration", _ROLL, "angular acceleration", _TURN),
-    Kind("gyro_", "Body rates", _ROLL, "body rate", _TURN),
+    *(kind for s in SENSORS if s.group == BODY for kind in _of_sensor(s)),
     Kind("vel_", "Velocity", _NED, "velocity", _EARTH),
     Kind("pos_", "Position", _NED, "position", _EARTH),
     Kind("att_", "Attitude", "x roll, y pitch, z yaw", "attitude", _TURN),
     Kind("q_", "Attitude (quaternion)", "body to NED"),
-    *(_of_sensor(s) for s in SENSORS if s.group != BODY),
+    *(kind for s in SENSORS if s.group != BODY for kind in _of_sensor(s)),
     Kind("", "Other channels"),
 )
 

@@ -6,16 +6,21 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.errors import ModelError
 from twin.flight.mission import PHASES
 from twin.frames import AXES
+from twin.physics.sensors import table as sensors
 
-_SENSORS = (
-    ("gyro", "rad/s"),
-    ("acc", "m/s²"),
-    ("mag", "T"),
-    ("pos", "m"),
-    ("vel", "m/s"),
-)
+_LEARNED = {s.signal: s.unit for s in sensors.SENSORS if s.learned} | {"pos": "m", "vel": "m/s"}
+_ORDER = ("gyro", "acc", "mag", "pos", "vel")
+"""Of the channels, in which models are stored."""
+if {*_ORDER} != {*_LEARNED}:
+    raise ModelError(
+        f"a compensator learns {', '.join(sorted(_LEARNED))}, its channels are "
+        f"{', '.join(_ORDER)}: give each sensor that is learned a place in "
+        f"learning/data/channels.py."
+    )
+_SENSORS = tuple((signal, _LEARNED[signal]) for signal in _ORDER)
 CHANNELS = tuple(f"{sensor}_{axis}" for sensor, _ in _SENSORS for axis in AXES)
 """Gyroscope, accelerometer, magnetometer, position, velocity: flight-table columns, in order."""
 UNITS = tuple(unit for _, unit in _SENSORS for _ in AXES)

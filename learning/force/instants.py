@@ -115,7 +115,7 @@ def instants(flight: Flight, vehicle: Vehicle) -> Instants:
         zip(OF_IMU, (acc, gyro), (of_acc, of_gyro), strict=True)
     ):
         said = predicted[:, 3 * k : 3 * k + 3]
-        said = steps.means(said) if sensor.rate_unit else steps.ends(said)
+        said = steps.means(said) if sensor.rate else steps.ends(said)
         if age_s := late.get(sensor.signal, 0.0):
             said = shifted(said, age_s)
         left.append((readings.values - readings.filtered(said, readings.filters_hz))[rows])

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from ..errors import ModelError
 from ..logs import Flight
 from ..logs.airframe import Place
-from ..logs.columns import ACC, GYRO, MAG, MAX_MOTORS, MIN_MOTORS
-from ..physics.environment import GAS_CONSTANT_J_KG_K, LAPSE_K_M
+from ..logs.columns import MAX_MOTORS, MIN_MOTORS
+from ..physics.sensors.table import SENSORS
 from ..representation import short_repr
 from ..vehicle import GRAVITY_M_S2
-from ..vehicle.earth import normal_gravity_m_s2, world_field
+from ..vehicle.earth import GAS_CONSTANT_J_KG_K, LAPSE_K_M, normal_gravity_m_s2, world_field
 from ..vehicle.file import parse_vehicle
 from ..vehicle.file.write import Draft, with_effect_sections
 from ..vehicle.layouts import FRAMES, Layout, frame, frames_of
@@ -40,13 +40,6 @@ from .rotors import draft_rotors, rotor_effects
 Array = NDArray[np.float64]
 Choice = Callable[[Flight, Array], NDArray[np.bool_]]
 
-SENSORS = {
-    "imu.accel_noise": (ACC, "m/s^2"),
-    "imu.gyro_noise": (GYRO, "rad/s"),
-    "magnetometer.noise": (MAG, "T"),
-    "barometer.noise": (("baro_pa",), "Pa"),
-}
-"""Columns of each sensor by the key of its noise, and the unit."""
 _LEAST = 20
 _IDLE = 0.02
 _APART = 2.5
@@ -198,13 +191,13 @@ def _year(m: Making, place: Place, source: str) -> str:
 def draft_sensors(m: Making) -> None:
     """Add noise, cutoffs and the place of the accelerometer."""
     said = []
-    for key, (columns, unit) in SENSORS.items():
-        noise = noise_of(m.flights, m.hovers, columns)
+    for sensor in SENSORS:
+        unit, noise = sensor.plain_unit, noise_of(m.flights, m.hovers, sensor.columns)
         if noise.samples and noise.sd > 0:
             value = rounded(noise.sd)
             source = f"readings {noise.where}, {noise.samples} samples"
-            m.file.number(key, value, unit, source, percent(_NOISE_SD))
-            said.append(f"{columns[0].partition('_')[0]} {value:.3g} {unit} {noise.where}")
+            m.file.number(sensor.noise_key, value, unit, source, percent(_NOISE_SD))
+            said.append(f"{sensor.signal} {value:.3g} {unit} {noise.where}")
     if said:
         m.say("noise", "; ".join(said), "readings of the flights")
     reported = m.airframe

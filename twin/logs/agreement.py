@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frames import rotation_vector, to_body, to_ned
+from ..physics.sensors.table import SENSORS
 from ..vehicle import GRAVITY_M_S2
 from .columns import ACC, ACC_NED, GYRO, MAG, POS, QUAT, VEL, Columns
 from .flight import Array, Finding
@@ -56,9 +57,11 @@ Signals = dict[str, tuple[str, ...]]
 
 def signals(table: Columns) -> Signals:
     """Columns that are sampled together and there, by the name of their signal."""
+    vectors = [s.columns for s in SENSORS if len(s.columns) > 1]
+    scalars = [s.columns[0] for s in SENSORS if len(s.columns) == 1]
     groups: dict[str, tuple[str, ...]] = {
-        **{g[0][:-2]: g for g in (ACC, GYRO, MAG, POS, VEL, QUAT, ACC_NED)},
-        **{c: (c,) for c in ("baro_pa", "vbat_v", "ibat_a")},
+        **{g[0][:-2]: g for g in (*vectors, POS, VEL, QUAT, ACC_NED)},
+        **{c: (c,) for c in (*scalars, "vbat_v", "ibat_a")},
         **{stem: tuple(c for c in table if c.startswith(f"{stem}_")) for stem in ("cmd", "rotor")},
     }
     return {

@@ -1,4 +1,8 @@
-"""The flight table: every column, its unit and its meaning, written once."""
+"""The flight table: every column, its unit and its meaning, written once.
+
+Those of a sensor, and what no reading of it reaches, are of its declaration in
+`twin.physics.sensors.table`.
+"""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -8,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..vehicle import GRAVITY_M_S2
+from ..physics.sensors.table import SENSORS
 
 Columns = Mapping[str, NDArray[Any]]
 """A flight table by column: numbers as float64, `phase` as text, shape (n,) each. In memory, or in
@@ -36,16 +40,11 @@ COLUMNS: tuple[Column, ...] = (  # in the order of a table
     Column("time", "s", "time from the start of the record, strictly increasing; required"),
     Column("cmd_{i}", "1", "command of motor i as the speed controller receives it, 0..1"),
     Column("rotor_{i}", "rad/s", "measured speed of rotor i, not negative"),
-    Column("acc_x", "m/s^2", "specific force along body x (forward), FRD"),
-    Column("acc_y", "m/s^2", "specific force along body y (right), FRD"),
-    Column("acc_z", "m/s^2", "specific force along body z (down), FRD; about -9.8 at rest"),
-    Column("gyro_x", "rad/s", "body rate about x (roll), FRD"),
-    Column("gyro_y", "rad/s", "body rate about y (pitch), FRD"),
-    Column("gyro_z", "rad/s", "body rate about z (yaw), FRD"),
-    Column("mag_x", "T", "magnetic flux density along body x, FRD"),
-    Column("mag_y", "T", "magnetic flux density along body y, FRD"),
-    Column("mag_z", "T", "magnetic flux density along body z, FRD"),
-    Column("baro_pa", "Pa", "static pressure"),
+    *(
+        Column(name, s.plain_unit, meaning)
+        for s in SENSORS
+        for name, meaning in zip(s.columns, s.meanings, strict=True)
+    ),
     Column("pos_x", "m", "position north, NED, from a fixed origin"),
     Column("pos_y", "m", "position east, NED"),
     Column("pos_z", "m", "position down, NED; negative above the origin"),
@@ -144,11 +143,8 @@ def over(changed: Columns, table: Columns) -> Columns:
 Array = NDArray[np.float64]
 
 LIMITS = {
-    "acc": 2e3,
+    **{s.signal: s.limit for s in SENSORS},
     "acc_ned": 2e3,
-    "gyro": 1e2,
-    "mag": 1e-2,
-    "baro": 2e5,
     "pos": 1e6,
     "vel": 1e3,
     "vbat_v": 1e3,
@@ -157,11 +153,8 @@ LIMITS = {
 }
 """By signal, of the magnitude of each of its parts, SI."""
 SIGNALS: dict[str, tuple[str, ...]] = {
-    "acc": ACC,
+    **{s.signal: s.columns for s in SENSORS},
     "acc_ned": ACC_NED,
-    "gyro": GYRO,
-    "mag": MAG,
-    "baro": ("baro_pa",),
     "pos": POS,
     "vel": VEL,
     "vbat_v": ("vbat_v",),
@@ -169,10 +162,8 @@ SIGNALS: dict[str, tuple[str, ...]] = {
 }
 """Columns that a limit is of; `rotor` has one column per motor."""
 
-_UNITS = {  # the likeliest mistake, by signal
-    "acc": "in mg? An accelerometer at rest reads 9.8 m/s^2",
-    "gyro": "in degrees per second? 1 rad/s = 57.3",
-    "mag": "in gauss? The Earth has 2.5e-5 to 6.5e-5 T (1 gauss = 1e-4 T)",
+_DAMAGED = {  # the likeliest mistake, by signal
+    **{s.signal: s.damaged for s in SENSORS},
     "pos": "in mm, or in degrees times 1e7?",
     "vel": "in mm/s?",
 }
@@ -183,14 +174,11 @@ def _parts(unit: str, thousandth: str) -> tuple[tuple[str, float], ...]:
 
 
 READINGS: dict[str, tuple[str, float, float, tuple[tuple[str, float], ...]]] = {
-    "acc": (
-        "m/s^2",
-        5.0,
-        20.0,
-        (("g", GRAVITY_M_S2), ("mg", 1e-3 * GRAVITY_M_S2), ("cm/s^2", 1e-2)),
-    ),
-    "mag": ("T", 1.5e-5, 1e-4, (("gauss", 1e-4), ("mgauss", 1e-7), ("uT", 1e-6), ("nT", 1e-9))),
-    "baro": ("Pa", 3e4, 1.1e5, (("hPa", 1e2), ("kPa", 1e3), ("tenths of a Pa", 0.1))),
+    **{
+        s.signal: (s.plain_unit, s.usual.low, s.usual.high, s.usual.other_units)
+        for s in SENSORS
+        if s.usual is not None
+    },
     "vbat_v": ("V", 2.0, 120.0, _parts("a volt", "mV")),
     "ibat_a": ("A", 0.05, 400.0, _parts("an ampere", "mA")),
 }
@@ -246,5 +234,5 @@ def beyond_message(signal: str, values: Array) -> str:
     unit = other_unit(signal, float(np.median(finite))) if len(finite) else ""
     if unit:
         unit = f"median {np.median(finite):.4g}; {unit}"
-    unit = unit or f"damaged, or {_UNITS.get(signal, 'another unit?')}"
+    unit = unit or f"damaged, or {_DAMAGED.get(signal, 'another unit?')}"
     return f"samples left out, a value is beyond {LIMITS[signal]:g} (SI): {unit}"

@@ -1,7 +1,7 @@
 """Environment: steady wind, gusts, and air density of the standard atmosphere.
 
 Gusts are an effect, off by default (`twin.effects.air`). Density: U.S. Standard Atmosphere 1976,
-troposphere; its constants, ISO 2533:1975.
+troposphere.
 """
 
 import casadi as ca
@@ -12,11 +12,8 @@ from ..effects import Blocks, effects_of
 from ..effects.air import Breeze
 from ..frames import AXES
 from ..vehicle import GRAVITY_M_S2, Vehicle
+from ..vehicle.earth import GAS_CONSTANT_J_KG_K, LAPSE_K_M
 
-LAPSE_K_M = 0.0065
-"""Fall of the temperature per height below 11 km, K/m."""
-GAS_CONSTANT_J_KG_K = 287.05287
-"""Specific gas constant of dry air, J/(kg K)."""
 SAMPLE_PERIOD_S = 1e-2
 GROUND_K, GROUND_PA = 288.15, 101325.0
 EXPONENT = GRAVITY_M_S2 / (LAPSE_K_M * GAS_CONSTANT_J_KG_K) - 1.0

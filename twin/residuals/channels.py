@@ -304,7 +304,7 @@ def readings_on_grid(sensor: Sensor, flight: AnyFlight, t_s: Array) -> Array:
         t_s: Grid of `GRID_HZ`.
     """
     values = on_grid(signal_of(flight, sensor.columns), t_s)
-    return rate_over_step(values) if sensor.rate_unit else values
+    return rate_over_step(values) if sensor.rate else values
 
 
 def imu_readings(
@@ -461,7 +461,7 @@ def imu_channels(
         if readings is None:
             continue
         predicted = predictions[:, 3 * k : 3 * k + 3]
-        if sensor.rate_unit:
+        if sensor.rate:
             predicted = mean_over_step(predicted)
         if age_s := late.get(sensor.signal, 0.0):
             predicted = shifted(predicted, age_s)

@@ -35,7 +35,7 @@ from ..logs.columns import ACC, GYRO, POS, QUAT, VEL
 from ..representation import short_repr
 from ..vehicle import Vehicle
 from .aligned import BLOCK_ROWS, AlignedFlight, Alignment, Block, align_flight
-from .channels import GRID_HZ, SHORTEST_S, imu_channels
+from .channels import GRID_HZ, OF_IMU, SHORTEST_S, imu_channels
 from .gap import Channel, FlightGap
 from .measured import LONGEST_GAP_INTERVALS, LONGEST_GAP_S
 from .short_horizon import READ, window_ends, window_starts
@@ -301,8 +301,7 @@ def comparable(flight: AnyFlight) -> tuple[tuple[str, ...], str]:
     known = {
         name: _longest_s(flight, columns)
         for name, columns in (
-            ("acc", ACC),
-            ("gyro", GYRO),
+            *((s.signal, s.columns) for s in OF_IMU),
             ("q", QUAT),
             ("vel", VEL),
             ("pos", POS),
@@ -310,7 +309,7 @@ def comparable(flight: AnyFlight) -> tuple[tuple[str, ...], str]:
         if flight.has(*columns)
     }
     kinds = []
-    if forced := [name for name in ("acc", "gyro") if known.get(name, 0.0) >= SHORTEST_S]:
+    if forced := [name for s in OF_IMU if known.get(name := s.signal, 0.0) >= SHORTEST_S]:
         kinds.append(f"teacher-forced: {' and '.join(forced)}")
     moving = max(known.get("vel", 0.0), known.get("pos", 0.0))
     if min(known.get("q", 0.0), moving) > DEFAULT_HORIZON_S:

@@ -1,4 +1,4 @@
-"""The Earth at a place: WGS 84 coordinates of a local position, magnetic field, gravity."""
+"""The Earth at a place: WGS 84 coordinates, magnetic field, gravity, standard atmosphere."""
 
 from math import degrees
 
@@ -10,10 +10,14 @@ from ..errors import ModelError
 
 Array = NDArray[np.float64]
 A_M = 6378137.0
-"""Semi-major axis."""
+"""Semi-major axis of WGS 84, m."""
 F = 1 / 298.257223563
-"""Flattening."""
+"""Flattening of WGS 84."""
 _E2 = F * (2.0 - F)
+LAPSE_K_M = 0.0065
+"""Fall of the temperature per height below 11 km, K/m; ISO 2533:1975."""
+GAS_CONSTANT_J_KG_K = 287.05287
+"""Specific gas constant of dry air, J/(kg K); ISO 2533:1975."""
 
 
 def geodetic_of_ned(

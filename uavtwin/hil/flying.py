@@ -14,8 +14,8 @@ from fmus.compensator import NetworkFile, native_model
 from twin.errors import TwinError
 from twin.flight.assembly import Assembly, connected_by_name
 from twin.frames import AXES
-from twin.logs.columns import ACC, GYRO, MAG
 from twin.physics.battery import battery
+from twin.physics.sensors.table import SENSORS
 from twin.vehicle import Vehicle
 
 from ..exports.parts import LearnedForce, twin
@@ -32,12 +32,8 @@ _MOTION = {
     "gps_pos": [f"position.meas_pos_{a}" for a in AXES],
     "gps_vel": [f"position.meas_vel_{a}" for a in AXES],
 }
-_READINGS = {
-    "acc": ("imu", ACC),
-    "gyro": ("imu", GYRO),
-    "mag": ("magnetometer", MAG),
-    "baro": ("barometer", ("baro_pa",)),
-}
+_READINGS = {s.signal: (s.component, s.columns) for s in SENSORS if s.hil}
+"""Component and columns of what the autopilot is sent, by signal."""
 
 
 @dataclass(frozen=True, slots=True)

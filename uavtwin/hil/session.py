@@ -34,10 +34,9 @@ from twin.logs.mavlink.encode import (
     hil_state,
 )
 from twin.logs.mavlink.frames import Message, dialect
-from twin.physics.environment import LAPSE_K_M
 from twin.physics.sensors.position import PRESETS
 from twin.vehicle import Vehicle
-from twin.vehicle.earth import geodetic_of_ned
+from twin.vehicle.earth import LAPSE_K_M, geodetic_of_ned
 
 from ..live.datagrams import Address
 from .flying import FlyingTwin, TwinState

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 from twin.effects import EFFECTS
 from twin.explain.running.alarms import Alarm, Verdict
 from twin.logs.mavlink.frames import dialect
+from twin.physics.sensors.table import SENSORS
 from twin.residuals.stream import Stream
 
 from ..wording import clause
@@ -67,8 +68,7 @@ def alarm_json(alarm: Alarm, section: int) -> dict[str, Any]:
 
 
 NEEDED_BY: dict[str, tuple[str, str]] = {
-    "acc": ("HIGHRES_IMU", "no residuals of forces: drag, thrust, mass"),
-    "gyro": ("HIGHRES_IMU", "no residuals of moments"),
+    **{s.signal: (s.messages[0], s.without) for s in SENSORS if s.without},
     "q": ("ODOMETRY or ATTITUDE_QUATERNION", "the twin has no state: no residuals"),
     "vel": (
         "ODOMETRY or LOCAL_POSITION_NED",

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from twin.errors import TwinError, install_command
 from twin.logs import Finding, Flight
 from twin.logs.airframe import Place, origin_of
-from twin.logs.columns import ACC, ACC_NED, COLUMNS, GYRO, MAG, POS, QUAT, VEL, motor_number
+from twin.logs.columns import ACC_NED, COLUMNS, POS, QUAT, VEL, motor_number
 from twin.logs.flight import Severity
+from twin.physics.sensors.table import SENSORS, components_of_sensors
 from twin.vehicle.earth import geodetic_of_ned
 
 if TYPE_CHECKING:
@@ -389,9 +390,10 @@ def log_message(t_ns: int, severity: Severity, message: str, name: str) -> dict[
 # Times are those of the table, from the start of the record: flights keep no clock of GNSS.
 
 TOPICS: Mapping[str, tuple[str, ...]] = {
-    "/imu": (*ACC, *GYRO),
-    "/magnetometer": MAG,
-    "/barometer": ("baro_pa",),
+    **{
+        f"/{component}": tuple(c for s in SENSORS if s.component == component for c in s.columns)
+        for component in components_of_sensors()
+    },
     "/position": POS,
     "/velocity": VEL,
     "/attitude": QUAT,

@@ -1,6 +1,6 @@
 """The table of sensors agrees with components, flight table, effects and vehicle file."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -8,6 +8,7 @@ import pytest
 import twin.physics.sensors as physics_sensors
 from twin.effects import EFFECTS
 from twin.effects.definition import RECORD
+from twin.errors import ModelError
 from twin.logs.columns import COLUMNS
 from twin.physics.sensors.table import BODY, SENSORS, Sensor, sensor_of
 from twin.vehicle.file import load_vehicle
@@ -18,24 +19,35 @@ VEHICLE = load_vehicle("copter_default")
 every_sensor = pytest.mark.parametrize("row", SENSORS, ids=lambda s: s.name)
 
 
-def plain(unit: str) -> str:
-    """m/s² as m/s^2."""
-    return unit.replace("²", "^2")
-
-
 def test_every_module_of_a_sensor_has_a_row() -> None:
     folder = Path(physics_sensors.__file__).parent
     modules = {p.stem for p in folder.glob("[a-z]*.py")} - {"common", "position", "table"}
-    missing = sorted(modules - {s.make.__module__.rpartition(".")[2] for s in SENSORS})
+    missing = sorted(modules - {s.component for s in SENSORS})
     assert not missing, f"no row in twin/physics/sensors/table.py: {missing}"
 
 
+@pytest.mark.parametrize("part", [f.name for f in fields(Sensor)])
+def test_a_sensor_without_a_part_does_not_import(part: str) -> None:
+    whole = {f.name: getattr(SENSORS[0], f.name) for f in fields(Sensor)}
+    with pytest.raises(TypeError, match=part):
+        Sensor(**{k: v for k, v in whole.items() if k != part})
+
+
+def test_a_sensor_whose_parts_do_not_fit_does_not_import() -> None:
+    with pytest.raises(ModelError, match="3 columns, 1 meanings"):
+        replace(SENSORS[0], meanings=("one",))
+    with pytest.raises(ModelError, match=r"no number of twin/vehicle/vehicle\.py: 'imu\.hum'"):
+        replace(SENSORS[0], noise_key="imu.hum")
+
+
 @every_sensor
-def test_columns_are_those_of_the_flight_table(row: Sensor) -> None:
-    known = {c.name: c.unit for c in COLUMNS}
-    missing = [c for c in row.columns if c not in known]
-    assert not missing, f"not in twin/logs/columns.py: {missing}"
-    assert {c: known[c] for c in row.columns} == dict.fromkeys(row.columns, plain(row.unit))
+def test_what_has_a_range_is_below_its_limit(row: Sensor) -> None:
+    assert row.usual is None or 0 < row.usual.low < row.usual.high < row.limit
+
+
+@every_sensor
+def test_what_is_missed_in_live_flight_has_a_message(row: Sensor) -> None:
+    assert row.messages or not row.without
 
 
 def test_every_number_of_a_sensor_is_a_key_of_the_vehicle_file() -> None:
@@ -61,7 +73,7 @@ def test_columns_are_outputs_of_the_component(row: Sensor) -> None:
     made = row.make(VEHICLE, EFFECTS)
     assert made.name == row.component
     outputs = {v.name: v.unit for v in made.output_variables}
-    wanted = dict.fromkeys(row.columns, plain(row.unit).replace("^", ""))
+    wanted = dict.fromkeys(row.columns, row.plain_unit.replace("^", ""))
     assert {c: outputs.get(c) for c in row.columns} == wanted
 
 

@@ -67,13 +67,13 @@ def _constant(name: str, vehicle: Vehicle, settings: EvidenceSettings) -> float:
     """Of one channel."""
     sensor, read = sensor_read(name), _reading(name)
     if name.startswith("pose_"):
-        return settings.trim_pose * (FAST_RAD_S if sensor.rate_unit else GRAVITY_M_S2)
+        return settings.trim_pose * (FAST_RAD_S if sensor.rate else GRAVITY_M_S2)
     columns = sensor.channels if read in sensor.channels else sensor.columns
     axis = columns.index(read)
     size = sensor.size(vehicle)[axis]
     if sensor.group != BODY:
         return settings.trim_other * size
-    if not sensor.rate_unit:
+    if sensor.rate is None:
         return settings.trim_force * size
     return settings.trim_turn * size * (settings.trim_yaw if axis == 2 else 1.0)
 
@@ -419,7 +419,7 @@ def rounding_variance(channel: str) -> Array:
     """
     sensor = sensor_read(channel)
     variance = np.full(len(BANDS_HZ), sensor.least_count**2 / 12 * CHANNEL_HZ / GRID_HZ)
-    if sensor.rate_unit and not channel.startswith("pose_"):
+    if sensor.rate and not channel.startswith("pose_"):
         low, high = BANDS_HZ[:-1], BANDS_HZ[1:]
         variance[1:] *= (2 * np.pi) ** 2 * (low**2 + low * high + high**2) / 3
     variance[0] = 0.0

@@ -155,7 +155,7 @@ def terms(
         settings: How late turning rates are where they stand for a gyroscope.
     """
     axis, sensor = channel[-1], sensor_of(channel)
-    of_rates = sensor is not None and bool(sensor.rate_unit)
+    of_rates = sensor is not None and sensor.rate is not None
     own = {
         k: later(v, settings.own_noise_s) if k.startswith("omega_") and of_rates else v
         for k, v in known.items()
@@ -188,7 +188,7 @@ def _may_explain(symbol: str, channel: str) -> bool:
     sensor = sensor_of(channel)
     if sensor is None or sensor.fixed_in_space:
         return sensor is not None
-    return sensor.group == BODY and not sensor.rate_unit and symbol[-1] == channel[-1]
+    return sensor.group == BODY and sensor.rate is None and symbol[-1] == channel[-1]
 
 
 def _product(powers: Mapping[str, int], known: Mapping[str, Quantity]) -> Term:

@@ -220,7 +220,7 @@ def imu_factors(context: FlightContext) -> list[SensorFactor]:
         late = shift_signs(context, (sensor.signal,), ())
         reach = reaching("airframe", sensor.component) | moving(context, (*PLACE, *TURN, *DRIVES))
         reach |= {name.partition(".")[0] for name in late}
-        rate = bool(sensor.rate_unit)
+        rate = sensor.rate is not None
         for axes, left_out in driven_apart(context, rate):
             readings = imu_readings(
                 sensor, flight, context.vehicle, context.aligned, axes=axes, left_out=left_out

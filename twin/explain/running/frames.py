@@ -329,7 +329,7 @@ class FrameFilter:
             columns = np.flatnonzero(body[own].any(axis=0))
             pose = np.flatnonzero(imu[own].any(axis=0))
             names = tuple(f"pose_{c}" for c in s.columns)
-            rate = bool(s.rate_unit)
+            rate = s.rate is not None
             found.append(Group(s.channels, s.signal, (*through, BAND_HZ), rate, columns))
             found.append(Group(names, s.signal, (*through, POSE_BAND_HZ), False, pose))
         for kind, batch in zip(OF_POSE, self._batches, strict=True):

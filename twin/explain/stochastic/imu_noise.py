@@ -111,10 +111,10 @@ def _shaken(model: Model, sensor: Sensor, settings: StochasticSettings) -> _Shak
         grid = flight.aligned.inputs.t_s
         cells.append(c)
         spins.append(Signal(grid, _smooth(spin, window_s)).at(c.t_s))
-        motion = np.nan_to_num(alpha if sensor.rate_unit else force)
+        motion = np.nan_to_num(alpha if sensor.rate else force)
         m = cells_of(Piece(grid, motion), GRID_HZ, window_s, "hann")
         density = level(m.power, 0)
-        if sensor.rate_unit:
+        if sensor.rate:
             density = density / np.maximum(2 * np.pi * m.f_hz, 1.0) ** 2
         predicted.append([np.interp(c.f_hz, m.f_hz, v, right=0.0) for v in density])
     return _Shaken(

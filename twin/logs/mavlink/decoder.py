@@ -26,10 +26,12 @@ from enum import Enum
 
 import numpy as np
 
+from ...errors import ModelError
 from ...frames import from_euler, to_ned
+from ...physics.sensors.table import SENSORS
 from ...vehicle import GRAVITY_M_S2
 from ..ardupilot.log import motor_channels
-from ..columns import ACC, GYRO, LIMITS, MAG, MAX_MOTORS, POS, QUAT, VEL
+from ..columns import LIMITS, MAX_MOTORS, POS, QUAT, VEL
 from ..px4.outputs import motor_functions
 from .frames import AUTOPILOTS, GCS, MOTORS, Message, dialect
 
@@ -38,10 +40,7 @@ from .frames import AUTOPILOTS, GCS, MOTORS, Message, dialect
 # Samples of a flight table that MAVLink messages carry, and which of several messages counts.
 
 GROUPS: dict[str, tuple[str, ...]] = {
-    "acc": ACC,
-    "gyro": GYRO,
-    "mag": MAG,
-    "baro": ("baro_pa",),
+    **{s.signal: s.columns for s in SENSORS if s.messages},
     "pos": POS,
     "vel": VEL,
     "q": QUAT,
@@ -514,6 +513,8 @@ _READ: dict[str, Callable[[MavlinkDecoder, Message], Found]] = {  # kinds of mes
     "SYS_STATUS": MavlinkDecoder._status,
     "EXTENDED_SYS_STATE": MavlinkDecoder._landed,
 }
+if unread := {m for s in SENSORS for m in s.messages} - _READ.keys():
+    raise ModelError(f"no reader of the MAVLink messages {', '.join(sorted(unread))} of a sensor")
 USED = frozenset(i for i, kind in dialect.mavlink_map.items() if kind.msgname in _READ)
 """Ids of the messages that are read."""
 _NAMES = frozenset(kind.msgname for kind in dialect.mavlink_map.values())

@@ -9,8 +9,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from ...physics.environment import GAS_CONSTANT_J_KG_K, LAPSE_K_M
+from ...errors import ModelError
+from ...physics.sensors.table import SENSORS
 from ...vehicle import GRAVITY_M_S2
+from ...vehicle.earth import GAS_CONSTANT_J_KG_K, LAPSE_K_M
 from ...vehicle.vehicle import SEA_LEVEL_PRESSURE_PA, SEA_LEVEL_TEMPERATURE_K
 from ..columns import ACC, GYRO, MAG, POS, QUAT, VEL
 from .decoder import PA_PER_HPA, ROTOR_ARRAY, T_PER_GAUSS
@@ -179,6 +181,13 @@ _INT16, _UINT16 = 32767, 65534  # largest number of int16, and of uint16 that is
 _POWER = GAS_CONSTANT_J_KG_K * LAPSE_K_M / GRAVITY_M_S2
 """Of the pressure ratio, ICAO standard atmosphere."""
 Three = Sequence[float]
+SENT = ("acc", "gyro", "mag", "baro")
+"""Signals that HIL_SENSOR carries."""
+if other := {s.signal for s in SENSORS if s.hil} ^ {*SENT}:
+    raise ModelError(
+        f"HIL_SENSOR is made of {', '.join(SENT)}; {', '.join(sorted(other))}: say in the row of "
+        f"the sensor whether it is sent, and fill it in here."
+    )
 
 
 @dataclass(frozen=True, slots=True)

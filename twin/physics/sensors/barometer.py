@@ -16,7 +16,7 @@ from ...component import Component, ComponentBuilder
 from ...component.portable import binomial_power
 from ...effects.stages import BaroReading
 from ...vehicle import GRAVITY_M_S2, Vehicle
-from ..environment import GAS_CONSTANT_J_KG_K, LAPSE_K_M
+from ...vehicle.earth import GAS_CONSTANT_J_KG_K, LAPSE_K_M
 from .common import EARTH, noise, noise_level, sensor_blocks, vector_input
 
 SAMPLE_PERIOD_S = 0.02

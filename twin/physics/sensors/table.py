@@ -1,49 +1,81 @@
-"""The sensors that a flight is compared by: one row each.
+"""The sensors that a flight is compared by: one declaration each, of everything that a sensor is.
 
-Every list of sensors is made from these rows, so that a new sensor is its module, its
-row, its columns of the flight table and its numbers in the vehicle file:
+Every list of sensors is made from these rows: columns of the flight table and their physical
+limits, components of the whole twin, channels and slopes of `explain`, the noise that a draft
+measures, what live flights decode and miss, what the compensator learns, what an autopilot in the
+loop is sent. No part has a default, so a sensor that leaves one out cannot be imported:
 docs/dev/extending/sensor.md. The position sensor is no row: what it measures is the motion along
 which the twin is evaluated.
+
+A row names its component, which is built, with CasADi, when it is asked for: readers of logs need
+the rows alone.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from importlib import import_module
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from ...component import Component
-from ...effects import ComponentName
+from ...errors import ModelError
 from ...vehicle import GRAVITY_M_S2, Vehicle
-from .barometer import barometer
-from .imu import imu
-from .magnetometer import magnetometer
+from ...vehicle.vehicle import Sensors
+
+if TYPE_CHECKING:
+    from ...component import Component
 
 BODY = "body"
 """Group of the sensors that measure what acts on the body."""
 EARTH_FIELD_T = 5e-5
-"""Magnetic flux density of the earth, roughly."""
+"""Magnetic flux density of the earth, T; 2.5e-5 to 6.5e-5 over its surface (WMM 2025)."""
 FLOW_PA = 200.0
-"""Dynamic pressure at 18 m/s: what a port may be off by."""
-
-
-def _unknown(_: Vehicle) -> float:
-    return 0.0
-
-
-def _unfiltered(_: Vehicle) -> float | None:
-    return None
+"""Dynamic pressure at 18 m/s, Pa: what a port may be off by."""
+_NUMBERS = {f.metadata["key"]: f.name for f in fields(Sensors) if f.metadata}
+"""Attribute of `vehicle.sensors` by its key in the vehicle file."""
 
 
 @dataclass(frozen=True, slots=True)
+class Rate:
+    """Rate of change of a reading, for a sensor whose reading is itself a part of the motion.
+
+    Attributes:
+        unit: For people.
+        title: What it is, as the heading of a list.
+        words: The same within a sentence.
+    """
+
+    unit: str
+    title: str
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Usual:
+    """What a sensor reads while a multirotor flies.
+
+    Attributes:
+        low: Bounds of the median of its magnitude, in the unit of the flight table.
+        high: See `low`.
+        other_units: In which it is written by mistake, with what takes them to that unit.
+    """
+
+    low: float
+    high: float
+    other_units: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Sensor:
     """One sensor: a row of the table.
 
     Attributes:
         name: Identifier.
-        component: Name of the component that it is, alone or with others.
-        make: `(vehicle, effects) -> component`.
-        signal: What `Effect.needs` calls its readings.
+        component: The component that it is, alone or with others: name of a module of this
+            package, and of the function `(vehicle, effects) -> component` in it.
+        signal: What `Effect.needs`, the limits and live samples call its readings.
         columns: Of the flight table, and outputs of the component, of the same names.
+        meanings: Of each column, for the definition of the flight table.
         unit: Of a reading, for people.
         title: What it measures, as the heading of a list.
         words: The same within a sentence.
@@ -55,43 +87,94 @@ class Sensor:
             the flight has them, and stay at their start values otherwise.
         size: Of each column, a change of the reading of the order of what it is there for, in
             `channel_unit`; of a far smaller one nobody needs to speak.
-        rate_unit: Unit of its rate of change, for a sensor that is compared by that: what it reads
-            is itself a part of the motion. Empty: compared by its readings.
+        rate: What it is compared by in the place of its readings; None: by its readings.
         fixed_in_space: Whether it reads a vector that the earth holds still.
         cutoff_hz: Low-pass of the vehicle's sensor, known to it but not to its readings; None.
-        noise: Standard deviation of a reading by the vehicle file; 0: not known.
+        noise_key: Key of its white noise in the vehicle file, which a draft measures.
         least_count: Quantisation step of a usual sensor of the kind, in `unit`. No noise level is
             taken to be below that of rounding to it.
+        limit: Magnitude of a part of a reading that no flight reaches, in `unit`.
+        damaged: What a reading beyond the limit may be instead, as a question.
+        usual: Range of its readings, by which another unit is recognised; None: any is possible.
+        messages: Of MAVLink, that carry it in live flight, the one to ask for first; (): none.
+        without: What a live flight without it lacks; "": it is not missed.
+        learned: Whether a compensator corrects it.
+        hil: Whether an autopilot in the loop is sent it.
     """
 
     name: str
-    component: ComponentName
-    make: Callable[[Vehicle, Iterable[str]], Component]
+    component: str
     signal: str
     columns: tuple[str, ...]
+    meanings: tuple[str, ...]
     unit: str
     title: str
     words: str
     group: str
     needs: tuple[str, ...]
     size: Callable[[Vehicle], tuple[float, ...]]
+    rate: Rate | None
+    fixed_in_space: bool
+    cutoff_hz: Callable[[Vehicle], float | None]
+    noise_key: str
     least_count: float
-    rate_unit: str = ""
-    fixed_in_space: bool = False
-    cutoff_hz: Callable[[Vehicle], float | None] = _unfiltered
-    noise: Callable[[Vehicle], float] = _unknown
+    limit: float
+    damaged: str
+    usual: Usual | None
+    messages: tuple[str, ...]
+    without: str
+    learned: bool
+    hil: bool
+
+    def __post_init__(self) -> None:
+        """Refuse a row that is not whole.
+
+        Raises:
+            ModelError: A column has no meaning, or the vehicle file no such noise.
+        """
+        if len(self.meanings) != len(self.columns):
+            raise ModelError(
+                f"sensor {self.name}: {len(self.columns)} columns, {len(self.meanings)} meanings; "
+                f"give each column one."
+            )
+        if self.noise_key not in _NUMBERS:
+            raise ModelError(
+                f"sensor {self.name}: no number of twin/vehicle/vehicle.py: {self.noise_key!r}. "
+                f"Add it to Sensors."
+            )
+
+    def make(self, vehicle: Vehicle, effects: Iterable[str] = ()) -> "Component":
+        """Its component.
+
+        Args:
+            vehicle: Numbers of the aircraft, and the effects that are switched on.
+            effects: Effects to build in, switched off: identifiers of `twin.effects.EFFECTS`, of
+                which those count that act on it.
+        """
+        module = import_module(f".{self.component}", __package__)
+        maker = cast("Callable[[Vehicle, Iterable[str]], Component]", vars(module)[self.component])
+        return maker(vehicle, effects)
+
+    def noise(self, vehicle: Vehicle) -> float:
+        """Standard deviation of a reading by the vehicle file; 0: not known."""
+        return float(getattr(vehicle.sensors, _NUMBERS[self.noise_key]))
+
+    @property
+    def plain_unit(self) -> str:
+        """Unit of a reading as files write it: `m/s^2`."""
+        return self.unit.replace("²", "^2")
 
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of what is compared: its columns, or their rates of change."""
-        if not self.rate_unit:
+        if self.rate is None:
             return self.columns
         return tuple(c.replace(self.signal, f"{self.signal}_rate", 1) for c in self.columns)
 
     @property
     def channel_unit(self) -> str:
         """Unit of what is compared."""
-        return self.rate_unit or self.unit
+        return self.unit if self.rate is None else self.rate.unit
 
 
 def _agility(vehicle: Vehicle) -> tuple[float, ...]:
@@ -100,76 +183,128 @@ def _agility(vehicle: Vehicle) -> tuple[float, ...]:
     return tuple(moment / float(vehicle.inertia_kg_m2[i, i]) for i in range(3))
 
 
+def _unfiltered(_: Vehicle) -> float | None:
+    return None
+
+
+ACCELEROMETER = Sensor(
+    name="accelerometer",
+    component="imu",
+    signal="acc",
+    columns=("acc_x", "acc_y", "acc_z"),
+    meanings=(
+        "specific force along body x (forward), FRD",
+        "specific force along body y (right), FRD",
+        "specific force along body z (down), FRD; about -9.8 at rest",
+    ),
+    unit="m/s²",
+    title="Specific force (accelerometer)",
+    words="specific force",
+    group=BODY,
+    needs=(),
+    size=lambda v: (GRAVITY_M_S2,) * 3,
+    rate=None,
+    fixed_in_space=False,
+    cutoff_hz=lambda v: v.accel_cutoff_hz,
+    noise_key="imu.accel_noise",
+    least_count=GRAVITY_M_S2 / 2048,  # 16 bits over 16 g either way: ICM-20602
+    limit=2e3,
+    damaged="in mg? An accelerometer at rest reads 9.8 m/s^2",
+    usual=Usual(5.0, 20.0, (("g", GRAVITY_M_S2), ("mg", 1e-3 * GRAVITY_M_S2), ("cm/s^2", 1e-2))),
+    messages=("HIGHRES_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3", "RAW_IMU"),
+    without="no residuals of forces: drag, thrust, mass",
+    learned=True,
+    hil=True,
+)
+GYROSCOPE = Sensor(
+    name="gyroscope",
+    component="imu",
+    signal="gyro",
+    columns=("gyro_x", "gyro_y", "gyro_z"),
+    meanings=(
+        "body rate about x (roll), FRD",
+        "body rate about y (pitch), FRD",
+        "body rate about z (yaw), FRD",
+    ),
+    unit="rad/s",
+    title="Body rates",
+    words="body rate",
+    group=BODY,
+    needs=(),
+    size=_agility,
+    rate=Rate("rad/s²", "Angular acceleration", "angular acceleration"),
+    fixed_in_space=False,
+    cutoff_hz=lambda v: v.gyro_cutoff_hz,
+    noise_key="imu.gyro_noise",
+    least_count=float(np.radians(1 / 16.4)),  # 16 bits over 2000 deg/s either way: ICM-20602
+    limit=1e2,
+    damaged="in degrees per second? 1 rad/s = 57.3",
+    usual=None,
+    messages=("HIGHRES_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3", "RAW_IMU"),
+    without="no residuals of moments",
+    learned=True,
+    hil=True,
+)
+MAGNETOMETER = Sensor(
+    name="magnetometer",
+    component="magnetometer",
+    signal="mag",
+    columns=("mag_x", "mag_y", "mag_z"),
+    meanings=tuple(f"magnetic flux density along body {a}, FRD" for a in "xyz"),
+    unit="T",
+    title="Magnetic field",
+    words="magnetic field",
+    group="magnetometer",
+    needs=("q",),
+    size=lambda v: (EARTH_FIELD_T,) * 3,
+    rate=None,
+    fixed_in_space=True,
+    cutoff_hz=_unfiltered,
+    noise_key="magnetometer.noise",
+    least_count=1e-4 / 6842,  # 16 bits over 4 gauss either way: LIS3MDL
+    limit=1e-2,
+    damaged="in gauss? The Earth has 2.5e-5 to 6.5e-5 T (1 gauss = 1e-4 T)",
+    usual=Usual(1.5e-5, 1e-4, (("gauss", 1e-4), ("mgauss", 1e-7), ("uT", 1e-6), ("nT", 1e-9))),
+    messages=("HIGHRES_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3", "RAW_IMU"),
+    without="",
+    learned=True,
+    hil=True,
+)
+BAROMETER = Sensor(
+    name="barometer",
+    component="barometer",
+    signal="baro",
+    columns=("baro_pa",),
+    meanings=("static pressure",),
+    unit="Pa",
+    title="Air pressure",
+    words="air pressure",
+    group="barometer",
+    needs=("pos",),
+    size=lambda v: (FLOW_PA,),
+    rate=None,
+    fixed_in_space=False,
+    cutoff_hz=_unfiltered,
+    noise_key="barometer.noise",
+    least_count=1.0,  # 0.01 mbar: MS5611
+    limit=2e5,
+    damaged="another unit?",
+    usual=Usual(3e4, 1.1e5, (("hPa", 1e2), ("kPa", 1e3), ("tenths of a Pa", 0.1))),
+    messages=("HIGHRES_IMU", "SCALED_PRESSURE"),
+    without="",
+    learned=False,
+    hil=True,
+)
 SENSORS: tuple[Sensor, ...] = (
-    Sensor(
-        "accelerometer",
-        "imu",
-        imu,
-        "acc",
-        ("acc_x", "acc_y", "acc_z"),
-        "m/s²",
-        "Specific force (accelerometer)",
-        "specific force",
-        BODY,
-        (),
-        lambda v: (GRAVITY_M_S2,) * 3,
-        GRAVITY_M_S2 / 2048,  # 16 bits over 16 g either way: ICM-20602
-        cutoff_hz=lambda v: v.accel_cutoff_hz,
-        noise=lambda v: v.sensors.accel_noise_m_s2,
-    ),
-    Sensor(
-        "gyroscope",
-        "imu",
-        imu,
-        "gyro",
-        ("gyro_x", "gyro_y", "gyro_z"),
-        "rad/s",
-        "Body rates",
-        "body rate",
-        BODY,
-        (),
-        _agility,
-        float(np.radians(1 / 16.4)),  # 16 bits over 2000 deg/s either way: ICM-20602
-        rate_unit="rad/s²",
-        cutoff_hz=lambda v: v.gyro_cutoff_hz,
-        noise=lambda v: v.sensors.gyro_noise_rad_s,
-    ),
-    Sensor(
-        "magnetometer",
-        "magnetometer",
-        magnetometer,
-        "mag",
-        ("mag_x", "mag_y", "mag_z"),
-        "T",
-        "Magnetic field",
-        "magnetic field",
-        "magnetometer",
-        ("q",),
-        lambda v: (EARTH_FIELD_T,) * 3,
-        1e-4 / 6842,  # 16 bits over 4 gauss either way: LIS3MDL
-        fixed_in_space=True,
-        noise=lambda v: v.sensors.mag_noise_t,
-    ),
-    Sensor(
-        "barometer",
-        "barometer",
-        barometer,
-        "baro",
-        ("baro_pa",),
-        "Pa",
-        "Air pressure",
-        "air pressure",
-        "barometer",
-        ("pos",),
-        lambda v: (FLOW_PA,),
-        1.0,  # 0.01 mbar: MS5611
-        noise=lambda v: v.sensors.baro_noise_pa,
-    ),
+    ACCELEROMETER,
+    GYROSCOPE,
+    MAGNETOMETER,
+    BAROMETER,
 )
 """All of them, in the order of the flight table."""
 
 
-def components_of_sensors() -> dict[str, Callable[[Vehicle, Iterable[str]], Component]]:
+def components_of_sensors() -> dict[str, Callable[[Vehicle, Iterable[str]], "Component"]]:
     """Maker of each component that is a sensor, by its name."""
     return {s.component: s.make for s in SENSORS}
 

@@ -263,11 +263,11 @@ def test_rounding_leaves_the_variance_that_is_said() -> None:
         step, n = sensor.least_count, 1 << 16
         smooth = np.cumsum(rng.standard_normal(n)) * step
         left = smooth - step * np.round(smooth / step)
-        if sensor.rate_unit:
+        if sensor.rate:
             left = rate_over_step(left)
         freq = np.arange(n) * GRID_HZ / 2 / n
         power = dct(left, norm="ortho") ** 2 * CHANNEL_HZ / GRID_HZ
-        for b in range(3 if sensor.rate_unit else 1, len(BANDS_HZ)):  # below, ends of the record
+        for b in range(3 if sensor.rate else 1, len(BANDS_HZ)):  # below, ends of the record
             inside = (freq >= BANDS_HZ[b - 1]) & (freq < BANDS_HZ[b])
             assert float(power[inside].mean()) == pytest.approx(
                 float(rounding_variance(name)[b]), rel=0.2
