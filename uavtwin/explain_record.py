@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from math import isfinite
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 from msgspec import UNSET, UnsetType, field
@@ -27,6 +27,9 @@ from twin.flight.closed_loop import Mission
 from .gaps import HoverRecord, hover_record
 from .headline import headline
 from .record import Headline, Record, Section
+
+if TYPE_CHECKING:
+    from twin.flight.closed_loop import Mission
 
 
 class ParameterRecord(Record, frozen=True, kw_only=True):
@@ -511,7 +514,7 @@ def _channel(gap: ChannelGap) -> ChannelRecord:
     return ChannelRecord(**(own | {"shrink_ci95": gap.shrink_ci95 if known else None}))
 
 
-def _closed_loop(missions: Sequence[Mission]) -> ClosedLoopRecord:
+def _closed_loop(missions: "Sequence[Mission]") -> ClosedLoopRecord:
     flown = [m.worst_m for m in missions if isfinite(m.worst_m)]
     return ClosedLoopRecord(
         stable=all(m.stable for m in missions),

@@ -42,17 +42,16 @@ from .explain_record import (
     RivalRecord,
     explain_record,
 )
-from .exports.parts import component
-from .exports.write import export_parts
 from .flights import opened_flights
 from .headline import got_worse
 from .output import OptionalSteps, write_json
 from .record import Headline
-from .series.files import EXPLAINED, TWIN, Column, Series, compared
 from .wording import hover_sentence
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from .series.files import Column, Series
 
 Progress = Callable[[float], None]
 SET_BY_PRIOR, SET_BY_CALIBRATION = "set by the prior", "set by the calibration"
@@ -271,7 +270,7 @@ class ExplainResult(PageMixin):
             ),
         )
 
-    def series(self) -> tuple[Series, ...]:
+    def series(self) -> "tuple[Series, ...]":
         """Of each held-out flight measured, twin and residual over time, with and without the named
         effects; none where nothing could be held out."""
         compared_with = self.details.comparison
@@ -346,8 +345,10 @@ def shrink_words(gap: ChannelRecord) -> str:
 
 def _series(
     found: Explanation, flight: str, before: Sequence[ChannelData], after: Sequence[ChannelData]
-) -> Series:
+) -> "Series":
     """Columns of one held-out flight."""
+    from .series.files import EXPLAINED, TWIN, Series, compared  # Parquet is for files alone
+
     columns: list[Column] = []
     for old, new in zip(before, after, strict=True):
         sides = {TWIN: old.measured - old.residual}
@@ -551,6 +552,9 @@ def write_fmus(
         steps: Takes the build as one of its own: the compiler may fail, the disk be full.
         progress: Called with the share done.
     """
+    from .exports.parts import component  # what builds FMUs is not needed to explain
+    from .exports.write import export_parts
+
     if found.added is None:
         return []
     vehicle = explained_vehicle(found)

@@ -15,12 +15,13 @@ from twin.vehicle import Vehicle
 from .display import PageMixin, TextTable
 from .flights import opened_flights
 from .record import Headline, Record, Section
-from .series.files import TWIN, Column, Series, compared
 from .vehicles import checked_vehicle
 from .wording import describe, hover_sentence
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from .series.files import Column, Series
 
 Progress = Callable[[float], None]
 WHOLE = "whole flight"
@@ -445,7 +446,7 @@ class GapResult(PageMixin):
             ignore_index=True,
         )
 
-    def series(self) -> tuple[Series, ...]:
+    def series(self) -> "tuple[Series, ...]":
         """Measured, twin and residual of each flight over time, as the numbers are made of them."""
         return tuple(_series(gap) for gap in self.flights)
 
@@ -471,8 +472,10 @@ class GapResult(PageMixin):
         )
 
 
-def _series(gap: FlightGap) -> Series:
+def _series(gap: FlightGap) -> "Series":
     """Columns of one flight."""
+    from .series.files import TWIN, Series, compared  # Parquet is for files alone
+
     columns: list[Column] = []
     for c in gap.channels:
         how = f"{c.horizon_s:g} s after a restart from it" if c.horizon_s else "at it"

@@ -9,9 +9,9 @@ hold the sentence against its numbers.
 """
 
 from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from twin.effects import EFFECTS
-from twin.explain.calibration import Calibrated
 from twin.explain.estimates import (
     Estimate,
     estimates_of,
@@ -30,6 +30,9 @@ from twin.formatting import certainty, joined, number, percent, pretty_unit, qua
 
 from .record import Headline
 from .wording import BLIND_ORDER, blind_clause, clause, said, said_numbers
+
+if TYPE_CHECKING:
+    from twin.explain.calibration import Calibrated
 
 MOST_NUMBERS = 3
 """Numbers of an effect that a headline gives; of several effects, one each."""
@@ -288,7 +291,7 @@ def _doubts(found: Explanation, estimates: Mapping[str, Sequence[Estimate]]) -> 
     return text
 
 
-def calibrated_headline(found: Calibrated, lead: str) -> Headline:
+def calibrated_headline(found: "Calibrated", lead: str) -> Headline:
     """What stands on top of a calibration.
 
     Args:

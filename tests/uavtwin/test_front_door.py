@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,9 @@ from cosim.ssp import read_ssp
 from fmus import component_model
 from twin.logs import write_flight
 from twin.vehicle import file as vehicle_files
+from uavtwin import ExplainResult, FleetResult, GapResult, SweepResult
 from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.display import PageMixin
 
 COPTER = ut.load_vehicle("copter_default")
 DRAG_1_S = 0.5
@@ -33,6 +36,7 @@ PLANT = replace(
     drag_linear_n_s_m=COPTER.drag_linear_n_s_m
     + DRAG_1_S * COPTER.mass_kg * np.array([1.0, 1.0, 0.0]),
 )
+PACKAGES = ("twin", "learning", "fmus", "cosim", "uavtwin")
 HEAVY = ("casadi", "fmpy", "numpy", "pandas", "torch", "scipy", "plotly", "pyarrow")
 Place = tuple[float, float, float]
 
@@ -469,8 +473,8 @@ def test_no_name_is_that_of_a_module() -> None:
 
 
 def _loaded(code: str) -> set[str]:
-    """Top-level modules in memory after some code in a fresh interpreter."""
-    ask = "import json, sys; print(json.dumps(sorted({m.partition('.')[0] for m in sys.modules})))"
+    """Modules in memory after some code in a fresh interpreter."""
+    ask = "import json, sys; print(json.dumps(sorted(sys.modules)))"
     result = subprocess.run(
         [sys.executable, "-c", f"{code}\n{ask}"],
         capture_output=True,
@@ -506,6 +510,21 @@ except SystemExit as stop:
 )
 def test_nothing_heavy_is_imported_before_it_is_used(code: str) -> None:
     assert not _loaded(code) & set(HEAVY)
+
+
+@pytest.mark.parametrize("kind", [GapResult, ExplainResult, SweepResult, FleetResult, ut.Run])
+def test_a_result_names_the_module_of_its_page(kind: type[PageMixin]) -> None:
+    assert callable(import_module(kind.page).write_page)
+
+
+@pytest.mark.slow
+def test_naming_explain_loads_what_explaining_needs() -> None:
+    """No FMU builder, no SSP, no pages, no files of series; few modules of ours."""
+    loaded = _loaded("import uavtwin as ut; ut.explain")
+    own = {m for m in loaded if m.partition(".")[0] in PACKAGES}
+    others = ("fmus", "cosim", "learning", "uavtwin.report", "uavtwin.exports", "uavtwin.series")
+    assert [m for m in own if m.startswith(others)] == []
+    assert len(own) <= 135
 
 
 @pytest.mark.slow

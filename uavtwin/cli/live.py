@@ -15,7 +15,7 @@ from .options import VEHICLE_VARIABLE, Exit, Horizon, Json, Prints, seconds
 from .printing import STDERR, STDOUT, print_json
 
 if TYPE_CHECKING:
-    from ..live.page.feed import OpenPage
+    from ..live.page.opened import OpenPage
     from ..live.session import LiveOptions, LiveSession
     from ..live.status import LiveStatus, ModelStatus
     from ..sensors.running import RunningCompensator
@@ -153,7 +153,7 @@ def live(
 
 def _demo_page() -> str | None:
     """Where the page of a demonstration is served; None, with a word, where it cannot be."""
-    from ..live.page.feed import lacking
+    from ..live.page.opened import lacking
 
     if lacking():
         STDERR.print(f"no page: it needs {install_command('live')}", style="yellow")
@@ -193,7 +193,7 @@ def _fly(
     from twin.explain.running.evidence import RunningEvidence
 
     from ..demo.in_flight import damaged_flight, sent_meanwhile
-    from ..live.page.feed import open_page
+    from ..live.page.opened import open_page
     from ..live.session import LiveSession
     from ..vehicles import load_vehicle
 

@@ -13,27 +13,21 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.errors import TwinError, install_command
 from twin.explain.running.alarms import Alarm
 from twin.frames import AXES, to_euler
 from twin.logs.columns import ACC, EULER, GYRO, POS, VEL, motor_columns
 from twin.logs.mavlink.decoder import Sample
 from twin.residuals.gap import Channel
 from twin.residuals.stream_residuals import ResidualBlock
-from twin.vehicle import Vehicle
 
 from ..following import Following, Reading
 from ..status import LiveStatus, alarm_json
-
-if TYPE_CHECKING:
-    from .server import PageServer
 
 HISTORY_S = 300.0
 """So much of the flight is there for a viewer that comes later."""
@@ -354,58 +348,3 @@ def _ms(at_s: float | None = None) -> float:
     """A time of the monotonic clock, or now, on the system's clock, ms."""
     ago_s = 0.0 if at_s is None else time.monotonic() - at_s
     return round(1e3 * (time.time() - ago_s), 1)
-
-
-NEEDED = ("starlette", "uvicorn", "websockets")
-
-
-@dataclass(frozen=True, slots=True)
-class OpenPage:
-    """A page that is served.
-
-    Attributes:
-        feed: Takes what it shows.
-        server: Serves it.
-    """
-
-    feed: PageFeed
-    server: "PageServer"
-
-    @property
-    def url(self) -> str:
-        """For a browser."""
-        return self.server.url
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.server.close()
-
-
-def lacking() -> list[str]:
-    """Packages that the page needs and that are not installed."""
-    return [n for n in NEEDED if find_spec(n) is None]
-
-
-def open_page(serve: str, token: str | None, vehicle: Vehicle, following: Following) -> OpenPage:
-    """Serve the page of a live flight.
-
-    Args:
-        serve: HOST:PORT.
-        token: What viewers must know; None: nothing.
-        vehicle: The twin.
-        following: How the state of the twin is corrected.
-
-    Raises:
-        TwinError: The address is none, is taken, or needs a token; or packages are missing.
-    """
-    if missing := lacking():
-        raise TwinError(f"--serve needs {', '.join(missing)}: {install_command('live')}.")
-    from .document import document
-    from .server import PageServer, page_address
-
-    where = page_address(serve, token)
-    hub = Hub()
-    feed = PageFeed(hub, vehicle.name, following)
-    return OpenPage(feed, PageServer(where, hub, document(vehicle.rotors.count), token))
