@@ -20,8 +20,8 @@ from benchmarks.hidden_effects import generate
 from benchmarks.hidden_effects.explaining import Worker, answer, explain_case, twin_state
 from benchmarks.hidden_effects.run import Question, ask
 from benchmarks.hidden_effects.scoring.outcomes import Outcome, read_outcomes
+from twin.explain.setting_group import Value
 from twin.explain.settings import DEFAULT
-from twin.explain.settings.group import Value
 
 from .changes import Change, change
 from .page import page

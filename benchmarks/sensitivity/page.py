@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from benchmarks.hidden_effects.scoring.outcomes import Outcome
-from twin.explain.settings.group import Value, numbers
+from twin.explain.setting_group import Value, numbers
 
 from .changes import SMALL, Change
 

@@ -4,8 +4,8 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from twin.explain.settings import DEFAULT, Setting
-from twin.explain.settings.group import Value, numbers
+from twin.explain.setting_group import Setting, Value, numbers
+from twin.explain.settings import DEFAULT
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,8 @@ from twin.effects.parameters import (
 )
 from twin.explain.model.model import has_mean
 from twin.explain.running.hypotheses import RUNNING
-from twin.explain.settings import DEFAULT, Setting
-from twin.explain.settings.group import numbers
+from twin.explain.setting_group import Setting, numbers
+from twin.explain.settings import DEFAULT
 from twin.flight.assembly import CONTROLLERS, flying_twin
 from twin.logs.columns import COLUMNS
 from twin.logs.formats import FORMATS

@@ -13,8 +13,8 @@ from benchmarks.sensitivity import __main__ as sensitivity
 from benchmarks.sensitivity.changes import change
 from benchmarks.sensitivity.page import page
 from benchmarks.sensitivity.variants import Variant, times, variants
+from twin.explain.setting_group import numbers
 from twin.explain.settings import DEFAULT
-from twin.explain.settings.group import numbers
 
 EVERY = {s.name: s for s in DEFAULT.every()}
 SURE = "inference.selection.sure"

@@ -21,8 +21,8 @@ from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
 from twin.errors import TwinError
 from twin.explain.design import Suggestion
 from twin.explain.explanation import Explanation
+from twin.explain.setting_group import Value
 from twin.explain.settings import DEFAULT
-from twin.explain.settings.group import Value
 from twin.explain.unnamed import Equation
 from twin.flight.closed_loop import Mission
 from twin.formatting import certainty

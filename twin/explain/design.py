@@ -38,9 +38,26 @@ from .inference.selection import Naming
 from .inference.whitening import Block, blocks_of
 from .model.model import Model, model_of
 from .model.numbers import Number, carrying, columns_of, with_effects
-from .settings import DEFAULT, DesignSettings
+from .settings import DEFAULT
 
 Array = NDArray[np.float64]
+HOVER_M = 1.5
+"""Height of the hover over the resting place, and unit of the ways, m, made up; vehicles with short
+arms fly everything at half the size, as in missions."""
+PUSH, FASTEST_M_S2 = 0.4, 4.0
+"""Share of the acceleration that thrust over weight allows; its bound, m/s^2. Made up."""
+CLEARANCE_M, CLEARANCE_ARMS = 0.15, 0.7
+"""Between legs and ground at least, m, arm lengths: a log must show that it flies. Made up."""
+OTHER_VOLTAGE = 0.1
+"""Share of the voltage between a charged and a nearly empty battery, as of LiPo cells."""
+PAYLOAD, LIGHTEST_PAYLOAD = 0.5, 0.02
+"""Shares of the vehicle's mass that are strapped on, where thrust allows it, and at least. As large
+as can be: explanations part by half of what they explain, and laws are right to a seventh only."""
+PAUSE_S, SETTLE_S = 1.0, 6.0
+"""Shortest hover after a manoeuvre, and after takeoff, in which the controller learns what its
+model lacks, s. Made up."""
+ENOUGH_NAT = 5.0
+"""Expected log likelihood ratio below which a manoeuvre separates nothing: odds of 150 to 1."""
 Move = Callable[[Array], Array]
 """Time from the start, shape (n,) -> north, east, down (m) and heading (rad) off the hover,
 shape (n, 4)."""
@@ -86,39 +103,35 @@ class Plan:
     spans: Mapping[str, tuple[float, float]]
 
 
-def manoeuvres(
-    vehicle: Vehicle, charged: bool = True, settings: DesignSettings = DEFAULT.design
-) -> tuple[Manoeuvre, ...]:
+def manoeuvres(vehicle: Vehicle, charged: bool = True) -> tuple[Manoeuvre, ...]:
     """All there are.
 
     Args:
         vehicle: Its arms scale the ways, its thrust over weight the accelerations.
         charged: Whether the flights so far had a charged battery.
-        settings: Sizes.
     """
-    k = hover_height_m(vehicle, settings) / settings.hover_m
+    k = hover_height_m(vehicle) / HOVER_M
     lift = thrust_inverse(vehicle).full_n / vehicle.hover_thrust_n
-    share, fastest = settings.push, settings.fastest_m_s2
+    share, fastest = PUSH, FASTEST_M_S2
     climb = min(share * (lift - 1) * GRAVITY_M_S2, fastest)
     push = min(share * float(np.sqrt(max(lift**2 - 1, 0.0))) * GRAVITY_M_S2, fastest)
     climb, push = max(climb, 0.3), max(push, 0.3)
     return (
-        *_on_the_spot(charged, settings.other_voltage),
-        _payload_swap(vehicle, lift, settings),
-        *_vertical(vehicle, k, climb, settings),
+        *_on_the_spot(charged, OTHER_VOLTAGE),
+        _payload_swap(vehicle, lift),
+        *_vertical(vehicle, k, climb),
         *_sideways(k, push),
     )
 
 
-def hover_height_m(vehicle: Vehicle, settings: DesignSettings = DEFAULT.design) -> float:
+def hover_height_m(vehicle: Vehicle) -> float:
     """Over the resting place, where manoeuvres start."""
-    return settings.hover_m * (0.5 if vehicle.arm_m < SMALL_ARM_M else 1.0)
+    return HOVER_M * (0.5 if vehicle.arm_m < SMALL_ARM_M else 1.0)
 
 
 def plan(
     vehicle: Vehicle,
     chosen: Sequence[Manoeuvre],
-    settings: DesignSettings = DEFAULT.design,
     block_s: float = DEFAULT.inference.likelihood.block_s,
 ) -> Plan:
     """A flight: stand, take off, fly each manoeuvre, land.
@@ -126,18 +139,17 @@ def plan(
     Args:
         vehicle: Says where it stands and how high it hovers.
         chosen: In this order.
-        settings: Sizes.
         block_s: Blocks of time that flights are judged in.
     """
-    height = hover_height_m(vehicle, settings)
+    height = hover_height_m(vehicle)
     pieces = [
         ("ground", np.zeros((_rows(_GROUND_S), 4))),
         ("takeoff", _sampled(_path((_TAKEOFF_S, 0, 0, -height, 0)), _TAKEOFF_S)),
     ]
     hover, spans, t = np.array([0.0, 0.0, -height, 0.0]), {}, 0.0
     before = _GROUND_S + _TAKEOFF_S
-    for m in (Manoeuvre("", "", settings.settle_s, _path()), *chosen):
-        blocks = math.ceil((before + m.duration_s + settings.pause_s) / block_s)
+    for m in (Manoeuvre("", "", SETTLE_S, _path()), *chosen):
+        blocks = math.ceil((before + m.duration_s + PAUSE_S) / block_s)
         last = t + block_s * blocks
         pieces.append(("tour", hover + _sampled(m.move, m.duration_s)))
         pieces.append(("hover", np.tile(hover, (_rows(last - t - before - m.duration_s), 1))))
@@ -180,9 +192,9 @@ def _on_the_spot(charged: bool, other_voltage: float) -> list[Manoeuvre]:
     ]
 
 
-def _payload_swap(vehicle: Vehicle, lift: float, settings: DesignSettings) -> Manoeuvre:
+def _payload_swap(vehicle: Vehicle, lift: float) -> Manoeuvre:
     """Hover with a mass that is known: what scales a force acts on it, what adds one does not."""
-    share = max(min(settings.payload, settings.push * (lift - 1)), settings.lightest_payload)
+    share = max(min(PAYLOAD, PUSH * (lift - 1)), LIGHTEST_PAYLOAD)
     payload_kg = float(f"{share * vehicle.mass_kg:.1g}")
     return Manoeuvre(
         "payload_swap",
@@ -194,14 +206,12 @@ def _payload_swap(vehicle: Vehicle, lift: float, settings: DesignSettings) -> Ma
     )
 
 
-def _vertical(
-    vehicle: Vehicle, k: float, climb: float, settings: DesignSettings
-) -> list[Manoeuvre]:
+def _vertical(vehicle: Vehicle, k: float, climb: float) -> list[Manoeuvre]:
     """Up and down: in steps, for long, to the ground."""
     short, tall, fast = k, 4 * k, 2.5 * k
     step_s, tall_s = _time_s(short, climb), _time_s(tall, climb, fast)
-    clearance = max(settings.clearance_m, settings.clearance_arms * vehicle.arm_m)
-    low = hover_height_m(vehicle, settings) - clearance
+    clearance = max(CLEARANCE_M, CLEARANCE_ARMS * vehicle.arm_m)
+    low = hover_height_m(vehicle) - clearance
     return [
         _pointwise(
             "vertical_steps",
@@ -402,7 +412,6 @@ def next_manoeuvre(
     vehicle: Vehicle,
     seed: int = 0,
     progress: Callable[[float], None] = lambda _: None,
-    settings: DesignSettings = DEFAULT.design,
 ) -> Suggestion | None:
     """The manoeuvre that separates the two leading explanations best.
 
@@ -411,15 +420,14 @@ def next_manoeuvre(
         vehicle: The model as it stands.
         seed: Not used: nothing is drawn.
         progress: Called with the share done.
-        settings: Sizes of manoeuvres, and what is enough.
 
     Returns:
         None where the name is sure, or where no manoeuvre of the list would help.
     """
     if naming.sure:
         return None
-    best = suggestions(naming, vehicle, progress=progress, settings=settings)[0]
-    return best if best.separation >= settings.enough else None
+    best = suggestions(naming, vehicle, progress=progress)[0]
+    return best if best.separation >= ENOUGH_NAT else None
 
 
 def suggestions(
@@ -427,7 +435,6 @@ def suggestions(
     vehicle: Vehicle,
     among: Sequence[str] | None = None,
     progress: Callable[[float], None] = lambda _: None,
-    settings: DesignSettings = DEFAULT.design,
 ) -> list[Suggestion]:
     """What each manoeuvre separates of the two leading explanations, the best first.
 
@@ -436,11 +443,10 @@ def suggestions(
         vehicle: The model as it stands.
         among: Names of manoeuvres that can be flown there; default: all.
         progress: Called with the share done.
-        settings: Sizes of manoeuvres.
     """
     block_s = naming.whitened.settings.block_s
     rivals, flights = naming.fitted[:2], _flights(naming)
-    listed = [m for m in _flyable(naming, vehicle, settings) if among is None or m.name in among]
+    listed = [m for m in _flyable(naming, vehicle) if among is None or m.name in among]
     leads = {m.name: 0.0 for m in listed}
     held = [_held(naming, f) for f in rivals]
     rounds = [(i, *k) for i in (0, 1) for k in sorted({(m.voltage, m.payload_kg) for m in listed})]
@@ -448,7 +454,7 @@ def suggestions(
         progress((n + 0.3) / (len(rounds) + 0.3))
         loaded = carrying(vehicle, payload_kg)
         chosen = [m for m in listed if (m.voltage, m.payload_kg) == (voltage, payload_kg)]
-        flown = plan(loaded, chosen, settings, block_s)
+        flown = plan(loaded, chosen, block_s)
         plant = with_effects(loaded, rivals[i].effects, rivals[i].values)
         try:
             flight = rehearse(flown, loaded, plant, flights, voltage)
@@ -559,11 +565,11 @@ def _names(model: Model) -> list[str]:
 # -- flying ---------------------------------------------------------------------------------
 
 
-def _flyable(naming: Naming, vehicle: Vehicle, settings: DesignSettings) -> list[Manoeuvre]:
+def _flyable(naming: Naming, vehicle: Vehicle) -> list[Manoeuvre]:
     """Manoeuvres that can be told from another: the battery only where its voltage counts."""
     flights = _flights(naming)
     charged = volts_of(flights, vehicle) >= vehicle.voltage_v
-    listed = manoeuvres(vehicle, charged, settings)
+    listed = manoeuvres(vehicle, charged)
     effects = {e for f in naming.fitted[:2] for e in f.effects} | {*vehicle.effects}
     voltage_matters = vehicle.rotors.reference_voltage_v is not None
     voltage_matters = voltage_matters or any("vbat" in EFFECTS[e].needs for e in effects)

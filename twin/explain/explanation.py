@@ -207,9 +207,7 @@ def explain(
         found = _refuted(found, FARTHER)
     progress(0.85)
     if suggest and found.verdict in ("named", "cannot_tell"):
-        found = replace(
-            found, next_manoeuvre=next_manoeuvre(naming, vehicle, seed, settings=settings.design)
-        )
+        found = replace(found, next_manoeuvre=next_manoeuvre(naming, vehicle, seed))
     return _with_missions(found, missions, lambda done: progress(0.85 + 0.15 * done))
 
 
@@ -423,11 +421,8 @@ def _with_gap(
     except LogError as error:
         problem = f"no gap can be shown on what is held out: {error}"
         return replace(found, warnings=(*found.warnings, problem))
-    acts = [
-        attribute_effect(e, comparison.model, steady, comparison.after, settings.attribution)
-        for e in effects
-    ]
-    where = localize(found.naming.whitened.model, steady, comparison.floors, settings.localization)
+    acts = [attribute_effect(e, comparison.model, steady, comparison.after) for e in effects]
+    where = localize(found.naming.whitened.model, steady, comparison.floors)
     return replace(
         found,
         comparison=comparison,

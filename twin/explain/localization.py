@@ -11,9 +11,19 @@ from ..representation import short_repr
 from ..residuals.channels import GRID_HZ, ChannelData
 from ..residuals.gap import spectrum
 from .model.model import FlightModel, Model
-from .settings import DEFAULT, AttributionSettings, LocalizationSettings
 
 Array = NDArray[np.float64]
+ABOVE_FLOOR = 1.2
+"""A residual over its noise floor by less than this factor is noise. Made up."""
+FEWEST_SAMPLES = 25
+"""Of a phase at least. Made up."""
+BINS = 10
+"""Of the curve of a residual over a quantity: deciles."""
+LEAST_EXPLAINED = 0.2
+"""Share of a residual that a quantity must account for to be named. Made up."""
+LEAST_SHARE, STRONG_SHARE = 0.1, 0.5
+"""Share of the power of a residual that an effect explains in a channel on which it acts; of its
+strongest phase in a phase in which it acts. Made up."""
 MOST = 8
 """Places that are listed."""
 BANDS_HZ = ((0.0, 0.5), (0.5, 2.0), (2.0, 6.0), (6.0, 18.0))
@@ -52,7 +62,6 @@ def localize(
     model: Model,
     values: Mapping[str, float],
     floors: Mapping[str, float],
-    settings: LocalizationSettings = DEFAULT.localization,
 ) -> list[Place]:
     """The places where residuals stand out most above their noise floor, the worst first.
 
@@ -60,7 +69,6 @@ def localize(
         model: Flights, against the model as it stands.
         values: Numbers of the named effects, "effect.number" -> value.
         floors: Noise floor by channel; channels without one are left out.
-        settings: What is worth telling.
     """
     before, after = model.channels([]), model.channels([], values)
     found = []
@@ -73,9 +81,9 @@ def localize(
         ]
         phase = np.concatenate([p.phase for p in parts])
         for name in np.unique(phase):
-            if np.sum(phase == name) >= settings.fewest:
-                found.append(_place(channel, str(name), parts, floors[channel.name], settings))
-    found = [p for p in found if p.over_floor > settings.above_floor]
+            if np.sum(phase == name) >= FEWEST_SAMPLES:
+                found.append(_place(channel, str(name), parts, floors[channel.name]))
+    found = [p for p in found if p.over_floor > ABOVE_FLOOR]
     return sorted(found, key=lambda p: -p.over_floor)[:MOST]
 
 
@@ -104,7 +112,6 @@ def _place(
     phase: str,
     parts: list[_Rows],
     floor: float,
-    settings: LocalizationSettings,
 ) -> Place:
     masks = [p.phase == phase for p in parts]
     before = np.concatenate([p.before[m] for p, m in zip(parts, masks, strict=True)])
@@ -119,7 +126,7 @@ def _place(
         over_floor=power**0.5 / floor if floor > 0 else np.inf,
         explained=1 - float(np.mean(after**2)) / power if power > 0 else 0.0,
         band_hz=_band(parts, masks),
-        goes_with=_goes_with(parts, masks, before, settings),
+        goes_with=_goes_with(parts, masks, before),
     )
 
 
@@ -139,21 +146,19 @@ def _goes_with(
     parts: list[_Rows],
     masks: list[NDArray[np.bool_]],
     residual: Array,
-    settings: LocalizationSettings,
 ) -> tuple[str, float] | None:
     """Quantity over which a curve takes most of the residual, about its mean."""
     about = residual - residual.mean()
-    power, best = float(about @ about), ("", settings.telling)
-    bins = settings.bins
+    power, best = float(about @ about), ("", LEAST_EXPLAINED)
     for name in set.intersection(*(set(p.quantities) for p in parts)):
         x = np.concatenate([p.quantities[name][m] for p, m in zip(parts, masks, strict=True)])
         if not np.all(np.isfinite(x)) or np.ptp(x) == 0 or power == 0:
             continue
-        edges = np.quantile(x, np.linspace(0, 1, bins + 1)[1:-1])
+        edges = np.quantile(x, np.linspace(0, 1, BINS + 1)[1:-1])
         number = np.searchsorted(edges, x)
-        count = np.bincount(number, minlength=bins)
-        total = np.bincount(number, about, minlength=bins)
-        share = float(np.sum(total**2 / np.maximum(count, 1))) / power - (bins - 1) / len(x)
+        count = np.bincount(number, minlength=BINS)
+        total = np.bincount(number, about, minlength=BINS)
+        share = float(np.sum(total**2 / np.maximum(count, 1))) / power - (BINS - 1) / len(x)
         if (share, name) > (best[1], best[0]):
             best = (name, share)
     return best if best[0] else None
@@ -209,7 +214,6 @@ def attribute_effect(
     model: Model,
     values: Mapping[str, float],
     with_all: Sequence[Sequence[ChannelData]],
-    settings: AttributionSettings = DEFAULT.attribution,
 ) -> Attribution:
     """Where an effect acts.
 
@@ -218,7 +222,6 @@ def attribute_effect(
         model: Flights, against the model as it stood.
         values: Numbers of all added effects, "effect.number" -> value.
         with_all: Channels of each flight with all of them.
-        settings: From when on an effect acts.
     """
     others = {k: v for k, v in values.items() if k.partition(".")[0] != effect}
     without = model.channels([], others)
@@ -230,10 +233,8 @@ def attribute_effect(
         power, left = float(lacking @ lacking), float(complete @ complete)
         taken[channel.name] = 1 - left / power if power > 0 else 0.0
     ranked = sorted(taken, key=lambda name: -taken[name])
-    channels = tuple(name for name in ranked if taken[name] >= settings.least_share) or tuple(
-        ranked[:1]
-    )
-    phases = _phases(channels[0], model, without, with_all, settings.strong)
+    channels = tuple(name for name in ranked if taken[name] >= LEAST_SHARE) or tuple(ranked[:1])
+    phases = _phases(channels[0], model, without, with_all, STRONG_SHARE)
     return Attribution(effect, channels, phases, without)
 
 

@@ -9,6 +9,7 @@ from search_rigs.hypotheses import fit_set
 from search_rigs.library import library
 
 from twin.explain.design import (
+    ENOUGH_NAT,
     Held,
     Suggestion,
     hover_height_m,
@@ -221,7 +222,7 @@ def test_a_known_payload_separates_extra_mass_from_weak_rotors(truth: str) -> No
     naming = tie(hovering(COPTER, PLANTS[truth]), COPTER, list(PLANTS))
     ranked = suggestions(naming, COPTER, ["hover", "payload_swap"])
     assert ranked[0].manoeuvre == "payload_swap"
-    assert ranked[0].separation > max(DEFAULT.design.enough, 10 * ranked[1].separation)
+    assert ranked[0].separation > max(ENOUGH_NAT, 10 * ranked[1].separation)
     (swap,) = (m for m in manoeuvres(COPTER) if m.name == "payload_swap")
     old = hovering(COPTER, PLANTS[truth])
     loaded, plant = (carrying(v, swap.payload_kg) for v in (COPTER, PLANTS[truth]))

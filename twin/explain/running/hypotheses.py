@@ -13,7 +13,7 @@ from ...representation import short_repr
 from ...vehicle import Vehicle
 from ..inference.priors import parameter_of
 from ..model.numbers import Number, numbers_of
-from ..settings.group import Group, setting
+from ..setting_group import Group, setting
 
 _TUNED = "chosen on: the tuning flights of benchmarks/live_alarms, seeds below 1000"
 

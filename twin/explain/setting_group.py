@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
-from ...errors import ModelError
+from ..errors import ModelError
 
 Value = int | float | tuple[Any, ...]
 T = TypeVar("T", bound=Value)
