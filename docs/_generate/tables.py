@@ -19,7 +19,7 @@ from typer.main import get_command
 
 from learning.model.registry import FAMILIES
 from twin.component import Component, Enumeration, Variable
-from twin.effects import BEGINNINGS, EFFECTS, Effect, EffectParameter, prior_of
+from twin.effects import BEGINNINGS, EFFECTS, Effect, EffectParameter, effects_for, prior_of
 from twin.effects.parameters import (
     COMMON,
     LAST,
@@ -33,7 +33,7 @@ from twin.explain.model.model import has_mean
 from twin.explain.running.hypotheses import RUNNING
 from twin.explain.setting_group import Setting, numbers
 from twin.explain.settings import DEFAULT
-from twin.flight.assembly import CONTROLLERS, flying_twin
+from twin.flight.assembly import COMPONENTS, Choices
 from twin.logs.columns import COLUMNS
 from twin.logs.formats import FORMATS
 from twin.vehicle import Vehicle
@@ -167,8 +167,8 @@ def _bands() -> str:
 def fmus() -> str:
     """Variables of every component, a table each."""
     model = load_vehicle(EXAMPLE)
-    parts = {**flying_twin(model, "tour").parts, "controller_px4": CONTROLLERS["px4"](model)}
-    return "\n\n".join(_component(name, part) for name, part in parts.items())
+    choices = Choices(effects_for(model), mission="tour")
+    return "\n\n".join(_component(name, make(model, choices)) for name, make in COMPONENTS.items())
 
 
 def _component(name: str, component: Component) -> str:

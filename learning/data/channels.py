@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from twin.errors import ModelError
 from twin.flight.mission import PHASES
 from twin.frames import AXES
-from twin.physics.sensors import table as sensors
+from twin.physics.sensors.table import SENSORS
 
-_LEARNED = {s.signal: s.unit for s in sensors.SENSORS if s.learned} | {"pos": "m", "vel": "m/s"}
+_LEARNED = {s.signal: s.unit for s in SENSORS if s.learned} | {"pos": "m", "vel": "m/s"}
 _ORDER = ("gyro", "acc", "mag", "pos", "vel")
 """Of the channels, in which models are stored."""
 if {*_ORDER} != {*_LEARNED}:

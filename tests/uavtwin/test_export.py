@@ -21,26 +21,20 @@ from cosim.interface import read_interface
 from cosim.master import Master
 from cosim.ssp import read_ssp, write_ssp
 from twin.errors import TwinError
+from twin.flight.assembly import COMPONENTS
 from twin.vehicle.file import load_vehicle
 from uavtwin.cli.export import Choice, export_components
+from uavtwin.cli.options import COMPONENT_NAMES
 from uavtwin.exports.parts import component
 from uavtwin.exports.write import WrittenFile
 
 Array = NDArray[np.float64]
-COMPONENTS = (
-    "airframe",
-    "imu",
-    "magnetometer",
-    "barometer",
-    "position",
-    "battery",
-    "environment",
-    "mission",
-    "controller",
-    "controller_px4",
-)
 PLATFORM = {2: "binaries/linux64", 3: "binaries/x86_64-linux"}
 CASES = [(name, fmi) for name in (*COMPONENTS, "corrected_twin") for fmi in (2, 3)]
+
+
+def test_the_command_line_names_every_component() -> None:
+    assert COMPONENT_NAMES.split(", ") == list(COMPONENTS)
 
 
 @pytest.fixture(scope="module")

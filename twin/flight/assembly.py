@@ -37,6 +37,52 @@ CONTROLLERS: dict[str, Callable[[Vehicle], Component]] = {
 
 
 @dataclass(frozen=True, slots=True)
+class Choices:
+    """What a component is made with, apart from the vehicle.
+
+    Attributes:
+        effects: Effects to build in, switched off, as blocks of parameters: identifiers of
+            `twin.effects.EFFECTS`.
+        drive: Inputs of the airframe; None: what the vehicle describes.
+        position: Kind of position sensor.
+        mission: Name of the mission.
+    """
+
+    effects: tuple[str, ...] = ()
+    drive: Drive | None = None
+    position: Kind = "gnss"
+    mission: str = "hover"
+
+
+Maker = Callable[[Vehicle, Choices], Component]
+
+
+def _sensor(make: Callable[[Vehicle, Iterable[str]], Component]) -> Maker:
+    return lambda vehicle, choices: make(vehicle, choices.effects)
+
+
+def _controller(make: Callable[[Vehicle], Component]) -> Maker:
+    return lambda vehicle, _: make(vehicle)
+
+
+SENSED = (*components_of_sensors(), "position")
+"""Components that are sensors, by name."""
+COMPONENTS: Mapping[str, Maker] = {
+    "airframe": lambda v, c: airframe(v, c.drive, c.effects),
+    **{name: _sensor(make) for name, make in components_of_sensors().items()},
+    "position": lambda v, c: position_sensor(v, c.effects, c.position),
+    "battery": lambda v, _: battery(v),
+    "environment": lambda v, _: environment(v),
+    "mission": lambda v, c: mission(v, c.mission),
+    **{
+        "controller" if name == "lqr" else f"controller_{name}": _controller(make)
+        for name, make in CONTROLLERS.items()
+    },
+}
+"""Every component of the twin by its name: what is exported, assembled and documented."""
+
+
+@dataclass(frozen=True, slots=True)
 class Assembly:
     """Components stepped together.
 
@@ -134,12 +180,16 @@ def flying_twin(
     """
     if control not in CONTROLLERS:
         raise ModelError(unknown_name("flying twin", "controller", control, CONTROLLERS))
-    effects = effects_for(vehicle) if effects is None else tuple(effects)
-    pilot = {"mission": mission(vehicle, scenario), "controller": CONTROLLERS[control](vehicle)}
-    body = airframe(vehicle, effects=effects)
-    parts = pilot | _aircraft(vehicle, body, effects, law, position)
+    built_in = effects_for(vehicle) if effects is None else tuple(effects)
+    choices = Choices(built_in, None, position, scenario)
+    body = COMPONENTS["airframe"](vehicle, choices)
+    parts = {
+        "mission": COMPONENTS["mission"](vehicle, choices),
+        "controller": CONTROLLERS[control](vehicle),
+        **_aircraft(vehicle, body, choices, law),
+    }
     if vehicle.battery is not None:
-        parts["battery"] = battery(vehicle)
+        parts["battery"] = COMPONENTS["battery"](vehicle, choices)
     return Assembly(parts, connected_by_name(parts), mission_duration_s(scenario))
 
 
@@ -166,26 +216,21 @@ def driven_twin(
     Raises:
         ModelError: The vehicle's maps do not allow this drive.
     """
-    effects = effects_for(vehicle) if effects is None else tuple(effects)
-    body = airframe(vehicle, drive, effects, restart=True, voltage=law is not None)
-    parts = _aircraft(vehicle, body, effects, law, position)
+    choices = Choices(effects_for(vehicle) if effects is None else tuple(effects), drive, position)
+    body = airframe(vehicle, drive, choices.effects, restart=True, voltage=law is not None)
+    parts = _aircraft(vehicle, body, choices, law)
     return Assembly(parts, connected_by_name(parts), DRIVEN_S)
 
 
 def _aircraft(
-    vehicle: Vehicle,
-    body: Component,
-    effects: tuple[str, ...],
-    law: ForceLaw | None,
-    position: Kind,
+    vehicle: Vehicle, body: Component, choices: Choices, law: ForceLaw | None
 ) -> dict[str, Component]:
     """The air, an airframe that stands in it, what acts on it beyond its equations, its sensors."""
     beyond = {} if law is None else {"residual_force": residual_force(vehicle, law)}
     return {
-        "environment": environment(vehicle),
+        "environment": COMPONENTS["environment"](vehicle, choices),
         "airframe": body.with_starts(standing(body, vehicle)),
-        **{name: make(vehicle, effects) for name, make in components_of_sensors().items()},
-        "position": position_sensor(vehicle, effects, position),
+        **{name: COMPONENTS[name](vehicle, choices) for name in SENSED},
         **beyond,
     }
 

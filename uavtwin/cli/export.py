@@ -9,7 +9,16 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import VEHICLE_VARIABLE, Force, Json, Out, Prints, start_values, vehicle_named
+from .options import (
+    COMPONENT_NAMES,
+    VEHICLE_VARIABLE,
+    Force,
+    Json,
+    Out,
+    Prints,
+    start_values,
+    vehicle_named,
+)
 from .printing import print_files, print_json, progress
 
 if TYPE_CHECKING:
@@ -45,9 +54,8 @@ _FOR = {
 Components = Annotated[
     list[str],
     typer.Argument(
-        help="airframe, imu, magnetometer, barometer, position, battery, environment, mission, "
-        "controller, controller_px4, replay, compensator; or corrected-twin: all of them fused "
-        "into one FMU, and as .ssp."
+        help=f"{COMPONENT_NAMES}, replay, compensator; or corrected-twin: all of them fused into "
+        "one FMU, and as .ssp."
     ),
 ]
 Platforms = Annotated[
@@ -224,8 +232,8 @@ def export_components(
             flight or compiler.
     """
     from twin.component import unknown_name
+    from twin.flight.assembly import COMPONENTS
 
-    from ..exports.parts import COMPONENTS
     from ..exports.write import export_parts
     from ..vehicles import load_vehicle
 

@@ -12,6 +12,12 @@ import typer
 
 from twin.errors import TwinError
 
+COMPONENT_NAMES = (
+    "airframe, imu, magnetometer, barometer, position, battery, environment, mission, controller, "
+    "controller_px4"
+)
+"""`twin.flight.assembly.COMPONENTS` in words, which help is printed without loading."""
+
 
 class Exit(IntEnum):
     """Exit codes."""

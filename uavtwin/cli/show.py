@@ -4,17 +4,14 @@ from typing import Annotated
 
 import typer
 
-from .options import Effects, Json, Prints, start_values, vehicle_named
+from .options import COMPONENT_NAMES, Effects, Json, Prints, start_values, vehicle_named
 from .printing import STDOUT, print_json
 
 
 def show(
     name: Annotated[
         str,
-        typer.Argument(
-            help="airframe, imu, magnetometer, barometer, position, battery, environment, mission, "
-            "controller or controller_px4."
-        ),
+        typer.Argument(help=f"One of {COMPONENT_NAMES}."),
     ] = "airframe",
     vehicle: Annotated[
         str | None,

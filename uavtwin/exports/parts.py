@@ -1,7 +1,7 @@
 """What can be exported: components of a vehicle, the whole twin, a replay, a compensator."""
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
@@ -12,15 +12,10 @@ from fmus.compensator import FILE, INT8_FILE, NetworkFile, read_network
 from twin.component import Component, unknown_name
 from twin.effects import effects_for
 from twin.errors import TwinError
-from twin.flight.assembly import CONTROLLERS, Assembly, driven_twin, flying_twin
-from twin.flight.mission import mission
+from twin.flight.assembly import COMPONENTS, Assembly, Choices, driven_twin, flying_twin
 from twin.logs import Flight
-from twin.physics.airframe import airframe
-from twin.physics.battery import battery
-from twin.physics.environment import environment
 from twin.physics.rotors import Drive
-from twin.physics.sensors.position import PRESETS, Kind, position_sensor
-from twin.physics.sensors.table import components_of_sensors
+from twin.physics.sensors.position import PRESETS, Kind
 from twin.representation import short_repr
 from twin.vehicle import Vehicle
 
@@ -31,41 +26,6 @@ if TYPE_CHECKING:
     from learning.force.model import ForceModel
 
 Controller = Literal["lqr", "px4"]
-
-
-@dataclass(frozen=True, slots=True)
-class Choices:
-    """What a component may be made with, beside the vehicle.
-
-    Attributes:
-        drive: Inputs of the airframe; None: what the vehicle describes.
-        position: Kind of position sensor.
-        mission: Name of the mission.
-    """
-
-    drive: Drive | None = None
-    position: Kind = "gnss"
-    mission: str = "hover"
-
-
-def _with_effects(
-    make: Callable[[Vehicle, Iterable[str]], Component],
-) -> Callable[[Vehicle, Choices], Component]:
-    """A sensor of the table, with the effects that its aircraft can have."""
-    return lambda vehicle, _: make(vehicle, effects_for(vehicle))
-
-
-COMPONENTS: Mapping[str, Callable[[Vehicle, Choices], Component]] = {
-    "airframe": lambda v, c: airframe(v, c.drive, effects_for(v)),
-    **{name: _with_effects(make) for name, make in components_of_sensors().items()},
-    "position": lambda v, c: position_sensor(v, effects_for(v), c.position),
-    "battery": lambda v, _: battery(v),
-    "environment": lambda v, _: environment(v),
-    "mission": lambda v, c: mission(v, c.mission),
-    "controller": lambda v, _: CONTROLLERS["lqr"](v),
-    "controller_px4": lambda v, _: CONTROLLERS["px4"](v),
-}
-"""Every component by its name, each with the effects that its aircraft can have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +116,7 @@ def component(
     """One component of a vehicle, with all the effects that act in it.
 
     Args:
-        name: Of `COMPONENTS`.
+        name: Of `twin.flight.assembly.COMPONENTS`.
         vehicle: Whose component.
         drive: Inputs of the airframe; None: what the vehicle describes.
         position: Kind of position sensor.
@@ -172,7 +132,7 @@ def component(
     if drive is not None:
         _check_drive(name, drive)
     _check_position(name, position)
-    return COMPONENTS[name](model, Choices(drive, position, mission))
+    return COMPONENTS[name](model, Choices(effects_for(model), drive, position, mission))
 
 
 def _check_drive(name: str, drive: str) -> None:

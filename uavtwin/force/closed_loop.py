@@ -17,11 +17,10 @@ from cosim.slave import Slave
 from learning.force.laws import LAWS
 from learning.force.model import Checked, ForceModel, Output
 from twin.errors import FmuError
-from twin.flight.assembly import gust_switches
+from twin.flight.assembly import SENSED, gust_switches
 from twin.flight.mission import mission_duration_s
 from twin.frames import AXES
 from twin.physics.residual_force import OUTPUTS
-from twin.physics.sensors.table import components_of_sensors
 from twin.vehicle import Vehicle
 
 from ..exports.parts import LearnedForce, twin
@@ -42,7 +41,7 @@ START_M = 0.5
 LOST_M = 10.0
 """So far from where it should be, a vehicle is not flying its mission any more."""
 ENABLED = "residual_force.enabled"
-_SEEDED = ("environment", *components_of_sensors(), "position")
+_SEEDED = ("environment", *SENSED)
 """Components that draw noise."""
 _TRACKED = tuple(f"airframe.pos_{a}" for a in AXES) + tuple(
     f"mission.setpoint_pos_{a}" for a in AXES

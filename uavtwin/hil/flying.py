@@ -12,9 +12,8 @@ from cosim.whole_twin import COMPENSATOR, PHASE, fused_model
 from fmus import build
 from fmus.compensator import NetworkFile, native_model
 from twin.errors import TwinError
-from twin.flight.assembly import Assembly, connected_by_name
+from twin.flight.assembly import COMPONENTS, Assembly, Choices, connected_by_name
 from twin.frames import AXES
-from twin.physics.battery import battery
 from twin.physics.sensors.table import SENSORS
 from twin.vehicle import Vehicle
 
@@ -175,5 +174,5 @@ def _with_battery(assembly: Assembly, vehicle: Vehicle) -> Assembly:
     """The same with the vehicle's battery, where its file has one."""
     if vehicle.battery is None:
         return assembly
-    parts = {**assembly.parts, "battery": battery(vehicle)}
+    parts = {**assembly.parts, "battery": COMPONENTS["battery"](vehicle, Choices())}
     return replace(assembly, parts=parts, connections=connected_by_name(parts))
