@@ -91,7 +91,7 @@ def _windows(*times_s: Array) -> Array:
     return np.arange(start, end, min(_WINDOW_S, max((end - start) / 40.0, 3.0 * interval_s)))
 
 
-def _total(t_s: Array, values: Array, edges_s: Array) -> Array:
+def window_integrals(t_s: Array, values: Array, edges_s: Array) -> Array:
     """Integral of a signal over each window, shape (windows, k)."""
     total = np.zeros(len(t_s))
     found = np.empty((len(edges_s) - 1, values.shape[1]))
@@ -213,7 +213,7 @@ def turns(table: Columns, there: Signals | None = None) -> Turns | None:
     q = q[near][first]
     q = q / np.linalg.norm(q, axis=1, keepdims=True)
     turned = rotation_vector(q[1:], q[:-1])
-    integrated = _total(t_gyro, gyro, edges)
+    integrated = window_integrals(t_gyro, gyro, edges)
     small = np.abs(integrated).max(axis=1) < 1.0  # beyond, angles do not add up
     if small.sum() < _FEWEST:
         small = np.abs(turned).max(axis=1) < 1.0
@@ -258,7 +258,7 @@ def doubt_velocity(table: Columns, there: Signals) -> list[Finding]:
     edges = _windows(t_pos, t_vel)
     if len(edges) < _FEWEST:
         return []
-    way, integrated = np.diff(_at(t_pos, pos, edges), axis=0), _total(t_vel, vel, edges)
+    way, integrated = np.diff(_at(t_pos, pos, edges), axis=0), window_integrals(t_vel, vel, edges)
     good = _known(t_pos, edges) & _known(t_vel, edges)
     good &= np.abs(way).max(axis=1) < 50.0 * _median_way(way)  # resets of an estimator
     found = []
@@ -313,10 +313,10 @@ def doubt_force(table: Columns, there: Signals) -> list[Finding]:
         return []
     gained = np.diff(_at(t_vel, vel, edges), axis=0)
     del vel  # of a long flight each is a good part of what memory there is
-    read = _total(t_acc, acc, edges)
+    read = window_integrals(t_acc, acc, edges)
     force_n = _force_ned(t_acc, acc, t_q, q)
     del acc
-    integrated = _total(t_acc, force_n, edges)
+    integrated = window_integrals(t_acc, force_n, edges)
     good = _known(t_acc, edges) & _known(t_q, edges) & _known(t_vel, edges)
     good &= np.abs(gained).max(axis=1) < 20.0 * np.diff(edges)
     if good.sum() < _FEWEST:

@@ -3,10 +3,12 @@ unit norm, rows.
 """
 
 import math
+from abc import abstractmethod
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pandas as pd
@@ -56,6 +58,24 @@ class Timed:
         if len(self.t_us) < 2:
             return 0.0
         return float((len(self.t_us) - 1) / ((self.t_us[-1] - self.t_us[0]) * 1e-6))
+
+    @abstractmethod
+    def has(self, *fields: str) -> bool:
+        """Whether every field is there and holds numbers."""
+
+
+AnyTopic = TypeVar("AnyTopic", bound=Timed)
+
+
+def with_fields(
+    log: FindingCollector, name: str, topic: AnyTopic | None, needs: Sequence[str]
+) -> AnyTopic | None:
+    """A topic with all of some fields; else None, and a finding."""
+    lacks = [] if topic is None else [f for f in needs if not topic.has(f)]
+    if not lacks:
+        return topic
+    log.note("warning", name, f"has no field {', '.join(lacks)}; it is not used")
+    return None
 
 
 @dataclass(frozen=True, slots=True)

@@ -298,16 +298,7 @@ class _Log(FindingCollector):
 
 
 def read_usd_log(path: Path, blob: bytes, options: ReadOptions) -> Flight:
-    """Read the log of a Crazyflie's uSD-card deck.
-
-    Args:
-        path: File name.
-        blob: Content of the file.
-        options: Of no concern: the commands are those that are logged.
-
-    Raises:
-        LogError: Nothing in it can be used.
-    """
+    """Read the log of a Crazyflie's uSD-card deck; arguments and errors as of `formats.Reader`."""
     content = read_content(path, blob)
     if not content.events:
         raise LogError(f"{path.name}: a Crazyflie log without a single event; nothing was logged.")

@@ -22,7 +22,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import linear_sum_assignment
 
 from ..vehicle.layouts import Layout
-from .agreement import Signals, samples
+from .agreement import Signals, samples, window_integrals
 from .columns import ACC, GYRO, Columns
 from .flight import Array, Finding
 
@@ -114,12 +114,7 @@ class _Cells:
         """Mean of each column over each cell, `lag_s` before it, shape (cells, k)."""
         near = slice(*np.searchsorted(t_s, self.edges_s[[0, -1]] + (-_MARGIN_S, _MARGIN_S)))
         t_s, values = t_s[near], values[near]
-        total = np.zeros(len(t_s))
-        found = np.empty((len(self.edges_s) - 1, values.shape[1]))
-        for k, column in enumerate(values.T):
-            np.cumsum(np.diff(t_s) * (column[1:] + column[:-1]) / 2.0, out=total[1:])
-            found[:, k] = np.diff(np.interp(self.edges_s - lag_s, t_s, total))
-        return found / self.width_s
+        return window_integrals(t_s, values, self.edges_s - lag_s) / self.width_s
 
     def fast(self, values: Array) -> Array:
         """What changes within two seconds, of the cells in the air, shape (cells in the air, k)."""

@@ -175,22 +175,14 @@ def header(path: Path) -> list[str]:
 
 
 def read_parquet(path: Path, blob: bytes, options: ReadOptions) -> Flight:
-    """Read a flight table in Parquet; what its writer noted is taken over.
-
-    Args:
-        path: File name.
-        blob: Content of the file.
-        options: None of them concerns a flight table.
-
-    Raises:
-        LogError: It contradicts the definition of the flight table.
-    """
+    """Read a flight table in Parquet, with what its writer noted; arguments and errors as of
+    `formats.Reader`."""
     raw, notes, found = _parquet(path, blob)
     return notes.on(_checked(path, raw, notes.facts, [*notes.findings, *found]))
 
 
 def read_csv(path: Path, blob: bytes, options: ReadOptions) -> Flight:
-    """Read a flight table in CSV; arguments and errors as in `read_parquet`."""
+    """Read a flight table in CSV; arguments and errors as of `formats.Reader`."""
     findings: list[Finding] = []
     return _checked(path, _csv(path, blob, findings), {}, findings)
 
@@ -536,7 +528,7 @@ def _whole(stream: Path) -> Iterator[tuple[pa.RecordBatch, dict[bytes, bytes]]]:
 
 
 def read_stream(path: Path, blob: bytes, options: ReadOptions) -> Flight:
-    """Read a flight table that was being written; arguments and errors as in `read_parquet`."""
+    """Read a flight table that was being written; arguments and errors as of `formats.Reader`."""
     found: list[pa.RecordBatch] = []
     metadata: dict[bytes, bytes] = {}
     for each in batches(io.BytesIO(blob)):

@@ -415,16 +415,7 @@ def _doubt(topics: list[Topic], speeds: list[Array], commands: MotorCommands) ->
 
 
 def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:
-    """Read an ArduPilot DataFlash log, binary or text.
-
-    Args:
-        path: File name.
-        blob: Content of the file.
-        options: Of no concern: the commands are those that are logged.
-
-    Raises:
-        LogError: Nothing in it can be used.
-    """
+    """Read a DataFlash log, binary or text; arguments and errors as of `formats.Reader`."""
     log = open_ardupilot(path, blob)
     flight = FlightBuilder(log, path, _facts(log) | cut_to_flight(log), "the motors ran")
     facts, used = flight.facts, active_estimator(log)

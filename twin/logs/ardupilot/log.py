@@ -9,7 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import LogError
-from ..assemble import Timed, monotonic, monotonic_samples, pauses, stamp_offsets, stray_samples
+from ..assemble import (
+    Timed,
+    monotonic,
+    monotonic_samples,
+    pauses,
+    stamp_offsets,
+    stray_samples,
+    with_fields,
+)
 from ..flight import Array, Finding, FindingCollector
 from .file import MARK, Content, Damage, Messages, in_si, instance_column, read_binary, read_plain
 
@@ -253,12 +261,7 @@ class ArduPilotLog(FindingCollector):
         key = (name, instance)
         if key not in self._topics:
             self._topics[key] = self._ordered(name, instance, with_findings=True)
-        topic = self._topics[key]
-        if topic is not None and not topic.has(*needs):
-            lacks = [f for f in needs if not topic.has(f)]
-            self.note("warning", name, f"has no field {', '.join(lacks)}; it is not used")
-            return None
-        return topic
+        return with_fields(self, name, self._topics[key], needs)
 
     def cut_to(self, begin_us: int, end_us: int) -> None:
         """Use a part of the log alone, and count time from its begin.

@@ -553,16 +553,8 @@ _SHOWN = 60  # characters of a text of the head
 
 
 def read_blackbox(path: Path, blob: bytes, options: ReadOptions) -> Flight:
-    """Read a Blackbox log of Betaflight; of several flights in a file the longest.
-
-    Args:
-        path: File name.
-        blob: Content of the file.
-        options: Of no concern: the commands are those that are logged.
-
-    Raises:
-        LogError: Nothing in it can be used.
-    """
+    """Read a Blackbox log of Betaflight, of several flights in a file the longest; arguments and
+    errors as of `formats.Reader`."""
     log, which = open_blackbox(path, blob)
     flight = FlightBuilder(log, path, {"firmware": log.firmware[:_SHOWN] or "Betaflight"})
     facts = flight.facts

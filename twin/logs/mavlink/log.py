@@ -93,15 +93,7 @@ def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     """Read a telemetry log of a ground station, or `raw.tlog` of `uavtwin live`.
 
     Of several systems the multirotor with the most samples is read, without one the system with
-    the most.
-
-    Args:
-        path: File name.
-        blob: Content of the file.
-        options: Of no concern: the commands are those that were sent.
-
-    Raises:
-        LogError: Nothing in it can be used.
+    the most. Arguments and errors as of `formats.Reader`.
     """
     log, link = _Log(), Link()
     system, decoder, samples = _aircraft(path, log, link, blob)

@@ -22,6 +22,7 @@ from ..assemble import (
     pauses,
     stamp_offsets,
     stray_samples,
+    with_fields,
 )
 from ..autopilot import MOST_MESSAGES, MOST_PARAMETERS, Level, Message, as_text
 from ..flight import Array, Finding, FindingCollector
@@ -285,12 +286,7 @@ class Px4Log(FindingCollector):
         key = (name, instance)
         if key not in self._topics:
             self._topics[key] = self._ordered(name, instance)
-        topic = self._topics[key]
-        if topic is not None and not topic.has(*needs):
-            lacks = [f for f in needs if not topic.has(f)]
-            self.note("warning", name, f"has no field {', '.join(lacks)}; the topic is not used")
-            return None
-        return topic
+        return with_fields(self, name, self._topics[key], needs)
 
     def aside(self, name: str, *needs: str) -> Topic | None:
         """The same of a topic that no signal comes from, without findings."""

@@ -237,13 +237,7 @@ _SAGS_V = 0.02  # a regulated supply does less
 
 
 def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
-    """Read a PX4 ULog.
-
-    Args:
-        path: File name.
-        blob: Content of the file.
-        options: Whether the motor commands are rebuilt.
-    """
+    """Read a PX4 ULog; arguments and errors as of `formats.Reader`."""
     log = open_px4(path, blob)
     flight = FlightBuilder(log, path, _facts(log))
     filtered = add_imu(log, flight)
