@@ -98,6 +98,7 @@ def residual_flight(
     rate_hz: float = DEFAULT_RATE_HZ,
     restart_s: float = DEFAULT_HORIZON_S,
     progress: Callable[[float], None] | None = None,
+    aligned: AlignedFlight | None = None,
 ) -> ResidualFlight:
     """Residuals of a flight against a vehicle.
 
@@ -108,13 +109,15 @@ def residual_flight(
         restart_s: From the restart to the reading; a multiple of 1 ms, at least one interval, or
             0: the twin follows.
         progress: Called with the share done, 0..1.
+        aligned: The flight, or the part of it that counts, on the grid of the twin; None: it is put
+            there.
 
     Raises:
         ModelError: Rate or time is not allowed.
         LogError: The flight cannot be compared with this vehicle, or has no sample to compare.
     """
     every, steps = _steps(rate_hz, restart_s)
-    aligned = align_flight(flight, vehicle)
+    aligned = aligned or align_flight(flight, vehicle)
     t = aligned.inputs.t_s
     first = -round(float(t[0]) / GRID_S) % every
     grid = np.arange(first, len(t), every)

@@ -38,6 +38,7 @@ class ResidualBlock:
         aligned: The new rows of the grid of `GRID_HZ`, `airborne` where all of the state is known
             as well; None: there are none.
         flight: The last seconds of the flight table, the new rows among them.
+        fine: The same on the grid of `GRID_S`, as far as it will not change any more.
     """
 
     start_s: float
@@ -46,6 +47,7 @@ class ResidualBlock:
     short: tuple[Channel, ...]
     aligned: AlignedFlight | None
     flight: Flight
+    fine: AlignedFlight
 
 
 class StreamResiduals:
@@ -101,7 +103,12 @@ class StreamResiduals:
             block = stream.grid.piece(reported + 1, end, stream.motion)
             self._reported_row, self._reported_s = end - 1, (end - 1) / GRID_HZ
         stream.needed_s = self._reported_s
-        return ResidualBlock(start_s, self._reported_s, channels, short, block, stream.window)
+        rows = self._fine.rows
+        assert rows is not None
+        fine_piece = self._fine.piece(rows.first, rows.end, stream.motion)
+        return ResidualBlock(
+            start_s, self._reported_s, channels, short, block, stream.window, fine_piece
+        )
 
     def _start(self) -> None:
         """Equations of the short horizon, without effects that are switched off."""

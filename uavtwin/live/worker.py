@@ -304,6 +304,6 @@ class Worker:
     def _correct(self, compensator: "RunningCompensator", block: ResidualBlock) -> None:
         """Run the compensator on the newest seconds."""
         with BUILDING:
-            said = compensator.update(block.flight, block.end_s)
+            said = compensator.update(block.flight, block.end_s, block.fine)
         if said is not None:
             self._on_anomaly(float(said.anomaly.max()))

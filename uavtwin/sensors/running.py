@@ -1,8 +1,8 @@
-"""A trained compensator of the sensors beside a flying aircraft, in the C of its FMU.
+"""A trained compensator of the sensors of a flying aircraft, in the C of its FMU.
 
-What it is fed with is made by the functions that it was trained by, over the last seconds of the
-flight, so that a recording gives the same numbers (`CompiledCompensator`). They build their
-equations each time: half a second of processor, whence the long `EVERY_S`.
+Its inputs are computed by the functions of its training, on the last seconds of the stream, so that
+a recording gives the same numbers (`CompiledCompensator`). That takes 0.2 s of processor, whence
+the long `EVERY_S`.
 """
 
 from dataclasses import dataclass
@@ -16,6 +16,7 @@ from fmus.compensator import NetworkFile
 from learning.data.flights import ResidualFlight, residual_flight, restart_before_s
 from twin.errors import LogError
 from twin.logs import Flight
+from twin.residuals.aligned import AlignedFlight
 from twin.vehicle import Vehicle
 
 from ..live.status import ModelStatus
@@ -23,7 +24,7 @@ from .compiled import fed, outputs_of
 
 Array = NDArray[np.float64]
 EVERY_S = 2.0
-"""Of flight, between two looks."""
+"""Of flight, between two evaluations, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,18 +84,27 @@ class RunningCompensator:
         self._samples, self._before, self._after = np.zeros(n), np.zeros(n), np.zeros(n)
         self.status = ModelStatus(self.horizon_s)
 
-    def update(self, flight: Flight, until_s: float) -> Correction | None:
+    def update(
+        self, flight: Flight, until_s: float, aligned: AlignedFlight | None = None
+    ) -> Correction | None:
         """What it says of what is new; None: it is not time yet, or nothing was in the air.
 
         Args:
             flight: The last seconds, from at least two before what is new.
             until_s: Up to where the flight is told.
+            aligned: The flight on the grid of the twin; None: it is put there.
         """
         if until_s - self._until_s < EVERY_S:
             return None
         after_s, self._until_s = self._until_s, until_s
         try:
-            seen = residual_flight(flight, self._vehicle, self.network.rate_hz, self._restart_s)
+            seen = residual_flight(
+                flight,
+                self._vehicle,
+                self.network.rate_hz,
+                self._restart_s,
+                aligned=aligned,
+            )
         except LogError:  # nothing in the air to compare
             return None
         rows = [

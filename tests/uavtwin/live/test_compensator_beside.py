@@ -15,6 +15,7 @@ from learning.data.flights import residual_flight, restart_before_s
 from learning.preset import Protocol
 from twin.logs import Flight, read_flight
 from twin.logs.mavlink.frames import Message, parser
+from twin.residuals.aligned import AlignedFlight
 from twin.vehicle.file import load_vehicle
 from uavtwin.live.datagrams import Address
 from uavtwin.live.following import Publisher
@@ -36,8 +37,10 @@ def flown_beside(running: RunningCompensator, folder: Path) -> list[Correction]:
     said: list[Correction] = []
     look = running.update
 
-    def noted(flight: Flight, until_s: float) -> Correction | None:
-        found = look(flight, until_s)
+    def noted(
+        flight: Flight, until_s: float, aligned: AlignedFlight | None = None
+    ) -> Correction | None:
+        found = look(flight, until_s, aligned)
         said.extend([] if found is None else [found])
         return found
 
