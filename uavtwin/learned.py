@@ -15,7 +15,7 @@ from twin.vehicle import Vehicle
 
 from .display import DisplayMixin, TextTable
 from .flights import checked_flights
-from .model_card.license import UNSAID, check_license
+from .model_card import UNSAID, check_license
 from .output import check_folder, results_folder
 from .record import Record
 from .vehicles import checked_vehicle
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from learning.model.family import TrainedModel
     from learning.preset import Protocol
 
+    from .compensators.evaluation import Evaluation
     from .force.evaluate import ForceEvaluation
-    from .sensors.evaluation import Evaluation
     from .vehicles import Vehicle as OwnVehicle
 
 Progress = Callable[[float], None]
@@ -229,8 +229,8 @@ def _sensor_training(
     """A compensator of the sensors, checked before the work begins."""
     from learning.training.checkpoint import CHECKPOINT
 
-    from .model_card.write import write_card
-    from .sensors import training
+    from .compensators import training
+    from .model_card import write_card
 
     _check_kind(out, "force.json", "a learned force")
     plan = training.plan_training(
@@ -281,7 +281,7 @@ def _force_training(
     """Force and moment inside the equations, checked before the work begins."""
     from .force.memory import CHECKPOINT, Memory, training_key
     from .force.train import check_force_options, force_claim, train_force
-    from .model_card.write import write_card
+    from .model_card import write_card
 
     check_force_options(
         wanted.model, wanted.preset, wanted.horizon, wanted.rate_hz, wanted.epochs, wanted.device
@@ -324,9 +324,8 @@ def write_measured_card(
     if is_force(model):
         from .force.train import force_claim as claim
     else:
-        from .sensors.training import training_claim as claim
-    from .model_card.measured import Measured
-    from .model_card.write import write_completed_card
+        from .compensators.training import training_claim as claim
+    from .model_card import Measured, write_completed_card
 
     measured = Measured(found.json(), {f.name: f.fingerprint for f in flights})
     return write_completed_card(model, claim(model), measured, folder)
@@ -371,7 +370,7 @@ def evaluate(
         before = None if physics is None else checked_vehicle(physics, "evaluate")
         return evaluate_force(folder, several, before, progress)
     with extra_learn():
-        from .sensors.evaluation import evaluate_model
+        from .compensators.evaluation import evaluate_model
     _refuse("physics", physics, "a compensator of the sensors: give the vehicle as explained")
     other = None if explained is None else checked_vehicle(explained, "evaluate")
     return evaluate_model(folder, several, other, progress)

@@ -50,7 +50,7 @@ from twin.explain.explanation import explain
 from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
-from uavtwin.sensors.compiled import CompiledCompensator, compiled_compensator
+from uavtwin.compensators.running import CompiledCompensator, compiled_compensator
 
 from .residuals import residuals
 from .simulated import individuals, produce

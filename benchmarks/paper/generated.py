@@ -40,12 +40,12 @@ from twin.logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
 from twin.residuals.gap import spectrum
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
+from uavtwin.compensators.evaluation import check_new
+from uavtwin.compensators.training import RESIDUALS, VEHICLE_FILE
 from uavtwin.flights import check_names
 from uavtwin.output import check_file, output_file, recorded_file
 from uavtwin.report.drawing import Budget, Panels, fitted, thinned
 from uavtwin.report.page import BLACK, ORANGE, Figure, Plot, plot, render
-from uavtwin.sensors.evaluation import check_new
-from uavtwin.sensors.training import RESIDUALS, VEHICLE_FILE
 
 from .innovations import fit_generators
 

@@ -532,7 +532,7 @@ def test_a_machine_without_torch_can_name_all_and_is_told_what_to_install(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     assert "torch" not in _loaded("import uavtwin as ut; [getattr(ut, n) for n in ut.__all__]")
-    monkeypatch.setitem(sys.modules, "uavtwin.sensors.evaluation", None)
+    monkeypatch.setitem(sys.modules, "uavtwin.compensators.evaluation", None)
     with pytest.raises(ut.TwinError, match=r"pip install .*'torch>="):
         ut.evaluate(tmp_path, [])
 

@@ -40,7 +40,7 @@ def evaluate(
     as_json: Annotated[
         Json,
         Prints(
-            "uavtwin.sensors.evaluation:EvaluationRecord",
+            "uavtwin.compensators.evaluation:EvaluationRecord",
             "uavtwin.force.evaluate:ForceRecord",
             file="evaluation.json",
             about="Of a compensator of sensors, then of a learned force: "

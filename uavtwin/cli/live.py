@@ -15,10 +15,10 @@ from .options import VEHICLE_VARIABLE, Exit, Horizon, Json, Prints, seconds
 from .printing import STDERR, STDOUT, print_json
 
 if TYPE_CHECKING:
+    from ..compensators.running import RunningCompensator
     from ..live.page.opened import OpenPage
     from ..live.session import LiveOptions, LiveSession
     from ..live.status import LiveStatus, ModelStatus
-    from ..sensors.running import RunningCompensator
     from ..vehicles import Vehicle as OwnVehicle
 
 _DEMO_VEHICLE, _DEMO_PAGE, _DEMO_SILENT_S = "copter_default", "127.0.0.1:8080", 5.0
@@ -224,9 +224,8 @@ def _compensator(folder: Path, vehicle: "OwnVehicle") -> "Iterator[RunningCompen
     """The compensator of a folder, held against the vehicle and built."""
     from learning.force.model import is_force
 
+    from ..compensators.running import RunningCompensator, compiled_compensator
     from ..exports.parts import check_compensator
-    from ..sensors.compiled import compiled_compensator
-    from ..sensors.running import RunningCompensator
 
     if is_force(folder):
         raise TwinError(

@@ -30,8 +30,8 @@ from ..report.page import plot, render
 from ..series.files import CORRECTED, TWIN, Column, Series, residual_of
 from ..series.files import EXPLAINED as EXPLAINED_SIDE
 from ..vehicles import Vehicle, load_vehicle
-from .fold import in_force
-from .hovering import Steadiness, hovers
+from .closed_loop import Steadiness, hovers
+from .learn import in_force
 from .open_loop import DISTANCE, HORIZONS_S, QUANTITIES, OpenLoop, Replay
 
 PHYSICS, EXPLAINED, OBSERVED, SHIPPED = "physics", "explained", "explained + observer", "corrected"

@@ -1,36 +1,340 @@
 """The law of what a vehicle's equations leave, chosen by the twin that flies it.
 
 First each output's observer has to bring the driven twin closer on flights that took no part in
-its choice, and the envelope grows to where the twin goes by itself (`fold`). Then the laws of
-`learning.force.laws` by which flights left out are more probable than without are put into
-the FMU of the driven twin, one after the other beside what was chosen before, and flights that took
-no part in their fit are replayed through it. A law is taken where the twin is then less far off,
-beside its observer, and in no quantity farther. Last, missions in random air withdraw what makes
-the controller lose the vehicle (`closed_loop`). These flights choose; what the law is worth, others
-say.
+its choice, and the envelope grows to where the twin goes by itself (`running`). Then the laws of
+`learning.force.laws` by which flights left out are more probable than without are put into the FMU
+of the driven twin, one after the other alongside what was chosen before, and flights that took no
+part in their fit are replayed through it. A law is taken where the twin is then less far off,
+together with its observer, and in no quantity farther. Last, missions in random air withdraw what
+makes the controller lose the vehicle (`closed_loop`). These flights choose; what the law is worth,
+others say.
 """
 
 import hashlib
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from learning.force.forecast import AHEAD_S
-from learning.force.instants import instants
-from learning.force.laws import LAWS
-from learning.force.model import Checked, ForceModel, Output, Rival, Taught
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.whole_twin import fused_model
+from fmus import build
+from learning.data.envelope import INSIDE
+from learning.force.forecast import AHEAD_S, NO_OBSERVER
+from learning.force.instants import Instants, instants
+from learning.force.laws import LAWS, WORTH, Candidate, Prepared, prepare
+from learning.force.model import Checked, Flown, ForceModel, Output, Rival, Taught, observer_starts
 from twin.errors import TwinError
+from twin.flight.assembly import driven_twin
 from twin.logs import Flight
-from twin.physics.residual_force import OUTPUTS
+from twin.physics.residual_force import OUTPUTS, ForceLaw, parameter_values
 from twin.physics.rotors import Drive
+from twin.representation import short_repr
 from twin.residuals.teacher_forced import choose_drive
+from twin.vehicle import Vehicle as TwinVehicle
 
 from ..vehicles import Vehicle
-from .choice import Choice, chosen_laws, chosen_observers
 from .closed_loop import kept
-from .fold import Fold, Lesson, running
 from .memory import Memory
-from .open_loop import Replay
+from .open_loop import DISTANCE, Replay
+
+Array = NDArray[np.float64]
+ALONE_S = 0.5
+"""So long a twin that is let go has to stay inside the envelope."""
+WIDER = 2.0
+"""Most by which the envelope grows for that: where a law has faded before, it has not been."""
+_PART = "residual_force."
+
+
+@dataclass(frozen=True, slots=True)
+class Lesson:
+    """What some flights teach.
+
+    Attributes:
+        prepared: The flights.
+        fitted: Laws by name of each output.
+        drive: Of the twin.
+        place: Where the twin is built, once it is to fly.
+    """
+
+    prepared: Prepared
+    fitted: Sequence[Mapping[str, Candidate]]
+    drive: Drive
+    place: Path
+
+    __repr__ = short_repr
+
+    @classmethod
+    def of(
+        cls, seen: Sequence[Instants], vehicle: TwinVehicle, drive: Drive, place: Path
+    ) -> "Lesson":
+        """The lesson of these flights.
+
+        Args:
+            seen: One or more.
+            vehicle: Whose equations leave something.
+            drive: Of the twin.
+            place: File of the twin.
+        """
+        prepared = prepare(seen, vehicle)
+        return cls(prepared, prepared.candidates(), drive, place)
+
+    @property
+    def fmu(self) -> Path:
+        """Driven twin that flies any of the laws: they are a matter of start values."""
+        if not self.place.exists():
+            vehicle = self.prepared.vehicle
+            parts = driven_twin(vehicle, self.drive, (), self.prepared.empty)
+            build(fused_model(parts, vehicle.name), self.place)
+        return self.place
+
+    def chosen(self, names: Sequence[str]) -> list[Candidate]:
+        """Laws by their names, one per output."""
+        return [every[name] for every, name in zip(self.fitted, names, strict=True)]
+
+    def law(self, names: Sequence[str]) -> ForceLaw:
+        """The law of these names, made passive."""
+        return self.prepared.law(self.chosen(names))[0]
+
+    def running(self, replays: Sequence[Replay], memory: Memory) -> "Lesson":
+        """The same, its envelope as wide as the twin goes in half a second by itself.
+
+        A twin that is let go does not stay where the aircraft was, and laws are chosen by where it
+        goes: what is judged there is said there.
+
+        Args:
+            replays: Of its flights, at `AHEAD_S`.
+            memory: Of the steps that were taken before.
+        """
+        starts = self.starts([LAWS[0]] * len(OUTPUTS))
+        near = [i for i, s in enumerate(AHEAD_S) if s <= ALONE_S]
+
+        def quantile() -> Array:
+            """Of the distance at the end of the horizons, shape ()."""
+            away = [r.through(self.fmu, starts, (DISTANCE,)).watched[:, near, 0] for r in replays]
+            return np.asarray(np.quantile(np.concatenate(away), INSIDE))
+
+        reach = memory.array(f"reach {self.place.stem}", quantile)
+        wider = float(np.clip(reach, 1.0, WIDER))
+        empty = replace(self.prepared.empty, reach=wider * self.prepared.empty.reach)
+        place = self.place.with_stem(f"{self.place.stem}_running")
+        return replace(self, prepared=replace(self.prepared, empty=empty), place=place)
+
+    def unobserved(self, output: int) -> "Lesson":
+        """The same without the observer of one output."""
+        fitted = list(self.fitted)
+        fitted[output] = {
+            law: replace(c, observer=NO_OBSERVER) for law, c in fitted[output].items()
+        }
+        return replace(self, fitted=fitted)
+
+    def starts(self, names: Sequence[str]) -> dict[str, float]:
+        """Start values that make the FMU fly them, each beside its observer."""
+        return law_starts(self.prepared, self.chosen(names))
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """A flight that is left out.
+
+    Attributes:
+        replay: Of the flight.
+        seen: The flight.
+        lesson: Of the others.
+        memory: Of the steps that were taken before.
+    """
+
+    replay: Replay
+    seen: Instants
+    lesson: Lesson
+    memory: Memory
+
+    __repr__ = short_repr
+
+    def unobserved(self, output: int) -> "Fold":
+        """The same without the observer of one output."""
+        return replace(self, lesson=self.lesson.unobserved(output))
+
+    def squares(self, fmu: Path, starts: Mapping[str, float]) -> Array:
+        """Mean squares of what a twin is off in the flight left out, shape (horizons, 4, 3)."""
+        return np.asarray(np.mean(self.replay.through(fmu, starts).off ** 2, axis=0))
+
+    def squares_of(self, laws: Sequence[str]) -> Array:
+        """Those of the twin that flies these laws."""
+        return self.memory.array(
+            f"{self.lesson.place.stem} {' '.join(laws)}",
+            lambda: self.squares(self.lesson.fmu, self.lesson.starts(laws)),
+        )
+
+
+def running(folds: Sequence[Fold], lesson: Lesson, memory: Memory) -> tuple[list[Fold], Lesson]:
+    """Envelopes as wide as each twin goes in half a second by itself, in the flights it knows.
+
+    Args:
+        folds: One per flight.
+        lesson: Of all flights.
+        memory: Of the steps that were taken before.
+    """
+    wider = []
+    for fold in folds:
+        others = [f.replay for f in folds if f is not fold]
+        wider.append(replace(fold, lesson=fold.lesson.running(others, memory)))
+    return wider, lesson.running([f.replay for f in folds], memory)
+
+
+def law_starts(prepared: Prepared, chosen: Sequence[Candidate]) -> dict[str, float]:
+    """Weights and observers as start values of the fused FMU.
+
+    Args:
+        prepared: Flights that the laws were fitted to.
+        chosen: One law per output.
+    """
+    of_law = in_force(prepared.law(chosen)[0])
+    return of_law | observer_starts([c.observer for c in chosen])
+
+
+def in_force(law: ForceLaw) -> dict[str, float]:
+    """Start values by which a fused FMU of the same envelope flies a law."""
+    return {_PART + n: v for n, v in parameter_values(law).items()}
+
+
+OBSERVER = "observer"
+"""Its name beside those of the laws."""
+BETTER = 0.01
+"""Share by which an observer or a law must lower the error, in the geometric mean over flights,
+quantities and horizons."""
+WORSE = 1.02
+"""No quantity may grow by more, in the geometric mean over flights and horizons."""
+_TINY = 1e-30
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Which laws are used.
+
+    Attributes:
+        laws: Name of that of each output.
+        tried: What each law of each output did.
+    """
+
+    laws: tuple[str, ...]
+    tried: tuple[tuple[Flown, ...], ...]
+
+    @classmethod
+    def nothing(cls) -> "Choice":
+        """No law, and none tried."""
+        return cls((LAWS[0],) * len(OUTPUTS), ((),) * len(OUTPUTS))
+
+    def tried_too(self, flown: Sequence[Flown]) -> "Choice":
+        """The same laws, and one more tried of each output."""
+        return Choice(self.laws, tuple((*t, f) for t, f in zip(self.tried, flown, strict=True)))
+
+
+class Steps:
+    """Progress by counted steps."""
+
+    def __init__(self, total: int, progress: Callable[[float], None]) -> None:
+        self._total, self._done, self._progress = total, 0, progress
+
+    def one(self) -> None:
+        """Another one is done."""
+        self._done += 1
+        self._progress(self._done / self._total)
+
+
+def as_flown(law: str, gain: float, squares: Array, without: Array) -> Flown:
+    """What a law or an observer does.
+
+    Args:
+        law: Its name.
+        gain: Nats.
+        squares: Mean squares with it, shape (flights, horizons, 4, 3).
+        without: The same without it.
+    """
+    logs = np.log((squares + _TINY) / (without + _TINY)) / 2
+    worst = logs.mean(axis=(0, 1)).max()
+    return Flown(law, gain, float(np.exp(logs.mean())), float(np.exp(worst)))
+
+
+def best_law(flown: Sequence[Flown]) -> str:
+    """The simplest law within `BETTER` of the best of those that help and do no harm."""
+    good = [
+        (f.law, f.ratio)
+        for f in flown
+        if f.ratio is not None and f.worst is not None and f.ratio < 1 - BETTER and f.worst <= WORSE
+    ]
+    if not good:
+        return "none"
+    least = min(ratio for _, ratio in good)
+    return next(law for law, ratio in good if ratio <= least + BETTER)
+
+
+def chosen_observers(
+    folds: Sequence[Fold], lesson: Lesson, progress: Callable[[float], None]
+) -> tuple[list[Fold], Lesson, list[Flown]]:
+    """Observer of each output, one after the other beside those of the others, no law used yet.
+
+    It is kept where the twin is closer with it in the mean. That no quantity is farther is asked of
+    laws alone: where two disturbances hid each other, the other one shows when one is taken away.
+
+    Args:
+        folds: One per flight.
+        lesson: Of all flights.
+        progress: Called with the share done.
+
+    Returns:
+        The same without the observers that do not fly better, and what each did.
+    """
+    kept, laws, found = list(folds), Choice.nothing().laws, []
+    steps = Steps(len(OUTPUTS) + 1, progress)
+    least = left_out(kept, laws)
+    steps.one()
+    for i in range(len(OUTPUTS)):
+        silent = [fold.unobserved(i) for fold in kept]
+        without = left_out(silent, laws)
+        found.append(as_flown(OBSERVER, 0.0, least, without))
+        ratio = found[-1].ratio
+        if ratio is None or ratio >= 1 - BETTER:
+            kept, lesson, least = silent, lesson.unobserved(i), without
+        steps.one()
+    return kept, lesson, found
+
+
+def chosen_laws(folds: Sequence[Fold], lesson: Lesson, progress: Callable[[float], None]) -> Choice:
+    """Law of each output, output after output.
+
+    Args:
+        folds: One per flight.
+        lesson: Of all flights: it says which laws are worth a flight.
+        progress: Called with the share done.
+    """
+    steps = Steps(len(OUTPUTS) * (len(LAWS) - 1) + 1, progress)
+    laws, found = list(Choice.nothing().laws), []
+    least = left_out(folds, laws)
+    steps.one()
+    for i in range(len(OUTPUTS)):
+        flown, squares = [], {laws[i]: least}
+        for name in LAWS[1:]:
+            gain = lesson.fitted[i][name].gain
+            steps.one()
+            if gain <= WORTH:
+                flown.append(Flown(name, gain))
+                continue
+            squares[name] = left_out(folds, [*laws[:i], name, *laws[i + 1 :]])
+            flown.append(as_flown(name, gain, squares[name], least))
+        laws[i] = best_law(flown)
+        least = squares[laws[i]]
+        found.append(tuple(flown))
+    return Choice(tuple(laws), tuple(found))
+
+
+def left_out(folds: Sequence[Fold], laws: Sequence[str]) -> Array:
+    """Mean squares of what the twin with these laws is off in each flight left out, shape
+    (flights, horizons, 4, 3)."""
+    return np.stack([f.squares_of(laws) for f in folds])
+
 
 Progress = Callable[[float], None]
 _READING, _OBSERVERS, _LAWS = 0.1, 0.3, 0.8

@@ -20,8 +20,7 @@ from twin.physics.residual_force import OUTPUTS
 from ..flights import check_names
 from ..report.page import render
 from ..vehicles import Vehicle
-from .choice import BETTER, OBSERVER, WORSE
-from .learn import Progress, learn_force
+from .learn import BETTER, OBSERVER, WORSE, Progress, learn_force
 from .memory import Memory
 
 REPORT = "report.html"

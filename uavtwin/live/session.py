@@ -26,7 +26,7 @@ from .status import RATES_HZ, Evidence, LinkStatus, LiveStatus, alarm_json, miss
 from .worker import Batch, Part, Parts, Worker
 
 if TYPE_CHECKING:
-    from ..sensors.running import RunningCompensator
+    from ..compensators.running import RunningCompensator
 
 HAND_OVER_S = 0.1
 """Between two times at which rows go on to the twin and to the disk."""

@@ -29,7 +29,7 @@ from .recording import Columns, Recording
 from .status import Evidence, alarm_json
 
 if TYPE_CHECKING:
-    from ..sensors.running import RunningCompensator
+    from ..compensators.running import RunningCompensator
     from .status import ModelStatus
 
 ERRORS = "errors.txt"

@@ -6,7 +6,7 @@ import pytest
 
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
-from uavtwin.force.hovering import SETTLED_S, flown_hover, hovers, twin_hover
+from uavtwin.force.closed_loop import SETTLED_S, flown_hover, hovers, twin_hover
 
 COPTER = load_vehicle("copter_default")
 UP: Waypoints = (

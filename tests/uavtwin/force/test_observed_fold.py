@@ -15,8 +15,7 @@ from twin.residuals.teacher_forced import choose_drive
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
-from uavtwin.force.choice import OBSERVER, chosen_observers
-from uavtwin.force.fold import ALONE_S, WIDER, Fold, Lesson
+from uavtwin.force.learn import ALONE_S, OBSERVER, WIDER, Fold, Lesson, chosen_observers
 from uavtwin.force.memory import Memory
 from uavtwin.force.open_loop import DISTANCE, Replay
 

@@ -17,12 +17,11 @@ from twin.logs import Flight, read_flight
 from twin.logs.mavlink.frames import Message, parser
 from twin.residuals.aligned import AlignedFlight
 from twin.vehicle.file import load_vehicle
+from uavtwin.compensators.running import Correction, RunningCompensator, compiled_compensator
 from uavtwin.live.datagrams import Address
 from uavtwin.live.following import Publisher
 from uavtwin.live.recording import Recording
 from uavtwin.live.worker import Batch, Worker
-from uavtwin.sensors.compiled import compiled_compensator
-from uavtwin.sensors.running import Correction, RunningCompensator
 
 VEHICLE = "copter_default"
 

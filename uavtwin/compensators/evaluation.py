@@ -27,14 +27,11 @@ from ..flights import check_names
 from ..output import output_file
 from ..record import Record
 from ..report.drawing import Budget, fitted
-from ..report.learning_figures import (
-    anomaly_figure,
-    correction_figure,
-)
+from ..report.learning_figures import anomaly_figure, correction_figure
 from ..report.page import Plot, plot, render
 from ..series.files import CORRECTED, EXPLAINED, SPREAD, TWIN, Column, Series, compared
 from ..series.files import MODEL as OF_MODEL
-from .compiled import compiled_compensator
+from .running import compiled_compensator
 from .training import RESIDUALS, VEHICLE_FILE
 
 MODEL = "model"

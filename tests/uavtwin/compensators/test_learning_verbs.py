@@ -25,10 +25,10 @@ from twin.logs import read_flight, write_flight
 from twin.residuals.aligned import align_flight
 from twin.vehicle.file import load_vehicle
 from uavtwin.cli import main
+from uavtwin.compensators.evaluation import Evaluation, evaluation_claim
+from uavtwin.compensators.running import compiled_compensator
 from uavtwin.demo.flights import fly
 from uavtwin.driving import driving_inputs
-from uavtwin.sensors.compiled import compiled_compensator
-from uavtwin.sensors.evaluation import Evaluation, evaluation_claim
 
 COPTER = load_vehicle("copter_default")
 PLANT = replace(
@@ -241,7 +241,7 @@ def test_the_claim_of_an_evaluation(
         {"group": "acc", "model": m, "rmse": v}
         for m, v in zip(names, (own, *baselines), strict=True)
     ]
-    monkeypatch.setattr("uavtwin.sensors.evaluation.by_group", lambda _: pd.DataFrame(rows))
+    monkeypatch.setattr("uavtwin.compensators.evaluation.by_group", lambda _: pd.DataFrame(rows))
     info = SimpleNamespace(protocol="track", horizon=1, rate_hz=100.0)
     found = cast(Evaluation, SimpleNamespace(model=SimpleNamespace(info=info)))
     assert evaluation_claim(found).endswith(text)

@@ -9,11 +9,17 @@ import pytest
 import yaml
 
 from twin.errors import TwinError
-from uavtwin.model_card.card import FILE, card_text
-from uavtwin.model_card.license import UNSAID, check_license, written_license
-from uavtwin.model_card.markdown import table
-from uavtwin.model_card.measured import Measured
-from uavtwin.model_card.write import write_card, write_completed_card
+from uavtwin.model_card import (
+    FILE,
+    UNSAID,
+    Measured,
+    card_text,
+    check_license,
+    table,
+    write_card,
+    write_completed_card,
+    written_license,
+)
 
 CLAIM = "track, 2 samples (40 ms) ahead: something was learned."
 FLIGHT = {"name": "one|two\n---\n# three", "sha256": "a1", "log_sha256": "b2", "samples": 9}
