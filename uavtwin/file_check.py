@@ -1,4 +1,7 @@
-"""What a file holds, what is wrong with it, what it is good for."""
+"""What a file holds, what is wrong with it, what it is good for.
+
+Of a flight the kind of aircraft, its hover and its battery come first.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What is different about an aircraft, as one pilot says it to another."""
+"""Effects, hover and channels in words: the same sentences in every verb."""
 
 import math
 from collections.abc import Mapping, Sequence

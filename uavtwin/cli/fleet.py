@@ -95,7 +95,7 @@ def fleet(
 
 def _found(found: "JobRows") -> None:
     """One line of what is found in a log, or of an aircraft, as it comes."""
-    from ..fleets.overview import of_log
+    from ..fleets.result import of_log
 
     for row in found.rows.get("flights", ()):
         error = f": {row['error']}" if row.get("error") else ""

@@ -1,4 +1,6 @@
-"""What an export writes: one file per product and FMI version, each in its own way."""
+"""Components of a vehicle, or its whole twin, as files that FMI tools run: one per product and FMI
+version.
+"""
 
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -1,10 +1,23 @@
-"""Which aircraft differs from the others in a number.
+"""Statistics of a fleet: aircraft against each other, numbers against dates, many tests at once.
 
-Source: Rosner, Technometrics 25 (1983) 165-172, the generalised extreme Studentised deviate: the
+Sources: Rosner, Technometrics 25 (1983) 165-172, the generalised extreme Studentised deviate: the
 one farthest from the rest is taken out, and again; an aircraft differs where its deviate, or that
 of one taken out after it, is more than the most extreme of so many would have. His critical values
 are for 25 and more; of fewer, one of several steps is beyond them more often than he says, so that
 here probabilities are multiplied by the number of steps.
+
+Benjamini, Hochberg, J. R. Stat. Soc. B 57 (1995) 289-300, by `scipy.stats.false_discovery_control`:
+it holds for independent tests and for those that go up and down together; numbers of one flight are
+of that kind.
+
+Each estimate of an aircraft is a draw around its value, of known standard deviation; the values are
+draws around that of the type, of a standard deviation to be found: Paule, Mandel, J. Res. Natl.
+Bur. Stand. 87 (1982) 377-385, for the spread between aircraft, as DerSimonian, Kacker, Contemp.
+Clin. Trials 28 (2007) 105-114 recommend; Hartung, Knapp, Stat. Med. 20 (2001) 3875-3889, for how
+well the mean is known; Morris, J. Am. Stat. Assoc. 78 (1983) 47-55, for the values of the aircraft.
+
+Theil, Proc. Kon. Ned. Akad. Wetensch. A 53 (1950) 386-392; Sen, J. Am. Stat. Assoc. 63 (1968)
+1379-1389; Kendall, Biometrika 30 (1938) 81-93, for slopes over the date.
 """
 
 from collections.abc import Sequence

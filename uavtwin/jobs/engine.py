@@ -1,4 +1,10 @@
-"""Where jobs are done: processes of this machine, or a cluster; what comes of them is the same."""
+"""Jobs, and where they are done: processes of this machine, or a Dask cluster; the results are the
+same.
+
+On this machine a thread each waits for its worker, which has a process of its own: what a job does
+to its process harms one job, and nothing is computed twice or passed on by copying code. A cluster
+runs already; its workers have this package, and tasks travel as bytes.
+"""
 
 import contextlib
 import os

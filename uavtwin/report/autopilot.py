@@ -1,5 +1,9 @@
-"""What the autopilot says of a flight, as pages show it: setpoints against the flight,
-vibration with the filters on board, and its words."""
+"""The autopilot of a flight on pages: modes and events, setpoints, vibration, messages, parameters.
+
+Modes are a band on top of every time axis, with failsafes, arming and messages as marks: a page
+holds that strip once per flight, and page.js lays it over each figure. Vibration is a spectrogram
+of the gyroscope or accelerometer, with the filters on board.
+"""
 
 from base64 import b64encode
 from collections.abc import Sequence

@@ -1,4 +1,9 @@
-"""What a page may weigh, and how finely its figures are drawn so that it does not weigh more."""
+"""How figures of pages are drawn: panels one below the other, series thinned, a budget per page.
+
+Panels are written as plotly.js reads them: building them with plotly's own objects takes ten times
+as long as all the rest of a report. A series holds no more points than a screen can show, two bytes
+each, and the budget says how many, so that a page does not weigh more than `PAGE_BYTES`.
+"""
 
 import json
 import re

@@ -1,4 +1,8 @@
-"""The picture that convinces of an effect, and how to read it."""
+"""The figures that convince of an effect, and how to read them.
+
+An effect that changes a mean: residuals without and with it over what it predicts, flights before
+and after. One that changes none: spectra, or a reading that stands still.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Protocol

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from twin.formatting import number, pretty_unit
 
 from ..fleets.fleet_statistics import Drift, Measure, Spread, measures
-from ..fleets.overview import of_logs, table_of
-from ..fleets.result import FleetResult
+from ..fleets.result import FleetResult, of_logs, table_of
 from ..fleets.statistics import FALSE_SHARE
 from .drawing import Panels
 from .page import BLUE, GREY, ORANGE, Plot, plot, render

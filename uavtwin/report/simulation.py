@@ -14,8 +14,8 @@ from twin.formatting import pretty_unit
 
 from ..run import Run
 from .drawing import Budget, Panels, Spans, fitted, spans_of, thinned
+from .overview import Track, track_plots
 from .page import BLACK, BLUE, Figure, Plot, plot, render
-from .track import Track, track_plots
 
 Array = NDArray[np.float64]
 _ROW_PX = 150

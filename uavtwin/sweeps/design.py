@@ -1,4 +1,15 @@
-"""What a varied number or choice may be: from a share of its probability, 0..1, to its value."""
+"""The design of a sweep: which factors are varied, by which distributions, and their values.
+
+    method = "latin_hypercube"
+    runs = 1000
+    [vary]
+    "airframe.mass" = { low = 1.2, high = 1.6 }
+    "wind.speed" = { mean = 4.0, sd = 2.0, low = 0.0, high = 12.0 }
+    controller = ["lqr", "px4"]
+
+Sources: McKay, Beckman, Conover, Technometrics 21 (1979) for Latin hypercubes; Saltelli et al.,
+Computer Physics Communications 181 (2010) 259-270 for the design that Sobol' indices are read from.
+"""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,7 @@
-"""What a sweep will run: the systems, built once each, and the start values of every run."""
+"""What a sweep will run: what each factor shapes in a scenario, systems, start values.
+
+Systems are built once each; a run differs by start values.
+"""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

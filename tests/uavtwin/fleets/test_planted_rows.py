@@ -16,10 +16,9 @@ from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
 import uavtwin as ut
 from twin.errors import TwinError
 from uavtwin.fleets.dataset import TABLES, write_dataset
-from uavtwin.fleets.overview import HEADER, of_logs
+from uavtwin.fleets.fleet import numbers_of_files, write_vehicles
 from uavtwin.fleets.query import query
-from uavtwin.fleets.result import FleetResult, result_of
-from uavtwin.fleets.vehicles import numbers_of_files, write_vehicles
+from uavtwin.fleets.result import HEADER, FleetResult, of_logs, result_of
 from uavtwin.vehicles import load_vehicle
 
 

@@ -26,7 +26,7 @@ from uavtwin.sweeps.design import (
     read_design,
 )
 from uavtwin.sweeps.plan import period_of, scenario_of
-from uavtwin.sweeps.sensitivity import influences
+from uavtwin.sweeps.result import influences
 
 UNIT = {"a": Uniform(0.0, 1.0), "b": Uniform(0.0, 1.0), "c": Uniform(0.0, 1.0)}
 
