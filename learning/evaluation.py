@@ -1,4 +1,4 @@
-"""Evaluation under a named protocol, beside the baselines: one tidy table.
+"""Evaluation under a named protocol, alongside the baselines: one tidy table.
 
 Only fresh samples are scored. A row is one channel of one flight in one phase ("all": the whole
 flight) as one model left it:
@@ -264,7 +264,7 @@ def check_flights(train: Sequence[ResidualFlight], test: Sequence[ResidualFlight
         )
     rates = sorted({f.rate_hz for f in (*train, *test)})
     if len(rates) > 1:
-        raise ModelError(f"flights at {rates} Hz: make the residuals anew at one rate.")
+        raise ModelError(f"flights at {rates} Hz: make the residuals again at one rate.")
     twice = sorted({f.name for f in train} & {f.name for f in test})
     if twice:
         raise ModelError(f"flights {twice} are in training and test: split by flight.")

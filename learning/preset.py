@@ -51,7 +51,7 @@ class Preset:
         phase_size: Size of the phase's embedding.
         features: The network sees virtual signals and commands in `track` (in `free` it always
             does, in `reconstruct` never).
-        skip: A linear path beside the LSTM on both sides of the quantiser.
+        skip: A linear path alongside the LSTM on both sides of the quantiser.
         skip_gain: Spread of the latent per unit of input at the start, with `skip`.
         quantiser: `soft`: mean of the codes, weighted by softmax(-|z - e|^2 / temperature);
             `hard`: nearest code, gradient passed straight through; `none`: the latent itself.

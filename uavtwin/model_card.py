@@ -110,7 +110,7 @@ class Result:
 
     Attributes:
         caption: Of the table.
-        table: Models beside each other.
+        table: Models alongside each other.
         metrics: Of the model itself: `type`, `name`, `value`.
         worse: Where a baseline is better, a text each.
         spread: How far the spread holds that the model predicts; None: it predicts none.
@@ -143,8 +143,8 @@ def result_of(protocol: str, measured: Measured) -> Result:
         metrics.append({"type": what, "name": f"{group}, {shown}", "value": left[CORRECTED]})
         best, least = min(((m, left[m]) for m in others if isfinite(left[m])), key=itemgetter(1))
         if left[CORRECTED] > least:
-            told = f"{best} leaves {number(least)}, it {number(left[CORRECTED])}"
-            worse.append(f"{group}: {told} {shown}")
+            text = f"{best} leaves {number(least)}, it {number(left[CORRECTED])}"
+            worse.append(f"{group}: {text} {shown}")
     shares = [
         [group, *(percent(_known(cells[CORRECTED][k])) for k in _SHARES)]
         for group, cells in groups.items()
@@ -305,7 +305,7 @@ def limits(about: Mapping[str, Any], result: Result | None) -> list[str]:
             f"The network adds nothing to the linear prediction in {', '.join(shut)}: its gates "
             "are shut there."
         )
-    silent = [c for c in about.get("channels", ()) if _never_seen(about, c)]
+    silent = [c for c in about.get("channels", ()) if _without_samples(about, c)]
     if silent:
         found.append(f"No reading in the training: {', '.join(silent)}.")
     if about["protocol"] == "reconstruct":
@@ -317,7 +317,7 @@ def limits(about: Mapping[str, Any], result: Result | None) -> list[str]:
     return found
 
 
-def _never_seen(about: Mapping[str, Any], channel: str) -> bool:
+def _without_samples(about: Mapping[str, Any], channel: str) -> bool:
     """Whether a channel had no validation time, where the family keeps some."""
     said = about.get("metrics", {}).get("validation_mse", {})
     return bool(said) and said[channel]["linear"] == 0

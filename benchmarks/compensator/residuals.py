@@ -1,9 +1,9 @@
-"""Residual flights of the simulated aircraft, kept on disk beside the flights.
+"""Residual flights of the simulated aircraft, kept on disk alongside the flights.
 
     DIR/residuals/NAME/FLIGHT-RESTART-KEY.parquet
 
 KEY is a hash of flight, vehicle file, rate, restart and the sources that make residuals, those of
-`twin` but for `twin.explain` among them: when one changes, the file is made anew, and the old one
+`twin` but for `twin.explain` among them: when one changes, the file is made again, and the old one
 removed.
 """
 
@@ -77,16 +77,16 @@ def _residual(
     for file in (path, vehicle):
         digest.update(file.read_bytes())
     name = f"{path.stem}-{1e3 * restart_s:g}ms"
-    kept = cache / f"{name}-{digest.hexdigest()[:16]}.parquet"
-    if not kept.is_file():
+    stored = cache / f"{name}-{digest.hexdigest()[:16]}.parquet"
+    if not stored.is_file():
         flight = residual_flight(read_flight(path), load_vehicle(str(vehicle)), rate_hz, restart_s)
         cache.mkdir(parents=True, exist_ok=True)
         for old in cache.glob(f"{name}-*"):
             old.unlink()
-        partial = kept.with_suffix(".partial")
+        partial = stored.with_suffix(".partial")
         write_residuals([flight], partial)
-        partial.replace(kept)
-    return read_residuals(kept)[0]
+        partial.replace(stored)
+    return read_residuals(stored)[0]
 
 
 def source_files() -> list[Path]:

@@ -1,7 +1,7 @@
 """Simulated flights with hidden effects: `python -m benchmarks.compensator.simulated --out DIR`.
 
     DIR/flights/NAME/  train_hover_1.parquet ... test_tour_1.parquet ... vehicle.toml
-    DIR/truth/NAME.json  what is hidden, never beside the flights
+    DIR/truth/NAME.json  what is hidden, never alongside the flights
 
 NAME is one aircraft with two or three effects that its vehicle file does not have, of one draw of
 their sizes. It flies hover and takeoff for training, tour and forward for testing: as the paper
@@ -147,7 +147,7 @@ def hide(individual: Individual) -> tuple[Parameters, dict[str, Truth]]:
 
 
 def orders(individual: Individual, plant: Parameters) -> dict[str, Order]:
-    """The flights of an individual by name, each from a battery charged anew."""
+    """The flights of an individual by name, each from a battery charged again."""
     found = {}
     for name, kind in individual.flights.items():
         rng, aircraft = individual.rng(name), individual.aircraft

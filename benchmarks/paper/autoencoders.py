@@ -107,7 +107,7 @@ class VqVae(System):
         return {**chain, "told": self.codebook(latent)[0][0].cpu().numpy()}
 
     def generate(self, phase: Tensor, prior: Numbers) -> Tensor:
-        """Decoded from a chain drawn anew."""
+        """Decoded from a chain drawn again."""
         rng = np.random.default_rng(int(torch.randint(2**31, ())))
         drawn = np.stack([drawn_chain(prior, p.cpu().numpy(), rng) for p in phase.argmax(-1)])
         if self.soft:

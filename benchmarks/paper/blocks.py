@@ -264,7 +264,7 @@ class Diffusion(nn.Module):
         schedule: Of the noise.
     """
 
-    kept: Tensor
+    signal_share: Tensor
     """Share of the variance that is still signal after each step, shape (steps,)."""
     betas: Tensor
     """Variance of the noise of each step, shape (steps,)."""
@@ -278,7 +278,7 @@ class Diffusion(nn.Module):
         else:
             betas = torch.linspace(*LINEAR, steps, dtype=torch.float64)
         self.register_buffer("betas", betas.float(), persistent=False)
-        self.register_buffer("kept", torch.cumprod(1 - betas, 0).float(), persistent=False)
+        self.register_buffer("signal_share", torch.cumprod(1 - betas, 0).float(), persistent=False)
 
     def loss(self, denoiser: Denoiser, x: Tensor, scored: Tensor) -> Tensor:
         """Mean square of the error in v.
@@ -302,18 +302,18 @@ class Diffusion(nn.Module):
             step = torch.full((shape[0],), k, device=x.device)
             signal, rest = self.signal(step)
             clean = signal * x - rest * denoiser(x, step)
-            beta, kept = self.betas[k], self.kept[k]
-            before = self.kept[k - 1] if k else torch.ones_like(kept)
+            beta, signal_share = self.betas[k], self.signal_share[k]
+            before = self.signal_share[k - 1] if k else torch.ones_like(signal_share)
             x = before.sqrt() * beta * clean + (1 - beta).sqrt() * (1 - before) * x
-            x = x / (1 - kept)
+            x = x / (1 - signal_share)
             if k:
-                x = x + (beta * (1 - before) / (1 - kept)).sqrt() * torch.randn_like(x)
+                x = x + (beta * (1 - before) / (1 - signal_share)).sqrt() * torch.randn_like(x)
         return x
 
     def signal(self, step: Tensor) -> tuple[Tensor, Tensor]:
         """Shares of signal and noise in noisy windows, shape (batch, 1, 1) each."""
-        kept = self.kept[step][:, None, None]
-        return kept.sqrt(), (1 - kept).sqrt()
+        signal_share = self.signal_share[step][:, None, None]
+        return signal_share.sqrt(), (1 - signal_share).sqrt()
 
 
 class StepEmbedding(nn.Module):

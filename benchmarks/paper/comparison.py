@@ -1,4 +1,4 @@
-"""The paper's tables beside ours: `python -m benchmarks.paper.comparison --data D --out OUT`.
+"""The paper's tables alongside ours: `python -m benchmarks.paper.comparison --data D --out OUT`.
 
 D holds the paper's residual tables (takeoff_flight1.parquet, ...). Each table names the runs it is
 made of; `--epochs` shortens all of them, `--only` picks tables, and a run that is done is not done
@@ -126,7 +126,7 @@ def table2(options: Options) -> list[Run]:
 
 def published(options: Options) -> list[Run]:
     """The published code's preset on its own terms, scored on what it was trained on, and held out;
-    beside it `best` on the same terms. Its windows begin every 40 samples, not every 4."""
+    alongside it `best` on the same terms. Its windows begin every 40 samples, not every 4."""
     own, best = replace(options.shortened(PUBLISHED), stride=40), options.shortened(BEST)
     return [
         Run("published, held out", own, SEEDS["published"]),
@@ -261,7 +261,7 @@ def every_unit_text(found: Sequence[dict[str, Any]]) -> str:
 
 
 def _claims(name: str, values: Sequence[float]) -> Iterator[str]:
-    """The paper's row of one modality, its first column read both ways, beside whichever of ours
+    """The paper's row of one modality, its first column read both ways, alongside whichever of ours
     it is meant to be."""
     headed, mae, distance = values
     for what, mse, rmse in (

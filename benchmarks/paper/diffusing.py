@@ -148,10 +148,10 @@ class UNet(nn.Module):
         """Shape of `x`."""
         length, embedded = x.shape[1], self.step(step)
         x = functional.pad(channels_first(x, conditions), (0, -length % SMALLEST))
-        kept = []
+        skipped = []
         for block in self.down:
             x = block(x, embedded)
-            kept.append(x)
+            skipped.append(x)
             x = functional.avg_pool1d(x, 2)
         x = self.middle(x, embedded)
         over_time = self.norm(x).transpose(1, 2)
@@ -160,7 +160,7 @@ class UNet(nn.Module):
         )
         for block in self.up:
             x = functional.interpolate(x, scale_factor=2.0, mode="nearest")
-            x = block(torch.cat([x, kept.pop()], dim=1), embedded)
+            x = block(torch.cat([x, skipped.pop()], dim=1), embedded)
         said: Tensor = self.end(x)[..., :length]
         return said.transpose(1, 2)
 

@@ -19,7 +19,7 @@ from learning.data.flights import ResidualFlight
 from learning.metrics import mse, rmse
 from uavtwin.report.page import plot, render
 
-from .missions import MISSIONS, Flown
+from .missions import MISSIONS, CorrectedMission
 from .trainings import GAUSS_T, MODALITIES, rows_of, units
 
 # ----------------------------------------------------------------------------------------
@@ -38,7 +38,7 @@ BEST = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class FlightCorrections:
     """What systems said of a flight.
 
     Attributes:
@@ -52,7 +52,9 @@ class Said:
     by_system: Mapping[str, Array]
 
     @classmethod
-    def of(cls, flights: Sequence[ResidualFlight], by_system: Mapping[str, Array]) -> "Said":
+    def of(
+        cls, flights: Sequence[ResidualFlight], by_system: Mapping[str, Array]
+    ) -> "FlightCorrections":
         """Of the last flight, which the others taught."""
         *trained, held = flights
         return cls(held, units(MODALITIES[0], trained, flights)["standardised"], by_system)
@@ -84,7 +86,7 @@ def comparison(flights: Sequence[ResidualFlight], by_system: Mapping[str, Array]
         flights: Of the paper's tables; the last was held out.
         by_system: What each system said of it, shape (n, 15).
     """
-    said = Said.of(flights, by_system)
+    said = FlightCorrections.of(flights, by_system)
     return [
         ("Figure 5: distributions of what sensors and twin read", readings(flights)),
         ("Figure 5: distributions of the residual", residuals(flights)),
@@ -108,7 +110,7 @@ def residuals(flights: Sequence[ResidualFlight]) -> go.Figure:
     return _densities({name: whole[phase == PHASE_CODES[name]] for name in MODALITIES})
 
 
-def reconstructions(said: Said) -> go.Figure:
+def reconstructions(said: FlightCorrections) -> go.Figure:
     """Residual and what the best systems say of it, a panel per sensor."""
     figure = make_subplots(rows=len(SHOWN), cols=1, shared_xaxes=True, vertical_spacing=0.03)
     best = said.best()
@@ -134,7 +136,7 @@ def reconstructions(said: Said) -> go.Figure:
     return styled(figure, 170 * len(SHOWN))
 
 
-def error_distributions(said: Said) -> go.Figure:
+def error_distributions(said: FlightCorrections) -> go.Figure:
     """Density of the error of each system, all channels together."""
     figure, errors = go.Figure(), said.errors()
     edge = max(float(np.quantile(np.abs(e), 1 - ALL_BUT)) for e in errors.values())
@@ -152,7 +154,7 @@ def error_distributions(said: Said) -> go.Figure:
     return styled(figure, 480)
 
 
-def error_moments(said: Said) -> go.Figure:
+def error_moments(said: FlightCorrections) -> go.Figure:
     """Size of the mean error and its variance, mean over the channels, by phase."""
     errors = said.errors()
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
@@ -177,7 +179,7 @@ def error_moments(said: Said) -> go.Figure:
     return styled(figure, 560)
 
 
-def by_sensor(said: Said) -> go.Figure:
+def by_sensor(said: FlightCorrections) -> go.Figure:
     """Mean square error of each variant, sensor by sensor."""
     figure = go.Figure()
     errors = said.errors()
@@ -252,7 +254,7 @@ POINTS = 700
 DRAWN_CHANNEL = "acc_x"
 """Whose residual figure 11 shows in time."""
 
-Missions = Mapping[str, Flown]
+Missions = Mapping[str, CorrectedMission]
 """By their names."""
 
 
@@ -400,13 +402,13 @@ def sensor_means(values: Array) -> Array:
     return np.array([values[columns].mean() for columns in GROUPS.values()])
 
 
-def _spread_error(flown: Flown, error: Array) -> Array:
+def _spread_error(flown: CorrectedMission, error: Array) -> Array:
     """How far the standard deviation is from the measured one, standardised, shape (15,)."""
     measured = (flown.virtual + flown.residual) / flown.unit
     return np.asarray(np.abs(measured.std(axis=0) - (measured - error).std(axis=0)))
 
 
-def _titled(flown: Flown) -> str:
+def _titled(flown: CorrectedMission) -> str:
     return f"{flown.name} ({flown.aircraft})"
 
 

@@ -195,7 +195,7 @@ class GeneratedEvaluation:
 
     @property
     def claim(self) -> str:
-        """How near its draws come, beside Gaussian innovations and another flight."""
+        """How near its draws come, alongside Gaussian innovations and another flight."""
         rows = self._means().set_index(["group", "model"])["log_spectral_db"]
         groups = list(dict.fromkeys(g for g, _ in rows.index))
         best = [g for g in groups if rows[g, MODEL] <= min(rows[g, n] for n in self._others())]
@@ -412,7 +412,7 @@ class Recording:
         return replace(self, seed=seed)
 
     def run(self, flight: ResidualFlight) -> Corrected:
-        """Each stretch of one phase from a piece drawn anew, begun again where it ends."""
+        """Each stretch of one phase from a piece drawn again, begun again where it ends."""
         rng = np.random.default_rng([self.seed, zlib.crc32(flight.name.encode())])
         correction = self.mean[flight.phase]
         for a, b in flight.spans:

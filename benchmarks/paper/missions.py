@@ -34,7 +34,7 @@ MISSIONS = ("hover", "takeoff", *MOTION)
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class CorrectedMission:
     """A mission, and what systems said of it.
 
     Attributes:
@@ -62,7 +62,7 @@ class Flown:
 
 def real_missions(
     flights: Sequence[ResidualFlight], by_system: Mapping[str, Array]
-) -> dict[str, Flown]:
+) -> dict[str, CorrectedMission]:
     """Hover and takeoff of the last flight, which the others taught.
 
     Args:
@@ -76,7 +76,7 @@ def real_missions(
     }
 
 
-def simulated_missions(out: Path, runs: Sequence[Run], jobs: int) -> dict[str, Flown]:
+def simulated_missions(out: Path, runs: Sequence[Run], jobs: int) -> dict[str, CorrectedMission]:
     """Forward and tour of the simulated aircraft.
 
     Args:
@@ -129,9 +129,11 @@ def _part(
     rows: NDArray[np.bool_],
     unit: Array,
     by_system: Mapping[str, Array],
-) -> Flown:
+) -> CorrectedMission:
     """The samples of a flight that are its mission, and are measured."""
     rows = rows & np.isfinite(flight.residual).all(axis=1)
     said = {n: values[rows] for n, values in by_system.items()}
     t_s = flight.t_s[rows] - flight.t_s[rows][0]
-    return Flown(name, aircraft, t_s, flight.virtual[rows], flight.residual[rows], unit, said)
+    return CorrectedMission(
+        name, aircraft, t_s, flight.virtual[rows], flight.residual[rows], unit, said
+    )

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from learning.compute import CPU, device_named, one_thread
-from learning.data.channels import CHANNELS, N_PHASES, SEEN
+from learning.data.channels import CHANNELS, FEATURE_CHANNELS, N_PHASES
 from learning.data.flights import ResidualFlight
 from learning.data.scaling import Scaling, fit_scaling, in_spans
 from learning.data.sequences import SpanSequence, one_hot, sequences
@@ -41,7 +41,7 @@ from learning.model.family import (
 )
 from learning.model.folder import CURVE, write_json
 from learning.preset import Normalise, Protocol
-from learning.training.checkpoint import CHECKPOINT, Standing, load_checkpoint, save_checkpoint
+from learning.training.checkpoint import CHECKPOINT, TrainingState, load_checkpoint, save_checkpoint
 from learning.training.windows import TrainingSamples, Window
 from twin.errors import ModelError
 from twin.representation import short_repr
@@ -230,7 +230,7 @@ def train_players(
         )
         for name, player in players.items()
     }
-    standing = Standing(training)
+    standing = TrainingState(training)
     found = load_checkpoint(folder, training, optimisers)
     if found is not None:
         standing, weights, _ = found
@@ -341,7 +341,7 @@ class SystemModel:
     @one_thread()
     @torch.no_grad()
     def run(self, flight: ResidualFlight) -> Corrected:
-        """The whole flight; each span starts anew. There is no envelope and no alarm."""
+        """The whole flight; each span starts from zero. There is no envelope and no alarm."""
         self.info.check_flight(flight)
         n = len(flight.t_s)
         correction = np.zeros(flight.virtual.shape)
@@ -505,7 +505,7 @@ class SystemFamily(Family[SystemPreset, SystemModel]):
         n_channels = len(CHANNELS)
         n_given = n_channels
         if info.protocol == "free":
-            n_given = len(SEEN) + info.n_commands
+            n_given = len(FEATURE_CHANNELS) + info.n_commands
         elif info.protocol == "generate" and not self.system.autoencoder:
             n_given = 0
         return self.system(info.preset, n_given, n_channels)

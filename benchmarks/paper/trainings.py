@@ -54,7 +54,7 @@ SOURCES = (
     *("adversarial", "autoencoders", "blocks", "diffusing", "innovations", "generated", "system"),
     "trainings",
 )
-"""Modules beside this one that decide what is learned or how it is scored."""
+"""Modules alongside this one that decide what is learned or how it is scored."""
 
 
 @dataclass(frozen=True, slots=True)

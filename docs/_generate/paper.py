@@ -26,7 +26,7 @@ from benchmarks.paper import edge
 from benchmarks.paper.edge import usage, usage_figure
 from benchmarks.paper.figures import (
     Figures,
-    Said,
+    FlightCorrections,
     best_systems,
     by_sensor,
     by_share,
@@ -148,7 +148,7 @@ def _figures(tables: Path, work: Path, jobs: int) -> Figures:
     runs = {r.name: r for r in paper.table2(options) if r.protocol == "reconstruct"}
     said = paper.corrections(list(runs.values()), work)
     compared = {n: s for n, s in said.items() if n in (*OURS, *paper.COMPARED)}
-    best = Said.of(flights, compared).best()
+    best = FlightCorrections.of(flights, compared).best()
     old = replace(options, epochs=NEEDED_EPOCHS)
     aged = [r for r in paper.needed(old) if r.protocol == "track" and r.name == BEST.name]
     folder = work / "missions"
@@ -173,7 +173,7 @@ def _figures(tables: Path, work: Path, jobs: int) -> Figures:
         ("Figure 11: the four best systems", best_systems(given, best)),
         (
             f"Figure 12: variants, sensor by sensor, {EPOCHS} epochs",
-            by_sensor(Said.of(flights, paper.corrections(ours, work))),
+            by_sensor(FlightCorrections.of(flights, paper.corrections(ours, work))),
         ),
         (
             f"Figure 12: variants by share of the data, {EPOCHS} epochs",

@@ -30,14 +30,14 @@ GROUPS = MappingProxyType(
 """Columns of each sensor."""
 
 
-SEEN = tuple(i for i, c in enumerate(CHANNELS) if c not in ("pos_x", "pos_y"))
+FEATURE_CHANNELS = tuple(i for i, c in enumerate(CHANNELS) if c not in ("pos_x", "pos_y"))
 """Channels whose virtual readings are features: all but the place over ground, on which no effect
 depends."""
 _PLACES = (("gyro_x",), ("gyro_y",), ("gyro_z",), ("vel_x", "vel_y"), ("vel_z",))
-PLACES = tuple(tuple(SEEN.index(CHANNELS.index(c)) for c in some) for some in _PLACES)
-"""Physical inputs of the envelope, alongside what drives the rotors: places among `SEEN`, each one
-alone or the length of two. These are rates, speed over ground and climb; neither heading nor
-height."""
+PLACES = tuple(tuple(FEATURE_CHANNELS.index(CHANNELS.index(c)) for c in some) for some in _PLACES)
+"""Physical inputs of the envelope, alongside what drives the rotors: places among
+`FEATURE_CHANNELS`, each one alone or the length of two. These are rates, speed over ground and
+climb; neither heading nor height."""
 
 
 def check_channels(names: Iterable[str]) -> None:

@@ -335,7 +335,7 @@ def read_residuals(path: Path) -> list[ResidualFlight]:
     except (LogError, OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
         raise ModelError(
             f"{path}: the residuals a model was trained on cannot be read ({error}); "
-            "train the model anew."
+            "train the model again."
         ) from error
     return parts
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from twin.representation import short_repr
 
 from ..preset import Normalise
-from .channels import CHANNELS, N_PHASES, PLACES, SEEN
+from .channels import CHANNELS, FEATURE_CHANNELS, N_PHASES, PLACES
 from .envelope import UNLIMITED, Envelope
 from .flights import ResidualFlight
 
@@ -73,19 +73,19 @@ class Scaling:
 
 def feature_names(n_commands: int) -> tuple[str, ...]:
     """Names of the features, in order: virtual signals, then commands."""
-    return (*(CHANNELS[i] for i in SEEN), *(f"cmd_{i + 1}" for i in range(n_commands)))
+    return (*(CHANNELS[i] for i in FEATURE_CHANNELS), *(f"cmd_{i + 1}" for i in range(n_commands)))
 
 
 def features_of(flight: ResidualFlight) -> Array:
     """Features in their own units, NaN where the twin could not read, shape (n, features)."""
-    return np.hstack([flight.virtual[:, list(SEEN)], flight.commands])
+    return np.hstack([flight.virtual[:, list(FEATURE_CHANNELS)], flight.commands])
 
 
 def place_names(n_commands: int) -> tuple[str, ...]:
     """Names of the physical inputs of the envelope, in order."""
     names = feature_names(n_commands)
     seen = ("speed" if len(some) > 1 else names[some[0]] for some in PLACES)
-    return (*seen, *names[len(SEEN) :])
+    return (*seen, *names[len(FEATURE_CHANNELS) :])
 
 
 def places_of(raw: Array) -> Array:
@@ -97,12 +97,12 @@ def places_of(raw: Array) -> Array:
     seen = [
         raw[:, some[0]] if len(some) == 1 else np.hypot(*raw[:, list(some)].T) for some in PLACES
     ]
-    return np.column_stack([*seen, raw[:, len(SEEN) :]])
+    return np.column_stack([*seen, raw[:, len(FEATURE_CHANNELS) :]])
 
 
 def _reserve(places: Array) -> Array:
     """What is no other place, by physical input."""
-    names = [CHANNELS[SEEN[some[0]]] for some in PLACES]
+    names = [CHANNELS[FEATURE_CHANNELS[some[0]]] for some in PLACES]
     own = [RATE_RESERVE if name.startswith("gyro") else SPEED_RESERVE for name in names]
     drives = np.nan_to_num(np.nanmean(np.abs(places[:, len(own) :]), axis=0))
     return np.array([*own, *(DRIVE_RESERVE * drives)])

@@ -192,11 +192,11 @@ def held(values: Array, fresh: BoolArray, before: Array | float = 0.0) -> Array:
     return np.take_along_axis(padded, last, axis=0)
 
 
-def _running_means(residual: Array, reading: Array, kept: float, prior: float) -> Array:
+def _running_means(residual: Array, reading: Array, decay: float, prior: float) -> Array:
     """Means so far of both, shape (n, k, 2); a residual of zero says that there is none."""
     there = (residual != 0).astype(np.float64)
     values = np.stack([residual, reading * there, there], axis=-1)
-    sums = np.asarray(lfilter([1.0], [1.0, -kept], values, axis=0))
+    sums = np.asarray(lfilter([1.0], [1.0, -decay], values, axis=0))
     return np.asarray(sums[..., :2] / (sums[..., 2:] + prior))
 
 

@@ -64,18 +64,20 @@ class Graph:
 
     def split(self, value: str, sizes: list[int], axis: int) -> list[str]:
         """Parts of a tensor along an axis; those of size 0 are left out, as ""."""
-        kept = [n for n in sizes if n]
-        if len(kept) == 1:
+        present = [n for n in sizes if n]
+        if len(present) == 1:
             parts = iter([value])
         else:
-            names = self._node("Split", (value, self.integers(*kept)), len(kept), {"axis": axis})
+            names = self._node(
+                "Split", (value, self.integers(*present)), len(present), {"axis": axis}
+            )
             parts = iter(names)
         return [next(parts) if n else "" for n in sizes]
 
     def concat(self, *values: str, axis: int) -> str:
         """Tensors side by side; empty names are left out."""
-        kept = [v for v in values if v]
-        return kept[0] if len(kept) == 1 else self.op("Concat", *kept, axis=axis)
+        present = [v for v in values if v]
+        return present[0] if len(present) == 1 else self.op("Concat", *present, axis=axis)
 
     def columns(self, value: str, first: int, last: int) -> str:
         """Columns first to last - 1 of a matrix."""

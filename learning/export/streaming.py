@@ -23,7 +23,7 @@ from torch import Tensor, nn
 
 from twin.physics.residual_force import LINEAR_BEGIN, LINEAR_END
 
-from ..data.channels import CHANNELS, N_PHASES, PLACES, SEEN
+from ..data.channels import CHANNELS, FEATURE_CHANNELS, N_PHASES, PLACES
 from ..data.envelope import BEYOND, NETWORK_END
 from ..data.sequences import LAGS, SMOOTHING_S, limited, running_mean, smoothing
 from ..model.compensator import NO_SPREAD, Compensator
@@ -94,18 +94,18 @@ def _step(g: Graph, model: Compensator) -> None:
     """`Compensator.step` as operators."""
     rows, protocol, n = model.history, model.info.protocol, len(CHANNELS)
     parts = g.split("state", list(model.state_sizes), axis=1)
-    past, mean_so_far, readings, begun, strange, slow, cells = parts
+    past, mean_so_far, readings, begun, innovation_ratios, slow, cells = parts
     with g.scope("inputs"):
         sample = _sample(g, model)
         here = _one_hot(g, sample)
         mean, scale, reading, expected = _tables(g, model, here)
-    looks = protocol != "reconstruct"  # which looks at no feature
+    sees_inputs = protocol != "reconstruct"  # which looks at no feature
     with g.scope("features"):
-        raw = _raw_features(g, model, sample) if looks else ""
-        features = _features(g, model, raw) if looks else ""
+        raw = _raw_features(g, model, sample) if sees_inputs else ""
+        features = _features(g, model, raw) if sees_inputs else ""
         if rows:
             past = _remembered(g, sample, past, mean, scale, (rows, n))
-        if looks:  # elsewhere nothing looks at them, and their state stays as it is
+        if sees_inputs:  # elsewhere nothing looks at them, and their state stays as it is
             slow = _smoothed(g, model, features, slow)
         first = model.info.horizon * n
         known = past if rows <= 1 else g.columns(past, first, first + n)
@@ -113,7 +113,7 @@ def _step(g: Graph, model: Compensator) -> None:
 
     said, today, base = "", "", numbers(model.base)
     with g.scope("linear"):
-        if looks:
+        if sees_inputs:
             inputs = g.op("Concat", features, slow, axis=1)
             of_inputs = base[:, -len(model.features) * (1 + len(SMOOTHING_S)) :]
             said = g.op("MatMul", inputs, g.floats(of_inputs.T))
@@ -153,13 +153,15 @@ def _step(g: Graph, model: Compensator) -> None:
     g.output("spread", n, "Where", sample.whole, expected, rms)
     with g.scope("alarm"):
         if protocol == "track":
-            strange = _strangeness(g, model, sample, correction, expected, strange)
-            alarm = g.op("ReduceMax", strange, axes=[1], keepdims=1)
+            innovation_ratios = _innovation_ratio(
+                g, model, sample, correction, expected, innovation_ratios
+            )
+            alarm = g.op("ReduceMax", innovation_ratios, axes=[1], keepdims=1)
         else:
             alarm = g.op("ReduceMax", alarm, axes=[0], keepdims=0)
     g.output("anomaly", 1, "Where", sample.whole, alarm, g.floats([[0.0]]))
     g.output("inside", 1, "Cast", inside, to=_FLOAT)
-    later = g.concat(past, mean_so_far, readings, begun, strange, slow, cells, axis=1)
+    later = g.concat(past, mean_so_far, readings, begun, innovation_ratios, slow, cells, axis=1)
     g.output("state_out", model.state_size, "Where", sample.whole, later, "state")
 
 
@@ -174,7 +176,7 @@ def _raw_features(g: Graph, model: Compensator, sample: _Sample) -> str:
     """Virtual signals and commands that are features, in their units, shape (B, F)."""
     both = g.op("Concat", sample.virtual, sample.command, axis=1)
     n = len(CHANNELS)
-    places = [*SEEN, *range(n, n + model.info.n_commands)]
+    places = [*FEATURE_CHANNELS, *range(n, n + model.info.n_commands)]
     return g.op("Gather", both, g.integers(*places), axis=1)
 
 
@@ -223,9 +225,9 @@ def _read_then(
 ) -> tuple[str, str, str]:
     """What the twin read at the newest known residual (B, 15); next state of the readings."""
     n, last, time = len(CHANNELS), model.readings - 1, g.integers(1)
-    kept = g.reshape(g.op("Greater", begun, g.floats([[0.5]])), 0, 1, 1)
+    started = g.reshape(g.op("Greater", begun, g.floats([[0.5]])), 0, 1, 1)
     virtual = g.reshape(sample.virtual, 0, 1, n)
-    rows = g.op("Where", kept, g.reshape(readings, 0, -1, n), virtual)  # (B, readings, 15)
+    rows = g.op("Where", started, g.reshape(readings, 0, -1, n), virtual)  # (B, readings, 15)
     newest = g.op("Slice", rows, g.integers(0), g.integers(1), time)
     fresh = g.reshape(g.op("Greater", sample.valid, g.floats([[0.5]])), 0, 1, n)
     newest = g.op("Where", fresh, virtual, newest)
@@ -238,17 +240,17 @@ def _offset(
     g: Graph, model: Compensator, known: str, read: str, mean_so_far: str
 ) -> tuple[str, str]:
     """Running means of known residual and reading (B, 2, 15); next state of sums and weights."""
-    n, (kept, prior) = len(CHANNELS), running_mean(model.info.rate_hz)
+    n, (decay, prior) = len(CHANNELS), running_mean(model.info.rate_hz)
     there = g.op("Cast", g.op("Greater", g.op("Abs", known), g.floats([[0.0]])), to=_FLOAT)
     new = g.concat(known, g.op("Mul", read, there), there, axis=1)
-    mean_so_far = g.op("Add", g.op("Mul", mean_so_far, g.floats([[kept]])), new)
+    mean_so_far = g.op("Add", g.op("Mul", mean_so_far, g.floats([[decay]])), new)
     sums, weights = g.split(mean_so_far, [2 * n, n], axis=1)
     weights = g.op("Add", weights, g.floats([[prior]]))
     means = g.op("Div", g.reshape(sums, 0, 2, n), g.reshape(weights, 0, 1, n))
     return means, mean_so_far
 
 
-def _strangeness(
+def _innovation_ratio(
     g: Graph, model: Compensator, sample: _Sample, correction: str, spread: str, before: str
 ) -> str:
     """Of the newest reading of each channel, shape (B, 15)."""
@@ -276,7 +278,7 @@ def _distance(g: Graph, model: Compensator, raw: str) -> str:
             square = g.op("ReduceSum", g.op("Mul", own, own), g.integers(1), keepdims=1)
             own = g.op("Sqrt", square)
         parts.append(own)
-    first = len(SEEN)
+    first = len(FEATURE_CHANNELS)
     drives = g.columns(raw, first, first + model.info.n_commands)
     centred = g.op("Sub", g.concat(*parts, drives, axis=1), g.floats(_row(model.place_centre)))
     whitening = numbers(model.place_whitening) / numbers(model.place_scale)

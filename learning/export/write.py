@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
 from ..compute import one_thread
-from ..data.channels import CHANNELS, GROUPS, N_PHASES, PHASE_CODES, SEEN, UNITS
+from ..data.channels import CHANNELS, FEATURE_CHANNELS, GROUPS, N_PHASES, PHASE_CODES, UNITS
 from ..model.compensator import Compensator
 from .streaming import INPUTS, OUTPUTS, streaming_model
 
@@ -95,7 +95,7 @@ def metadata(compensator: Compensator) -> dict[str, str]:
 
 def _motors(compensator: Compensator) -> list[str]:
     """Flight-table columns of what drove the rotors: commands, 0..1, or speeds in rad/s."""
-    means = compensator.feature_mean[len(SEEN) :].tolist()
+    means = compensator.feature_mean[len(FEATURE_CHANNELS) :].tolist()
     kind = "rotor" if max(means, default=0.0) > LARGEST_COMMAND else "cmd"
     return [f"{kind}_{i}" for i in range(1, len(means) + 1)]
 
@@ -114,12 +114,12 @@ def reference_vectors(compensator: Compensator, seed: int = 0) -> dict[str, NDAr
     walk[n // 3 : 2 * n // 3 : 10] *= 30
     features = scaling.feature_mean + scaling.feature_scale * walk
     virtual = np.zeros((n, len(CHANNELS)))
-    virtual[:, list(SEEN)] = features[:, : len(SEEN)]
+    virtual[:, list(FEATURE_CHANNELS)] = features[:, : len(FEATURE_CHANNELS)]
     phase = rng.integers(N_PHASES, size=1 + n // 50).repeat(50)[:n]
     residual = scaling.mean[phase] + scaling.scale[phase] * rng.normal(size=virtual.shape)
     rows = {
         "virtual": virtual,
-        "command": features[:, len(SEEN) :],
+        "command": features[:, len(FEATURE_CHANNELS) :],
         "phase": phase[:, None],
         "measured": virtual + residual,
         "valid": rng.random(virtual.shape) < 0.7,
@@ -159,9 +159,9 @@ def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
         for array, suffix in ((rows, "rows"), (scale, "scale")):
             numbers[f"{name}_{suffix}"] = numpy_helper.from_array(array, f"{name}_{suffix}")
         nodes += _integer_product(x, name, node.output[0])
-    for field, kept in (("node", nodes), ("initializer", numbers.values())):
+    for field, content in (("node", nodes), ("initializer", numbers.values())):
         given.graph.ClearField(field)
-        getattr(given.graph, field).extend(kept)
+        getattr(given.graph, field).extend(content)
     onnx.checker.check_model(given, full_check=True)
     return given
 

@@ -54,7 +54,7 @@ def missed(left: Array, pieces: Sequence[slice], observer: Observer) -> Array:
         long.
     """
     share = -np.expm1(-1 / (CHANNEL_HZ * observer.lag_s))
-    kept = np.exp(-1 / (CHANNEL_HZ * observer.fade_s))
+    decay = np.exp(-1 / (CHANNEL_HZ * observer.fade_s))
     squares: list[list[Array]] = [[] for _ in AHEAD_S]
     for rows in pieces:
         part = left[rows]
@@ -65,7 +65,7 @@ def missed(left: Array, pieces: Sequence[slice], observer: Observer) -> Array:
             if len(part) <= n:
                 continue
             comes = path[n + 1 :] - path[1:-n]
-            said = known[:-n] * kept * (1 - kept**n) / (1 - kept)
+            said = known[:-n] * decay * (1 - decay**n) / (1 - decay)
             errors.append(((comes - said) / CHANNEL_HZ) ** 2)
     return np.array([np.mean(np.concatenate(e)) if e else np.nan for e in squares])
 

@@ -66,7 +66,7 @@ class Instants:
 
     __repr__ = short_repr
 
-    def seen(self, law: ca.Function) -> tuple[Array, Array]:
+    def filtered_features(self, law: ca.Function) -> tuple[Array, Array]:
         """A function of the motion at the instants, as force and as moment show it; (n, k) each.
 
         Args:
@@ -119,12 +119,12 @@ def instants(flight: Flight, vehicle: Vehicle) -> Instants:
         if age_s := late.get(sensor.signal, 0.0):
             said = shifted(said, age_s)
         left.append((readings.values - readings.filtered(said, readings.filters_hz))[rows])
-    felt, read = responses(fine, vehicle)
+    acceleration, read = responses(fine, vehicle)
     return Instants(
         name=flight.name,
         t_s=t_s,
         piece=_pieces(t_s, acc.piece[of_acc], gyro.piece[of_gyro]),
-        left=np.hstack(left) @ np.linalg.solve(read.T, felt.T),
+        left=np.hstack(left) @ np.linalg.solve(read.T, acceleration.T),
         motion=_motion(fine, vehicle, _voltage(flight, vehicle, fine.inputs.t_s)),
         airborne=fine.airborne,
         passed=(
@@ -187,14 +187,16 @@ def responses(aligned: AlignedFlight, vehicle: Vehicle) -> tuple[Array, Array]:
     y = body.outputs(body.initial(u0, p), u, p)
     outputs = {name: y[i] for i, name in enumerate(body.output_names)}
     stems = ("specific_force", "angular_acceleration")
-    felt = ca.vertcat(*[outputs[f"{stem}_{a}"] for stem in stems for a in AXES])
+    acceleration = ca.vertcat(*[outputs[f"{stem}_{a}"] for stem in stems for a in AXES])
     given = ca.vertcat(*[outputs[n] for n in sensor.input_names])
     sensed, q = ca.SX.sym("sensed", len(sensor.inputs)), sensor.parameter_values()
     shown = sensor.outputs(sensor.initial(sensed, q), sensed, q)
     both = ca.vertcat(shown[:3], gyro_rate(sensor, sensed, shown))
     read = ca.substitute(both, sensed, given)
     columns = [body.input_names.index(f"{kind}_{a}") for kind, a in OUTPUTS]
-    slopes = ca.Function("slopes", [u], [ca.jacobian(v, u)[:, columns] for v in (felt, read)])
+    slopes = ca.Function(
+        "slopes", [u], [ca.jacobian(v, u)[:, columns] for v in (acceleration, read)]
+    )
     a, b = (np.asarray(v, dtype=np.float64) for v in slopes(u0))
     return a, b
 

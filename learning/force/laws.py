@@ -49,7 +49,7 @@ from .regression import (
 Array = NDArray[np.float64]
 LAWS = ("none", "constant", "linear")
 QUARTERS = 4
-WORTH = 3.0
+LEAST_GAIN = 3.0
 """Nats that flights left out must speak for something before it is believed: odds of twenty."""
 _TINY = 1e-30
 HALVES = (slice(0, 3), slice(3, 6))
@@ -90,7 +90,7 @@ class Design:
         force, moment = (moments_of(columns - columns.mean(axis=0), pieces) for columns in both)
         return cls(features, left, piece, (force, moment))
 
-    def says(self, weights: Array) -> Array:
+    def prediction(self, weights: Array) -> Array:
         """What weights make of the features, shape (n, 6).
 
         Args:
@@ -98,10 +98,6 @@ class Design:
         """
         said = [x @ weights[three].T for x, three in zip(self.features, HALVES, strict=True)]
         return np.hstack(said)
-
-    def leaves(self, weights: Array) -> Array:
-        """What weights leave of the outputs, shape (n, 6); arguments as of `says`."""
-        return self.left - self.says(weights)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,10 +143,10 @@ def candidates(flights: Sequence[Design], output: int) -> dict[str, Candidate]:
         offsets = np.array(
             [np.mean(f.left[:, output] - f.features[half] @ weights) for f in flights]
         )
-        worth = _worth(offsets)
-        if law == "constant" or (law != "none" and worth > WORTH):
+        offset_gain = _offset_gain(offsets)
+        if law == "constant" or (law != "none" and offset_gain > LEAST_GAIN):
             weights[0] = offsets.mean() / flights[0].features[half][0, 0]
-            gain += worth
+            gain += offset_gain
         observer = observer_of(
             [(f.left[:, output] - f.features[half] @ weights, pieces_of(f.piece)) for f in flights]
         )
@@ -159,7 +155,7 @@ def candidates(flights: Sequence[Design], output: int) -> dict[str, Candidate]:
     return {law: replace(c, gain=c.gain - nothing) for law, c in found.items()}
 
 
-def _worth(offsets: Array) -> float:
+def _offset_gain(offsets: Array) -> float:
     """Nats by which the mean of the other flights foretells a flight's offset better than zero.
 
     Args:
@@ -237,7 +233,7 @@ class Prepared:
 
     vehicle: Vehicle
     empty: ForceLaw
-    seen: tuple[Instants, ...]
+    flights: tuple[Instants, ...]
     designs: tuple[Design, ...]
     size: Array
     own: Array
@@ -246,7 +242,7 @@ class Prepared:
 
     def design(self, flight: Instants) -> Design:
         """The design of a flight, of these or another."""
-        force, moment = flight.seen(linear_features())
+        force, moment = flight.filtered_features(linear_features())
         return Design.of((force / self.size, moment / self.size), flight.left, flight.piece)
 
     def candidates(self) -> list[dict[str, Candidate]]:
@@ -262,7 +258,7 @@ class Prepared:
     def largest(self, law: ForceLaw) -> Array:
         """What a law says at most in its flights, bounds aside, as sensors show it, shape (6,)."""
         weights = self.weights(law)
-        said = [np.abs(d.says(weights)).max(axis=0) for d in self.designs]
+        said = [np.abs(d.prediction(weights)).max(axis=0) for d in self.designs]
         return np.asarray(np.max(said, axis=0))
 
     def weights(self, law: ForceLaw) -> Array:
@@ -270,7 +266,7 @@ class Prepared:
         return np.asarray(law.linear * self.size)
 
 
-def prepare(seen: Sequence[Instants], vehicle: Vehicle) -> Prepared:
+def prepare(flights: Sequence[Instants], vehicle: Vehicle) -> Prepared:
     """What may explain what a vehicle's equations leave, as far as these flights say.
 
     Args:
@@ -281,12 +277,12 @@ def prepare(seen: Sequence[Instants], vehicle: Vehicle) -> Prepared:
         LogError: A flight is too short.
     """
     per_push, per_motion = _slopes(vehicle)
-    empty = _empty(seen, np.asarray(np.linalg.inv(per_push)))
-    size = np.std(np.vstack([f.seen(linear_features())[1] for f in seen]), axis=0)
+    empty = _empty(flights, np.asarray(np.linalg.inv(per_push)))
+    size = np.std(np.vstack([f.filtered_features(linear_features())[1] for f in flights]), axis=0)
     sizes, own = np.where(size > TRIFLE, size, 1.0), _symmetric(empty.units @ per_motion)
-    unsized = Prepared(vehicle, empty, tuple(seen), (), sizes, own)
-    prepared = replace(unsized, designs=tuple(unsized.design(f) for f in seen))
-    for design, flight in zip(prepared.designs, seen, strict=True):
+    unsized = Prepared(vehicle, empty, tuple(flights), (), sizes, own)
+    prepared = replace(unsized, designs=tuple(unsized.design(f) for f in flights))
+    for design, flight in zip(prepared.designs, flights, strict=True):
         if not design.moments[0].rows:
             raise LogError(
                 f"{flight.name}: no uninterrupted piece of more than {2 * ORDER / CHANNEL_HZ:g} s "
@@ -295,9 +291,9 @@ def prepare(seen: Sequence[Instants], vehicle: Vehicle) -> Prepared:
     return prepared
 
 
-def _empty(seen: Sequence[Instants], units: Array) -> ForceLaw:
+def _empty(flights: Sequence[Instants], units: Array) -> ForceLaw:
     """A law that says nothing yet: where the flights have been."""
-    places = [inputs_of(f) for f in seen]
+    places = [inputs_of(f) for f in flights]
     envelope = Envelope.of(places, np.array(RESERVE))
     return ForceLaw(
         linear=np.zeros((6, len(FEATURES))),
@@ -346,8 +342,8 @@ def _lessened(law: ForceLaw, share: float) -> ForceLaw:
     """The law with a share of what couples motions."""
     linear = law.linear.copy()
     of_motion = linear[:, 1:7]
-    kept = np.diag(np.minimum(np.diag(of_motion), 0.0))
-    linear[:, 1:7] = kept + share * (of_motion - kept)
+    damping = np.diag(np.minimum(np.diag(of_motion), 0.0))
+    linear[:, 1:7] = damping + share * (of_motion - damping)
     return replace(law, linear=linear)
 
 
@@ -365,10 +361,12 @@ def _slopes(vehicle: Vehicle) -> tuple[Array, Array]:
     x, u = ca.SX.sym("x", len(body.states)), ca.SX.sym("u", len(u0))
     y = body.outputs(x, u, p)
     stems = ("specific_force", "angular_acceleration")
-    felt = ca.vertcat(*[y[body.output_names.index(f"{s}_{a}")] for s in stems for a in AXES])
+    acceleration = ca.vertcat(
+        *[y[body.output_names.index(f"{s}_{a}")] for s in stems for a in AXES]
+    )
     states = [s.name for s in body.states]
     pushes = [body.input_names.index(f"{kind}_{a}") for kind, a in OUTPUTS]
     motions = [states.index(f"{stem}_{a}") for stem in ("vel", "omega") for a in AXES]
-    by = [ca.jacobian(felt, u)[:, pushes], ca.jacobian(felt, x)[:, motions]]
+    by = [ca.jacobian(acceleration, u)[:, pushes], ca.jacobian(acceleration, x)[:, motions]]
     per_push, per_motion = ca.Function("slopes", [x, u], by)(x0, u0)
     return np.asarray(per_push, dtype=np.float64), np.asarray(per_motion, dtype=np.float64)

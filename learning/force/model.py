@@ -22,7 +22,7 @@ _OUTPUTS = tuple(f"{kind}_{a}" for kind, a in OUTPUTS)
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class LawScore:
     """One law of one output, or its observer, over flights that took no part in its fit.
 
     Attributes:
@@ -52,11 +52,11 @@ class Output:
 
     law: str
     observer: Observer
-    tried: tuple[Flown, ...] = ()
+    tried: tuple[LawScore, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class Taught:
+class TrainingFlight:
     """A flight that was learned from.
 
     Attributes:
@@ -69,7 +69,7 @@ class Taught:
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
+class MissionCheck:
     """Missions in random air that the chosen laws had to fly.
 
     Attributes:
@@ -83,7 +83,7 @@ class Checked:
     withdrawn: tuple[str, ...]
 
     @classmethod
-    def nothing(cls) -> "Checked":
+    def nothing(cls) -> "MissionCheck":
         """No law, and none flown."""
         return cls(0, 0, ())
 
@@ -105,7 +105,7 @@ class Rival:
 
 @dataclass(frozen=True, slots=True)
 class ForceModel:
-    """A law, the observer beside it, and how both were come by.
+    """A law, the observer alongside it, and how both were come by.
 
     Attributes:
         law: As it is used.
@@ -122,9 +122,9 @@ class ForceModel:
     law: ForceLaw
     rivals: Mapping[str, Rival]
     outputs: tuple[Output, ...]
-    closed_loop: Checked
+    closed_loop: MissionCheck
     taken: float
-    flights: tuple[Taught, ...]
+    flights: tuple[TrainingFlight, ...]
     vehicle: str
     vehicle_sha256: str
     seed: int
@@ -187,7 +187,7 @@ def load_force(folder: Path) -> ForceModel:
     except (AttributeError, KeyError, TypeError, ValueError, TwinError) as error:
         raise ModelError(
             f"{path}: is of another layout than this version's, or damaged ({error}). Train the "
-            f"model anew."
+            f"model again."
         ) from error
 
 
@@ -217,21 +217,21 @@ def _model(content: Mapping[str, Any]) -> ForceModel:
             Output(
                 said["law"],
                 Observer(**said["observer"]),
-                tuple(Flown(**f) for f in said["tried"]),
+                tuple(LawScore(**f) for f in said["tried"]),
             )
             for said in content["outputs"].values()
         ),
         closed_loop=_checked(content["closed_loop"]),
         taken=float(content["taken_1_s"]),
-        flights=tuple(Taught(**f) for f in content["flights"]),
+        flights=tuple(TrainingFlight(**f) for f in content["flights"]),
         vehicle=str(content["vehicle"]),
         vehicle_sha256=str(content["vehicle_sha256"]),
         seed=int(content["seed"]),
     )
 
 
-def _checked(content: Mapping[str, Any]) -> Checked:
-    return Checked(int(content["flights"]), int(content["lost"]), tuple(content["withdrawn"]))
+def _checked(content: Mapping[str, Any]) -> MissionCheck:
+    return MissionCheck(int(content["flights"]), int(content["lost"]), tuple(content["withdrawn"]))
 
 
 def _plain(law: ForceLaw) -> dict[str, Any]:

@@ -160,7 +160,7 @@ def sparse(moments: Moments, most: Array) -> tuple[list[int], Fit]:
     """Weights of few features: one after the other is taken as long as it is worth its price.
 
     Which features to try is told by plain least squares under two noises, that of what the features
-    so far leave and that of what all of them would leave; what is taken, by all of it fitted anew.
+    so far leave and that of what all of them would leave; what is taken, by all of it fitted again.
     The price is that of the extended Bayesian information criterion.
 
     Args:
@@ -192,16 +192,16 @@ def sparse(moments: Moments, most: Array) -> tuple[list[int], Fit]:
 
 
 def _promising(white: Array, chosen: Sequence[int]) -> list[int]:
-    """Features that would save most beside those that are there, by plain least squares."""
+    """Features that would save most alongside those that are there, by plain least squares."""
     n = len(white) - 1
     others = [c for c in range(n) if c not in chosen]
     held = white
     if chosen:
         own = list(chosen)
-        beside = np.linalg.solve(
+        projection = np.linalg.solve(
             white[np.ix_(own, own)] + _TINY * np.trace(white) * np.eye(len(own)), white[own]
         )
-        held = white - white[:, own] @ beside
+        held = white - white[:, own] @ projection
     saves = [held[c, n] ** 2 / max(held[c, c], _TINY * white[c, c] + 1e-300) for c in others]
     return [others[i] for i in np.argsort(saves)[::-1][:TRIED]]
 

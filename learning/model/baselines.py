@@ -143,7 +143,7 @@ def lags(flight: ResidualFlight, values: Array, horizon: int, count: int) -> Arr
     """What is known at t - horizon, t - horizon - 1, ...: the last fresh value each time.
 
     Args:
-        flight: Each span starts anew.
+        flight: Each span starts from zero.
         values: Count where fresh, shape (n, 15).
         horizon: Age of the newest one, samples.
         count: How many.

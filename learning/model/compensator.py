@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from ..compute import one_thread
-from ..data.channels import CHANNELS, N_PHASES, PLACES, SEEN
+from ..data.channels import CHANNELS, FEATURE_CHANNELS, N_PHASES, PLACES
 from ..data.envelope import Values, linear_share, network_share
 from ..data.flights import ResidualFlight
 from ..data.scaling import Scaling, feature_names, place_names
@@ -137,8 +137,8 @@ class Compensator(nn.Module):
 
     @property
     def state_sizes(self) -> tuple[int, int, int, int, int, int, int]:
-        """Parts of the packed state: history, running means, readings, 1 once begun, strangeness of
-        the newest reading of each channel, slow features, network."""
+        """Parts of the packed state: history, running means, readings, 1 once begun, innovation
+        ratio of the newest reading of each channel, slow features, network."""
         n = len(CHANNELS)
         past, readings = self.history * n, self.readings * n
         begun = min(self.readings, 1)
@@ -212,10 +212,10 @@ class Compensator(nn.Module):
         """One sample of finite numbers."""
         n, rows = len(CHANNELS), self.history
         parts = torch.split(state, list(self.state_sizes), dim=-1)
-        past, mean_so_far, readings, begun, strange, slow, network_state = parts
+        past, mean_so_far, readings, begun, innovation_ratios, slow, network_state = parts
         here = torch.relu(1 - torch.abs(phase - self.phases))  # one-hot, (1, phases)
         mean, scale = here @ self.mean, here @ self.scale
-        raw = torch.cat([virtual[:, list(SEEN)], command], dim=-1)
+        raw = torch.cat([virtual[:, list(FEATURE_CHANNELS)], command], dim=-1)
         features = (raw - self.feature_mean) / self.feature_scale
         features = torch.minimum(torch.maximum(features, self.least), self.most)
         own = (virtual - here @ self.reading) / scale
@@ -238,9 +238,9 @@ class Compensator(nn.Module):
             change = (then[-1:] - virtual) / scale
             lags = past[:, self.info.horizon * n :].reshape(-1, n)  # (lags, 15)
             there = (known != 0).to(known.dtype)
-            kept, prior = running_mean(self.info.rate_hz)
+            decay, prior = running_mean(self.info.rate_hz)
             new = torch.cat([known, (known + change + own) * there, there], dim=-1)
-            mean_so_far = kept * mean_so_far + new
+            mean_so_far = decay * mean_so_far + new
             sums = mean_so_far.reshape(3, n)
             offset = sums[:2] / (sums[2:] + prior)
             today = offset[:1]
@@ -260,12 +260,12 @@ class Compensator(nn.Module):
         expected = here @ (self.scale.abs() * self.spread_factor) * torch.exp(out.log_spread)
         spread = self.rms + close * (expected - self.rms)
         if self.info.protocol == "track":
-            now = strangeness(measured - virtual - correction, spread, self.anomaly_scale)
-            strange = torch.where(valid > 0.5, now, strange)
-            anomaly = strange.amax(-1, keepdim=True)
+            now = innovation_ratio(measured - virtual - correction, spread, self.anomaly_scale)
+            innovation_ratios = torch.where(valid > 0.5, now, innovation_ratios)
+            anomaly = innovation_ratios.amax(-1, keepdim=True)
         else:
             anomaly = (out.distance / self.anomaly_scale).amax(-1, keepdim=True)
-        after = [past, mean_so_far, readings, begun, strange, slow, network_state]
+        after = [past, mean_so_far, readings, begun, innovation_ratios, slow, network_state]
         state = torch.cat(after, dim=-1)
         return correction, spread, anomaly, inside, state
 
@@ -295,7 +295,7 @@ class Compensator(nn.Module):
             spread[span.rows] = between(close[:, None], expected, spread[span.rows])
             if self.info.protocol == "track":
                 new = np.nan_to_num(flight.residual[span.rows] - correction[span.rows])
-                now = strangeness(new, spread[span.rows], self.anomaly_scale.double().numpy())
+                now = innovation_ratio(new, spread[span.rows], self.anomaly_scale.double().numpy())
                 anomaly[span.rows] = held(now, span.fresh).max(axis=1)
             else:
                 anomaly[span.rows] = (out.distance / self.anomaly_scale).amax(-1).numpy()
@@ -361,12 +361,12 @@ class Compensator(nn.Module):
             else raw[:, list(s)]
             for s in PLACES
         ]
-        places = torch.cat([*seen, raw[:, len(SEEN) :]], dim=-1)
+        places = torch.cat([*seen, raw[:, len(FEATURE_CHANNELS) :]], dim=-1)
         white = ((places - self.place_centre) / self.place_scale) @ self.place_whitening.T
         return torch.sqrt((white**2).mean(-1, keepdim=True)) / self.place_reach
 
 
-def strangeness(innovation: Values, spread: Values, level: Values) -> Values:
+def innovation_ratio(innovation: Values, spread: Values, level: Values) -> Values:
     """Of readings: what is new in them over its spread and over its level.
 
     Args:

@@ -53,7 +53,7 @@ class Model(Interface):
     """Whatever corrects a flight."""
 
     def run(self, flight: ResidualFlight) -> Corrected:
-        """The whole flight; each span starts anew."""
+        """The whole flight; each span starts from zero."""
         ...
 
 
@@ -99,7 +99,7 @@ class ModelInfo(Generic[P]):
         if flight.rate_hz != self.rate_hz:
             raise ModelError(
                 f"{flight.name}: residuals at {flight.rate_hz:g} Hz, the model was trained at "
-                f"{self.rate_hz:g} Hz; make them anew at the model's rate"
+                f"{self.rate_hz:g} Hz; make them again at the model's rate"
             )
         if flight.commands.shape[1] != self.n_commands:
             raise ModelError(
@@ -141,7 +141,7 @@ class TrainedModel(Interface):
         ...
 
     def run(self, flight: ResidualFlight) -> Corrected:
-        """The whole flight; each span starts anew.
+        """The whole flight; each span starts from zero.
 
         Raises:
             ModelError: Rate or number of commands differs from the training's.

@@ -61,7 +61,7 @@ def load(folder: Path) -> "TrainedModel":
     ) as error:
         raise ModelError(
             f"{folder}: {MODEL} and {WEIGHTS} do not fit each other or this version ({error}); "
-            "train the model anew"
+            "train the model again"
         ) from error
     return model
 

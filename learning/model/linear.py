@@ -58,7 +58,7 @@ def fit_base(
     """Weights of the linear prediction per channel; a rule where nothing plainly does better.
 
     `track`: weights times [`lags` about `offset`, `change`] of each channel, which is
-    autoregression straight to the horizon beside an observer of its offset, times [`own`, features,
+    autoregression straight to the horizon and an observer of its offset, times [`own`, features,
     slow features], or times both. `free`: times the latter. `reconstruct`: none. The ridge holds
     the weights at those of a trivial rule: that the residual is nothing (in `track`: what it was
     last, or so far on average), or that the sensor reads what it reads on average (in `track`: what
@@ -182,7 +182,7 @@ def _folds(spans: Sequence[SpanSequence]) -> IntArray:
 
 
 def _tried(protocol: Protocol, n: int) -> list[tuple[Array, IntArray]]:
-    """Weights of trivial rules, and regressors that may be used beside them, the fewest first.
+    """Weights of trivial rules, and regressors that may be used alongside them, the fewest first.
 
     The first rule is used where nothing plainly does better. All of `track` follow the offset of
     today: flights of one offset cannot say which a sensor will have on another day.
@@ -233,7 +233,7 @@ def _chosen(
     blocks: IntArray,
 ) -> tuple[Array, float]:
     """What the best ridge adds to the weights of a rule, and the square error that both save
-    beside the first rule.
+    alongside the first rule.
 
     None where the saving could be chance.
 
@@ -412,9 +412,9 @@ class Linear(Family[LinearPreset, LinearModel]):
         if len(flights) > 1:
             unseen = left_out_errors(flights, preset, task.protocol, task.horizon, scaling)
             for span, error in zip(spans, unseen, strict=True):
-                told = np.isfinite(error)
+                known = np.isfinite(error)
                 rows = left[span.flight][span.rows]
-                rows[told] = (error * scaling.scale[span.phase])[told]
+                rows[known] = (error * scaling.scale[span.phase])[known]
         return replace(model, expected=np.sqrt(by_phase(flights, [e**2 for e in left])))
 
     def build(self, info: ModelInfo[LinearPreset], tensors: Tensors) -> LinearModel:

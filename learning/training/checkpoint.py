@@ -18,7 +18,7 @@ CHECKPOINT = "checkpoint.safetensors"
 
 
 @dataclass(slots=True)
-class Standing:
+class TrainingState:
     """Where a training stands, besides its tensors.
 
     Attributes:
@@ -38,7 +38,7 @@ class Standing:
 
 def save_checkpoint(
     folder: Path,
-    standing: Standing,
+    standing: TrainingState,
     weights: Mapping[str, Tensor],
     best: Mapping[str, Tensor],
     optimisers: Mapping[str, torch.optim.Optimizer],
@@ -56,8 +56,8 @@ def save_checkpoint(
 
 def load_checkpoint(
     folder: Path, training: str, optimisers: Mapping[str, torch.optim.Optimizer]
-) -> tuple[Standing, dict[str, Tensor], dict[str, Tensor]] | None:
-    """Standing, weights and best weights; optimisers take up their states. None without one.
+) -> tuple[TrainingState, dict[str, Tensor], dict[str, Tensor]] | None:
+    """TrainingState, weights and best weights; optimisers take up their states. None without one.
 
     Raises:
         ModelError: The checkpoint is of another training, or not readable.
@@ -67,10 +67,10 @@ def load_checkpoint(
         return None
     try:
         with safe_open(path, framework="pt") as file:
-            standing = Standing(**json.loads(file.metadata()["standing"]))
+            standing = TrainingState(**json.loads(file.metadata()["standing"]))
             tensors = {k: file.get_tensor(k) for k in file.keys()}  # noqa: SIM118 - no mapping
     except (SafetensorError, KeyError, TypeError, ValueError) as error:
-        raise ModelError(f"{path}: not readable ({error}); delete it to train anew") from error
+        raise ModelError(f"{path}: not readable ({error}); delete it to train again") from error
     if standing.training != training:
         raise ModelError(
             f"{path}: of another training (other flights, preset, protocol, horizon or seed); "

@@ -25,7 +25,7 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
 ANOMALY_QUANTILE = 0.99
-STRANGE_QUANTILE = 0.999
+INNOVATION_QUANTILE = 0.999
 """Of each of many channels, any of which raises an alarm. Not chosen on flights."""
 NO_DISTANCE = 1e-12
 """Squared, from a code, below which there is none."""
@@ -35,7 +35,7 @@ ENOUGH = 20
 """Samples of a channel in a phase from which a spread is told."""
 
 
-class Workpiece:
+class TrainingProblem:
     """One model and what it is trained on; all closed forms are done from the start.
 
     Args:
@@ -130,19 +130,19 @@ class Workpiece:
         model.gate.copy_(torch.from_numpy(gate))
         self.error_without = _mean_square([left], [validate])
         self.error_with = _mean_square([left - gate * y], [validate])
-        error, told = self._told(left - gate * y, validate)
+        error, used = self._calibration_errors(left - gate * y, validate)
         log_spread = np.concatenate([o.log_spread.double().numpy() for o in outs])
         error = error * np.exp(-log_spread)
-        factor = np.where(told.any(axis=0), np.maximum(_factor(error, told, phases), self.least), 0)
+        factor = np.where(used.any(axis=0), np.maximum(_factor(error, used, phases), self.least), 0)
         model.spread_factor.copy_(torch.from_numpy(factor))
         if model.info.protocol == "track":
             known = np.where(factor > 0, factor, 1.0)[phases]
-            level = self._usual_strangeness(error / known, told)
+            level = self._innovation_level(error / known, used)
             model.anomaly_scale.copy_(torch.from_numpy(level))
         else:
-            model.anomaly_scale.copy_(self._usual_distance(outs).clamp(min=NO_DISTANCE))
+            model.anomaly_scale.copy_(self._distance_level(outs).clamp(min=NO_DISTANCE))
 
-    def _told(self, error: Array, validate: BoolArray) -> tuple[Array, BoolArray]:
+    def _calibration_errors(self, error: Array, validate: BoolArray) -> tuple[Array, BoolArray]:
         """Errors that tell what is to be expected, and which of them do, shape (n, 15) both.
 
         Those of time held back; where there are several flights, what the linear prediction leaves
@@ -158,29 +158,29 @@ class Workpiece:
         saved = np.ones(len(known))
         saved[known] = np.sqrt(self.error_with[known] / self.error_without[known])
         left_out = fresh.any(axis=0)
-        told = np.where(left_out, fresh, held_back)
-        return np.where(left_out, np.nan_to_num(unseen) * saved, error), told
+        used = np.where(left_out, fresh, held_back)
+        return np.where(left_out, np.nan_to_num(unseen) * saved, error), used
 
-    def _usual_strangeness(self, error: Array, told: BoolArray) -> Array:
+    def _innovation_level(self, error: Array, used: BoolArray) -> Array:
         """What one reading in a thousand exceeds, of the flight that has most, at least one spread,
         with room for the next flight as the envelope has it; shape (15,), `UNLIMITED` of a channel
         without any.
 
         Args:
             error: Over its spread, shape (n, 15).
-            told: Which of them count, shape (n, 15).
+            used: Which of them count, shape (n, 15).
         """
         of = np.concatenate([np.full(len(s.d), s.flight) for s in self.spans])
         flights = np.unique(of)
         level = np.ones(error.shape[1])
         for flight in flights:
-            counts = told & (of == flight)[:, None]
+            counts = used & (of == flight)[:, None]
             for c in np.flatnonzero(counts.any(axis=0)):
-                usual = np.quantile(np.abs(error[counts[:, c], c]), STRANGE_QUANTILE)
+                usual = np.quantile(np.abs(error[counts[:, c], c]), INNOVATION_QUANTILE)
                 level[c] = max(level[c], float(usual))
-        return np.where(told.any(axis=0), level * (1 + 1 / len(flights)), UNLIMITED)
+        return np.where(used.any(axis=0), level * (1 + 1 / len(flights)), UNLIMITED)
 
-    def _usual_distance(self, outs: Sequence[NetworkOut]) -> torch.Tensor:
+    def _distance_level(self, outs: Sequence[NetworkOut]) -> torch.Tensor:
         """What one sample in a hundred exceeds, of the flight that has most, shape (clusters,).
 
         Of the time held back, where a flight has some: the network is nearer to what it was
@@ -192,8 +192,8 @@ class Workpiece:
             own = np.flatnonzero(flights == flight).tolist()
             distance = torch.cat([outs[k].distance for k in own])
             held = torch.from_numpy(np.concatenate([self.validate[k].any(1) for k in own]))
-            told = distance[held] if int(held.sum()) >= ENOUGH else distance
-            levels.append(torch.quantile(told[_some(len(told))], ANOMALY_QUANTILE, dim=0))
+            used = distance[held] if int(held.sum()) >= ENOUGH else distance
+            levels.append(torch.quantile(used[_some(len(used))], ANOMALY_QUANTILE, dim=0))
         return torch.stack(levels).amax(dim=0)
 
     def validation_mse(self) -> dict[str, dict[str, float]]:

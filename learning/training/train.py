@@ -40,9 +40,9 @@ from ..model.folder import CURVE, MODEL, load, save, write_json
 from ..model.network import ClusterNetwork, SvqNetwork
 from ..model.registry import FamilyRow, check_preset
 from ..preset import PRESETS, PROTOCOLS, Preset, Protocol
-from .checkpoint import CHECKPOINT, Standing, load_checkpoint, save_checkpoint
+from .checkpoint import CHECKPOINT, TrainingState, load_checkpoint, save_checkpoint
 from .losses import Losses, losses
-from .problem import Workpiece
+from .problem import TrainingProblem
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -101,7 +101,7 @@ def train(
         (folder / CHECKPOINT).unlink(missing_ok=True)
     with one_thread(), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        piece = Workpiece(flights, preset, protocol, horizon, seed)
+        piece = TrainingProblem(flights, preset, protocol, horizon, seed)
         piece.network.to(device)
         place = checkpoints or folder
         standing = _fit(piece, training, place, progress or silent, checkpoint_s)
@@ -128,12 +128,12 @@ def train(
 
 
 def _fit(
-    piece: Workpiece, training: str, folder: Path, progress: Progress, checkpoint_s: float
-) -> Standing:
+    piece: TrainingProblem, training: str, folder: Path, progress: Progress, checkpoint_s: float
+) -> TrainingState:
     """Run the epochs that are left; the network ends with its best weights."""
     preset, network = piece.preset, piece.network
     optimiser = torch.optim.Adam(list(network.parameters()), lr=preset.learning_rate, fused=True)
-    standing, best = Standing(training), _copy(network)
+    standing, best = TrainingState(training), _copy(network)
     found = load_checkpoint(folder, training, {NETWORK: optimiser})
     if found is not None:
         standing, weights, best = found
@@ -162,7 +162,7 @@ def _fit(
     return standing
 
 
-def _epoch(piece: Workpiece, optimiser: torch.optim.Optimizer, epoch: int) -> dict[str, Any]:
+def _epoch(piece: TrainingProblem, optimiser: torch.optim.Optimizer, epoch: int) -> dict[str, Any]:
     """One pass over the training windows; mean losses."""
     preset, network = piece.preset, piece.network
     rate = preset.learning_rate * _schedule(preset, epoch)
@@ -219,7 +219,7 @@ def _schedule(preset: Preset, epoch: int) -> float:
     return SLOWEST_RATE + (1 - SLOWEST_RATE) * share
 
 
-def _tired(standing: Standing, preset: Preset) -> bool:
+def _tired(standing: TrainingState, preset: Preset) -> bool:
     if preset.patience is None or standing.best_error is None:
         return False
     return standing.epoch - standing.best_epoch >= preset.patience

@@ -37,8 +37,8 @@ def test_a_diffusion_that_knows_its_distribution_draws_from_it(steps: int, sched
 
 @pytest.mark.parametrize(("steps", "schedule"), [(50, "cosine"), (100, "linear")])
 def test_little_of_the_signal_is_left_at_the_end(steps: int, schedule: str) -> None:
-    kept = Diffusion(steps, schedule).kept  # type: ignore[arg-type]
-    assert bool((kept[1:] < kept[:-1]).all()) and kept[0] > 0.99 and kept[-1] < 1e-3
+    share = Diffusion(steps, schedule).signal_share  # type: ignore[arg-type]
+    assert bool((share[1:] < share[:-1]).all()) and share[0] > 0.99 and share[-1] < 1e-3
 
 
 def test_the_loss_is_that_of_the_best_guess() -> None:

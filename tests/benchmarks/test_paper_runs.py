@@ -18,7 +18,7 @@ from benchmarks.paper import comparison as paper
 from benchmarks.paper import edge
 from benchmarks.paper.edge import export_system, untrained_system, usage, usage_figure
 from benchmarks.paper.figures import (
-    Said,
+    FlightCorrections,
     best_systems,
     by_share,
     comparison,
@@ -135,8 +135,8 @@ def test_figures_show_what_each_system_said(tables: Path) -> None:
     flights = paper_flights(tables)
     residual = flights[2].residual
     said = {"half": residual / 2, "none": np.zeros_like(residual), "tenth": 0.9 * residual}
-    assert list(Said.of(flights, said).errors()) == ["tenth", "half", "none"]
-    (histograms, *_) = error_distributions(Said.of(flights, said)).data
+    assert list(FlightCorrections.of(flights, said).errors()) == ["tenth", "half", "none"]
+    (histograms, *_) = error_distributions(FlightCorrections.of(flights, said)).data
     assert histograms.name == "tenth"
     page = figures_page(comparison(flights, said))
     assert page.count("data-for=") == 5

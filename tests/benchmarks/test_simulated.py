@@ -114,5 +114,5 @@ def test_residuals_show_what_is_hidden_and_are_kept(
     (again,) = residuals(out, [INDIVIDUAL], "test", rate_hz=50.0)[INDIVIDUAL.name][:1]
     np.testing.assert_array_equal(again.residual, made.residual)
     assert again.spans == made.spans and again.name == made.name
-    with pytest.raises(TypeError):  # another horizon is made anew
+    with pytest.raises(TypeError):  # another horizon is made again
         residuals(out, [INDIVIDUAL], "test", rate_hz=50.0, restart_s=0.2)

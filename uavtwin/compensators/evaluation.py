@@ -35,7 +35,7 @@ from .running import compiled_compensator
 from .training import RESIDUALS, VEHICLE_FILE
 
 MODEL = "model"
-"""What the compensator is called beside the baselines."""
+"""What the compensator is called alongside the baselines."""
 Progress = Callable[[float], None]
 
 
@@ -197,7 +197,7 @@ def evaluate_model(
     Args:
         folder: That `train` wrote.
         given: Flights; none of the training.
-        explained: Vehicle whose twin is drawn beside the model's.
+        explained: Vehicle whose twin is drawn alongside the model's.
         progress: Called with the share done.
 
     Raises:
@@ -231,9 +231,9 @@ def evaluate_model(
     compiled = (folder / FILE).is_file()
     if compiled:
         with compiled_compensator(folder) as fmu:
-            said = _Said({f.name: fmu.run(f) for f in flights})
+            said = _StoredCorrections({f.name: fmu.run(f) for f in flights})
     else:
-        said = _Said({f.name: model.run(f) for f in flights})
+        said = _StoredCorrections({f.name: model.run(f) for f in flights})
     task = Task(model.info.protocol, model.info.horizon)
     return Evaluation(
         model=model,
@@ -252,7 +252,7 @@ def _own(model: TrainedModel) -> dict[str, Model]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Said:
+class _StoredCorrections:
     """What a model has said of flights, by their names."""
 
     corrected: Mapping[str, Corrected]

@@ -43,7 +43,7 @@ class CompiledCompensator:
     network: NetworkFile
 
     def run(self, flight: ResidualFlight) -> Corrected:
-        """The whole flight; each span starts anew."""
+        """The whole flight; each span starts from zero."""
         network, n = self.network, flight.virtual.shape[1]
         correction = np.zeros((len(flight.t_s), n))
         spread = np.tile(np.array(network.uncorrected_rms), (len(flight.t_s), 1))
@@ -122,7 +122,7 @@ class Correction:
 
     Attributes:
         t_s: Of the flight, shape (n,).
-        residual: Measured less twin, NaN where nothing was measured anew, shape (n, channels).
+        residual: Measured less twin, NaN where nothing was measured again, shape (n, channels).
         correction: To be added to what the twin reads, the same shape.
         anomaly: How strange the newest residuals are that it sees, above 1 rarely, shape (n,).
         inside: Whether the flight is where training has been, shape (n,).
@@ -235,7 +235,7 @@ class RunningCompensator:
         )
 
     def _stepped(self, seen: ResidualFlight, rows: NDArray[np.intp]) -> Correction:
-        """Step it over rows, anew where they do not go on from the row before."""
+        """Step it over rows, from zero where they do not follow on the row before."""
         period_s, n = 1 / self.network.rate_hz, len(self.network.channels)
         _, _, table = self._table(seen)
         said = np.zeros((len(rows), len(self._slave.outputs)))

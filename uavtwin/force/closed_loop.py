@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cosim.slave import Slave
 from learning.force.laws import LAWS
-from learning.force.model import Checked, ForceModel, Output
+from learning.force.model import ForceModel, MissionCheck, Output
 from twin.errors import FmuError
 from twin.flight.assembly import SENSED, gust_switches
 from twin.flight.mission import PHASES, mission_duration_s
@@ -59,7 +59,7 @@ _TRACKED = tuple(f"airframe.pos_{a}" for a in AXES) + tuple(
 
 
 @dataclass(frozen=True, slots=True)
-class Tracked:
+class MissionTrack:
     """How a mission was flown.
 
     Attributes:
@@ -80,16 +80,16 @@ class Tracked:
 
 
 @dataclass(frozen=True, slots=True)
-class Both:
+class MissionPair:
     """The same mission in the same air.
 
     Attributes:
-        learned: Flown with the learned force.
-        alone: Flown without it.
+        learned: LawScore with the learned force.
+        alone: LawScore without it.
     """
 
-    learned: Tracked
-    alone: Tracked
+    learned: MissionTrack
+    alone: MissionTrack
 
     @property
     def lost(self) -> bool:
@@ -126,7 +126,7 @@ def _air(rng: np.random.Generator, wind_m_s: float) -> dict[str, float]:
 
 def fly_both(
     vehicle: Vehicle, force: LearnedForce, mission: str, airs: Sequence[Mapping[str, float]]
-) -> list[Both]:
+) -> list[MissionPair]:
     """Fly a mission in every air, with a learned force and without it, by one exported FMU.
 
     Args:
@@ -140,7 +140,9 @@ def fly_both(
         export(twin(vehicle, mission, force=force), fmu)
         duration_s = mission_duration_s(mission)
         return [
-            Both(_tracked(fmu, duration_s, air), _tracked(fmu, duration_s, {**air, ENABLED: 0.0}))
+            MissionPair(
+                _tracked(fmu, duration_s, air), _tracked(fmu, duration_s, {**air, ENABLED: 0.0})
+            )
             for air in airs
         ]
 
@@ -175,16 +177,16 @@ def flown(fmu: Path, duration_s: float, starts: Mapping[str, float], reads: Sequ
     return found
 
 
-def _tracked(fmu: Path, duration_s: float, starts: Mapping[str, float]) -> Tracked:
+def _tracked(fmu: Path, duration_s: float, starts: Mapping[str, float]) -> MissionTrack:
     found = flown(fmu, duration_s, starts, (*_TRACKED, DISTANCE))
     inside = float(np.mean(found[:, 6] <= 1))
     if not np.isfinite(found).all():
-        return Tracked(float("inf"), float("inf"), inside)
+        return MissionTrack(float("inf"), float("inf"), inside)
     away = np.linalg.norm(found[:, :3] - found[:, 3:6], axis=1)
-    return Tracked(float(np.sqrt(np.mean(away**2))), float(away.max()), inside)
+    return MissionTrack(float(np.sqrt(np.mean(away**2))), float(away.max()), inside)
 
 
-def kept(
+def flyable(
     chosen: ForceModel,
     model: Callable[[Sequence[str]], ForceModel],
     vehicle: Vehicle,
@@ -228,7 +230,7 @@ def kept(
         withdrawn.append(name)
         left = model(laws)
     flights = len(airs) if lost else 0
-    return replace(left, closed_loop=Checked(flights, sum(lost[:1]), tuple(withdrawn)))
+    return replace(left, closed_loop=MissionCheck(flights, sum(lost[:1]), tuple(withdrawn)))
 
 
 def _used(model: ForceModel) -> list[str]:

@@ -1,4 +1,4 @@
-"""Evaluation of a learned force: exported FMUs, beside others, over flights of their own."""
+"""Evaluation of a learned force: exported FMUs, alongside others, over flights of their own."""
 
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -179,7 +179,7 @@ def evaluate_force(
     Args:
         folder: That `train --protocol force` wrote.
         flights: None of the training.
-        physics: Vehicle before it was explained, beside the others; None: without.
+        physics: Vehicle before it was explained, alongside the others; None: without.
         progress: Called with the share done.
 
     Raises:
@@ -188,7 +188,7 @@ def evaluate_force(
     force, vehicle = learned_force(folder), load_vehicle(folder / VEHICLE_FILE)
     model = force.model
     _check_new(flights, folder, model)
-    rows, inside, windows, kept = [], {}, {}, {}
+    rows, inside, windows, by_flight = [], {}, {}, {}
     with tempfile.TemporaryDirectory() as place:
         fleet = _Fleet(force, vehicle, physics, Path(place))
         total, done = len(flights) * len(fleet.names) + 1, 0  # the last one hovers
@@ -207,10 +207,10 @@ def evaluate_force(
             near = np.mean(flown[SHIPPED].watched[..., 0] <= 1, axis=0)
             inside[flight.name] = tuple(near.tolist())
             windows[flight.name] = len(flown[SHIPPED].t_s)
-            kept[flight.name] = flown
+            by_flight[flight.name] = flown
     steady = hovers(flights, {EXPLAINED: (vehicle, None), SHIPPED: (vehicle, force)})
     progress(1.0)
-    return ForceEvaluation(model, pd.DataFrame(rows), inside, windows, steady, kept)
+    return ForceEvaluation(model, pd.DataFrame(rows), inside, windows, steady, by_flight)
 
 
 def _numbers(hover: Steadiness) -> dict[str, float | None]:

@@ -24,8 +24,16 @@ from fmus import build
 from learning.data.envelope import INSIDE
 from learning.force.forecast import AHEAD_S, NO_OBSERVER
 from learning.force.instants import Instants, instants
-from learning.force.laws import LAWS, WORTH, Candidate, Prepared, prepare
-from learning.force.model import Checked, Flown, ForceModel, Output, Rival, Taught, observer_starts
+from learning.force.laws import LAWS, LEAST_GAIN, Candidate, Prepared, prepare
+from learning.force.model import (
+    ForceModel,
+    LawScore,
+    MissionCheck,
+    Output,
+    Rival,
+    TrainingFlight,
+    observer_starts,
+)
 from twin.errors import TwinError
 from twin.flight.assembly import driven_twin
 from twin.logs import Flight
@@ -36,7 +44,7 @@ from twin.residuals.teacher_forced import choose_drive
 from twin.vehicle import Vehicle as TwinVehicle
 
 from ..vehicles import Vehicle
-from .closed_loop import kept
+from .closed_loop import flyable
 from .memory import Memory
 from .open_loop import DISTANCE, Replay
 
@@ -68,17 +76,17 @@ class Lesson:
 
     @classmethod
     def of(
-        cls, seen: Sequence[Instants], vehicle: TwinVehicle, drive: Drive, place: Path
+        cls, flights: Sequence[Instants], vehicle: TwinVehicle, drive: Drive, place: Path
     ) -> "Lesson":
         """The lesson of these flights.
 
         Args:
-            seen: One or more.
+            flights: One or more.
             vehicle: Whose equations leave something.
             drive: Of the twin.
             place: File of the twin.
         """
-        prepared = prepare(seen, vehicle)
+        prepared = prepare(flights, vehicle)
         return cls(prepared, prepared.candidates(), drive, place)
 
     @property
@@ -131,7 +139,7 @@ class Lesson:
         return replace(self, fitted=fitted)
 
     def starts(self, names: Sequence[str]) -> dict[str, float]:
-        """Start values that make the FMU fly them, each beside its observer."""
+        """Start values that make the FMU fly them, each alongside its observer."""
         return law_starts(self.prepared, self.chosen(names))
 
 
@@ -141,13 +149,11 @@ class Fold:
 
     Attributes:
         replay: Of the flight.
-        seen: The flight.
         lesson: Of the others.
         memory: Of the steps that were taken before.
     """
 
     replay: Replay
-    seen: Instants
     lesson: Lesson
     memory: Memory
 
@@ -201,7 +207,7 @@ def in_force(law: ForceLaw) -> dict[str, float]:
 
 
 OBSERVER = "observer"
-"""Its name beside those of the laws."""
+"""Its name alongside those of the laws."""
 BETTER = 0.01
 """Share by which an observer or a law must lower the error, in the geometric mean over flights,
 quantities and horizons."""
@@ -220,14 +226,14 @@ class Choice:
     """
 
     laws: tuple[str, ...]
-    tried: tuple[tuple[Flown, ...], ...]
+    tried: tuple[tuple[LawScore, ...], ...]
 
     @classmethod
     def nothing(cls) -> "Choice":
         """No law, and none tried."""
         return cls((LAWS[0],) * len(OUTPUTS), ((),) * len(OUTPUTS))
 
-    def tried_too(self, flown: Sequence[Flown]) -> "Choice":
+    def tried_too(self, flown: Sequence[LawScore]) -> "Choice":
         """The same laws, and one more tried of each output."""
         return Choice(self.laws, tuple((*t, f) for t, f in zip(self.tried, flown, strict=True)))
 
@@ -244,7 +250,7 @@ class Steps:
         self._progress(self._done / self._total)
 
 
-def as_flown(law: str, gain: float, squares: Array, without: Array) -> Flown:
+def as_flown(law: str, gain: float, squares: Array, without: Array) -> LawScore:
     """What a law or an observer does.
 
     Args:
@@ -255,10 +261,10 @@ def as_flown(law: str, gain: float, squares: Array, without: Array) -> Flown:
     """
     logs = np.log((squares + _TINY) / (without + _TINY)) / 2
     worst = logs.mean(axis=(0, 1)).max()
-    return Flown(law, gain, float(np.exp(logs.mean())), float(np.exp(worst)))
+    return LawScore(law, gain, float(np.exp(logs.mean())), float(np.exp(worst)))
 
 
-def best_law(flown: Sequence[Flown]) -> str:
+def best_law(flown: Sequence[LawScore]) -> str:
     """The simplest law within `BETTER` of the best of those that help and do no harm."""
     good = [
         (f.law, f.ratio)
@@ -273,8 +279,8 @@ def best_law(flown: Sequence[Flown]) -> str:
 
 def chosen_observers(
     folds: Sequence[Fold], lesson: Lesson, progress: Callable[[float], None]
-) -> tuple[list[Fold], Lesson, list[Flown]]:
-    """Observer of each output, one after the other beside those of the others, no law used yet.
+) -> tuple[list[Fold], Lesson, list[LawScore]]:
+    """Observer of each output, one after the other alongside those of the others, no law used yet.
 
     It is kept where the twin is closer with it in the mean. That no quantity is farther is asked of
     laws alone: where two disturbances hid each other, the other one shows when one is taken away.
@@ -287,19 +293,19 @@ def chosen_observers(
     Returns:
         The same without the observers that do not fly better, and what each did.
     """
-    kept, laws, found = list(folds), Choice.nothing().laws, []
+    used, laws, found = list(folds), Choice.nothing().laws, []
     steps = Steps(len(OUTPUTS) + 1, progress)
-    least = left_out(kept, laws)
+    least = left_out(used, laws)
     steps.one()
     for i in range(len(OUTPUTS)):
-        silent = [fold.unobserved(i) for fold in kept]
+        silent = [fold.unobserved(i) for fold in used]
         without = left_out(silent, laws)
         found.append(as_flown(OBSERVER, 0.0, least, without))
         ratio = found[-1].ratio
         if ratio is None or ratio >= 1 - BETTER:
-            kept, lesson, least = silent, lesson.unobserved(i), without
+            used, lesson, least = silent, lesson.unobserved(i), without
         steps.one()
-    return kept, lesson, found
+    return used, lesson, found
 
 
 def chosen_laws(folds: Sequence[Fold], lesson: Lesson, progress: Callable[[float], None]) -> Choice:
@@ -319,8 +325,8 @@ def chosen_laws(folds: Sequence[Fold], lesson: Lesson, progress: Callable[[float
         for name in LAWS[1:]:
             gain = lesson.fitted[i][name].gain
             steps.one()
-            if gain <= WORTH:
-                flown.append(Flown(name, gain))
+            if gain <= LEAST_GAIN:
+                flown.append(LawScore(name, gain))
                 continue
             squares[name] = left_out(folds, [*laws[:i], name, *laws[i + 1 :]])
             flown.append(as_flown(name, gain, squares[name], least))
@@ -363,19 +369,19 @@ def learn_force(
             the others.
     """
     drive = _drive(flights, vehicle)
-    seen = []
+    instants_of_flights = []
     for flight in flights:
-        seen.append(instants(flight, vehicle))
-        progress(_READING * len(seen) / len(flights))
+        instants_of_flights.append(instants(flight, vehicle))
+        progress(_READING * len(instants_of_flights) / len(flights))
     with tempfile.TemporaryDirectory() as name:
-        lesson = Lesson.of(seen, vehicle, drive, Path(name, "all.fmu"))
+        lesson = Lesson.of(instants_of_flights, vehicle, drive, Path(name, "all.fmu"))
         choice = Choice.nothing()
         if len(flights) > 1:
             folds = []
             for k, flight in enumerate(flights):
-                others = [s for s in seen if s is not seen[k]]
+                others = [s for s in instants_of_flights if s is not instants_of_flights[k]]
                 taught = Lesson.of(others, vehicle, drive, Path(name, f"{k}.fmu"))
-                folds.append(Fold(Replay(flight, vehicle, AHEAD_S), seen[k], taught, memory))
+                folds.append(Fold(Replay(flight, vehicle, AHEAD_S), taught, memory))
             part = _part(progress, _READING, _OBSERVERS)
             folds, lesson, observers = chosen_observers(folds, lesson, part)
             folds, lesson = running(folds, lesson, memory)
@@ -394,16 +400,16 @@ def learn_force(
                 Output(c.law, c.observer, tried)
                 for c, tried in zip(chosen, choice.tried, strict=True)
             ),
-            closed_loop=Checked.nothing(),
+            closed_loop=MissionCheck.nothing(),
             taken=taken,
-            flights=tuple(Taught(f.name, f.fingerprint) for f in flights),
+            flights=tuple(TrainingFlight(f.name, f.fingerprint) for f in flights),
             vehicle=vehicle.name,
             vehicle_sha256=hashlib.sha256(vehicle.toml().encode()).hexdigest(),
             seed=seed,
         )
 
     part = _part(progress, _LAWS, 1.0)
-    return kept(model(choice.laws), model, vehicle, memory, part)
+    return flyable(model(choice.laws), model, vehicle, memory, part)
 
 
 def _drive(flights: Sequence[Flight], vehicle: Vehicle) -> Drive:

@@ -33,7 +33,7 @@ class Memory(journal.Journal[int]):
         """See `Journal`."""
         super().__init__(path, key)
         self._count = 0
-        self._kept = [content for _, content in self.contents()]
+        self._stored = [content for _, content in self.contents()]
 
     def named(self, content: journal.Content) -> int:
         """Number of the step.
@@ -53,9 +53,9 @@ class Memory(journal.Journal[int]):
             what: The step, which is held against the journal's.
             make: Takes the step.
         """
-        if (kept := self._next(what)) is not None:
-            flat = np.frombuffer(base64.b64decode(kept["array"]), dtype=np.float64)
-            return flat.reshape(kept["shape"]).copy()
+        if (stored := self._next(what)) is not None:
+            flat = np.frombuffer(base64.b64decode(stored["array"]), dtype=np.float64)
+            return flat.reshape(stored["shape"]).copy()
         made = np.asarray(make(), dtype=np.float64)
         self._add(what, made)
         return made
@@ -63,12 +63,12 @@ class Memory(journal.Journal[int]):
     def _next(self, what: str) -> journal.Content | None:
         """Line of the next step; None: it has not been taken."""
         self._count += 1
-        if self._count > len(self._kept):
+        if self._count > len(self._stored):
             return None
-        kept = self._kept[self._count - 1]
-        if kept["what"] != what:
+        stored = self._stored[self._count - 1]
+        if stored["what"] != what:
             raise self.foreign(self._count + 1)
-        return kept
+        return stored
 
     def _add(self, what: str, array: Array) -> None:
         self.write(

@@ -76,9 +76,9 @@ class Replay:
         self._given = np.column_stack([whole[n] for n in self._names])
         self._restart = self._names.index(f"{PREFIX}restart")
         self._changes = _changes(self._names, self._given)
-        self._there = true_motion(vehicle, aligned)
+        self._measured = true_motion(vehicle, aligned)
         self._steps = [round(h / GRID_S) for h in horizons_s]
-        known = clear(aligned) & np.isfinite(self._there).all(axis=1)
+        known = clear(aligned) & np.isfinite(self._measured).all(axis=1)
         self._left = _left_alone(known, self._steps[-1])
         if not len(self._left):
             raise LogError(
@@ -127,12 +127,12 @@ class Replay:
             slave.bind(self._names, reads, sent, received)
             slave.initialize(0.0, starts or {})
             slave.finish_initialization()
-            kept, due = slave.save(), set(self._left.tolist())
+            state, due = slave.save(), set(self._left.tolist())
             for row in range(int(self._left[-1]) + 1):
                 if row in due:
-                    slave.save(kept)
+                    slave.save(state)
                     found.append(self._alone(slave, row))
-                    slave.restore(kept)
+                    slave.restore(state)
                     progress(len(found) / len(due))
                 self._step(slave, row, 1, follow=True)
         finally:
@@ -160,14 +160,14 @@ class Replay:
 
     def _held(self) -> Array:
         """Motion at which it was left alone, once per horizon, shape (w, h, 13)."""
-        return np.repeat(self._there[self._left][:, None, :], len(self._steps), axis=1)
+        return np.repeat(self._measured[self._left][:, None, :], len(self._steps), axis=1)
 
     def _compared(self, motion: Array, watched: Array | None = None) -> OpenLoop:
         """Motion at the horizons, shape (w, h, 13), against that of the aircraft."""
-        there = np.stack([self._there[self._left + k] for k in self._steps], axis=1)
+        measured = np.stack([self._measured[self._left + k] for k in self._steps], axis=1)
         nothing = np.zeros((*motion.shape[:2], 0))
         left_s = np.asarray(GRID_S * self._left, dtype=np.float64)
-        return OpenLoop(left_s, _off(motion, there), nothing if watched is None else watched)
+        return OpenLoop(left_s, _off(motion, measured), nothing if watched is None else watched)
 
     def _alone(self, slave: Slave, row: int) -> list[Array]:
         """Outputs at the horizons after a row; from one change of an input to the next at once."""
@@ -200,8 +200,8 @@ def clear(aligned: AlignedFlight) -> NDArray[np.bool_]:
 
 def _changes(names: Sequence[str], given: Array) -> NDArray[np.intp]:
     """Rows at which an input changes that matters to a twin that is left alone."""
-    kept = [i for i, n in enumerate(names) if not n.startswith(f"{PREFIX}restart")]
-    return np.flatnonzero(np.any(np.diff(given[:, kept], axis=0) != 0, axis=1)) + 1
+    columns = [i for i, n in enumerate(names) if not n.startswith(f"{PREFIX}restart")]
+    return np.flatnonzero(np.any(np.diff(given[:, columns], axis=0) != 0, axis=1)) + 1
 
 
 def _left_alone(known: NDArray[np.bool_], steps: int) -> NDArray[np.intp]:

@@ -121,11 +121,11 @@ def _claim(model: ForceModel) -> str:
     )
     gone = model.closed_loop.withdrawn
     lost = f"; withdrawn, as missions were lost with it: {', '.join(gone)}" if gone else ""
-    seen = [n for n, o in zip(NAMES, model.outputs, strict=True) if o.observer.lag_s < NEVER_S]
-    beside = "an observer of what is left"
-    if len(seen) < len(NAMES):
-        beside = f"{beside} of {', '.join(seen)}" if seen else "no observer"
-    return f"force: {law}{lost}; beside it {beside}."
+    observed = [n for n, o in zip(NAMES, model.outputs, strict=True) if o.observer.lag_s < NEVER_S]
+    observer = "an observer of what is left"
+    if len(observed) < len(NAMES):
+        observer = f"{observer} of {', '.join(observed)}" if observed else "no observer"
+    return f"force: {law}{lost}; alongside it {observer}."
 
 
 def _page(model: ForceModel) -> str:

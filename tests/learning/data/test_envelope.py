@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from learning.data.channels import CHANNELS
-from learning.data.channels import SEEN as COLUMNS
+from learning.data.channels import FEATURE_CHANNELS as COLUMNS
 from learning.data.envelope import (
     INSIDE,
     UNLIMITED,

@@ -51,5 +51,5 @@ def test_damage_is_reported(tmp_path: Path, content: bytes | None) -> None:
     path = tmp_path / "r.parquet"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(ModelError, match=r"r\.parquet: the residuals .* train the model anew"):
+    with pytest.raises(ModelError, match=r"r\.parquet: the residuals .* train the model again"):
         read_residuals(path)

@@ -11,12 +11,12 @@ import pytest
 from learning.force.forecast import NO_OBSERVER, Observer
 from learning.force.model import (
     FILE,
-    Checked,
-    Flown,
     ForceModel,
+    LawScore,
+    MissionCheck,
     Output,
     Rival,
-    Taught,
+    TrainingFlight,
     load_force,
     save_force,
 )
@@ -48,13 +48,13 @@ MODEL = ForceModel(
         Output(
             "linear",
             Observer(0.2, 1.0),
-            (Flown("constant", -3.0), Flown("linear", 12.0, 0.9, 1.01)),
+            (LawScore("constant", -3.0), LawScore("linear", 12.0, 0.9, 1.01)),
         ),
         *(Output("none", NO_OBSERVER) for _ in range(5)),
     ),
-    closed_loop=Checked(12, 1, ("moment y linear",)),
+    closed_loop=MissionCheck(12, 1, ("moment y linear",)),
     taken=0.1,
-    flights=(Taught("one", "00"),),
+    flights=(TrainingFlight("one", "00"),),
     vehicle="x",
     vehicle_sha256="11",
     seed=3,
@@ -99,7 +99,7 @@ def test_a_damaged_file_is_refused_by_name(tmp_path: Path, spoil: object) -> Non
     content = json.loads((tmp_path / FILE).read_text("utf-8"))
     spoil(content)  # type: ignore[operator]
     (tmp_path / FILE).write_text(json.dumps(content), "utf-8")
-    with pytest.raises(ModelError, match=rf"{FILE}.*Train the model anew"):
+    with pytest.raises(ModelError, match=rf"{FILE}.*Train the model again"):
         load_force(tmp_path)
 
 

@@ -201,7 +201,7 @@ def test_a_folder_of_another_family_is_refused(
     content = json.loads((folder / MODEL).read_text()) | change
     (tmp_path / WEIGHTS).write_bytes((folder / WEIGHTS).read_bytes())
     (tmp_path / MODEL).write_text(json.dumps(content))
-    with pytest.raises(ModelError, match=f"{said}.*train the model anew"):
+    with pytest.raises(ModelError, match=f"{said}.*train the model again"):
         load(tmp_path)
 
 

@@ -69,7 +69,7 @@ def test_a_description_that_does_not_fit_is_refused(
 ) -> None:
     content = json.loads((copy / MODEL).read_text()) | change
     (copy / MODEL).write_text(json.dumps(content))
-    with pytest.raises(ModelError, match=f"(?s){said}.*train the model anew"):
+    with pytest.raises(ModelError, match=f"(?s){said}.*train the model again"):
         load(copy)
 
 

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from learning.data.channels import CHANNELS, GROUPS, PLACES, SEEN
+from learning.data.channels import CHANNELS, FEATURE_CHANNELS, GROUPS, PLACES
 from learning.data.flights import ResidualFlight
 from learning.export.write import export_onnx
 from learning.model.compensator import Compensator, ModelInfo
@@ -92,7 +92,7 @@ def compensator(
 def _place(model: Compensator, envelope: float) -> None:
     """Physical inputs about the means of the features, each mixed with the others."""
     seen = [some[0] for some in PLACES]
-    first = len(SEEN)
+    first = len(FEATURE_CHANNELS)
     columns = [*seen, *range(first, first + model.info.n_commands)]
     model.place_centre.copy_(model.feature_mean[columns])
     model.place_scale.copy_(model.feature_scale[columns])

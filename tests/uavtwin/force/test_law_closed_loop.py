@@ -8,12 +8,12 @@ import pytest
 from learning.force.forecast import NO_OBSERVER
 from learning.force.instants import instants
 from learning.force.laws import prepare
-from learning.force.model import Checked, Flown, ForceModel, Output
+from learning.force.model import ForceModel, LawScore, MissionCheck, Output
 from twin.physics.residual_force import FEATURES, OUTPUTS, ForceLaw
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import fly
 from uavtwin.exports.parts import LearnedForce
-from uavtwin.force.closed_loop import FLIGHTS, fly_both, kept, random_air
+from uavtwin.force.closed_loop import FLIGHTS, fly_both, flyable, random_air
 from uavtwin.force.memory import Memory
 
 COPTER = load_vehicle("copter_default")
@@ -46,10 +46,10 @@ def _model(empty: ForceLaw, *weights: tuple[str, str, float]) -> ForceModel:
         law=ForceLaw.of(arrays),
         rivals={},
         outputs=tuple(
-            Output(law, NO_OBSERVER, (Flown(law, 1.0, 0.8 + 0.01 * i, 1.0),))
+            Output(law, NO_OBSERVER, (LawScore(law, 1.0, 0.8 + 0.01 * i, 1.0),))
             for i, law in enumerate(laws)
         ),
-        closed_loop=Checked.nothing(),
+        closed_loop=MissionCheck.nothing(),
         taken=0.0,
         flights=(),
         vehicle=COPTER.name,
@@ -66,7 +66,7 @@ def test_what_loses_missions_is_withdrawn_and_what_does_not_stays(
         both = zip((laws[0], laws[4]), (DRAG, TURNS), strict=True)
         return _model(empty, *(weight for law, weight in both if law == "linear"))
 
-    found = kept(
+    found = flyable(
         _model(empty, DRAG, TURNS),
         model,
         COPTER,
@@ -80,14 +80,14 @@ def test_what_loses_missions_is_withdrawn_and_what_does_not_stays(
 
 def test_no_law_has_nothing_to_fly(empty: ForceLaw, memory: Memory) -> None:
     none = _model(empty)
-    found = kept(
+    found = flyable(
         none,
         lambda _: none,
         COPTER,
         memory,
         lambda _: None,
     )
-    assert found.closed_loop == Checked.nothing()
+    assert found.closed_loop == MissionCheck.nothing()
 
 
 def test_a_drag_is_felt_in_the_wind_and_not_without_the_law(empty: ForceLaw) -> None:

@@ -43,7 +43,7 @@ def _fold(plant: Vehicle, observer: Observer, place: Path, memory: Memory) -> Fo
     lesson = Lesson(
         prepared, len(OUTPUTS) * fitted, choose_drive(flight, COPTER), place / "twin.fmu"
     )
-    return Fold(Replay(flight, COPTER, AHEAD_S), seen, lesson, memory)
+    return Fold(Replay(flight, COPTER, AHEAD_S), lesson, memory)
 
 
 def _used(lesson: Lesson) -> list[str]:
@@ -102,7 +102,7 @@ def test_a_law_says_at_most_so_many_times_what_it_said_in_its_flights() -> None:
     weights[0, FEATURES.index("air_x")] = -drag_1_s
     laws = [Candidate("linear", w * prepared.size, 1.0, NO_OBSERVER) for w in weights]
     law, _ = prepared.law(laws)
-    (seen,) = prepared.seen
+    (seen,) = prepared.flights
     speed = np.abs(inputs_of(seen)[:, FEATURES.index("air_x") - 1]).max()
     assert law.most[0] == pytest.approx(BEYOND * drag_1_s * speed, rel=0.05)  # low-passed
     assert not law.most[1:].any()

@@ -8,7 +8,7 @@ import pytest
 from learning_rigs.compensator_rig import compensator, exported, tiny
 
 from learning.force.forecast import NO_OBSERVER
-from learning.force.model import Checked, ForceModel, Output
+from learning.force.model import ForceModel, MissionCheck, Output
 from twin.errors import TwinError
 from twin.physics.residual_force import FEATURES, INPUTS, OUTPUTS, ForceLaw
 from twin.vehicle.file import load_vehicle
@@ -64,7 +64,7 @@ def pushed_forward(mass_kg: float) -> ForceModel:
         units=mass_kg * np.eye(len(OUTPUTS)),
     )
     outputs = tuple(Output("linear" if i == 0 else "none", NO_OBSERVER) for i in range(6))
-    nothing = Checked.nothing()
+    nothing = MissionCheck.nothing()
     return ForceModel(law, {}, outputs, nothing, 0.0, (), VEHICLE, "", 0)
 
 
