@@ -79,8 +79,12 @@ class PageMixin(DisplayMixin):
     def report(self, path: str | Path) -> Path:
         """Write the page, one HTML file that opens offline; returns its path."""
         with output_file(Path(path)) as file:
-            import_module(self.page).write_page(self, file)
+            self.draw(file)
         return Path(path)
+
+    def draw(self, file: Path) -> None:
+        """Write the page into a file of a results folder, whose errors the folder explains."""
+        import_module(self.page).write_page(self, file)
 
 
 def _html(section: str | TextTable) -> str:

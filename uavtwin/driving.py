@@ -15,6 +15,7 @@ from twin.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 VOLTAGE = "vbat_v"
+"""Column of the battery voltage, V."""
 PREFIX = "airframe."
 """Of its inputs in the fused FMU."""
 

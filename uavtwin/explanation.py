@@ -528,7 +528,7 @@ def write_explanation(found: Explanation, folder: Path) -> list[str]:
     """Write page, JSON and, where an effect is named, vehicle files; names of the files."""
     result = ExplainResult(found)
     write_json(folder / "explain.json", result.json())
-    result.report(folder / "report.html")
+    result.draw(folder / "report.html")
     written = ["report.html", "explain.json"]
     if found.added is None:
         return written

@@ -340,6 +340,7 @@ def _missing(flight: AnyFlight) -> list[str]:
 
 
 _FLOWN_V = 1.0
+"""Battery voltage above which one is connected, V."""
 _LEAST_SPLIT = 1.5
 """Percent between sides from which on it is said."""
 

@@ -16,6 +16,7 @@ AS_LOGGED = (
     "logged commands, though they could be rebuilt at full rate: those of {} could not, and "
     "flights of one aircraft are treated alike"
 )
+"""Finding of a flight whose commands are not rebuilt since those of another could not be."""
 _SHOWN = 6
 """Names of a folder that a message lists."""
 
@@ -247,3 +248,4 @@ def check_names(flights: Iterable[Flight]) -> None:
 
 
 _HOW = "Read it first: read_flight(FILE), or read_flights(PATTERN) for several."
+"""Way out of an argument that is no flight."""

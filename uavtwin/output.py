@@ -32,7 +32,9 @@ _LONGEST_LIST = 2**26
 _RECORD_KEYS = {"verb", "options", "inputs", "packages"}
 """Of every run.json."""
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Errors of a disk that is full, and of a file that is too large."""
 _PACKAGES = ("casadi", "fmpy", "numpy", "pandas", "pyulog", "scipy", "uavtwin")
+"""Whose versions a run.json holds."""
 
 
 def check_folder(out: Path, force: bool, journal: str = "", alongside: Sequence[str] = ()) -> None:

@@ -185,6 +185,7 @@ _NAMES: dict[type, str] = {
     inspect.NoneType: "null",
     inspect.AnyType: "any",
 }
+"""Names of plain types in the reference."""
 
 
 def type_text(kind: inspect.Type) -> str:

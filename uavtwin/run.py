@@ -38,6 +38,7 @@ _FIGURES = {
     "tracking_worst_m": ("distance from the setpoint, worst", "m"),
     "tilt_worst_rad": ("tilt, worst", "rad"),
 }
+"""Figures of a flight in words, by key."""
 
 
 class RunRecord(Record, frozen=True, kw_only=True):
@@ -327,6 +328,7 @@ def _facts(plan: Scenario) -> dict[str, Any]:
 
 
 _LINE = re.compile(r"\\?([0-9a-f]{64}) [ *].+")
+"""A line that `sha256sum` writes."""
 
 
 def read_hashes(path: Path) -> frozenset[str]:

@@ -29,6 +29,7 @@ from .vehicles import load_vehicle
 
 Array = NDArray[np.float64]
 _INTERVAL_S = 0.01
+"""Between two rows of a recording, s."""
 MAX_STEPS = 10**8
 """Of one run: 28 hours in steps of 1 ms."""
 MAX_VALUES = 2**28

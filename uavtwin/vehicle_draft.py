@@ -24,9 +24,13 @@ from .record import Record
 from .vehicles import Vehicle
 
 INCH_M = 0.0254
+"""International inch, exactly."""
 _FROM = {"given": "you", "log": "log", "usual": "usual"}
+"""Who says a number, in the table."""
 _PROPELLER = re.compile(r"(\d+(?:\.\d+)?)[xX](\d+(?:\.\d+)?)(?:[xX]\d)?")
+"""Diameter x pitch, and the number of blades that may follow."""
 _LARGEST_M = 20.0
+"""Longest wheelbase that is taken for one, m."""
 
 
 class DraftHover(Record, frozen=True, kw_only=True):

@@ -75,6 +75,7 @@ _UNDETECTED = dict(
         key=lambda item: item[1].place,
     )
 )
+"""Clauses of effects that would not show, by effect."""
 BLIND_ORDER = tuple(_UNDETECTED)
 """Effects of which it is said what would not show, in that order."""
 
@@ -183,8 +184,11 @@ def _of_sensor(sensor: Sensor) -> list[Kind]:
 _BODY = {"x": "forward axis", "y": "right axis", "z": "down axis"}
 _TURN = {"x": "roll", "y": "pitch", "z": "yaw"}
 _EARTH = {"x": "north", "y": "east", "z": "down"}
+"""Axes in words, by letter: of the body, of turns, of the earth."""
 _FRD, _ROLL = "body axes: x forward, y right, z down", "body axes: x roll, y pitch, z yaw"
+"""Axes of figures in body axes."""
 _NED = "x north, y east, z down"
+"""Axes of figures in NED."""
 KINDS = (
     *(kind for s in SENSORS if s.group == BODY for kind in _of_sensor(s)),
     Kind("vel_", "Velocity", _NED, "velocity", _EARTH),
@@ -194,6 +198,7 @@ KINDS = (
     *(kind for s in SENSORS if s.group != BODY for kind in _of_sensor(s)),
     Kind("", "Other channels"),
 )
+"""In the order of the pages; the first whose prefix fits counts."""
 
 
 def describe(channel: str) -> str:

@@ -18,6 +18,7 @@ from twin.logs import read_flight, write_flight
 from twin.logs.airframe import Airframe
 from twin.vehicle import layouts
 from twin.vehicle.file import load_vehicle, vehicle_text
+from uavtwin.cli import main
 from uavtwin.cli.printing import print_sections, print_table
 from uavtwin.demo.flights import fly
 from uavtwin.display import TextTable
@@ -481,3 +482,11 @@ def test_the_installed_command_runs(word: str) -> None:
         [command, word], capture_output=True, text=True, check=True, env={**os.environ}
     )
     assert result.stdout.strip() == version("uavtwin")
+
+
+def test_every_file_of_the_command_line_is_a_verb() -> None:
+    """A verb that is written and not listed in `VERBS` would be missing without a word."""
+    files = {p.stem for p in Path(str(main.__file__)).parent.glob("*.py")}
+    shared = {"__init__", "main", "options", "printing"}
+    listed = {str(verb.__name__) for verb in main.VERBS} - {"version"}
+    assert files - shared == listed | {"vehicle"}

@@ -20,8 +20,11 @@ from twin.errors import FmuError
 from .figure import Row
 
 SAMPLES = 5000
+"""Samples that the step time is measured over."""
 RUNS = 10
+"""Repetitions, of which the fastest counts."""
 CLUSTERS = ((0, 1, 2, 3), (4, 5, 6, 7), (8, 9, 10, 11), (12, 13, 14))
+"""Channels that share an encoder in the network that is measured."""
 _HEAD = """
 import json, sys, time
 def resident():
@@ -32,11 +35,13 @@ def resident():
     return next(int(x.split()[1]) / 1024 for x in lines if x.startswith("VmRSS"))
 path, samples = sys.argv[1], int(sys.argv[2])
 """
+"""Beginning of every script that is timed in a process of its own."""
 _TAIL = f"""
 n = samples // {RUNS}
 runs = [sorted(seconds[k : k + n]) for k in range(0, samples, n)]
 print(json.dumps([*(1e3 * min(r[int(q * n)] for r in runs) for q in (0.5, 0.99)), used]))
 """
+"""End of it: prints the percentiles and the memory."""
 _ONNXRUNTIME = f"""{_HEAD}
 import numpy as np, onnxruntime
 options = onnxruntime.SessionOptions()
@@ -52,6 +57,7 @@ for _ in range(samples):
         fed["state"] = said[-1]
 used = resident()
 {_TAIL}"""
+"""Script that steps the network by onnxruntime."""
 _FMU = f"""{_HEAD}
 import fmpy
 from fmpy.fmi2 import FMU2Slave
@@ -71,6 +77,7 @@ for k in range(samples):
     seconds.append(time.perf_counter() - begin)
 used = None if before is None else resident() - before
 {_TAIL}"""
+"""Script that steps the FMU of the network."""
 
 
 def compensator_rows(folder: Path) -> list[Row]:

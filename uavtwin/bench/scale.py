@@ -24,11 +24,14 @@ from ..demo.flights import IMU_S, fly, hide
 from .verb import VERBS
 
 VEHICLE = "copter_default"
+"""Built-in vehicle whose flight is repeated."""
 SEED = 4  # rotor drag is hidden
 ROWS_OF_GROUP = 1 << 20
 """As pyarrow and pandas write them."""
 SHORTEST_MIN, LONGEST_MIN = 0.05, 160.0
+"""Shortest and longest flight that may be asked for, min."""
 MOST_HZ = 1000.0
+"""Highest rate of the flight table, rows per second."""
 
 
 @dataclass(frozen=True, slots=True)

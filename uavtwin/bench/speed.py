@@ -34,8 +34,11 @@ from twin.vehicle.file import load_vehicle
 from .figure import Row
 
 STEP_S = 1e-3
+"""Communication step of the runs, s."""
 REPEATS = 5
+"""Repetitions, of which the fastest counts."""
 WHOLE_S = 60.0
+"""Simulated time of the whole twin, s."""
 
 
 def run_bench(progress: Callable[[float], None] = lambda _: None) -> list[Row]:
@@ -212,6 +215,7 @@ begin = time.perf_counter()
 execution.simulate_until(target_time=round(float(sys.argv[2]) * 1e9))
 print("seconds", time.perf_counter() - begin, flush=True)
 """
+"""Script that runs the twin by libcosim."""
 _ECOS = """
 import sys, time
 from ecospy import EcosSimulation
@@ -221,6 +225,7 @@ begin = time.perf_counter()
 simulation.step(round(float(sys.argv[2]) / 1e-3))
 print("seconds", time.perf_counter() - begin, flush=True)
 """
+"""Script that runs the twin by Ecos."""
 
 
 def _others(ssp: Path, duration_s: float) -> list[tuple[str, float]]:

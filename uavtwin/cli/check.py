@@ -15,6 +15,7 @@ _STYLES = {
     "good for": "green",
     "explain can look for": "green",
 }
+"""Colour of a line on a terminal, by its kind."""
 
 
 def check(

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 COMPENSATOR, FUSED, REPLAY = "compensator", "corrected-twin", "replay"
 """What can be exported besides the components."""
 MISSION = "mission"
+"""Component whose mission can be chosen."""
 DRIVES = {
     "commands": "command",
     "rotor_speeds": "rotor_speed",
@@ -220,6 +221,7 @@ class Choice:
 
 
 _DEFAULT = Choice()
+"""Choice of a command without options."""
 
 
 def export_components(

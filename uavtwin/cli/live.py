@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ..vehicles import Vehicle as OwnVehicle
 
 _DEMO_VEHICLE, _DEMO_PAGE, _DEMO_SILENT_S = "copter_default", "127.0.0.1:8080", 5.0
+"""Vehicle and page of `--demo`, and the time without messages after which it ends, s."""
 
 Vehicle = Annotated[
     str | None,

@@ -63,6 +63,7 @@ VERBS = (
     *(check, convert, gap, calibrate, explain, demo, show, export, simulate, sweep, fleet, query),
     *(live, replay, hil, train, evaluate, bench, version),
 )
+"""In the order of the help: a verb is a function in a file of its name, and a name here."""
 
 app = typer.Typer(
     no_args_is_help=True,

@@ -33,6 +33,7 @@ from .printing import STDERR, STDOUT, print_incomplete, print_json, print_writte
 
 Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
 _VEHICLE = "copter_default"
+"""Vehicle where none is named."""
 Aircraft = Annotated[
     str | None,
     typer.Option(

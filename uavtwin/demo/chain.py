@@ -34,6 +34,7 @@ DIAGONAL: Waypoints = (
 """A flight of another shape, to be held out."""
 FIT = {"fit_1": WAYPOINTS, "fit_2": SIDEWAYS}
 HOLDOUT = {"holdout": DIAGONAL}
+"""Flights to fit on and to hold out, by name."""
 
 
 class TruthRecord(Record, frozen=True, kw_only=True):

@@ -26,6 +26,7 @@ from twin.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 IMU_S, POSE_S = 0.005, 0.01
+"""Sample time of IMU and pose of the made flights, s."""
 ACC_NOISE_M_S2, GYRO_NOISE_RAD_S = 0.05, 0.005  # made up: a quiet MEMS IMU
 POS_NOISE_M, VEL_NOISE_M_S, ATT_NOISE = 0.001, 0.01, 0.0005  # made up: motion capture
 
@@ -173,3 +174,4 @@ _HIDERS: dict[str, Callable[[Vehicle, np.random.Generator], Hidden]] = {
     THRUST_SCALE.name: _thrust_scale,
     INERTIA_ERROR.name: _inertia_error,
 }
+"""By effect, what draws its numbers and changes the vehicle."""

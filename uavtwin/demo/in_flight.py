@@ -33,11 +33,16 @@ BEGINS_S = 20.0
 LOSS, ROTOR = 0.1, 3
 """Share of its thrust that a rotor loses, and which. Made up: a chipped blade."""
 SECONDS = 60.0
+"""Length of the flight, s."""
 _BATTERY_S, _BATTERY_NOISE = 0.1, 1e-3
+"""Sample time of the battery, s, and noise of its voltage, V."""
 _LEG_S = 3.0
+"""Time for each leg, s."""
 _SQUARE = ((1.0, 0.0, -1.5), (1.0, 0.8, -2.0), (0.0, 0.8, -1.5), (0.0, 0.0, -1.5))
 """Corners, over the longest leg."""
 _REACH_M, _SMALL_REACH_M, _SMALL_ARM_M = 5.0, 1.5, 0.06
+"""Distance of the legs, m, of a large and of a small aircraft, and the arm from which on it is
+large, m."""
 
 
 def waypoints(vehicle: Vehicle, seconds: float = SECONDS) -> Waypoints:

@@ -29,6 +29,7 @@ _TYPES: Mapping[Kind, pa.DataType] = {
     "number": pa.float64(),
     "flag": pa.bool_(),
 }
+"""Parquet type of each kind of column."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +59,7 @@ def _count(name: str, meaning: str) -> Column:
 
 _LOG = _text("log", "path of the log, from the folder that all logs have in common")
 _AIRCRAFT = _text("aircraft", "as the log names it; empty where it does not")
+"""Columns that every table has."""
 
 VITALS = (
     Column("hover_command", "number", "1", "mean command of the motors in hover"),
@@ -234,9 +236,11 @@ def _strict(value: Any) -> Any:
 
 
 JOURNAL = "fleet.jsonl"
+"""File that marks an unfinished fleet."""
 PIECE = 500
 """Logs whose rows are in memory at once."""
 COPY = "holds the same flight as {}, which counts once"
+"""Error of a log whose flight another log holds as well."""
 
 
 class Journal(journal.Journal[int]):

@@ -28,6 +28,7 @@ from .log_analysis import VERBS, LogAnalysis, LogJob, Verb, file_stem
 from .result import FleetResult, result_of
 
 MOST_LOGS = 10_000_000
+"""Logs that are taken at once. Made up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -350,7 +351,9 @@ def _largest_first(jobs: Sequence[LogJob]) -> Iterator[LogJob]:
 
 
 DIGITS = 6
+"""Significant ones of a number in a vehicle file."""
 FOLDER = "vehicles"
+"""For the vehicle files, in the folder of the dataset."""
 
 
 @dataclass(frozen=True, slots=True)

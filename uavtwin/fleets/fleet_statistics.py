@@ -24,6 +24,7 @@ from .statistics import (
 
 Array = NDArray[np.float64]
 WHOLE = "whole flight"
+"""Phase that stands for all samples, as in `uavtwin.gaps`."""
 MEAN_OF = "mean residual "
 """Before the name of a channel: the mean of measured minus simulated over a flight."""
 NORMAL_MAD = 1.4826

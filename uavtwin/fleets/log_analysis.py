@@ -31,6 +31,7 @@ from .dataset import MOTORS, JobRows, Row
 
 Verb = Literal["check", "gap", "explain"]
 VERBS: tuple[Verb, ...] = ("check", "gap", "explain")
+"""What may be done with each log, in this order."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,9 @@ _SETTINGS = {
     "autoinstall_known_extensions": False,
     "autoload_known_extensions": False,
 }
+"""Of DuckDB: no Python objects, no extensions."""
 MOST_MEMORY = "4GB"
+"""Of a query."""
 
 
 @dataclass(frozen=True, slots=True)

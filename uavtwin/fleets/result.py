@@ -17,10 +17,15 @@ from .log_analysis import misfit
 from .statistics import FEWEST_AIRCRAFT, FEWEST_FLIGHTS
 
 UNNAMED = "(not named by its log)"
+"""Stands for the aircraft of logs that name none."""
 _NUMBERS = ("hover_command", "hover_speed_rad_s", "carried", "back_m", "right_m")
+"""Columns of `flights` whose median is shown."""
 _SPLIT = tuple(f"motor_{i}" for i in range(1, MOTORS + 1))
+"""Columns of the motors."""
 _ABOUT = ("log", "aircraft", "status", "vehicle", "verdict", "named")
+"""Columns of text that an overview reads."""
 HEADER = ("hover", "carried", "back, mm", "right, mm", "strongest motor", "weakest motor", "named")
+"""Of the printed table."""
 
 
 class AircraftRecord(Record, frozen=True, kw_only=True):
@@ -204,6 +209,7 @@ def _text(value: float, form: str) -> str:
 MOST_ROWS = 20
 """Rows of a table that are printed."""
 BAD = ("unreadable", "failed", "refused", "findings")
+"""Statuses of logs that are listed as bad."""
 
 
 class EstimateRecord(Record, frozen=True, kw_only=True):

@@ -168,6 +168,7 @@ slopes are between all pairs."""
 DAYS = 30.0
 """Days that a slope is per."""
 YEAR_D = 365.25
+"""Julian year, days."""
 
 
 @dataclass(frozen=True, slots=True)

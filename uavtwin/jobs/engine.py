@@ -220,6 +220,7 @@ class _Held:
 _HELD: dict[str, _Held] = {}
 """In a process of the cluster, by key of the task."""
 _LOCK = threading.Lock()
+"""Guards `_HELD`."""
 
 
 def do_packed(packed: Packed[J, D], job: J) -> D:
@@ -248,6 +249,7 @@ def release(key: str) -> None:
 
 EngineName = Literal["local", "dask"]
 MOST_WORKERS = 1024
+"""Of the local engine."""
 
 
 class Engine(Protocol):

@@ -147,6 +147,7 @@ def _pooled(power: Array) -> Array:
 
 
 HEIGHT_PX = 18
+"""Of the strip."""
 MOST_BANDS = 100
 """Modes and failsafes that are drawn, of each."""
 PLACES = 90
@@ -217,19 +218,24 @@ def _messages(messages: Sequence[Message], end_s: float) -> list[list[object]]:
 
 
 MOST_MESSAGES = 200
+"""Rows of a flight's table of messages."""
 MOST_PARAMETERS = 300
 """Rows of a page, of all its flights together at most five times as many."""
 FLOWN, SETPOINT = "measured", "setpoint"
+"""Names of the curves."""
 _HELD = 260
 """Columns of pixels of a series: two figures stand side by side."""
 _ROW_PX = 100
+"""Height of a panel."""
 _SPECTROGRAM_PX = 250
+"""Height of the spectrogram."""
 _FOLLOWED = (
     (POS, "Position", "m", ("north", "east", "down")),
     (VEL, "Velocity", "m/s", ("north", "east", "down")),
     (QUAT, "Attitude", "°", ("roll", "pitch", "yaw")),
     (GYRO, "Body rate", "rad/s", ("roll", "pitch", "yaw")),
 )
+"""Columns, name, unit and axes of the quantities that have setpoints."""
 
 
 @dataclass(frozen=True, slots=True)

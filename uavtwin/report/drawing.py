@@ -22,6 +22,7 @@ from twin.residuals.gap import slow_part
 from .page import GREY, Figure, Plot
 
 PAGE_BYTES = 1_500_000
+"""A page may weigh."""
 FINEST, COARSEST = 700, 60
 """Most and fewest columns of pixels of a series that is as wide as the page."""
 MOST_PARTS = 6
@@ -93,9 +94,11 @@ TREND_HZ = 2.0
 """Low-pass of the curve that is drawn over a band where samples come faster than `DENSE_HZ`: slower
 than any rotor of the vehicles here turns, as fast as one of them tilts into another direction."""
 DENSE_HZ = 20.0
+"""Rate from which on spectra are drawn and noise is a band."""
 STEPS, COARSE_STEPS = 65_533, 500
 """Of two bytes, and how many the middle half of the values spans at least."""
 _LARGEST = 3.4e38
+"""Of a number of 32 bits."""
 GAP_STEPS, GAP_S = 6, 0.2
 """A line ends where samples are missing for longer than so many usual steps and than this."""
 
@@ -245,6 +248,7 @@ Spans = Sequence[tuple[str, float, float]]
 """Name, start, end in s."""
 
 GAP_PX, TOP_PX, BOTTOM_PX = 17, 22, 44
+"""Between panels, above the first and below the last."""
 PHASE_TINT = {
     "ground": "#b9bec7",
     "takeoff": "#f2b84b",
@@ -253,8 +257,10 @@ PHASE_TINT = {
     "tour": "#86b6f0",
     "land": "#d9a3d0",
 }
+"""Background of a phase of flight."""
 OTHER_TINT = "#c9cdd4"
 BAND_OPACITY = 0.3
+"""Of the band that holds all samples."""
 
 
 @dataclass(slots=True)

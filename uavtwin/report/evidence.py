@@ -28,7 +28,9 @@ _STEADY = (
     "what {} predicts of that. Orange: what is left with it. Where black lies on blue, the effect "
     "is there; where orange lies on zero, nothing else is missing. Light bands hold all samples."
 )
+"""How to read the figure of an effect that changes a mean."""
 _CONSTANT = " The effect is nearly constant in this flight: it is seen by how far blue is off zero."
+"""The same of one that is nearly constant."""
 _UNSTEADY: dict[type, str] = {
     Lines: "Spectra of the readings of {}: black, with a peak where the effect lies; blue, the "
     "noise that the vehicle file allows.",
@@ -39,6 +41,7 @@ _UNSTEADY: dict[type, str] = {
     Repeats: "Readings of {} around the instant from which one of them repeats itself to the last "
     "bit.",
 }
+"""The same of one that changes none, by how it is observed."""
 
 
 Flights = Sequence[Sequence[ChannelData]]
@@ -172,6 +175,7 @@ def time_group(flight: int) -> str:
 
 Array = NDArray[np.float64]
 MOST_CHANNELS, MOST_FLIGHTS = 2, 2
+"""Channels and flights that are drawn."""
 MOST_DOTS = 600
 """Of a scatter; more lie on each other."""
 LONGEST_S = 20.0
@@ -184,6 +188,7 @@ one dot."""
 STANDS_OUT = 0.5
 """Spread of what an effect predicts over that of what it leaves, below which a scatter is noise."""
 BEFORE, AFTER, PREDICTED = "model as it stood", "model with the effect", "what the effect predicts"
+"""Names of the curves."""
 
 
 def evidence_figure(
@@ -359,6 +364,7 @@ def _broken(channel: ChannelData, values: Array) -> Array:
 
 
 MOST_UNSTEADY = 3
+"""Channels that are drawn of an effect without a mean."""
 AROUND_S = 4.0
 """Before and after the instant from which a reading stands still."""
 _MARK = "#c23b66"

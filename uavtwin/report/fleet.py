@@ -30,6 +30,7 @@ MOST_POINTS = 400
 """Flights of an aircraft that are drawn."""
 OUT = "#c23b66"
 _PX = 210
+"""Height of a panel."""
 
 
 def write_page(result: FleetResult, path: Path) -> None:

@@ -250,6 +250,7 @@ Array = NDArray[np.float64]
 Line = tuple[int, Array, Array]
 """Place of a flight among those laid over each other, times, s, and values, shape (n,)."""
 GROUP = "laid-over"
+"""Of the time axes of flights laid over each other."""
 COLOURS = (BLUE, "#d9622b", "#2f8f5b", "#8a4fbf", "#b58900", "#c23b66")
 
 
@@ -392,7 +393,9 @@ def _looked(panels: Panels, zero: str) -> Figure:
 
 
 MEASURED, TWIN, RESIDUAL = "measured", "nominal twin", "residual (measured - twin)"
+"""Names of the curves."""
 SIGNAL_PX, RESIDUAL_PX = 165, 96
+"""Heights of the panels of a signal and of its residual."""
 _LINES = (  # name, colour, dash, width over time
     (MEASURED, BLACK, "solid", 1.4),
     (TWIN, BLUE, "dash", 1.8),

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 BODIES = 14
 """Attitudes that are drawn along a track."""
 HEIGHT_PX = 330
+"""Of a track."""
 FLAT_M = 0.5
 """Least extent of a picture: what hovers better than that is not enlarged further."""
 
@@ -102,6 +103,7 @@ def _thinned(position_m: Array, points: int) -> Array:
 
 
 _WORDS = ("north, m", "east, m", "up, m")
+"""Axes of a track."""
 
 
 def _flat(
@@ -198,10 +200,12 @@ def _short(values: Array) -> list[float | None]:
 HELD = 1200
 """Samples of a series that are held, about: what two columns of pixels can show."""
 MOST_MOTORS = 12
+"""That are drawn."""
 _MOTORS = (
     *(BLUE, "#d9622b", "#2f8f5b", "#8a4fbf", "#b58900", "#c23b66"),
     *("#3aa0a8", "#6b7280", "#5fb8c9", GREY, "#c3c7cd", BLACK),
 )
+"""A colour for each."""
 
 
 @dataclass(frozen=True, slots=True)

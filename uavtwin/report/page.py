@@ -20,6 +20,7 @@ Figure = dict[str, Any]
 """`data` and `layout` as plotly.js reads them."""
 
 HERE = Path(__file__).parent
+"""Folder of the templates and of the library that draws."""
 BLACK, BLUE, ORANGE, GREY = "#000000", "#1f5fd0", "#e07b1a", "#8a8f98"
 """Measured, nominal twin, compensated twin, residual: the same four on every page."""
 DARK = {
@@ -151,6 +152,7 @@ def _packed(page: str) -> str:
 _FIGURE = re.compile(
     r'(<script type="application/json" data-for="([^"]*)"[^>]*>)(.*?)</script>', re.DOTALL
 )
+"""A figure in the text of a page."""
 
 
 def _indexed(page: str) -> str:

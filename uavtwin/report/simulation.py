@@ -19,14 +19,17 @@ from .page import BLACK, BLUE, Figure, Plot, plot, render
 
 Array = NDArray[np.float64]
 _ROW_PX = 150
+"""Height of a panel."""
 _COLOURS = (BLUE, "#d9622b", "#2f8f5b", "#8a4fbf", "#b58900", "#c23b66", "#3aa0a8", "#6b7280")
 SETPOINT, FLOWN = "setpoint", "flown"
+"""Names of the curves."""
 _FOLLOWED = (
     ("airframe.pos", "mission.setpoint_pos", "position", ("north", "east", "down")),
     ("airframe.vel", "mission.setpoint_vel", "velocity", ("north", "east", "down")),
 )
 """What is flown, what is wanted of it, both in words, and its axes."""
 PHASE = "mission.phase"
+"""Output that holds the phase of the mission."""
 
 
 def write_page(run: Run, path: Path) -> None:

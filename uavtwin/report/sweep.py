@@ -17,8 +17,10 @@ Array = NDArray[np.float64]
 MOST_POINTS = 3000
 """Of a panel; more of them are one blot."""
 MOST_FACTORS = 12
+"""That are drawn."""
 COLOURS = {"flown": BLUE, "run": BLUE, "lost": ORANGE, "failed": "#c23b66"}
 _PX = 210
+"""Height of a panel."""
 
 
 def write_page(result: SweepResult, path: Path) -> None:

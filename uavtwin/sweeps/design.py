@@ -33,6 +33,7 @@ _FORMS = (
     "{ low = 1.2, high = 1.6 }, with scale = 'log' or steps = 5 where wanted; "
     "{ mean = 1.4, sd = 0.1 }, with low and high where it ends; a list of values; or one value"
 )
+"""How to write a factor, for messages."""
 
 
 class Distribution(Protocol):
@@ -47,6 +48,7 @@ class Distribution(Protocol):
 
 
 _LARGEST, _SHOWN = 1e100, 60
+"""Largest number of a distribution, and characters of a text that a message shows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,11 +207,15 @@ def _said(value: Any) -> str:
 METHODS = ("latin_hypercube", "sobol", "random", "grid", "saltelli")
 """How points are chosen."""
 MOST_RUNS = 1_000_000
+"""Of a sweep."""
 MOST_VALUES = 10_000_000
 """Runs times factors: some 0.5 GB."""
 _MOST_BYTES = 1 << 20
+"""Of a design file."""
 DEFAULT_RUNS = 100
+"""Where a design names no number."""
 _KEYS = ("method", "runs", "seed", "vary")
+"""Of a design file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -356,6 +362,7 @@ def read_design(path: Path) -> Design:
 
 
 _OF_DISTRIBUTION = {"low", "high", "mean", "sd", "scale", "steps"}
+"""Keys of a distribution."""
 
 
 def _flat(table: Mapping[str, Any], above: str = "") -> dict[str, Any]:

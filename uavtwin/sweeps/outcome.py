@@ -36,6 +36,7 @@ FIGURES = {
 }
 """Of a flight, and their units."""
 POSITION, SETPOINT = "airframe.pos", "mission.setpoint_pos"
+"""Outputs of the twin, without their axes."""
 RISEN = 0.5
 """Share of the height that was wanted, from which on an aircraft has taken off."""
 AT_LIMIT = 1e-3
@@ -131,6 +132,7 @@ def _saturated(recording: Recording) -> float:
 
 
 JOURNAL = "sweep.jsonl"
+"""File that marks an unfinished sweep."""
 
 
 class Journal(journal.Journal[int]):

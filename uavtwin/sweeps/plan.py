@@ -35,6 +35,7 @@ from .outcome import WATCHED
 STEP_S = 0.01
 """Communication step of the twin in one FMU, which inside steps by 1 ms all the same."""
 MOST_SYSTEMS = 100
+"""That a sweep may build: vehicles times controllers times missions."""
 TWIN = "twin."
 """Before the names of the twin in one FMU."""
 

@@ -47,6 +47,7 @@ CONFIDENCE = 0.95
 _DEGREE, _RUNS_PER_DEGREE = 6, 15
 """Largest degree of the polynomial of a number, and runs for each degree."""
 _HARMONICS = 2
+"""Of an angle in the regression."""
 _CHUNK = 2**22
 """Weights of a bootstrap that are held at once."""
 
@@ -230,6 +231,7 @@ def _sobol(y: Array, design: Design, level: float) -> tuple[Array, Array] | None
 LED_BY = "tracking_worst_m"
 """Figure by which runs are the worst, and which factors are held against."""
 WORST = 10
+"""Runs that are listed."""
 
 
 class Quantiles(Record, frozen=True, kw_only=True):

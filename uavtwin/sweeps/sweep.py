@@ -156,6 +156,7 @@ def _nothing() -> Recording:
 
 Progress = Callable[[float], None]
 RECORDINGS = "recordings"
+"""Folder of the recordings of runs."""
 _BUILDING = 0.05
 """Share of the work that building takes, about."""
 
