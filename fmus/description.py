@@ -7,9 +7,8 @@ from lxml import etree
 from twin.component import Enumeration, Variable
 
 from .documentation import project
-from .exchange import ExchangeState
-from .model import Entry, FmuModel, check_interface
-from .units import DISPLAY_UNITS, base_exponents, usual_size
+from .model import Entry, ExchangeState, FmuModel, check_interface
+from .names import DISPLAY_UNITS, base_exponents, usual_size
 
 _TYPES = {
     2: {

@@ -21,8 +21,7 @@ import numpy as np
 from twin.errors import FmuError, install_command
 from twin.representation import short_repr
 
-from .names import LONGEST_NAME, check_identifier, check_name, check_text, shown
-from .units import base_exponents
+from .names import LONGEST_NAME, base_exponents, check_identifier, check_name, check_text, shown
 
 Shape = tuple[int, ...]
 
@@ -500,7 +499,7 @@ def _units(said: _Metadata) -> tuple[str, ...]:
         try:
             base_exponents(unit)
         except (KeyError, TypeError):
-            said.refuse("units", unit, "it must be a unit of fmus/units.py")
+            said.refuse("units", unit, "it must be a unit of fmus/names.py")
     return units
 
 

@@ -13,8 +13,7 @@ from collections.abc import Iterable, Mapping
 from twin.component import Enumeration, Sampling, Variable
 from twin.errors import FmuError
 
-from .exchange import Exchange
-from .model import Constant, FmuModel, Submodel
+from .model import Constant, Exchange, FmuModel, Submodel
 from .names import check_identifier, check_variable, shown
 
 _PLAIN = frozenset(map(chr, range(0x20, 0x7F))) - frozenset('"\\?')

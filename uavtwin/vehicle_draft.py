@@ -16,7 +16,7 @@ from twin.draft import Drafted, Known, draft, kind_of
 from twin.errors import TwinError
 from twin.logs import Flight
 from twin.vehicle.file import parse_vehicle
-from twin.vehicle.thrust_map import hover_level, polynomial
+from twin.vehicle.vehicle import hover_level, polynomial
 
 from .display import DisplayMixin, TextTable
 from .flights import check_names, checked_flights

@@ -9,7 +9,7 @@ from ..component import Enumeration
 from ..component.portable import cosine, sine
 from ..frames import to_body
 from ..vehicle import Vehicle
-from ..vehicle.thrust_map import hover_level
+from ..vehicle.vehicle import hover_level
 from .definition import Begins, Block, Effect, Equation, Lines, NoiseFloor, Repeats, Stands
 from .parameters import COMMON, RARE, UNMEASURED, EffectParameter, Normal, Prior
 from .stages import (

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ..effects import EFFECTS
 from ..errors import TwinError
 from ..flight.closed_loop import STEP_S
-from ..flight.hover import thrust_inverse
+from ..flight.control_laws import thrust_inverse
 from ..flight.mission import FASTEST, HARDEST, SMALL_ARM_M, minimum_jerk, ramped_way
 from ..flight.simulate_flight import Recorder, Stream, simulate_flight
 from ..logs import Flight

@@ -21,7 +21,7 @@ from ..frames import AXES
 from ..physics.airframe import airframe
 from ..representation import short_repr
 from ..vehicle import Vehicle
-from .hover import drives, thrust_inverse
+from .control_laws import drives, thrust_inverse
 from .lqr import controller
 from .mission import PHASES, mission, mission_duration_s, mission_names
 

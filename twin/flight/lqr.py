@@ -40,9 +40,11 @@ from scipy.linalg import solve_continuous_are
 from ..component import Component, ComponentBuilder
 from ..frames import AXES
 from ..vehicle import GRAVITY_M_S2, Vehicle
-from ..vehicle.thrust_map import polynomial
+from ..vehicle.vehicle import polynomial
 from .control_laws import (
+    Hover,
     Signals,
+    ThrustInverse,
     attitude_error,
     clamp,
     declare_drives,
@@ -51,10 +53,11 @@ from .control_laws import (
     dot,
     length,
     limit_acceleration,
+    linearise,
     shorten,
     thrust_axis,
+    thrust_inverse,
 )
-from .hover import Hover, ThrustInverse, linearise, thrust_inverse
 
 Array = NDArray[np.float64]
 ACCEPTABLE = {

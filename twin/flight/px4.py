@@ -36,8 +36,8 @@ from .control_laws import (
     desired_axes,
     length,
     shorten,
+    thrust_inverse,
 )
-from .hover import thrust_inverse
 
 Array = NDArray[np.float64]
 _YAW_CEILING = 1.15

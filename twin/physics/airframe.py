@@ -25,7 +25,7 @@ from ..effects.stages import AIR_DENSITY_KG_M3, Air, Body, Motion, Thrust, Wrenc
 from ..errors import ModelError
 from ..frames import AXES, FRD, NED, cross, to_body
 from ..vehicle import Vehicle
-from ..vehicle.thrust_map import first_reaching, hover_level
+from ..vehicle.vehicle import first_reaching, hover_level
 from .rigid_body import (
     MOTION,
     OUTSIDE,

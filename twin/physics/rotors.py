@@ -27,7 +27,7 @@ from ..effects.stages import Motion, Motors, Thrust
 from ..errors import ModelError
 from ..frames import cross
 from ..vehicle import RotorAir, Rotors, Vehicle
-from ..vehicle.thrust_map import hover_level, polynomial
+from ..vehicle.vehicle import hover_level, polynomial
 
 SLOWEST_RAD_S = 1e-3
 """Rotor speed below which the advance ratio is that at this speed: there is no thrust to change."""

@@ -11,8 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..representation import short_repr
-from .thrust_map import first_reaching, hover_level, most_thrust_n, polynomial
-from .vehicle import DEFAULT, WORDS, Vehicle, relative_deviation
+from .vehicle import (
+    DEFAULT,
+    WORDS,
+    Vehicle,
+    first_reaching,
+    hover_level,
+    most_thrust_n,
+    polynomial,
+    relative_deviation,
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from rig import BUILTIN, Rig, plain, q, vec, with_rotors
 
 from twin.effects import EFFECTS, Effect, effects_of
 from twin.errors import ModelError
-from twin.flight.hover import linearise
+from twin.flight.control_laws import linearise
 from twin.physics.airframe import airframe
 from twin.physics.rotors import SHORTEST_LAG_S
 from twin.vehicle import Vehicle

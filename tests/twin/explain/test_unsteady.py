@@ -30,7 +30,7 @@ from twin.logs.columns import ACC, GYRO, MAG
 from twin.physics.airframe import airframe
 from twin.vehicle import GRAVITY_M_S2, Vehicle
 from twin.vehicle.file import load_vehicle
-from twin.vehicle.thrust_map import hover_level
+from twin.vehicle.vehicle import hover_level
 
 Array = NDArray[np.float64]
 Change = Callable[[dict[str, Array], Array, np.random.Generator], None]

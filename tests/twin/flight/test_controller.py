@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from twin.component import Component, ComponentBuilder
 from twin.errors import ModelError
 from twin.flight.closed_loop import SETPOINTS, fly
-from twin.flight.control_laws import attitude_error, desired_axes
-from twin.flight.hover import linearise, thrust_inverse
+from twin.flight.control_laws import attitude_error, desired_axes, linearise, thrust_inverse
 from twin.flight.lqr import controller, design, mix
 from twin.frames import from_euler
 from twin.physics.airframe import airframe

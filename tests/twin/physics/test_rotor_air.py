@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rig import BUILTIN, Rig, plain, q, vec, with_rotors
 
-from fmus.units import base_exponents
+from fmus.names import base_exponents
 from twin.component import Component
 from twin.effects import EFFECTS
 from twin.frames import from_euler, to_body
 from twin.physics.airframe import airframe
 from twin.vehicle import Advance, RotorAir, RunUp, Vehicle
 from twin.vehicle.file import load_vehicle, parse_vehicle, vehicle_text
-from twin.vehicle.thrust_map import hover_level
+from twin.vehicle.vehicle import hover_level
 
 Array = np.ndarray
 PAGE = Path(__file__).parents[3] / "docs" / "guide" / "vehicle_from_simulators.md"

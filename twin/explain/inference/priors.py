@@ -18,7 +18,7 @@ from ...effects import EFFECTS, EffectParameter, Limit, Shift, prior_of
 from ...errors import ModelError
 from ...representation import short_repr
 from ...vehicle import Vehicle, relative_deviation
-from ...vehicle.thrust_map import hover_level
+from ...vehicle.vehicle import hover_level
 from ..model.model import Model
 from ..model.numbers import Number
 

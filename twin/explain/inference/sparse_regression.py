@@ -25,7 +25,7 @@ from ...frames import to_body
 from ...physics.sensors.table import BODY, sensor_of
 from ...residuals.channels import GRID_HZ
 from ...vehicle import GRAVITY_M_S2
-from ...vehicle.thrust_map import hover_level
+from ...vehicle.vehicle import hover_level
 from ..model.model import FlightModel
 from ..settings import DEFAULT, UnnamedSettings
 from .whitening import Block, Key

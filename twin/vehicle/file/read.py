@@ -24,8 +24,7 @@ from ...effects import EFFECTS
 from ...errors import ModelError
 from .. import GRAVITY_M_S2, Advance, Battery, Deviation, RotorAir, Rotors, RunUp, Vehicle
 from ..earth import world_field
-from ..thrust_map import most_thrust_n
-from ..vehicle import SEA_LEVEL_TEMPERATURE_K, Sensors
+from ..vehicle import SEA_LEVEL_TEMPERATURE_K, Sensors, most_thrust_n
 from .calibration import SECTION, read_calibration
 from .entries import Entries, read_entries, read_number
 from .fields import FIELDS
