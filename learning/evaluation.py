@@ -44,7 +44,9 @@ _MEANS = (
     "within_1",
     "within_2",
 )
+"""Columns that are pooled by their number of samples."""
 _ROOTS = ("rmse_before", "spread_before", "spread_left")
+"""Columns whose squares are pooled so."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +173,9 @@ BoolArray = NDArray[np.bool_]
 WHOLE = "all"
 """Phase of the rows over a whole flight."""
 GROUP_OF = {c: g for g, columns in GROUPS.items() for c in CHANNELS[columns]}
+"""Group of each channel."""
 PHASE_OF = {code: name for name, code in PHASE_CODES.items()}
+"""Name of each phase code."""
 
 
 def residual_scale(train: Sequence[ResidualFlight]) -> Array:

@@ -44,7 +44,9 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 UNSAID = "unknown"
 """Hugging Face's word for a licence that nobody has named."""
 _LICENSE = re.compile(r"[A-Za-z0-9][A-Za-z0-9.-]{0,60}")
+"""Identifiers as of Hugging Face's list."""
 _HEAD = re.compile(r"---\n(.*?)\n---\n", re.DOTALL)
+"""YAML between two lines of hyphens, at the top of the file."""
 
 
 def check_license(name: object) -> str:
@@ -89,6 +91,7 @@ SHIPPED = "corrected"
 CLAIMED_S = 0.5
 """Horizon of the figures of a learned force."""
 _SHARES = ("within_1", "within_2", "inside")
+"""Columns of the calibration of the spread."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,6 +334,7 @@ _USES = {
     "generate": "draws what sensors might have read besides; it corrects nothing",
     "force": "adds force and moment to the equations of the twin",
 }
+"""What a model of each protocol does."""
 
 
 def card_text(

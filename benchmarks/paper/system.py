@@ -46,13 +46,6 @@ from learning.training.windows import TrainingSamples, Window
 from twin.errors import ModelError
 from twin.representation import short_repr
 
-# ----------------------------------------------------------------------------------------
-# What a system must offer: what it loses, how it reconstructs, how it generates.
-#
-# A system works on standardised windows, (batch, time, channels). What it may see of them is
-# `given`: the residual itself in `reconstruct`, an older one in `track`, virtual signals and
-# commands in `free`, nothing in `generate`. All that is drawn comes from torch's own generator.
-
 Numbers = Mapping[str, NDArray[np.float32]]
 
 

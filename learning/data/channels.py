@@ -24,6 +24,7 @@ _SENSORS = tuple((signal, _LEARNED[signal]) for signal in _ORDER)
 CHANNELS = tuple(f"{sensor}_{axis}" for sensor, _ in _SENSORS for axis in AXES)
 """Gyroscope, accelerometer, magnetometer, position, velocity: flight-table columns, in order."""
 UNITS = tuple(unit for _, unit in _SENSORS for _ in AXES)
+"""Of each channel."""
 GROUPS = MappingProxyType(
     {sensor: slice(3 * i, 3 * i + 3) for i, (sensor, _) in enumerate(_SENSORS)}
 )
@@ -47,6 +48,7 @@ def check_channels(names: Iterable[str]) -> None:
 
 
 UNKNOWN_PHASE = len(PHASES)
+"""Code of a phase that no name stands for."""
 PHASE_CODES = MappingProxyType({**PHASES, "unknown": UNKNOWN_PHASE})
 """Phases of a mission by their codes, and where a flight says nothing."""
 N_PHASES = len(PHASE_CODES)

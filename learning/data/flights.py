@@ -46,6 +46,7 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 DEFAULT_RATE_HZ = 100.0
+"""Hz; that of fast position loops, and of most residuals here. Made up."""
 DEFAULT_HORIZON_S = 0.5
 """Of `reconstruct`: that of the gap."""
 SHORTEST_SPAN = 2
@@ -304,7 +305,9 @@ def _spans(valid: BoolArray) -> tuple[tuple[int, int], ...]:
 
 
 _BLOCKS = ("virtual", "residual", "fresh")
+"""Columns per channel in a stored file."""
 _RATE = b"rate_hz"
+"""Key of the rate in the metadata of a stored file."""
 
 
 def write_residuals(flights: Sequence[ResidualFlight], path: Path) -> None:

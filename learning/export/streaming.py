@@ -33,7 +33,9 @@ from .graph import Graph
 Array = NDArray[np.float64]
 
 INPUTS = ("virtual", "command", "phase", "measured", "valid", "state")
+"""Of the ONNX model, in order."""
 OUTPUTS = ("correction", "spread", "anomaly", "inside", "state_out")
+"""Of the ONNX model, in order."""
 _FLOAT = onnx.TensorProto.FLOAT
 
 

@@ -18,7 +18,9 @@ Array = NDArray[np.float64]
 AHEAD_S = (0.2, 0.5, 1.0)
 """Horizons over which it is judged."""
 LAGS_S = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+"""Tried lags, s: from what an IMU can tell to the drift of a battery. Made up."""
 FADES_S = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+"""Tried time constants of the fade, s; in steps as of the lags."""
 TIE = 0.02
 """Shares missed that differ by less are the same. Not chosen on flights."""
 NEVER_S = 1e6
@@ -39,6 +41,7 @@ class Observer:
 
 
 NO_OBSERVER = Observer(NEVER_S, 1.0)
+"""Learns nothing, so that it gives nothing."""
 
 
 def missed(left: Array, pieces: Sequence[slice], observer: Observer) -> Array:

@@ -48,10 +48,13 @@ from .regression import (
 
 Array = NDArray[np.float64]
 LAWS = ("none", "constant", "linear")
+"""Names, the simplest first."""
 QUARTERS = 4
+"""Parts of a single flight that take the place of flights."""
 LEAST_GAIN = 3.0
 """Nats that flights left out must speak for something before it is believed: odds of twenty."""
 _TINY = 1e-30
+"""Added to squares of offsets, so that a logarithm of none is finite."""
 HALVES = (slice(0, 3), slice(3, 6))
 """Outputs that are force, and those that are moment."""
 _AGAINST = tuple(

@@ -33,6 +33,7 @@ MOST, TRIED = 8, 3
 CHUNK = 4096
 """Rows that are taken at once, which bounds the memory."""
 _TINY = 1e-9
+"""Ridge per row against features that are alike to rounding."""
 
 
 @dataclass(frozen=True, slots=True)

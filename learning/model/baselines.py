@@ -34,7 +34,9 @@ from .family import Corrected, Family, ModelInfo, Progress, Tensors, TrainingTas
 
 Array = NDArray[np.float64]
 ORDER = 8
+"""Lags of the autoregression, samples: 0.08 s at 100 Hz, as in `data.sequences.LAGS`."""
 AVERAGED = 21
+"""Samples of the moving average, an odd number about 0.2 s at 100 Hz. Made up."""
 MIN_SAMPLES = 20
 """A phase with fewer training samples of a channel has the mean of all phases."""
 TINY = 1e-6

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 WEIGHTS = "weights.safetensors"
 MODEL = "model.json"
 CURVE = "learning_curve.json"
+"""Files of a model."""
 FORMAT = 4
 """Version of the folder's layout."""
 

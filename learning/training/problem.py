@@ -25,6 +25,7 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
 ANOMALY_QUANTILE = 0.99
+"""Share of samples of `free` and `reconstruct` that raise no alarm. Not chosen on flights."""
 INNOVATION_QUANTILE = 0.999
 """Of each of many channels, any of which raises an alarm. Not chosen on flights."""
 NO_DISTANCE = 1e-12

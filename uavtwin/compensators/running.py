@@ -28,6 +28,7 @@ from ..live.status import ModelStatus
 
 Array = NDArray[np.float64]
 _KINDS = ("correction", "spread")
+"""Outputs per channel that are read."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,6 +44,7 @@ MISSIONS = ("hover", "forward", "tour")
 FLIGHTS = 36
 """Of all missions together, in turn."""
 STEP_S = 0.01
+"""Communication step, s."""
 WIND_M_S = 2.0
 """Spread of the steady wind, north and east."""
 START_M = 0.5
@@ -51,6 +52,7 @@ START_M = 0.5
 LOST_M = 10.0
 """So far from where it should be, a vehicle is not flying its mission any more."""
 ENABLED = "residual_force.enabled"
+"""Parameter that switches the law of a fused FMU."""
 _SEEDED = ("environment", *SENSED)
 """Components that draw noise."""
 _TRACKED = tuple(f"airframe.pos_{a}" for a in AXES) + tuple(
@@ -256,6 +258,7 @@ def _weakness(output: Output) -> tuple[float, float]:
 
 
 HOVER = "hover"
+"""Phase and mission."""
 SETTLED_S = 1.0
 """At either end of a hover that is not looked at. Not chosen on flights."""
 SHORTEST_S = 3.0

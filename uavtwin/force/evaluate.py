@@ -36,6 +36,7 @@ from .open_loop import DISTANCE, HORIZONS_S, QUANTITIES, OpenLoop, Replay
 
 PHYSICS, EXPLAINED, OBSERVED, SHIPPED = "physics", "explained", "explained + observer", "corrected"
 LAST_MOTION, LAST_READING = "last motion", "last reading"
+"""Names of the twins, and of what needs no twin, in tables and JSON."""
 CLAIMED_S = 0.5
 """Horizon of the claim and of the printed table."""
 Progress = Callable[[float], None]

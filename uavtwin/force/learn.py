@@ -214,6 +214,7 @@ quantities and horizons."""
 WORSE = 1.02
 """No quantity may grow by more, in the geometric mean over flights and horizons."""
 _TINY = 1e-30
+"""Added to mean squares, so that the ratio of two that are zero is one."""
 
 
 @dataclass(frozen=True, slots=True)

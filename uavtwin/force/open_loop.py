@@ -26,7 +26,9 @@ from ..driving import PREFIX, driving_inputs, true_motion
 
 Array = NDArray[np.float64]
 HORIZONS_S = (0.05, 0.2, 0.5, 1.0, 2.0)
+"""For how long a twin flies alone, s."""
 EVERY_S = 0.25
+"""Between two starts, s: half of the horizon of the claim. Made up."""
 CLEAR_S = 0.5
 """So long it has been in the air before it is followed. Not chosen on flights."""
 WARM_S = 1.0
@@ -34,6 +36,7 @@ WARM_S = 1.0
 DISTANCE = "residual_force.distance"
 """Output of a twin with a learned force: 1 where the training ends."""
 QUANTITIES = (("position", "m"), ("velocity", "m/s"), ("attitude", "rad"), ("rates", "rad/s"))
+"""What is compared, and its unit."""
 
 
 @dataclass(frozen=True, slots=True)
