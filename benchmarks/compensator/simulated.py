@@ -23,12 +23,10 @@ import numpy as np
 
 from benchmarks.hidden_effects.cases import MAGNITUDES
 from benchmarks.hidden_effects.files import write_json
-from benchmarks.hidden_effects.hiding.effect import Truth
-from benchmarks.hidden_effects.plants.aircraft import AIRCRAFT, Aircraft, vehicle_toml
+from benchmarks.hidden_effects.hiding import Truth
+from benchmarks.hidden_effects.plants.aircraft import AIRCRAFT, NOISE, Aircraft, vehicle_toml
 from benchmarks.hidden_effects.plants.kinds import EFFECTS
-from benchmarks.hidden_effects.plants.missions import mission
-from benchmarks.hidden_effects.plants.noise import NOISE
-from benchmarks.hidden_effects.plants.orders import Order
+from benchmarks.hidden_effects.plants.missions import Order, mission
 from benchmarks.hidden_effects.plants.own.flight import Trace, fly
 from benchmarks.hidden_effects.plants.own.parameters import Parameters
 from benchmarks.hidden_effects.plants.sensing import flight_table

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.hidden_effects.plants.noise import NOISE
+from benchmarks.hidden_effects.plants.aircraft import NOISE
 from twin.flight.simulate_flight import Recorder, Stream, simulate_flight
 from twin.logs import Flight, Site, write_flight
 from twin.logs.airframe import Airframe, Place, SourcedValue

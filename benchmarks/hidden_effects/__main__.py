@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 from . import generate, run
-from .scoring.score import write_score
+from .score import write_score
 
 
 def main(arguments: list[str] | None = None) -> int:

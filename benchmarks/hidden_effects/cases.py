@@ -1,14 +1,74 @@
 """Every case of the benchmark: what is hidden, how much, with which sensors, by which seed.
 
+Two halves of plants and effects: thresholds and priors are chosen on one, the other scores them.
+
+The digest of plant and hidden effects decides, so that an effect that was tuned on in one plant is
+never scored in it, whatever its size, noise and seed. Where nothing is hidden, or one of a few
+things has happened to a calibrated aircraft, the seed decides as well.
+
 A case is named by a hash: the name of its folder says nothing about what is hidden in it.
 """
 
 import hashlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
-from .life.conditions import Conditions
 from .plants.kinds import EFFECTS, PLANTS, Plant
+
+TUNE, SCORE = HALVES = ("tune", "score")
+
+
+def half_of(plant: str, kind: str, effects: Iterable[str], seed: int) -> str:
+    """The half that a case belongs to."""
+    names = "+".join(sorted(effects))
+    text = f"{plant}/{names}"
+    if not names or kind == "since":
+        text += f"/{kind}/{seed}"
+    return HALVES[hashlib.sha256(text.encode()).digest()[0] % 2]
+
+
+SENSORS = {
+    "field": ("mag_", "baro_"),
+    "velocity": ("vel_",),
+    "inertial": ("acc_", "gyro_", "mag_", "baro_", "vel_"),
+}
+"""Columns of the flight table, by their beginnings, that go with a group of sensors."""
+NORMAL_FLIGHTS = 5
+"""Of a case in which something happens to a calibrated aircraft."""
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """How life is.
+
+    Attributes:
+        off: Whether the numbers of the vehicle file are off by their own standard deviations.
+        days: Whether every flight has small constants of its own.
+        rotors: Whether the log has rotor speeds in place of commands, and the file their map.
+        without: Group of sensors that the log lacks, a key of `SENSORS`; "" for none.
+        fits: Flights to fit on.
+        slow: Whether all flights hover or go round at a walk.
+    """
+
+    off: bool = False
+    days: bool = False
+    rotors: bool = False
+    without: str = ""
+    fits: int = 2
+    slow: bool = False
+
+    @property
+    def key(self) -> str:
+        """Text that tells them from all others; empty for those of today's cases."""
+        usual = asdict(Conditions())
+        return ",".join(f"{k}={v}" for k, v in asdict(self).items() if v != usual[k])
+
+    @property
+    def as_json(self) -> dict[str, Any]:
+        """For the truth file."""
+        return asdict(self)
+
 
 MAGNITUDES = ("small", "medium", "large")
 NOISE_LEVELS = ("low", "medium", "high")

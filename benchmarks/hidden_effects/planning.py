@@ -6,17 +6,12 @@ from itertools import cycle, islice
 import numpy as np
 
 from .cases import MAGNITUDES, Case
-from .hiding.effect import Truth
-from .life.days import Day, draw_day, on_day
-from .life.defects import DEFECTS
-from .life.file_errors import WrongFile, wrong_file
-from .life.many import draw_magnitude
-from .plants.aircraft import Aircraft
+from .hiding import Truth
+from .plants.aircraft import NOISE, Aircraft
 from .plants.kinds import EFFECTS, PLANTS
-from .plants.missions import mission
-from .plants.noise import NOISE
-from .plants.orders import Order
+from .plants.missions import Order, mission
 from .plants.own.parameters import Parameters
+from .realism import DEFECTS, Day, WrongFile, draw_day, draw_magnitude, on_day, wrong_file
 
 FLIGHTS = {"fit_1": "tour", "fit_2": "forward", "holdout_1": "tour"}
 """Mission of each flight of a case of today."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from benchmarks.real_flights.markup import figure, section, table
+from benchmarks.real_flights.details import figure, section, table
 from uavtwin.force.evaluate import CLAIMED_S, SHIPPED, over_explained
 from uavtwin.force.open_loop import HORIZONS_S, QUANTITIES
 

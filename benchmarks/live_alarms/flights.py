@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from benchmarks.hidden_effects.plants.noise import NOISE
+from benchmarks.hidden_effects.plants.aircraft import NOISE
 from twin.effects import EFFECTS, Equation, Shift
 from twin.flight.closed_loop import STEP_S
 from twin.flight.simulate_flight import Later, Recorder, Stream, simulate_flight

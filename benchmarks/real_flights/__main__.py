@@ -19,8 +19,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from benchmarks.hidden_effects.explaining import failure, twin_state
 from benchmarks.hidden_effects.files import write_json
+from benchmarks.hidden_effects.run import failure, twin_state
 
 from .measure import measure
 from .page import page
@@ -109,7 +109,7 @@ def key(data: Path, scenario: Scenario, holdout: str, state: str) -> str:
     digest = hashlib.sha256(state.encode())
     digest.update(f"{scenario.vehicle_text}{scenario.indoors}".encode())
     scripts = {p for f in scenario.flights for p in sources(f)}
-    for path in [HERE / "bands.py", HERE / "measure.py", *sorted(scripts)]:
+    for path in [HERE / "measure.py", *sorted(scripts)]:
         digest.update(path.read_bytes())
     for flight in (*scenario.flights, holdout):
         digest.update(flight.encode() + (data / flight).read_bytes())

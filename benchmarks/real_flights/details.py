@@ -1,13 +1,76 @@
-"""Tables of the page beyond rms: what rotations agree on, bands, constants, what is wished for."""
+"""Tables of the page beyond rms: what rotations agree on, bands, constants, what is wished for.
+
+What a prototype of the inference left of held-out flights, to be seen beside `explain`.
+
+Figures are rms of RflySimDT's real flights, each held out and predicted from the other two, vehicle
+file `feisi_x150`. They were measured once, before the inference in `twin.explain` was written
+(docs/dev/decisions/inference.md), and are not measured again.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from . import prototype
 from .agreement import Agreement, Case, Number, agreements, alike_of, numbers_of
-from .bands import NAMES, about_mean, above
-from .markup import figure, in_shown_unit, interval, section, table
+from .measure import NAMES, about_mean, above
 from .scenarios import Scenario
+
+MICRO = {"T": ("µT", 1e6)}
+"""Units that are shown in millionths."""
+
+
+def in_shown_unit(value: float, unit: str) -> tuple[float, str]:
+    """A value in the unit that people read, and that unit."""
+    name, factor = MICRO.get(unit, (unit, 1.0))
+    return factor * value, name
+
+
+def figure(value: float) -> str:
+    """Three significant digits; no exponent where a person would write none."""
+    return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
+
+
+def interval(value: float, ci95: tuple[float, float] | None, unit: str, mark: str = "") -> str:
+    """A number with its interval, in the unit that people read."""
+    text = f"{figure(in_shown_unit(value, unit)[0])}{mark}"
+    if ci95 is None:
+        return text
+    low, high = (figure(in_shown_unit(end, unit)[0]) for end in ci95)
+    return f"{text} ({low} to {high})"
+
+
+def section(title: str) -> list[str]:
+    """A heading below that of a scenario."""
+    return ["", f"### {title}", ""]
+
+
+def table(head: Sequence[str], lines: Iterable[Sequence[str]]) -> list[str]:
+    """A Markdown table."""
+    content = [
+        f"| {' | '.join(c.replace('|', '&#124;') for c in line)} |" for line in (head, *lines)
+    ]
+    return [content[0], "|" + "---|" * len(head), *content[1:]]
+
+
+FLIGHTS = ("real_1", "real_2", "real_3")
+SCENARIO = "real"
+RMS: dict[str, tuple[float, float, float]] = {
+    "acc_y": (0.222, 0.268, 0.390),
+    "acc_z": (0.781, 0.319, 0.279),
+    "gyro_rate_x": (3.05, 4.70, 3.59),
+    "gyro_rate_y": (1.75, 2.32, 3.73),
+    "gyro_rate_z": (1.86, 2.05, 1.45),
+    "pose_gyro_x": (4.64e-3, 5.89e-3, 5.24e-3),
+    "mag_x": (7.2e-6, 10.7e-6, 6.5e-6),
+    "baro_pa": (24.2, 14.8, 10.3),
+}
+"""In the unit of the channel, by flight held out."""
+BANDS: dict[str, tuple[tuple[float, ...], ...]] = {
+    "gyro_rate_x": ((2.75, 0.65, 0.82, 0.82), (4.04, 1.06, 0.95, 1.32), (3.42, 0.65, 0.85, 0.87)),
+    "gyro_rate_y": ((1.4, 0.5, 0.66, 0.6), (1.8, 0.6, 0.68, 1.0), (3.7, 0.5, 0.58, 0.7)),
+    "gyro_rate_z": ((1.4, 0.3, 0.6, 1.0), (0.7, 0.5, 1.2, 1.4), (0.4, 0.5, 0.8, 1.1)),
+}
+"""By band of `bands.NAMES`, rad/s2, by flight held out."""
+
 
 CORRECTIONS = {
     "none": "none",
@@ -168,26 +231,26 @@ def _scaled(value: float | None, unit: str) -> str:
 
 def against_prototype(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
     """Rms of held-out flights beside those of the prototype, where it has any."""
-    if scenario.name != prototype.SCENARIO:
+    if scenario.name != SCENARIO:
         return []
     found = {c["holdout"]: {r["name"]: r for r in c["channels"]} for c in cases}
     lines = []
-    for name, theirs in prototype.RMS.items():
-        rows = [found.get(f, {}).get(name) for f in prototype.FLIGHTS]
+    for name, theirs in RMS.items():
+        rows = [found.get(f, {}).get(name) for f in FLIGHTS]
         ours = [None if r is None else r["effects"] for r in rows]
         unit = next((r["unit"] for r in rows if r is not None), "")
         lines.append((f"`{name}`", in_shown_unit(1.0, unit)[1], *_pairs(ours, theirs, unit)))
-    for name, bands in prototype.BANDS.items():
-        rows = [found.get(f, {}).get(name) for f in prototype.FLIGHTS]
+    for name, bands in BANDS.items():
+        rows = [found.get(f, {}).get(name) for f in FLIGHTS]
         ours = [None if r is None else above(r["bands"]["effects"]) for r in rows]
         unit = next((r["unit"] for r in rows if r is not None), "")
         fast = [above(b) for b in bands]
         lines.append((f"`{name}` > 0.8 Hz", unit, *_pairs(ours, fast, unit)))
-    head = ("channel", "unit", *prototype.FLIGHTS)
+    head = ("channel", "unit", *FLIGHTS)
     text = (
         "Rms that effects leave of the held-out flight, then that of the prototype from which the "
         "inference was built: numpy alone, the same flights and file, measured once (constants in "
-        "`benchmarks/real_flights/prototype.py`). Bold: less than the prototype, by 3 % or more; "
+        "`benchmarks/real_flights/details.py`). Bold: less than the prototype, by 3 % or more; "
         "*: more by as much."
     )
     return [

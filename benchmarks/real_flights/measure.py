@@ -1,4 +1,7 @@
-"""One flight held out: what is named on the others, and its gap beside trivial baselines."""
+"""One flight held out: what is named on the others, and its gap against trivial baselines.
+
+Residuals by frequency: the bands that the page shows of angular acceleration.
+"""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -8,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dct
 
 from twin.effects import EffectParameter
 from twin.explain.estimates import estimates_of, listed_effects
@@ -18,10 +22,40 @@ from twin.residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
 from twin.vehicle import Vehicle
 from uavtwin.explain_record import explain_record
 
-from .bands import band_rms
 from .scenarios import Scenario, read
 
 Array = NDArray[np.float64]
+EDGES_HZ = (0.8, 4.5, 13.0)
+"""Between the bands; the constant is in the first one."""
+NAMES = ("< 0.8 Hz", "0.8-4.5 Hz", "4.5-13 Hz", "> 13 Hz")
+
+
+def band_rms(flights: Sequence[ChannelData]) -> list[float]:
+    """Rms of one channel of some flights by band; the squares sum up to that of the whole.
+
+    By the orthonormal discrete cosine transform of each uninterrupted piece.
+    """
+    powers, n = np.zeros(len(NAMES)), 0
+    for c in flights:
+        for k in np.unique(c.piece):
+            values = dct(c.residual[c.piece == k], norm="ortho")
+            hz = np.arange(len(values)) * CHANNEL_HZ / 2 / len(values)
+            band = np.searchsorted(EDGES_HZ, hz, side="right")
+            powers += np.bincount(band, values**2, minlength=len(NAMES))
+            n += len(values)
+    return [float(v) for v in np.sqrt(powers / max(n, 1))]
+
+
+def above(bands: Sequence[float]) -> float:
+    """Rms of all bands but the slowest."""
+    return float(np.sqrt(sum(b * b for b in bands[1:])))
+
+
+def about_mean(rms: float, mean: float) -> float:
+    """Rms about the mean."""
+    return float(np.sqrt(max(rms**2 - mean**2, 0.0)))
+
+
 HORIZONS_S = (0.02, 0.5)
 """For which the last residual is held: one sample of a channel, and the horizon of the gap."""
 EDGE = 1e-4

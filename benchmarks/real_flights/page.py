@@ -7,8 +7,18 @@ from typing import Any
 from twin.residuals.channels import CHANNEL_HZ
 
 from .agreement import Case, agreements, alike_of, effects_of, judge, numbers_of
-from .details import against_prototype, agree, by_band, constants, passing, wishes
-from .markup import figure, in_shown_unit, section, table
+from .details import (
+    against_prototype,
+    agree,
+    by_band,
+    constants,
+    figure,
+    in_shown_unit,
+    passing,
+    section,
+    table,
+    wishes,
+)
 from .scenarios import Scenario
 
 HEAD = Path(__file__).with_name("protocol.md").read_text("utf-8")

@@ -17,9 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.hidden_effects import generate
-from benchmarks.hidden_effects.explaining import Worker, answer, explain_case, twin_state
-from benchmarks.hidden_effects.run import Question, ask
-from benchmarks.hidden_effects.scoring.outcomes import Outcome, read_outcomes
+from benchmarks.hidden_effects.measures import Outcome, read_outcomes
+from benchmarks.hidden_effects.run import Question, Worker, answer, ask, explain_case, twin_state
 from twin.explain.setting_group import Value
 from twin.explain.settings import DEFAULT
 

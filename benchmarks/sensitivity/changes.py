@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from benchmarks.hidden_effects.scoring.outcomes import Outcome
+from benchmarks.hidden_effects.measures import Outcome
 
 from .variants import Variant
 

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from benchmarks.hidden_effects.scoring.outcomes import Outcome
+from benchmarks.hidden_effects.measures import Outcome
 from twin.explain.setting_group import Value, numbers
 
 from .changes import SMALL, Change

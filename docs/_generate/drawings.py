@@ -36,6 +36,7 @@ WORDS = {
     "twin.explain.running": "while it flies",
     "twin.explain.inference": "likelihood, fit, selection, adequacy",
     "twin.explain.settings": "the numbers that decide a verdict, with their origin",
+    "twin.explain.setting_group": "unit, meaning, origin of a setting",
     "twin.explain.model": "residuals as a function of the numbers of effects",
     "twin.residuals": "aligned flight, prediction, gap",
     "twin.flight": "controllers, missions, closed loop",
@@ -47,6 +48,7 @@ WORDS = {
     "twin.component": "an equation written once: builder, rows, noise",
     "twin.errors": "what a user can mend",
     "twin.frames": "NED, FRD, rotations",
+    "twin.formatting": "numbers as text",
     "twin.representation": "values in a line or two",
     "twin.scratch": "temporary files, swept",
 }

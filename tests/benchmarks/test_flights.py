@@ -14,15 +14,14 @@ import pytest
 import benchmarks.hidden_effects as package
 from benchmarks.hidden_effects import generate
 from benchmarks.hidden_effects.cases import Case, cases, subset
-from benchmarks.hidden_effects.gap import true_gap
 from benchmarks.hidden_effects.planning import hide
 from benchmarks.hidden_effects.plants import missions
-from benchmarks.hidden_effects.plants.aircraft import AIRCRAFT, vehicle_toml
+from benchmarks.hidden_effects.plants.aircraft import AIRCRAFT, NOISE, vehicle_toml
 from benchmarks.hidden_effects.plants.kinds import EFFECTS
-from benchmarks.hidden_effects.plants.noise import NOISE
-from benchmarks.hidden_effects.plants.orders import Order
+from benchmarks.hidden_effects.plants.missions import Order
 from benchmarks.hidden_effects.plants.own.flight import Trace, fly
 from benchmarks.hidden_effects.plants.sensing import flight_table
+from benchmarks.hidden_effects.produce import true_gap
 from twin.logs.flight import Flight
 from twin.logs.read import read_flight
 from twin.residuals.aligned import align_flight
@@ -31,7 +30,7 @@ from twin.vehicle.file import parse_vehicle
 
 ALLOWED = ("twin.errors", "twin.logs.flight", "twin.logs.table", "twin.vehicle.file")
 """What the generators may take from the twin: the file formats and their errors."""
-RUNNERS = ("explaining", "calibrated", "run", "__main__")
+RUNNERS = ("run", "__main__")
 """What calls `twin.explain`; generators import none of it."""
 SHORT_S = 5.0
 

@@ -10,28 +10,29 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.hidden_effects import calibrated, explaining, generate
-from benchmarks.hidden_effects.cases import Case, cases
-from benchmarks.hidden_effects.generate import _DEVIATION, batches
-from benchmarks.hidden_effects.halves import HALVES, half_of
-from benchmarks.hidden_effects.life.conditions import SENSORS, Conditions
-from benchmarks.hidden_effects.life.days import draw_day, mean_deviations, on_day
-from benchmarks.hidden_effects.life.defects import DEFECTS
-from benchmarks.hidden_effects.life.file_errors import seen_from, wrong_file
-from benchmarks.hidden_effects.life.log import as_logged
-from benchmarks.hidden_effects.life.many import can_show
-from benchmarks.hidden_effects.life.plan import LIFE_KINDS, life_set
-from benchmarks.hidden_effects.life.shown import shown
+from benchmarks.hidden_effects import generate
+from benchmarks.hidden_effects import run as runner
+from benchmarks.hidden_effects.cases import HALVES, SENSORS, Case, Conditions, cases, half_of
+from benchmarks.hidden_effects.generate import _DEVIATION, LIFE_KINDS, batches, life_set
 from benchmarks.hidden_effects.planning import missions_of, plan
 from benchmarks.hidden_effects.plants import missions
-from benchmarks.hidden_effects.plants.aircraft import AIRCRAFT, Aircraft, vehicle_toml
+from benchmarks.hidden_effects.plants.aircraft import AIRCRAFT, NOISE, Aircraft, vehicle_toml
 from benchmarks.hidden_effects.plants.kinds import EFFECTS, PLANTS
-from benchmarks.hidden_effects.plants.noise import NOISE
-from benchmarks.hidden_effects.plants.orders import Order
+from benchmarks.hidden_effects.plants.missions import Order
 from benchmarks.hidden_effects.plants.own.flight import Trace, fly
 from benchmarks.hidden_effects.plants.own.parameters import GRAVITY_M_S2, Parameters
 from benchmarks.hidden_effects.plants.sensing import flight_table
-from benchmarks.hidden_effects.produce import produce
+from benchmarks.hidden_effects.produce import produce, shown
+from benchmarks.hidden_effects.realism import (
+    DEFECTS,
+    as_logged,
+    can_show,
+    draw_day,
+    mean_deviations,
+    on_day,
+    seen_from,
+    wrong_file,
+)
 from twin.vehicle.file import parse_vehicle
 
 QUAD = AIRCRAFT["quad_450"]
@@ -376,6 +377,6 @@ def test_usual_conditions_leave_the_log_alone() -> None:
 def test_a_case_with_normal_flights_is_asked_for_what_happened_since(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / calibrated.SINCE).touch()
-    monkeypatch.setattr(explaining, "ask_calibrated", lambda folder: {"verdict": folder.name})
-    assert explaining.explain_case(tmp_path)["verdict"] == tmp_path.name
+    (tmp_path / runner.SINCE).touch()
+    monkeypatch.setattr(runner, "ask_calibrated", lambda folder: {"verdict": folder.name})
+    assert runner.explain_case(tmp_path)["verdict"] == tmp_path.name

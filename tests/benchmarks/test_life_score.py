@@ -7,17 +7,16 @@ from xml.etree import ElementTree
 
 import pytest
 
-from benchmarks.hidden_effects.halves import HALVES, half_of
-from benchmarks.hidden_effects.scoring.chances import (
+from benchmarks.hidden_effects.cases import HALVES, half_of
+from benchmarks.hidden_effects.measures import (
     Forecast,
+    Outcome,
     brier,
     calibration_error,
     reliability,
+    reliability_svg,
 )
-from benchmarks.hidden_effects.scoring.outcomes import Outcome
-from benchmarks.hidden_effects.scoring.reliability import reliability_svg
-from benchmarks.hidden_effects.scoring.score import main, score
-from benchmarks.hidden_effects.scoring.table import table
+from benchmarks.hidden_effects.score import main, score, table
 
 LIFE = {"off": True, "days": False, "rotors": False, "without": "", "fits": 2, "slow": False}
 

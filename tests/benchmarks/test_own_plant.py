@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from numpy.polynomial.polynomial import polyval
 
-from benchmarks.hidden_effects.plants.aircraft import AIRCRAFT, Aircraft, vehicle_toml
-from benchmarks.hidden_effects.plants.noise import NOISE
+from benchmarks.hidden_effects.plants.aircraft import AIRCRAFT, NOISE, Aircraft, vehicle_toml
 from benchmarks.hidden_effects.plants.own import flight, physics
 from benchmarks.hidden_effects.plants.own.parameters import (
     GRAVITY_M_S2,
@@ -17,9 +16,14 @@ from benchmarks.hidden_effects.plants.own.parameters import (
     Batch,
     Parameters,
 )
-from benchmarks.hidden_effects.plants.own.physics import Layout, motion
-from benchmarks.hidden_effects.plants.own.rotor import climb_slope, thrust_ratio
-from benchmarks.hidden_effects.plants.own.vectors import rotation, to_ned
+from benchmarks.hidden_effects.plants.own.physics import (
+    Layout,
+    climb_slope,
+    motion,
+    rotation,
+    thrust_ratio,
+    to_ned,
+)
 from twin.vehicle.file import parse_vehicle
 
 every_aircraft = pytest.mark.parametrize("aircraft", AIRCRAFT.values(), ids=list(AIRCRAFT))

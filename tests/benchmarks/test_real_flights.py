@@ -11,9 +11,8 @@ import pytest
 
 from benchmarks.real_flights import __main__ as command
 from benchmarks.real_flights.agreement import Agreement, Number, agreements, judge
-from benchmarks.real_flights.bands import about_mean, above, band_rms
 from benchmarks.real_flights.details import drag_1_s, passing
-from benchmarks.real_flights.measure import baselines, held, spectra
+from benchmarks.real_flights.measure import about_mean, above, band_rms, baselines, held, spectra
 from benchmarks.real_flights.page import page
 from benchmarks.real_flights.scenarios import SCENARIOS, Change, read
 from twin.physics.airframe import airframe

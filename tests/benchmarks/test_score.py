@@ -6,10 +6,8 @@ from typing import Any
 
 import pytest
 
-from benchmarks.hidden_effects.scoring.outcomes import Outcome
-from benchmarks.hidden_effects.scoring.rates import middle, wilson
-from benchmarks.hidden_effects.scoring.score import main, score
-from benchmarks.hidden_effects.scoring.table import table
+from benchmarks.hidden_effects.measures import Outcome, middle, wilson
+from benchmarks.hidden_effects.score import main, score, table
 
 
 def truth(kind: str, **effects: dict[str, float]) -> dict[str, Any]:

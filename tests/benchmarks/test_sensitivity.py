@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 from stand_ins import by_setting
 
-from benchmarks.hidden_effects.explaining import Worker
 from benchmarks.hidden_effects.files import write_json
-from benchmarks.hidden_effects.scoring.outcomes import Outcome
+from benchmarks.hidden_effects.measures import Outcome
+from benchmarks.hidden_effects.run import Worker
 from benchmarks.sensitivity import __main__ as sensitivity
 from benchmarks.sensitivity.changes import change
 from benchmarks.sensitivity.page import page

@@ -22,8 +22,8 @@ import numpy as np
 from benchmarks.hidden_effects.plants import missions
 missions.DURATION_S = 5.0
 from benchmarks.hidden_effects.plants.aircraft import vehicle_toml
-from benchmarks.hidden_effects.plants.noise import NOISE
-from benchmarks.hidden_effects.plants.orders import Order
+from benchmarks.hidden_effects.plants.aircraft import NOISE
+from benchmarks.hidden_effects.plants.missions import Order
 from benchmarks.hidden_effects.plants.own.flight import fly
 from benchmarks.hidden_effects.plants.kinds import PLANTS
 from benchmarks.hidden_effects.plants.sensing import flight_table

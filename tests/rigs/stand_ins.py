@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks.hidden_effects.explaining import answer, explain_case
+from benchmarks.hidden_effects.run import answer, explain_case
 
 NOTHING = {"verdict": "nothing", "effects": [], "seconds": 1.0, "cpu_seconds": 1.0}
 

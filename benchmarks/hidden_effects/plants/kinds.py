@@ -4,9 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 
-from ..hiding.effect import Hidden
-from ..hiding.forces import FORCES, OUTSIDE
-from ..hiding.readings import READINGS
+from ..hiding import FORCES, OUTSIDE, READINGS, Hidden
 from .aircraft import AIRCRAFT, Aircraft
 from .jsbsim import f450, f450_dynamics
 from .own.physics import Dynamics, own_dynamics

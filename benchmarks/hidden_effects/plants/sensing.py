@@ -7,9 +7,8 @@ et al., J. Aerospace Engineering 19 (2006); pressure, ISO 2533:1975.
 import numpy as np
 import pandas as pd
 
-from .missions import CONTROL_HZ
-from .noise import ACCEL_BIT_M_S2, GYRO_BIT_RAD_S
-from .orders import Order
+from .aircraft import ACCEL_BIT_M_S2, GYRO_BIT_RAD_S
+from .missions import CONTROL_HZ, Order
 from .own.flight import POSE_EVERY, Trace
 from .own.parameters import (
     FIELD_T,
@@ -19,7 +18,7 @@ from .own.parameters import (
     Array,
     Parameters,
 )
-from .own.vectors import rotation, to_body, turned
+from .own.physics import rotation, to_body, turned
 
 SLOW_EVERY = 4
 """Samples of the IMU per sample of magnetometer and barometer."""

@@ -15,10 +15,8 @@ from typing import Any
 import numpy as np
 
 from .aircraft import Aircraft
-from .own.forces import air_forces, pad_forces
 from .own.parameters import GRAVITY_M_S2, Array, Batch, Parameters
-from .own.physics import Dynamics, Instant
-from .own.vectors import to_body, to_ned
+from .own.physics import Dynamics, Instant, air_forces, pad_forces, to_body, to_ned
 
 CRAZYFLIES = ("cf21B_500", "cf2x_T350")
 RPM = 30 / np.pi

@@ -1,1 +1,0 @@
-"""How each effect is hidden in a plant."""

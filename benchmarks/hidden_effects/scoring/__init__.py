@@ -1,1 +1,0 @@
-"""How well a program named what was hidden."""
