@@ -63,6 +63,7 @@ class Rollback:
 Array = NDArray[np.float64]
 Advance = Callable[[float, float], None]
 SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
+"""`fac`, `facmin` and `facmax` of Hairer, Norsett & Wanner, sec. II.4."""
 SAMPLE_PERIOD = "sample_period"
 """Parameter that makes a slave a sampled one: its period, s."""
 ON_GRID = 1e-6

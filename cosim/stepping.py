@@ -197,8 +197,11 @@ TOLERANCE = 1e-12
 ROUNDING = 1e-9
 """Residual that is accepted where no step brings it down any more."""
 SMALLEST = 1e-300
+"""Keeps the scale of a residual above zero."""
 MAX_ITERATIONS = 30
+"""Of Newton's method. Made up."""
 MAX_HALVINGS = 20
+"""Of one step. Made up."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,8 +19,11 @@ from twin.errors import FmuError
 from twin.representation import short_repr
 
 MAX_UNPACKED_BYTES = 512 * 2**20
+"""Largest archive after unpacking. Made up."""
 MAX_MEMBERS = 20_000
+"""Most members of an archive. Made up."""
 MAX_DESCRIPTION_BYTES = 32 * 2**20
+"""Largest modelDescription.xml. Made up."""
 MAX_DIRECTORY_BYTES = 8 * 2**20
 """Of the list of members: 400 for each of `MAX_MEMBERS`."""
 DESCRIPTION = "modelDescription.xml"

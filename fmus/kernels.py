@@ -230,6 +230,7 @@ CYCLES = {ca.OP_DIV: 13, ca.OP_SQRT: 21, ca.OP_INPUT: 0, ca.OP_CONST: 0}
 division every five cycles and a root every nine, be it of one number or of two side by side, and a
 controller waits for little else: so divisions and roots of a kernel are computed two by two."""
 USUAL = 3
+"""Cycles of an operation that `CYCLES` does not list."""
 APART = 12
 """Cycles by which two that go together may be ready one after the other. As this is less than what
 either takes, neither waits for the other, nor do any two pairs for each other."""

@@ -30,6 +30,7 @@ OUTPUTS = ("correction", "spread", "anomaly", "inside", "state_out")
 MAX_FILE_BYTES = 256 * 2**20
 """The largest preset has 8 MB."""
 MAX_NODES = 10_000
+"""Most operators of a graph. Made up."""
 MAX_NUMBERS = 2**18
 """Of a tensor that is made at each sample: 1 MiB of the caller's stack. The largest preset has
 5,218 in its state."""
@@ -291,6 +292,7 @@ MAX_CHANNELS, MAX_COMMANDS, MAX_PHASES, MAX_HORIZON = 64, 64, 64, 10_000
 MAX_STATE = 50_000
 """Numbers of the packed state; the largest preset has 5,218."""
 MAX_RATE_HZ = 1e5
+"""Highest sample rate of a compensator, Hz. Made up."""
 MAX_TEXT = 255
 """Characters of a vehicle's name, which may be that of its file."""
 MAX_METADATA = 2**20

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 AXES = ("x", "y", "z")
+"""Letters of the axes, in the order of vectors."""
 FRD = ("forward", "right", "down")
 """What the axes of the body are called."""
 NED = ("north", "east", "down")

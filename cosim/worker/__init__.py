@@ -34,10 +34,13 @@ from ..stepping import Algorithm
 from ..system import System
 
 _TICK_S = 0.05
+"""Between two readings of the worker's trace, s. Made up."""
 _START_S = 60.0
 """For Python to start, on a machine that is busy."""
 _PRINTED_BYTES = 2**16
+"""Of what a worker prints, the last that are passed on in an error."""
 _ANSWER_BYTES = 2**20
+"""Longest answer that is read."""
 
 
 _SPOILT = "its process wrote into what belongs to uavtwin"

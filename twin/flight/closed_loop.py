@@ -27,6 +27,7 @@ from .mission import PHASES, mission, mission_duration_s, mission_names
 
 Array = NDArray[np.float64]
 STEP_S = 1e-3
+"""Of the loop, s: that of the co-simulation."""
 SETPOINTS = (
     *(f"setpoint_{kind}_{a}" for kind in ("pos", "vel", "acc") for a in AXES),
     "setpoint_yaw",
@@ -340,6 +341,7 @@ def _every(control: Component) -> int:
 
 
 STEEPEST_RAD = np.radians(75.0)
+"""Tilt beyond which a vehicle no longer flies its mission. Made up."""
 FARTHEST_ARMS, FARTHEST_M = 10.0, 0.5
 """Off the setpoint by more than so many rotor arms, and so many metres, is lost."""
 

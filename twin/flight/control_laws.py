@@ -20,7 +20,7 @@ from ..component import Component, ComponentBuilder
 from ..component.portable import angle, cosine, sine
 from ..effects import acting_late
 from ..errors import ModelError
-from ..frames import AXES, cross, multiply, to_body
+from ..frames import AXES, FRD, NED, cross, multiply, to_body
 from ..physics.airframe import airframe
 from ..vehicle import Vehicle
 
@@ -111,10 +111,6 @@ def limit_acceleration(
     return [x, y, z]
 
 
-_NED = ("north", "east", "down")
-_FRD = ("forward", "right", "down")
-
-
 @dataclass(frozen=True, slots=True)
 class Signals:
     """Inputs of a controller, as expressions.
@@ -153,16 +149,16 @@ def declare_signals(m: ComponentBuilder) -> Signals:
         ]
 
     return Signals(
-        pos=vector("pos", "m", "Position, NED", _NED),
-        vel=vector("vel", "m/s", "Velocity, NED", _NED),
+        pos=vector("pos", "m", "Position, NED", NED),
+        vel=vector("vel", "m/s", "Velocity, NED", NED),
         q_nb=[
             m.input(f"q_{a}", "1", f"Attitude quaternion body to NED, {a}", float(a == "w"))
             for a in "wxyz"
         ],
-        omega_b=vector("omega", "rad/s", "Body rate about", _FRD),
-        pos_sp=vector("setpoint_pos", "m", "Position setpoint, NED", _NED),
-        vel_sp=vector("setpoint_vel", "m/s", "Velocity setpoint, NED", _NED),
-        acc_sp=vector("setpoint_acc", "m/s2", "Acceleration setpoint, NED", _NED),
+        omega_b=vector("omega", "rad/s", "Body rate about", FRD),
+        pos_sp=vector("setpoint_pos", "m", "Position setpoint, NED", NED),
+        vel_sp=vector("setpoint_vel", "m/s", "Velocity setpoint, NED", NED),
+        acc_sp=vector("setpoint_acc", "m/s2", "Acceleration setpoint, NED", NED),
         yaw_sp=m.input("setpoint_yaw", "rad", "Heading setpoint of the nose, from north to east"),
         armed=m.input("armed", "1", "Whether the motors may turn", kind="boolean") > 0.5,
     )
@@ -183,6 +179,7 @@ FULL_OVER_HOVER = 2.5
 IDLE_OVER_HOVER = 0.05
 """Smallest thrust in flight over hover thrust: no rotor stops in the air. Made up."""
 INVERSE_DEGREE = 5
+"""Of the polynomial that inverts a thrust map. Made up."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -241,8 +241,11 @@ def _least(values: list[ca.SX]) -> ca.SX:
 
 
 TILT_LIMIT_RAD = 0.7
+"""Tilt that the position loop asks for at most, 40 degrees. Made up."""
 CLIMB_LIMIT_M_S2 = 4.0
+"""Upward acceleration that it asks for at most. Made up."""
 SINK_LIMIT_M_S2 = 4.0
+"""Downward acceleration that it asks for at most. Made up."""
 LIFT_RESERVE = 0.8
 """Share of the full thrust that level flight and tilt may use; the rest is for turning."""
 LEAST_LIFT = 1.05

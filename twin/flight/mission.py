@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from ..component import Component, ComponentBuilder, Enumeration
 from ..component.portable import cosine, sine
 from ..errors import ModelError
-from ..frames import AXES
+from ..frames import AXES, NED
 from ..vehicle import Vehicle
 
 Number = TypeVar("Number", ca.SX, NDArray[np.float64])
@@ -89,7 +89,7 @@ WAYPOINTS = (
 )
 """North, east, down (m) and heading (rad) of the tour's waypoints from the first hover."""
 TURN_S = 4.0
-_NED = ("north", "east", "down")
+"""Duration of a turn on the spot, s. Made up."""
 _TURN = 2 * np.pi
 
 
@@ -131,7 +131,7 @@ def mission(vehicle: Vehicle, name: str) -> Component:
     legs, lands = _legs(_Sizes(m, 0.5 if vehicle.arm_m < SMALL_ARM_M else 1.0), name)
     rest = [
         m.parameter(f"start.{a}", start, "m", f"Where the vehicle stands at the start, NED {d}")
-        for a, d, start in zip(AXES, _NED, (0.0, 0.0, -vehicle.leg_height_m), strict=True)
+        for a, d, start in zip(AXES, NED, (0.0, 0.0, -vehicle.leg_height_m), strict=True)
     ]
     rest.append(m.parameter("start.yaw", 0.0, "rad", "Heading at the start"))
     clock = m.state("clock", "s", "Time since the start of the mission", 0.0)
@@ -164,11 +164,11 @@ def mission(vehicle: Vehicle, name: str) -> Component:
             for so_far, more in ((where, way), (speed, way_speed), (acceleration, gain))
         )
     _leave_out(m, moving)
-    for i, (a, d) in enumerate(zip(AXES, _NED, strict=True)):
+    for i, (a, d) in enumerate(zip(AXES, NED, strict=True)):
         m.output(f"setpoint_pos_{a}", "m", f"Position setpoint, NED {d}", where[i])
-    for i, (a, d) in enumerate(zip(AXES, _NED, strict=True)):
+    for i, (a, d) in enumerate(zip(AXES, NED, strict=True)):
         m.output(f"setpoint_vel_{a}", "m/s", f"Velocity setpoint, NED {d}", speed[i])
-    for i, (a, d) in enumerate(zip(AXES, _NED, strict=True)):
+    for i, (a, d) in enumerate(zip(AXES, NED, strict=True)):
         m.output(
             f"setpoint_acc_{a}",
             "m/s2",
@@ -310,7 +310,7 @@ def _tour(size: _Sizes) -> list[_Leg]:
         here = [
             size(f"waypoint_{k}.{n}", v, unit, f"Waypoint {k} from the first hover, {d}")
             for n, v, unit, d in zip(
-                (*AXES, "yaw"), place, ("m", "m", "m", "rad"), (*_NED, "heading"), strict=True
+                (*AXES, "yaw"), place, ("m", "m", "m", "rad"), (*NED, "heading"), strict=True
             )
         ]
         way = [b - a for a, b in zip(before, here, strict=True)]

@@ -203,6 +203,7 @@ def log_parameters(path: Path) -> dict[str, float]:
 
 
 SAMPLE_PERIOD_S = 1e-3
+"""Of all loops, s: the step of the co-simulation."""
 _AXES = ("ROLL", "PITCH", "YAW")
 _I_FACTOR_RAD_S = float(np.radians(400.0))
 Vector = list[ca.SX]

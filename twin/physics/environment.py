@@ -10,15 +10,16 @@ from ..component import Component, ComponentBuilder
 from ..component.portable import binomial_power
 from ..effects import Blocks, effects_of
 from ..effects.air import Breeze
-from ..frames import AXES
+from ..frames import AXES, NED
 from ..vehicle import GRAVITY_M_S2, Vehicle
 from ..vehicle.earth import GAS_CONSTANT_J_KG_K, LAPSE_K_M
 
 SAMPLE_PERIOD_S = 1e-2
+"""Time between two draws of the gust, s. Made up."""
 GROUND_K, GROUND_PA = 288.15, 101325.0
+"""Temperature, K, and pressure, Pa, at sea level; ISO 2533:1975."""
 EXPONENT = GRAVITY_M_S2 / (LAPSE_K_M * GAS_CONSTANT_J_KG_K) - 1.0
 """Power of the temperature ratio that gives the density ratio."""
-_NED = ("north", "east", "down")
 
 
 def environment(vehicle: Vehicle) -> Component:
@@ -28,16 +29,16 @@ def environment(vehicle: Vehicle) -> Component:
     pos_z = m.input("pos_z", "m", "Position of the vehicle, NED down")
     vel = [
         m.input(f"vel_{a}", "m/s", f"Velocity of the vehicle, NED {d}")
-        for a, d in zip(AXES, _NED, strict=True)
+        for a, d in zip(AXES, NED, strict=True)
     ]
     wind = [
         m.parameter(f"wind.{a}", 0.0, "m/s", f"Steady velocity of the air, NED {d}")
-        for a, d in zip(AXES, _NED, strict=True)
+        for a, d in zip(AXES, NED, strict=True)
     ]
     through = ca.sqrt(sum(((v - w) ** 2 for v, w in zip(vel, wind, strict=True)), start=ca.SX(0)))
     blocks = Blocks(m, vehicle, effects_of("environment"))
     gust = blocks.apply(Breeze(wind, through, period, [ca.SX(0)] * 3)).gust_n
-    for a, d, steady, change in zip(AXES, _NED, wind, gust, strict=True):
+    for a, d, steady, change in zip(AXES, NED, wind, gust, strict=True):
         m.output(f"wind_{a}", "m/s", f"Velocity of the air, NED {d}", steady + change)
     m.output("density", "kg/m3", "Density of the air", _density(m, pos_z))
     blocks.idle()

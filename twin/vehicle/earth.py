@@ -14,6 +14,7 @@ A_M = 6378137.0
 F = 1 / 298.257223563
 """Flattening of WGS 84."""
 _E2 = F * (2.0 - F)
+"""First eccentricity, squared."""
 LAPSE_K_M = 0.0065
 """Fall of the temperature per height below 11 km, K/m; ISO 2533:1975."""
 GAS_CONSTANT_J_KG_K = 287.05287

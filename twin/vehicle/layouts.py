@@ -11,8 +11,11 @@ import numpy as np
 from . import Array
 
 CW, CCW = 1.0, -1.0
+"""Sense of rotation of a rotor, seen from above: clockwise, counter-clockwise."""
 _D = 0.707107
+"""sqrt(1/2) in six digits."""
 _S3 = 0.866025
+"""sqrt(3)/2 in six digits."""
 _MIXER = "PX4's MultirotorMixer"
 _ARDUPILOT = "ArduPilot's AP_MotorsMatrix"
 

@@ -20,6 +20,7 @@ from ...vehicle.earth import GAS_CONSTANT_J_KG_K, LAPSE_K_M
 from .common import EARTH, noise, noise_level, sensor_blocks, vector_input
 
 SAMPLE_PERIOD_S = 0.02
+"""Time between two draws of the noise, s. Made up."""
 
 
 def barometer(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:

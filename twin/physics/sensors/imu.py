@@ -34,6 +34,7 @@ from .common import (
 )
 
 SAMPLE_PERIOD_S = 1e-3
+"""Time between two draws of the noise, s. Made up."""
 DELAY_SAMPLES = 251
 """Samples remembered: the longest delay is one less than that many sample periods."""
 _UNITS = ("m/s2",) * 3 + ("rad/s",) * 3

@@ -26,6 +26,7 @@ from .common import (
 )
 
 SAMPLE_PERIOD_S = 0.02
+"""Time between two draws of the noise, s. Made up."""
 
 
 def magnetometer(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:

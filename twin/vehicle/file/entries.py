@@ -110,6 +110,7 @@ _TEXTS = ("name", "description")
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _PARTS = {"value", "coefficients", "unit", "source", "of", "sd"}
 _MOST_UNKNOWN = 50
+"""Unknown keys that one refusal lists at most."""
 _PER_MASS = {"body.drag_linear": "1/s"}
 """Keys that may be given per kilogram of the vehicle, with the SI unit they then have."""
 _Entry = dict[str, Any]

@@ -213,7 +213,9 @@ POSITION = {
 PLACE = ("site.latitude", "site.longitude")
 WHEN = ("site.height", "site.year")
 _HEIGHT_M, _YEAR = 0.0, 2025.5
+"""Where a file gives a place without a height, m, or a year."""
 _TEMPERATURES_K = (180.0, 340.0)
+"""Bounds of the air temperature at the ground, K: beyond any measured (184 K, 330 K; WMO)."""
 
 
 def sensor_contradictions(entries: Entries) -> Iterator[str]:
@@ -341,6 +343,7 @@ def spelled(fmi_unit: str) -> str:
 _ROUNDING = 1e-9
 """Share by which the moments of a flat plate may miss their sum."""
 _MOST_BYTES = 2**20
+"""Largest vehicle file that is read. Made up."""
 _MOST_PARTS = 32
 _STRING = re.compile(r"\"(?:[^\"\\\n]|\\.)*\"|'[^'\n]*'")
 _BETWEEN = re.compile(r"[\s=,#\[\]{}]")

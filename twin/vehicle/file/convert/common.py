@@ -18,6 +18,7 @@ from ... import Array
 Element = Any
 """An element of lxml, which has no types."""
 LARGEST_BYTES = 20_000_000
+"""Largest XML file that is read. Made up."""
 
 
 def read_xml(path: Path) -> Element:
