@@ -377,8 +377,8 @@ def score(everything: Sequence[Outcome], missing: Sequence[str] = ()) -> dict[st
 
 def _life(everything: Sequence[Outcome]) -> list[dict[str, Any]]:
     """Of cases as in life; none where there is no such case and no probability."""
-    told = any(o.lives or o.said.get("inclusion") for o in everything)
-    return life_rows(everything) if told else []
+    answered = any(o.lives or o.said.get("inclusion") for o in everything)
+    return life_rows(everything) if answered else []
 
 
 def _halves(everything: Sequence[Outcome]) -> dict[str, list[dict[str, Any]]]:

@@ -1,4 +1,4 @@
-"""The numbers of one aircraft, told by normal flights of it: all of them, together."""
+"""Calibration: all numbers of one aircraft, fitted together to normal flights of it."""
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -115,7 +115,7 @@ def calibrate(
     shapes = {priors.names[i] for i in np.flatnonzero(priors.shape)}
     undetermined = [name for name, s in share.items() if s > UNDETERMINED and name not in shapes]
     undetermined += _undetermined_beyond(priors, found.laplace, state)
-    told = Calibration(
+    reported = Calibration(
         tuple(f.name for f in flights),
         tuple(priors.names[i] for i in free),
         _shared_covariance(state, free),
@@ -123,7 +123,7 @@ def calibrate(
         problem.constants_between_days(state),
         _of_records(fit),
     )
-    made = replace(with_effects(vehicle, fit.effects, fit.values), calibration=told)
+    made = replace(with_effects(vehicle, fit.effects, fit.values), calibration=reported)
     days, shares = days_of(problem, best), shares_of(problem, state)
     estimates = _estimates(fit, priors, share, settings)
     return Calibrated(
@@ -160,8 +160,10 @@ def _estimates(
 ) -> dict[str, Estimate]:
     """Every number with its interval, which the number of effects that are fitted together widens
     as it does in `explain`."""
-    told = {n.effect for n in fit.numbers if not n.shape and share.get(n.full, 1.0) <= UNDETERMINED}
-    wider = math.sqrt(1 + settings.selection.variance_per_effect * len(told))
+    reported = {
+        n.effect for n in fit.numbers if not n.shape and share.get(n.full, 1.0) <= UNDETERMINED
+    }
+    wider = math.sqrt(1 + settings.selection.variance_per_effect * len(reported))
     found = {}
     for effect in fit.effects:
         for t in fitted_estimates(fit, priors, effect, wider):

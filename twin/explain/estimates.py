@@ -1,4 +1,4 @@
-"""What is told of each effect, to programs and to people alike."""
+"""What a result reports of each effect, to programs and to people alike."""
 
 import math
 from dataclasses import dataclass
@@ -154,8 +154,8 @@ def calibrated_effects(found: Explanation) -> list[str]:
         return []
     priors = found.naming.problem.priors
     unsure = {effect_of(c) for c, sd in zip(priors.cause, priors.spike, strict=True) if sd > 0}
-    told = {*listed_effects(found), *(r.effect for r in found.naming.resemblances)}
-    return [e for e in found.shown.effects if e in unsure and e not in told]
+    reported = {*listed_effects(found), *(r.effect for r in found.naming.resemblances)}
+    return [e for e in found.shown.effects if e in unsure and e not in reported]
 
 
 def undecided(found: Explanation) -> tuple[str, ...]:
