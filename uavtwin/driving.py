@@ -37,7 +37,7 @@ def driving_inputs(
         aligned: The flight on the grid of the twin.
         restarts: Rows, from 1 on, at which the twin is to have the measured motion, shape (k,);
             where that is unknown it goes on by itself.
-        compensated: Whether it has a compensator, which is told the phase of the flight.
+        compensated: Whether it has a compensator, which is given the phase of the flight.
 
     Returns:
         A row per grid point: `time` from 0 on, commands or rotor speeds (with their rates of

@@ -137,10 +137,10 @@ def _phrase(
     if stochastic is None:
         size = sizes(effect, estimates, most, since)
         return Headline(f"{title(effect)}{': ' * bool(size.text)}{size.text}", size.numbers)
-    told = [t for t in estimates if t.determined or t.number.shape][:most]
-    texts = [f"{t.number.name} = {quantity(t.value, t.number.about.unit)}" for t in told]
+    given = [t for t in estimates if t.determined or t.number.shape][:most]
+    texts = [f"{t.number.name} = {quantity(t.value, t.number.about.unit)}" for t in given]
     where = f"{title(effect)} in {', '.join(stochastic.channels)}"
-    numbers = tuple(t.number.full for t in told)
+    numbers = tuple(t.number.full for t in given)
     return Headline(where + (f": {joined(texts)}" if texts else ""), numbers)
 
 
@@ -154,14 +154,14 @@ def sizes(effect: str, estimates: Sequence[Estimate], most: int, since: bool = F
         most: Numbers to give without a clause.
         since: Whether the change since a calibration is meant.
     """
-    told = {t.number.name: t for t in estimates if t.determined}
-    change = said_numbers(effect, {k: t.change for k, t in told.items()})
-    told = {k: told[k] for k in change}
-    new = since or all(t.no_effect == t.number.about.neutral for t in told.values())
-    full = tuple(t.number.full for t in told.values())
+    known = {t.number.name: t for t in estimates if t.determined}
+    change = said_numbers(effect, {k: t.change for k, t in known.items()})
+    known = {k: known[k] for k in change}
+    new = since or all(t.no_effect == t.number.about.neutral for t in known.values())
+    full = tuple(t.number.full for t in known.values())
     if new and (words := clause(effect, change, since)):
         return Headline(words, full)
-    clearest = sorted(told.values(), key=lambda t: -abs(t.change) / _width(t))[:most]
+    clearest = sorted(known.values(), key=lambda t: -abs(t.change) / _width(t))[:most]
     return Headline(joined([_number(t) for t in clearest]), tuple(t.number.full for t in clearest))
 
 
@@ -182,7 +182,7 @@ def _number(estimate: Estimate) -> str:
 
 
 def _candidates(found: Explanation) -> list[str]:
-    """Effects that are told about, each with its probability."""
+    """Listed effects, each with its probability."""
     return [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed_effects(found)]
 
 
@@ -255,17 +255,17 @@ def _change(naming: Naming, effect: str, estimates: Sequence[Estimate]) -> Headl
     change = {t.number.name: t.change for t in estimates if t.determined}
     if not change:
         return Headline(f"{title(effect)} has changed")
-    told = said_numbers(effect, change)
+    numbers = said_numbers(effect, change)
     words = said(effect, change, since=True)
     rotors = {c.partition(":")[2] for c in naming.one_of(effect) if c.startswith(f"{effect}:")}
     named = {r for r in rotors if f"rotor {r} " in words}
     if len(rotors) > 1 and named:
         words += f" (or another one of rotors {joined(sorted(rotors), 'and')})"
-    return Headline(words, tuple(f"{effect}.{name}" for name in told))
+    return Headline(words, tuple(f"{effect}.{name}" for name in numbers))
 
 
 def _what_else(found: Explanation, sure: Sequence[str]) -> str:
-    """What is there beside the sure effects, where something is; begins with a blank."""
+    """What else is there besides the sure effects, where something is; begins with a blank."""
     if not undecided(found):
         return ""
     assert found.naming is not None

@@ -180,7 +180,7 @@ def run_train(
     wanted: Wanted,
     force: bool = False,
     progress: Progress = lambda _: None,
-    beside: Callable[[TrainResult, Path], None] = lambda *_: None,
+    alongside: Callable[[TrainResult, Path], None] = lambda *_: None,
 ) -> TrainResult:
     """Train, and write the folder of the model as a whole.
 
@@ -190,7 +190,7 @@ def run_train(
         flights, vehicle, force, progress: As of `train`.
         out: Folder of the model.
         wanted: What is trained.
-        beside: Takes the result and the folder to write into what else belongs there.
+        alongside: Takes the result and the folder to write into what else belongs there.
 
     Raises:
         TwinError: As `train`.
@@ -205,7 +205,7 @@ def run_train(
     try:
         with results_folder(out, force, checkpoint) as folder:
             made = replace(write(folder), folder=out)
-            beside(made, folder)
+            alongside(made, folder)
     except BaseException:
         if new:
             with suppress(OSError):  # it holds a checkpoint
@@ -346,13 +346,13 @@ def evaluate(
     physics: Vehicle | None = None,
     progress: Progress = lambda _: None,
 ) -> "Evaluation | ForceEvaluation":
-    """Measure a compensator on other flights, beside trivial baselines.
+    """Measure a compensator on other flights, against trivial baselines.
 
     Args:
         model: What `train` returned, or the folder that it wrote.
         flights: That it was not trained on.
-        explained: Vehicle that `explain` found, drawn beside the model's own.
-        physics: Of a learned force: the vehicle before it was explained, flown beside it.
+        explained: Vehicle that `explain` found, drawn with the model's own.
+        physics: Of a learned force: the vehicle before it was explained, flown with it.
         progress: Called with the share done, 0..1.
 
     Raises:

@@ -118,7 +118,7 @@ def _rows(
 
 def onnxruntime_cost(file: Path, calls: int = SAMPLES) -> tuple[float, float, float | None]:
     """Of a call of an ONNX file, one thread of a process that has loaded nothing else: median and
-    99th percentile, ms; memory of the process, MB, None where not told.
+    99th percentile, ms; memory of the process, MB, None where not known.
 
     Args:
         file: Its inputs are fed with random numbers; what it says last is its next `state`.
@@ -131,7 +131,7 @@ def onnxruntime_cost(file: Path, calls: int = SAMPLES) -> tuple[float, float, fl
 
 
 def _measured(program: str, path: Path | str, calls: int) -> tuple[float, float, float | None]:
-    """Median and 99th percentile, ms, and resident memory, MB (None where not told)."""
+    """Median and 99th percentile, ms, and resident memory, MB (None where not known)."""
     command = [sys.executable, "-c", program, str(path), str(calls)]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     if result.returncode != 0:

@@ -1,7 +1,7 @@
 """`uavtwin bench --scale`: time and memory of the verbs that read logs, against length of flight.
 
 A built-in flight is flown again and again until it is long enough; each verb then runs in a process
-of its own on each length, and the slopes of a straight line over the lengths are told.
+of its own on each length, and the slopes of a straight line over the lengths are given.
 """
 
 import json

@@ -21,14 +21,12 @@ def evaluate(
     flights: Annotated[list[Path], typer.Argument(help="Flights that it was not trained on.")],
     explained: Annotated[
         str | None,
-        typer.Option(
-            help="Vehicle file that `uavtwin explain` wrote, drawn beside the model's own."
-        ),
+        typer.Option(help="Vehicle file that `uavtwin explain` wrote, drawn with the model's own."),
     ] = None,
     physics: Annotated[
         str | None,
         typer.Option(
-            help="Of a learned force: vehicle file before it was explained, flown beside it."
+            help="Of a learned force: vehicle file before it was explained, flown with it."
         ),
     ] = None,
     out: Out = Path("evaluation"),
@@ -48,7 +46,7 @@ def evaluate(
         ),
     ] = False,
 ) -> None:
-    """Measure a compensator on other flights, beside trivial baselines.
+    """Measure a compensator on other flights, against trivial baselines.
 
     A learned force is measured by replaying them through exported FMUs.
     """

@@ -107,7 +107,7 @@ def _found(found: "JobRows") -> None:
 
 
 def _note(result: "FleetResult", folder: Path, request: "FleetRequest") -> None:
-    """Write `run.json`; logs are told from others by their fingerprints in `flights`."""
+    """Write `run.json`; logs are identified by their fingerprints in `flights`."""
     from ..output import write_run
 
     options = {

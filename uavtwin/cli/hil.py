@@ -146,7 +146,7 @@ def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions") -> "HilS
     ended = False
 
     def end(_: int, __: FrameType | None) -> None:
-        """Ctrl-C ends the flight, not what is told of it."""
+        """Ctrl-C ends the flight, not its report."""
         nonlocal ended
         ended = True
 

@@ -1,4 +1,4 @@
-"""`uavtwin live`: the twin beside a flying aircraft."""
+"""`uavtwin live`: the twin alongside a flying aircraft."""
 
 import signal
 from collections.abc import Iterator, Mapping
@@ -116,7 +116,7 @@ def live(
     alarms: Alarms = True,
     as_json: Annotated[Json, Prints("uavtwin.live.status:LiveStatus")] = False,
 ) -> None:
-    """Listen to a flying aircraft, fly the twin beside it, tell and record where they differ.
+    """Listen to a flying aircraft, fly the twin alongside, report and record where they differ.
 
     Ends with Ctrl-C, after --duration, or --until-silent. Nothing is sent to the aircraft but
     questions for its time (TIMESYNC), unless --request-rates is given.

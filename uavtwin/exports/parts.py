@@ -92,8 +92,8 @@ def twin(
         check_compensator(compensator, model)
     law = None
     if force is not None:
-        told = force.model
-        _check_taught(str(force.folder), told.vehicle, told.vehicle_sha256, model)
+        taught = force.model
+        _check_taught(str(force.folder), taught.vehicle, taught.vehicle_sha256, model)
         law = force.model.law
     if drive is None:
         assembly = flying_twin(model, mission, controller, law=law, position=position)
@@ -216,5 +216,5 @@ def _check_taught(model: str, name: str, sha256: str, vehicle: Vehicle) -> None:
         raise TwinError(
             f"{model}: the model was trained on other numbers of {vehicle.name} than those "
             f"given, and would correct what is no longer wrong. Give the vehicle file it was "
-            f"trained with, or train anew."
+            f"trained with, or train again."
         )

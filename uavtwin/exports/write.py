@@ -201,7 +201,7 @@ def _twin_products(twin: Twin, starts: Starts) -> list[Product]:
         compensator = compensator.with_starts(own[COMPENSATOR])
 
     def write(path: Path, fmi: int, platforms: Sequence[str]) -> None:
-        """The `.ssp`, its FMUs built beside it and taken away again."""
+        """The `.ssp`, its FMUs built next to it and removed."""
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=".parts") as folder:
             write_ssp(
                 system_of(assembly, Path(folder), fmi, platforms, compensator=compensator), path
@@ -297,7 +297,7 @@ def export(
     Args:
         what: `twin(vehicle)`, `component(NAME, vehicle)`, `replay(flight)`, `compensator(folder)`.
         path: File to write, `.fmu` or, of a twin, `.ssp`; an existing one is replaced. Several FMI
-            versions go beside it, into folders of their own: `fmi2/NAME`, `fmi3/NAME`.
+            versions go next to it, into folders of their own: `fmi2/NAME`, `fmi3/NAME`.
         fmi: FMI versions, 2, 3 or both.
         platforms: That it runs on, see `fmus.platforms`.
         starts: Start values baked in, by name of the parameter or input; in a twin "part.name".

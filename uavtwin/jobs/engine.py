@@ -43,7 +43,7 @@ class Task(Protocol[J, D]):
         """Hash of all that decides what comes of the jobs."""
 
     def name(self, job: J, /) -> str:
-        """By which a job is told from others."""
+        """Identifies a job."""
 
     def worker(self) -> Worker[J, D]:
         """One more that does jobs."""

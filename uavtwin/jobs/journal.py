@@ -79,7 +79,8 @@ class Journal(ABC, Generic[N]):
                 elif content[self.kind] != key:
                     raise TwinError(
                         f"{self._path}: is of another {self.kind}, which was not finished "
-                        f"({self.differs}). Choose another --out, or delete the file to begin anew."
+                        f"({self.differs}). Choose another --out, or delete the file to begin "
+                        f"again."
                     )
             except (ValueError, KeyError, TypeError) as error:
                 raise self.foreign(number + 1) from error
@@ -90,7 +91,7 @@ class Journal(ABC, Generic[N]):
         """A line of something else."""
         return TwinError(
             f"{self._path}: line {line} is not of a {self.kind}. Choose another --out, or delete "
-            f"the file to begin anew."
+            f"the file to begin again."
         )
 
     def write(self, content: Content) -> None:

@@ -1,4 +1,4 @@
-"""A worker whose jobs are done in a process of their own, started anew when a job ends it."""
+"""A worker whose jobs are done in a process of their own, restarted when a job ends it."""
 
 import contextlib
 import json

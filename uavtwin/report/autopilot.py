@@ -69,7 +69,7 @@ class Spectrogram:
         """As a page holds it: a byte a cell, 0 where unknown, 1 to 255 from `low` to `high`.
 
         Args:
-            columns: At most; the strongest of neighbours is kept.
+            columns: At most; the strongest of neighbours is shown.
         """
         known = self.power_db[np.isfinite(self.power_db)]
         low, high = (float(v) for v in np.percentile(known, [_LOWEST, _HIGHEST]))

@@ -107,7 +107,7 @@ def thinned(x: Array, y: Array, columns: int) -> tuple[Array, Array]:
     """The least and the largest value in each of so many columns of pixels, where they are.
 
     What is drawn of them is what would be drawn of all samples. The first of the unknown values of
-    a column is kept too, so that a gap stays a gap.
+    a column is there too, so that a gap stays a gap.
 
     Args:
         x: Ascending, shape (n,).
@@ -122,9 +122,9 @@ def thinned(x: Array, y: Array, columns: int) -> tuple[Array, Array]:
     unknown = np.isnan(y)
     known_in = np.bincount(column[~unknown], minlength=columns)[column[order[edges[:-1]]]]
     least, past = edges[:-1], edges[:-1] + known_in
-    kept = [order[least], order[np.maximum(past - 1, least)]]
-    kept.append(order[past[past < edges[1:]]])
-    keep = np.unique(np.concatenate([[0, len(x) - 1], *kept]))
+    chosen = [order[least], order[np.maximum(past - 1, least)]]
+    chosen.append(order[past[past < edges[1:]]])
+    keep = np.unique(np.concatenate([[0, len(x) - 1], *chosen]))
     return x[keep], y[keep]
 
 

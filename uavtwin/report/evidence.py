@@ -520,7 +520,7 @@ def slow_force_over_time(
 
 
 def _density(panels: Panels, name: str, unit: str, last: bool, linear: bool = False) -> str:
-    """A panel of a spectrum; lines of rotors are told apart on a linear axis."""
+    """A panel of a spectrum; lines of rotors are distinct on a linear axis."""
     along: dict[str, object] = {} if linear else {"type": "log", "dtick": 1}
     if last:
         along["title"] = {"text": "frequency, Hz"}

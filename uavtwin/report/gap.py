@@ -463,7 +463,7 @@ def _add_time(panels: Panels, channel: Channel, budget: Budget) -> bool:
 def _spectra_figure(
     channels: Sequence[Channel], spectra: Sequence[Sequence[Spectrum]], budget: Budget
 ) -> Figure:
-    """Power spectral densities of measured, twin and residual, log-log, beside the panels over
+    """Power spectral densities of measured, twin and residual, log-log, next to the panels over
     time."""
     panels = Panels((SIGNAL_PX + RESIDUAL_PX + GAP_PX,) * len(channels))
     for i, (channel, three) in enumerate(zip(channels, spectra, strict=True)):

@@ -39,7 +39,7 @@ def curve_figure(curve: Sequence[Mapping[str, Any]], best_epoch: int) -> Figure:
 
     Args:
         curve: One entry per epoch.
-        best_epoch: The one whose weights were kept.
+        best_epoch: The one whose weights are stored.
     """
     names = list(dict.fromkeys(n for e in curve for n in e if n not in ("epoch", "learning_rate")))
     positive = all(e[n] > 0 for e in curve for n in names if e.get(n))
@@ -54,11 +54,11 @@ def curve_figure(curve: Sequence[Mapping[str, Any]], best_epoch: int) -> Figure:
         mode = "lines+markers" if name == "validation" or len(x) < 3 else "lines"
         colour = _LOSSES.get(name, GREY)
         panels.line(axes, x, y, name, {"color": colour, "width": 1.5}, mode=mode)
-    kept = {"type": "line", "xref": "x", "yref": "paper", "x0": best_epoch, "x1": best_epoch}
+    marker = {"type": "line", "xref": "x", "yref": "paper", "x0": best_epoch, "x1": best_epoch}
     line = {"color": GREY, "dash": "dot", "width": 1.2}
-    panels.layout["shapes"].append({**kept, "y0": 0, "y1": 1, "line": line})
+    panels.layout["shapes"].append({**marker, "y0": 0, "y1": 1, "line": line})
     label = {"x": best_epoch, "xref": "x", "y": 1, "yref": "paper", "yanchor": "bottom"}
-    panels.layout["annotations"].append({**label, "text": "kept", "showarrow": False})
+    panels.layout["annotations"].append({**label, "text": "stored", "showarrow": False})
     return panels.figure
 
 

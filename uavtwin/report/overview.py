@@ -217,7 +217,7 @@ class Overview:
         attitude: Times, s, shape (m,), and quaternions body to NED, shape (m, 4); None.
         motors: Panels of one line per motor: title, then times and values of each.
         battery: Panels of one line: title, times, values.
-        told: What its autopilot says.
+        view: Its autopilot.
     """
 
     position: tuple[Array, Array] | None

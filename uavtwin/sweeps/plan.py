@@ -114,7 +114,7 @@ def plan_of(
         folder: For the FMUs.
         duration_s: Of each run; None: the mission's, or the system's own.
         step_s: Communication step; None: 10 ms, which inside are 1 ms, or the system's own.
-        whole: Whether recordings are kept, with every output.
+        whole: Whether recordings are stored, with every output.
         progress: Called with the share built, 0..1.
 
     Raises:

@@ -35,7 +35,7 @@ class RunResult:
 
     Attributes:
         outcome: In figures.
-        recording: Where recordings are kept.
+        recording: Where recordings are stored.
     """
 
     outcome: Outcome
@@ -169,7 +169,7 @@ class Work:
         engine: `local`, or `dask` with a scheduler.
         workers: Processes of the local engine; None: one per core.
         scheduler: Address of a Dask scheduler.
-        recordings: Whether every output of every run is kept.
+        recordings: Whether every output of every run is stored.
         limits: Of the processes that FMUs run in; the time as a whole is that of one run.
     """
 
@@ -231,7 +231,7 @@ def sweep(
         engine: `local`, or `dask` with a scheduler.
         workers: Processes of the local engine; default: one per core.
         scheduler: Address of a Dask scheduler.
-        recordings: Whether every output of every run is kept.
+        recordings: Whether every output of every run is stored.
         limits: Of the processes that FMUs run in.
         force: Whether files in the folder may be replaced.
         progress: Called with the share done, 0..1.
