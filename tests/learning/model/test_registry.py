@@ -83,7 +83,7 @@ def test_without_the_checkout_its_families_are_refused(monkeypatch: pytest.Monke
     for name in [m for m in sys.modules if m.startswith("benchmarks.")]:
         monkeypatch.delitem(sys.modules, name)
     assert families() == FAMILIES
-    with pytest.raises(ModelError, match=r"no family 'cvae'; there are svq.*source checkout"):
+    with pytest.raises(ModelError, match=r"no family 'cvae'; there are .*svq.*source checkout"):
         family_row("cvae")
-    with pytest.raises(ModelError, match=r"no preset 'cvae'; there are paper.*source checkout"):
+    with pytest.raises(ModelError, match=r"no preset 'cvae'; there are .*paper.*source checkout"):
         preset_named("cvae")
