@@ -102,7 +102,7 @@ def test_start_values_keep_every_bit(tmp_path: Path) -> None:
     description = fmpy.read_model_description(str(build(changed, tmp_path / "b.fmu", 2)))
     (start,) = [v.start for v in description.modelVariables if v.name == "resistance"]
     assert float(start) == value
-    instance = Instance(unzip(tmp_path / "b.fmu", tmp_path / "b"))
+    instance = Instance(unzip(tmp_path / "b.fmu", tmp_path / "b")).start()
     assert instance.get("resistance") == value
     instance.close()
 
