@@ -25,6 +25,8 @@ SHIPPED = ("twin", "learning", "fmus", "cosim", "uavtwin")
 PACKAGES = (*SHIPPED, "benchmarks")
 FEWEST_LINES = 60
 """Of a module that one other module imports."""
+TABLES = ("uavtwin.cli.", "twin.physics.")
+"""A file per verb, per component: one row of a table each, however short."""
 MOST_LINES = 650
 """Of a module: one concept; about 600."""
 
@@ -42,6 +44,13 @@ def test_contracts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Layers, circles, forbidden imports; imports inside functions count."""
     monkeypatch.chdir(ROOT)
     assert lint_imports(no_cache=True, show_timings=False) == 0
+
+
+def test_a_module_is_one_concept() -> None:
+    """Neither a fragment of its only importer nor several concepts."""
+    files = {m: f for m, f in modules_of(ROOT, SHIPPED).items() if not m.startswith(TABLES)}
+    assert fragments(files, graph(), FEWEST_LINES) == []
+    assert long_modules(modules_of(ROOT, SHIPPED), MOST_LINES) == []
 
 
 def test_private_names_stay_in_their_module() -> None:

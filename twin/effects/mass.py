@@ -73,7 +73,7 @@ def observe_swing(free_n: Array, excess_n: Array, length_m: float, step_s: float
     Returns:
         Unit vectors from the vehicle to the load, and their rates, 1/s, NED. Shapes (n, 3).
     """
-    state, free, excess = ca.SX.sym("state", 6), ca.SX.sym("free", 3), ca.SX.sym("felt", 3)
+    state, free, excess = ca.SX.sym("state", 6), ca.SX.sym("free", 3), ca.SX.sym("excess", 3)
     p, w = state[:3], state[3:]
     taut = length_m * ca.dot(w, w) > ca.dot(p, free)
     innovation = (excess - ca.dot(excess, p) * p) / ca.fmax(ca.norm_2(excess + 1e-12), FAINT_M_S2)

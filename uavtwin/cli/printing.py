@@ -117,13 +117,13 @@ def print_error(error: Exception, doing: str) -> Exit:
         said = " ".join(str(error).split())[:300]
         text = (
             f"{doing}: {type(error).__name__}: {said} This is a mistake of uavtwin; please report "
-            f"it with {_kept_traceback(error)}."
+            f"it with {_stored_traceback(error)}."
         )
     STDERR.print(f"error: {text}", style="red")
     return code
 
 
-def _kept_traceback(error: Exception) -> str:
+def _stored_traceback(error: Exception) -> str:
     """The file that tells where in the program it happened, among the logs of the user."""
     text = "".join(traceback.format_exception(error))
     try:

@@ -1,0 +1,57 @@
+"""Words of the field in names, JSON keys and headings: docs/reference/glossary.md."""
+
+import re
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+SHIPPED = ("twin", "learning", "fmus", "cosim", "uavtwin")
+BANNED = {"told", "felt", "anew", "beside", "hung", "whoever", "looks", "kept"}
+"""Words of no textbook: reported, observable, again, with, stored, ... say what is meant."""
+
+
+def words_of(name: str) -> set[str]:
+    """Words of an identifier in snake or camel case."""
+    return {w.lower() for w in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)}
+
+
+def banned_names(file: Path) -> Iterator[str]:
+    """Identifiers of a Python file, and its strings that are keys, with a banned word."""
+    with tokenize.open(file) as text:
+        for token in tokenize.generate_tokens(text.readline):
+            key = token.type == tokenize.STRING and re.fullmatch(r"[\"'](\w+)[\"']", token.string)
+            name = token.string if token.type == tokenize.NAME else key[1] if key else ""
+            if words_of(name) & BANNED:
+                yield f"{file}:{token.start[0]} {name}"
+
+
+def banned_headings(file: Path) -> Iterator[str]:
+    """Headings of a Markdown file, and names in its code, with a banned word."""
+    for line, text in enumerate(file.read_text().splitlines(), 1):
+        names = [text] if text.startswith("#") else re.findall(r"`([\w.]+)`", text)
+        for name in names:
+            if words_of(name) & BANNED:
+                yield f"{file}:{line} {name}"
+
+
+def test_names_and_keys() -> None:
+    files = [f for p in SHIPPED for f in sorted((ROOT / p).rglob("*.py"))]
+    assert [found for f in files for found in banned_names(f)] == []
+
+
+def test_headings() -> None:
+    files = [*sorted((ROOT / "docs").rglob("*.md")), ROOT / "README.md"]
+    assert [found for f in files for found in banned_headings(f)] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [("told_s = 1", 1), ("class LiveTold: pass", 1), ('x["felt"]', 1), ("tolds = unkept = 1", 0)],
+)
+def test_banned_words_are_found(tmp_path: Path, text: str, found: int) -> None:
+    file = tmp_path / "a.py"
+    file.write_text(text)
+    assert len(list(banned_names(file))) == found
