@@ -81,7 +81,7 @@ def written(
         (
             "command_delay",
             {"delay_s": 0.012},
-            "its motors get their commands 12 ms later than they did",
+            "its motors get their commands 12 ms later than at calibration",
         ),
         ("heading_offset", {"yaw_rad": np.pi / 18}, "its heading is off by another 10°"),
         ("accel_bias", {"x_m_s2": 0.3}, "its accelerometer reads 0.3 m/s² more in x than it did"),

@@ -160,8 +160,8 @@ def delay_clause(what: str) -> Clause:
         """See `Clause`."""
         delay = max(change.values(), key=abs, default=0.0)
         way = "later" if delay > 0 else "earlier"
-        than = "they did" if what.endswith("s") else "it did"
-        return f"{what} {number(1e3 * abs(delay))} ms {way} than {than if since else 'modelled'}"
+        before = "at calibration" if since else "modelled"
+        return f"{what} {number(1e3 * abs(delay))} ms {way} than {before}"
 
     return made
 
