@@ -56,7 +56,7 @@ def headline(found: Explanation) -> Headline:
         return Headline(text, since.numbers)
     if found.verdict == "nothing":
         sure = certainty(nothing_probability(naming))
-        text = f"The model lacks nothing that these flights can show ({sure} sure)."
+        text = f"The model lacks nothing that these flights can show (probability {sure})."
         return Headline(text + blind(naming.detectable, since=False))
     if found.verdict == "named":
         return _named(found, naming)
@@ -187,9 +187,10 @@ def _candidates(found: Explanation) -> list[str]:
 
 
 def _sure(found: Explanation, effects: Sequence[str]) -> str:
-    """How sure names are, in brackets and with a stop: of several the least sure one counts."""
+    """Probability of names, in brackets and with a stop: of several the smallest one."""
     least = certainty(min(probability_of(found, e) for e in effects))
-    return f"({least} sure)." if len(effects) == 1 else f"(each {least} sure or more)."
+    each = "" if len(effects) == 1 else " of each at least"
+    return f"(probability{each} {least})."
 
 
 def _outside(found: Explanation) -> str:
@@ -212,7 +213,7 @@ def _since(found: Explanation, naming: Naming) -> Headline:
     """What has changed since the calibration, a clause that ends in a stop."""
     if found.verdict == "nothing":
         sure = certainty(nothing_probability(naming))
-        text = f"nothing has changed that these flights can show ({sure} sure)."
+        text = f"nothing has changed that these flights can show (probability {sure})."
         return Headline(text + blind(naming.detectable, since=True))
     if found.verdict == "unnamed":
         return Headline(f"something has changed {_outside(found)}.")

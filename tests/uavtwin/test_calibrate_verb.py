@@ -86,7 +86,7 @@ def written(
         ("heading_offset", {"yaw_rad": np.pi / 18}, "its heading is off by another 10°"),
         ("accel_bias", {"x_m_s2": 0.3}, "its accelerometer reads 0.3 m/s² more in x than it did"),
         ("parasitic_drag", {"c_1_m": 0.1}, "parasitic drag (c_1_m 0.1 1/m)"),
-        ("rotor_drag", {"k_xy_1_s": 0.3}, "it brakes by 0.3 m/s² more for each m/s of airspeed"),
+        ("rotor_drag", {"k_xy_1_s": 0.3}, "drag has changed by 0.3 m/s² per m/s of airspeed"),
         ("rotor_drag", {"height_m": 0.02}, "rotor drag (height_m 20 mm)"),
     ],
 )

@@ -162,8 +162,10 @@ def test_the_hidden_effect_is_named_and_its_number_lies_in_its_interval(named: R
     assert effect["phases"][0] == "forward"
     assert "nothing" not in [r["name"] for r in effect["rivals"][:1]]
     assert all(r["probability"] < 0.05 for r in effect["rivals"])
-    sentence = r"The model lacks rotor drag: it brakes by 0\.(49|50)\d* m/s² for each m/s"
-    assert re.match(sentence + r" of airspeed \(\d+ % sure\)\.", named.stdout.splitlines()[0])
+    sentence = r"The model lacks rotor drag: drag is 0\.(49|50)\d* m/s² per m/s"
+    assert re.match(
+        sentence + r" of airspeed \(probability \d+ %\)\.", named.stdout.splitlines()[0]
+    )
 
 
 def test_the_gap_shrinks_to_the_noise_on_the_held_out_flight(named: Run) -> None:
