@@ -32,7 +32,9 @@ SAME_SIZE = 1.3
 SAME_CELLS = 1.15
 """Ratio of battery voltages: 4 cells over 3 are 1.33, 7 over 6 are 1.17."""
 SAME_CUTOFF = 1.5
+"""Ratio of cut-off frequencies of a filter from which on it is said; by judgement."""
 _LONGEST_S = 120.0
+"""Part of a long flight that is read to see how it turned, s."""
 OVERRIDE = "--trust-vehicle"
 
 

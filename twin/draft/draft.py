@@ -41,8 +41,11 @@ Array = NDArray[np.float64]
 Choice = Callable[[Flight, Array], NDArray[np.bool_]]
 
 _LEAST = 20
+"""Samples from which on a noise is estimated."""
 _IDLE = 0.02
+"""Largest command, over its range, at which motors are taken to stand."""
 _APART = 2.5
+"""Step of time over its median from which on two samples are no neighbours."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,9 +122,11 @@ _FIX_SD_DEG, _HEIGHT_SD_M = 1e-4, 30.0
 _GRAVITY_SD_M_S2 = 5e-4
 """Anomalies of the real field: 50 mGal."""
 _YEAR_SD = 0.01
+"""Of the date in years, four days: of a log; the field of the earth hardly changes in that."""
 _NOISE_SD, _PARAMETER_SD, _PLACE_SD_M = 0.1, 0.01, 0.005
 """Of what readings, set parameters and rulers say; by judgement."""
 _START_S = 2.0
+"""Beginning of a flight that the pressure at the start is taken from, s."""
 
 
 def draft_site(m: Making) -> float:
@@ -249,6 +254,7 @@ _MASS_SD = 0.01
 _ARM_SD = 0.03
 """Measured with a ruler, as there."""
 _SIZES_APART = 0.1
+"""Relative difference of the arms of log and owner from which on it is said; by judgement."""
 
 
 def draft_body(m: Making) -> Layout:

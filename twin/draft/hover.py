@@ -22,6 +22,7 @@ Rows = NDArray[np.bool_]
 LEAST_S = 2.0
 """A shorter stretch is no hover."""
 _SLOW_M_S = 0.5
+"""Speed below which a flight without phases hovers, m/s; by judgement."""
 LONGEST_STEP_S = 0.2  # of what one command stands for
 _NOT_FLOWN = ("ground", "takeoff", "land")
 
@@ -209,9 +210,13 @@ AXES = ("roll", "pitch", "yaw")
 CLEAR = 0.3
 """Correlation from which on a flight says how its rotors turn it."""
 _GRID_S = 0.01
+"""Step on which commands and body rates are compared, s."""
 _BAND_HZ = (0.5, 8.0)
+"""Band of that comparison, Hz: above slow trims, below vibration."""
 _LAG_S = 0.03
+"""Usual lag of a motor, s, by which commands are shifted."""
 _LEAST_S = 3.0
+"""Flight from which on its turning is compared with layouts, s; by judgement."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,19 +38,28 @@ from .hover import Hover, sampled
 Array = NDArray[np.float64]
 
 _ARDUPILOT_EXPO = 0.65
+"""Default of ArduPilot's MOT_THST_EXPO."""
 _EXPO_SD = 0.5
 """Of e: two of them to 2.5, of simulators whose motors do not start at 0, and to a flat curve."""
 _EXTREMES = (0.9, 2.8)
+"""Least and largest elasticity of thrust to command that a draft states; by judgement."""
 _GRID_S = 0.01
+"""Step on which commands and specific force are compared, s."""
 _SLOW_HZ = 2.0
+"""Cut-off of the low-pass before the thrust curve is fitted, Hz: vibration is above."""
 _LAG_S = prior_of(EFFECTS["motor_lag"]).of("tau_s", False).mean
 _LEAST_CORRELATION = 0.7
+"""Of thrust and command, below which the slope is the usual one; by judgement."""
 _LEAST_S = 5.0
+"""Hover from which on the thrust curve is fitted, s; by judgement."""
 _LAG_SD = 0.08
 """Of e over its value: lags of 15 to 75 ms instead of 30 change the gain at 1 Hz by so much."""
 _MEAN_S = 0.1
+"""Averaging time of commands and voltage, s."""
 _BLOCK_S = 2.0
+"""Length of the blocks of a hover that the sag is fitted to, s."""
 _LEAST_BLOCKS = 4
+"""Blocks from which on a slope with the voltage and a drift are fitted."""
 _DRIFT = 0.01
 """Of thrust along a hover, over it, by what else changes with time: warm motors; by judgement."""
 _LEAST_SAG = 0.01
