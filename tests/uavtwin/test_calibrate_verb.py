@@ -208,7 +208,7 @@ def calibrated(folder: Path) -> dict[str, Any]:
         with pytest.raises(SystemExit) as stop:
             main()
         assert stop.value.code == 1  # the reader itself doubts the flight that is left out
-    content = json.loads(json.dumps(kept[0], allow_nan=False))
+    content = json.loads(json.dumps(kept[0].json(), allow_nan=False))
     assert isinstance(content, dict)
     return content
 
