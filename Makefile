@@ -33,7 +33,7 @@ test: setup lint  ## all but the longest tests
 test-long: setup  ## the longest tests, which hold at length what others hold in parts
 	$(PYTEST) -m long
 
-fast: setup  ## without the slow tests; three minutes
+fast: setup  ## without the slow tests; four and a half minutes
 	$(PYTEST) -m 'not slow and not long'
 
 FUZZ := $(if $(COUNT),--count $(COUNT)) $(if $(MINUTES),--minutes $(MINUTES))

@@ -1,6 +1,7 @@
 """The equations of a component as text, its numbers put in: what a person reads, from the same
 operations that its C is made of."""
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from twin.component import Component
 from twin.errors import FmuError
 from twin.frames import AXES, to_ned
 
-from .kernels import operations
+from .kernels import NUMBERS, operations
 
 Array = NDArray[np.float64]
 SUM, PRODUCT, SIGN, POWER, ATOM = 1, 2, 3, 4, 5
@@ -40,28 +41,11 @@ OPERATORS = {
 }
 """Pattern, strength of the result, and the least strength of each argument."""
 FUNCTIONS = {
-    ca.OP_FMAX: "max",
-    ca.OP_FMIN: "min",
-    ca.OP_SIGN: "sign",
-    ca.OP_SQRT: "sqrt",
-    ca.OP_FABS: "abs",
-    ca.OP_FLOOR: "floor",
-    ca.OP_CEIL: "ceil",
-    ca.OP_FMOD: "fmod",
-    ca.OP_COPYSIGN: "copysign",
-    ca.OP_EXP: "exp",
-    ca.OP_LOG: "log",
-    ca.OP_SIN: "sin",
-    ca.OP_COS: "cos",
-    ca.OP_TAN: "tan",
-    ca.OP_ASIN: "asin",
-    ca.OP_ACOS: "acos",
-    ca.OP_ATAN: "atan",
-    ca.OP_ATAN2: "atan2",
-    ca.OP_SINH: "sinh",
-    ca.OP_COSH: "cosh",
-    ca.OP_TANH: "tanh",
-}
+    code: pattern.partition("(")[0]
+    for code, pattern in NUMBERS.items()
+    if re.fullmatch(r"\w+\(.*\)", pattern) and code not in OPERATORS
+} | {ca.OP_FMAX: "max", ca.OP_FMIN: "min", ca.OP_SIGN: "sign", ca.OP_FABS: "abs"}
+"""Names of the other operations: those of C, but for what C writes as a condition."""
 CONTACT = "ground.enabled"
 """Parameter of the airframe that switches ground contact on."""
 LEAVES = (ca.OP_INPUT, ca.OP_CONST)
