@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ModelError
+from ..formatting import percent
 from ..logs import Flight
 from ..logs.airframe import Place
 from ..logs.columns import MAX_MOTORS, MIN_MOTORS
@@ -23,7 +24,7 @@ from ..vehicle.file import parse_vehicle
 from ..vehicle.file.write import Draft, with_effect_sections
 from ..vehicle.layouts import FRAMES, Layout, frame, frames_of
 from ..vehicle.vehicle import SEA_LEVEL_TEMPERATURE_K
-from .facts import BODIES, Fact, Known, Making, percent, rounded, usual_inertia
+from .facts import BODIES, Fact, Known, Making, rounded, usual_inertia
 from .hover import (
     CLEAR,
     LEAST_S,

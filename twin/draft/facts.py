@@ -112,11 +112,6 @@ def rounded(value: float) -> float:
     return float(f"{float(value):.5g}")
 
 
-def percent(share: float) -> str:
-    """A share as a file and a person have it."""
-    return f"{100 * share:.2g} %"
-
-
 @dataclass(frozen=True, slots=True)
 class Usual:
     """A number that is usual.

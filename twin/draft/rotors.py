@@ -17,6 +17,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 from ..effects import EFFECTS, prior_of
+from ..formatting import percent
 from ..logs import Flight
 from ..logs.airframe import ThrustCurve
 from ..logs.columns import ACC
@@ -27,7 +28,6 @@ from .facts import (
     STATIC,
     Making,
     Usual,
-    percent,
     rounded,
     usual_diameter_m,
     usual_pitch_m,
