@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
 VEHICLE = "copter_default"

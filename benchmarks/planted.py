@@ -31,7 +31,7 @@ from twin.logs.columns import COLUMNS
 from twin.physics.airframe import airframe
 from twin.residuals.channels import ChannelData
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle, parse_vehicle
+from twin.vehicle_file import load_vehicle, parse_vehicle
 
 from .hidden_effects.cases import Case
 from .hidden_effects.produce import produce

@@ -221,7 +221,7 @@ def killed(bench: Bench, kills: int, seed: int, done: Callable[[int], None]) -> 
 def write_flights(work: Path) -> None:
     """Two flights with drag that the vehicle file lacks."""
     from twin.logs import write_flight
-    from twin.vehicle.file import load_vehicle
+    from twin.vehicle_file import load_vehicle
     from uavtwin.demo.flights import fly
 
     vehicle = load_vehicle(_ON[1])

@@ -18,7 +18,7 @@ from twin.logs import Flight, read_flight
 from twin.physics.airframe import airframe
 from twin.physics.sensors.imu import imu
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import fly, hide
 
 HORIZON_S = 0.5

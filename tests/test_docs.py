@@ -14,7 +14,7 @@ import pytest
 from cli_rig import run
 
 import uavtwin as ut
-from twin.vehicle.file import parse_vehicle
+from twin.vehicle_file import parse_vehicle
 from uavtwin.cli.main import VERBS
 from uavtwin.cli.options import Prints
 from uavtwin.cli.vehicle import vehicle as vehicle_app

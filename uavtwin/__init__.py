@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from twin.explain.settings import SearchSettings
     from twin.flight.mission import mission_names
     from twin.logs import Flight, Site, open_flight, read_flight, write_flight
-    from twin.vehicle.file import builtin_vehicles
+    from twin.vehicle_file import builtin_vehicles
 
     from .calibration import CalibrateResult, calibrate
     from .explanation import ExplainResult, explain
@@ -101,7 +101,7 @@ _HOME = {
     "Twin": "uavtwin.exports.parts",
     "TwinError": "twin.errors",
     "Vehicle": "uavtwin.vehicles",
-    "builtin_vehicles": "twin.vehicle.file",
+    "builtin_vehicles": "twin.vehicle_file",
     "check": "uavtwin.file_check:check_file",
     "compensator": "uavtwin.exports.parts",
     "component": "uavtwin.exports.parts",

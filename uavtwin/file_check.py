@@ -25,11 +25,11 @@ from twin.logs.validate import NO_TABLE, is_recording
 from twin.physics.airframe import airframe
 from twin.residuals.flight_gap import HoverDiagnosis, comparable, diagnosis_of
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
-from twin.vehicle.file.fields import FIELDS
 from twin.vehicle.layouts import Layout
 from twin.vehicle.plausibility import Question, questions
 from twin.vehicle.vehicle import DEFAULT
+from twin.vehicle_file import load_vehicle
+from twin.vehicle_file.fields import FIELDS
 
 from .display import DisplayMixin, TextTable
 from .gaps import HoverRecord, hover_record

@@ -15,8 +15,8 @@ from twin import vehicle as numbers
 from twin.draft import Drafted, Known, draft, kind_of
 from twin.errors import TwinError
 from twin.logs import Flight
-from twin.vehicle.file import parse_vehicle
 from twin.vehicle.vehicle import hover_level, polynomial
+from twin.vehicle_file import parse_vehicle
 
 from .display import DisplayMixin, TextTable
 from .flights import check_names, checked_flights

@@ -7,8 +7,8 @@ from typing import Any, Self
 from twin import vehicle as numbers
 from twin.component import unknown_name
 from twin.errors import ModelError, TwinError
-from twin.vehicle.file import builtin_vehicles, parse_vehicle, vehicle_text
-from twin.vehicle.file.write import update_text
+from twin.vehicle_file import builtin_vehicles, parse_vehicle, vehicle_text
+from twin.vehicle_file.write import update_text
 
 from .output import output_file
 
@@ -91,7 +91,7 @@ def convert_vehicle(path: str | Path, name: str | None = None) -> Vehicle:
         ModelError: No such file, a format that is not known, or a vehicle that a vehicle file
             cannot describe; the text says what to do.
     """
-    from twin.vehicle.file import convert  # readers of other simulators, for this alone
+    from twin.vehicle_file import convert  # readers of other simulators, for this alone
 
     text = convert.convert_vehicle(path, name)
     return Vehicle.of(parse_vehicle(text, Path(path).name), text)

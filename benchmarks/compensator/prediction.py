@@ -49,7 +49,7 @@ from learning.training.train import train
 from twin.explain.explanation import explain
 from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.compensators.running import CompiledCompensator, compiled_compensator
 
 from .residuals import residuals

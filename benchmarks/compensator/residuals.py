@@ -26,7 +26,7 @@ from learning.data.flights import (
     write_residuals,
 )
 from twin.logs import read_flight
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 from .simulated import VEHICLE, Individual
 

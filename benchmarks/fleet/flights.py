@@ -26,7 +26,7 @@ from twin.logs import Flight, Site, write_flight
 from twin.logs.airframe import Airframe, Place, SourcedValue
 from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL, motor_columns
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, setpoints_along
 
 Array = NDArray[np.float64]

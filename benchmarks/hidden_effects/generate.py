@@ -26,7 +26,7 @@ import numpy as np
 
 from twin.logs.flight import Flight
 from twin.logs.table import write_flight
-from twin.vehicle.file import parse_vehicle
+from twin.vehicle_file import parse_vehicle
 
 from .cases import (
     HALVES,

@@ -48,7 +48,7 @@ def ask_calibrated(folder: Path) -> dict[str, Any]:
     from twin.explain.calibration import calibrate
     from twin.explain.explanation import explain
     from twin.logs import read_flight
-    from twin.vehicle.file import load_vehicle
+    from twin.vehicle_file import load_vehicle
     from uavtwin.explain_record import explain_record
 
     normal = [read_flight(f) for f in found_in(folder, NORMAL)]
@@ -84,7 +84,7 @@ def explain_case(folder: Path, changed: Mapping[str, Any] | None = None) -> dict
     from twin.explain.explanation import explain
     from twin.explain.settings import DEFAULT
     from twin.logs import read_flight
-    from twin.vehicle.file import load_vehicle
+    from twin.vehicle_file import load_vehicle
     from uavtwin.explain_record import explain_record
 
     wall, cpu = time.perf_counter(), time.process_time()

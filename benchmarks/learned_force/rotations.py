@@ -8,7 +8,7 @@ from benchmarks.compensator.simulated import VEHICLE, Individual, individuals
 from benchmarks.real_flights.scenarios import SCENARIOS, Scenario, read
 from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 FINER, MOVING = "finer", "moving"
 """Groups of the simulated aircraft of blade elements: taught by hover and takeoff, as the paper

@@ -25,7 +25,7 @@ from twin.flight.simulate_flight import Later, Recorder, Stream, simulate_flight
 from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL, motor_columns
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, setpoints_along
 
 from ..real_flights.scenarios import SCENARIOS, read

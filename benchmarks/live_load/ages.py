@@ -14,7 +14,7 @@ import numpy as np
 import psutil
 
 from twin.logs import write_flight
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 from .runs import free_address, long_flight
 

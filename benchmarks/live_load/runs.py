@@ -19,7 +19,7 @@ from twin.explain.running.evidence import RunningEvidence
 from twin.logs import Flight, write_flight
 from twin.logs.read import read_flight
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.in_flight import damaged_flight
 from uavtwin.live.datagrams import Address
 from uavtwin.live.replay import Replay

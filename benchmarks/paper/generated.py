@@ -39,7 +39,7 @@ from twin.logs import Flight, read_flight, write_flight
 from twin.logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
 from twin.residuals.gap import spectrum
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.compensators.evaluation import check_new
 from uavtwin.compensators.training import RESIDUALS, VEHICLE_FILE
 from uavtwin.flights import check_names

@@ -12,7 +12,7 @@ import tomlkit
 
 from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
-from twin.vehicle.file import parse_vehicle, vehicle_text
+from twin.vehicle_file import parse_vehicle, vehicle_text
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -37,10 +37,10 @@ from twin.flight.assembly import COMPONENTS, Choices
 from twin.logs.columns import COLUMNS
 from twin.logs.formats import FORMATS
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
-from twin.vehicle.file.fields import FIELDS
 from twin.vehicle.plausibility import BANDS
 from twin.vehicle.vehicle import WORDS
+from twin.vehicle_file import load_vehicle
+from twin.vehicle_file.fields import FIELDS
 from uavtwin.cli.main import VERBS, app
 from uavtwin.cli.options import Prints
 from uavtwin.cli.vehicle import vehicle as vehicle_app

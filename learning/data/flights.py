@@ -105,7 +105,7 @@ def residual_flight(
 
     Args:
         flight: As read by `twin.logs.read_flight`.
-        vehicle: As read by `twin.vehicle.file.load_vehicle`, its effects included.
+        vehicle: As read by `twin.vehicle_file.load_vehicle`, its effects included.
         rate_hz: Of the grid; 1000 Hz over a whole number.
         restart_s: From the restart to the reading; a multiple of 1 ms, at least one interval, or
             0: the twin follows.

@@ -26,9 +26,9 @@ from twin.logs.flight import Flight
 from twin.logs.read import read_flight
 from twin.residuals.aligned import align_flight
 from twin.residuals.channels import BAND_HZ, GRID_HZ, imu_channels, low_pass
-from twin.vehicle.file import parse_vehicle
+from twin.vehicle_file import parse_vehicle
 
-ALLOWED = ("twin.errors", "twin.logs.flight", "twin.logs.table", "twin.vehicle.file")
+ALLOWED = ("twin.errors", "twin.logs.flight", "twin.logs.table", "twin.vehicle_file")
 """What the generators may take from the twin: the file formats and their errors."""
 RUNNERS = ("run", "__main__")
 """What calls `twin.explain`; generators import none of it."""

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.paper import generated
 from twin.errors import TwinError
 from twin.logs import Flight, read_flight, write_flight
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.cli import main
 from uavtwin.demo.flights import fly
 

@@ -33,7 +33,7 @@ from benchmarks.hidden_effects.realism import (
     seen_from,
     wrong_file,
 )
-from twin.vehicle.file import parse_vehicle
+from twin.vehicle_file import parse_vehicle
 
 QUAD = AIRCRAFT["quad_450"]
 DAYS = Conditions(days=True, fits=3)

@@ -14,7 +14,7 @@ from benchmarks.live_alarms.flights import (
 from benchmarks.live_alarms.page import outcome, page
 from twin.effects import BEGINNINGS, EFFECTS
 from twin.explain.running.hypotheses import MONITORED_EFFECTS
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 
 def alarm(raised_s: float, *names: str) -> dict[str, object]:

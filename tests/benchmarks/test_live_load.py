@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.live_load.page import page
 from benchmarks.live_load.runs import aircraft_at_once, long_flight
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 
 @pytest.mark.slow

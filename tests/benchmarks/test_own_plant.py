@@ -24,7 +24,7 @@ from benchmarks.hidden_effects.plants.own.physics import (
     thrust_ratio,
     to_ned,
 )
-from twin.vehicle.file import parse_vehicle
+from twin.vehicle_file import parse_vehicle
 
 every_aircraft = pytest.mark.parametrize("aircraft", AIRCRAFT.values(), ids=list(AIRCRAFT))
 LOAD_KG, ROPE_M = 0.2, 0.8

@@ -17,7 +17,7 @@ from benchmarks.real_flights.page import page
 from benchmarks.real_flights.scenarios import SCENARIOS, Change, read
 from twin.physics.airframe import airframe
 from twin.residuals.channels import ChannelData
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 ROOT = Path(__file__).parents[2]
 

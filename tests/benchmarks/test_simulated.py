@@ -23,7 +23,7 @@ from benchmarks.hidden_effects.plants import missions
 from learning.data.channels import GROUPS
 from learning.data.flights import ResidualFlight
 from twin.logs import read_flight
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 INDIVIDUAL = Individual("worn", 1, repeats=1)
 SECONDS = 5.2

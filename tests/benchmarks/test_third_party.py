@@ -31,7 +31,7 @@ from twin.residuals.aligned import align_flight
 from twin.logs.flight import Flight
 from twin.residuals.channels import GRID_HZ
 from twin.residuals.channels import imu_channels
-from twin.vehicle.file import parse_vehicle
+from twin.vehicle_file import parse_vehicle
 
 rms = {}
 for name in PLANTS[sys.argv[1]].aircraft:

@@ -16,7 +16,7 @@ from fmus import build, component_model
 from twin.component import Component, ComponentBuilder
 from twin.errors import FmuError
 from twin.physics.sensors.imu import imu
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
 SAMPLED = {"imu.sample_period": 0.03, "imu.gyro_noise": 0.1, "imu.seed": 7.0}

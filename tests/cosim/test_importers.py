@@ -25,7 +25,7 @@ from twin.component import Component
 from twin.physics.airframe import airframe
 from twin.physics.battery import battery
 from twin.physics.sensors.imu import imu
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from twin.errors import FmuError
 from twin.logs import Flight
 from twin.physics.airframe import airframe
 from twin.physics.sensors.imu import imu
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
 H = 1e-3

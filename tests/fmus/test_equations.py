@@ -16,7 +16,7 @@ from twin.flight.assembly import CONTROLLERS
 from twin.physics.airframe import airframe
 from twin.physics.environment import environment
 from twin.physics.sensors.magnetometer import magnetometer
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 COPTER, X150 = load_vehicle("copter_default"), load_vehicle("feisi_x150")
 DRAG = {"rotor_drag.enabled": 1.0, "rotor_drag.k_xy_1_s": 0.3}

@@ -19,7 +19,7 @@ from places import lacking
 from twin.component import Component
 from twin.physics.airframe import airframe
 from twin.physics.sensors.imu import imu
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
 STEP_S, STEPS = 1e-3, 2000

@@ -13,7 +13,7 @@ from twin.logs import Flight
 from twin.physics.airframe import airframe
 from twin.physics.battery import battery
 from twin.physics.sensors.imu import imu
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 COMPONENTS: dict[str, Callable[[], Component]] = {
     "airframe-feisi_x150": lambda: airframe(load_vehicle("feisi_x150")),

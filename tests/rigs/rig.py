@@ -14,7 +14,7 @@ from twin.physics.airframe import airframe
 from twin.physics.rotors import Drive
 from twin.residuals.channels import ChannelData
 from twin.vehicle import Rotors, Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
 BUILTIN = ("copter_default", "crazyflie", "feisi_x150")

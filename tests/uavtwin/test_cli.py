@@ -17,7 +17,7 @@ from cli_rig import run
 from twin.logs import read_flight, write_flight
 from twin.logs.airframe import Airframe
 from twin.vehicle import layouts
-from twin.vehicle.file import load_vehicle, vehicle_text
+from twin.vehicle_file import load_vehicle, vehicle_text
 from uavtwin.cli import main
 from uavtwin.cli.printing import print_sections, print_table
 from uavtwin.demo.flights import fly

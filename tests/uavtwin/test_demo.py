@@ -8,7 +8,7 @@ import pytest
 
 from twin.logs import Flight
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle, parse_vehicle
+from twin.vehicle_file import load_vehicle, parse_vehicle
 from uavtwin.demo.flights import (
     ACC_NOISE_M_S2,
     ATT_NOISE,

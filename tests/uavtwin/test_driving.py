@@ -10,7 +10,7 @@ from twin.logs import Flight
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.measured import Signal
 from twin.residuals.teacher_forced import GRID_S, RIGID
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import fly
 from uavtwin.driving import driving_inputs, true_motion
 

@@ -28,7 +28,7 @@ from twin.flight.closed_loop import Mission
 from twin.formatting import certainty
 from twin.logs import read_flight, write_flight
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin import explanation as explain_files
 from uavtwin.cli import main
 from uavtwin.cli.explain import flight_payloads

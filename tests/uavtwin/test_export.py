@@ -22,7 +22,7 @@ from cosim.master import Master
 from cosim.ssp import read_ssp, write_ssp
 from twin.errors import TwinError
 from twin.flight.assembly import COMPONENTS
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.cli.export import Choice, export_components
 from uavtwin.cli.options import COMPONENT_NAMES
 from uavtwin.exports.parts import component

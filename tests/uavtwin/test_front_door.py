@@ -23,8 +23,8 @@ from sample_logs import flight_table, foreign
 import uavtwin as ut
 from cosim.ssp import read_ssp
 from fmus import component_model
+from twin import vehicle_file as vehicle_files
 from twin.logs import write_flight
-from twin.vehicle import file as vehicle_files
 from uavtwin import ExplainResult, FleetResult, GapResult, SweepResult
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.display import PageMixin

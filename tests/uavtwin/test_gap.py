@@ -21,7 +21,7 @@ from twin.residuals.gap import Channel, FlightGap
 from twin.residuals.short_horizon import READ, whole_windows, window_ends
 from twin.residuals.teacher_forced import GRID_S, predicted_readings, sensor_readings
 from twin.vehicle import GRAVITY_M_S2, Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import (
     ACC_NOISE_M_S2,
     ATT_NOISE,

@@ -11,7 +11,7 @@ from cli_rig import run
 from rich.console import Console
 
 from twin.logs import write_flight
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.cli import main, printing
 from uavtwin.demo.flights import fly
 

@@ -20,10 +20,10 @@ from ..physics.sensors.table import SENSORS
 from ..representation import short_repr
 from ..vehicle import GRAVITY_M_S2
 from ..vehicle.earth import GAS_CONSTANT_J_KG_K, LAPSE_K_M, normal_gravity_m_s2, world_field
-from ..vehicle.file import parse_vehicle
-from ..vehicle.file.write import Draft, with_effect_sections
 from ..vehicle.layouts import FRAMES, Layout, frame, frames_of
 from ..vehicle.vehicle import SEA_LEVEL_TEMPERATURE_K
+from ..vehicle_file import parse_vehicle
+from ..vehicle_file.write import Draft, with_effect_sections
 from .facts import BODIES, Fact, Known, Making, rounded, usual_inertia
 from .hover import (
     CLEAR,

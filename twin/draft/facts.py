@@ -15,7 +15,7 @@ from ..logs import Flight
 from ..logs.airframe import Airframe
 from ..representation import short_repr
 from ..vehicle import Array
-from ..vehicle.file.write import Draft
+from ..vehicle_file.write import Draft
 from .hover import Hover
 
 Kind = Literal["given", "log", "usual"]

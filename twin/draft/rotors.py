@@ -22,8 +22,8 @@ from ..logs import Flight
 from ..logs.airframe import ThrustCurve
 from ..logs.columns import ACC
 from ..vehicle import Deviation, Vehicle
-from ..vehicle.file.write import Written
 from ..vehicle.layouts import Layout
+from ..vehicle_file.write import Written
 from .facts import (
     STATIC,
     Making,

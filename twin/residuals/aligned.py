@@ -236,7 +236,7 @@ def align_flight(
 
     Args:
         flight: As read by `twin.logs.read_flight`.
-        vehicle: As read by `twin.vehicle.file.load_vehicle`.
+        vehicle: As read by `twin.vehicle_file.load_vehicle`.
         grid_s: Step of the grid, s; unmeasured states are integrated with it.
         effects: Effects to build into the airframe, switched off.
         motion: Of the flight, where it has been measured already.

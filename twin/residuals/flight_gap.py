@@ -253,7 +253,7 @@ def flight_gap(
 
     Args:
         flight: As read by `twin.logs.read_flight`, or left in its file by `twin.logs.open_flight`.
-        vehicle: As read by `twin.vehicle.file.load_vehicle`.
+        vehicle: As read by `twin.vehicle_file.load_vehicle`.
         horizon_s: Short horizon; a multiple of 1 ms, at least 10 ms.
         progress: Called with the share done, 0..1.
         block_rows: How many milliseconds are held in memory at a time; the result is the same.

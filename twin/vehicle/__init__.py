@@ -1,4 +1,4 @@
-"""The numbers of one aircraft, its sensors and its site; `file` reads and writes them."""
+"""Numbers of one aircraft, its sensors and its site; `twin.vehicle_file` reads and writes them."""
 
 from .vehicle import (
     GRAVITY_M_S2,

@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from twin.errors import TwinError
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 from ..demo.flights import IMU_S, fly, hide
 from .verb import VERBS

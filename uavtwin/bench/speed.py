@@ -29,7 +29,7 @@ from twin.flight.assembly import flying_twin
 from twin.physics.airframe import airframe
 from twin.physics.residual_force import FEATURES, INPUTS, ForceLaw
 from twin.physics.sensors.imu import imu
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 from .figure import Row
 

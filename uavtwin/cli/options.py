@@ -42,7 +42,7 @@ def quantity(text: str, unit: str, bare: bool = True) -> float:
     Raises:
         ValueError: It is no number, its unit is none or of another kind, or the unit is missing.
     """
-    from twin.vehicle.file.entries import unit_factor
+    from twin.vehicle_file.entries import unit_factor
 
     match = _QUANTITY.fullmatch(text)
     if match is None:

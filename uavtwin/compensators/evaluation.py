@@ -20,7 +20,7 @@ from twin.errors import TwinError
 from twin.formatting import counted, number, percent, pretty_unit
 from twin.logs import Flight
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 from ..display import DisplayMixin, TextTable
 from ..flights import check_names

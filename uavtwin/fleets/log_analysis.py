@@ -20,7 +20,7 @@ from twin.logs import AnyFlight
 from twin.logs.airframe import SourcedValue
 from twin.logs.columns import GYRO, QUAT
 from twin.residuals.flight_gap import HoverDiagnosis
-from twin.vehicle.file import parse_vehicle
+from twin.vehicle_file import parse_vehicle
 
 from ..file_check import check_flight
 from ..flights import open_alike, reported_aircraft

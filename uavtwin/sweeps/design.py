@@ -24,7 +24,7 @@ from scipy.stats import norm, qmc, truncnorm
 
 from twin.component import unknown_name
 from twin.errors import TwinError
-from twin.vehicle.file.read import toml_tree
+from twin.vehicle_file.read import toml_tree
 
 Array = NDArray[np.float64]
 Value = float | bool | str

@@ -14,7 +14,7 @@ from fmus.archive import unpack
 from fmus.inspect import inspect_fmu
 from twin.errors import FmuError
 from twin.physics.sensors.imu import imu
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 Members = list[tuple[zipfile.ZipInfo, bytes]]
 

@@ -16,7 +16,7 @@ from fmus.documentation import documentation, project
 from twin.effects import EFFECTS, effects_of
 from twin.physics.airframe import airframe
 from twin.physics.sensors.imu import imu
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 COPTER = load_vehicle("copter_default")
 

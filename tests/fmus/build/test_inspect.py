@@ -16,7 +16,7 @@ from fmus import build, component_model
 from fmus.inspect import MAX_FACT, MAX_PROBLEMS, inspect_fmu, name_problems
 from twin.errors import FmuError
 from twin.physics.sensors.imu import imu
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 Edit = Callable[[dict[str, bytes]], dict[str, bytes]]
 

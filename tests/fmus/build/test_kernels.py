@@ -15,7 +15,7 @@ from fmus.builder import CFLAGS
 from fmus.kernels import NUMBERS, TOGETHER, TRUTHS, kernel_source, kernels, operations, paired
 from twin.errors import FmuError
 from twin.flight.lqr import controller
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
 

@@ -48,7 +48,7 @@ from learning.export.write import streamed
 from learning.model.compensator import Compensator
 from twin.errors import FmuError, TwinError
 from twin.flight.assembly import Assembly, connected_by_name, flying_twin
-from twin.vehicle.file import load_vehicle, vehicle_text
+from twin.vehicle_file import load_vehicle, vehicle_text
 from uavtwin.cli.export import Choice, default_vehicle, export_components
 from uavtwin.exports.write import WrittenFile
 

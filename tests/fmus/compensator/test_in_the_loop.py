@@ -17,7 +17,7 @@ from fmus.compensator import FILE, compensator_model
 from learning.data.channels import CHANNELS
 from learning.export.write import streamed
 from twin.flight.assembly import flying_twin
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 VEHICLE, STEP_S, SAMPLE_S = "crazyflie", 1e-3, 0.01
 TOLERANCE = 1e-5

@@ -15,7 +15,7 @@ from cosim.whole_twin import fused_model, system_of
 from fmus import build, component_model
 from twin.component import Component, Run, Variable
 from twin.flight.assembly import CONTROLLERS, Assembly, flying_twin
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 VEHICLE, H = "crazyflie", 1e-3
 FUSED = "corrected_twin"

@@ -12,7 +12,7 @@ from fmus import build
 from twin.component import Run
 from twin.flight.assembly import driven_twin
 from twin.residuals.teacher_forced import RIGID
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.cli.export import Choice, export_components
 
 VEHICLE, H, STEPS = "crazyflie", 1e-3, 400

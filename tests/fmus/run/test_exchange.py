@@ -23,7 +23,7 @@ from fmus import build, component_model, fuse
 from twin.component import Component, ComponentBuilder
 from twin.errors import FmuError
 from twin.physics.airframe import airframe
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 
 class Exchanged(Instance):

@@ -18,7 +18,7 @@ from twin.physics.sensors.barometer import barometer
 from twin.physics.sensors.imu import imu
 from twin.physics.sensors.magnetometer import magnetometer
 from twin.physics.sensors.position import position_sensor
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 STEPS = 2000
 VEHICLE = replace(load_vehicle("crazyflie"), accel_cutoff_hz=80.0)

@@ -35,7 +35,7 @@ from twin.physics.airframe import airframe
 from twin.physics.battery import battery
 from twin.physics.sensors.imu import imu
 from twin.physics.sensors.position import position_sensor
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 VEHICLE = load_vehicle("crazyflie")
 COMPONENTS: dict[str, Callable[[], Component]] = {

@@ -20,7 +20,7 @@ from twin.physics.sensors.magnetometer import magnetometer
 from twin.residuals.flight_gap import flight_gap
 from twin.residuals.teacher_forced import sensor_readings
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import fly
 
 Array = np.ndarray

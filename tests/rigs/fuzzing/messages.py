@@ -19,7 +19,7 @@ from sample_logs import flown_table
 from twin.logs import Flight, read_flight
 from twin.logs.mavlink.frames import AUTOPILOT, Frame, Message, dialect, frames, parser, stamped
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.live.datagrams import Address, Datagram
 from uavtwin.live.replay import played
 from uavtwin.live.session import LiveOptions, LiveSession

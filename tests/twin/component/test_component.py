@@ -10,7 +10,7 @@ from rig import BUILTIN
 from twin.component import Component, ComponentBuilder, substeps
 from twin.errors import ModelError
 from twin.physics.airframe import airframe
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 
 def oscillator(max_step_s: float = 0.01) -> Component:

@@ -12,7 +12,7 @@ from twin.flight.lqr import controller
 from twin.flight.mission import mission, mission_names
 from twin.flight.px4 import px4_controller
 from twin.physics.environment import environment
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from twin.logs.airframe import Airframe, Cells, SourcedValue
 from twin.logs.ardupilot.airframe import CLASSES, TYPES, geometry
 from twin.residuals.teacher_forced import choose_drive, drive_warnings
 from twin.vehicle import Battery, Vehicle
-from twin.vehicle.file import load_vehicle
 from twin.vehicle.layouts import CCW, CW, FRAMES, Layout, frame
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import fly
 
 Array = NDArray[np.float64]

@@ -5,8 +5,8 @@ import pytest
 
 from twin.draft import facts
 from twin.vehicle.earth import normal_gravity_m_s2
-from twin.vehicle.file import load_vehicle
 from twin.vehicle.layouts import FRAMES, frame
+from twin.vehicle_file import load_vehicle
 
 
 def test_inertia_scales_with_mass_and_the_square_of_the_arm() -> None:

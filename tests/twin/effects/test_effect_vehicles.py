@@ -22,7 +22,7 @@ from twin.residuals.gap import Channel
 from twin.residuals.short_horizon import READ
 from twin.residuals.teacher_forced import GRID_S
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import ACC_NOISE_M_S2, fly
 
 Array = np.ndarray

@@ -12,7 +12,7 @@ from twin.flight.control_laws import linearise
 from twin.physics.airframe import airframe
 from twin.physics.rotors import SHORTEST_LAG_S
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle, parse_vehicle
+from twin.vehicle_file import load_vehicle, parse_vehicle
 
 AIRFRAME = effects_of("airframe")
 IDS = [e.name for e in AIRFRAME]

@@ -14,7 +14,7 @@ from twin.explain.inference.fit import Problem
 from twin.explain.model.numbers import with_effects
 from twin.residuals.channels import CHANNEL_HZ, GRID_HZ
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
 Array = NDArray[np.float64]

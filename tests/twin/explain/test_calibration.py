@@ -13,7 +13,7 @@ from twin.explain.explanation import Explanation, explain
 from twin.explain.settings import DEFAULT
 from twin.logs import Flight
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
 CHANGES = {name: e.change for name, e in EFFECTS.items() if e.change is not None}

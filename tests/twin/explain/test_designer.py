@@ -28,7 +28,7 @@ from twin.explain.settings import DEFAULT
 from twin.flight.closed_loop import STEP_S
 from twin.logs import Flight
 from twin.vehicle import Vehicle
-from twin.vehicle.file import builtin_vehicles, load_vehicle
+from twin.vehicle_file import builtin_vehicles, load_vehicle
 from uavtwin.demo.flights import (
     ACC_NOISE_M_S2,
     ATT_NOISE,

@@ -14,7 +14,7 @@ from twin.explain.inference.fit import Fit
 from twin.explain.inference.selection import _resemblances, name_effects
 from twin.explain.settings import DEFAULT
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle, parse_vehicle, vehicle_text
+from twin.vehicle_file import load_vehicle, parse_vehicle, vehicle_text
 from uavtwin.demo.flights import fly
 from uavtwin.explain_record import explain_record
 

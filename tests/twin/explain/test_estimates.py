@@ -12,7 +12,7 @@ from twin.effects import EFFECTS
 from twin.explain.estimates import Estimate, credible_interval
 from twin.explain.inference.fit import INTERVAL
 from twin.explain.model.numbers import Number, numbers_of
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 COPTER = load_vehicle("copter_default")
 NUMBERS = {n.full: n for n in numbers_of(EFFECTS.values(), COPTER)}

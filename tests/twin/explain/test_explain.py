@@ -23,8 +23,8 @@ from twin.flight.closed_loop import fly_missions
 from twin.logs import Flight
 from twin.residuals.channels import GRID_HZ
 from twin.vehicle import Vehicle
-from twin.vehicle.file import builtin_vehicles, load_vehicle, parse_vehicle, vehicle_text
-from twin.vehicle.file.write import Written, with_effect_sections
+from twin.vehicle_file import builtin_vehicles, load_vehicle, parse_vehicle, vehicle_text
+from twin.vehicle_file.write import Written, with_effect_sections
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.headline import headline
 

@@ -12,7 +12,7 @@ from twin.explain.explanation import Explanation, explain
 from twin.explain.usable import flown, reasons_unusable, with_readings
 from twin.logs import Flight
 from twin.residuals.aligned import align_flight
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
 COPTER = load_vehicle("copter_default")

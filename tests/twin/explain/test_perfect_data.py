@@ -12,7 +12,7 @@ from twin.explain.inference.priors import priors_of
 from twin.explain.model.model import model_of
 from twin.logs import Flight
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
 COPTER = load_vehicle("copter_default")

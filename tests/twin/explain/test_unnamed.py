@@ -19,7 +19,7 @@ from twin.frames import to_body
 from twin.logs import Flight
 from twin.logs.columns import MAG
 from twin.physics.sensors.magnetometer import magnetometer
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
 Array = NDArray[np.float64]

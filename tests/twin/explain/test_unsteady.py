@@ -29,8 +29,8 @@ from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, MAG
 from twin.physics.airframe import airframe
 from twin.vehicle import GRAVITY_M_S2, Vehicle
-from twin.vehicle.file import load_vehicle
 from twin.vehicle.vehicle import hover_level
+from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
 Change = Callable[[dict[str, Array], Array, np.random.Generator], None]

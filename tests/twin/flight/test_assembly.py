@@ -22,7 +22,7 @@ from twin.flight.assembly import (
 from twin.flight.mission import mission_names
 from twin.physics.rotors import Drive
 from twin.physics.sensors.position import PRESETS, Kind
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 
 @cache

@@ -16,7 +16,7 @@ from twin.frames import AXES
 from twin.physics.airframe import airframe
 from twin.physics.environment import environment
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 WIND_M_S = (3.0, 4.0, 0.0)
 """5 m/s from the south-west."""

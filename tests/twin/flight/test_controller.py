@@ -17,7 +17,7 @@ from twin.flight.lqr import controller, design, mix
 from twin.frames import from_euler
 from twin.physics.airframe import airframe
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
 ANGLE = np.radians(30 + 60 * np.arange(6))

@@ -10,7 +10,7 @@ from rig import BUILTIN
 from twin.errors import ModelError
 from twin.flight import mission as missions
 from twin.flight.mission import PHASES, mission, mission_duration_s, mission_names
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
 STEP_S = 0.005

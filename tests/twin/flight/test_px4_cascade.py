@@ -18,7 +18,7 @@ from twin.flight.px4 import (
 )
 from twin.logs.px4.control import Mixer, geometry_scale, low_pass, mix, mixer_scale
 from twin.physics.airframe import airframe
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 FLOWN = ("copter_default", "feisi_x150")
 

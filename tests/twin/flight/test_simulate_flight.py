@@ -18,7 +18,7 @@ from twin.flight.mission import (
 from twin.flight.simulate_flight import Recorder, Stream, simulate_flight
 from twin.logs import Flight
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 Array = np.ndarray
 FEISI = load_vehicle("feisi_x150")

@@ -15,7 +15,7 @@ from twin.logs.columns import motor_columns
 from twin.logs.rotor_lag import LEAST_R2, LONGEST_DEAD_TIME_S, align_speed_stamps, speed_lag
 from twin.logs.table import write_flight
 from twin.residuals.teacher_forced import drive_warnings
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
 PLANT_HZ = 1000.0

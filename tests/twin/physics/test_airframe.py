@@ -14,7 +14,7 @@ from twin.errors import ModelError
 from twin.frames import from_euler, rotation_matrix
 from twin.physics.airframe import airframe, hover_trim
 from twin.vehicle import GRAVITY_M_S2
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 FREE = plain(inertia_kg_m2=FULL_INERTIA)
 angles = st.floats(-3.1, 3.1)

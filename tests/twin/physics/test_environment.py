@@ -14,7 +14,7 @@ from twin.component.component import normal
 from twin.effects.air import low_altitude_turbulence
 from twin.errors import ModelError
 from twin.physics.environment import environment
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
 AIR = environment(load_vehicle("copter_default"))

@@ -8,7 +8,7 @@ from twin.frames import from_euler
 from twin.physics.airframe import airframe
 from twin.physics.rigid_body import CONTACT_HZ, FRICTION
 from twin.vehicle import GRAVITY_M_S2
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 SINK_M = GRAVITY_M_S2 / (2 * np.pi * CONTACT_HZ) ** 2
 

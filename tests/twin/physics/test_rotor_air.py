@@ -18,8 +18,8 @@ from twin.effects import EFFECTS
 from twin.frames import from_euler, to_body
 from twin.physics.airframe import airframe
 from twin.vehicle import Advance, RotorAir, RunUp, Vehicle
-from twin.vehicle.file import load_vehicle, parse_vehicle, vehicle_text
 from twin.vehicle.vehicle import hover_level
+from twin.vehicle_file import load_vehicle, parse_vehicle, vehicle_text
 
 Array = np.ndarray
 PAGE = Path(__file__).parents[3] / "docs" / "guide" / "vehicle_from_simulators.md"
@@ -301,7 +301,7 @@ def test_the_hummingbird_turns_with_its_inertia_and_hovers_at_its_speed() -> Non
 
 
 def test_every_key_that_the_documentation_names_is_one() -> None:
-    from twin.vehicle.file.fields import FIELDS
+    from twin.vehicle_file.fields import FIELDS
 
     named = set(re.findall(r"`((?:body|rotors|imu|site)\.\w+)`", PAGE.read_text("utf-8")))
     assert len(named) > 20

@@ -6,7 +6,7 @@ from numpy.polynomial.polynomial import polyval
 from rig import BUILTIN, Rig, in_air, plain, with_rotors
 
 from twin.physics.rotors import per_power
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 LAGGED = with_rotors(plain(), lag_up_s=0.03, lag_down_s=0.08)
 VOLTAGE = with_rotors(plain(), reference_voltage_v=15.2, voltage_exponent=1.7)

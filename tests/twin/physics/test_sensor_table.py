@@ -11,9 +11,9 @@ from twin.effects.definition import RECORD
 from twin.errors import ModelError
 from twin.logs.columns import COLUMNS
 from twin.physics.sensors.table import BODY, SENSORS, Sensor, sensor_of
-from twin.vehicle.file import load_vehicle
-from twin.vehicle.file.fields import FIELDS
 from twin.vehicle.vehicle import Sensors
+from twin.vehicle_file import load_vehicle
+from twin.vehicle_file.fields import FIELDS
 
 VEHICLE = load_vehicle("copter_default")
 every_sensor = pytest.mark.parametrize("row", SENSORS, ids=lambda s: s.name)
@@ -52,7 +52,7 @@ def test_what_is_missed_in_live_flight_has_a_message(row: Sensor) -> None:
 
 def test_every_number_of_a_sensor_is_a_key_of_the_vehicle_file() -> None:
     keys = {f.metadata["key"] for f in fields(Sensors) if f.metadata}
-    assert not keys - {*FIELDS}, f"not in twin/vehicle/file/fields.py: {sorted(keys - {*FIELDS})}"
+    assert not keys - {*FIELDS}, f"not in twin/vehicle_file/fields.py: {sorted(keys - {*FIELDS})}"
 
 
 def test_every_key_of_a_sensor_is_read() -> None:

@@ -16,8 +16,8 @@ from twin.component.along import accumulated
 from twin.errors import ModelError
 from twin.physics.battery import battery
 from twin.physics.sensors.imu import imu
-from twin.vehicle.file import load_vehicle
 from twin.vehicle.vehicle import Sensors
+from twin.vehicle_file import load_vehicle
 
 ARM = np.array([0.05, -0.03, 0.02])
 vectors = st.tuples(*[st.floats(-20, 20)] * 3).map(np.array)

@@ -12,7 +12,7 @@ from twin.logs import Flight
 from twin.residuals.aligned import align_flight, carry
 from twin.residuals.channels import GRID_HZ
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
 COPTER = load_vehicle("copter_default")

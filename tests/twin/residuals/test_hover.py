@@ -10,7 +10,7 @@ from twin.draft.hover import Hover, hover_of
 from twin.logs import Flight
 from twin.residuals.flight_gap import HoverDiagnosis, Mean, diagnose, diagnosis_of
 from twin.residuals.gap import Channel
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.wording import hover_sentence
 

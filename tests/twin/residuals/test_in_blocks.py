@@ -16,7 +16,7 @@ from twin.residuals.channels import GRID_HZ
 from twin.residuals.flight_gap import flight_gap
 from twin.residuals.short_horizon import window_starts
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
 SHORT: Waypoints = (

@@ -17,7 +17,7 @@ from twin.physics.airframe import airframe
 from twin.residuals.channels import GRID_HZ, shifted
 from twin.residuals.gap import Channel, FlightGap, pool, rank, slow_part, spectrum, summarise
 from twin.residuals.teacher_forced import InputSignals
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.gaps import gap_record
 
 RATE_HZ = 200.0

@@ -19,7 +19,7 @@ from twin.residuals.gap import Channel
 from twin.residuals.stream import Stream
 from twin.residuals.stream_residuals import ResidualBlock, StreamResiduals
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 AGREES = 1e-9
 ByChannel = dict[tuple[str, float], list[Channel]]

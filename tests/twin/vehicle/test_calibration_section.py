@@ -9,9 +9,9 @@ import pytest
 from twin.effects import EFFECTS
 from twin.errors import ModelError
 from twin.vehicle import Calibration, Vehicle
-from twin.vehicle.file import load_vehicle, parse_vehicle, vehicle_text
-from twin.vehicle.file.calibration import same_calibration
-from twin.vehicle.file.write import update_text
+from twin.vehicle_file import load_vehicle, parse_vehicle, vehicle_text
+from twin.vehicle_file.calibration import same_calibration
+from twin.vehicle_file.write import update_text
 
 TEXT, _ = vehicle_text("copter_default")
 CHANGES = {name: e.change for name, e in EFFECTS.items() if e.change is not None}

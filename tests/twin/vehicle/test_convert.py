@@ -13,8 +13,8 @@ from twin.errors import ModelError
 from twin.frames import from_euler
 from twin.physics.airframe import airframe
 from twin.vehicle import Vehicle
-from twin.vehicle.file import parse_vehicle
-from twin.vehicle.file.convert import convert_vehicle
+from twin.vehicle_file import parse_vehicle
+from twin.vehicle_file.convert import convert_vehicle
 
 FLIP = np.array([1.0, -1.0, -1.0])
 FOOT_M, POUND_N = 0.3048, 4.4482216152605

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from twin.effects import EFFECTS, prior_of
 from twin.errors import ModelError
 from twin.vehicle import Deviation, Vehicle, relative_deviation
-from twin.vehicle.file import builtin_vehicles, load_vehicle, parse_vehicle, vehicle_text
-from twin.vehicle.file.write import update_text
 from twin.vehicle.vehicle import WORDS, share_by_word
+from twin.vehicle_file import builtin_vehicles, load_vehicle, parse_vehicle, vehicle_text
+from twin.vehicle_file.write import update_text
 
 FILE = """\
 [body]

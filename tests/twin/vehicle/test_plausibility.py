@@ -12,8 +12,8 @@ from rig import BUILTIN, X, plain
 
 from twin.vehicle import Deviation, Vehicle
 from twin.vehicle import plausibility as ask
-from twin.vehicle.file import load_vehicle, parse_vehicle
 from twin.vehicle.plausibility import Question, questions
+from twin.vehicle_file import load_vehicle, parse_vehicle
 
 Asking = Callable[[Vehicle], Iterator[Question]]
 Change = Callable[[Vehicle], Vehicle]

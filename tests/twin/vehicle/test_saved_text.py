@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from twin.effects import EFFECTS
 from twin.errors import ModelError
 from twin.vehicle import Advance, Battery, RotorAir, Rotors, RunUp, Vehicle
-from twin.vehicle.file import builtin_vehicles, load_vehicle, parse_vehicle, vehicle_text
-from twin.vehicle.file.fields import FIELDS
-from twin.vehicle.file.read import POSITION
-from twin.vehicle.file.write import TIED, update_text, values_by_key
+from twin.vehicle_file import builtin_vehicles, load_vehicle, parse_vehicle, vehicle_text
+from twin.vehicle_file.fields import FIELDS
+from twin.vehicle_file.read import POSITION
+from twin.vehicle_file.write import TIED, update_text, values_by_key
 
 TEXTS = {name: vehicle_text(name)[0] for name in builtin_vehicles()}
 Change = Callable[[Vehicle], Vehicle]

@@ -16,8 +16,8 @@ from rig import BUILTIN, Rig
 from twin.errors import ModelError
 from twin.physics.airframe import airframe
 from twin.vehicle import GRAVITY_M_S2
-from twin.vehicle.file import builtin_vehicles, load_vehicle, parse_vehicle
-from twin.vehicle.file.fields import FIELDS
+from twin.vehicle_file import builtin_vehicles, load_vehicle, parse_vehicle
+from twin.vehicle_file.fields import FIELDS
 
 FULL = """\
 name = "full"

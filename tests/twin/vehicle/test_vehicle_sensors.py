@@ -8,8 +8,8 @@ import pytest
 from twin.errors import ModelError
 from twin.vehicle import Vehicle
 from twin.vehicle.earth import world_field
-from twin.vehicle.file import load_vehicle, parse_vehicle
 from twin.vehicle.vehicle import EARTH_FIELD_N_T, Sensors
+from twin.vehicle_file import load_vehicle, parse_vehicle
 
 BASE = (resources.files("twin.vehicle") / "built_in" / "feisi_x150.toml").read_text("utf-8")
 

@@ -23,7 +23,7 @@ from learning.training.checkpoint import CHECKPOINT
 from twin.errors import TwinError
 from twin.logs import read_flight, write_flight
 from twin.residuals.aligned import align_flight
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.cli import main
 from uavtwin.compensators.evaluation import Evaluation, evaluation_claim
 from uavtwin.compensators.running import compiled_compensator

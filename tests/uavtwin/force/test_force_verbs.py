@@ -16,7 +16,7 @@ import yaml
 import uavtwin as ut
 from twin.errors import TwinError
 from twin.logs import write_flight
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.cli import main
 from uavtwin.demo.flights import fly
 from uavtwin.force import closed_loop, open_loop

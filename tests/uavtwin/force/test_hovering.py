@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.force.closed_loop import SETTLED_S, flown_hover, hovers, twin_hover
 

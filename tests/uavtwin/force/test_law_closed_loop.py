@@ -10,7 +10,7 @@ from learning.force.instants import instants
 from learning.force.laws import prepare
 from learning.force.model import ForceModel, LawScore, MissionCheck, Output
 from twin.physics.residual_force import FEATURES, OUTPUTS, ForceLaw
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import fly
 from uavtwin.exports.parts import LearnedForce
 from uavtwin.force.closed_loop import FLIGHTS, fly_both, flyable, random_air

@@ -13,7 +13,7 @@ from learning.force.laws import Candidate, prepare
 from twin.physics.residual_force import FEATURES, OUTPUTS
 from twin.residuals.teacher_forced import choose_drive
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.force.learn import ALONE_S, OBSERVER, WIDER, Fold, Lesson, chosen_observers
 from uavtwin.force.memory import Memory

@@ -12,7 +12,7 @@ from learning.force.model import observer_starts
 from twin.flight.assembly import driven_twin
 from twin.physics.residual_force import OUTPUTS
 from twin.residuals.teacher_forced import choose_drive
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import fly
 from uavtwin.force.open_loop import QUANTITIES, Replay
 

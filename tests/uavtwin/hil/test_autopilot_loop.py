@@ -17,7 +17,7 @@ from twin.logs.mavlink.encode import Controls, controls_of, hil_controls
 from twin.logs.mavlink.frames import Message, parser
 from twin.vehicle import Vehicle
 from twin.vehicle.earth import geodetic_of_ned
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.hil.flying import FlyingTwin, TwinState, flying_twin_of
 from uavtwin.hil.session import PLACE, HilOptions, HilSession
 from uavtwin.live.datagrams import Address

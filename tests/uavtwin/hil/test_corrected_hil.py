@@ -11,7 +11,7 @@ from learning.force.forecast import NO_OBSERVER
 from learning.force.model import ForceModel, MissionCheck, Output
 from twin.errors import TwinError
 from twin.physics.residual_force import FEATURES, INPUTS, OUTPUTS, ForceLaw
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.exports.parts import LearnedForce
 from uavtwin.exports.parts import compensator as read_compensator
 from uavtwin.hil.flying import flying_twin_of

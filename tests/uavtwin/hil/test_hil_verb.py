@@ -18,7 +18,7 @@ from cli_rig import run
 from twin.logs.mavlink.encode import Controls, heartbeat
 from twin.logs.mavlink.frames import parser
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.hil.flying import FlyingTwin, flying_twin_of
 from uavtwin.hil.session import HilOptions, HilSession, HilStatus
 from uavtwin.live.datagrams import Address

@@ -16,7 +16,7 @@ from learning.preset import Protocol
 from twin.logs import Flight, read_flight
 from twin.logs.mavlink.frames import Message, parser
 from twin.residuals.aligned import AlignedFlight
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.compensators.running import Correction, RunningCompensator, compiled_compensator
 from uavtwin.live.datagrams import Address
 from uavtwin.live.following import Publisher

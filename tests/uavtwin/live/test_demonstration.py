@@ -15,7 +15,7 @@ import pytest
 from cli_rig import run
 
 from twin.logs import Flight
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.in_flight import BEGINS_S, LOSS, ROTOR, damaged_flight, sent_meanwhile, waypoints
 from uavtwin.live.datagrams import Address
 

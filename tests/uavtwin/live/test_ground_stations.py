@@ -18,7 +18,7 @@ from sample_logs import flown_table
 
 from twin.logs import Flight
 from twin.logs.mavlink.frames import Frame, Message, dialect, frames, parser
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.live.datagrams import Address
 from uavtwin.live.replay import Replay
 from uavtwin.live.session import LiveOptions, LiveSession

@@ -25,7 +25,7 @@ from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, parser
 from twin.residuals.flight_gap import flight_gap
 from twin.residuals.measured import signal_of
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.live.datagrams import Address
 from uavtwin.live.replay import MAX_SPEED, Faults, Replay
 from uavtwin.live.session import LiveOptions, LiveSession

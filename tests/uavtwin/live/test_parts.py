@@ -17,7 +17,7 @@ from twin.logs.mavlink.encode import heartbeat
 from twin.logs.mavlink.frames import AUTOPILOT, dialect, parser
 from twin.residuals.stream import Stream
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.live.datagrams import MORE_OTHERS, Address, Datagram, Receiver
 from uavtwin.live.replay import played
 from uavtwin.live.session import LiveOptions, LiveSession

@@ -15,7 +15,7 @@ from twin.logs.mavlink.frames import Message, parser
 from twin.residuals.channels import GRID_HZ
 from twin.residuals.stream import Equations, Stream
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.live.datagrams import Address
 from uavtwin.live.following import Following, FollowingTwin, Publisher
 from uavtwin.live.recording import Recording

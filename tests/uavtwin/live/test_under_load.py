@@ -15,7 +15,7 @@ from benchmarks.live_load.flood import FLOODS, flooding
 from twin.logs import Flight, read_flight
 from twin.logs.mavlink.encode import attitude, heartbeat, imu, local_position
 from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, parser
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.live.datagrams import Address, Receiver
 from uavtwin.live.replay import MAX_SPEED, Replay
 from uavtwin.live.session import LiveOptions, LiveSession

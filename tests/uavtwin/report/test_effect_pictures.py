@@ -11,7 +11,7 @@ from twin.explain.stochastic.spectral import StochasticEffect
 from twin.logs import Flight
 from twin.logs.autopilot import Autopilot, Mode, Stretch
 from twin.residuals.channels import ChannelData
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.report.drawing import Budget, Panels, degenerate
 from uavtwin.report.evidence import unsteady_evidence, unsteady_strip, varies
 from uavtwin.report.page import plot

@@ -11,7 +11,7 @@ from search_rigs.hypotheses import problem_of
 from twin.effects import EFFECTS
 from twin.explain.inference.fit import Problem
 from twin.explain.model.model import model_of
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import fly
 
 COPTER = load_vehicle("copter_default")

@@ -10,7 +10,7 @@ from scipy.stats import norm
 from search_rigs.hypotheses import against, nothing_of
 
 from twin.explain.inference.adequacy import POWER_95, critical_size, smallest_detectable
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
 COPTER = load_vehicle("copter_default")

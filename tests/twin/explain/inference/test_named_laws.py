@@ -7,8 +7,8 @@ import pytest
 
 from twin.explain.inference.selection import name_effects
 from twin.vehicle import RotorAir, Vehicle
-from twin.vehicle.file import load_vehicle
 from twin.vehicle.vehicle import hover_level
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
 COPTER = load_vehicle("copter_default")

@@ -25,7 +25,7 @@ from twin.physics.airframe import airframe
 from twin.physics.sensors.barometer import barometer
 from twin.physics.sensors.magnetometer import magnetometer
 from twin.residuals.channels import CHANNEL_HZ, ChannelData
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
 COPTER, CRAZYFLIE = load_vehicle("copter_default"), load_vehicle("crazyflie")

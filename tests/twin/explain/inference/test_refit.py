@@ -10,7 +10,7 @@ from search_rigs.hypotheses import against, state_of
 
 from twin.explain.inference.fit import Problem
 from twin.logs import Flight
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import fly
 
 COPTER = load_vehicle("copter_default")

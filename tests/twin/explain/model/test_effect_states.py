@@ -17,7 +17,7 @@ from twin.physics.airframe import airframe
 from twin.physics.sensors.imu import imu
 from twin.residuals.teacher_forced import integrate_states
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
 COPTER = load_vehicle("copter_default")

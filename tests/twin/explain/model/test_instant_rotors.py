@@ -13,7 +13,7 @@ from twin.explain.model.model import Model, model_of
 from twin.logs import Flight
 from twin.physics.rotors import SHORTEST_LAG_S
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import WAYPOINTS, fly
 
 VEHICLE = load_vehicle("feisi_x150")

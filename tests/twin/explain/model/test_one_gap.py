@@ -12,7 +12,7 @@ from twin.explain.model.model import candidates, model_of
 from twin.logs import Flight, read_flight
 from twin.residuals.flight_gap import flight_gap
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.gaps import gap_record
 

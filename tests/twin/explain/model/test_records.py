@@ -15,7 +15,7 @@ from twin.explain.model.model import Model, candidates, model_of
 from twin.explain.model.numbers import with_effects
 from twin.logs import Flight
 from twin.logs.columns import GYRO, POS, QUAT, VEL
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import WAYPOINTS, fly
 
 VEHICLE = load_vehicle("copter_default")

@@ -18,7 +18,7 @@ from twin.flight.simulate_flight import Recorder, Stream, simulate_flight
 from twin.logs import Flight
 from twin.logs.columns import motor_columns
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo import flights as demo
 
 VEHICLE = load_vehicle("copter_default")

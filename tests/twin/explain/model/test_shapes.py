@@ -11,7 +11,7 @@ from twin.effects import EFFECTS
 from twin.explain.design import Manoeuvre, plan, rehearse
 from twin.explain.model.model import Model, candidates, model_of
 from twin.logs import Flight
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import WAYPOINTS, fly
 
 VEHICLE = load_vehicle("copter_default")

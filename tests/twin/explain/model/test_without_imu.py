@@ -18,7 +18,7 @@ from twin.explain.model.numbers import lacking
 from twin.logs import Flight
 from twin.logs.columns import ACC_NED, POS, QUAT, VEL
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
 COPTER = load_vehicle("copter_default")

@@ -15,7 +15,7 @@ from twin.explain.running.evidence import RunningEvidence
 from twin.flight.simulate_flight import Later, Recorder, Stream, simulate_flight
 from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL, motor_columns
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import setpoints_along
 
 Array = NDArray[np.float64]

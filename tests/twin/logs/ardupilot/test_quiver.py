@@ -14,7 +14,7 @@ from twin.logs import Flight, read_flight
 from twin.logs.agreement import turns
 from twin.logs.ardupilot.airframe import geometry, yaw_trim
 from twin.logs.ardupilot.log import open_ardupilot
-from twin.vehicle.file import parse_vehicle
+from twin.vehicle_file import parse_vehicle
 
 FOLDER = DATA / "quiver_pt1"
 LOGS = ("80", "81", "83", "87", "92")

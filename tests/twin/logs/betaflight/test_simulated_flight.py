@@ -10,7 +10,7 @@ from log_rigs.blackbox_rig import Part, blackbox, flown_main
 from scipy.signal import savgol_filter
 
 from twin.logs import Flight, read_flight
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import WAYPOINTS, fly
 
 _STEP_S = 0.005

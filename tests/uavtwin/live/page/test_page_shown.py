@@ -27,7 +27,7 @@ from twin.logs import Flight
 from twin.logs.mavlink.decoder import Sample
 from twin.logs.mavlink.frames import dialect
 from twin.residuals.gap import Channel
-from twin.vehicle.file import load_vehicle
+from twin.vehicle_file import load_vehicle
 from uavtwin.live.datagrams import Address
 from uavtwin.live.following import Following, Reading
 from uavtwin.live.page.document import document

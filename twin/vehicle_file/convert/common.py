@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from lxml import etree
 
-from ....errors import ModelError
-from ... import Array
+from ...errors import ModelError
+from ...vehicle import Array
 
 Element = Any
 """An element of lxml, which has no types."""

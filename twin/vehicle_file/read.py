@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from ...component import unknown_name
-from ...effects import EFFECTS
-from ...errors import ModelError
-from .. import GRAVITY_M_S2, Advance, Battery, Deviation, RotorAir, Rotors, RunUp, Vehicle
-from ..earth import world_field
-from ..vehicle import SEA_LEVEL_TEMPERATURE_K, Sensors, most_thrust_n
+from ..component import unknown_name
+from ..effects import EFFECTS
+from ..errors import ModelError
+from ..vehicle import GRAVITY_M_S2, Advance, Battery, Deviation, RotorAir, Rotors, RunUp, Vehicle
+from ..vehicle.earth import world_field
+from ..vehicle.vehicle import SEA_LEVEL_TEMPERATURE_K, Sensors, most_thrust_n
 from .calibration import SECTION, read_calibration
 from .entries import Entries, read_entries, read_number
 from .fields import FIELDS

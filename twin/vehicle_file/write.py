@@ -17,10 +17,10 @@ import tomlkit
 from tomlkit import TOMLDocument
 from tomlkit.items import InlineTable, Table
 
-from ...effects import EFFECTS
-from ...errors import ModelError
-from .. import Array, Deviation, Rotors, Vehicle
-from ..vehicle import BEFORE, DEFAULT
+from ..effects import EFFECTS
+from ..errors import ModelError
+from ..vehicle import Array, Deviation, Rotors, Vehicle
+from ..vehicle.vehicle import BEFORE, DEFAULT
 from .calibration import same_calibration, with_calibration
 from .entries import written_sd
 from .fields import FIELDS

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ....errors import ModelError
-from ... import Array
+from ...errors import ModelError
+from ...vehicle import Array
 from ..write import Draft
 from .common import FLU_TO_FRD, six_elements, turned
 

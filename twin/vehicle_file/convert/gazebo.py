@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ....errors import ModelError
+from ...errors import ModelError
 from ..write import Draft
 from .common import (
     FLU_TO_FRD,

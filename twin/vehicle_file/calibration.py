@@ -9,9 +9,9 @@ import tomlkit
 from tomlkit import TOMLDocument
 from tomlkit.items import Array as TomlArray
 
-from ...component import unknown_name
-from ...effects import EFFECTS
-from .. import Array, Calibration, Vehicle
+from ..component import unknown_name
+from ..effects import EFFECTS
+from ..vehicle import Array, Calibration, Vehicle
 
 SECTION = "calibration"
 _PARTS = ("flights", "numbers", "sd", "correlation", "days", "constants", "records")

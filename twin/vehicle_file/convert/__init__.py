@@ -5,7 +5,7 @@
 
 from pathlib import Path
 
-from ....errors import ModelError
+from ...errors import ModelError
 from ..read import toml_tree
 from .common import read_xml
 from .drone_models import convert_drone_models, is_drone_models

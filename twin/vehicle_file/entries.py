@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...errors import ModelError
-from .. import Array, Deviation
+from ..errors import ModelError
+from ..vehicle import Array, Deviation
 from .fields import FIELDS, Field
 
 PLACES = ("rotors.position", "imu.position", "position.antenna")

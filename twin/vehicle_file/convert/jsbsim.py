@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ....errors import ModelError
-from ... import Array
+from ...errors import ModelError
+from ...vehicle import Array
 from ..write import Draft
 from .common import Element, MassProperties, combined, floats, read_xml
 
