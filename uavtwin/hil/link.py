@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from twin.errors import TwinError
-from twin.logs.mavlink.frames import BAD, MARKERS, Message, dialect, parser
+from twin.logs.mavlink.frames import BAD, MARKERS, Message, dialect, packed, parser
 
 from ..live.datagrams import Address
 
@@ -64,7 +64,7 @@ class AutopilotLink:
             TwinError: The address is none of this machine, or is taken.
         """
         self.counts, self.peer = Counts(), ""
-        self._where, self._patience_s = where, patience_s
+        self._patience_s = patience_s
         self._packer = parser(SYSTEM, dialect.MAV_COMP_ID_AUTOPILOT1)
         self._reader = parser()
         self._peer: socket.socket | None = None
@@ -106,8 +106,7 @@ class AutopilotLink:
         assert self._peer is not None
         frames = b""
         for message in messages:
-            frames += message.pack(self._packer)
-            self._packer.seq = (self._packer.seq + 1) % 256
+            frames += packed(message, self._packer)
             self.counts.sent += 1
         try:
             self._peer.sendall(frames)

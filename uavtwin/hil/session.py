@@ -16,7 +16,6 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -76,10 +75,6 @@ class HilStatus:
     link: Mapping[str, int] = field(default_factory=dict)
     ended: str = ""
     fine: bool = True
-
-    def json(self) -> dict[str, Any]:
-        """For a program."""
-        return asdict(self)
 
     def line(self) -> str:
         """One line for a terminal."""

@@ -22,10 +22,10 @@ from twin.component.along import BUILDING, EachRow
 from twin.errors import TwinError
 from twin.explain.running.alarms import Alarm
 from twin.frames import AXES
-from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL, motor_columns
-from twin.logs.mavlink.decoder import GROUPS, Sample
+from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL
+from twin.logs.mavlink.decoder import Sample, columns_of
 from twin.logs.mavlink.encode import attitude, heartbeat, imu, local_position
-from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, parser
+from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, packed, parser
 from twin.residuals.stream import Equations
 from twin.residuals.teacher_forced import GRID_S
 
@@ -123,7 +123,7 @@ class FollowingTwin:
         if sample.group in self._index:
             self._measured[sample.group] = sample.values
         elif sample.group in ("cmd", "rotor", "vbat_v"):
-            names = GROUPS.get(sample.group) or motor_columns(sample.group, len(sample.values))
+            names = columns_of(sample.group, len(sample.values))
             for name, value in zip(names, sample.values, strict=True):
                 if name in self._inputs:
                     self._u[self._inputs[name]] = value
@@ -300,8 +300,7 @@ class Publisher:
         self._send(dialect.MAVLink_named_value_float_message(at_ms, short, value))
 
     def _send(self, message: Message) -> None:
-        frame = message.pack(self._packer)
-        self._packer.seq = (self._packer.seq + 1) % 256
+        frame = packed(message, self._packer)
         with contextlib.suppress(OSError):  # no listener there, as yet
             self._socket.sendto(frame, self._to.pair)
             self.sent += 1

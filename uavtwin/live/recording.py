@@ -9,7 +9,7 @@ end. A new section, after a restart of the aircraft's clock, has a number: `flig
 import heapq
 import json
 import math
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from twin.errors import TwinError
 from twin.logs import Flight
-from twin.logs.columns import in_order, motor_columns
+from twin.logs.columns import in_order
 from twin.logs.flight import Finding, Settled
-from twin.logs.mavlink.decoder import GROUPS, LANDED, Sample, best_source
-from twin.logs.mavlink.frames import dialect, stamped
+from twin.logs.mavlink.decoder import LANDED, Sample, Sources, columns_of
+from twin.logs.mavlink.frames import PHASES, stamped
 from twin.logs.table import Notes, TableStream, flight_schema, fold
 from twin.residuals.gap import Channel
 from twin.residuals.stream_residuals import ResidualBlock
@@ -42,11 +42,6 @@ _MOST_WAITING = 100_000
 """Samples that may wait: of a clock that stands still none would ever be released."""
 _CRUISE_M_S = 1.0
 """Horizontal speed above which a phase of flight is forward, m/s. Made up."""
-_PHASES = {
-    dialect.MAV_LANDED_STATE_ON_GROUND: "ground",
-    dialect.MAV_LANDED_STATE_TAKEOFF: "takeoff",
-    dialect.MAV_LANDED_STATE_LANDING: "land",
-}
 Columns = dict[str, NDArray[np.float64] | NDArray[np.object_]]
 
 
@@ -57,25 +52,26 @@ class RowBuffer:
     Attributes:
         hold_us: So long rows wait, us of the aircraft's clock.
         zero_us: Time on the aircraft's clock that is time 0 of the flight; None: none came yet.
-        sources: Which message each signal is taken from.
         late: Samples that came after their row was gone, by signal.
-        doubled: Samples of a time that was there already.
     """
 
     hold_us: int = round(1e6 * HOLD_S)
     zero_us: int | None = None
-    sources: dict[str, str] = field(default_factory=dict)
     late: Counter[str] = field(default_factory=Counter)
-    doubled: int = 0
     _heap: list[tuple[int, int, Sample]] = field(default_factory=list)
     _count: int = 0
     _first_us: int | None = None
     _newest_us: int = -(2**62)
     _released_us: int = -(2**62)
-    _heard: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
+    _sources: Sources = field(default_factory=Sources)
     _last_us: dict[str, int] = field(default_factory=dict)
     _landed: int = 0
     _speed_m_s: float = 0.0
+
+    @property
+    def sources(self) -> dict[str, str]:
+        """Which message each signal is taken from."""
+        return self._sources.chosen
 
     @property
     def waiting(self) -> int:
@@ -90,7 +86,7 @@ class RowBuffer:
             if self.sources.get(sample.group, sample.source) == sample.source:
                 self.late[sample.group] += 1
             return
-        self._heard[sample.group][sample.source] += 1
+        self._sources.add(sample)
         self._newest_us = max(self._newest_us, sample.t_us)
         self._count += 1
         heapq.heappush(self._heap, (sample.t_us, self._count, sample))
@@ -109,9 +105,7 @@ class RowBuffer:
         until = self._newest_us if everything else self._newest_us - self.hold_us
         if self._heap[0][0] > until:
             return None
-        for group, counts in self._heard.items():
-            if group not in self.sources:
-                self.sources[group] = best_source(counts)
+        self._sources.choose()
         portion = _Portion()
         while self._heap and self._heap[0][0] <= until:
             sample = heapq.heappop(self._heap)[2]
@@ -120,8 +114,7 @@ class RowBuffer:
             if sample.group == LANDED:
                 self._landed = int(sample.values[0])
                 continue
-            if not portion.add(sample):
-                self.doubled += 1
+            if not portion.add(sample):  # of a time that was there already
                 continue
             if sample.group == "vel":
                 self._speed_m_s = math.hypot(*sample.values[:2])
@@ -148,7 +141,7 @@ class RowBuffer:
         if not self._landed:
             return ""
         cruising = "forward" if self._speed_m_s > _CRUISE_M_S else "hover"
-        return _PHASES.get(self._landed, cruising)
+        return PHASES.get(self._landed, cruising)
 
 
 class _Portion:
@@ -182,7 +175,7 @@ class _Portion:
         found: Columns = {}
         for (group, width), (rows, values) in self._signals.items():
             signal = np.array(values, dtype=np.float64)
-            for k, name in enumerate(GROUPS.get(group) or motor_columns(group, width)):
+            for k, name in enumerate(columns_of(group, width)):
                 column = found.setdefault(name, np.full(len(self.t_us), np.nan))
                 column[rows] = signal[:, k]
         since_us = np.array(self.t_us, dtype=np.int64) - zero_us

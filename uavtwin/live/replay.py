@@ -16,7 +16,7 @@ from twin.errors import LogError, TwinError
 from twin.logs import Flight
 from twin.logs.columns import MAX_MOTORS, POS, QUAT, VEL
 from twin.logs.mavlink.encode import attitude, heartbeat, landed, local_position, messages_of
-from twin.logs.mavlink.frames import AUTOPILOT, BAD, Message, dialect, parser
+from twin.logs.mavlink.frames import AUTOPILOT, BAD, Message, dialect, packed, parser
 
 from .datagrams import Address, sending
 
@@ -254,10 +254,9 @@ class Replay:
         return self._began_s + (t_us - self._first_us) * 1e-6 / self._pace
 
     def _send(self, message: Message, at_s: float | None = None) -> None:
-        frame = message.pack(self._packer)
-        self._packer.seq = (self._packer.seq + 1) % 256
+        frame = packed(message, self._packer)
         self._messages += 1
-        self._link.send(time.monotonic() if at_s is None else at_s, bytes(frame))
+        self._link.send(time.monotonic() if at_s is None else at_s, frame)
 
     def _deliver(self) -> None:
         now = time.monotonic() if self._faults.jitter_s else float("inf")

@@ -14,7 +14,7 @@ from twin.errors import TwinError
 from twin.explain.running.alarms import Alarm
 from twin.logs.flight import Finding
 from twin.logs.mavlink.decoder import MavlinkDecoder, Sample, Stamp
-from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, parser
+from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, packed, parser
 from twin.residuals.flight_gap import DEFAULT_HORIZON_S
 from twin.vehicle import Vehicle
 
@@ -352,8 +352,7 @@ class LiveSession:
     def _send(self, message: Message) -> None:
         if self._receiver.sender is None:
             return
-        frame = message.pack(self._packer)
-        self._packer.seq = (self._packer.seq + 1) % 256
+        frame = packed(message, self._packer)
         with contextlib.suppress(OSError):  # it is not there any more
             self._socket.sendto(frame, self._receiver.sender)
 

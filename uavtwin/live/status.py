@@ -6,7 +6,7 @@ raises no alarms.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from twin.effects import EFFECTS
@@ -201,11 +201,6 @@ class LiveStatus:
     model: ModelStatus | None = None
     errors: tuple[str, ...] = ()
 
-    def json(self) -> dict[str, Any]:
-        """As JSON has it: null for what is not a finite number."""
-        parts: dict[str, Any] = _finite(asdict(self))
-        return parts
-
     def line(self) -> str:
         """One line for a terminal."""
         link = self.link
@@ -222,13 +217,3 @@ class LiveStatus:
         if self.waits_for:
             parts.append(f"the twin waits for {self.waits_for}")
         return "; ".join(parts)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(k): _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value

@@ -19,8 +19,8 @@ becomes a sample. A message without a time gets the newest time of the aircraft'
 """
 
 import math
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -31,7 +31,7 @@ from ...frames import from_euler, to_ned
 from ...physics.sensors.table import SENSORS
 from ...vehicle import GRAVITY_M_S2
 from ..ardupilot.log import motor_channels
-from ..columns import LIMITS, MAX_MOTORS, POS, QUAT, VEL
+from ..columns import LIMITS, MAX_MOTORS, POS, QUAT, VEL, motor_columns
 from ..px4.outputs import motor_functions
 from .frames import AUTOPILOTS, GCS, MOTORS, Message, dialect
 
@@ -47,7 +47,14 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "vbat_v": ("vbat_v",),
     "ibat_a": ("ibat_a",),
 }
-"""Columns that are sampled together; those of `cmd` and `rotor` depend on the number of motors."""
+"""Columns that are sampled together, but for `cmd` and `rotor`: `columns_of`."""
+
+
+def columns_of(group: str, width: int) -> tuple[str, ...]:
+    """Columns of a signal of so many numbers: those of motors depend on how many there are."""
+    return GROUPS.get(group) or motor_columns(group, width)
+
+
 LANDED = "landed"
 """Group of what the land detector says: a member of MAV_LANDED_STATE."""
 RANKS: tuple[str, ...] = (
@@ -92,15 +99,29 @@ class Sample:
     values: tuple[float, ...]
 
 
-def best_source(counts: Mapping[str, int]) -> str:
-    """Which of several sources of one group counts.
+class Sources:
+    """Which of several kinds of message each signal is taken from, in a file as in flight.
 
-    Args:
-        counts: Samples of each over the same time.
+    Attributes:
+        chosen: The source of each group, once `choose` was called.
     """
-    most = max(counts.values())
-    often = [s for s, n in counts.items() if n * _OFTEN >= most]
-    return min(often, key=RANKS.index)
+
+    def __init__(self) -> None:
+        self.chosen: dict[str, str] = {}
+        self._heard: defaultdict[str, Counter[str]] = defaultdict(Counter)
+
+    def add(self, sample: Sample) -> None:
+        """Count a sample."""
+        self._heard[sample.group][sample.source] += 1
+
+    def choose(self) -> None:
+        """Choose a source of each group that has none yet, by what has been counted so far: the one
+        of the best rank among those that come often."""
+        for group, counts in self._heard.items():
+            if group not in self.chosen:
+                most = max(counts.values())
+                often = [s for s, n in counts.items() if n * _OFTEN >= most]
+                self.chosen[group] = min(often, key=RANKS.index)
 
 
 # -- time stamps --------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from ...vehicle.earth import GAS_CONSTANT_J_KG_K, LAPSE_K_M
 from ...vehicle.vehicle import SEA_LEVEL_PRESSURE_PA, SEA_LEVEL_TEMPERATURE_K
 from ..columns import ACC, GYRO, MAG, POS, QUAT, VEL
 from .decoder import PA_PER_HPA, ROTOR_ARRAY, T_PER_GAUSS
-from .frames import TYPES, Message, dialect
+from .frames import PHASES, TYPES, Message, dialect
 
 _FIELDS_OF = ((ACC, 0x7), (GYRO, 0x38), (MAG, 0x1C0))  # bits of HIGHRES_IMU.fields_updated
 _PRESSURE = 0x200  # the same of abs_pressure
@@ -24,11 +24,7 @@ _ARRAY = 58  # numbers of DEBUG_FLOAT_ARRAY
 _ACTUATORS = 32  # of ACTUATOR_OUTPUT_STATUS
 _CELLS = 10  # of BATTERY_STATUS
 _NONE_16 = 65535  # of a cell that is not there
-_LANDED = {  # state by phase
-    "ground": dialect.MAV_LANDED_STATE_ON_GROUND,
-    "takeoff": dialect.MAV_LANDED_STATE_TAKEOFF,
-    "land": dialect.MAV_LANDED_STATE_LANDING,
-}
+_LANDED = {phase: state for state, phase in PHASES.items()}
 
 Row = Mapping[str, float]
 """Columns of a flight table that have a sample."""

@@ -36,6 +36,12 @@ MOTORS = {
 }
 """Motors of an aircraft by the type in its heartbeat."""
 TYPES = {count: kind for kind, count in MOTORS.items()}  # MAV_TYPE by motors
+PHASES = {
+    dialect.MAV_LANDED_STATE_ON_GROUND: "ground",
+    dialect.MAV_LANDED_STATE_TAKEOFF: "takeoff",
+    dialect.MAV_LANDED_STATE_LANDING: "land",
+}
+"""Phase of flight by what the land detector says (EXTENDED_SYS_STATE.landed_state)."""
 AUTOPILOTS = {  # names by MAV_AUTOPILOT
     dialect.MAV_AUTOPILOT_PX4: "PX4",
     dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot",
@@ -53,6 +59,13 @@ def parser(system: int = 0, component: int = 0) -> Any:
     made = dialect.MAVLink(None, system, component)
     made.robust_parsing = True
     return made
+
+
+def packed(message: Message, packer: Any) -> bytes:
+    """The frame of a message, with the next number in the sequence of its sender, a `parser`."""
+    frame = bytes(message.pack(packer))
+    packer.seq = (packer.seq + 1) % _MODULUS
+    return frame
 
 
 # -- telemetry logs -----------------------------------------------------------------------------

@@ -14,24 +14,26 @@ from ...errors import LogError
 from ..airframe import NO_MULTIROTOR, Airframe, SourcedValue
 from ..assemble import FlightBuilder, monotonic_samples
 from ..autopilot import Span, ground_spans, motion_spans
-from ..columns import VEL, motor_columns
+from ..columns import VEL
 from ..flight import Array, Finding, FindingCollector, Flight
 from ..formats import ReadOptions
 from ..validate import validate
-from .decoder import GROUPS, LANDED, USED, MavlinkDecoder, Sample, Stamp, best_source
-from .frames import Frame, Link, MessageParser, dialect, frames
+from .decoder import LANDED, USED, MavlinkDecoder, Sample, Sources, Stamp, columns_of
+from .frames import PHASES, Frame, Link, MessageParser, dialect, frames
 
-_ON_GROUND = dialect.MAV_LANDED_STATE_ON_GROUND  # EXTENDED_SYS_STATE.landed_state
-_NAMED = {dialect.MAV_LANDED_STATE_TAKEOFF: "takeoff", dialect.MAV_LANDED_STATE_LANDING: "land"}
-"""Phase by landed_state."""
 _SHOWN = 8
 """Kinds of message that an error lists."""
 
 
 class _Samples:
-    """Samples of one system by signal, source and width, as arrays: 8 bytes a number."""
+    """Samples of one system by signal, source and width, as arrays: 8 bytes a number.
+
+    Attributes:
+        sources: What each signal is taken from, as soon as `by_group` was called.
+    """
 
     def __init__(self) -> None:
+        self.sources = Sources()
         self._columns: dict[tuple[str, str, int], tuple[array[int], array[float]]] = {}
 
     def __len__(self) -> int:
@@ -40,23 +42,13 @@ class _Samples:
     def add(self, samples: Iterable[Sample]) -> None:
         """Take samples in order of arrival."""
         for sample in samples:
+            self.sources.add(sample)
             key = sample.group, sample.source, len(sample.values)
             if key not in self._columns:
                 self._columns[key] = array("q"), array("d")
             times, values = self._columns[key]
             times.append(sample.t_us)
             values.extend(sample.values)
-
-    def counts(self) -> dict[str, Counter[str]]:
-        """Number of samples by group and source."""
-        counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
-        for (group, source, _), (times, _) in self._columns.items():
-            counts[group][source] += len(times)
-        return counts
-
-    def sources(self) -> dict[str, str]:
-        """The best source of each group."""
-        return {group: best_source(counts) for group, counts in self.counts().items()}
 
     def by_group(self) -> dict[str, tuple[NDArray[np.int64], Array]]:
         """Times, us, and values of each signal, of its best source, in order of arrival.
@@ -65,7 +57,8 @@ class _Samples:
         motors it has.
         """
         found = {}
-        for group, source in self.sources().items():
+        self.sources.choose()
+        for group, source in self.sources.chosen.items():
             widths = {
                 w: len(t)
                 for (g, s, w), (t, _) in self._columns.items()
@@ -110,7 +103,7 @@ def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     flight = FlightBuilder(log, path, facts)
     for group, (t_us, values) in by_group.items():
         if group != LANDED:
-            columns = GROUPS.get(group) or motor_columns(group, values.shape[1])
+            columns = columns_of(group, values.shape[1])
             keep = monotonic_samples(log, group, t_us, "samples", "warning")
             flight.add(group, columns, t_us[keep] - start_us, values[keep])
     advice = "Ask for HIGHRES_IMU and ODOMETRY (SET_MESSAGE_INTERVAL) and fly again."
@@ -119,7 +112,7 @@ def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     table["time"] = (flight.t_us - flight.t_us[0]) * 1e-6
     landed = by_group.get(LANDED)
     phases = [] if landed is None else _phases(table, landed[0] - begin_us, landed[1])
-    flight.facts |= {f"source {g}": s for g, s in samples.sources().items()}
+    flight.facts |= {f"source {g}": s for g, s in samples.sources.chosen.items()}
     _note(log, decoder, link, system, table)
     found = flight.flight(table, phases, airframe=_airframe(decoder))
     mended, doubts = validate(path.name, found.columns)
@@ -200,15 +193,15 @@ def _is_reordered(t_us: NDArray[np.int64]) -> bool:
 def _phases(table: pd.DataFrame, t_us: NDArray[np.int64], state: Array) -> list[Span]:
     """Phases of the land detector, those of the air by how the aircraft moves."""
     t_s = np.asarray(t_us * 1e-6, dtype=np.float64)
-    ground = ground_spans(t_s, state[:, 0] == _ON_GROUND)
+    ground = ground_spans(t_s, state[:, 0] == dialect.MAV_LANDED_STATE_ON_GROUND)
     if set(VEL) <= set(table):
         known = table[list(VEL)].notna().all(axis=1).to_numpy()
         velocity = table.loc[known, list(VEL)].to_numpy(dtype=np.float64)
         ground = motion_spans(table["time"].to_numpy()[known], velocity, ground)
     edges = np.append(t_s, np.inf)
-    for k, code in enumerate(state[:, 0]):
-        if code in _NAMED:
-            ground.append((_NAMED[int(code)], float(edges[k]), float(edges[k + 1])))
+    for k, code in enumerate(state[:, 0].tolist()):
+        if (name := PHASES.get(code, "ground")) != "ground":
+            ground.append((name, float(edges[k]), float(edges[k + 1])))
     return ground
 
 

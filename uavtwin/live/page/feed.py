@@ -21,11 +21,13 @@ from numpy.typing import NDArray
 
 from twin.explain.running.alarms import Alarm
 from twin.frames import AXES, to_euler
-from twin.logs.columns import ACC, EULER, GYRO, POS, VEL, motor_columns
-from twin.logs.mavlink.decoder import Sample
+from twin.logs.autopilot import LEVELS
+from twin.logs.columns import ACC, EULER, GYRO, POS, VEL
+from twin.logs.mavlink.decoder import Sample, columns_of
 from twin.residuals.gap import Channel
 from twin.residuals.stream_residuals import ResidualBlock
 
+from ...record import plain
 from ..following import Following, Reading
 from ..status import LiveStatus, alarm_json
 
@@ -193,8 +195,8 @@ _STORED_EVERY = 4
 """Of so many states one is stored for viewers that come later."""
 _LONGEST_TEXT = 200
 """Characters of a text of the aircraft that are shown. Made up."""
-_VECTORS: Mapping[str, Sequence[str]] = {"acc": ACC, "gyro": GYRO, "vel": VEL, "pos": POS}
-_SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+_SHOWN = {"acc", "gyro", "vel", "pos", "vbat_v", "ibat_a", "cmd", "rotor"}
+"""Signals that are shown as they are read."""
 
 
 class PageFeed:
@@ -253,14 +255,13 @@ class PageFeed:
 
     def said(self, severity: int, text: str) -> None:
         """What the aircraft says of itself (STATUSTEXT)."""
-        known = 0 <= severity < len(_SEVERITIES)
-        name = _SEVERITIES[severity] if known else "unknown"
+        name = (LEVELS[severity] if 0 <= severity < len(LEVELS) else "") or "unknown"
         text = text.encode("utf-8", "replace").decode()
         self._hub.send("said", {"at": _ms(), "severity": name, "text": text[:_LONGEST_TEXT]})
 
     def known(self, status: LiveStatus) -> None:
         """Health of the streams and of this program."""
-        content = {**status.json(), "at": _ms(), "viewers": self._hub.viewers}
+        content = {**plain(status), "at": _ms(), "viewers": self._hub.viewers}
         self._hub.send("health", content, key="health")
 
     # -- of the thread of the twin ------------------------------------------------------------
@@ -300,12 +301,8 @@ class PageFeed:
         for group, values in list(self._measured.items()):
             if group == "q":
                 found |= _attitude(values)
-            elif group in _VECTORS:
-                found |= dict(zip(_VECTORS[group], values, strict=True))
-            elif group in ("vbat_v", "ibat_a"):
-                found[group] = values[0]
-            elif group in ("cmd", "rotor"):
-                found |= dict(zip(motor_columns(group, len(values)), values, strict=True))
+            elif group in _SHOWN:
+                found |= dict(zip(columns_of(group, len(values)), values, strict=True))
         return found
 
 

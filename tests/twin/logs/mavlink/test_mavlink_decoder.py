@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from twin.frames import from_euler, to_body
 from twin.logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
-from twin.logs.mavlink.decoder import GROUPS, LANDED, MavlinkDecoder, Sample, best_source
+from twin.logs.mavlink.decoder import GROUPS, LANDED, MavlinkDecoder, Sample, Sources
 from twin.logs.mavlink.encode import (
     attitude,
     heartbeat,
@@ -256,5 +256,9 @@ def test_landed_states() -> None:
 
 
 def test_the_better_of_two_sources() -> None:
-    assert best_source({"ATTITUDE": 100, "ODOMETRY": 90}) == "ODOMETRY"
-    assert best_source({"ATTITUDE": 100, "ODOMETRY": 10}) == "ATTITUDE"
+    for by_odometry, better in ((90, "ODOMETRY"), (10, "ATTITUDE")):
+        sources = Sources()
+        for kind in 100 * ["ATTITUDE"] + by_odometry * ["ODOMETRY"]:
+            sources.add(Sample("q", kind, 0, (1.0, 0.0, 0.0, 0.0)))
+        sources.choose()
+        assert sources.chosen == {"q": better}
