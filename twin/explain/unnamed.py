@@ -27,7 +27,14 @@ from .inference.sparse_regression import (
     sparse,
     terms,
 )
-from .inference.whitening import Block, Key, Noise, WhitenedFlights, blocks_of, noise_of
+from .inference.whitening import (
+    Autoregression,
+    Block,
+    Key,
+    WhitenedFlights,
+    autoregression_of,
+    blocks_of,
+)
 from .settings import DEFAULT, LikelihoodSettings, UnnamedSettings
 
 Array = NDArray[np.float64]
@@ -82,7 +89,7 @@ class Unnamed:
     equations: tuple[Equation, ...]
     gains: Array
     terms: int
-    noise: Mapping[str, Noise]
+    noise: Mapping[str, Autoregression]
 
     @property
     def gain(self) -> float:
@@ -152,22 +159,24 @@ def find_equations(
     return Unnamed(tuple(equations), np.array([gains[k] for k in keys]), count, noises)
 
 
-def _found(channel: _Channel, search: _Search) -> tuple[Equation, Sparse, Noise] | None:
+def _found(channel: _Channel, search: _Search) -> tuple[Equation, Sparse, Autoregression] | None:
     """Equation of a channel, and the noise that is left then.
 
     At first the noise is taken for white: an autoregression takes a steady shaking, or an offset,
     for a noise of its own.
     """
     unexplained = [c.residual for c in channel.flights]
-    whiten = noise_of(channel.flights, unexplained, 0, search.noise)
+    whiten = autoregression_of(channel.flights, unexplained, 0, search.noise)
     most = longest(_blocks(channel, whiten, search.noise), search.settings)
     unexplained = [c.residual - c.slopes @ most for c in channel.flights]
-    noise = noise_of(channel.flights, unexplained, search.noise.order, search.noise)
+    noise = autoregression_of(channel.flights, unexplained, search.noise.order, search.noise)
     best = sparse(_blocks(channel, noise, search.noise), search.folds, search.settings)
     return None if best is None else (_equation(channel, best, search), best, noise)
 
 
-def _blocks(channel: _Channel, noise: Noise, settings: LikelihoodSettings) -> dict[Key, Block]:
+def _blocks(
+    channel: _Channel, noise: Autoregression, settings: LikelihoodSettings
+) -> dict[Key, Block]:
     return blocks_of([[c] for c in channel.flights], [noise], settings)
 
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.explain.inference.evidence import LaplaceEvidence, Noise
+from twin.explain.inference.evidence import LaplaceEvidence
+from twin.explain.inference.noise import BandNoise
 from twin.explain.inference.priors import Bounds, Priors
 from twin.explain.inference.spectrum import Rows, Spectrum
-from twin.explain.settings import EvidenceSettings
 from twin.physics.sensors.table import SENSORS
 
 Array = NDArray[np.float64]
@@ -81,5 +81,5 @@ class Linear:
         k, priors = len(self.effects), self.priors
         bounds = Bounds(priors.low, priors.high, np.zeros((0, k)), np.zeros(0))
         own = np.ones(len(self.channels)) if self.own is None else self.own
-        noise = Noise(self.floor, own, {}, self.silent)
-        return LaplaceEvidence(self.spectrum, noise, priors, bounds, EvidenceSettings())
+        noise = BandNoise(self.floor, own, {}, self.silent)
+        return LaplaceEvidence(self.spectrum, noise, priors, bounds)

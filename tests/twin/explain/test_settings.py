@@ -85,7 +85,7 @@ LOCAL = {
         "running.detector.RECENT",
     },
     "what is believed before any flight, besides the table of priors": {
-        "inference.evidence.FAST_RAD_S",
+        "inference.noise.FAST_RAD_S",
         "inference.fit.KAPPAS",
         "inference.fit.BEFORE",
         "running.hypotheses.MONITORED_EFFECTS",
@@ -261,8 +261,7 @@ def test_no_part_of_the_search_forgets_to_hand_settings_down() -> None:
         "explain",
         "name_effects",
         "Problem.of",
-        "Noise.of",
-        "LaplaceEvidence",
+        "BandNoise.of",
         "misfits",
     } <= set(known)
     for module, tree in modules():

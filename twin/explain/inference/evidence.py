@@ -1,27 +1,20 @@
-"""Log evidence of a set of effects: noise levels integrated out per channel and band, MAP numbers,
-Laplace's approximation about them.
+"""Log evidence of a set of effects: noise levels integrated out, MAP numbers, Laplace's method.
 
-    r_cf = S_cf (theta - now + delta_f) + e_cf,     e_cf,k ~ N(0, v_ck I)
-    v_ck ~ scaled-inverse-chi2(nu, s_ck^2);         v_c0 = (kappa d_c)^2, one sample per flight
-    log p(r | theta) = -1/2 sum_ck (a_c n_ck + nu) log(s_ck^2 + a_c RSS_ck(theta) / nu)
-    a_c = 1 / (1 + n_c / (N0 F))
+    r_cf = S_cf (theta - now + delta_f) + e_cf,    e_cf: see `noise`
 
 Level and spectrum of the noise belong to the hypothesis: a channel that nothing explains yet is
-noisy, and no reason against what explains another one. One factor a_c tempers all bands of a
-channel (a coarsened posterior: Miller & Dunson, J. Am. Stat. Assoc. 114, 2019): in closed loop the
-log spectrum of d / (1 + KGC), all bands counted alike, does not depend on the model of G, so that
-disturbances alone carry no information on it; that is the prediction-error method with the noise
-free (Ljung, System Identification, sec. 13.4).
+noisy, and no reason against what explains another one. One factor tempers all bands of a channel (a
+coarsened posterior: Miller & Dunson, J. Am. Stat. Assoc. 114, 2019), a = 1 / (1 + n / (N0 F)): in
+closed loop the log spectrum of d / (1 + KGC), all bands counted alike, does not depend on the model
+of G, so that disturbances alone carry no information on it; that is the prediction-error method
+with the noise free (Ljung, System Identification, sec. 13.4).
 
-d_c is the standard deviation between flights of a constant of channel c that no effect explains:
-trim, levelling, temperature. kappa scales all day-to-day variation and is a number of the
+The variance of a constant is that between flights of a constant of its channel that no effect
+explains: trim, levelling, temperature. kappa scales all day-to-day variation and is a number of the
 hypothesis, too.
-
-To each RSS the variance of rounding to the least count of the sensor is added: noise-free readings
-of a simulation are known no better than that.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,54 +22,10 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import lsq_linear
 
-from ...physics.sensors.table import BODY, Sensor, sensor_of
 from ...representation import short_repr
-from ...residuals.channels import CHANNEL_HZ, GRID_HZ
-from ...vehicle import GRAVITY_M_S2, Vehicle
-from ..settings import DEFAULT, EvidenceSettings
+from .noise import NoiseLaw
 from .priors import Bounds, Priors
-from .spectrum import BANDS_HZ, Rows, Spectrum
-
-FAST_RAD_S = 0.4
-"""Body rate of a brisk turn."""
-
-
-def constants_of_days(
-    channels: Sequence[str], vehicle: Vehicle, settings: EvidenceSettings
-) -> list[float]:
-    """Standard deviation of the constant of each channel between flights, in its unit."""
-    return [_constant(name, vehicle, settings) for name in channels]
-
-
-def sensor_read(channel: str) -> Sensor:
-    """The sensor that a channel is of: that itself, or the one that the pose stands in for
-    (`motion_`) or is compared with (`pose_`)."""
-    sensor = sensor_of(_reading(channel))
-    assert sensor is not None, channel
-    return sensor
-
-
-def _reading(channel: str) -> str:
-    kind, _, read = channel.partition("_")
-    if kind == "motion":
-        return read.replace("rate_", "gyro_rate_")
-    return read if kind == "pose" else channel
-
-
-def _constant(name: str, vehicle: Vehicle, settings: EvidenceSettings) -> float:
-    """Of one channel."""
-    sensor, read = sensor_read(name), _reading(name)
-    if name.startswith("pose_"):
-        return settings.trim_pose * (FAST_RAD_S if sensor.rate else GRAVITY_M_S2)
-    columns = sensor.channels if read in sensor.channels else sensor.columns
-    axis = columns.index(read)
-    size = sensor.size(vehicle)[axis]
-    if sensor.group != BODY:
-        return settings.trim_other * size
-    if sensor.rate is None:
-        return settings.trim_force * size
-    return settings.trim_turn * size * (settings.trim_yaw if axis == 2 else 1.0)
-
+from .spectrum import Rows, Spectrum
 
 Array = NDArray[np.float64]
 STEPS, HALVINGS = 15, 5
@@ -85,60 +34,6 @@ SETTLED = 0.02
 """A step that gains less, in nats, is the last."""
 LEAST_EIGENVALUE = 1e-12
 """Of a curvature whose diagonal is one: sums over 1e4 samples are rounded to about this."""
-
-
-@dataclass(frozen=True, slots=True)
-class Noise:
-    """What is known of the noise before a flight is looked at.
-
-    Attributes:
-        floor: Square of the level by channel and band, laws being inexact; of a constant, that of
-            the days at kappa = 1.
-        own: By channel, how much of its power rows count.
-        rounding: By channel and band, variance of a row by rounding to the sensor's least count.
-        silent: Channels and bands that do not vote.
-    """
-
-    floor: Mapping[tuple[int, int], float]
-    own: Array
-    rounding: Mapping[tuple[int, int], float]
-    silent: frozenset[tuple[int, int]] = frozenset()
-
-    __repr__ = short_repr
-
-    @classmethod
-    def of(
-        cls,
-        rest: Spectrum,
-        constants: Sequence[float],
-        settings: EvidenceSettings = DEFAULT.inference.evidence,
-        silent: frozenset[tuple[int, int]] = frozenset(),
-    ) -> "Noise":
-        """From the residuals of the model as it stands.
-
-        Args:
-            rest: About the model as it stands.
-            constants: Of each channel, the size of a constant that a day may bring.
-            settings: How exact laws are, how much a flight tells.
-            silent: Channels and bands that do not vote.
-        """
-        power, flights = rest.power(), len(rest.rows[0])
-        floor, own = {}, np.ones(len(rest.channels))
-        rounding: dict[tuple[int, int], float] = {}
-        for c, (name, constant) in enumerate(zip(rest.channels, constants, strict=True)):
-            least = rounding_variance(name)
-            rounding |= {(c, b): float(least[b]) for b in range(1, len(BANDS_HZ))}
-            moving = [v for (k, b), v in power.items() if k == c and b]
-            n = sum(count for _, count in moving)
-            mean = sum(p for p, _ in moving) / max(n, 1)
-            own[c] = 1 / (1 + n / (settings.samples * flights))
-            for b in range(len(BANDS_HZ)):
-                if b == 0:
-                    floor[c, b] = constant**2
-                elif (c, b) in power:
-                    p, count = power[c, b]
-                    floor[c, b] = settings.rough**2 * max(p / count, 1e-3 * mean) + least[b]
-        return cls(floor, own, rounding, silent)
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,27 +69,23 @@ class LaplaceEvidence:
     def __init__(
         self,
         spectrum: Spectrum,
-        noise: Noise,
+        noise: NoiseLaw,
         priors: Priors,
         bounds: Bounds,
-        settings: EvidenceSettings = DEFAULT.inference.evidence,
     ) -> None:
         """Sum up.
 
         Args:
             spectrum: Residuals and slopes.
-            noise: What is known of the noise.
+            noise: Law of the noise.
             priors: Priors.
             bounds: Of the numbers, as changes.
-            settings: How much noise levels are known.
         """
         self.spectrum, self.priors, self._bounds = spectrum, priors, bounds
-        self._noise, self._level = noise, settings.level
         k, f, d = len(priors.now), len(spectrum.days), len(spectrum.day_columns)
         self._k, self._f, self._d = k, f, d
         self._columns = {e: priors.of([e]) for e in priors.causes}
-        self._sum()
-        self._constant = np.array([b == 0 for _, b in self._labels])
+        self._sum(noise)
         self._unsure = np.diag(priors.file) > 0
         days = priors.day[spectrum.day_columns]
         self._day = np.tile(days, f)
@@ -210,41 +101,33 @@ class LaplaceEvidence:
         """Where the residuals were taken, as `MapEstimate.x`."""
         return np.concatenate([self.spectrum.theta, self.spectrum.days.ravel()])
 
-    def _sum(self) -> None:
-        """Gram matrix of residual and slopes by channel and band."""
+    def _sum(self, noise: NoiseLaw) -> None:
+        """Gram matrices of residual and slopes, and the likelihood of what is left of them."""
         size = 1 + self._k + self._f * self._d
-        grams, counts, floors, labels = [], [], [], []
+        grams, terms = [], []
         for c, own in enumerate(self.spectrum.rows):
-            rows, at, band = self._side_by_side(own)
+            rows, at, band, flight = self._side_by_side(own)
             corner = np.ix_(at, at)
-            for b in np.unique(band):
-                if (c, int(b)) in self._noise.silent:
-                    continue
-                inside = rows[band == b]
-                weight = 1.0 if b == 0 else float(self._noise.own[c])
-                n = sum(1 for r in own if len(r.band)) if b == 0 else len(inside)
+            for term in noise.terms(c, rows, band, flight):
                 gram = np.zeros((size, size))
-                gram[corner] = weight * (inside.T @ inside)
-                gram[0, 0] += n * weight * self._noise.rounding.get((c, int(b)), 0.0)
+                gram[corner] = term.gram
                 grams.append(gram)
-                counts.append(n * weight)
-                floors.append(self._noise.floor[c, int(b)])
-                labels.append((c, int(b)))
-        self._grams, self._labels = np.array(grams), labels
-        self._n, self._floor = np.array(counts), np.array(floors)
+                terms.append(term)
+        self._grams, self._likelihood = np.array(grams), noise.likelihood(terms)
         reach = np.einsum("bii->bi", self._grams)[:, 1 : 1 + self._k]
         self._reach: dict[str, set[int]] = {
-            e: {labels[i][0] for i in np.flatnonzero(reach[:, self._columns[e]].any(axis=1))}
+            e: {terms[i].channel for i in np.flatnonzero(reach[:, self._columns[e]].any(axis=1))}
             for e in self.priors.causes
         }
 
     def _side_by_side(
         self, own: Sequence[Rows]
-    ) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
+    ) -> tuple[Array, NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
         """A channel of all flights: residual with no number changed, slopes, those of each day.
 
         Returns:
-            Rows, shape (n, m); position of each column in a gram matrix; band of each row.
+            Rows, shape (n, m); position of each column in a gram matrix; band of each row, and its
+            flight.
         """
         spectrum = self.spectrum
         active = np.unique(np.concatenate([r.active for r in own]))
@@ -262,7 +145,8 @@ class LaplaceEvidence:
             parts.append(y)
         days_at = [1 + self._k + f * self._d + place[a] for f in range(self._f) for a in daily]
         at = np.concatenate([[0], 1 + active, days_at]).astype(np.intp)
-        return np.concatenate(parts), at, np.concatenate([r.band for r in own])
+        flight = np.repeat(np.arange(len(own)), [len(r.band) for r in own])
+        return np.concatenate(parts), at, np.concatenate([r.band for r in own]), flight
 
     def share_a_channel(self, a: str, b: str) -> bool:
         """Whether two effects act on one channel."""
@@ -294,20 +178,6 @@ class LaplaceEvidence:
         precision[: len(free), : len(free)] = Factored.of(inner).inverse()
         return index, means, precision, float(sum(b.odds[e] for e in on))
 
-    def _density(self, rss: Array, kappa: float) -> float:
-        """Log likelihood, given sums of squares by channel and band."""
-        given, free, nu = self._constant, ~self._constant, self._level
-        s2 = kappa**2 * self._floor[given]
-        known = self._n[given] * np.log(s2) + rss[given] / s2
-        unknown = (self._n[free] + nu) * np.log(self._floor[free] + rss[free] / nu)
-        return float(-0.5 * (known.sum() + unknown.sum()))
-
-    def _weights(self, rss: Array, kappa: float) -> Array:
-        """One over the noise level of each channel and band, given sums of squares."""
-        nu = self._level
-        unknown = (self._n + nu) / (nu * self._floor + rss)
-        return np.where(self._constant, 1 / (kappa**2 * self._floor), unknown)
-
     # -- one set -----------------------------------------------------------------------------
 
     def at(self, on: Sequence[str], kappa: float, x: Array | None = None) -> float:
@@ -318,7 +188,7 @@ class LaplaceEvidence:
         q, g = self._grams[:, 0, 1 + free], self._grams[:, 1 + free[:, None], 1 + free]
         rss = self._grams[:, 0, 0] - 2 * q @ y + np.einsum("bij,i,j->b", g, y, y, optimize=True)
         prior = -0.5 * (y - mean) @ precision @ (y - mean)
-        return self._density(np.maximum(rss, 0), kappa) + float(prior) + odds
+        return self._likelihood.log(np.maximum(rss, 0), kappa) + float(prior) + odds
 
     def best(self, on: Sequence[str], kappa: float, reach: Array | None = None) -> MapEstimate:
         """The best numbers of a set, and its evidence.
@@ -362,20 +232,27 @@ class LaplaceEvidence:
             return np.maximum(power - 2 * q @ x + bent, 0)
 
         def density(left: Array, x: Array) -> float:
-            return self._density(left, kappa) - float(0.5 * (x - mean) @ precision @ (x - mean))
+            return self._likelihood.log(left, kappa) - float(
+                0.5 * (x - mean) @ precision @ (x - mean)
+            )
 
-        def curvature(left: Array) -> tuple[Array, Array]:
-            weight = self._weights(left, kappa)
-            return (weight @ flat).reshape(m, m) + precision, weight
+        def curvature(left: Array) -> Array:
+            weight = self._likelihood.weights(left, kappa)[1]
+            return (weight @ flat).reshape(m, m) + precision
+
+        def pull(left: Array, x: Array) -> Array:
+            """Right side of the normal equations for the next numbers."""
+            slope, weight = self._likelihood.weights(left, kappa)
+            pulled = weight @ q + precision @ mean
+            return pulled if slope is weight else pulled + (slope - weight) @ (q - g @ x)
 
         limited = any(e in self._limited for e in on)
         x = np.clip(start[free], low, high)
         left = rss(x)
         now = density(left, x)
         for _ in range(steps if m else 0):
-            curved, weight = curvature(left)
-            h = Factored.of(curved)
-            y = best_inside(h, weight @ q + precision @ mean, low, high)
+            h = Factored.of(curvature(left))
+            y = best_inside(h, pull(left, x), low, high)
             if limited:
                 y = self._allowed(y, free, h)
             length, gained = 1.0, False
@@ -393,7 +270,7 @@ class LaplaceEvidence:
             x, left, now = z, new_left, new
             if done:
                 break
-        h = Factored.of(curvature(left)[0])
+        h = Factored.of(curvature(left))
         laplace = 0.5 * (Factored.of(precision).log_determinant - h.log_determinant)
         full = np.zeros(len(self._low))
         full[free] = x
@@ -406,24 +283,6 @@ class LaplaceEvidence:
         y = x.copy()
         y[own] = bounds.inside(x[own], h.inverse()[np.ix_(own, own)])
         return y
-
-
-def rounding_variance(channel: str) -> Array:
-    """Variance of a row of the spectrum, by band, of readings rounded to the sensor's least count.
-
-    Rounding errors are white and uniform (Widrow, IRE Trans. Circuit Theory 3, 1956); of a channel
-    that is a rate of change, they are differentiated. Zero for the constant.
-
-    Args:
-        channel: Of a sensor, or of the pose in its place or against it.
-    """
-    sensor = sensor_read(channel)
-    variance = np.full(len(BANDS_HZ), sensor.least_count**2 / 12 * CHANNEL_HZ / GRID_HZ)
-    if sensor.rate and not channel.startswith("pose_"):
-        low, high = BANDS_HZ[:-1], BANDS_HZ[1:]
-        variance[1:] *= (2 * np.pi) ** 2 * (low**2 + low * high + high**2) / 3
-    variance[0] = 0.0
-    return variance
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,8 @@ from ...residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
 from ..model.model import Model
 from ..model.numbers import DRIVES, Number
 from ..settings import DEFAULT, EvidenceSettings
-from .evidence import LaplaceEvidence, MapEstimate, Noise, constants_of_days
+from .evidence import LaplaceEvidence, MapEstimate
+from .noise import BandNoise, constants_of_days
 from .priors import Bounds, Priors, effect_of
 from .spectrum import BANDS_HZ, Flights, Spectrum
 
@@ -137,18 +138,16 @@ class Problem:
         model: Flights.
         priors: Priors of its numbers.
         bounds: Of these, as changes.
-        noise: What is known of the noise.
+        noise: Law of the noise.
         rest: The model as it stands, with slopes by every number.
-        settings: See `evidence`.
         kappas: By how much days may differ over what is usual: of one flight, nobody can tell.
     """
 
     model: Model
     priors: Priors
     bounds: Bounds
-    noise: Noise
+    noise: BandNoise
     rest: Spectrum
-    settings: EvidenceSettings = DEFAULT.inference.evidence
     kappas: tuple[float, ...] = (1.0,)
 
     __repr__ = short_repr
@@ -167,7 +166,7 @@ class Problem:
         Args:
             model: Flights.
             priors: Priors of its numbers.
-            settings: See `evidence`.
+            settings: What is known of noise before a flight is looked at.
             gated: Whether bands in which command and motion do not go together have no vote.
             constants: Deviation between days of a channel's constant, where it is known.
         """
@@ -179,14 +178,14 @@ class Problem:
         usual = constants_of_days(rest.channels, model.vehicle, settings)
         sizes = [(constants or {}).get(n, u) for n, u in zip(rest.channels, usual, strict=True)]
         silent = silent_bands(flights, settings.coherent) if gated else frozenset()
-        noise = Noise.of(rest, sizes, settings, silent)
+        noise = BandNoise.of(rest, sizes, settings, silent)
         odds = {c: v - gained_by_following(c, rest, noise) for c, v in priors.odds.items()}
         kappas = KAPPAS if len(model.flights) > 1 else (1.0,)
-        return cls(model, replace(priors, odds=odds), bounds, noise, rest, settings, kappas)
+        return cls(model, replace(priors, odds=odds), bounds, noise, rest, kappas)
 
     def laplace(self, spectrum: Spectrum) -> LaplaceEvidence:
         """Sets of effects in a linearisation."""
-        return LaplaceEvidence(spectrum, self.noise, self.priors, self.bounds, self.settings)
+        return LaplaceEvidence(spectrum, self.noise, self.priors, self.bounds)
 
     def values(self, x: Array) -> dict[str, float]:
         """Numbers that all flights share and that differ from the model as it stands,
@@ -354,7 +353,7 @@ def _deviation(usual: float, shown: Array) -> float:
     return float(np.sqrt((BEFORE * usual**2 + shown.sum()) / (BEFORE + len(shown))))
 
 
-def gained_by_following(cause: str, rest: Spectrum, noise: Noise) -> float:
+def gained_by_following(cause: str, rest: Spectrum, noise: BandNoise) -> float:
     """What an observer gains by following mere noise, in nats.
 
     It predicts a reading from what the same reading was before. What is left is the innovation,

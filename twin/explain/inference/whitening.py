@@ -17,7 +17,7 @@ from ...representation import short_repr
 from ...residuals.channels import ChannelData
 from ..model.model import Model
 from ..settings import DEFAULT, LikelihoodSettings
-from .evidence import rounding_variance
+from .noise import rounding_variance
 
 Array = NDArray[np.float64]
 Flights = Sequence[Sequence[ChannelData]]
@@ -45,7 +45,7 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class Autoregression:
     """Noise of one channel in all flights.
 
     Attributes:
@@ -61,12 +61,12 @@ class Noise:
     __repr__ = short_repr
 
 
-def noise_of(
+def autoregression_of(
     channels: Sequence[ChannelData],
     unexplained: Sequence[Array],
     order: int,
     settings: LikelihoodSettings = DEFAULT.inference.likelihood,
-) -> Noise:
+) -> Autoregression:
     """Noise of a channel from what is left of it.
 
     Args:
@@ -86,7 +86,7 @@ def noise_of(
     for c, u in zip(channels, unexplained, strict=True):
         size_of = np.abs(_whitened(c, u, inverse)) / size
         weights.append(np.sqrt(np.minimum(1.0, settings.huber / np.maximum(size_of, 1e-9))))
-    return Noise(inverse, size, tuple(weights))
+    return Autoregression(inverse, size, tuple(weights))
 
 
 def _autoregression(
@@ -181,7 +181,7 @@ _FAR = 1 << 32
 
 def whiten(
     flights: Flights,
-    noise: Sequence[Noise],
+    noise: Sequence[Autoregression],
     settings: LikelihoodSettings = DEFAULT.inference.likelihood,
 ) -> Whitened:
     """Channels through the inverse of their noise.
@@ -214,7 +214,7 @@ def whiten(
 
 def blocks_of(
     flights: Flights,
-    noise: Sequence[Noise],
+    noise: Sequence[Autoregression],
     settings: LikelihoodSettings = DEFAULT.inference.likelihood,
 ) -> dict[Key, Block]:
     """Sums over blocks of time, all channels together."""
@@ -232,7 +232,7 @@ class WhitenedFlights:
     """
 
     model: Model
-    noise: tuple[Noise, ...]
+    noise: tuple[Autoregression, ...]
     settings: LikelihoodSettings
 
     __repr__ = short_repr
@@ -247,7 +247,9 @@ class WhitenedFlights:
         """The noise that the model leaves with some numbers, "effect.number" -> value."""
         left = model.channels([], values)
         noise = (
-            noise_of(own, [c.residual - c.residual.mean() for c in own], settings.order, settings)
+            autoregression_of(
+                own, [c.residual - c.residual.mean() for c in own], settings.order, settings
+            )
             for own in zip(*left, strict=True)
         )
         return cls(model, tuple(noise), settings)

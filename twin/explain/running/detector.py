@@ -8,17 +8,16 @@ since t0 are G - G(t0). Of these follow, for all t0 and hypotheses at once, the 
 no change with eta integrated out, and the numbers. Willsky & Jones, IEEE Trans. Automatic Control
 21 (1976), in information form and with a proper prior in the place of their maximum.
 
-e_k: `AdaptiveNoise`, by channel and band, learned on the quiet start and followed from there. Of a
-frame's cosine transform the first coefficient is its mean; the others fall into bands. Means of
-neighbouring frames are correlated: their level is that of means over two seconds, so that many
-frames do not count as more than they are. A level follows innovations, the residual of the standing
-model, and counts a burst in part; a frame that is louder than its level has less weight, as in the
-likelihood of Student's t.
+e_k: the law of `twin.explain.inference.noise`, frame by frame. Of a frame's cosine transform the
+first coefficient is its mean; the others fall into bands. `AdaptiveNoise` says what their levels
+are expected to be: as on the quiet start, followed from there. Means of neighbouring frames are
+correlated: their variance is that of means over two seconds, so that many frames do not count as
+more than they are. A level follows innovations, the residual of the standing model, and counts a
+burst in part.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ...representation import short_repr
 from ...vehicle import Vehicle
-from ..inference.evidence import constants_of_days
+from ..inference.noise import BandNoise, NoiseLaw, constants_of_days
 from ..settings import DEFAULT
 from .frames import FRAME_S, FRAME_SAMPLES, Frame, Group
 from .hypotheses import Hypothesis, RunningSettings
@@ -42,17 +41,12 @@ LONG = 4
 Key = tuple[int, int]
 
 
-def band_ends(group: Group) -> list[tuple[int, int]]:
-    """First and last coefficient + 1 of each band that a group's low-pass lets through."""
-    end = min(int(group.filters_hz[-1] * 2 * FRAME_S) + 1, EDGES[-1], FRAME_SAMPLES)
-    return [(a, min(b, end)) for a, b in pairwise(EDGES) if a < end]
-
-
 class AdaptiveNoise:
-    """Noise levels of all channels.
+    """Noise levels of all channels, followed frame by frame: the law of each frame of a channel.
 
     Attributes:
         constant: By channel, deviation of the constant that a day may bring.
+        band: By channel, band of each coefficient of a frame, shape (25,); -1: beyond its low-pass.
     """
 
     def __init__(
@@ -67,12 +61,16 @@ class AdaptiveNoise:
         """
         self._settings = settings
         self.constant: dict[Key, float] = {}
-        self._bands: dict[Key, list[tuple[int, int]]] = {}
+        self.band: dict[Key, NDArray[np.intp]] = {}
+        self._bands: dict[Key, tuple[NDArray[np.intp], NDArray[np.intp]]] = {}
         for g, group in enumerate(groups):
             sizes = constants_of_days(group.names, vehicle, DEFAULT.inference.evidence)
             for c, size in enumerate(sizes):
                 self.constant[g, c] = size
-                self._bands[g, c] = band_ends(group)
+                band = self.band[g, c] = _bands(group)
+                self._bands[g, c] = np.unique(
+                    band[band >= 0], return_index=True, return_counts=True
+                )[1:]
         self._level: dict[Key, Array] = {}
         self._means: dict[Key, list[float]] = {}
         self._long: dict[Key, float] = {}
@@ -88,11 +86,11 @@ class AdaptiveNoise:
 
     def _start(self, key: Key, values: Array) -> None:
         residual = values[:, :, 1]
-        power = [float(np.mean(residual[:, a:b] ** 2)) for a, b in self._bands[key]]
+        power = self._powers(key, residual.T)
         means = residual[:, 0]
         if len(means) > 1:
             power[0] = float(np.mean(np.diff(means) ** 2)) / 2
-        long = power[0]
+        long = float(power[0])
         if len(means) >= 2 * LONG:
             blocks = means[: len(means) // LONG * LONG].reshape(-1, LONG).mean(axis=1)
             long = float(np.mean(np.diff(blocks) ** 2)) / 2 * LONG
@@ -100,15 +98,36 @@ class AdaptiveNoise:
         self._long[key] = max(long, self._settings.together * float(self._level[key][0]))
         self._means[key] = [*means[-2 * LONG :]]
 
+    def _powers(self, key: Key, coefficients: Array) -> Array:
+        """Mean square by band, coefficients along axis 0."""
+        first, size = self._bands[key]
+        power = np.add.reduceat(coefficients[: first[-1] + size[-1]] ** 2, first, axis=0)
+        return np.asarray(power.reshape(len(first), -1).mean(axis=1) / size)
+
     def _least(self, key: Key, rows: Array) -> Array:
         """Least level of each band, laws being inexact."""
         s = self._settings
-        first = FRAME_SAMPLES * (s.floor * self.constant[key]) ** 2
-        others = [s.rough**2 * _power(rows[a:b, 0]) for a, b in self._bands[key][1:]]
-        return np.maximum([first, *others], _RESOLVED * first)
+        least = s.rough**2 * self._powers(key, rows[:, 0])
+        least[0] = FRAME_SAMPLES * (s.floor * self.constant[key]) ** 2
+        return np.asarray(np.maximum(least, _RESOLVED * least[0]))
 
-    def weights(self, key: Key, rows: Array, innovation: Array) -> Array:
-        """One over the variance of each coefficient of a frame, shape (25,); levels follow it.
+    def law(self, key: Key, rows: Array) -> BandNoise:
+        """Law of the next frame of a channel, which has the number 0 in it.
+
+        Args:
+            key: Which channel.
+            rows: Its transform.
+        """
+        s = self._settings
+        if key not in self._level:
+            self._start(key, rows[None])
+        floor = np.maximum(self._level[key], self._least(key, rows))
+        floor[0] = max(s.together * floor[0], self._long[key])
+        floors = {(0, b): float(v) for b, v in enumerate(floor)}
+        return BandNoise(floors, np.array([s.tempered]), {}, level=s.level, capped=True)
+
+    def follow(self, key: Key, rows: Array, innovation: Array) -> None:
+        """Let the levels follow a frame.
 
         Args:
             key: Which channel.
@@ -116,22 +135,11 @@ class AdaptiveNoise:
             innovation: Of the residual, what the standing model leaves, shape (25,).
         """
         s, share = self._settings, FRAME_S / self._settings.noise_s
-        if key not in self._level:
-            self._start(key, rows[None])
-        level, least = self._level[key], self._least(key, rows)
-        weights = np.zeros(FRAME_SAMPLES)
-        for b, (low, high) in enumerate(self._bands[key]):
-            now = max(float(level[b]), float(least[b]))
-            if b == 0:
-                variance = max(s.together * now, self._long[key])
-                weights[0] = 1 / variance
-                continue
-            n, power = (high - low) * s.tempered, _power(innovation[low:high])
-            louder = (s.level + n * power / now) / (s.level + n)
-            weights[low:high] = s.tempered / (now * max(louder, 1.0))
-            level[b] += share * (min(power, s.burst * now) - level[b])
+        level = self._level[key]
+        most = s.burst * np.maximum(level, self._least(key, rows))
+        power = np.minimum(self._powers(key, innovation), most)
+        level[1:] += share * (power[1:] - level[1:])
         self._follow_mean(key, float(innovation[0]), share)
-        return weights
 
     def _follow_mean(self, key: Key, mean: float, share: float) -> None:
         """Levels of the mean of a frame and of two seconds, by differences of neighbours."""
@@ -147,14 +155,30 @@ class AdaptiveNoise:
             self._long[key] = long + share * (min(power, self._settings.burst * long) - long)
         del means[: -2 * LONG]
 
-    def known(self) -> Mapping[Key, Array]:
-        """Level by channel and band."""
-        return self._level
+
+def _bands(group: Group) -> NDArray[np.intp]:
+    """Band of each coefficient, -1 beyond the low-pass of a group."""
+    coefficient = np.arange(FRAME_SAMPLES)
+    band = np.searchsorted(EDGES, coefficient, side="right") - 1
+    end = min(int(group.filters_hz[-1] * 2 * FRAME_S) + 1, EDGES[-1])
+    return np.where(coefficient < end, band, -1).astype(np.intp)
 
 
-def _power(values: Array) -> float:
-    """Mean square."""
-    return float(values @ values) / len(values)
+def information(law: NoiseLaw, rows: Array, band: NDArray[np.intp], standing: Array) -> Array:
+    """Products of residual and slopes of a frame over its noise, shape (1 + m, 1 + m).
+
+    Args:
+        law: Of the noise; the channel is its first.
+        rows: Residual and slopes, shape (n, 1 + m).
+        band: Of each row, shape (n,).
+        standing: Numbers of the standing model, shape (m,).
+    """
+    terms = law.terms(0, rows, band, np.zeros(len(rows), dtype=np.intp))
+    grams = np.array([t.gram for t in terms])
+    left = np.concatenate([[1.0], -standing])
+    rss = np.maximum(grams @ left @ left, 0.0)
+    _, weights = law.likelihood(terms).weights(rss)
+    return np.asarray(np.einsum("t,tij->ij", weights, grams))
 
 
 RECENT = 16
@@ -220,18 +244,16 @@ class ChangeDetector:
 
         Args:
             number: Of the frame.
-            rows: By channel, the positions of its columns and its rows over their deviation:
-                residual, then slopes, shape (n, 1 + k).
+            rows: By channel, the positions of its columns, and `information` about them.
         """
         steps = number - self._now if self._now >= 0 else 0
         self._now = number
         self._sum *= self._forget**steps
         self._past.append((number, self._sum.copy()))
-        for columns, values in rows:
-            scaled = values.copy()
-            scaled[:, 1:] *= self._unit[columns]
+        for columns, gram in rows:
+            unit = np.concatenate([[1.0], self._unit[columns]])
             at = np.concatenate([[0], 1 + columns])
-            self._sum[np.ix_(at, at)] += scaled.T @ scaled
+            self._sum[np.ix_(at, at)] += gram * np.outer(unit, unit)
         self._past = [(n, g) for n, g in self._past if self._may_begin(n)]
 
     def _may_begin(self, number: int) -> bool:

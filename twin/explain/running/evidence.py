@@ -14,7 +14,7 @@ from ...residuals.recent_rows import Rows
 from ...residuals.stream import LONGEST_WAIT_S, Stream
 from ...vehicle import Vehicle
 from .alarms import Alarm, EstimatedChange, Shaking, SilentSign, StandStill, Verdict
-from .detector import AdaptiveNoise, ChangeDetector, ChangeEvidence
+from .detector import AdaptiveNoise, ChangeDetector, ChangeEvidence, information
 from .frames import FRAME_S, Frame, FrameFilter
 from .hypotheses import MONITORED_EFFECTS, RUNNING, RunningSettings, library_of
 
@@ -208,10 +208,9 @@ class RunningEvidence:
             constant = np.zeros((n, 1))
             constant[0] = np.sqrt(n)
             whole = np.hstack([values[:, 1:], constant])
-            innovation = whole[:, 0] - whole[:, 1:] @ standing[at]
-            weights = self._noise.weights((g, c), values, innovation)
-            used = weights > 0
-            rows.append((at, whole[used] * np.sqrt(weights[used])[:, None]))
+            law, band = self._noise.law((g, c), values), self._noise.band[g, c]
+            rows.append((at, information(law, whole, band, standing[at])))
+            self._noise.follow((g, c), values, whole[:, 0] - whole[:, 1:] @ standing[at])
         self._detector.add(frame.number, rows)
 
     def _standing_model(self) -> Array:

@@ -11,12 +11,8 @@ from scipy.fft import dct
 from scipy.stats import multivariate_normal
 from search_rigs.linear_evidence import Linear
 
-from twin.explain.inference.evidence import (
-    Factored,
-    Noise,
-    best_inside,
-    rounding_variance,
-)
+from twin.explain.inference.evidence import Factored, best_inside
+from twin.explain.inference.noise import BandNoise, rounding_variance
 from twin.explain.inference.spectrum import BANDS_HZ
 from twin.explain.settings import DEFAULT
 from twin.physics.sensors.table import sensor_of
@@ -162,7 +158,7 @@ def test_differences_do_not_depend_on_units() -> None:
             for f, v in zip(factors, rows, strict=True)
         ]
         plain = Linear(["a", "b"], channels, {})
-        noise = Noise.of(plain.spectrum, [0.1, 0.1 * scale])
+        noise = BandNoise.of(plain.spectrum, [0.1, 0.1 * scale])
         laplace = replace(plain, floor=noise.floor, own=noise.own).laplace
         return laplace.best(["a"], 1.0).evidence - laplace.best(["b"], 1.0).evidence
 
@@ -196,7 +192,7 @@ def test_one_flight_tells_no_more_than_its_samples_however_fast_it_was_logged() 
         s = rng.standard_normal((n, 1))
         r = rng.standard_normal(n) + s[:, 0]
         plain = Linear(["a"], [[(bands(n), r, s)]], {})
-        noise = Noise.of(plain.spectrum, [1.0])
+        noise = BandNoise.of(plain.spectrum, [1.0])
         assert noise.own[0] * n == pytest.approx(1 / (1 / n + 1 / samples))
         laplace = replace(plain, floor=noise.floor, own=noise.own).laplace
         leads.append(laplace.best(["a"], 1.0).evidence - laplace.best([], 1.0).evidence)

@@ -35,7 +35,7 @@ def frames(n: int, seed: int, begins: int = 10**9, jump: float = 0.0) -> list[Ar
 def counted(made: list[Array]) -> ChangeDetector:
     detector = ChangeDetector(HYPOTHESES, STANDING, FORGET, oldest=1000, least=2)
     for k, rows in enumerate(made):
-        detector.add(k, [(EVERY, rows)])
+        detector.add(k, [(EVERY, rows.T @ rows)])
     return detector
 
 
@@ -116,7 +116,7 @@ def test_nothing_grows_with_the_flight() -> None:
     detector = ChangeDetector(HYPOTHESES, STANDING, FORGET, oldest=120, least=2)
     candidate_starts = []
     for k in range(2000):
-        detector.add(k, [(EVERY, np.ones((1, 1 + K)))])
+        detector.add(k, [(EVERY, np.ones((1 + K, 1 + K)))])
         candidate_starts.append(detector.candidate_starts)
     assert max(candidate_starts) == max(candidate_starts[:300]) <= 4 * RECENT
     jump = of(detector, 0)

@@ -1,0 +1,275 @@
+"""The noise law: what the rows of a channel say of numbers, given what a hypothesis leaves of them.
+
+    e_k ~ N(0, v_k I),    v_k ~ scaled-inverse-chi2(nu, s_k^2)
+    log L = -1/2 sum_k (a n_k + nu) log(s_k^2 + a RSS_k / nu)
+    -2 d log L / d (a RSS_k) = (a n_k + nu) / (nu s_k^2 + a RSS_k)
+
+k: the rows of a channel and band, whose level v_k is integrated out: Student's t for a band. A
+constant is a row of known variance, v = (kappa d)^2, one sample per flight. a: how much a row
+counts, as rows are not independent. To each RSS the variance of rounding to the least count of the
+sensor is added: noise-free readings of a simulation are known no better than that.
+
+Search (`evidence.LaplaceEvidence`, all flights at once) and alarms (`running.detector`, frame by
+frame) know the noise by two interfaces alone. A `NoiseLaw` takes the rows of a channel, residual
+and slopes, and makes sums of products of them, its terms. A `Likelihood` gives the log likelihood
+of the sums of squares that numbers leave of these, its gradient, and the weights of Gauss-Newton's
+curvature. Another law is another class with these two: it may make other terms, of each flight, or
+of rows along an instrument and across it, and couple them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...physics.sensors.table import BODY, Sensor, sensor_of
+from ...representation import short_repr
+from ...residuals.channels import CHANNEL_HZ, GRID_HZ
+from ...vehicle import GRAVITY_M_S2, Vehicle
+from ..settings import DEFAULT, EvidenceSettings
+from .spectrum import BANDS_HZ, Spectrum
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """Sums over rows that share a noise level.
+
+    Attributes:
+        channel: Number of the channel.
+        gram: Products of residual and slopes, residual first, by how much they count, (m, m).
+        count: Samples that they count as.
+        floor: Square of the level before they are looked at; of a constant, its variance.
+        constant: Whether the variance is known.
+    """
+
+    channel: int
+    gram: Array
+    count: float
+    floor: float
+    constant: bool
+
+    __repr__ = short_repr
+
+
+class Likelihood(Protocol):
+    """Log likelihood of terms, as a function of the sum of squares that numbers leave of each."""
+
+    def log(self, rss: Array, kappa: float = 1.0) -> float:
+        """Log likelihood, up to a constant.
+
+        Args:
+            rss: Of each term, shape (t,).
+            kappa: Factor of the deviation of constants.
+        """
+
+    def weights(self, rss: Array, kappa: float = 1.0) -> tuple[Array, Array]:
+        """Gradient of -2 log L by each sum of squares, and the weight of each gram matrix in the
+        curvature of Gauss-Newton, not negative; shapes (t,). The same array where they are equal.
+        """
+
+
+class NoiseLaw(Protocol):
+    """What search and alarms know of the noise."""
+
+    def terms(
+        self, channel: int, rows: Array, band: NDArray[np.intp], flight: NDArray[np.intp]
+    ) -> list[Term]:
+        """Sums of products of the rows of a channel.
+
+        Args:
+            channel: Its number.
+            rows: Residual, then slopes, shape (n, m).
+            band: Of each row, shape (n,); 0: a constant; negative: none, the row does not count.
+            flight: Of each row, shape (n,).
+        """
+
+    def likelihood(self, terms: Sequence[Term]) -> Likelihood:
+        """Of terms of this law."""
+
+
+@dataclass(frozen=True, slots=True)
+class BandNoise:
+    """A level per channel and band, shared by all flights: a `NoiseLaw`.
+
+    Attributes:
+        floor: Square of the level by channel and band before a flight is looked at; of a constant,
+            its variance at kappa = 1.
+        own: By channel, how much of its power rows count.
+        rounding: By channel and band, variance of a row by rounding to the sensor's least count.
+        silent: Channels and bands that do not vote.
+        level: Degrees of freedom with which a level is known.
+        capped: Whether a band that is quieter than its level weighs no more than the level says.
+    """
+
+    floor: Mapping[tuple[int, int], float]
+    own: Array
+    rounding: Mapping[tuple[int, int], float]
+    silent: frozenset[tuple[int, int]] = frozenset()
+    level: float = DEFAULT.inference.evidence.level
+    capped: bool = False
+
+    __repr__ = short_repr
+
+    @classmethod
+    def of(
+        cls,
+        rest: Spectrum,
+        constants: Sequence[float],
+        settings: EvidenceSettings = DEFAULT.inference.evidence,
+        silent: frozenset[tuple[int, int]] = frozenset(),
+    ) -> "BandNoise":
+        """From the residuals of the model as it stands.
+
+        Args:
+            rest: About the model as it stands.
+            constants: Of each channel, the size of a constant that a day may bring.
+            settings: How exact laws are, how much a flight tells.
+            silent: Channels and bands that do not vote.
+        """
+        power, flights = rest.power(), len(rest.rows[0])
+        floor, own = {}, np.ones(len(rest.channels))
+        rounding: dict[tuple[int, int], float] = {}
+        for c, (name, constant) in enumerate(zip(rest.channels, constants, strict=True)):
+            least = rounding_variance(name)
+            rounding |= {(c, b): float(least[b]) for b in range(1, len(BANDS_HZ))}
+            moving = [v for (k, b), v in power.items() if k == c and b]
+            n = sum(count for _, count in moving)
+            mean = sum(p for p, _ in moving) / max(n, 1)
+            own[c] = 1 / (1 + n / (settings.samples * flights))
+            for b in range(len(BANDS_HZ)):
+                if b == 0:
+                    floor[c, b] = constant**2
+                elif (c, b) in power:
+                    p, count = power[c, b]
+                    floor[c, b] = settings.rough**2 * max(p / count, 1e-3 * mean) + least[b]
+        return cls(floor, own, rounding, silent, settings.level)
+
+    def terms(
+        self, channel: int, rows: Array, band: NDArray[np.intp], flight: NDArray[np.intp]
+    ) -> list[Term]:
+        """See `NoiseLaw`."""
+        found = []
+        for b in np.unique(band[band >= 0]).tolist():
+            if (channel, b) in self.silent:
+                continue
+            inside = rows[band == b]
+            weight = 1.0 if b == 0 else float(self.own[channel])
+            n = len(np.unique(flight[band == b])) if b == 0 else len(inside)
+            gram = weight * (inside.T @ inside)
+            gram[0, 0] += n * weight * self.rounding.get((channel, b), 0.0)
+            found.append(Term(channel, gram, n * weight, self.floor[channel, b], b == 0))
+        return found
+
+    def likelihood(self, terms: Sequence[Term]) -> "BandLikelihood":
+        """See `NoiseLaw`."""
+        return BandLikelihood(
+            np.array([t.count for t in terms]),
+            np.array([t.floor for t in terms]),
+            np.array([t.constant for t in terms], dtype=np.bool_),
+            self.level,
+            self.capped,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class BandLikelihood:
+    """Of terms whose levels are integrated out one by one: a `Likelihood`.
+
+    Attributes:
+        count: Of each term, shape (t,).
+        floor: Of each term, shape (t,).
+        constant: Of each term, shape (t,).
+        level: As of `BandNoise`.
+        capped: As of `BandNoise`.
+    """
+
+    count: Array
+    floor: Array
+    constant: NDArray[np.bool_]
+    level: float
+    capped: bool
+
+    __repr__ = short_repr
+
+    def log(self, rss: Array, kappa: float = 1.0) -> float:
+        """See `Likelihood`."""
+        given, free, nu = self.constant, ~self.constant, self.level
+        s2 = kappa**2 * self.floor[given]
+        known = self.count[given] * np.log(s2) + rss[given] / s2
+        unknown = (self.count[free] + nu) * np.log(self.floor[free] + rss[free] / nu)
+        return float(-0.5 * (known.sum() + unknown.sum()))
+
+    def weights(self, rss: Array, kappa: float = 1.0) -> tuple[Array, Array]:
+        """See `Likelihood`."""
+        nu = self.level
+        unknown = (self.count + nu) / (nu * self.floor + rss)
+        if self.capped:
+            unknown = np.minimum(unknown, 1 / self.floor)
+        both = np.where(self.constant, 1 / (kappa**2 * self.floor), unknown)
+        return both, both
+
+
+# -- what is known of a channel beforehand --------------------------------------------------
+
+
+FAST_RAD_S = 0.4
+"""Body rate of a brisk turn."""
+
+
+def constants_of_days(
+    channels: Sequence[str], vehicle: Vehicle, settings: EvidenceSettings
+) -> list[float]:
+    """Standard deviation of the constant of each channel between flights, in its unit."""
+    return [_constant(name, vehicle, settings) for name in channels]
+
+
+def sensor_read(channel: str) -> Sensor:
+    """The sensor that a channel is of: that itself, or the one that the pose stands in for
+    (`motion_`) or is compared with (`pose_`)."""
+    sensor = sensor_of(_reading(channel))
+    assert sensor is not None, channel
+    return sensor
+
+
+def _reading(channel: str) -> str:
+    kind, _, read = channel.partition("_")
+    if kind == "motion":
+        return read.replace("rate_", "gyro_rate_")
+    return read if kind == "pose" else channel
+
+
+def _constant(name: str, vehicle: Vehicle, settings: EvidenceSettings) -> float:
+    """Of one channel."""
+    sensor, read = sensor_read(name), _reading(name)
+    if name.startswith("pose_"):
+        return settings.trim_pose * (FAST_RAD_S if sensor.rate else GRAVITY_M_S2)
+    columns = sensor.channels if read in sensor.channels else sensor.columns
+    axis = columns.index(read)
+    size = sensor.size(vehicle)[axis]
+    if sensor.group != BODY:
+        return settings.trim_other * size
+    if sensor.rate is None:
+        return settings.trim_force * size
+    return settings.trim_turn * size * (settings.trim_yaw if axis == 2 else 1.0)
+
+
+def rounding_variance(channel: str) -> Array:
+    """Variance of a row of the spectrum, by band, of readings rounded to the sensor's least count.
+
+    Rounding errors are white and uniform (Widrow, IRE Trans. Circuit Theory 3, 1956); of a channel
+    that is a rate of change, they are differentiated. Zero for the constant.
+
+    Args:
+        channel: Of a sensor, or of the pose in its place or against it.
+    """
+    sensor = sensor_read(channel)
+    variance = np.full(len(BANDS_HZ), sensor.least_count**2 / 12 * CHANNEL_HZ / GRID_HZ)
+    if sensor.rate and not channel.startswith("pose_"):
+        low, high = BANDS_HZ[:-1], BANDS_HZ[1:]
+        variance[1:] *= (2 * np.pi) ** 2 * (low**2 + low * high + high**2) / 3
+    variance[0] = 0.0
+    return variance
