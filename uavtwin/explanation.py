@@ -49,6 +49,7 @@ from .record import Headline
 from .wording import hover_sentence
 
 if TYPE_CHECKING:
+    import arviz
     import pandas as pd
 
     from .series.files import Column, Series
@@ -279,6 +280,21 @@ class ExplainResult(PageMixin):
         flights, after = compared_with.model.flights, compared_with.after
         each = zip(flights, compared_with.before, after, strict=True)
         return tuple(_series(self.details, f.flight.name, old, new) for f, old, new in each)
+
+    def to_arviz(self, draws: int = 1000, seed: int = 0) -> "arviz.InferenceData":
+        """Draws of the posterior and of the prior, for ArviZ: a variable per number,
+        "effect.number", and `included`, whether an effect is in the candidate model drawn.
+
+        Args:
+            draws: Of each of four chains; they are independent.
+            seed: Of the draws.
+
+        Raises:
+            TwinError: ArviZ is not installed, or nothing was fitted.
+        """
+        from .inference_data import inference_data
+
+        return inference_data(self.details, draws, seed)
 
     def json(self) -> dict[str, Any]:
         """The content of `explain.json`."""

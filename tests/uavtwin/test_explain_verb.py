@@ -7,6 +7,7 @@ import math
 import os
 import re
 import sys
+import warnings
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -306,6 +307,45 @@ def test_a_tie_is_told_as_a_tie(named: Run, tmp_path: Path) -> None:
     page = (tmp_path / "report.html").read_text()
     assert "they cannot tell the two apart" in page
     assert "Fly fast and straight." in page
+
+
+def test_arviz_gets_the_posterior(named: Run) -> None:
+    """The planted drag is in the interval that ArviZ computes, the standard deviation is that of
+    the interval reported; the prior is wider by far; the same seed gives the same draws."""
+    arviz = import_arviz()
+    assert named.found is not None and named.found.naming is not None
+    result = ExplainResult(named.found)
+    made = result.to_arviz(draws=500, seed=3)
+    assert made.attrs["observed_data"] == "one, two"
+    drag, name = made.posterior["rotor_drag.k_xy_1_s"], "rotor_drag"
+    assert drag.dims == ("chain", "draw") and drag.shape == (4, 500)
+    assert drag.attrs["units"] == "1/s"
+    there = made.posterior["included"].sel(effect=name) == 1
+    chance = made.constant_data["inclusion_probability"].sel(effect=name).item()
+    assert float(there.mean()) == pytest.approx(named.found.naming.posterior.inclusion[name])
+    assert chance == pytest.approx(named.json["inclusion"][name], rel=1e-5)
+    low, high = named.json["effects"][0]["parameters"]["k_xy_1_s"]["ci95"]
+    assert 2 * 1.96 * float(drag.std()) == pytest.approx(high - low, rel=0.2)
+    low, high = arviz.hdi(drag.values.ravel(), hdi_prob=0.95)
+    assert low < DRAG_1_S < high
+    assert float(made.prior["rotor_drag.k_xy_1_s"].std()) > 5 * float(drag.std())
+    assert float(made.prior["included"].sel(effect=name).mean()) < 0.5
+    assert made.posterior.equals(result.to_arviz(draws=500, seed=3).posterior)
+
+
+def import_arviz() -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # of its next version
+        return pytest.importorskip("arviz")
+
+
+def test_without_arviz_the_error_says_how_to_get_it(
+    named: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert named.found is not None
+    monkeypatch.setitem(sys.modules, "arviz", None)
+    with pytest.raises(TwinError, match=r"arviz is not installed; .*pip install .*arviz"):
+        ExplainResult(named.found).to_arviz()
 
 
 def test_what_speaks_against_a_name_is_in_the_claim(named: Run) -> None:
