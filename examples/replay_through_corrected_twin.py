@@ -18,7 +18,7 @@ from twin.residuals.aligned import align_flight
 from twin.residuals.short_horizon import whole_windows
 from twin.residuals.teacher_forced import GRID_S, RIGID, choose_drive
 from uavtwin.demo.flights import fly, hide
-from uavtwin.driving import driving_inputs, true_motion
+from uavtwin.force.open_loop import driving_inputs, true_motion
 
 FOLLOW, ALONE = 1000, 500  # steps of 1 ms, again and again
 

@@ -18,6 +18,8 @@ from lxml import etree
 from twin.errors import FmuError
 from twin.representation import short_repr
 
+from .names import IDENTIFIER
+
 MAX_UNPACKED_BYTES = 512 * 2**20
 """Largest archive after unpacking. Made up."""
 MAX_MEMBERS = 20_000
@@ -27,7 +29,6 @@ MAX_DESCRIPTION_BYTES = 32 * 2**20
 MAX_DIRECTORY_BYTES = 8 * 2**20
 """Of the list of members: 400 for each of `MAX_MEMBERS`."""
 DESCRIPTION = "modelDescription.xml"
-_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _CHUNK = 2**20
 _END_BYTES = 2**16 + 22 + 20 + 56
 """In which an archive ends: a comment, the end of its list, and of that the form for large ones."""
@@ -254,6 +255,6 @@ def _identifier_problems(root: etree._Element) -> list[str]:
     for tag in ("CoSimulation", "ModelExchange", "ScheduledExecution"):
         for element in root.findall(tag):
             identifier = element.get("modelIdentifier", "")
-            if not _IDENTIFIER.fullmatch(identifier) or len(identifier) > 200:
+            if not IDENTIFIER.fullmatch(identifier) or len(identifier) > 200:
                 problems.append(f"modelIdentifier {identifier[:80]!r} is no C identifier")
     return problems

@@ -1,6 +1,5 @@
 """Several components as one FMU: the parts are stepped together inside, without a master."""
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from graphlib import CycleError, TopologicalSorter
@@ -9,9 +8,8 @@ from twin.component import Component, Enumeration, Sampling, Variable, unknown_n
 from twin.errors import FmuError
 
 from .model import FmuModel, Submodel, component_model
+from .names import IDENTIFIER
 from .order import visits
-
-_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 def fuse(
@@ -44,7 +42,7 @@ def fuse(
     if not step_s > 0 or step_s == float("inf"):
         raise FmuError(f"{name}: step {step_s:g} s must be positive, e.g. 0.001.")
     for identifier in (name, *parts):
-        if not _IDENTIFIER.fullmatch(identifier):
+        if not IDENTIFIER.fullmatch(identifier):
             raise FmuError(f"{name}: {identifier!r} is no C identifier; use letters, digits and _.")
     renamed = tuple(_renamed(name, key, part) for key, part in parts.items())
     connected = tuple(connections)

@@ -18,7 +18,8 @@ LONGEST_VARIABLE = 256
 LONGEST_TEXT = 1000
 """Of a description."""
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.]*")
-_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+"""Of C: a letter or _, then letters, digits and _, all of ASCII."""
 
 
 def check_name(where: str, name: object, longest: int = LONGEST_NAME) -> str:
@@ -52,7 +53,7 @@ def check_identifier(where: str, name: object, longest: int = LONGEST_NAME) -> s
     Raises:
         FmuError: It is none.
     """
-    return _checked(where, name, _IDENTIFIER, "letters, digits and _", longest)
+    return _checked(where, name, IDENTIFIER, "letters, digits and _", longest)
 
 
 def check_text(where: str, text: object, longest: int = LONGEST_TEXT) -> str:

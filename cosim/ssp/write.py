@@ -7,6 +7,7 @@ from pathlib import Path
 
 from lxml import etree
 
+from fmus.names import IDENTIFIER
 from twin.errors import FmuError
 from twin.scratch import scratch_file
 
@@ -52,7 +53,7 @@ def _sources(system: System) -> dict[Path, str]:
     taken: set[str] = set()
     result: dict[Path, str] = {}
     for name, fmu in system.fmus.items():
-        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
+        if not IDENTIFIER.fullmatch(name):
             raise FmuError(
                 f"slave {name!r}: other tools read only letters, digits and underscores in the "
                 f"name of a component. Rename it."

@@ -32,11 +32,10 @@ from twin.residuals.measured import Signal
 from twin.residuals.teacher_forced import GRID_S, RIGID
 from twin.vehicle import Vehicle
 
-from ..driving import true_motion
 from ..exports.parts import LearnedForce, twin
 from ..exports.write import export
 from .memory import Memory
-from .open_loop import DISTANCE
+from .open_loop import DISTANCE, true_motion
 
 Array = NDArray[np.float64]
 MISSIONS = ("hover", "forward", "tour")

@@ -1,6 +1,7 @@
-"""How far a driven twin is off some time after it was left alone: exported FMUs over flights.
+"""Flights as inputs of a driven twin, and how far it is off some time after it was left alone.
 
-The FMU follows the measured motion (`uavtwin.driving`) once the aircraft is clear of the ground:
+`driving_inputs` makes a flight the inputs of the twin that a log drives, `export corrected-twin
+--drive`. The exported FMU follows the measured motion once the aircraft is clear of the ground:
 what carries it there would be taken for a disturbance. Every `EVERY_S` its state is saved, it flies
 on the recorded commands alone for the longest horizon, and is taken back.
 """
@@ -9,22 +10,28 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.slave import Slave
+from learning.data.channels import phase_codes
 from twin.errors import LogError
 from twin.frames import AXES, multiply, rotation_vector
 from twin.logs import Flight
 from twin.representation import short_repr
 from twin.residuals.aligned import AlignedFlight, align_flight
-from twin.residuals.teacher_forced import GRID_S, RIGID
+from twin.residuals.channels import in_step
+from twin.residuals.measured import Signal
+from twin.residuals.teacher_forced import GRID_S, RIGID, SPIN_RATE
 from twin.vehicle import Vehicle
 
-from ..driving import PREFIX, driving_inputs, true_motion
-
 Array = NDArray[np.float64]
+VOLTAGE = "vbat_v"
+"""Column of the battery voltage, V."""
+PREFIX = "airframe."
+"""Of inputs and outputs of the airframe in the fused FMU."""
 HORIZONS_S = (0.05, 0.2, 0.5, 1.0, 2.0)
 """For how long a twin flies alone, s."""
 EVERY_S = 0.25
@@ -73,12 +80,7 @@ class Replay:
         Raises:
             LogError: It cannot be, or is nowhere long enough in the air.
         """
-        aligned = align_flight(flight, vehicle)
-        whole = driving_inputs(flight, vehicle, aligned, np.flatnonzero(clear(aligned)))
-        self._names = [n for n in whole.dtype.names or () if n != "time"]
-        self._given = np.column_stack([whole[n] for n in self._names])
-        self._restart = self._names.index(f"{PREFIX}restart")
-        self._changes = _changes(self._names, self._given)
+        aligned = self._drive(flight, vehicle)
         self._measured = true_motion(vehicle, aligned)
         self._steps = [round(h / GRID_S) for h in horizons_s]
         known = clear(aligned) & np.isfinite(self._measured).all(axis=1)
@@ -100,13 +102,18 @@ class Replay:
             LogError: The flight cannot be put on the grid of its twin.
         """
         other = copy(self)
+        other._drive(flight, vehicle)
+        return other
+
+    def _drive(self, flight: Flight, vehicle: Vehicle) -> AlignedFlight:
+        """Take the inputs of a vehicle's twin over a flight, which is returned on its grid."""
         aligned = align_flight(flight, vehicle)
         whole = driving_inputs(flight, vehicle, aligned, np.flatnonzero(clear(aligned)))
-        other._names = [n for n in whole.dtype.names or () if n != "time"]
-        other._given = np.column_stack([whole[n] for n in other._names])
-        other._restart = other._names.index(f"{PREFIX}restart")
-        other._changes = _changes(other._names, other._given)
-        return other
+        self._names = [n for n in whole.dtype.names or () if n != "time"]
+        self._given = np.column_stack([whole[n] for n in self._names])
+        self._restart = self._names.index(f"{PREFIX}restart")
+        self._changes = _changes(self._names, self._given)
+        return aligned
 
     def through(
         self,
@@ -192,6 +199,59 @@ class Replay:
         slave.inputs[self._restart] *= follow
         slave.write_inputs()
         slave.step(row * GRID_S, steps * GRID_S)
+
+
+def driving_inputs(
+    flight: Flight,
+    vehicle: Vehicle,
+    aligned: AlignedFlight,
+    restarts: NDArray[np.intp],
+    compensated: bool = False,
+) -> NDArray[Any]:
+    """Inputs of a driven twin at the start of each step of `GRID_S`, as FMPy takes them.
+
+    A step that begins with `restart` ends at the given motion, so that of the next row is given.
+
+    Args:
+        flight: To replay.
+        vehicle: Of the twin; where it knows how old a pose is, that is taken out.
+        aligned: The flight on the grid of the twin.
+        restarts: Rows, from 1 on, at which the twin is to have the measured motion, shape (k,);
+            where that is unknown it goes on by itself.
+        compensated: Whether it has a compensator, which is given the phase of the flight.
+
+    Returns:
+        A row per grid point: `time` from 0 on, commands or rotor speeds (with their rates of
+        change, where the twin asks for them) and voltage as the flight has them,
+        `airframe.restart` and `airframe.restart.pos_x` to `airframe.restart.omega_z`; with a
+        compensator `compensator.phase`, too.
+    """
+    t_s = aligned.inputs.t_s
+    given = {c: Signal(*flight.signal([c])).held(t_s)[:, 0] for c in aligned.inputs.columns}
+    if VOLTAGE not in given and flight.has(VOLTAGE):
+        given[VOLTAGE] = Signal(*flight.signal([VOLTAGE])).held(t_s)[:, 0]
+    names = aligned.airframe.input_names
+    measured = [n for n in names if n.startswith((SPIN_RATE, "rotor_"))]
+    given |= {n: aligned.inputs.u[:, names.index(n)] for n in measured}
+    ahead = np.vstack([true_motion(vehicle, aligned)[1:], np.full((1, len(RIGID)), np.nan)])
+    known = np.isfinite(ahead).all(axis=1)
+    given["restart"] = (np.isin(np.arange(len(t_s)) + 1, restarts) & known).astype(np.float64)
+    given |= dict(zip((f"restart.{s}" for s in RIGID), np.nan_to_num(ahead).T, strict=True))
+    columns = {PREFIX + name: values for name, values in given.items()}
+    if compensated:
+        columns["compensator.phase"] = phase_codes(aligned.phases).astype(np.float64)
+    kinds = [(c, bool if c == f"{PREFIX}restart" else float) for c in columns]
+    table = np.zeros(len(t_s), dtype=[("time", float), *kinds])
+    table["time"] = GRID_S * np.arange(len(t_s))
+    for name, values in columns.items():
+        table[name] = values
+    return table
+
+
+def true_motion(vehicle: Vehicle, aligned: AlignedFlight) -> Array:
+    """`RIGID` of a flight as the twin has it, known ages taken out; NaN where unknown, (n, 13)."""
+    names = [s.name for s in aligned.airframe.states]
+    return in_step(aligned, vehicle)[:, [names.index(s) for s in RIGID]]
 
 
 def clear(aligned: AlignedFlight) -> NDArray[np.bool_]:

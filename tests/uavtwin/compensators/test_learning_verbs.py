@@ -28,7 +28,7 @@ from uavtwin.cli import main
 from uavtwin.compensators.evaluation import Evaluation, evaluation_claim
 from uavtwin.compensators.running import compiled_compensator
 from uavtwin.demo.flights import fly
-from uavtwin.driving import driving_inputs
+from uavtwin.force.open_loop import driving_inputs
 
 COPTER = load_vehicle("copter_default")
 PLANT = replace(
