@@ -12,7 +12,6 @@ Up to d = 1 a model may say all that it learned. From there to `NETWORK_END` a n
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +20,6 @@ from twin.physics.residual_force import LINEAR_BEGIN, LINEAR_END
 from twin.representation import short_repr
 
 Array = NDArray[np.float64]
-Values = Any
-"""An array or a tensor: whatever has `+ - * /`, `abs` and `clip`."""
 NETWORK_END = 2.0
 """Distance at which a network has faded out. Not chosen on flights."""
 INSIDE = 0.995
@@ -123,17 +120,17 @@ def _known(distance: Array) -> Array:
     return known if len(known) else np.ones(1)
 
 
-def network_share(d: Values) -> Values:
+def network_share(d: Array) -> Array:
     """How much of a network counts at a distance."""
     return _fade(d, 1.0, NETWORK_END)
 
 
-def linear_share(d: Values) -> Values:
+def linear_share(d: Array) -> Array:
     """How much of what is linear counts at a distance."""
     return _fade(d, LINEAR_BEGIN, LINEAR_END)
 
 
-def _fade(d: Values, begin: float, end: float) -> Values:
+def _fade(d: Array, begin: float, end: float) -> Array:
     """1 up to `begin`, 0 from `end` on, in between a cubic without a kink."""
     t = ((d - begin) / (end - begin)).clip(0.0, 1.0)
-    return 1 - t * t * (3 - 2 * t)
+    return np.asarray(1 - t * t * (3 - 2 * t))

@@ -1,6 +1,7 @@
 """Flights as standardised sequences: what the compensator sees and what it should say.
 
-One definition for training and evaluation; `Compensator.step` does the same sample by sample.
+One definition for training and evaluation; `learning.export.streaming` does the same sample
+by sample.
 """
 
 import math

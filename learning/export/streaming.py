@@ -1,9 +1,11 @@
-"""`Compensator.step` as an ONNX model: a sample per call, all memory in `state`, all of it inside.
+"""`Compensator.run` as an ONNX model: a sample per call, all memory in `state`, all of it inside.
 
     virtual (B, 15), command (B, m), phase (B, 1), measured (B, 15), valid (B, 15), state (B, N)
     -> correction (B, 15), spread (B, 15), anomaly (B, 1), inside (B, 1), state_out (B, N)
 
 The first axis, "batch", is dynamic: B aircraft side by side, each with a state of its own.
+`measured` counts where `valid` is 1: there it is new. A sample with a number that is none counts as
+not having been: nothing is corrected, it is not inside, and the state stays as it is.
 
 Few and wide operators, since most of the time of a small network goes into their calls: all
 clusters are one batch of products. Each cluster sees every channel, with weights of zero for those
@@ -93,7 +95,7 @@ def _sample(g: Graph, model: Compensator) -> _Sample:
 
 
 def _step(g: Graph, model: Compensator) -> None:
-    """`Compensator.step` as operators."""
+    """One sample of `Compensator.run` as operators."""
     rows, protocol, n = model.history, model.info.protocol, len(CHANNELS)
     parts = g.split("state", list(model.state_sizes), axis=1)
     past, mean_so_far, readings, begun, innovation_ratios, slow, cells = parts

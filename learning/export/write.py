@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 import onnx
 import onnxruntime
-import torch
 from numpy.typing import NDArray
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
-from ..compute import one_thread
 from ..data.channels import CHANNELS, FEATURE_CHANNELS, GROUPS, N_PHASES, PHASE_CODES, UNITS
+from ..data.flights import ResidualFlight, held
 from ..model.compensator import Compensator
 from .streaming import INPUTS, OUTPUTS, streaming_model
 
@@ -102,7 +101,7 @@ def _motors(compensator: Compensator) -> list[str]:
 
 
 def reference_vectors(compensator: Compensator, seed: int = 0) -> dict[str, NDArray[np.float32]]:
-    """Inputs and the outputs that belong to them, sample after sample from the state zero.
+    """Inputs and the outputs that belong to them by `Compensator.run`, from the state zero.
 
     Features wander within the envelope and, in the second third, out of it.
 
@@ -126,14 +125,37 @@ def reference_vectors(compensator: Compensator, seed: int = 0) -> dict[str, NDAr
         "valid": rng.random(virtual.shape) < 0.7,
     }
     inputs = {name: values.astype(np.float32) for name, values in rows.items()}
-    v, u, p, m, w = (torch.from_numpy(inputs[name])[:, None] for name in INPUTS[:-1])
-    state, said = torch.zeros(1, compensator.state_size), []
-    with one_thread(), torch.no_grad():
-        for k in range(n):
-            *outputs, state = compensator.step(v[k], u[k], p[k], m[k], w[k], state)
-            said.append([o.numpy()[0] for o in outputs])
-    columns = zip(OUTPUTS[:-1], zip(*said, strict=True), strict=True)
-    return inputs | {name: np.stack(rows) for name, rows in columns}
+    found = compensator.run(flight_of(inputs, compensator.info.rate_hz))
+    right = {
+        "correction": found.correction,
+        "spread": found.spread,
+        "anomaly": found.anomaly[:, None],
+        "inside": found.inside[:, None],
+    }
+    return inputs | {name: values.astype(np.float32) for name, values in right.items()}
+
+
+def flight_of(inputs: Mapping[str, NDArray[np.float32]], rate_hz: float) -> ResidualFlight:
+    """Inputs of the ONNX file, sample after sample, as a flight of one span.
+
+    Args:
+        inputs: By name, finite where valid, shape (samples, width) each.
+        rate_hz: Samples a second.
+    """
+    virtual, command, phase, measured, valid = (inputs[name] for name in INPUTS[:-1])
+    samples, fresh = len(virtual), valid > 0.5
+    residual = np.where(fresh, measured.astype(np.float64) - virtual, np.nan)
+    return ResidualFlight(
+        name="samples",
+        rate_hz=rate_hz,
+        t_s=np.arange(samples) / rate_hz,
+        virtual=virtual.astype(np.float64),
+        residual=held(residual),
+        fresh=fresh,
+        commands=command.astype(np.float64),
+        phase=phase[:, 0].astype(np.intp),
+        spans=((0, samples),),
+    )
 
 
 Vectors = Mapping[str, NDArray[np.float32]]

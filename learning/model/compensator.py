@@ -8,8 +8,9 @@ what that reached on flights left out, or on time held back where there is but o
 is seen (`free`), or it is given to be returned (`reconstruct`), the distance of the encoder's
 latent to the codes.
 
-`Compensator.step` is the definition, one sample per call with all memory in `state`; `run` gives
-the same numbers for whole flights, fast.
+`Compensator.run` is the definition, over whole flights. What flies is the ONNX graph that
+`learning.export.streaming` writes of it, one sample per call with all memory in `state`, whose
+layout is said here; each export is given the numbers of `run` to be checked against.
 """
 
 import copy
@@ -22,8 +23,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from ..compute import one_thread
-from ..data.channels import CHANNELS, FEATURE_CHANNELS, N_PHASES, PLACES
-from ..data.envelope import Values, linear_share, network_share
+from ..data.channels import CHANNELS, N_PHASES
+from ..data.envelope import linear_share, network_share
 from ..data.flights import ResidualFlight
 from ..data.scaling import Scaling, feature_names, place_names
 from ..data.sequences import (
@@ -35,13 +36,11 @@ from ..data.sequences import (
     n_lags,
     n_regressors,
     one_hot,
-    running_mean,
     sequences,
-    smoothing,
 )
 from ..preset import Preset
 from .family import Corrected, ModelInfo, between
-from .linear import bounded, predict_base
+from .linear import predict_base
 from .network import NetworkOut, SvqNetwork
 
 __all__ = ["LINEAR_PART", "Compensator", "ModelInfo", "network_inputs", "untrained_compensator"]
@@ -77,7 +76,6 @@ class Compensator(nn.Module):
     gate: Tensor
     spread_factor: Tensor
     anomaly_scale: Tensor
-    phases: Tensor
 
     def __init__(self, info: ModelInfo[Preset]) -> None:
         super().__init__()
@@ -112,7 +110,6 @@ class Compensator(nn.Module):
         }
         for name, shape in shapes.items():
             self.register_buffer(name, torch.ones(shape))
-        self.register_buffer("phases", torch.arange(N_PHASES).float(), persistent=False)
 
     @property
     def history(self) -> int:
@@ -159,115 +156,6 @@ class Compensator(nn.Module):
         """Scaling and envelope."""
         names = Scaling.__dataclass_fields__
         return Scaling(**{name: getattr(self, name).double().numpy() for name in names})
-
-    def step(
-        self,
-        virtual: Tensor,
-        command: Tensor,
-        phase: Tensor,
-        measured: Tensor,
-        valid: Tensor,
-        state: Tensor,
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """One sample.
-
-        A sample with a number that is none counts as not having been: nothing is corrected, it is
-        not inside, and the state stays as it is.
-
-        Args:
-            virtual: What the twin's sensors read, shape (1, 15).
-            command: Motor commands, shape (1, m).
-            phase: Its code, shape (1, 1).
-            measured: Shape (1, 15); looked at where valid.
-            valid: 1 where `measured` is new, else 0, shape (1, 15).
-            state: Shape (1, state_size), zero at the start.
-
-        Returns:
-            correction (1, 15), spread (1, 15), anomaly (1, 1), inside (1, 1), next state.
-        """
-        if self.info.protocol == "free":
-            valid = torch.zeros_like(valid)  # nothing measured is looked at
-        measured = torch.where(valid > 0.5, measured, virtual)
-        given = torch.cat([virtual, command, phase, measured, valid], dim=-1)
-        whole = torch.isfinite(given).amin(-1, keepdim=True)
-        given = torch.where(whole, given, torch.zeros_like(given))
-        widths = [t.shape[-1] for t in (virtual, command, phase, measured, valid)]
-        parts = (*torch.split(given, widths, dim=-1), state)
-        *said, later = self._step(*parts)
-        nothing = (torch.zeros_like(said[0]), self.rms[None], *map(torch.zeros_like, said[2:]))
-        correction, spread, anomaly, inside = (
-            torch.where(whole, a, b) for a, b in zip(said, nothing, strict=True)
-        )
-        return correction, spread, anomaly, inside, torch.where(whole, later, state)
-
-    def _step(
-        self,
-        virtual: Tensor,
-        command: Tensor,
-        phase: Tensor,
-        measured: Tensor,
-        valid: Tensor,
-        state: Tensor,
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """One sample of finite numbers."""
-        n, rows = len(CHANNELS), self.history
-        parts = torch.split(state, list(self.state_sizes), dim=-1)
-        past, mean_so_far, readings, begun, innovation_ratios, slow, network_state = parts
-        here = torch.relu(1 - torch.abs(phase - self.phases))  # one-hot, (1, phases)
-        mean, scale = here @ self.mean, here @ self.scale
-        raw = torch.cat([virtual[:, list(FEATURE_CHANNELS)], command], dim=-1)
-        features = (raw - self.feature_mean) / self.feature_scale
-        features = torch.minimum(torch.maximum(features, self.least), self.most)
-        own = (virtual - here @ self.reading) / scale
-        known = torch.zeros_like(mean)
-        prediction, today = torch.zeros_like(mean), torch.zeros_like(mean)
-        if rows:
-            new = (measured - virtual - mean) / scale
-            last = torch.where(valid > 0.5, new, past[:, :n])
-            past = torch.cat([last, past[:, : (rows - 1) * n]], dim=-1)
-            known = past[:, self.info.horizon * n : (self.info.horizon + 1) * n]
-        slow_parts = []
-        for part, share in zip(slow.chunk(len(SMOOTHING_S), dim=-1), self._shares(), strict=True):
-            slow_parts.append(part + share * (features - part))
-        slow = torch.cat(slow_parts, dim=-1)
-        if self.info.protocol == "track":
-            then = torch.where(begun > 0.5, readings.reshape(-1, n), virtual)  # (readings, 15)
-            newest = torch.where(valid > 0.5, virtual, then[:1])
-            then = torch.cat([newest, then[:-1]], dim=0)
-            readings, begun = then.reshape(1, -1), torch.ones_like(begun)
-            change = (then[-1:] - virtual) / scale
-            lags = past[:, self.info.horizon * n :].reshape(-1, n)  # (lags, 15)
-            there = (known != 0).to(known.dtype)
-            decay, prior = running_mean(self.info.rate_hz)
-            new = torch.cat([known, (known + change + own) * there, there], dim=-1)
-            mean_so_far = decay * mean_so_far + new
-            sums = mean_so_far.reshape(3, n)
-            offset = sums[:2] / (sums[2:] + prior)
-            today = offset[:1]
-            seen = torch.cat([lags - today, offset, change, own], dim=0)  # (lags + 4, 15)
-            of_past, of_inputs = self.base[:, : len(seen)], self.base[:, len(seen) :]
-            prediction = (seen * of_past.T).sum(0, keepdim=True)
-            prediction = prediction + torch.cat([features, slow], dim=-1) @ of_inputs.T
-        elif self.info.protocol == "free":
-            prediction = own * self.base[:, 0]
-            prediction = prediction + torch.cat([features, slow], dim=-1) @ self.base[:, 1:].T
-        out, network_state = self.network.step(known, features, here, network_state)
-        distance = self._distance(raw)
-        near, close = linear_share(distance), network_share(distance)
-        inside = (distance <= 1).to(raw.dtype)
-        correction = near * (mean + scale * bounded(prediction, today, self.largest))
-        correction = correction + close * scale * self.gate * self.leftover * out.y
-        expected = here @ (self.scale.abs() * self.spread_factor) * torch.exp(out.log_spread)
-        spread = self.rms + close * (expected - self.rms)
-        if self.info.protocol == "track":
-            now = innovation_ratio(measured - virtual - correction, spread, self.anomaly_scale)
-            innovation_ratios = torch.where(valid > 0.5, now, innovation_ratios)
-            anomaly = innovation_ratios.amax(-1, keepdim=True)
-        else:
-            anomaly = (out.distance / self.anomaly_scale).amax(-1, keepdim=True)
-        after = [past, mean_so_far, readings, begun, innovation_ratios, slow, network_state]
-        state = torch.cat(after, dim=-1)
-        return correction, spread, anomaly, inside, state
 
     def run(self, flight: ResidualFlight) -> Corrected:
         """The whole flight; each span starts at the state zero.
@@ -348,33 +236,16 @@ class Compensator(nn.Module):
             }
         }
 
-    def _shares(self) -> tuple[float, ...]:
-        return smoothing(self.info.rate_hz)
 
-    def _distance(self, raw: Tensor) -> Tensor:
-        """From where training has been, shape (1, 1)."""
-        if not limited(self.info.protocol):
-            return torch.zeros_like(raw[:, :1])
-        seen = [
-            torch.linalg.vector_norm(raw[:, list(s)], dim=-1, keepdim=True)
-            if len(s) > 1
-            else raw[:, list(s)]
-            for s in PLACES
-        ]
-        places = torch.cat([*seen, raw[:, len(FEATURE_CHANNELS) :]], dim=-1)
-        white = ((places - self.place_centre) / self.place_scale) @ self.place_whitening.T
-        return torch.sqrt((white**2).mean(-1, keepdim=True)) / self.place_reach
-
-
-def innovation_ratio(innovation: Values, spread: Values, level: Values) -> Values:
+def innovation_ratio(innovation: Array, spread: Array, level: Array) -> Array:
     """Of readings: what is new in them over its spread and over its level.
 
     Args:
-        innovation: Reading less corrected virtual reading, array or tensor, shape (n, 15).
+        innovation: Reading less corrected virtual reading, shape (n, 15).
         spread: Expected of it, the same shape; 0 of a channel that training never had.
         level: In spreads, above which it is strange, shape (15,).
     """
-    return abs(innovation) / (spread.clip(min=NO_SPREAD) * level)
+    return np.abs(innovation) / (spread.clip(min=NO_SPREAD) * level)
 
 
 def untrained_compensator(info: ModelInfo[Preset], seed: int = 0) -> Compensator:

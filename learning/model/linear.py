@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.channels import CHANNELS, N_PHASES
-from ..data.envelope import BEYOND, Values, linear_share
+from ..data.envelope import BEYOND, linear_share
 from ..data.flights import ResidualFlight
 from ..data.scaling import Scaling, fit_scaling, in_spans
 from ..data.sequences import LAGS, SpanSequence, n_regressors, sequences
@@ -99,17 +99,17 @@ def predict_base(span: SpanSequence, weights: Array, protocol: Protocol, largest
     return np.asarray(bounded(np.stack(columns, axis=-1), span.offset[..., 0], largest))
 
 
-def bounded(prediction: Values, offset: Values, largest: Values) -> Values:
+def bounded(prediction: Array, offset: Array, largest: Array) -> Array:
     """No farther from an offset than `BEYOND` times the largest residual of the training.
 
     Flights that go where no flight of the training went are not made arbitrarily wrong.
 
     Args:
-        prediction: Array or tensor, shape (n, 15).
+        prediction: Shape (n, 15).
         offset: Running mean of the known residual, 0 unless in `track`; the same shape.
         largest: Of `Scaling`, shape (15,).
     """
-    return offset + (prediction - offset).clip(-BEYOND * largest, BEYOND * largest)
+    return np.asarray(offset + (prediction - offset).clip(-BEYOND * largest, BEYOND * largest))
 
 
 def regressors(span: SpanSequence, protocol: Protocol, channel: int) -> Array:

@@ -1,9 +1,7 @@
 """FC-MC-SVQ: per cluster of channels an LSTM, a codebook with soft assignment, an LSTM back.
 
-Every module has two forms that give the same numbers: `forward` over whole sequences (fused LSTM
-operators, for training and evaluation) and `step` for one sample (products, sums, sigmoid, tanh
-and softmax alone, for export). States are packed into one row: `[h, c]` of each layer, encoder
-before decoder, cluster after cluster; zero at the start.
+Every module goes over whole sequences, from a state to a state: rows of `[h, c]` of each layer,
+encoder before decoder, cluster after cluster; zero at the start.
 """
 
 from collections.abc import Sequence
@@ -46,7 +44,7 @@ class NetworkOut:
         y: In units of what it was trained on, shape (..., 15).
         log_spread: Logarithm of the predicted spread of `y`, 0 without a head, shape (..., 15).
         distance: To the nearest code of each cluster, squared, shape (..., clusters).
-        latents: Per cluster; empty from `step`.
+        latents: Per cluster; empty where no loss asks for them.
     """
 
     y: Tensor
@@ -75,19 +73,6 @@ class LstmStack(nn.Module):
         for layer, (h, c) in zip(self.layers, self._unpacked(state), strict=True):
             x, (h, c) = layer(x, (h.unsqueeze(0).contiguous(), c.unsqueeze(0).contiguous()))
             states += [h.squeeze(0), c.squeeze(0)]
-        return x, torch.cat(states, dim=-1)
-
-    def step(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Output (batch, units) and next state of one sample (batch, inputs)."""
-        states = []
-        for layer, (h, c) in zip(self.layers, self._unpacked(state), strict=True):
-            assert isinstance(layer, nn.LSTM)
-            of_input, of_state, bias_input, bias_state = layer.all_weights[0]
-            z = x @ of_input.T + h @ of_state.T + (bias_input + bias_state)
-            i, f, g, o = z.chunk(4, dim=-1)
-            c = torch.sigmoid(f) * c + torch.sigmoid(i) * torch.tanh(g)
-            x = torch.sigmoid(o) * torch.tanh(c)
-            states += [x, c]
         return x, torch.cat(states, dim=-1)
 
     def _unpacked(self, state: Tensor) -> list[tuple[Tensor, Tensor]]:
@@ -201,18 +186,6 @@ class ClusterNetwork(nn.Module):
         y, log_spread = self._output(h, code)
         return y, log_spread, latent, torch.cat([encoder_state, decoder_state], dim=-1)
 
-    def step(
-        self, seen: Tensor, phase: Tensor, state: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Output, log spread, distance and next state of one sample, shapes without time."""
-        encoder_state, decoder_state = self._halves(state)
-        h, encoder_state = self.encoder.step(torch.cat([seen, phase], dim=-1), encoder_state)
-        code, latent = self.quantiser(self._latent(h, seen))
-        h, decoder_state = self.decoder.step(torch.cat([code, phase], dim=-1), decoder_state)
-        y, log_spread = self._output(h, code)
-        next_state = torch.cat([encoder_state, decoder_state], dim=-1)
-        return y, log_spread, latent.distance, next_state
-
     def _start(self, n_channels: int, copies: bool, gain: float) -> None:
         """The code carries the sample, the LSTMs add context: they start at nothing."""
         assert self.skip_in is not None and self.skip_out is not None
@@ -312,27 +285,6 @@ class SvqNetwork(nn.Module):
             self._in_order(spreads),
             torch.stack([latent.distance for latent in latents], dim=-1),
             tuple(latents),
-        )
-        return out, torch.cat(states, dim=-1)
-
-    def step(
-        self, known: Tensor, features: Tensor, phase: Tensor, state: Tensor
-    ) -> tuple[NetworkOut, Tensor]:
-        """As `forward` for one sample: shapes without time, no latents."""
-        embedded = phase @ self.phase_embedding
-        ys, spreads, distances, states = [], [], [], []
-        parts = torch.split(state, self._sizes(), dim=-1)
-        for network, cluster, part in zip(self.networks, self.clusters, parts, strict=True):
-            assert isinstance(network, ClusterNetwork)
-            y, spread, distance, after = network.step(
-                self._seen(known, features, cluster), embedded, part
-            )
-            ys.append(y)
-            spreads.append(spread)
-            distances.append(distance)
-            states.append(after)
-        out = NetworkOut(
-            self._in_order(ys), self._in_order(spreads), torch.stack(distances, dim=-1)
         )
         return out, torch.cat(states, dim=-1)
 

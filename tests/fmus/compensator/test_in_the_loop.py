@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
-import torch
 from learning_rigs.compensator_rig import compensator, exported, tiny
 from numpy.typing import NDArray
 
@@ -15,7 +14,7 @@ from cosim.whole_twin import fused_model
 from fmus import build
 from fmus.compensator import FILE, compensator_model
 from learning.data.channels import CHANNELS
-from learning.export.write import streamed
+from learning.export.write import flight_of, streamed
 from twin.flight.assembly import flying_twin
 from twin.vehicle_file import load_vehicle
 
@@ -56,16 +55,7 @@ def test_a_minute_in_the_loop(tmp_path: Path) -> None:
     }
     rows = {name: each.astype(np.float32) for name, each in seen.items()}
     theirs = streamed(onnx.load(tmp_path / "model" / FILE), rows)["correction"]
-    ours, state = np.zeros_like(correction), torch.zeros(1, model.state_size)
-    names = ("virtual", "command", "phase", "measured", "valid")
-    virtual, command, phase, measured, valid = (torch.from_numpy(rows[n]) for n in names)
-    with torch.no_grad():
-        for k in range(len(ours)):
-            now = slice(k, k + 1)
-            found, *_, state = model.step(
-                virtual[now], command[now], phase[now], measured[now], valid[now], state
-            )
-            ours[k] = found.numpy()
+    ours = model.run(flight_of(rows, 1 / SAMPLE_S)).correction
     assert len(ours) == 6000
     assert (np.ptp(correction, axis=0) > 0.1 * spread.mean(axis=0)).all()
     for other in (theirs, ours):

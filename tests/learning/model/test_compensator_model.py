@@ -1,7 +1,7 @@
 """Compensator: sample by sample as in one go, causal, zero where it must be, refuses what it must.
 
-`step` works in float32 on measured and virtual signals, `run` on residuals in float64: they agree
-to some 1e-6 of each channel's size.
+The exported graph works in float32 on measured and virtual signals, `run` on residuals in float64:
+they agree to some 1e-6 of each channel's size.
 """
 
 from dataclasses import replace
@@ -18,6 +18,8 @@ from learning.data.clustering import clusters_of
 from learning.data.envelope import INSIDE, UNLIMITED
 from learning.data.flights import ResidualFlight
 from learning.data.scaling import fit_scaling, in_spans
+from learning.export.streaming import INPUTS, streaming_model
+from learning.export.write import streamed
 from learning.model.compensator import Compensator, ModelInfo
 from learning.model.family import Corrected
 from learning.preset import Preset
@@ -46,21 +48,19 @@ def untrained(protocol: str, horizon: int, preset: Preset, seed: int = 0) -> Com
     return model
 
 
-@torch.no_grad()
-def streamed(model: Compensator, flight: ResidualFlight) -> Corrected:
-    """As a tool would call it: one sample after the other, NaN where nothing was measured."""
-    n = len(flight.t_s)
+def as_streamed(model: Compensator, flight: ResidualFlight) -> Corrected:
+    """By the exported graph, one sample after the other, NaN where nothing was measured."""
+    n, graph = len(flight.t_s), streaming_model(model)
     correction, spread = np.zeros((n, 15)), np.tile(model.rms.numpy(), (n, 1))
     anomaly, inside = np.zeros(n), np.zeros(n, dtype=np.bool_)
     measured = np.where(flight.fresh, flight.virtual + flight.residual, np.nan)
-    for a, b in flight.spans:
-        state = torch.zeros(1, model.state_size)
-        for t in range(a, b):
-            rows = (flight.virtual, flight.commands, flight.phase[:, None], measured, flight.fresh)
-            one, cmd, phase, seen, new = (torch.from_numpy(r[t : t + 1]).float() for r in rows)
-            found = model.step(one, cmd, phase, seen, new, state)
-            correction[t], spread[t] = found[0].numpy(), found[1].numpy()
-            anomaly[t], inside[t], state = found[2].item(), found[3].item() > 0.5, found[4]
+    for span in flight.spans:
+        rows = slice(*span)
+        parts = (flight.virtual, flight.commands, flight.phase[:, None], measured, flight.fresh)
+        given = {k: v[rows].astype(np.float32) for k, v in zip(INPUTS[:-1], parts, strict=True)}
+        found = streamed(graph, given)
+        correction[rows], spread[rows] = found["correction"], found["spread"]
+        anomaly[rows], inside[rows] = found["anomaly"][:, 0], found["inside"][:, 0] > 0.5
     return Corrected(correction, spread, anomaly, inside)
 
 
@@ -73,7 +73,7 @@ def streamed(model: Compensator, flight: ResidualFlight) -> Corrected:
 def test_streaming_is_sequence(protocol: str, horizon: int, changes: dict[str, object]) -> None:
     model = untrained(protocol, horizon, tiny(**changes))
     model.place_reach.mul_(0.4)  # some samples are outside, and some far
-    one, other = streamed(model, FLIGHT), model.run(FLIGHT)
+    one, other = as_streamed(model, FLIGHT), model.run(FLIGHT)
     np.testing.assert_array_equal(one.inside, other.inside)
     assert protocol == "reconstruct" or 0.05 < other.inside[in_spans(FLIGHT)].mean() < 0.95
     np.testing.assert_allclose(one.correction / UNITS, other.correction / UNITS, atol=5e-6)
@@ -115,40 +115,6 @@ def test_a_flight_cut_short_is_the_same_up_to_there(protocol: str, horizon: int,
     short = replace(FLIGHT, spans=((0, cut),), **parts)
     whole = model.run(FLIGHT).correction[:cut] / UNITS
     np.testing.assert_allclose(model.run(short).correction / UNITS, whole, atol=1e-5)
-
-
-@torch.no_grad()
-@pytest.mark.parametrize(("protocol", "horizon"), PROTOCOLS)
-@given(
-    which=st.sampled_from(["virtual", "command", "phase", "measured"]),
-    value=st.sampled_from([float("nan"), float("inf")]),
-)
-@settings(max_examples=8)
-def test_a_sample_with_no_number_is_as_if_it_had_not_been(
-    protocol: str, horizon: int, which: str, value: float
-) -> None:
-    model = untrained(protocol, horizon, tiny())
-    drawn = torch.Generator().manual_seed(0)
-    names = ("virtual", "command", "phase", "measured", "valid")
-    widths = (15, FLIGHT.commands.shape[1], 1, 15, 15)
-    samples = [
-        {n: torch.rand(1, w, generator=drawn) for n, w in zip(names, widths, strict=True)}
-        for _ in range(6)
-    ]
-    for sample in samples:
-        sample["valid"] = (sample["valid"] > 0.3).float()
-    broken = samples[3] | {"valid": torch.ones(1, 15), which: samples[3][which].clone()}
-    broken[which][0, 0] = value
-    one = torch.zeros(1, model.state_size)
-    for sample in samples[:3]:
-        *_, one = model.step(**sample, state=one)
-    *said, after = model.step(**broken, state=one)
-    if (protocol, which) == ("free", "measured"):
-        assert not torch.equal(after, one)  # it is not looked at
-        return
-    assert torch.equal(after, one)
-    assert not said[0].any() and not said[2].any() and not said[3].any()
-    assert torch.equal(said[1], model.rms[None])
 
 
 @pytest.mark.parametrize(("protocol", "horizon"), PROTOCOLS)
@@ -208,14 +174,19 @@ def test_a_feature_never_seen_limits_nothing(column: int) -> None:
 def test_state_zero_is_the_mean() -> None:
     """Before the first measurement the residual is taken to be the phase's mean."""
     model = untrained("reconstruct", 0, tiny())
-    state = torch.zeros(1, model.state_size)
-    nothing, commands = torch.zeros(1, 15), torch.zeros(1, 2)
+    graph, nothing = streaming_model(model), np.zeros((1, 15), np.float32)
     for phase in (1, 2, 4):
-        code = torch.full((1, 1), float(phase))
-        mean = model.mean[phase][None]
-        unknown = model.step(nothing, commands, code, nothing, nothing, state)[0]
-        at_mean = model.step(nothing, commands, code, mean, torch.ones(1, 15), state)[0]
-        torch.testing.assert_close(unknown, at_mean)
+        unknown = {
+            "virtual": nothing,
+            "command": np.zeros((1, 2), np.float32),
+            "phase": np.full((1, 1), phase, np.float32),
+            "measured": nothing,
+            "valid": nothing,
+        }
+        mean = model.mean[phase].numpy()[None]
+        at_mean = unknown | {"measured": mean, "valid": np.ones_like(nothing)}
+        one, other = (streamed(graph, given)["correction"] for given in (unknown, at_mean))
+        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize(

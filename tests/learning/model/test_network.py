@@ -1,4 +1,6 @@
-"""Network: both forms alike, soft code to hard, gradients where the switches say."""
+"""Network: states carry on, soft code to hard, gradients where the switches say."""
+
+from itertools import pairwise
 
 import pytest
 import torch
@@ -44,21 +46,21 @@ def _seeded() -> None:
     ],
 )
 @torch.no_grad()
-def test_step_is_sequence(protocol: str, changes: dict[str, object]) -> None:
-    """To the rounding of float32; a state handed over in the middle changes nothing."""
+def test_a_state_carries_a_sequence_on(protocol: str, changes: dict[str, object]) -> None:
+    """To the rounding of float32: in two halves, and sample by sample."""
     network = SvqNetwork(tiny(**changes), protocol, CLUSTERS, N_FEATURES)  # type: ignore[arg-type]
     stirred(network)
     known, features, phase = inputs(2, 12)
-    state = torch.zeros(2, network.state_size)
-    first, between = network(known[:, :5], features[:, :5], phase[:, :5], state)
-    second, end = network(known[:, 5:], features[:, 5:], phase[:, 5:], between)
-    for t in range(12):
-        out, state = network.step(known[:, t], features[:, t], phase[:, t], state)
-        whole, k = (first, t) if t < 5 else (second, t - 5)
-        for name in ("y", "log_spread", "distance"):
-            expected = getattr(whole, name)[:, k]
-            torch.testing.assert_close(getattr(out, name), expected, atol=1e-6, rtol=1e-6)
-    torch.testing.assert_close(state, end, atol=1e-6, rtol=1e-6)
+    zero = torch.zeros(2, network.state_size)
+    whole, end = network(known, features, phase, zero)
+    for cuts in ([0, 5, 12], range(13)):
+        state = zero
+        for a, b in pairwise(cuts):
+            out, state = network(known[:, a:b], features[:, a:b], phase[:, a:b], state)
+            for name in ("y", "log_spread", "distance"):
+                expected = getattr(whole, name)[:, a:b]
+                torch.testing.assert_close(getattr(out, name), expected, atol=1e-6, rtol=1e-6)
+        torch.testing.assert_close(state, end, atol=1e-6, rtol=1e-6)
 
 
 @torch.no_grad()
@@ -70,8 +72,8 @@ def test_lstm_against_an_independent_cell() -> None:
     cell.load_state_dict({k.removesuffix("_l0"): v for k, v in layer.state_dict().items()})
     x, state, (h, c) = torch.randn(3, 4), torch.randn(3, 12), (torch.zeros(0), torch.zeros(0))
     h, c = cell(x, (state[:, :6], state[:, 6:]))
-    out, after = stack.step(x, state)
-    torch.testing.assert_close(out, h, atol=1e-6, rtol=1e-6)
+    out, after = stack(x[:, None], state)
+    torch.testing.assert_close(out[:, 0], h, atol=1e-6, rtol=1e-6)
     torch.testing.assert_close(after, torch.cat([h, c], dim=1), atol=1e-6, rtol=1e-6)
 
 
