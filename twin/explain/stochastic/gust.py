@@ -6,6 +6,7 @@ the measured motion explains.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,13 +73,14 @@ def slow_parts(
     every = round(CHANNEL_HZ / SLOW_HZ)
     sos = butter(2, settings.band_hz, "bandpass", fs=CHANNEL_HZ, output="sos")
     spin, force = aligned.predicted("spin_", "specific_force_")
-    for k in np.unique(acc[0].piece):
-        rows = np.flatnonzero(acc[0].piece == k)
-        if len(rows) < (settings.window_s + 1) * CHANNEL_HZ:
+    for t in _in_common(acc):
+        if len(t) < (settings.window_s + 1) * CHANNEL_HZ:
             continue
-        t = acc[0].t_s[rows]
-        residual = np.stack([c.residual[rows] for c in acc], axis=-1)
-        slopes = np.stack([c.slopes[rows] for c in acc], axis=1)  # (n, 3, k)
+        rows = [np.searchsorted(c.t_s, t) for c in acc]
+        residual = np.stack([c.residual[k] for c, k in zip(acc, rows, strict=True)], axis=-1)
+        slopes = np.stack(
+            [c.slopes[k] for c, k in zip(acc, rows, strict=True)], axis=1
+        )  # (n, 3, k)
         at = np.rint((t - aligned.inputs.t_s[0]) * GRID_HZ).astype(np.intp)
         curves = _curves(aligned, at, spin, force)  # (n, c)
         features = np.concatenate([slopes, np.repeat(curves[:, None, :], 3, axis=1)], axis=2)
@@ -94,6 +96,12 @@ def slow_parts(
             )
         )
     return found
+
+
+def _in_common(channels: Sequence[ChannelData]) -> list[Array]:
+    """Times of uninterrupted pieces that all of these channels have: each may lack its own."""
+    t = reduce(np.intersect1d, [c.t_s for c in channels])
+    return np.split(t, np.flatnonzero(np.diff(t) > 1.5 / CHANNEL_HZ) + 1)
 
 
 def _curves(aligned: AlignedFlight, at: NDArray[np.intp], spin: Array, force: Array) -> Array:
