@@ -30,6 +30,7 @@ _LEAD = 4096
 """Bytes before all content: what an FMU writes into open files by mistake lands there. A mapping in
 Python keeps its file open."""
 _CLOCK, _CALL, _NAMES, _NAME_BYTES, _MOST_NAMES = _LEAD, _LEAD + 8, _LEAD + 256, 256, 4095
+"""Offsets in the trace, and sizes, bytes."""
 HEADER = _NAMES + _MOST_NAMES * _NAME_BYTES
 """Bytes of the trace: the clock, the number of the call, and what calls there are."""
 ONE, QUARTER, MORE, FOLLOWING, TINY = 1.0, 2.0**-54, 1.5 * 2.0**-53, 1.0 + 2.0**-52, 5e-324

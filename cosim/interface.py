@@ -17,7 +17,7 @@ _INTEGERS: dict[str, type[np.generic]] = {
     f"{sign}Int{bits}": np.dtype(f"{sign.lower()}int{bits}").type
     for bits in (8, 16, 32, 64)
     for sign in ("", "U")
-}
+}  # Int8 to UInt64 of FMI 3
 SCALARS: dict[int, dict[str, tuple[str, type[np.generic]]]] = {
     2: {
         "Real": ("Real", np.float64),
@@ -35,8 +35,8 @@ SCALARS: dict[int, dict[str, tuple[str, type[np.generic]]]] = {
 }
 """By FMI version: FMI type -> name in the get and set functions, NumPy type of its buffer."""
 
-_SAVES = ("canGetAndSetFMUstate", "canGetAndSetFMUState")
-_DERIVATIVES = ("providesDirectionalDerivative", "providesDirectionalDerivatives")
+_SAVES = ("canGetAndSetFMUstate", "canGetAndSetFMUState")  # FMI 2, FMI 3
+_DERIVATIVES = ("providesDirectionalDerivative", "providesDirectionalDerivatives")  # FMI 2, FMI 3
 
 
 @dataclass(frozen=True, slots=True)

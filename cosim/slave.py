@@ -36,7 +36,7 @@ from .calls import (
 from .interface import SCALARS, Port, read_interface
 
 Array = NDArray[np.float64]
-_OK, _WARNING, _DISCARD, _FATAL, _PENDING = 0, 1, 2, 4, 5
+_OK, _WARNING, _DISCARD, _FATAL, _PENDING = 0, 1, 2, 4, 5  # `fmi2Status`, `fmi3Status`
 _LAST_SUCCESSFUL_TIME, _TERMINATED = 2, 3
 """Of `fmi2StatusKind`."""
 _LONGEST = 1000
@@ -431,7 +431,7 @@ def _bare(moves: Sequence[Any]) -> list[tuple[int, int, Any, NDArray[Any], NDArr
     ]
 
 
-_ROOT_EPS = float(np.sqrt(np.finfo(np.float64).eps))
+_ROOT_EPS = float(np.sqrt(np.finfo(np.float64).eps))  # relative step of forward differences
 
 
 def jacobian(slave: Slave, outputs: Sequence[str], inputs: Sequence[str]) -> Callable[[], Array]:

@@ -28,8 +28,8 @@ MAX_DESCRIPTION_BYTES = 32 * 2**20
 """Largest modelDescription.xml. Made up."""
 MAX_DIRECTORY_BYTES = 8 * 2**20
 """Of the list of members: 400 for each of `MAX_MEMBERS`."""
-DESCRIPTION = "modelDescription.xml"
-_CHUNK = 2**20
+DESCRIPTION = "modelDescription.xml"  # member of every FMU, FMI 2.2 and 2.4
+_CHUNK = 2**20  # bytes read at once
 _END_BYTES = 2**16 + 22 + 20 + 56
 """In which an archive ends: a comment, the end of its list, and of that the form for large ones."""
 _UNREADABLE = (zipfile.BadZipFile, OSError, NotImplementedError, RuntimeError, EOFError)

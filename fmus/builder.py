@@ -41,7 +41,7 @@ from .platforms import (
 )
 from .source import generated_sources
 
-_HASH_BYTES = hashlib.sha256().digest_size
+_HASH_BYTES = hashlib.sha256().digest_size  # in front of an entry of the cache
 
 
 def cache_folder() -> Path:
@@ -123,14 +123,14 @@ def store(name: str, content: bytes) -> None:
 CFLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-fvisibility=hidden")
 """No -ffast-math in physics: results are the same bits on every compiler that was tried."""
 
-NAMESPACE = uuid.UUID("7f1f3f2e-8a4f-5d0b-9d57-0a1d1c7d6b55")
+NAMESPACE = uuid.UUID("7f1f3f2e-8a4f-5d0b-9d57-0a1d1c7d6b55")  # of the FMUs' tokens; drawn once
 _ENTRY = 3
 """Form of the entries of the cache."""
 _INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)
 _HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
-}
+}  # of the FMI standard, by version
 
 
 def build(model: FmuModel, path: Path, fmi: int = 2, platforms: Iterable[str] = DEFAULT) -> Path:

@@ -50,8 +50,9 @@ _TEMPLATES = tuple(
 """Ours, in the place of the generator's."""
 _EXPORTED = re.compile(
     r"^extern const [^\n]*;\n|^_Bool network_load\(.*?^\}\n", re.MULTILINE | re.DOTALL
-)
+)  # what the generator offers to others
 _OPEN = re.compile(r"^(?=const EMX_UNUSED|void network\()", re.MULTILINE)
+"""Starts of what is to become static."""
 
 
 class UnsupportedNetworkError(FmuError):

@@ -329,7 +329,7 @@ TOLERANCE = 1e-8
 CATEGORIES = {
     "logStatusError": "Errors",
     "logEvents": "Begin and end, events, reset and restored states; only when asked for",
-}
+}  # log categories and what is logged in them
 
 
 def _log_categories(root: etree._Element) -> None:

@@ -48,7 +48,7 @@ FUNCTIONS = {
 """Names of the other operations: those of C, but for what C writes as a condition."""
 CONTACT = "ground.enabled"
 """Parameter of the airframe that switches ground contact on."""
-LEAVES = (ca.OP_INPUT, ca.OP_CONST)
+LEAVES = (ca.OP_INPUT, ca.OP_CONST)  # operations without arguments
 
 
 @dataclass(frozen=True, slots=True)

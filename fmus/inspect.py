@@ -27,8 +27,8 @@ from .names import shown
 _ARCHITECTURES = (
     *("x86", "x86_64", "aarch32", "aarch64"),
     *("riscv32", "riscv64", "ppc32", "ppc64"),
-)
-_SYSTEMS = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}
+)  # FMI 3, 2.5.1.4.2
+_SYSTEMS = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}  # ending of a library
 _PLATFORMS = {
     "linux32": ("linux", {"x86"}),
     "linux64": ("linux", {"x86_64"}),
@@ -39,10 +39,13 @@ _PLATFORMS = {
 }
 """Folder below `binaries` -> system and processors; FMI 2, 2.1.1, and FMI 3, 2.5.1.4.2."""
 _ELF_MACHINES = {3: "x86", 62: "x86_64", 40: "aarch32", 183: "aarch64", 20: "ppc32", 21: "ppc64"}
-_ELF_RISCV = 243
+"""`e_machine`, elf.h."""
+_ELF_RISCV = 243  # `e_machine` of both widths
 _PE_MACHINES = {0x14C: "x86", 0x8664: "x86_64", 0x1C4: "aarch32", 0xAA64: "aarch64"}
+"""`Machine`, PE format."""
 _MACH_CPUS = {7: "x86", 0x01000007: "x86_64", 12: "aarch32", 0x0100000C: "aarch64"}
-_MAX_SLICES, _MAX_COMMANDS = 16, 10_000
+"""`cputype`, mach/machine.h."""
+_MAX_SLICES, _MAX_COMMANDS = 16, 10_000  # of a library of a Mac; by judgement
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,8 +183,8 @@ MAX_FACT = 500
 MAX_PROBLEMS = 100
 """Listed of one FMU; of more, how many."""
 _QUOTED = r"'(?:[A-Za-z0-9_!#$%&()*+,\-./:;<>=?@\[\]^{}|~ ]|\\['\"?\\abfnrtv])+'"
-_PART = rf"(?:[A-Za-z_][A-Za-z0-9_]*|{_QUOTED})(?:\[[0-9]+(?:,[0-9]+)*\])?"
-_PATH = rf"{_PART}(?:\.{_PART})*"
+_PART = rf"(?:[A-Za-z_][A-Za-z0-9_]*|{_QUOTED})(?:\[[0-9]+(?:,[0-9]+)*\])?"  # of a structured name
+_PATH = rf"{_PART}(?:\.{_PART})*"  # parts with dots
 _STRUCTURED = re.compile(rf"{_PATH}|der\({_PATH}(?:,[0-9]+)?\)")
 """Names of the convention "structured", FMI 2.2.9. FMPy takes a millisecond for each."""
 _NUMBERS = {

@@ -165,7 +165,8 @@ def _on_states(component: Component, states: Iterable[ExchangeState]) -> dict[st
 
 
 _MEMBER = re.compile(r"(?P<before>.+)_(?P<index>[wxyz]|[1-9][0-9]*)(?P<after>\)?)")
-_AXES = (("x", "y", "z"), ("w", "x", "y", "z"))
+"""Name of a member of a vector."""
+_AXES = (("x", "y", "z"), ("w", "x", "y", "z"))  # vector, quaternion
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ LONGEST_VARIABLE = 256
 """Of a variable of an FMU, the names of its part and of what it stands for together."""
 LONGEST_TEXT = 1000
 """Of a description."""
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.]*")
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.]*")  # of a file's own
 IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 """Of C: a letter or _, then letters, digits and _, all of ASCII."""
 
@@ -124,7 +124,7 @@ BASE_UNITS: dict[str, dict[str, int]] = {
     "Pa": {"kg": 1, "m": -1, "s": -2},
     "T": {"kg": 1, "s": -2, "A": -1},
     "T/A": {"kg": 1, "s": -2, "A": -2},
-}
+}  # powers of SI base units (and rad) by unit
 
 
 DISPLAY_UNITS: dict[str, tuple[str, float]] = {
@@ -146,7 +146,7 @@ def usual_size(unit: str, start: float) -> float:
     return float(f"1e{math.floor(math.log10(abs(start)))}")
 
 
-_RATE = re.compile(r"(.+)/s([0-9]?)")
+_RATE = re.compile(r"(.+)/s([0-9]?)")  # unit of a derivative
 
 
 def rate_unit(unit: str) -> str:

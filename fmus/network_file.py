@@ -25,8 +25,8 @@ from .names import LONGEST_NAME, base_exponents, check_identifier, check_name, c
 
 Shape = tuple[int, ...]
 
-INPUTS = ("virtual", "command", "phase", "measured", "valid", "state")
-OUTPUTS = ("correction", "spread", "anomaly", "inside", "state_out")
+INPUTS = ("virtual", "command", "phase", "measured", "valid", "state")  # of the graph
+OUTPUTS = ("correction", "spread", "anomaly", "inside", "state_out")  # of the graph
 MAX_FILE_BYTES = 256 * 2**20
 """The largest preset has 8 MB."""
 MAX_NODES = 10_000
@@ -34,8 +34,8 @@ MAX_NODES = 10_000
 MAX_NUMBERS = 2**18
 """Of a tensor that is made at each sample: 1 MiB of the caller's stack. The largest preset has
 5,218 in its state."""
-_OPERATOR_DOMAINS = ("", "ai.onnx")
-_WAY_OUT = "Use a file that uavtwin train wrote"
+_OPERATOR_DOMAINS = ("", "ai.onnx")  # ONNX's own, by its two names
+_WAY_OUT = "Use a file that uavtwin train wrote"  # end of messages
 
 
 def parse_network(path: Path, content: bytes) -> Any:
@@ -286,9 +286,10 @@ def _refusal(path: Path, quantity: str, value: object, need: str) -> FmuError:
 
 FILE, INT8_FILE = "model.onnx", "model_int8.onnx"
 """In the folder of a trained model: as trained, and with weights of 8 bits."""
-FORMAT = "uavtwin compensator 1"
-PROTOCOLS = ("reconstruct", "track", "free")
+FORMAT = "uavtwin compensator 1"  # in the metadata
+PROTOCOLS = ("reconstruct", "track", "free")  # ways of feeding measurements
 MAX_CHANNELS, MAX_COMMANDS, MAX_PHASES, MAX_HORIZON = 64, 64, 64, 10_000
+"""Counts; ours have 15 channels."""
 MAX_STATE = 50_000
 """Numbers of the packed state; the largest preset has 5,218."""
 MAX_RATE_HZ = 1e5

@@ -51,8 +51,8 @@ PLATFORMS = {
             "aarch64-macos.11.0",
         ),
     )
-}
-DEFAULT = ("linux64",)
+}  # by name
+DEFAULT = ("linux64",)  # unless told otherwise
 
 
 @dataclass(frozen=True, slots=True)

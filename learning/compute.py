@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from twin.errors import ModelError
 
-CPU = torch.device("cpu")
+CPU = torch.device("cpu")  # where nothing else is asked for
 
 
 def device_named(name: str) -> torch.device:

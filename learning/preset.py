@@ -207,4 +207,4 @@ BEST = Preset(name="best")
 
 SEEDS = MappingProxyType({"paper": 42, "published": 42})
 """Of everything that is drawn, by the name of the preset, where nobody says; of others 0."""
-PRESETS = MappingProxyType({p.name: p for p in (PAPER, PUBLISHED, BEST)})
+PRESETS = MappingProxyType({p.name: p for p in (PAPER, PUBLISHED, BEST)})  # by name

@@ -13,6 +13,7 @@ _READ_IN = {
 _SMALLER = {"m": 0.1, "s": 0.1, "kg": 0.1}
 """Quantities below which a pilot reads thousandths of the unit; of others, `_TINY`."""
 _TINY, _PREFIXES = 1e-3, (("m", 1e3), ("µ", 1e6), ("n", 1e9))
+"""Below it a prefix is used; prefix and factor."""
 
 
 def pretty_unit(unit: str) -> str:

@@ -33,13 +33,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-PREFIX = ".uavtwin-"
+PREFIX = ".uavtwin-"  # of all scratch folders
 LOCK = "lock"
 """File in a scratch folder, locked by its owner."""
 _HOST = re.sub(r"[^A-Za-z0-9.]", "_", platform.node())[:16] or "host"
+"""16 characters of the machine's name."""
 _NAME = re.compile(
     rf"{re.escape(PREFIX)}[\w.]+-([0-9a-f]{{12}})-([0-9]+)-([0-9]+)-([0-9]+)-\w+", re.ASCII
-)
+)  # host, boot, process, its start, number
 _UNKNOWN = "0" * 12
 """Boot where the system has no such number: nothing is ever swept there."""
 

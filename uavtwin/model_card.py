@@ -326,7 +326,7 @@ def _without_samples(about: Mapping[str, Any], channel: str) -> bool:
     return bool(said) and said[channel]["linear"] == 0
 
 
-FILE = "README.md"
+FILE = "README.md"  # in the folder of a model
 _USES = {
     "track": "corrects what the twin's sensors read, from residuals as old as the horizon",
     "free": "corrects what the twin's sensors read, without seeing a measurement",

@@ -181,8 +181,8 @@ def _of_sensor(sensor: Sensor) -> list[Kind]:
     ]
 
 
-_BODY = {"x": "forward axis", "y": "right axis", "z": "down axis"}
-_TURN = {"x": "roll", "y": "pitch", "z": "yaw"}
+_BODY = {"x": "forward axis", "y": "right axis", "z": "down axis"}  # words for axes
+_TURN = {"x": "roll", "y": "pitch", "z": "yaw"}  # words for rotations
 _EARTH = {"x": "north", "y": "east", "z": "down"}
 """Axes in words, by letter: of the body, of turns, of the earth."""
 _FRD, _ROLL = "body axes: x forward, y right, z down", "body axes: x roll, y pitch, z yaw"

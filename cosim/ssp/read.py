@@ -63,7 +63,7 @@ def parse_xml(path: Path, member: str, content: bytes) -> etree._Element:
     return root
 
 
-SSD_FILE = "SystemStructure.ssd"
+SSD_FILE = "SystemStructure.ssd"  # SSP 1.0
 NAMESPACES = {
     "ssd": "http://ssp-standard.org/SSP1/SystemStructureDescription",
     "ssc": "http://ssp-standard.org/SSP1/SystemStructureCommon",
@@ -71,8 +71,8 @@ NAMESPACES = {
     "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
 }
 """The prefixes matter: libcosim and ecos look for them literally."""
-FMU_TYPE = "application/x-fmu-sharedlibrary"
-SET_TYPE = "application/x-ssp-parameter-set"
+FMU_TYPE = "application/x-fmu-sharedlibrary"  # SSP 1.0, media type
+SET_TYPE = "application/x-ssp-parameter-set"  # SSP 1.0, media type
 PARAMETER_SET = "initialValues"
 """Name of all parameter sets that we write; ecos applies a set by name."""
 OSP = "com.opensimulationplatform"
@@ -90,8 +90,8 @@ _KINDS = {
     "output": ("output",),
     "parameter": ("parameter", "structuralParameter"),
     "calculatedParameter": ("calculatedParameter",),
-}
-_FLATTEN = "Flatten the system in the tool that wrote the file: components side by side."
+}  # causalities that a connector's kind may have
+_FLATTEN = "Flatten the system in the tool that wrote the file: components side by side."  # way out
 
 
 class _Folder:

@@ -15,8 +15,8 @@ from ..interface import Interface, Port, read_interface
 from ..system import System
 from .read import FMU_TYPE, NAMESPACES, OSP, PARAMETER_SET, SET_TYPE, SSD_FILE, tag
 
-_EXPONENTS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-_TOOL = "uavtwin"
+_EXPONENTS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # SI base units
+_TOOL = "uavtwin"  # `generationTool`
 
 
 def write_ssp(system: System, path: Path) -> Path:

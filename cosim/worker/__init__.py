@@ -43,7 +43,7 @@ _ANSWER_BYTES = 2**20
 """Longest answer that is read."""
 
 
-_SPOILT = "its process wrote into what belongs to uavtwin"
+_SPOILT = "its process wrote into what belongs to uavtwin"  # end of a message
 _KINDS = {"done", "failed", "refused", "progress"}
 """Of answers."""
 

@@ -24,7 +24,7 @@ from twin.effects import EFFECTS, Effect
 
 from ..model import FmuModel
 
-_NAME = "uavtwin"
+_NAME = "uavtwin"  # of the installed package
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +79,8 @@ class Bus:
     members: str
 
 
-_SIGNALS = ("input", "output")
-_XYZ = "_[xyz]"
+_SIGNALS = ("input", "output")  # causalities of what is connected
+_XYZ = "_[xyz]"  # the end of a vector's names
 BUSES = (
     Bus("motor_commands", "What the controller asks of each motor", r"cmd_\d+"),
     Bus("rotors", "What each rotor does", r"(rotor|spin_rate|spin|thrust)_\d+"),
@@ -99,6 +99,7 @@ BUSES = (
         rf"(acc|gyro|mag|meas_pos|meas_vel){_XYZ}|meas_q_[wxyz]|baro_pa",
     ),
 )
+"""Variables that belong together, by pattern of their names."""
 
 
 def terminals_and_icons(model: FmuModel) -> bytes:

@@ -35,9 +35,10 @@ from twin.{module} import {name}
 from twin.script import keep
 
 keep(globals())  # pythonfmu gives back a reference to them that it does not own
-'''
-_IMPORTED = re.compile(r"^from (\.+)([\w.]*) import", re.MULTILINE)
+'''  # source of the slave's module
+_IMPORTED = re.compile(r"^from (\.+)([\w.]*) import", re.MULTILINE)  # relative imports
 _OURS = re.compile(r"^(from|import) (twin|pythonfmu)\b", re.MULTILINE)
+"""Imports that get another name."""
 
 
 def build_python_slave(component: Component, path: Path) -> Path:

@@ -23,10 +23,11 @@ from twin.errors import ModelError
 
 Array = NDArray[np.float64]
 
-COMPONENT = "component.json"
+COMPONENT = "component.json"  # resource of the FMU
 _VERSION = __name__.encode()
 """In front of each saved state: inside an FMU this name is made of its content."""
 _INSTANTIATED, _INITIALIZING, _STEPPING, _TERMINATED, _FAILED = range(5)
+"""Life of a slave, FMI 2, 4.2.4."""
 _WHERE = (
     *("before initialization", "in initialization mode", "in step mode"),
     *("after terminate; reset the FMU first", "after an error in a step; reset the FMU first"),

@@ -12,6 +12,7 @@ from twin.frames import AXES
 from twin.physics.sensors.table import SENSORS
 
 _LEARNED = {s.signal: s.unit for s in SENSORS if s.learned} | {"pos": "m", "vel": "m/s"}
+"""Unit of each signal."""
 _ORDER = ("gyro", "acc", "mag", "pos", "vel")
 """Of the channels, in which models are stored."""
 if {*_ORDER} != {*_LEARNED}:
@@ -20,7 +21,7 @@ if {*_ORDER} != {*_LEARNED}:
         f"{', '.join(_ORDER)}: give each sensor that is learned a place in "
         f"learning/data/channels.py."
     )
-_SENSORS = tuple((signal, _LEARNED[signal]) for signal in _ORDER)
+_SENSORS = tuple((signal, _LEARNED[signal]) for signal in _ORDER)  # signal and unit
 CHANNELS = tuple(f"{sensor}_{axis}" for sensor, _ in _SENSORS for axis in AXES)
 """Gyroscope, accelerometer, magnetometer, position, velocity: flight-table columns, in order."""
 UNITS = tuple(unit for _, unit in _SENSORS for _ in AXES)
@@ -35,6 +36,7 @@ FEATURE_CHANNELS = tuple(i for i, c in enumerate(CHANNELS) if c not in ("pos_x",
 """Channels whose virtual readings are features: all but the place over ground, on which no effect
 depends."""
 _PLACES = (("gyro_x",), ("gyro_y",), ("gyro_z",), ("vel_x", "vel_y"), ("vel_z",))
+"""Channels by name."""
 PLACES = tuple(tuple(FEATURE_CHANNELS.index(CHANNELS.index(c)) for c in some) for some in _PLACES)
 """Physical inputs of the envelope, alongside what drives the rotors: places among
 `FEATURE_CHANNELS`, each one alone or the length of two. These are rates, speed over ground and
@@ -51,7 +53,7 @@ UNKNOWN_PHASE = len(PHASES)
 """Code of a phase that no name stands for."""
 PHASE_CODES = MappingProxyType({**PHASES, "unknown": UNKNOWN_PHASE})
 """Phases of a mission by their codes, and where a flight says nothing."""
-N_PHASES = len(PHASE_CODES)
+N_PHASES = len(PHASE_CODES)  # phases of flight
 
 
 def phase_codes(phases: Iterable[object]) -> NDArray[np.intp]:

@@ -38,7 +38,7 @@ INPUTS = ("virtual", "command", "phase", "measured", "valid", "state")
 """Of the ONNX model, in order."""
 OUTPUTS = ("correction", "spread", "anomaly", "inside", "state_out")
 """Of the ONNX model, in order."""
-_FLOAT = onnx.TensorProto.FLOAT
+_FLOAT = onnx.TensorProto.FLOAT  # 32 bits
 
 
 def streaming_model(compensator: Compensator, batch: int | None = None) -> onnx.ModelProto:

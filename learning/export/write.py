@@ -26,6 +26,7 @@ from ..model.compensator import Compensator
 from .streaming import INPUTS, OUTPUTS, streaming_model
 
 MODEL_FILE, INT8_FILE, REFERENCE_FILE = "model.onnx", "model_int8.onnx", "reference.npz"
+"""Network, network of 8 bits, what both say for some inputs."""
 FORMAT = "uavtwin compensator 1"
 """Value of the metadata `format`: what a reader may rely on."""
 REFERENCE_SAMPLES = 300

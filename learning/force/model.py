@@ -15,10 +15,10 @@ from twin.representation import short_repr
 
 from .forecast import Observer
 
-FILE, VEHICLE_FILE = "force.json", "vehicle.toml"
+FILE, VEHICLE_FILE = "force.json", "vehicle.toml"  # in the folder of a law
 FORMAT = 3
 """Version of the file's layout."""
-_OUTPUTS = tuple(f"{kind}_{a}" for kind, a in OUTPUTS)
+_OUTPUTS = tuple(f"{kind}_{a}" for kind, a in OUTPUTS)  # names in the file
 
 
 @dataclass(frozen=True, slots=True)

@@ -364,7 +364,7 @@ _PRESETS = MappingProxyType(
             strict=True,
         )
     }
-)
+)  # a baseline by name
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,8 +23,8 @@ from .registry import UNSAID, family_row
 if TYPE_CHECKING:
     from .family import Family, TrainedModel
 
-WEIGHTS = "weights.safetensors"
-MODEL = "model.json"
+WEIGHTS = "weights.safetensors"  # in the folder of a model
+MODEL = "model.json"  # in the folder of a model: all but weights
 CURVE = "learning_curve.json"
 """Files of a model."""
 FORMAT = 4

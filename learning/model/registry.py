@@ -80,7 +80,7 @@ FAMILIES: tuple[FamilyRow, ...] = (
         onnx=False,
         member="learning.model.baselines:Trivial",
     ),
-)
+)  # every family of compensators
 UNSAID = "svq"
 """Family of a folder from before there were others, and of whom nobody says it."""
 CHECKOUT = "benchmarks.paper.families:ROWS"

@@ -14,7 +14,7 @@ from torch import Tensor
 from twin.errors import ModelError
 from twin.scratch import scratch_file
 
-CHECKPOINT = "checkpoint.safetensors"
+CHECKPOINT = "checkpoint.safetensors"  # in the folder of a training
 
 
 @dataclass(slots=True)

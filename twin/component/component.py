@@ -221,7 +221,7 @@ _F = (
     1.42151175831644588870e-7,
     2.04426310338993978564e-15,
 )
-_LN2 = 0.6931471805599453
+_LN2 = 0.6931471805599453  # natural logarithm of 2
 
 
 def normal(seed: int, stream: int, channels: int, first: int, count: int) -> Array:

@@ -11,9 +11,9 @@ import casadi as ca
 
 _QUARTER_TURN_HIGH = float.fromhex("0x1.921fb544p+0")
 """The first 33 bits of pi / 2: times a whole number below 2^20 it is exact."""
-_QUARTER_TURN_LOW = float.fromhex("0x1.0b4611a626331p-34")
-_SQUARINGS = 6
-_TINY = 1e-150
+_QUARTER_TURN_LOW = float.fromhex("0x1.0b4611a626331p-34")  # the rest of pi / 2, the next 53 bits
+_SQUARINGS = 6  # exp(x) = exp(x / 2^6)^(2^6): the series sees less than 1/2
+_TINY = 1e-150  # stands for a sine of 0 in a division; its square is no subnormal
 
 
 def sine(x: ca.SX) -> ca.SX:

@@ -64,7 +64,7 @@ _NUMPY: dict[int, Callable[..., Any]] = {
     ca.OP_AND: lambda a, b: np.logical_and(a, b).astype(np.float64),
     ca.OP_OR: lambda a, b: np.logical_or(a, b).astype(np.float64),
     ca.OP_IF_ELSE_ZERO: lambda a, b: np.where(a, b, 0.0),
-}
+}  # NumPy's function for each operation of CasADi
 
 
 _ZERO = 0.0

@@ -35,7 +35,7 @@ SAME_CUTOFF = 1.5
 """Ratio of cut-off frequencies of a filter from which on it is said; by judgement."""
 _LONGEST_S = 120.0
 """Part of a long flight that is read to see how it turned, s."""
-OVERRIDE = "--trust-vehicle"
+OVERRIDE = "--trust-vehicle"  # the option that takes the vehicle file's word
 
 
 class _Differences(NamedTuple):

@@ -24,7 +24,7 @@ LEAST_S = 2.0
 _SLOW_M_S = 0.5
 """Speed below which a flight without phases hovers, m/s; by judgement."""
 LONGEST_STEP_S = 0.2  # of what one command stands for
-_NOT_FLOWN = ("ground", "takeoff", "land")
+_NOT_FLOWN = ("ground", "takeoff", "land")  # phases without a hover
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +206,7 @@ def _load(flight: AnyFlight, t_s: Array, hovers: bool) -> float:
     return 1.0 if down is None else float(-np.mean(down)) / GRAVITY_M_S2
 
 
-AXES = ("roll", "pitch", "yaw")
+AXES = ("roll", "pitch", "yaw")  # of the moments
 CLEAR = 0.3
 """Correlation from which on a flight says how its rotors turn it."""
 _GRID_S = 0.01

@@ -48,6 +48,7 @@ _GRID_S = 0.01
 _SLOW_HZ = 2.0
 """Cut-off of the low-pass before the thrust curve is fitted, Hz: vibration is above."""
 _LAG_S = prior_of(EFFECTS["motor_lag"]).of("tau_s", False).mean
+"""The usual motor lag, s: mean of its prior."""
 _LEAST_CORRELATION = 0.7
 """Of thrust and command, below which the slope is the usual one; by judgement."""
 _LEAST_S = 5.0

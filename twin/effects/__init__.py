@@ -25,6 +25,7 @@ from .parameters import EffectParameter, Prior
 from .wording import Advice
 
 _MODULES = (air, propulsion, mass, sensors, timing)
+"""Where effects are defined, by what they act on."""
 EFFECTS: dict[str, Effect] = {e.name: e for module in _MODULES for e in module.EFFECTS}
 """All effects by identifier."""
 

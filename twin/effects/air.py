@@ -30,11 +30,11 @@ from .parameters import COMMON, RARE, EffectParameter, Normal, Prior
 from .stages import Air, Thrust, Wrench
 from .wording import FLY_FOR_DRAG, Undetected, Wording, drag_clause, wind_clause
 
-FOOT_M = 0.3048
-GUST_HEIGHT_M = 6.096
+FOOT_M = 0.3048  # m; exact by definition
+GUST_HEIGHT_M = 6.096  # 20 ft, to which MIL-F-8785C refers its winds
 LIGHT_WIND_M_S = 7.7
 """Height and wind at 20 ft for which the default gust is computed: light turbulence, 15 kn."""
-_ROOT3 = float(np.sqrt(3.0))
+_ROOT3 = float(np.sqrt(3.0))  # coefficient of the filters of the cross wind
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,9 @@ def _across(p: Block, name: str, step: ca.SX) -> ca.SX:
 
 
 _START = low_altitude_turbulence(GUST_HEIGHT_M, LIGHT_WIND_M_S)
+"""Start values of the gust's parameters."""
 _WAYS = (("u", "along the mean wind"), ("v", "across the mean wind"), ("w", "down"))
+"""Suffix of a parameter, and its direction."""
 
 GUST = Effect(
     "gust",
@@ -163,7 +165,7 @@ GUST = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)
+)  # white noise through Dryden's forming filters, see above
 
 
 NEAREST_GROUND = 0.25
@@ -299,7 +301,7 @@ ROTOR_DRAG = Effect(
         drag_clause, undetected=Undetected(7, "rotor drag below {}"), secondary=("height_m",)
     ),
     advice={"": FLY_FOR_DRAG},
-)
+)  # force -m k v (1 - s + s spin), spin over that in hover
 
 PARASITIC_DRAG = Effect(
     "parasitic_drag",
@@ -323,7 +325,7 @@ PARASITIC_DRAG = Effect(
     alarm=Stands(6),
     wording=None,
     advice=None,
-)
+)  # force -m c |v| v
 
 INDUCED_INFLOW = Effect(
     "induced_inflow",
@@ -339,7 +341,7 @@ INDUCED_INFLOW = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)
+)  # thrust times 1 - k climb
 
 TRANSLATIONAL_LIFT = Effect(
     "translational_lift",
@@ -360,7 +362,7 @@ TRANSLATIONAL_LIFT = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)
+)  # thrust times 1 + gain (1 - sqrt(sqrt(1 + h^2) - h)), h = v^2 / (2 v_i^2)
 
 BLADE_FLAPPING = Effect(
     "blade_flapping",
@@ -385,7 +387,7 @@ BLADE_FLAPPING = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)
+)  # force -k T v in the plane of the discs, T the thrust
 
 FLAPPING_MOMENT = Effect(
     "flapping_moment",
@@ -412,7 +414,7 @@ FLAPPING_MOMENT = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)
+)  # moment k spin (-v_y, v_x), mean over the rotors
 
 STEADY_WIND = Effect(
     "steady_wind",
@@ -443,7 +445,7 @@ STEADY_WIND = Effect(
     alarm=Begins(4),
     wording=Wording(wind_clause, undetected=Undetected(8, "a steady wind below {}")),
     advice=None,
-)
+)  # velocity of the air, NED
 
 GROUND_EFFECT = Effect(
     "ground_effect",
@@ -474,7 +476,7 @@ GROUND_EFFECT = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)
+)  # thrust times 1 + gain / (1 + (height / height_m)^2)
 
 EFFECTS = (
     ROTOR_DRAG,
@@ -486,4 +488,4 @@ EFFECTS = (
     STEADY_WIND,
     GROUND_EFFECT,
     GUST,
-)
+)  # of this module, in the order of the documents

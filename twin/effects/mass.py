@@ -57,8 +57,8 @@ lost for seconds, and its mass comes out too small. What is no pendulum is not f
 it would pass as one: its own effect still fits far better."""
 FAINT_M_S2 = 0.3
 """d0: force of a load of 3 % of the vehicle at rest; of a fainter one the direction is noise."""
-PLACE = tuple(f"slung_load.r_{a}" for a in "xyz")
-SPEED = tuple(f"slung_load.v_{a}" for a in "xyz")
+PLACE = tuple(f"slung_load.r_{a}" for a in "xyz")  # states: load from its anchor, NED, m
+SPEED = tuple(f"slung_load.v_{a}" for a in "xyz")  # states: its velocity, NED, m/s
 
 
 def observe_swing(free_n: Array, excess_n: Array, length_m: float, step_s: float) -> Course:
@@ -243,7 +243,7 @@ MASS_OFFSET = Effect(
     alarm=Begins(2),
     wording=Wording(mass_clause, undetected=Undetected(3, "a mass that is off by less than {}")),
     advice={"": FLY_FOR_THRUST},
-)
+)  # mass plus a number
 
 COG_OFFSET = Effect(
     "cog_offset",
@@ -292,7 +292,7 @@ COG_OFFSET = Effect(
         place_clause, undetected=Undetected(4, "a centre of mass that is off by less than {}")
     ),
     advice={"": FLY_FOR_CENTRE_OF_MASS},
-)
+)  # hubs and IMU less a shift
 
 INERTIA_ERROR = Effect(
     "inertia_error",
@@ -322,7 +322,7 @@ INERTIA_ERROR = Effect(
         inertia_clause, undetected=Undetected(5, "inertia that is off by less than {}")
     ),
     advice={"scale_z": FLY_FOR_YAW_TORQUE, "": FLY_FOR_INERTIA},
-)
+)  # moments of inertia times a factor each
 
 SLUNG_LOAD = Effect(
     "slung_load",
@@ -356,6 +356,7 @@ SLUNG_LOAD = Effect(
     alarm=None,
     wording=Wording(load_clause, undetected=Undetected(6, "a slung load below {}")),
     advice=None,
-)
+)  # a point mass on a spring along the rope
 
 EFFECTS = (MASS_OFFSET, COG_OFFSET, INERTIA_ERROR, SLUNG_LOAD)
+"""Of this module, in the order of the documents."""

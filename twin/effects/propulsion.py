@@ -113,7 +113,7 @@ _MOMENTUM = EffectParameter(
     1.0,
     (0, 10),
     scale=_hover_momentum,
-)
+)  # shared by the torques that rotors exert through their momentum
 
 
 THRUST_SCALE = Effect(
@@ -142,7 +142,7 @@ THRUST_SCALE = Effect(
         undetected=Undetected(2, "thrust that is off by less than {}"),
     ),
     advice={"": FLY_FOR_THRUST},
-)
+)  # thrust times scale
 
 THRUST_CURVE = Effect(
     "thrust_curve",
@@ -162,7 +162,7 @@ THRUST_CURVE = Effect(
     alarm=Stands(2),
     wording=None,
     advice=None,
-)
+)  # thrust times 1 + slope (thrust / hover - 1)
 
 BATTERY_SAG = Effect(
     "battery_sag",
@@ -203,7 +203,7 @@ BATTERY_SAG = Effect(
     ),
     wording=Wording(sag_clause),
     advice={"": FLY_FOR_BATTERY_SAG},
-)
+)  # thrust and torque times 1 + slope (voltage / reference - 1)
 
 MOTOR_LAG = Effect(
     "motor_lag",
@@ -237,7 +237,7 @@ MOTOR_LAG = Effect(
     alarm=Begins(8, Prior(RARE, "a bearing, a controller that is hot", {"": Normal(0.0, 0.03)})),
     wording=Wording(delay_clause("its rotors follow")),
     advice={"": FLY_FOR_INERTIA},
-)
+)  # lags plus tau, no shorter than `LEAST_LAG_S`
 
 ROTOR_EFFICIENCY_LOSS = Effect(
     "rotor_efficiency_loss",
@@ -278,7 +278,7 @@ ROTOR_EFFICIENCY_LOSS = Effect(
         rotor_clause, undetected=Undetected(1, "a loss below {} of the thrust of one rotor")
     ),
     advice=None,
-)
+)  # thrust of rotor i times 1 - loss_i
 
 ROTOR_INERTIA_TORQUE = Effect(
     "rotor_inertia_torque",
@@ -301,7 +301,7 @@ ROTOR_INERTIA_TORQUE = Effect(
     alarm=None,
     wording=None,
     advice={"": FLY_FOR_YAW_TORQUE},
-)
+)  # torque plus momentum times rate of the spin
 
 GYROSCOPIC_TORQUE = Effect(
     "gyroscopic_torque",
@@ -322,7 +322,7 @@ GYROSCOPIC_TORQUE = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)
+)  # moment -omega x (momentum times sum of the spins)
 
 YAW_TORQUE_SCALE = Effect(
     "yaw_torque_scale",
@@ -343,7 +343,7 @@ YAW_TORQUE_SCALE = Effect(
     alarm=Stands(3),
     wording=Wording(factor_clause("its rotors give", "yaw torque")),
     advice={"": FLY_FOR_YAW_TORQUE},
-)
+)  # torque times scale
 
 THRUST_TILT = Effect(
     "thrust_tilt",
@@ -362,7 +362,7 @@ THRUST_TILT = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)
+)  # thrust along -z turned by small angles, at each hub
 
 EFFECTS = (
     THRUST_SCALE,
@@ -374,4 +374,4 @@ EFFECTS = (
     GYROSCOPIC_TORQUE,
     YAW_TORQUE_SCALE,
     THRUST_TILT,
-)
+)  # of this module, in the order of the documents

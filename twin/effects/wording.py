@@ -13,6 +13,7 @@ Clause = Callable[[Changes, bool], str]
 """A change of an effect as a clause with its own subject, "" for one it has no words for; whether
 it is one since a calibration, else that is how the aircraft is, compared with its file."""
 AXES = (("x", "forward", "back"), ("y", "right", "left"), ("z", "down", "up"))
+"""Axis of the body, FRD, and the words for its two ways."""
 PLACES = (
     ("x", "further forward", "further back"),
     ("y", "further right", "further left"),
@@ -69,14 +70,20 @@ FLY_FOR_THRUST = Advice(
     "climb and sink briskly for half a minute, and weigh the aircraft (sd of body.mass), or "
     "fly once with a known mass aboard (--payload)",
 )
+"""For thrust and mass, which no flight tells apart."""
 FLY_FOR_DRAG = Advice("drag", "fast straight legs, 10 s each way, forward and sideways")
+"""How to fly for it."""
 FLY_FOR_YAW_TORQUE = Advice("yaw torque", "yaw steps of 90°, quick ones, each way")
+"""How to fly for it."""
 FLY_FOR_INERTIA = Advice("inertia and lag", "sharp roll and pitch doublets, five of each")
+"""How to fly for it."""
 FLY_FOR_BATTERY_SAG = Advice("battery sag", "one flight that takes the battery from full to low")
+"""How to fly for it."""
 FLY_FOR_CENTRE_OF_MASS = Advice(
     "centre of mass", "hover for a minute, and turn on the spot meanwhile"
-)
+)  # how to fly for it
 FLY_FOR_COMPASS = Advice("compass", "turn through a full circle in hover, slowly, twice")
+"""How to fly for it."""
 ADVICE = (
     FLY_FOR_THRUST,
     FLY_FOR_DRAG,

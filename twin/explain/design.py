@@ -64,6 +64,7 @@ shape (n, 4)."""
 Point = tuple[float, float, float, float, float]
 """Time to get there in s, then north, east, down in m and heading in rad, off the hover."""
 _GROUND_S, _TAKEOFF_S = 1.0, 3.0
+"""On the ground and in the take-off of a suggested flight, s; by judgement."""
 
 
 @dataclass(frozen=True, slots=True)

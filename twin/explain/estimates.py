@@ -20,7 +20,7 @@ UNDETERMINED = 0.7
 """Posterior over prior deviation of a number from which on flights do not tell it."""
 MOST_OF_PRIOR = 0.5
 """The same for a number that a headline gives: the flights say more of it than the prior."""
-_CREDIBLE = 0.95
+_CREDIBLE = 0.95  # probability that an interval holds its number
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,13 +33,15 @@ DIGITS = 6
 UNKNOWN_SITE = (
     "not known whether {} flew indoors or outdoors, taken for outdoors: say which by --indoor or "
     "--outdoor, in Python by indoors=True or False"
-)
+)  # warning; its gap is filled by names of flights
 UNSTABLE = "the model with what was named does not fly {} in closed loop: {}"
+"""Warning; mission, problem."""
 FARTHER = "flights that were held out are farther from the model with it than without"
+"""Why names are taken back."""
 WEAKER = (
     "no flight was held out: one block of time in {} of the same flights stands in for one, "
     "which is weaker, because what one flight has in common is in both parts"
-)
+)  # warning; one in how many blocks
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,6 +42,7 @@ from .settings import DEFAULT, UsableSettings
 
 Array = NDArray[np.float64]
 READ = "{}: {:.0f} to {:.0f} s of {:.0f} s are read, where it moves most; cut the log for others"
+"""Note: flight, first and last second that is read, its length, s."""
 
 
 def part_read(

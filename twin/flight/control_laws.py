@@ -25,7 +25,7 @@ from ..physics.airframe import airframe
 from ..vehicle import Vehicle
 
 Vector = list[ca.SX]
-_TINY = 1e-9
+_TINY = 1e-9  # keeps divisions and roots finite; far below any velocity or angle
 
 
 def dot(a: Sequence[ca.SX], b: Sequence[ca.SX]) -> ca.SX:

@@ -148,13 +148,13 @@ def _chain(
     return Chain(gain, np.linalg.eigvals(a - b * gain).astype(np.complex128))
 
 
-_TINY = 1e-12
+_TINY = 1e-12  # keeps divisions finite; far below any command
 _WAYS = (
     ("lift", "kg", "upward acceleration"),
     ("roll", "kg.m", "angular acceleration about forward"),
     ("pitch", "kg.m", "angular acceleration about right"),
     ("yaw", "kg.m", "angular acceleration about down"),
-)
+)  # input of the plant, unit of its size, what it accelerates
 
 
 @dataclass(frozen=True, slots=True)
@@ -400,12 +400,12 @@ def _angular(m: ComponentBuilder, s: Signals, up: Vector, gains: Gains) -> Vecto
     ]
 
 
-_FAR_RAD = 0.2
+_FAR_RAD = 0.2  # yaw error beyond which the integral does not grow faster; by judgement
 _OUTER = (
     ("integral", "1/s3", "integral of the position"),
     ("position", "1/s2", "position"),
     ("velocity", "1/s", "velocity"),
-)
+)  # gain of the position loop, its unit, on what it acts
 
 
 def _outer(chain: Chain, hover: Hover) -> list[float]:

@@ -90,7 +90,7 @@ WAYPOINTS = (
 """North, east, down (m) and heading (rad) of the tour's waypoints from the first hover."""
 TURN_S = 4.0
 """Duration of a turn on the spot, s. Made up."""
-_TURN = 2 * np.pi
+_TURN = 2 * np.pi  # rad
 
 
 Shape = Callable[..., list[ca.SX]]
@@ -335,6 +335,7 @@ _MISSIONS: dict[str, tuple[Callable[[_Sizes], list[_Leg]], bool]] = {
     "forward": (_forward, True),
     "tour": (_tour, True),
 }
+"""Legs of each mission between take-off and landing, and whether it lands; hovers in s."""
 
 
 def _hold(phase: str, duration: ca.SX) -> _Leg:

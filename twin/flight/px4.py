@@ -40,8 +40,8 @@ from .control_laws import (
 )
 
 Array = NDArray[np.float64]
-_YAW_CEILING = 1.15
-_CLIPPED_LOW = 0.005
+_YAW_CEILING = 1.15  # `mix_yaw` of PX4's mixer allows yaw 15 % above full
+_CLIPPED_LOW = 0.005  # -0.99 of PX4's -1..1 as a command, `update_saturation_status`
 
 
 def mix_airmode_off(controls: list[ca.SX], scale: Array, thrust_factor: ca.SX) -> list[ca.SX]:
@@ -178,6 +178,7 @@ PARAMETERS: dict[str, Px4Parameter] = {
     ),
     "THR_MDL_FAC": Px4Parameter(0.0, "1", "Curvature of thrust over command, 0 linear"),
 }
+"""The controller's parameters by PX4's names, with its defaults."""
 
 
 def from_px4(values: Mapping[str, float]) -> dict[str, float]:
@@ -204,8 +205,8 @@ def log_parameters(path: Path) -> dict[str, float]:
 
 SAMPLE_PERIOD_S = 1e-3
 """Of all loops, s: the step of the co-simulation."""
-_AXES = ("ROLL", "PITCH", "YAW")
-_I_FACTOR_RAD_S = float(np.radians(400.0))
+_AXES = ("ROLL", "PITCH", "YAW")  # in PX4's names
+_I_FACTOR_RAD_S = float(np.radians(400.0))  # 400 deg/s, PX4's `RateControl::updateIntegral`
 Vector = list[ca.SX]
 
 

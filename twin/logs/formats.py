@@ -271,6 +271,7 @@ FORMATS: tuple[LogFormat, ...] = (
         holds="every column",
     ),
 )
+"""Every log format, how a file of it is known and which function reads it."""
 
 
 def known_formats(formats: Sequence[LogFormat] = FORMATS) -> str:

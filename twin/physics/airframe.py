@@ -41,6 +41,7 @@ from .rotors import Drive, hub_loads, rotor_equations, rotor_inputs
 RESTART_PERIOD_S = 1e-3
 """The communication step of the co-simulation."""
 RESTARTS = Period(RESTART_PERIOD_S, "Time between two instants at which it can be set anew")
+"""A parameter of the airframe."""
 LAG_S, FADE_S = 0.2, 1.0
 """Of 0.1, 0.2 and 0.5 s, and fades of 0.7 and 1 s, on the residuals of three real hovers
 (RflySimDT) none forecast half a second better by more than a tenth."""

@@ -39,6 +39,7 @@ INPUTS = (
 in hover, its mean less one and its parts that turn about each axis; voltage over the nominal one
 less one; nearness to the ground, 1 / (1 + (height / arm)^2)."""
 OUTPUTS = (*(("force", a) for a in AXES), *(("moment", a) for a in AXES))
+"""Components of the learned wrench, body FRD."""
 FEATURES = (
     "one",
     *(name for name, _ in INPUTS),

@@ -140,7 +140,7 @@ class Measured:
         return found
 
 
-EVERY = round(GRID_HZ / CHANNEL_HZ)
+EVERY = round(GRID_HZ / CHANNEL_HZ)  # grid points per sample of a channel
 
 
 def measured(

@@ -120,7 +120,7 @@ def slow_part(t_s: Array, x: Array, cutoff_hz: float = SLOW_HZ) -> Array:
 BAND_EDGES_HZ = (0.0, 1.0, SLOW_HZ, 40.0, math.inf)
 """Edges of the bands in which residuals are summed up, Hz: drift, manoeuvres, control, vibration.
 Made up."""
-UNKNOWN_PHASE = "unknown"
+UNKNOWN_PHASE = "unknown"  # name of rows without a phase
 
 
 @dataclass(frozen=True, slots=True)

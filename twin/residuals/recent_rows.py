@@ -13,7 +13,7 @@ from ..logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL, Columns
 from ..logs.flight import Settled, finite_rows, missing_signal
 
 Array = NDArray[np.float64]
-_VECTORS = (ACC, GYRO, MAG, POS, VEL, QUAT)
+_VECTORS = (ACC, GYRO, MAG, POS, VEL, QUAT)  # signals whose columns belong together
 Rows = Mapping[str, NDArray[np.float64] | NDArray[np.object_]]
 """New rows by column, NaN where a signal has no sample; `time` and `phase` among them."""
 

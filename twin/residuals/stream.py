@@ -140,6 +140,7 @@ class GridRows:
 _NO_MOTION = MeasuredMotion(None, None, None, None, False, ())
 """Of pieces whose motion is not used."""
 _ARRAYS = ("t_s", "u", "rotors", "states", "phases", "carried", "grounded")
+"""Of the grid, cut and joined by rows."""
 
 
 class RunningGrid:

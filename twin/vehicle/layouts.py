@@ -16,8 +16,8 @@ _D = 0.707107
 """sqrt(1/2) in six digits."""
 _S3 = 0.866025
 """sqrt(3)/2 in six digits."""
-_MIXER = "PX4's MultirotorMixer"
-_ARDUPILOT = "ArduPilot's AP_MotorsMatrix"
+_MIXER = "PX4's MultirotorMixer"  # source of positions
+_ARDUPILOT = "ArduPilot's AP_MotorsMatrix"  # source of positions
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,38 +74,38 @@ class Band:
 _SURVEYED = (
     "the built-in vehicles, Hummingbird (RotorS, RotorPy), Pelican (RotorS), Iris and X500 (PX4's "
     "Gazebo models), Crazyflie (Foerster 2015)"
-)
+)  # vehicles behind the bands
 FLATNESS = Band(
     "Izz over Ixx + Iyy",
     0.65,
     1.0,
     f"0.73 to 1.0 of {_SURVEYED}; 1 of a flat body, no body has more",
-)
+)  # a ratio
 GYRATION_XY = Band(
     "radius of gyration about x and y over the arm",
     0.38,
     0.70,
     f"0.43 to 0.62 of {_SURVEYED}, an eighth wider",
-)
+)  # a ratio
 GYRATION_Z = Band(
     "radius of gyration about z over the arm",
     0.52,
     0.86,
     "0.59 to 0.76 of the same, an eighth wider",
-)
+)  # a ratio
 HOVER_COMMAND = Band(
     "command in hover", 0.2, 0.8, "below, the throttle has no resolution; above, no reserve"
-)
+)  # a ratio; by judgement
 THRUST_TO_WEIGHT = Band(
     "largest thrust over weight", 1.3, 8.0, "freighters 1.5, cameras 2, racers 5 to 8"
-)
+)  # a ratio
 TORQUE_ARM = Band(
     "reaction torque over thrust, over the arm",
     0.05,
     0.2,
     "0.065 to 0.15 of the same where propeller and frame belong together, a third wider; torque "
     "over thrust grows with the diameter of the propeller, and that with the arm",
-)
+)  # a ratio
 BANDS = (FLATNESS, GYRATION_XY, GYRATION_Z, HOVER_COMMAND, THRUST_TO_WEIGHT, TORQUE_ARM)
 """All of them, for the documentation."""
 

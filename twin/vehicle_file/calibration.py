@@ -13,9 +13,10 @@ from ..component import unknown_name
 from ..effects import EFFECTS
 from ..vehicle import Array, Calibration, Vehicle
 
-SECTION = "calibration"
+SECTION = "calibration"  # of a vehicle file
 _PARTS = ("flights", "numbers", "sd", "correlation", "days", "constants", "records")
-_AGAIN = "Take the section out, or write it again by `uavtwin calibrate`."
+"""Keys of the section."""
+_AGAIN = "Take the section out, or write it again by `uavtwin calibrate`."  # way out
 _DIGITS = 12
 """Significant ones of deviations, and decimals of correlations."""
 _ROUNDING = 1e-9

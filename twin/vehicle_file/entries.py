@@ -30,6 +30,7 @@ MAPS = ("polynomial", "rates", "table")
 _EXACT = ("list", "pair")
 """Shapes of what is agreed upon, not measured."""
 _PERCENT = re.compile(r"\s*(\d*\.?\d+(?:e[+-]?\d{1,3})?)\s*%\s*", re.ASCII | re.IGNORECASE)
+"""A number in percent."""
 
 
 def read_deviation(
@@ -106,9 +107,9 @@ def _share(key: str, text: str) -> float:
 
 
 _HUGE = 1e60  # larger numbers overflow once multiplied with each other
-_TEXTS = ("name", "description")
-_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
-_PARTS = {"value", "coefficients", "unit", "source", "of", "sd"}
+_TEXTS = ("name", "description")  # keys that hold no number
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")  # all but tab and line feed
+_PARTS = {"value", "coefficients", "unit", "source", "of", "sd"}  # keys of an entry
 _MOST_UNKNOWN = 50
 """Unknown keys that one refusal lists at most."""
 _PER_MASS = {"body.drag_linear": "1/s"}
@@ -486,7 +487,7 @@ _SHAPES: dict[str, Callable[[str, _Entry], Array]] = {
     "rates": _rates,
     "table": _table,
     "polynomial": _polynomial,
-}
+}  # reader of each shape of `fields`
 
 
 def _leaves(raw: Any) -> Iterator[Any]:
@@ -501,12 +502,12 @@ def _leaves(raw: Any) -> Iterator[Any]:
 if TYPE_CHECKING:
     import pint
 
-_LONGEST_UNIT = 64
-_POWER = re.compile(r"\*\*|\^")
+_LONGEST_UNIT = 64  # characters: longer than any unit of a vehicle, short enough for pint
+_POWER = re.compile(r"\*\*|\^")  # every power
 _PLAIN_POWER = re.compile(
     r"[^\W\d)]\)?\s*(?:\*\*|\^)\s*\(?-?\d{1,2}(?:[./]\d{1,2})?\)?(?![\d.]|\s*(?:\*\*|\^))"
-)
-_OF_BRACKETS = re.compile(r"\)\s*(?:\*\*|\^)")
+)  # powers of one or two digits, of a name or of brackets
+_OF_BRACKETS = re.compile(r"\)\s*(?:\*\*|\^)")  # powers of brackets
 
 
 def unit_factor(key: str, given: str, wanted: str) -> float | None:

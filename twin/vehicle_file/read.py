@@ -29,9 +29,9 @@ from .calibration import SECTION, read_calibration
 from .entries import Entries, read_entries, read_number
 from .fields import FIELDS
 
-_THRUST = ("rotors.thrust_from_speed", "rotors.thrust_from_command")
-_RATES = ("rotors.rate_up", "rotors.rate_down")
-_ADVANCE = ("rotors.thrust_by_advance", "rotors.torque_by_advance")
+_THRUST = ("rotors.thrust_from_speed", "rotors.thrust_from_command")  # one of the two is given
+_RATES = ("rotors.rate_up", "rotors.rate_down")  # both or none
+_ADVANCE = ("rotors.thrust_by_advance", "rotors.torque_by_advance")  # tables over the advance ratio
 _NEED_SPEED = tuple(
     f"rotors.{name}"
     for name in (
@@ -46,7 +46,7 @@ _NEED_SPEED = tuple(
         "thrust_by_advance",
         "torque_by_advance",
     )
-)
+)  # what needs the speed of the rotors
 
 
 def rotor_contradictions(entries: Entries) -> Iterator[str]:
@@ -210,8 +210,8 @@ POSITION = {
     "position.attitude_noise": "attitude_noise_rad",
 }
 """Attribute of `position.PositionErrors` by key."""
-PLACE = ("site.latitude", "site.longitude")
-WHEN = ("site.height", "site.year")
+PLACE = ("site.latitude", "site.longitude")  # give a magnetic field and gravity
+WHEN = ("site.height", "site.year")  # refine them
 _HEIGHT_M, _YEAR = 0.0, 2025.5
 """Where a file gives a place without a height, m, or a year."""
 _TEMPERATURES_K = (180.0, 340.0)
@@ -344,10 +344,10 @@ _ROUNDING = 1e-9
 """Share by which the moments of a flat plate may miss their sum."""
 _MOST_BYTES = 2**20
 """Largest vehicle file that is read. Made up."""
-_MOST_PARTS = 32
-_STRING = re.compile(r"\"(?:[^\"\\\n]|\\.)*\"|'[^'\n]*'")
+_MOST_PARTS = 32  # of a key with dots; ours have four
+_STRING = re.compile(r"\"(?:[^\"\\\n]|\\.)*\"|'[^'\n]*'")  # text of one line in TOML
 _BETWEEN = re.compile(r"[\s=,#\[\]{}]")
-_BATTERY = tuple(key for key in FIELDS if key.startswith("battery."))
+_BATTERY = tuple(key for key in FIELDS if key.startswith("battery."))  # all or none
 
 
 def builtin_vehicles() -> tuple[str, ...]:

@@ -104,7 +104,7 @@ def _entry(number: Written, unit: str) -> InlineTable:
     return entry
 
 
-_WIDTH = 98
+_WIDTH = 98  # characters of a comment's line
 
 
 @dataclass(slots=True)
@@ -208,13 +208,13 @@ _MAPS = tuple(
     f"rotors.{what}_from_{of}"
     for what in ("thrust", "torque", "speed")
     for of in ("speed", "command")
-)
+)  # maps of the rotors
 TIED = {
     **dict.fromkeys(_MAPS, (*_MAPS, "rotors.command_range", "rotors.torque_per_thrust")),
     "magnetometer.field": (*PLACE, *WHEN),
 }
 """What must go from the text when a key is written: the same said in another way."""
-_BY_HAND = "set in Python"
+_BY_HAND = "set in Python"  # source of a number without one
 _PASSES = 3
 """Numbers of a file may be relative to others: drag per kilogram, torque per thrust."""
 

@@ -29,6 +29,7 @@ class Exit(IntEnum):
 
 
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan|[+-]?inf)\s*(.*?)\s*")
+"""A number and its unit."""
 
 
 def quantity(text: str, unit: str, bare: bool = True) -> float:

@@ -50,7 +50,7 @@ class _Terminal(Console):
 
 WIDTH = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 160
 """Characters in a line of a table where nobody says how many there are."""
-STDOUT = _Terminal(highlight=False, markup=False, soft_wrap=True, width=WIDTH)
+STDOUT = _Terminal(highlight=False, markup=False, soft_wrap=True, width=WIDTH)  # for results
 STDERR = _Terminal(stderr=True, highlight=False, markup=False, soft_wrap=True)
 """Consoles for results, and for progress and warnings."""
 

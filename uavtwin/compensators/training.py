@@ -28,7 +28,7 @@ from ..report.learning_figures import curve_figure
 from ..report.page import Plot, plot, render
 from ..vehicles import Vehicle
 
-RESIDUALS, REPORT = "training.parquet", "report.html"
+RESIDUALS, REPORT = "training.parquet", "report.html"  # files in the folder of a training
 VEHICLE_FILE = "vehicle.toml"
 """In the folder of a trained model: the vehicle whose twin it corrects."""
 Progress = Callable[[float], None]

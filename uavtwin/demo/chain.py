@@ -32,7 +32,7 @@ DIAGONAL: Waypoints = (
     ("ground", 1.0, (0.0, 0.0, 0.0)),
 )
 """A flight of another shape, to be held out."""
-FIT = {"fit_1": WAYPOINTS, "fit_2": SIDEWAYS}
+FIT = {"fit_1": WAYPOINTS, "fit_2": SIDEWAYS}  # missions of the flights to fit on
 HOLDOUT = {"holdout": DIAGONAL}
 """Flights to fit on and to hold out, by name."""
 

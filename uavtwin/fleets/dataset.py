@@ -57,7 +57,7 @@ def _count(name: str, meaning: str) -> Column:
     return Column(name, "count", "1", meaning)
 
 
-_LOG = _text("log", "path of the log, from the folder that all logs have in common")
+_LOG = _text("log", "path of the log, from the folder that all logs have in common")  # a column
 _AIRCRAFT = _text("aircraft", "as the log names it; empty where it does not")
 """Columns that every table has."""
 

@@ -56,7 +56,7 @@ _SEEDED = ("environment", *SENSED)
 """Components that draw noise."""
 _TRACKED = tuple(f"airframe.pos_{a}" for a in AXES) + tuple(
     f"mission.setpoint_pos_{a}" for a in AXES
-)
+)  # flown and wanted place, NED, m
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,6 +35,7 @@ from .learn import in_force
 from .open_loop import DISTANCE, HORIZONS_S, QUANTITIES, OpenLoop, Replay
 
 PHYSICS, EXPLAINED, OBSERVED, SHIPPED = "physics", "explained", "explained + observer", "corrected"
+"""Names of twins."""
 LAST_MOTION, LAST_READING = "last motion", "last reading"
 """Names of the twins, and of what needs no twin, in tables and JSON."""
 CLAIMED_S = 0.5

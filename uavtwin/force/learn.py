@@ -53,7 +53,7 @@ ALONE_S = 0.5
 """So long a twin that is let go has to stay inside the envelope."""
 WIDER = 2.0
 """Most by which the envelope grows for that: where a law has faded before, it has not been."""
-_PART = "residual_force."
+_PART = "residual_force."  # in front of a parameter's name
 
 
 @dataclass(frozen=True, slots=True)

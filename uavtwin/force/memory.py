@@ -20,7 +20,7 @@ from ..jobs import journal
 from ..vehicles import Vehicle
 
 Array = NDArray[np.float64]
-CHECKPOINT = "checkpoint.jsonl"
+CHECKPOINT = "checkpoint.jsonl"  # in the folder of a law
 
 
 class Memory(journal.Journal[int]):

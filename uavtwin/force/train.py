@@ -23,7 +23,7 @@ from ..vehicles import Vehicle
 from .learn import BETTER, OBSERVER, WORSE, Progress, learn_force
 from .memory import Memory
 
-REPORT = "report.html"
+REPORT = "report.html"  # in the folder of a law
 _DEFAULTS = {
     "model": None,
     "preset": None,

@@ -30,7 +30,7 @@ _MOTION = {
     "wind": [f"environment.wind_{a}" for a in AXES],
     "gps_pos": [f"position.meas_pos_{a}" for a in AXES],
     "gps_vel": [f"position.meas_vel_{a}" for a in AXES],
-}
+}  # variables of the whole twin
 _READINGS = {s.signal: (s.component, s.columns) for s in SENSORS if s.hil}
 """Component and columns of what the autopilot is sent, by signal."""
 

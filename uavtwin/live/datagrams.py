@@ -25,6 +25,7 @@ from twin.errors import TwinError
 from twin.logs.mavlink.frames import GCS, Message, MessageParser, Sequence
 
 _FORM = re.compile(r"(udpin|udpout|tcpin):(\[[0-9A-Fa-f:.]+\]|[^:\s]+):([0-9]{1,5})")
+"""Of an address: kind, host, port."""
 USUAL_PORTS = {"udpin": 14550, "udpout": 14550, "tcpin": 4560}
 """Of ground stations, and of PX4's simulators."""
 _FORCED = getattr(socket, "SO_RCVBUFFORCE", 33)
@@ -194,7 +195,7 @@ def _stamp_ns(ancillary: list[tuple[int, int, bytes]], otherwise: int) -> int:
 Sender = tuple[str, int]
 _MOST_OTHERS = 32
 """Other senders that are listed by name; messages of more are counted together."""
-MORE_OTHERS = "further senders"
+MORE_OTHERS = "further senders"  # name of those not listed
 _FEW = 10
 """A sender of fewer messages that is silent gives its place to the next aircraft."""
 

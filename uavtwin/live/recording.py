@@ -195,8 +195,8 @@ _RESIDUALS = pa.schema(
         ("simulated", pa.float64()),
         ("residual", pa.float64()),
     ]
-)
-_CUT_OFF = "flight*.arrows"
+)  # columns of the residuals, SI units
+_CUT_OFF = "flight*.arrows"  # a recording that was not closed
 
 
 class RawLog:

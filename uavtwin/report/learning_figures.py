@@ -31,7 +31,7 @@ _LOSSES = {
     "quantiser": "#8a4fbf",
     "distribution": "#b58900",
     "validation": BLACK,
-}
+}  # colour of each curve
 
 
 def curve_figure(curve: Sequence[Mapping[str, Any]], best_epoch: int) -> Figure:

@@ -228,7 +228,7 @@ _HALF = float(np.sqrt(0.5))  # sine of 45 degrees
 _STATIC = (
     (MAP, NED, {"x": _HALF, "y": _HALF, "z": 0.0, "w": 0.0}),  # x <-> y, z turned over
     (FRD, BASE_LINK, {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}),  # half a turn about x
-)
+)  # frames that do not move in their parents
 _ORIGIN = {"x": 0.0, "y": 0.0, "z": 0.0}  # of a frame
 _LEVELS = {"info": 2, "warning": 3, "error": 4}  # foxglove.Log
 
@@ -244,9 +244,9 @@ _TIME = _object(
     "time",
     sec={"type": "integer", "minimum": 0},
     nsec={"type": "integer", "minimum": 0, "maximum": 999_999_999},
-)
-_VECTOR = _object("foxglove.Vector3", **dict.fromkeys("xyz", _NUMBER))
-_QUATERNION = _object("foxglove.Quaternion", **dict.fromkeys("xyzw", _NUMBER))
+)  # schema
+_VECTOR = _object("foxglove.Vector3", **dict.fromkeys("xyz", _NUMBER))  # schema
+_QUATERNION = _object("foxglove.Quaternion", **dict.fromkeys("xyzw", _NUMBER))  # schema
 _TRANSFORM = _object(
     "foxglove.FrameTransform",
     timestamp=_TIME,
@@ -254,8 +254,8 @@ _TRANSFORM = _object(
     child_frame_id=_TEXT,
     translation=_VECTOR,
     rotation=_QUATERNION,
-)
-_POSE = _object("foxglove.Pose", position=_VECTOR, orientation=_QUATERNION)
+)  # schema
+_POSE = _object("foxglove.Pose", position=_VECTOR, orientation=_QUATERNION)  # schema
 FOXGLOVE: Mapping[str, Schema] = {
     TF: _TRANSFORM,
     TF_STATIC: _object(

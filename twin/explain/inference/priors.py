@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 UNCALIBRATED = (
     "{}: holds no [calibration], so what has changed since cannot be told; make one by `uavtwin "
     "calibrate FLIGHT... --vehicle DRAFT --out FILE`."
-)
+)  # error; name of the vehicle
 
 
 @dataclass(frozen=True, slots=True)

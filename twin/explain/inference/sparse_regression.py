@@ -34,9 +34,9 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 Unit = Mapping[str, int]
 """Powers of base units."""
-PLAIN: Unit = {}
-SPEED: Unit = {"m": 1, "s": -1}
-TURNING: Unit = {"rad": 1, "s": -1}
+PLAIN: Unit = {}  # no unit
+SPEED: Unit = {"m": 1, "s": -1}  # m/s
+TURNING: Unit = {"rad": 1, "s": -1}  # rad/s
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ def later(quantity: Quantity, by_s: float) -> Quantity:
     return Quantity(quantity.unit, values, quantity.degree)
 
 
-RAISED = {2: "²", 3: "³", 4: "⁴"}
+RAISED = {2: "²", 3: "³", 4: "⁴"}  # how powers are shown
 
 
 @dataclass(frozen=True, slots=True)

@@ -207,7 +207,7 @@ def in_ned(q_nb: Array, force_b: Array) -> Array:
 # -- IMU, magnetometer, barometer ----------------------------------------------------------
 
 
-OF_POSE = tuple(s for s in SENSORS if s.group != BODY)
+OF_POSE = tuple(s for s in SENSORS if s.group != BODY)  # sensors outside the IMU
 
 
 def imu_factors(context: FlightContext) -> list[SensorFactor]:

@@ -42,6 +42,7 @@ SIGNALS: dict[str, tuple[str, ...]] = {
 }
 """Flight-table columns of a signal named in `Effect.needs`; of motors, the first."""
 ACCELEROMETER, GYROSCOPE = (s.signal for s in SENSORS if s.group == BODY)
+"""Their signals in a flight table."""
 PLACE, TURN = ("pos", "vel"), ("q",)
 """Signals of the pose, which may come from two clocks."""
 DRIVES = ("cmd", "rotor")

@@ -16,6 +16,7 @@ from ..model.numbers import Number, numbers_of
 from ..setting_group import Group, setting
 
 _TUNED = "chosen on: the tuning flights of benchmarks/live_alarms, seeds below 1000"
+"""Origin of a setting, see `Setting`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ _ARRAY = 58  # numbers of DEBUG_FLOAT_ARRAY
 _ACTUATORS = 32  # of ACTUATOR_OUTPUT_STATUS
 _CELLS = 10  # of BATTERY_STATUS
 _NONE_16 = 65535  # of a cell that is not there
-_LANDED = {phase: state for state, phase in PHASES.items()}
+_LANDED = {phase: state for state, phase in PHASES.items()}  # MAV_LANDED_STATE by phase
 
 Row = Mapping[str, float]
 """Columns of a flight table that have a sample."""

@@ -11,8 +11,8 @@ from ...effects.stages import Latency
 from ...frames import AXES, FRD, NED
 from ...vehicle import Vehicle
 
-BODY = tuple(f"body {d}" for d in FRD)
-EARTH = tuple(f"NED {d}" for d in NED)
+BODY = tuple(f"body {d}" for d in FRD)  # axes as a variable's meaning has them
+EARTH = tuple(f"NED {d}" for d in NED)  # axes as a variable's meaning has them
 
 
 def sensor_blocks(

@@ -37,12 +37,12 @@ SAMPLE_PERIOD_S = 1e-3
 """Time between two draws of the noise, s. Made up."""
 DELAY_SAMPLES = 251
 """Samples remembered: the longest delay is one less than that many sample periods."""
-_UNITS = ("m/s2",) * 3 + ("rad/s",) * 3
+_UNITS = ("m/s2",) * 3 + ("rad/s",) * 3  # of the six readings
 _MEANINGS = tuple(
     f"{sensor}, {d}"
     for sensor in ("Accelerometer, specific force", "Gyroscope, body rate")
     for d in BODY
-)
+)  # of the six readings
 
 
 def imu(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:

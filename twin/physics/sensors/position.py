@@ -87,6 +87,7 @@ PRESETS: dict[Kind, PositionErrors] = {
         attitude_noise_rad=1.5e-3,
     ),
 }
+"""Usual errors of each kind of position sensor; the first text of each is their source."""
 
 
 def position_sensor(

@@ -215,7 +215,7 @@ ACCELEROMETER = Sensor(
     without="no residuals of forces: drag, thrust, mass",
     learned=True,
     hil=True,
-)
+)  # reads specific force, m/s2
 GYROSCOPE = Sensor(
     name="gyroscope",
     component="imu",
@@ -244,7 +244,7 @@ GYROSCOPE = Sensor(
     without="no residuals of moments",
     learned=True,
     hil=True,
-)
+)  # reads body rates, rad/s
 MAGNETOMETER = Sensor(
     name="magnetometer",
     component="magnetometer",
@@ -269,7 +269,7 @@ MAGNETOMETER = Sensor(
     without="",
     learned=True,
     hil=True,
-)
+)  # reads the magnetic flux density, T
 BAROMETER = Sensor(
     name="barometer",
     component="barometer",
@@ -294,7 +294,7 @@ BAROMETER = Sensor(
     without="",
     learned=False,
     hil=True,
-)
+)  # reads static pressure, Pa
 SENSORS: tuple[Sensor, ...] = (
     ACCELEROMETER,
     GYROSCOPE,

@@ -16,7 +16,7 @@ from .pyflyt import convert_pyflyt, is_pyflyt
 KNOWN = (
     "SDF of Gazebo (.sdf), params.toml of drone-models, NAME.yaml of PyFlyt with NAME.urdf next to "
     "it, the aircraft XML of JSBSim"
-)
+)  # formats, as messages name them
 
 
 def convert_vehicle(path: str | Path, name: str | None = None) -> str:

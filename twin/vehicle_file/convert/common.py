@@ -98,7 +98,7 @@ class Pose:
         return Pose(back @ (self.origin - other.origin), back @ self.axes)
 
 
-HERE = Pose(np.zeros(3), np.eye(3))
+HERE = Pose(np.zeros(3), np.eye(3))  # the frame itself
 
 
 def pose_of(place: Sequence[float], roll_pitch_yaw: Sequence[float]) -> Pose:

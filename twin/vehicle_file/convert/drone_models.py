@@ -30,8 +30,8 @@ _SHAPES = {
     "prop_inertia": (),
     "thrust_min": (),
     "thrust_max": (),
-}
-_SOURCE = "drone-models, first-principles model"
+}  # of the numbers that are read
+_SOURCE = "drone-models, first-principles model"  # of each number
 
 
 def is_drone_models(tree: Mapping[str, Any]) -> bool:

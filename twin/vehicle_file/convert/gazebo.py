@@ -192,8 +192,8 @@ def text_of(file: str, element: Element, tag: str) -> str:
     return text
 
 
-_PLUGIN = "MulticopterMotorModel"
-_ROTORS_PLUGIN = "librotors_gazebo_motor_model.so"
+_PLUGIN = "MulticopterMotorModel"  # of gz-sim
+_ROTORS_PLUGIN = "librotors_gazebo_motor_model.so"  # of RotorS
 _DEFAULTS = {
     "maxRotVelocity": 838.0,
     "momentConstant": 0.016,

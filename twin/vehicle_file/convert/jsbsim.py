@@ -31,9 +31,9 @@ _TO_SI = {
     "FT2": 0.3048**2,
     "DEG": np.pi / 180,
     "RAD": 1.0,
-}
-_DYNAMIC_PRESSURE_AREA = "aero/qbar-area"
-_FORCES = ("LIFT", "SIDE", "ROLL", "PITCH", "YAW")
+}  # by definition of foot and pound (NIST SP 811)
+_DYNAMIC_PRESSURE_AREA = "aero/qbar-area"  # JSBSim's property, lbf
+_FORCES = ("LIFT", "SIDE", "ROLL", "PITCH", "YAW")  # axes besides DRAG
 Terms = dict[tuple[str, ...], float]
 """A sum of products of properties: factor by the properties' names, sorted."""
 

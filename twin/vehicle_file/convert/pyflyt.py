@@ -31,7 +31,7 @@ DENSITY_KG_M3 = 1.225
 _NEEDED = {
     "motor_params": ("total_thrust", "thrust_coef", "torque_coef", "tau", "noise_ratio"),
     "drag_params": ("drag_coef_xyz", "drag_area_xyz", "drag_coef_pqr"),
-}
+}  # sections and keys that are read
 Numbers = dict[str, dict[str, float]]
 
 

@@ -21,7 +21,7 @@ from ...report.page import BLACK, BLUE, GREY, ORANGE, Figure, Plot, plot, render
 from ...report.page import HERE as REPORT
 from .feed import ANGLES
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).parent  # scripts and styles
 _PANEL_PX, _LOW_PX = 118, 96
 """Heights of panels, px."""
 _MOTOR_COLOURS = ("#1f5fd0", "#e07b1a", "#2f8f5b", "#8a4fbf", "#b58900", "#c23b66", "#3aa0a8")

@@ -308,7 +308,7 @@ class PageFeed:
 
 ANGLES = tuple(name.removesuffix("_rad") for name in EULER)
 """Roll, pitch, yaw as the page has them, in degrees."""
-QUATERNION = tuple(f"q_{a}" for a in ("w", *AXES))
+QUATERNION = tuple(f"q_{a}" for a in ("w", *AXES))  # columns of the attitude
 
 
 def _attitude(q_nb: Sequence[float]) -> dict[str, float]:

@@ -13,7 +13,7 @@ from .feed import Hub, PageFeed
 if TYPE_CHECKING:
     from .server import PageServer
 
-NEEDED = ("starlette", "uvicorn", "websockets")
+NEEDED = ("starlette", "uvicorn", "websockets")  # packages of the page
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,11 +33,12 @@ from ..datagrams import Address
 from .document import Document
 from .feed import Hub, Viewer
 
-_FORM = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+):([0-9]{1,5})")
+_FORM = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+):([0-9]{1,5})")  # host and port
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+)(:[0-9]{1,5})?")
+"""Host, and port if it is named."""
 SHORTEST_TOKEN = 8
 """Characters of a token, at least. Made up."""
-TOKEN_HEADER = "x-uavtwin-token"
+TOKEN_HEADER = "x-uavtwin-token"  # HTTP header of a viewer's token
 
 
 def page_address(text: str, token: str | None) -> Address:
