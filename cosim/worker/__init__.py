@@ -18,9 +18,11 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import wraps
+from inspect import signature
 from math import isfinite
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Concatenate, ParamSpec, Self, cast
 
 import numpy as np
 
@@ -29,8 +31,8 @@ from twin.errors import FmuError
 
 from ..calls import HEADER, TraceEntry, read_table, read_trace, shared_file, table_bytes
 from ..limits import Limits
+from ..master import Master
 from ..recording import Interrupted, Recording, RunError
-from ..stepping import Algorithm
 from ..system import System
 
 _TICK_S = 0.05
@@ -285,6 +287,29 @@ def _peak_bytes(usage: resource.struct_rusage) -> int:
 
 
 Progress = Callable[[float], None]
+P = ParamSpec("P")
+"""Arguments of a run."""
+
+
+def _in_worker(
+    method: Callable[Concatenate[Master, P], Recording],
+) -> Callable[Concatenate["WorkerMaster", P], Recording]:
+    """A run of `Master`, with its arguments and errors, in the worker.
+
+    `RunError` then also says that an FMU ended the worker.
+    """
+    arguments = signature(method)
+
+    @wraps(method)
+    def run(self: "WorkerMaster", *args: P.args, **kwargs: P.kwargs) -> Recording:
+        bound = arguments.bind(self, *args, **kwargs)
+        bound.apply_defaults()
+        _, *given = bound.arguments.items()  # the first is the master
+        request = dict(given)
+        progress = request.pop("progress")
+        return self._record({"do": method.__name__, **request}, progress)
+
+    return cast("Callable[Concatenate[WorkerMaster, P], Recording]", run)
 
 
 class WorkerMaster:
@@ -331,11 +356,7 @@ class WorkerMaster:
         starts: Mapping[str, float] | None = None,
         stop_time_s: float | None = None,
     ) -> None:
-        """See `Master.initialize`; a new worker takes the place of one that a reset ended.
-
-        Raises:
-            FmuError: As there, or an FMU ended the worker.
-        """
+        """See `Master.initialize`; a new worker takes the place of one that a reset ended."""
         self._process.begin()
         arguments = {
             "start_time_s": start_time_s,
@@ -352,56 +373,8 @@ class WorkerMaster:
             self._ask("initialize", **arguments)
         self._time_s = self.system.start_time_s if start_time_s is None else start_time_s
 
-    def run(
-        self,
-        stop_time_s: float,
-        step_s: float,
-        algorithm: Algorithm = "jacobi",
-        every: int = 1,
-        progress: Progress | None = None,
-        realtime: float | None = None,
-    ) -> Recording:
-        """See `Master.run`.
-
-        Raises:
-            FmuError: As there.
-            RunError: As there, or an FMU ended the worker; holds the recording.
-            Interrupted: Ctrl-C; holds the recording.
-        """
-        request = {
-            "do": "run",
-            "stop_time_s": stop_time_s,
-            "step_s": step_s,
-            "algorithm": algorithm,
-            "every": every,
-            "realtime": realtime,
-        }
-        clocked_s = (stop_time_s - self._time_s) / realtime if realtime else None
-        return self._record(request, progress, clocked_s, every)
-
-    def run_adaptive(
-        self,
-        stop_time_s: float,
-        step_s: float,
-        tolerance: float,
-        algorithm: Algorithm = "settled",
-        progress: Progress | None = None,
-    ) -> Recording:
-        """See `Master.run_adaptive`.
-
-        Raises:
-            FmuError: As there.
-            RunError: As there, or an FMU ended the worker; holds the recording.
-            Interrupted: Ctrl-C; holds the recording.
-        """
-        request = {
-            "do": "run_adaptive",
-            "stop_time_s": stop_time_s,
-            "step_s": step_s,
-            "tolerance": tolerance,
-            "algorithm": algorithm,
-        }
-        return self._record(request, progress)
+    run = _in_worker(Master.run)
+    run_adaptive = _in_worker(Master.run_adaptive)
 
     def close(self) -> None:
         """Free all slaves and end the worker.
@@ -439,15 +412,21 @@ class WorkerMaster:
 
     # -- requests ---------------------------------------------------------------------------
 
-    def _record(
-        self,
-        request: Mapping[str, Any],
-        progress: Progress | None,
-        clocked_s: float | None = None,
-        every: int = 1,
-    ) -> Recording:
+    def _record(self, request: Mapping[str, Any], progress: Progress | None) -> Recording:
+        """What a run gives.
+
+        Args:
+            request: Method of `Master`, as "do", and its arguments.
+            progress: Called with the time reached.
+
+        Raises:
+            FmuError, RunError, Interrupted: As the method.
+        """
         self._last = None
-        steps = self._steps(request["stop_time_s"], request["step_s"])
+        stop_time_s, every = request["stop_time_s"], request.get("every", 1)
+        realtime = request.get("realtime")
+        clocked_s = (stop_time_s - self._time_s) / realtime if realtime else None
+        steps = self._steps(stop_time_s, request["step_s"])
         self._rows = 0 if every < 1 else steps // every + 1
         self._step_s = request["step_s"]
         try:
