@@ -5,7 +5,7 @@ Input-driven: the twin gets the flight's own commands, on the log's clock.
 | channels | the twin reads them |
 |---|---|
 | gyro, pos, vel | some time after it was started from the measured state, `restart_before_s` |
-| acc, mag | at the measured state |
+| the other sensors that are learned | at the measured state |
 
 Without any time in between it follows the flight: what is left of its sensors then is no motion.
 Position and velocity are where it is put, and have no residual.
@@ -29,11 +29,11 @@ from numpy.typing import NDArray
 
 from twin.errors import LogError, ModelError
 from twin.logs import Flight
-from twin.logs.columns import MAG, motor_number
+from twin.logs.columns import motor_number
 from twin.logs.stored import opened
-from twin.physics.sensors.magnetometer import magnetometer
 from twin.representation import short_repr
 from twin.residuals.aligned import AlignedFlight, align_flight
+from twin.residuals.channels import OF_IMU, OF_POSE, pose_signals, rows_along_pose
 from twin.residuals.measured import Signal
 from twin.residuals.short_horizon import READ, window_ends
 from twin.residuals.teacher_forced import GRID_S, predicted_readings, sensor_readings
@@ -250,21 +250,18 @@ def _at_measured_state(
     )
     outputs = aligned.imu.output_names
     states = [s.name for s in aligned.airframe.states]
-    found = {"mag": np.full((len(readings), 3), np.nan)}
-    for group in ("gyro", "acc"):
-        found[group] = readings[:, [outputs.index(n) for n in CHANNELS[GROUPS[group]]]]
+    found = {group: np.full((len(readings), 3), np.nan) for group in GROUPS}
+    for kind in OF_IMU:
+        found[kind.signal] = readings[:, [outputs.index(n) for n in kind.columns]]
     for group in PUT:
         found[group] = aligned.states[:, [states.index(n) for n in CHANNELS[GROUPS[group]]]]
-    if aligned.motion.attitude is not None:
-        sensor, t = magnetometer(vehicle), aligned.inputs.t_s
-        rows = np.tile(sensor.input_values(), (len(t), 1))
-        turned = [sensor.input_names.index(f"q_{a}") for a in "wxyz"]
-        rows[:, turned] = aligned.motion.attitude.at(t)
-        if "ibat_a" in sensor.input_names and flight.has("ibat_a"):
-            current = Signal(*flight.signal(["ibat_a"])).held(t)
-            rows[:, sensor.input_names.index("ibat_a")] = current[:, 0]
-        fields = [sensor.output_names.index(n) for n in MAG]
-        found["mag"] = sensor_readings(sensor, rows)[:, fields]
+    pose = pose_signals(aligned)
+    for kind in OF_POSE:
+        if kind.learned and set(kind.needs) <= pose.keys():
+            sensor = kind.make(vehicle)
+            rows = rows_along_pose(sensor, flight, pose, aligned.inputs.t_s)
+            columns = [sensor.output_names.index(n) for n in kind.columns]
+            found[kind.signal] = sensor_readings(sensor, rows)[:, columns]
     return found
 
 

@@ -14,7 +14,7 @@ The rotor states, which no sensor measures, are integrated from the commands. Th
 state are themselves those of the gyroscope: it is compared by its rate of change.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -293,6 +293,54 @@ def _pieces(known: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
 
 OF_IMU = tuple(s for s in SENSORS if s.group == BODY)
 """Sensors of the IMU; each reads along x, y and z."""
+OF_POSE = tuple(s for s in SENSORS if s.group != BODY)
+"""Sensors that are predicted from the measured pose."""
+
+
+def named(stem: str, values: Array, axes: str = "xyz") -> dict[str, Array]:
+    """Columns of a signal by name, `stem_x` and so on."""
+    return {f"{stem}_{a}": values[:, i] for i, a in enumerate(axes)}
+
+
+def rows_of(sensor: Component, inputs: Mapping[str, Array], n: int) -> Array:
+    """Inputs of a sensor in its order; what is not given stays at its start."""
+    rows = np.tile(sensor.input_values(), (n, 1))
+    for i, name in enumerate(sensor.input_names):
+        if name in inputs:
+            rows[:, i] = inputs[name]
+    return rows
+
+
+def pose_signals(aligned: AlignedFlight) -> dict[str, dict[str, Array]]:
+    """Measured motion by signal, "pos", "vel", "q" as far as there is any, as inputs of sensors on
+    the grid of the flight."""
+    t, motion = aligned.inputs.t_s, aligned.motion
+    found = {}
+    if motion.position is not None:
+        found["pos"] = named("pos", motion.position.at(t))
+    if motion.velocity is not None:
+        found["vel"] = named("vel", motion.velocity.at(t))
+    if motion.attitude is not None:
+        found["q"] = named("q", motion.attitude.at(t), "wxyz")
+    return found
+
+
+def rows_along_pose(
+    sensor: Component, flight: AnyFlight, pose: Mapping[str, Mapping[str, Array]], t_s: Array
+) -> Array:
+    """Inputs of a sensor of `OF_POSE` on a grid, shape (n, n_u).
+
+    Args:
+        sensor: Its component.
+        flight: Whose columns, held, are what else it takes.
+        pose: As from `pose_signals`.
+        t_s: The grid, shape (n,).
+    """
+    inputs = {k: v for signal in pose.values() for k, v in signal.items()}
+    for name in sensor.input_names:
+        if name not in inputs and flight.has(name):
+            inputs[name] = signal_of(flight, [name]).held(t_s)[:, 0]
+    return rows_of(sensor, inputs, len(t_s))
 
 
 def readings_on_grid(sensor: Sensor, flight: AnyFlight, t_s: Array) -> Array:

@@ -25,18 +25,23 @@ from ...effects import EFFECTS
 from ...frames import to_body, to_ned
 from ...logs import Flight
 from ...logs.columns import ACC_NED, POS, VEL
-from ...physics.sensors.table import BODY, SENSORS, Sensor
+from ...physics.sensors.table import Sensor
 from ...representation import short_repr
 from ...residuals.aligned import AlignedFlight
 from ...residuals.channels import (
     OF_IMU,
+    OF_POSE,
     POSE_BAND_HZ,
     Measured,
     imu_readings,
     measured,
+    named,
     on_grid,
+    pose_signals,
     prompt_imu,
     rate_over_step,
+    rows_along_pose,
+    rows_of,
     shifted,
 )
 from ...residuals.measured import AnySignal, Signal, rates_of, resample_like, smooth_at, turning_at
@@ -178,20 +183,6 @@ def reaching(*components: str) -> frozenset[str]:
     return frozenset(e.name for e in EFFECTS.values() if e.component in components)
 
 
-def named(stem: str, values: Array, axes: str = "xyz") -> dict[str, Array]:
-    """Columns of a signal by name, `stem_x` and so on."""
-    return {f"{stem}_{a}": values[:, i] for i, a in enumerate(axes)}
-
-
-def rows_of(sensor: Component, inputs: Mapping[str, Array], n: int) -> Array:
-    """Inputs of a sensor in its order; what is not given stays at its start."""
-    rows = np.tile(sensor.input_values(), (n, 1))
-    for i, name in enumerate(sensor.input_names):
-        if name in inputs:
-            rows[:, i] = inputs[name]
-    return rows
-
-
 def in_body(q_nb: Array, pull_n: Array) -> Array:
     """A force in NED, in body axes of unit quaternions; shape (n, 3)."""
     q = q_nb / np.linalg.norm(q_nb, axis=1, keepdims=True)
@@ -205,9 +196,6 @@ def in_ned(q_nb: Array, force_b: Array) -> Array:
 
 
 # -- IMU, magnetometer, barometer ----------------------------------------------------------
-
-
-OF_POSE = tuple(s for s in SENSORS if s.group != BODY)  # sensors outside the IMU
 
 
 def imu_factors(context: FlightContext) -> list[SensorFactor]:
@@ -236,17 +224,13 @@ def imu_factors(context: FlightContext) -> list[SensorFactor]:
 def other_factors(context: FlightContext) -> list[SensorFactor]:
     """Sensors that the pose alone tells."""
     t, flight = context.aligned.inputs.t_s, context.flight
-    pose = _pose(context.aligned)
+    pose = pose_signals(context.aligned)
     found = []
     for kind in OF_POSE:
         if not flight.has(*kind.columns) or not set(kind.needs) <= pose.keys():
             continue
         sensor = kind.make(context.vehicle, context.effects)
-        inputs = {k: v for signal in pose.values() for k, v in signal.items()}
-        for name in sensor.input_names:
-            if name not in inputs and flight.has(name):
-                inputs[name] = Signal(*flight.signal([name])).held(t)[:, 0]
-        rows = rows_of(sensor, inputs, len(t))
+        rows = rows_along_pose(sensor, flight, pose, t)
         signal = Signal(*flight.signal(kind.columns))
         known = context.aligned.airborne & np.all(np.isfinite(rows), axis=1)
         band = min(POSE_BAND_HZ, 0.35 * signal.rate_hz)
@@ -269,19 +253,6 @@ def other_factors(context: FlightContext) -> list[SensorFactor]:
                 older=partial(_older, sensor, rows) if two_clocks else None,
             )
         )
-    return found
-
-
-def _pose(aligned: AlignedFlight) -> dict[str, dict[str, Array]]:
-    """Measured motion by signal, as inputs of sensors on the grid."""
-    t, motion = aligned.inputs.t_s, aligned.motion
-    found = {}
-    if motion.position is not None:
-        found["pos"] = named("pos", motion.position.at(t))
-    if motion.velocity is not None:
-        found["vel"] = named("vel", motion.velocity.at(t))
-    if motion.attitude is not None:
-        found["q"] = named("q", motion.attitude.at(t), "wxyz")
     return found
 
 

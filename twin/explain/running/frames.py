@@ -23,15 +23,25 @@ from ...component import Component
 from ...component.along import Along, EachRow
 from ...effects.sensors import IMU_CHANNELS
 from ...logs.columns import ACC, GYRO
-from ...physics.sensors.table import BODY, SENSORS
 from ...representation import short_repr
 from ...residuals.aligned import LIFT_OFF_HEIGHT_M
-from ...residuals.channels import BAND_HZ, EVERY, GRID_HZ, OF_IMU, POSE_BAND_HZ, on_grid, prompt_imu
+from ...residuals.channels import (
+    BAND_HZ,
+    EVERY,
+    GRID_HZ,
+    OF_IMU,
+    OF_POSE,
+    POSE_BAND_HZ,
+    named,
+    on_grid,
+    prompt_imu,
+    rows_of,
+)
 from ...residuals.measured import rates_of, signal_of
 from ...residuals.stream import Stream
 from ...residuals.teacher_forced import rotor_states_of
 from ...vehicle import Vehicle
-from ..model.factors import in_body, named, rows_of
+from ..model.factors import in_body
 from ..model.numbers import values_of
 from ..model.prediction import Physics, SensorBatch
 from .hypotheses import Library
@@ -142,10 +152,6 @@ FRAME_S = FRAME_ROWS / GRID_HZ
 """Length of a frame, s."""
 FRAME_SAMPLES = FRAME_ROWS // EVERY
 """Samples of a channel in a frame."""
-
-
-OF_POSE = tuple(s for s in SENSORS if s.group != BODY)
-"""Sensors that are compared with the pose."""
 
 
 @dataclass(frozen=True, slots=True)
