@@ -29,11 +29,15 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Lock, Thread
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import twin
 
 from .files import VEHICLE, found_in, write_json
+
+if TYPE_CHECKING:
+    from twin.explain.explanation import Explanation
+    from twin.explain.settings import SearchSettings
 
 NORMAL, SINCE = "normal_*.parquet", "since_1.parquet"
 
@@ -81,27 +85,30 @@ def explain_case(folder: Path, changed: Mapping[str, Any] | None = None) -> dict
         folder: Of the case.
         changed: Settings of the search that are not to be the default ones, by name.
     """
-    from twin.explain.explanation import explain
     from twin.explain.settings import DEFAULT
-    from twin.logs import read_flight
-    from twin.vehicle_file import load_vehicle
     from uavtwin.explain_record import explain_record
 
     wall, cpu = time.perf_counter(), time.process_time()
     if is_calibrated(folder):
         said = ask_calibrated(folder)
     else:
-        fit, away = ([read_flight(f) for f in found_in(folder, n)] for n in (FIT, HOLDOUT))
-        settings = DEFAULT.with_values(changed or {})
-        vehicle = load_vehicle(str(folder / VEHICLE))
-        said = explain_record(
-            explain(fit, away, vehicle, missions=(), settings=settings, suggest=False)
-        ).json()
+        said = explain_record(explained(folder, DEFAULT.with_values(changed or {}))).json()
     return {
         **said,
         "seconds": round(time.perf_counter() - wall, 2),
         "cpu_seconds": round(time.process_time() - cpu, 2),
     }
+
+
+def explained(folder: Path, settings: "SearchSettings") -> "Explanation":
+    """What is found in a case whose aircraft was not calibrated first."""
+    from twin.explain.explanation import explain
+    from twin.logs import read_flight
+    from twin.vehicle_file import load_vehicle
+
+    fit, away = ([read_flight(f) for f in found_in(folder, n)] for n in (FIT, HOLDOUT))
+    vehicle = load_vehicle(str(folder / VEHICLE))
+    return explain(fit, away, vehicle, missions=(), settings=settings, suggest=False)
 
 
 def answer(

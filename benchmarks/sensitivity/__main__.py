@@ -2,9 +2,11 @@
 
     DIR/flights, DIR/truth             as of the benchmark of hidden effects
     DIR/answers/SETTING.WAY/ID.json    what is said with one setting changed
-    DIR/answers/default/ID.json        what is said with none
+    DIR/answers/default/ID.json        what is said with none, and which changes may matter
 
-Answers of this state of `twin/` are used again, so a run that was cut short goes on.
+A case is first run once with all settings watched (`watch`); a change that cannot matter in it has
+the same answer and is not asked for. Answers of this state of `twin/` are used again, so a run that
+was cut short goes on.
 """
 
 import argparse
@@ -13,10 +15,12 @@ import shlex
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from benchmarks.hidden_effects import generate
+from benchmarks.hidden_effects.files import write_json
 from benchmarks.hidden_effects.measures import Outcome, read_outcomes
 from benchmarks.hidden_effects.run import Question, Worker, answer, ask, explain_case, twin_state
 from twin.explain.setting_group import Value
@@ -25,6 +29,7 @@ from twin.explain.settings import DEFAULT
 from .changes import Change, change
 from .page import page
 from .variants import Variant, variants
+from .watch import watch_case
 
 USUAL = "default"
 SMALL_SUBSET = 4
@@ -69,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def ask_with(query: Asked) -> dict[str, Any]:
     """What is said about a case with some settings changed; an exception becomes a verdict."""
     folder, changed = query
-    return answer(folder, partial(explain_case, changed=changed))
+    return answer(folder, partial(explain_case, changed=changed) if changed else watch_case)
 
 
 def _worker() -> Worker:
@@ -92,21 +97,37 @@ def answer_all(
         jobs: Processes.
         worker: Makes one; it is called with `Asked`.
     """
-    state, questions, there = twin_state(), [], 0
-    every = [(USUAL, {}), *((v.name, {v.setting.name: v.value}) for v in chosen)]
-    for name, changed in every:
-        for i in sorted(ids):
-            file = out / "answers" / name / f"{i}.json"
-            if _is_answered(file, state):
-                there += 1
-                continue
-            extra = {"case": i, "twin": state}
-            query = (out / "flights" / i, changed)
-            questions.append(Question(f"{name} {i}", query, file, extra))
-    print(f"{there + len(questions)} answers, {there} there already", file=sys.stderr)
-    ask(questions, jobs, worker)
+    state, chosen = twin_state(), [*chosen]
+    _ask(out, ids, [(USUAL, {})], state, jobs, worker)
+    for i in ids:
+        usual = json.loads((out / "answers" / USUAL / f"{i}.json").read_text("utf-8"))
+        may = usual.pop("may", None)
+        for variant in chosen if may is not None else ():
+            if variant.name not in may:
+                write_json(out / "answers" / variant.name / f"{i}.json", usual)
+    _ask(out, ids, [(v.name, {v.setting.name: v.value}) for v in chosen], state, jobs, worker)
     if twin_state() != state:
         print("twin/ has changed meanwhile: run it again", file=sys.stderr)
+
+
+def _ask(
+    out: Path,
+    ids: Collection[str],
+    changes: Iterable[tuple[str, Mapping[str, Value]]],
+    state: str,
+    jobs: int,
+    worker: Callable[[], Worker],
+) -> None:
+    """Ask for what is not answered yet, case by case."""
+    every = [(i, *change) for i, change in product(sorted(ids), changes)]
+    files = [out / "answers" / name / f"{i}.json" for i, name, _ in every]
+    questions = [
+        Question(f"{name} {i}", (out / "flights" / i, changed), file, {"case": i, "twin": state})
+        for (i, name, changed), file in zip(every, files, strict=True)
+        if not _is_answered(file, state)
+    ]
+    print(f"{len(every)} answers, {len(every) - len(questions)} known", file=sys.stderr)
+    ask(questions, jobs, worker)
 
 
 def compare(

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from stand_ins import by_setting
 
@@ -13,6 +14,7 @@ from benchmarks.sensitivity import __main__ as sensitivity
 from benchmarks.sensitivity.changes import change
 from benchmarks.sensitivity.page import page
 from benchmarks.sensitivity.variants import Variant, times, variants
+from benchmarks.sensitivity.watch import watched
 from twin.explain.setting_group import numbers
 from twin.explain.settings import DEFAULT
 
@@ -101,6 +103,22 @@ def test_answers_are_asked_once_and_with_the_setting_changed(tmp_path: Path) -> 
     assert [o.verdict for o in usual] == ["nothing", "nothing"]
     half, double = changes  # the stand-in finds something where a name is given from 0.5 on
     assert (half.verdicts, double.verdicts) == (2, 0)
+
+
+def test_a_change_is_noted_where_it_decides_or_where_it_cannot_be_followed() -> None:
+    settings, noted = watched(variants(["stochastic.gust", "usable.shortest_s", "unnamed.folds"]))
+    gust, seconds = settings.stochastic.gust, settings.usable.shortest_s  # 3 s
+    assert seconds < 10.0
+    assert np.all(np.array([7.0, 8.0]) > 1 + seconds - 1)
+    assert round(gust.smallest_fall, 1) == 0.7  # followed no further
+    assert not gust.lasting > 0.9  # 0.25: doubled it is 0.5
+    assert noted == {f"stochastic.gust.smallest_fall.{way}" for way in ("halved", "doubled")}
+    assert np.array([2.0, 5.0])[[False, True]] * 1.0 > seconds
+    assert "usable.shortest_s.doubled" in noted
+    assert "usable.shortest_s.halved" not in noted
+    assert len(range(settings.unnamed.folds)) == 5
+    assert {"unnamed.folds.halved", "unnamed.folds.doubled"} < noted
+    assert DEFAULT.changed == {}
 
 
 def test_a_setting_that_is_not_there_is_used_wrongly(

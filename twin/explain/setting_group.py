@@ -19,7 +19,8 @@ class About:
     Attributes:
         unit: "1" for a plain number.
         meaning: In a sentence.
-        origin: Begins with "physics: ", "paper: ", "chosen on: " (which cases) or "made up".
+        origin: Begins with "physics: ", "paper: ", "data sheet: ", "measured: ", "chosen on: "
+            (which cases), "sensitivity: " or "made up".
         below: What every number of it stays below.
     """
 

@@ -33,7 +33,13 @@ class UsableSettings(Group):
         "specific force, low-passed, that no flight reaches but a blow does",
         "made up",
     )
-    impact_hz: float = setting(20.0, "Hz", "low-pass of that force", "made up")
+    impact_hz: float = setting(
+        20.0,
+        "Hz",
+        "low-pass of that force",
+        "physics: the body moves below it and rotors vibrate above, as for BAND_HZ of "
+        "twin.residuals.channels",
+    )
     around_s: float = setting(
         1.0,
         "s",
@@ -45,7 +51,7 @@ class UsableSettings(Group):
         0.5,
         "1",
         "cosine of the tilt in the last second under which it lies on its side",
-        "made up",
+        "physics: beyond 60 degrees level flight takes more than twice the weight in thrust",
         1.0,
     )
     latest_s: float = setting(
@@ -64,7 +70,7 @@ class UsableSettings(Group):
         0.5,
         "1",
         "correlation from which on two signals are the same motion in the same axes",
-        "made up",
+        "physics: halfway between 0, which exchanged axes have, and 1",
         1.0,
     )
 
@@ -86,7 +92,8 @@ class LikelihoodSettings(Group):
         4.0,
         "sd",
         "innovations beyond so many standard deviations weigh less: a bump, a lost packet",
-        "made up; the weight itself is that of Huber, Ann. Math. Stat. 35 (1964)",
+        "physics: normal innovations at 50 Hz pass it once in five minutes; the weight itself is "
+        "that of Huber, Ann. Math. Stat. 35 (1964)",
     )
     roughness: float = setting(
         1e-3,
@@ -103,7 +110,11 @@ class EvidenceSettings(Group):
     """Of `twin.explain.inference.evidence`: what is known of noise before a flight is looked at."""
 
     level: float = setting(
-        2.0, "degrees of freedom", "with which the noise level of a band is known", "made up"
+        2.0,
+        "degrees of freedom",
+        "with which the noise level of a band is known",
+        "physics: with two the Student t that comes of it has a mean and no variance, with one not "
+        "even that",
     )
     samples: float = setting(
         250.0,
@@ -159,28 +170,29 @@ class SelectionSettings(Group):
         3.0,
         "1",
         "factor on the odds of an effect from which on flights speak for it",
-        "made up: evidence that is worth more than a bare mention, Kass & Raftery, J. Am. Stat. "
-        "Assoc. 90 (1995)",
+        "paper: Kass & Raftery, J. Am. Stat. Assoc. 90 (1995): up to it evidence is not worth more "
+        "than a bare mention",
     )
     tension: float = setting(
         3.0,
         "sd",
         "by which a number may be away from what is expected of it; beyond, something else acts "
         "like its effect",
-        "made up: one in 370 of right names",
+        "physics: one in 370 of right names is farther away, if numbers are normal",
     )
     credible: float = setting(
         0.5,
         "probability",
         "that the cause is of the library at all, from which on a name is given",
-        "made up",
+        "physics: more likely than not",
         1.0,
     )
     least: float = setting(
         0.05,
         "probability",
         "below which a hypothesis or an effect is no candidate",
-        "made up",
+        "paper: one in twenty, the convention of Fisher, Statistical Methods for Research Workers "
+        "(1925)",
         1.0,
     )
     variance_per_effect: float = setting(
@@ -201,19 +213,25 @@ class AdequacySettings(Group):
         1 / 7,
         "share",
         "deviation of a law of the right name from nature's, of what it explains",
-        "made up; right names leave 0.14 or less in 25 of 26 cases "
+        "measured: right names leave 0.14 or less in 25 of 26 cases "
         "(docs/results/hidden_effects.md)",
         1.0,
     )
     outside: float = setting(
         0.1, "probability", "prior, that a cause is none of the library", "made up", 1.0
     )
-    chance: float = setting(2.0, "sd", "by which what is left has to stand out of noise", "made up")
+    chance: float = setting(
+        2.0,
+        "sd",
+        "by which what is left has to stand out of noise",
+        "physics: mere noise, if normal, stands out by more once in 44",
+    )
     memory: float = setting(
         2.0,
         "periods",
         "of the highest frequency of a channel, in which its noise is forgotten",
-        "made up",
+        "physics: noise behind a second-order Butterworth low-pass is correlated by less than "
+        "0.0002 after so long",
     )
     most: int = setting(
         4, "effects", "of a model that lacks more, what one law leaves is not to be told", "made up"
@@ -252,7 +270,8 @@ class StuckSettings(Group):
         3.0,
         "bits",
         "standard deviation of a neighbour meanwhile, in last bits; less hides in one bit",
-        "made up",
+        "physics: a reading with normal steps of 3 bits repeats itself by chance once in 7.5 "
+        "samples, ten times running less than once in 10^8",
     )
     smooth: float = setting(
         0.1,
@@ -271,13 +290,14 @@ class NoiseLevelSettings(Group):
         80.0,
         "Hz",
         "sample rate from which on the upper half of the band is free of motion",
-        "made up",
+        "physics: the first of `bands` begins at 20 Hz then, above the 18 Hz up to which the body "
+        "moves (BAND_HZ of twin.residuals.channels)",
     )
     bands: tuple[tuple[float, float], ...] = setting(
         ((0.25, 0.33), (0.33, 0.41), (0.41, 0.49)),
         "sample rates",
         "parts of the band that have to agree about the noise",
-        "made up: upper half of the band, in three",
+        "physics: upper half of what a sample rate can hold, in three equal parts",
         0.5,
     )
     low: float = setting(
@@ -338,7 +358,11 @@ class VibrationSettings(Group):
         1.0,
     )
     smallest_acc_m_s2: float = setting(
-        0.02, "m/s²", "rms of a line of the accelerometer that is worth a name", "made up"
+        0.02,
+        "m/s²",
+        "rms of a line of the accelerometer that is worth a name",
+        "data sheet: what an accelerometer of 150 µg/√Hz, as the Bosch BMI055, has of noise within "
+        "200 Hz",
     )
     smallest_gyro_rad_s: float = setting(
         0.002, "rad/s", "rms of a line of the gyroscope that is worth a name", "made up"
@@ -364,9 +388,20 @@ class SlowForceSettings(Group):
     fold_s: float = setting(
         4.0, "s", "blocks of time that a regression predicts from the others", "made up"
     )
-    folds: int = setting(5, "1", "parts of the time that are left out in turn", "made up")
+    folds: int = setting(
+        5,
+        "1",
+        "parts of the time that are left out in turn",
+        "paper: Hastie, Tibshirani & Friedman, The Elements of Statistical Learning, sec. 7.10: "
+        "five or ten",
+    )
     floor_hz: tuple[float, float] = setting(
-        (5.0, 12.0), "Hz", "where the white floor of the 50 Hz channels is read", "made up", 25.0
+        (5.0, 12.0),
+        "Hz",
+        "where the white floor of the 50 Hz channels is read",
+        "physics: above the slow part, and where the low-pass of 18 Hz takes less than a sixth of "
+        "the power",
+        25.0,
     )
 
 
@@ -396,7 +431,11 @@ class GustSettings(Group):
         1.0,
     )
     unexplained: float = setting(
-        0.5, "share", "of the slow power that no curve explains, at least", "made up", 1.0
+        0.5,
+        "share",
+        "of the slow power that no curve explains, at least",
+        "physics: more than half of it",
+        1.0,
     )
     smallest_m_s2: float = setting(0.03, "m/s²", "rms of the force that is worth a name", "made up")
     uneven: float = setting(
@@ -437,7 +476,7 @@ class StochasticSettings(Group):
         40.0,
         "effects",
         "one of so many is there: its prior odds are one to these",
-        "made up: about as many as the library has",
+        "physics: about as many as the library has, 42; beforehand none of them is likelier",
     )
     line_window_s: float = setting(
         0.5,
@@ -463,7 +502,13 @@ class UnnamedSettings(Group):
     """Of `twin.explain.unnamed`."""
 
     most_terms: int = setting(4, "terms", "of an equation at most", "made up")
-    folds: int = setting(5, "1", "parts of the time that are left out in turn", "made up")
+    folds: int = setting(
+        5,
+        "1",
+        "parts of the time that are left out in turn",
+        "paper: Hastie, Tibshirani & Friedman, The Elements of Statistical Learning, sec. 7.10: "
+        "five or ten",
+    )
     per_term: float = setting(
         6.0,
         "nat",
@@ -494,7 +539,7 @@ class UnnamedSettings(Group):
         0.5,
         "share",
         "of what is there; an equation that explains less explains nothing",
-        "made up",
+        "physics: less than half of it",
         1.0,
     )
     enough: float = setting(
@@ -529,7 +574,14 @@ class HoldoutSettings(Group):
     block_s: float = setting(
         1.0, "s", "blocks of time that the bootstrap of the shrink draws", "made up"
     )
-    fewest_blocks: int = setting(5, "blocks", "with fewer the shrink has no interval", "made up")
+    fewest_blocks: int = setting(
+        5,
+        "blocks",
+        "with fewer the shrink has no interval",
+        "paper: Efron & Tibshirani, An Introduction to the Bootstrap (1993), sec. 6: 5 blocks have "
+        "126 different resamples, 4 have 35, too few for the 2.5 % that an end of the interval "
+        "cuts off",
+    )
 
 
 # -- all settings --------------------------------------------------------------------------

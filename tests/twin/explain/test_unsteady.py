@@ -17,6 +17,7 @@ from twin.effects.sensors import SENSOR_NOISE_LEVEL, STUCK_SENSOR, VIBRATION
 from twin.explain.model.model import FlightModel, Model
 from twin.explain.model.numbers import numbers_of
 from twin.explain.model.prediction import Physics
+from twin.explain.stochastic.gust import pieces_in_common
 from twin.explain.stochastic.imu_noise import find_noise_level, find_vibration
 from twin.explain.stochastic.search import (
     find_stochastic,
@@ -28,6 +29,7 @@ from twin.explain.stochastic.spectral import StochasticEffect
 from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, MAG
 from twin.physics.airframe import airframe
+from twin.residuals.channels import ChannelData
 from twin.vehicle import GRAVITY_M_S2, Vehicle
 from twin.vehicle.vehicle import hover_level
 from twin.vehicle_file import load_vehicle
@@ -301,3 +303,16 @@ def gliding(columns: dict[str, Array], t: Array, rng: np.random.Generator) -> No
 @pytest.mark.parametrize("change", [on_the_ground, unmeasured, short_loss, gliding, held, coarse])
 def test_other_reasons_to_stand_still_raise_no_alarm(change: Change) -> None:
     assert stuck_channels(hovering(change)) == []
+
+
+def test_axes_that_lack_different_pieces_share_the_rest() -> None:
+    t = np.arange(100) / 50
+    no = np.zeros(0)
+
+    def axis(known: NDArray[np.bool_]) -> ChannelData:
+        return ChannelData("acc_x", "m/s2", t[known], no, no, no, np.zeros(0, np.intp))
+
+    whole, cut = np.ones(100, np.bool_), (t < 0.5) | (t > 1.2)
+    assert [len(p) for p in pieces_in_common([axis(whole)] * 3)] == [100]
+    pieces = pieces_in_common([axis(whole), axis(cut), axis(t < 1.9)])
+    assert [(p[0], p[-1]) for p in pieces] == [(0.0, 0.48), (1.22, 1.88)]

@@ -73,7 +73,7 @@ def slow_parts(
     every = round(CHANNEL_HZ / SLOW_HZ)
     sos = butter(2, settings.band_hz, "bandpass", fs=CHANNEL_HZ, output="sos")
     spin, force = aligned.predicted("spin_", "specific_force_")
-    for t in _in_common(acc):
+    for t in pieces_in_common(acc):
         if len(t) < (settings.window_s + 1) * CHANNEL_HZ:
             continue
         rows = [np.searchsorted(c.t_s, t) for c in acc]
@@ -98,7 +98,7 @@ def slow_parts(
     return found
 
 
-def _in_common(channels: Sequence[ChannelData]) -> list[Array]:
+def pieces_in_common(channels: Sequence[ChannelData]) -> list[Array]:
     """Times of uninterrupted pieces that all of these channels have: each may lack its own."""
     t = reduce(np.intersect1d, [c.t_s for c in channels])
     return np.split(t, np.flatnonzero(np.diff(t) > 1.5 / CHANNEL_HZ) + 1)
