@@ -193,13 +193,28 @@ def measured(
     )
 
 
+class LowPass:
+    """Causal second-order Butterworth low-pass along axis 0, settled on the first value, of rows
+    that come block by block."""
+
+    def __init__(self, cutoff_hz: float) -> None:
+        self._cutoff_hz = cutoff_hz
+        self._state: Array | None = None
+
+    def next(self, values: Array) -> Array:
+        """The next rows, low-passed."""
+        if self._cutoff_hz >= 0.45 * GRID_HZ:
+            return values
+        b, a, settled = _butterworth(self._cutoff_hz)
+        if self._state is None:
+            self._state = settled.reshape((-1,) + (1,) * (values.ndim - 1)) * values[:1]
+        passed, self._state = lfilter(b, a, values, axis=0, zi=self._state)
+        return np.asarray(passed, dtype=np.float64)
+
+
 def low_pass(values: Array, cutoff_hz: float) -> Array:
-    """Causal second-order Butterworth low-pass along axis 0, settled on the first value."""
-    if cutoff_hz >= 0.45 * GRID_HZ:
-        return values
-    b, a, settled = _butterworth(cutoff_hz)
-    start = settled.reshape((-1,) + (1,) * (values.ndim - 1)) * values[:1]
-    return np.asarray(lfilter(b, a, values, axis=0, zi=start)[0], dtype=np.float64)
+    """All rows through a `LowPass`."""
+    return LowPass(cutoff_hz).next(values)
 
 
 @cache

@@ -227,7 +227,6 @@ class RunningGrid:
         """
         assert self.rows is not None
         rows = self.rows.between(first, end)
-        part = slice(first - self.rows.first, end - self.rows.first)
         return AlignedFlight(
             self.airframe,
             self.imu,
@@ -235,9 +234,14 @@ class RunningGrid:
             motion,
             rows.states,
             rows.phases,
-            self.piece_of[part] != NONE,
+            self.known_in_air(first, end),
             (),
         )
+
+    def known_in_air(self, first: int, end: int) -> NDArray[np.bool_]:
+        """Whether each of some rows is in the air, its state known."""
+        assert self.rows is not None
+        return np.asarray(self.piece_of[first - self.rows.first : end - self.rows.first] != NONE)
 
     def piece_at(self, number: int) -> int:
         """First row of the piece that a row is in, `NONE` where it is in none."""

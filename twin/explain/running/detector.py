@@ -262,6 +262,10 @@ class ChangeDetector:
         step = 1 << max(0, (age // RECENT).bit_length())
         return age <= self._oldest and number % step == 0 if age >= RECENT else True
 
+    def standing_mean(self) -> Array:
+        """Most probable standing numbers and constants, shape (k,)."""
+        return self._solved()[1] * self._unit
+
     def standing(self) -> tuple[Array, Array]:
         """Most probable standing numbers and constants, and their covariance."""
         factor, mean = self._solved()

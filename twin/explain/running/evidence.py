@@ -216,7 +216,7 @@ class RunningEvidence:
     def _standing_model(self) -> Array:
         """Standing numbers and constants, and what a young alarm adds."""
         assert self._detector is not None
-        mean, _ = self._detector.standing()
+        mean = self._detector.standing_mean()
         if self._pending is not None:
             for change in self._pending.alarm.numbers:
                 k = self._column(self._pending.alarm.effect, change.name)

@@ -10,21 +10,18 @@ the band of motion have no equation: they are counted here.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
-from scipy.signal import butter, lfilter, lfilter_zi
 
 from ...component import Component
 from ...component.along import Along, EachRow
 from ...effects.sensors import IMU_CHANNELS
 from ...logs.columns import ACC, GYRO
 from ...representation import short_repr
-from ...residuals.aligned import LIFT_OFF_HEIGHT_M
 from ...residuals.channels import (
     BAND_HZ,
     EVERY,
@@ -32,6 +29,7 @@ from ...residuals.channels import (
     OF_IMU,
     OF_POSE,
     POSE_BAND_HZ,
+    LowPass,
     named,
     on_grid,
     prompt_imu,
@@ -163,7 +161,7 @@ class GridBlock:
         t_s: Times, shape (n,).
         states: Of the airframe, shape (n, n_x); NaN where nothing was measured.
         inputs: Of the airframe, shape (n, n_u).
-        grounded: Where the flight says that it is on the ground, shape (n,).
+        flying: In the air, the state known, shape (n,).
         readings: By signal ("acc", "gyro", "pull" NED, "turning", "mag", "baro"), shape (n, k),
             NaN where unknown.
         samples: Readings of the IMU as they came: times, shape (m,), and values, shape (m, k).
@@ -174,7 +172,7 @@ class GridBlock:
     t_s: Array
     states: Array
     inputs: Array
-    grounded: NDArray[np.bool_]
+    flying: NDArray[np.bool_]
     readings: Mapping[str, Array]
     samples: Mapping[str, tuple[Array, Array]]
     further: Mapping[str, Array]
@@ -254,7 +252,6 @@ class FrameFilter:
             body: Airframe, built with the effects of the library.
         """
         self._vehicle, self._library = vehicle, library
-        self._height = [s.name for s in body.states].index("pos_z")
         self._attitude = [[s.name for s in body.states].index(f"q_{a}") for a in "wxyz"]
         numbers, effects = library.numbers, library.effects
         self._theta, self._columns = values_of(numbers, {}), list(library.columns)
@@ -265,10 +262,9 @@ class FrameFilter:
         self._made = [kind.make(vehicle, effects) for kind in OF_POSE]
         self._batches = [SensorBatch(m, effects, numbers, EachRow) for m in self._made]
         self.groups = tuple(self._list_groups())
-        self._passed: dict[int, list[Array]] = {}  # by group, the states of its filters
+        self._passed: dict[int, list[LowPass]] = {}  # by group, its filters
         self._last: dict[int, Array] = {}  # by group, the last row before this frame
         self._next: int | None = None  # number of the next frame
-        self._rest_m = np.nan
 
     def frames(self, stream: Stream) -> list[Frame]:
         """The frames that are complete since the last time.
@@ -297,6 +293,7 @@ class FrameFilter:
         """Rows of the grid, and what sensors read there."""
         assert stream.grid is not None and stream.grid.rows is not None
         flight, motion, rows = stream.window, stream.motion, stream.grid.rows.between(first, end)
+        flying = stream.grid.known_in_air(first, end)
         assert flight is not None
         t, read = rows.t_s, dict[str, Array]()
         for name, columns in (("acc", ACC), ("gyro", GYRO)):
@@ -319,7 +316,7 @@ class FrameFilter:
             for name, columns in (("acc", ACC), ("gyro", GYRO))
             if flight.has(*columns)
         }
-        return GridBlock(first, t, rows.states, rows.u, rows.grounded, read, samples, further)
+        return GridBlock(first, t, rows.states, rows.u, flying, read, samples, further)
 
     # -- what there is -------------------------------------------------------------------------
 
@@ -349,7 +346,7 @@ class FrameFilter:
         states, inputs = block.states, block.inputs
         predicted = self._physics.value(self._theta, states, inputs)
         along = self._lag.along(states, inputs)
-        flying = self._is_flying(block, predicted)
+        flying = bool(np.all(block.flying))
         rows: dict[tuple[int, int], Array] = {}
         if flying:
             slopes = self._physics.slopes(self._columns, self._theta, states, inputs)
@@ -366,17 +363,6 @@ class FrameFilter:
             loud = high_power(np.hstack(readings))
         counted = {name: len(t) for name, (t, _) in block.samples.items()}
         return Frame(number, flying, rows, loud, longest_repeats(block.samples), counted)
-
-    def _is_flying(self, block: GridBlock, predicted: Array) -> bool:
-        """Whether the rotors carry, above the resting place, and the log does not say otherwise."""
-        force = np.linalg.norm(predicted[:, :3], axis=1)
-        carried = force > 0.5 * self._vehicle.gravity_m_s2
-        height = -block.states[:, self._height]
-        standing = np.isfinite(height) & (block.grounded | ~carried)
-        if standing.any():
-            self._rest_m = float(np.median(height[standing]))
-        low = np.isfinite(self._rest_m) & (height < self._rest_m + LIFT_OFF_HEIGHT_M)
-        return bool(np.all(carried & ~block.grounded & ~low))
 
     def _compared(self, block: GridBlock, predicted: Array, slopes: Array) -> dict[int, Array]:
         """By group, measured, predicted and slopes, shape (n, c, 2 + k)."""
@@ -445,18 +431,10 @@ class FrameFilter:
             measured = np.diff(whole[:, :, :1], axis=0) * GRID_HZ
             values = np.concatenate([measured, (whole[1:, :, 1:] + whole[:-1, :, 1:]) / 2], axis=2)
         settled = g in self._passed
-        states = self._passed.get(g, [])
-        transformed = []
-        for k, cutoff in enumerate(group.filters_hz):
-            b, a, start = _butterworth(cutoff)
-            if not settled:
-                states.append(start[:, None, None] * values[:1])
-            last = k == len(group.filters_hz) - 1
-            passed, states[k] = lfilter(b, a, values, axis=0, zi=states[k])
-            if not last:
-                passed[:, :, 0] = values[:, :, 0]
-            values = passed
-        self._passed[g] = states
+        *of_sensor, band = self._passed.setdefault(g, [LowPass(hz) for hz in group.filters_hz])
+        for low_pass in of_sensor:  # readings have it behind them
+            values = np.concatenate([values[:, :, :1], low_pass.next(values)[:, :, 1:]], axis=2)
+        values = band.next(values)
         if not settled:
             return {}
         transformed = dct(values[EVERY - 1 :: EVERY], axis=0, norm="ortho")
@@ -466,13 +444,6 @@ class FrameFilter:
 
 def _stacked(measured: Array, predicted: Array, slopes: Array) -> Array:
     return np.concatenate([measured[:, :, None], predicted[:, :, None], slopes], axis=2)
-
-
-@cache
-def _butterworth(cutoff_hz: float) -> tuple[Array, Array, Array]:
-    """Second order on the grid: coefficients, and the state that is settled on one."""
-    b, a = butter(2, min(cutoff_hz / (GRID_HZ / 2), 0.9))
-    return b, a, lfilter_zi(b, a)
 
 
 def _cut(block: GridBlock, low: int) -> GridBlock:
@@ -488,7 +459,7 @@ def _cut(block: GridBlock, low: int) -> GridBlock:
         block.t_s[own],
         block.states[own],
         block.inputs[own],
-        block.grounded[own],
+        block.flying[own],
         {k: v[own] for k, v in block.readings.items()},
         samples,
         {k: v[own] for k, v in block.further.items()},
