@@ -169,10 +169,19 @@ def residual_flight(
     )
 
 
-def held(values: Array) -> Array:
-    """The last known value of each column, NaN before the first; shape (n, k)."""
-    rows = np.where(np.isfinite(values), np.arange(len(values))[:, None], 0)
-    return np.take_along_axis(values, np.maximum.accumulate(rows, axis=0), axis=0)
+def held(values: Array, fresh: BoolArray | None = None, before: Array | float = np.nan) -> Array:
+    """Each fresh value held until the next; shape (n, k).
+
+    Args:
+        values: Shape (n, k).
+        fresh: Which of them are, the same shape; None: those that are finite.
+        before: Until the first one, shape (k,) or a number.
+    """
+    fresh = np.isfinite(values) if fresh is None else fresh
+    row = np.where(fresh, np.arange(1, len(values) + 1)[:, None], 0)
+    last = np.maximum.accumulate(row, axis=0)
+    padded = np.vstack([np.broadcast_to(before, values.shape[1:]), values])
+    return np.take_along_axis(padded, last, axis=0)
 
 
 def restart_before_s(protocol: Protocol, horizon: int, rate_hz: float) -> float:

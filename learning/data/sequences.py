@@ -16,7 +16,7 @@ from twin.errors import ModelError
 
 from ..preset import Protocol
 from .channels import N_PHASES
-from .flights import ResidualFlight
+from .flights import ResidualFlight, held
 from .scaling import Scaling, features_of, places_of, standardised
 
 Array = NDArray[np.float64]
@@ -134,17 +134,17 @@ def _span(
     phase = flight.phase[rows]
     fresh = flight.fresh[rows]
     new = (flight.residual[rows] - scaling.mean[phase]) / scaling.scale[phase]
-    d = held(new, fresh)
+    d = held(new, fresh, 0.0)
     raw = features_of(flight)[rows]
     features = standardised(raw, scaling)
     slow = [lfilter([a], [1.0, a - 1.0], features, axis=0) for a in smoothing(flight.rate_hz)]
-    lags = [_delayed(d, horizon + k) for k in range(n_lags(protocol))]
+    lags = [delayed(d, horizon + k) for k in range(n_lags(protocol))]
     change, offset = np.zeros_like(d), np.zeros((*d.shape, 2))
     virtual = flight.virtual[rows]
     own = np.nan_to_num((virtual - scaling.reading[phase]) / scaling.scale[phase])
     if protocol == "track":
         virtual = np.nan_to_num(virtual)
-        then = _delayed(held(virtual, fresh, virtual[0]), horizon, virtual[0])
+        then = delayed(held(virtual, fresh, virtual[0]), horizon, virtual[0])
         change = (then - virtual) / scaling.scale[phase]
         offset = _running_means(lags[0], lags[0] + change + own, *running_mean(flight.rate_hz))
     return SpanSequence(
@@ -179,20 +179,6 @@ def one_hot(phase: NDArray[np.intp]) -> Array:
     return np.eye(N_PHASES)[phase]
 
 
-def held(values: Array, fresh: BoolArray, before: Array | float = 0.0) -> Array:
-    """Each fresh value held until the next; shape (n, k).
-
-    Args:
-        values: Shape (n, k).
-        fresh: Shape (n, k).
-        before: Until the first one, shape (k,) or a number.
-    """
-    row = np.where(fresh, np.arange(1, len(values) + 1)[:, None], 0)
-    last = np.maximum.accumulate(row, axis=0)
-    padded = np.vstack([np.broadcast_to(before, values.shape[1:]), values])
-    return np.take_along_axis(padded, last, axis=0)
-
-
 def _running_means(residual: Array, reading: Array, decay: float, prior: float) -> Array:
     """Means so far of both, shape (n, k, 2); a residual of zero says that there is none."""
     there = (residual != 0).astype(np.float64)
@@ -201,7 +187,7 @@ def _running_means(residual: Array, reading: Array, decay: float, prior: float) 
     return np.asarray(sums[..., :2] / (sums[..., 2:] + prior))
 
 
-def _delayed(values: Array, samples: int, before: Array | float = 0.0) -> Array:
+def delayed(values: Array, samples: int, before: Array | float = 0.0) -> Array:
     """The values some samples ago, or those from before the first; shape (n, k)."""
     if samples == 0:
         return values

@@ -28,7 +28,7 @@ from scipy.signal import lfilter
 from ..data.channels import CHANNELS, N_PHASES
 from ..data.flights import ResidualFlight, held
 from ..data.scaling import features_of, in_spans
-from ..data.sequences import smoothing
+from ..data.sequences import delayed, smoothing
 from ..preset import PROTOCOLS, Protocol
 from .family import Corrected, Family, ModelInfo, Progress, Tensors, TrainingTask, describe_training
 
@@ -154,13 +154,10 @@ def lags(flight: ResidualFlight, values: Array, horizon: int, count: int) -> Arr
         Shape (n, 15, count), 0 where the span holds none yet.
     """
     found = np.zeros((*values.shape, count))
-    seen = np.where(flight.fresh, values, np.nan)
+    known = flight.fresh & np.isfinite(values)
     for a, b in flight.spans:
-        value = np.nan_to_num(held(seen[a:b]))
-        for k in range(count):
-            late = horizon + k
-            if late < b - a:
-                found[a + late : b, :, k] = value[: b - a - late]
+        value = held(values[a:b], known[a:b], 0.0)
+        found[a:b] = np.stack([delayed(value, horizon + k) for k in range(count)], axis=-1)
     return found
 
 

@@ -25,13 +25,12 @@ from torch import Tensor, nn
 from ..compute import one_thread
 from ..data.channels import CHANNELS, N_PHASES
 from ..data.envelope import linear_share, network_share
-from ..data.flights import ResidualFlight
+from ..data.flights import ResidualFlight, held
 from ..data.scaling import Scaling, feature_names, place_names
 from ..data.sequences import (
     SMOOTHING_S,
     SpanSequence,
     check_protocol,
-    held,
     limited,
     n_lags,
     n_regressors,
@@ -184,7 +183,7 @@ class Compensator(nn.Module):
             if self.info.protocol == "track":
                 new = np.nan_to_num(flight.residual[span.rows] - correction[span.rows])
                 now = innovation_ratio(new, spread[span.rows], self.anomaly_scale.double().numpy())
-                anomaly[span.rows] = held(now, span.fresh).max(axis=1)
+                anomaly[span.rows] = held(now, span.fresh, 0.0).max(axis=1)
             else:
                 anomaly[span.rows] = (out.distance / self.anomaly_scale).amax(-1).numpy()
             inside[span.rows] = span.inside
