@@ -436,6 +436,11 @@ class FmuModel:
         """What a solver outside sees; None: co-simulation alone."""
         return self.parts[0].exchange if len(self.parts) == 1 else None
 
+    @property
+    def longest_step_s(self) -> float:
+        """Longest internal step, s; the documentation of an FMU shows it."""
+        return self.step_s or self.parts[0].max_step_s
+
 
 def with_real_outputs(model: FmuModel) -> FmuModel:
     """The same, every output a real number: truth values as 0 and 1, enumerations by their codes.
