@@ -29,7 +29,7 @@ from twin.explain.settings import DEFAULT
 from .changes import Change, change
 from .page import page
 from .variants import Variant, variants
-from .watch import watch_case
+from .watch import Noted, watch_case
 
 USUAL = "default"
 SMALL_SUBSET = 4
@@ -49,6 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--only", nargs="+", default=(), metavar="NAME", help="settings that begin so"
     )
+    parser.add_argument(
+        "--watch", action="store_true", help="find out which changes may matter, ask for no more"
+    )
     generate.add_options(parser)
     parser.set_defaults(subset=SMALL_SUBSET)
     options = parser.parse_args(given)
@@ -59,10 +62,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     wanted = generate.chosen(options)
     generate.generate(options.out, wanted, options.jobs)
     ids = {case.id for case in wanted}
-    answer_all(options.out, ids, chosen, options.jobs)
-    usual, changes = compare(options.out, ids, chosen)
+    answer_all(options.out, ids, () if options.watch else chosen, options.jobs)
+    usual, changes = compare(options.out, ids, () if options.watch else chosen)
     command = f"{parser.prog} {shlex.join(_public(given))}"
-    text = page(command, len(list(DEFAULT.every())), usual, changes, twin_state())
+    every, watched = len(list(DEFAULT.every())), noted_in(options.out, ids)
+    text = page(command, every, usual, changes, twin_state(), watched)
     if options.page is None:
         print(text, end="")
     else:
@@ -100,10 +104,9 @@ def answer_all(
     state, chosen = twin_state(), [*chosen]
     _ask(out, ids, [(USUAL, {})], state, jobs, worker)
     for i in ids:
-        usual = json.loads((out / "answers" / USUAL / f"{i}.json").read_text("utf-8"))
-        may = usual.pop("may", None)
-        for variant in chosen if may is not None else ():
-            if variant.name not in may:
+        usual = _usual(out, i)
+        for variant in chosen if "may" in usual else ():
+            if variant.name not in usual["may"]:
                 write_json(out / "answers" / variant.name / f"{i}.json", usual)
     _ask(out, ids, [(v.name, {v.setting.name: v.value}) for v in chosen], state, jobs, worker)
     if twin_state() != state:
@@ -140,6 +143,18 @@ def compare(
         now, _ = read_outcomes(out / "answers" / variant.name, out / "truth", ids)
         changes.append(change(variant, usual, now))
     return usual, changes
+
+
+def noted_in(out: Path, ids: Collection[str]) -> list[Noted]:
+    """What was noted of the settings in each case that was watched."""
+    every = [_usual(out, i) for i in sorted(ids)]
+    return [Noted({*a["consulted"]}, {*a["may"]}) for a in every if "may" in a]
+
+
+def _usual(out: Path, case: str) -> dict[str, Any]:
+    """Answer with the default settings."""
+    said: dict[str, Any] = json.loads((out / "answers" / USUAL / f"{case}.json").read_text("utf-8"))
+    return said
 
 
 def _is_answered(file: Path, state: str) -> bool:

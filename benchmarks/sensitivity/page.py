@@ -2,11 +2,14 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from operator import attrgetter
 
 from benchmarks.hidden_effects.measures import Outcome
 from twin.explain.setting_group import Value, numbers
+from twin.explain.settings import DEFAULT
 
 from .changes import SMALL, Change
+from .watch import Noted
 
 HEAD = """<!-- Written by docs/_generate/sensitivity.py; nothing here is written by hand. -->
 # Sensitivity: every setting halved and doubled
@@ -20,14 +23,22 @@ to 0.9).
 {command}
 ```
 
-The command goes on where it was stopped; without `--only` it asks for all {every} settings, about
-ten seconds of a core per case and value.
+The command goes on where it was stopped. A case is run once with all {every} settings watched:
+whether they are consulted, and whether any comparison comes out otherwise with one of them halved
+or doubled, or its value goes where it cannot be followed (an index, a filter, a fit). A change that
+passes without is one that cannot matter in that case. The others are asked for, at a whole search
+each, unless `--watch` is given.
 
 """
 
 
 def page(
-    command: str, every: int, usual: Sequence[Outcome], changes: Sequence[Change], state: str
+    command: str,
+    every: int,
+    usual: Sequence[Outcome],
+    changes: Sequence[Change],
+    state: str,
+    watched: Sequence[Noted] = (),
 ) -> str:
     """The whole document.
 
@@ -35,44 +46,66 @@ def page(
         command: That makes it.
         every: How many settings there are.
         usual: Answers with the default settings.
-        changes: Of each variant.
+        changes: Of each variant that was asked for.
         state: Of `twin/`.
+        watched: What was noted in each case.
     """
+    right = sum(o.right for o in usual)
     asked = {c.variant.setting.name for c in changes}
     lines = [
         HEAD.format(command=command, every=every) + "## What it covers",
         "",
-        f"{len(asked)} of {every} settings, {len(changes)} values, {len(usual)} cases: "
-        f"{_cases(usual)}. With the default settings "
-        f"{sum(o.right for o in usual)} of {len(usual)} are right. Where a case is far from a "
+        f"{len(asked) or every} of {every} settings, {len(usual)} cases: {_cases(usual)}. "
+        f"With the default settings {right} of {len(usual)} are right. Where a case is far from a "
         f"decision no setting that is a little off will show: few cases show only the coarsest "
         f"changes, and nothing that is said here holds for cases that were not asked.",
-        "",
-        "## What changes what is said",
-        "",
-    ]
-    telling = sorted((c for c in changes if c.matters), key=lambda c: c.rank, reverse=True)
-    head = (
-        "setting",
-        "from",
-        "to",
-        "other verdict",
-        "other names",
-        "probability moves by up to",
-        "right",
-    )
-    lines += _table(head, map(_row, telling)) if telling else ["Nothing."]
-    silent = sorted(asked - {c.variant.setting.name for c in telling})
-    lines += [
-        "",
-        "## What changes nothing",
-        "",
-        f"Neither halved nor doubled do these change a verdict, a name, or a probability by "
-        f"{SMALL:g}: {', '.join(f'`{n}`' for n in silent) or 'none'}.",
+        *(_asked(changes) if changes else []),
+        *(_watched(watched) if watched else []),
         "",
         f"State of `twin/`: {state}.",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _asked(changes: Sequence[Change]) -> list[str]:
+    """What changes the answer, and what does not, of that which was asked for."""
+    telling = sorted((c for c in changes if c.matters), key=lambda c: c.rank, reverse=True)
+    head = (
+        *("setting", "from", "to", "other verdict", "other names"),
+        *("probability moves by up to", "right"),
+    )
+    silent = {c.variant.setting.name for c in changes} - {c.variant.setting.name for c in telling}
+    return [
+        *("", "## What changes what is said", ""),
+        *(_table(head, map(_row, telling)) if telling else ["Nothing."]),
+        *("", "## What changes nothing", ""),
+        f"Neither halved nor doubled do these change a verdict, a name, or a probability by "
+        f"{SMALL:g}: {_names(silent)}.",
+    ]
+
+
+def _watched(watched: Sequence[Noted]) -> list[str]:
+    """What cannot matter in any case, what may, and what no case asks for."""
+    consulted, may = (
+        Counter(name for noted in watched for name in {c.rpartition(".")[0] for c in own(noted)})
+        for own in (attrgetter("consulted"), attrgetter("may"))
+    )
+    free = {f"{n}` ({k})": k for n, k in consulted.items() if n not in may}
+    some = {f"{n}` ({k} of {consulted[n]})": k for n, k in may.items()}
+    unasked = {s.name for s in DEFAULT.every()} - consulted.keys()
+    return [
+        *("", "## What cannot matter", ""),
+        f"Halved and doubled, no step of a search comes out otherwise in any of the {len(watched)} "
+        f"cases; in brackets, how many consult the setting: {_names(free, '')}.",
+        *("", "## What may matter", ""),
+        f"In brackets, in how many of the cases that consult it: {_names(some, '')}.",
+        *("", "## What no case asks for", ""),
+        f"Nothing is known of {_names(unasked)}.",
+    ]
+
+
+def _names(names: Iterable[str], end: str = "`") -> str:
+    return ", ".join(f"`{n}{end}" for n in sorted(names)) or "none"
 
 
 def _cases(usual: Sequence[Outcome]) -> str:

@@ -3,13 +3,14 @@
 A watched setting is its number together with what it would be halved and doubled. Arithmetic
 carries all of them along; where a comparison comes out otherwise for one, or a number leaves for
 code that cannot be watched (an index, a filter, a fit), that change may matter and is noted. A run
-with a change that was not noted does the same step by step, so it need not be made.
+with a change that was not noted does the same step by step, so it need not be made. Whether a
+setting was consulted at all is noted, too: what nobody asked for was not tried.
 """
 
 import copy
 import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,23 +24,32 @@ from uavtwin.explain_record import explain_record
 from .variants import Variant, variants
 
 
+@dataclass
+class Noted:
+    """Names of changes of settings that were consulted, and of those among them that may matter."""
+
+    consulted: set[str] = field(default_factory=set)
+    may: set[str] = field(default_factory=set)
+
+
 class Watched:
     """A number, and what it would be with each change of a setting.
 
     Args:
         value: As it is.
         others: By the name of a change; missing: the same.
-        noted: Names of changes that may matter; added to.
+        noted: What is noted of changes; added to.
     """
 
     __slots__ = ("noted", "others", "value")
 
-    def __init__(self, value: Any, others: Mapping[str, Any], noted: set[str]) -> None:
+    def __init__(self, value: Any, others: Mapping[str, Any], noted: Noted) -> None:
         self.value, self.others, self.noted = value, others, noted
 
     def plain(self) -> Any:
         """The number alone: whatever is done with it may depend on every change."""
-        self.noted.update(self.others)
+        self.noted.consulted.update(self.others)
+        self.noted.may.update(self.others)
         return self.value
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **more: Any) -> Any:
@@ -97,14 +107,16 @@ def _on_all(does: Callable[..., Any], inputs: Iterable[Any]) -> Any:
     noted = watched[0].noted
     value = does(*(x.value if isinstance(x, Watched) else x for x in inputs))
     others = {}
-    for name in {n for x in watched for n in x.others}:
+    changes = {n for x in watched for n in x.others}
+    noted.consulted.update(changes)
+    for name in changes:
         other = does(
             *(x.others.get(name, x.value) if isinstance(x, Watched) else x for x in inputs)
         )
         if not np.array_equal(other, value, equal_nan=np.asarray(value).dtype.kind == "f"):
             others[name] = other
     if np.asarray(value).dtype == np.bool_:
-        noted.update(others)
+        noted.may.update(others)
         return value
     return Watched(value, others, noted) if others else value
 
@@ -123,9 +135,9 @@ for _name in ("add", "sub", "mul", "truediv", "floordiv", "mod", "pow"):
     _binary(_name)
 
 
-def watched(changes: Iterable[Variant]) -> tuple[SearchSettings, set[str]]:
-    """Settings that are watched, and the names of changes that have mattered so far."""
-    settings, noted = copy.deepcopy(DEFAULT), set[str]()
+def watched(changes: Iterable[Variant]) -> tuple[SearchSettings, Noted]:
+    """Settings that are watched, and what has been noted of changes so far."""
+    settings, noted = copy.deepcopy(DEFAULT), Noted()
     by_setting: dict[str, list[Variant]] = {}
     for change in changes:
         by_setting.setdefault(change.setting.name, []).append(change)
@@ -139,7 +151,7 @@ def watched(changes: Iterable[Variant]) -> tuple[SearchSettings, set[str]]:
     return settings, noted
 
 
-def _watched(value: Value, others: Mapping[str, Any], noted: set[str]) -> Any:
+def _watched(value: Value, others: Mapping[str, Any], noted: Noted) -> Any:
     if isinstance(value, tuple):
         return tuple(
             _watched(v, {n: o[i] for n, o in others.items()}, noted) for i, v in enumerate(value)
@@ -148,9 +160,9 @@ def _watched(value: Value, others: Mapping[str, Any], noted: set[str]) -> Any:
 
 
 def watch_case(folder: Path) -> dict[str, Any]:
-    """What is said about a case with the default settings, and under "may" which changes of one of
-    them may make it say something else."""
+    """What is said about a case with the default settings, and which changes of one of them were
+    "consulted" and "may" make it say something else."""
     settings, noted = watched(variants())
     found = explained(folder, settings)
-    may = sorted(noted)
-    return {**explain_record(replace(found, settings=DEFAULT)).json(), "may": may}
+    more = {"may": sorted(noted.may), "consulted": sorted(noted.consulted)}
+    return {**explain_record(replace(found, settings=DEFAULT)).json(), **more}

@@ -14,7 +14,7 @@ from benchmarks.sensitivity import __main__ as sensitivity
 from benchmarks.sensitivity.changes import change
 from benchmarks.sensitivity.page import page
 from benchmarks.sensitivity.variants import Variant, times, variants
-from benchmarks.sensitivity.watch import watched
+from benchmarks.sensitivity.watch import Noted, watched
 from twin.explain.setting_group import numbers
 from twin.explain.settings import DEFAULT
 
@@ -112,13 +112,25 @@ def test_a_change_is_noted_where_it_decides_or_where_it_cannot_be_followed() -> 
     assert np.all(np.array([7.0, 8.0]) > 1 + seconds - 1)
     assert round(gust.smallest_fall, 1) == 0.7  # followed no further
     assert not gust.lasting > 0.9  # 0.25: doubled it is 0.5
-    assert noted == {f"stochastic.gust.smallest_fall.{way}" for way in ("halved", "doubled")}
+    assert noted.may == {f"stochastic.gust.smallest_fall.{way}" for way in ("halved", "doubled")}
     assert np.array([2.0, 5.0])[[False, True]] * 1.0 > seconds
-    assert "usable.shortest_s.doubled" in noted
-    assert "usable.shortest_s.halved" not in noted
+    assert "usable.shortest_s.doubled" in noted.may
+    assert "usable.shortest_s.halved" not in noted.may
     assert len(range(settings.unnamed.folds)) == 5
-    assert {"unnamed.folds.halved", "unnamed.folds.doubled"} < noted
+    assert {"unnamed.folds.halved", "unnamed.folds.doubled"} < noted.may
+    assert "stochastic.gust.lasting.doubled" in noted.consulted
+    assert "stochastic.gust.uneven.doubled" not in noted.consulted
     assert DEFAULT.changed == {}
+
+
+def test_the_page_says_what_cannot_matter_and_what_nobody_asked_for() -> None:
+    a, b = f"{SURE}.halved", "usable.shortest_s.doubled"
+    text = page("command", 87, [], [], "0123", [Noted({a, b}, {a}), Noted({a, b}, set())])
+    free, may, unasked = text.split("## What cannot matter")[1].split("##")
+    assert free.endswith("setting: `usable.shortest_s` (2).\n\n")
+    assert f"`{SURE}` (1 of 2)." in may
+    assert SURE not in unasked
+    assert "`unnamed.folds`" in unasked
 
 
 def test_a_setting_that_is_not_there_is_used_wrongly(

@@ -26,7 +26,6 @@ class UsableSettings(Group):
         "of a longer flight the part of this length is read in which it moves most",
         "made up: is searched in a minute",
     )
-    block_s: float = setting(10.0, "s", "such a part begins at a multiple of this", "made up")
     impact_m_s2: float = setting(
         5 * GRAVITY_M_S2,
         "m/s²",
@@ -58,7 +57,8 @@ class UsableSettings(Group):
         0.5,
         "s",
         "attitude and gyroscope may be apart by so much: a delay is an effect like others",
-        "made up",
+        "physics: a reading of the IMU may be 0.2 s late and a clock 0.25 s off "
+        "(twin.effects.timing), together less",
     )
     slow_hz: float = setting(
         1.0, "Hz", "velocity and position are compared below this frequency", "made up"
@@ -448,15 +448,6 @@ class GustSettings(Group):
         0.35,
         "1",
         "log deviation of the slow power of a complete model from its noise floor",
-        "made up",
-    )
-    lag_s: float = setting(
-        0.2, "s", "over which the force is correlated with itself for its time constant", "made up"
-    )
-    smallest_drag_1_s: float = setting(
-        0.02,
-        "1/s",
-        "below it the model has no drag to speak of, through which a gust could act",
         "made up",
     )
     typical_drag_1_s: float = setting(

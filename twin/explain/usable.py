@@ -43,6 +43,8 @@ from .settings import DEFAULT, UsableSettings
 Array = NDArray[np.float64]
 READ = "{}: {:.0f} to {:.0f} s of {:.0f} s are read, where it moves most; cut the log for others"
 """Note: flight, first and last second that is read, its length, s."""
+BLOCK_S = 10.0
+"""The part of a long flight that is read begins at a multiple of this, s; by judgement."""
 
 
 def part_read(
@@ -53,9 +55,9 @@ def part_read(
     whole_s = float(time[-1] - time[0]) if len(time) else 0.0
     if whole_s <= settings.longest_s:
         return flight if isinstance(flight, Flight) else flight.between(-np.inf, np.inf), None
-    edges = np.arange(time[0], time[-1], settings.block_s)
+    edges = np.arange(time[0], time[-1], BLOCK_S)
     moves = np.sum([*_movement(flight, edges)], axis=0)  # (blocks,)
-    length = round(settings.longest_s / settings.block_s)
+    length = round(settings.longest_s / BLOCK_S)
     together = np.convolve(moves, np.ones(length), mode="valid")
     start = float(edges[int(np.argmax(together))])
     end = min(start + settings.longest_s, float(time[-1]))

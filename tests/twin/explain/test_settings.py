@@ -34,7 +34,6 @@ LOCAL = {
     },
     "channels, by definition or chosen from the table of sensors": {
         "model.factors.SHARE_OF_RATE",
-        "model.factors.OF_POSE",
         "holdout.READINGS",
         "stochastic.gust.SLOW_HZ",
         "stochastic.search.PLACEHOLDERS",
@@ -103,7 +102,10 @@ LOCAL = {
         "inference.inclusion.EXCHANGED",
         "estimates.UNDETERMINED",
         "estimates.MOST_OF_PRIOR",
+        "stochastic.gust.LAG_S",
+        "stochastic.gust.SMALLEST_DRAG_1_S",
     },
+    "where the part of a long flight that is read may begin": {"usable.BLOCK_S"},
     "how many columns are held in memory at a time": {"model.model.SLOPES_AT_ONCE"},
     "how numbers are rounded": {
         "inference.evidence.LEAST_EIGENVALUE",
@@ -145,7 +147,6 @@ LOCAL = {
     },
     "what matters of a sensor, which its row in the table of sensors says": {
         "unnamed.SMALLEST",
-        "running.frames.OF_POSE",
     },
 }
 """Numbers that decide no verdict, or belong to another definition, by the reason."""

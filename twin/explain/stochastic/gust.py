@@ -26,6 +26,11 @@ from .spectral import Piece, StochasticEffect, cells_of, level, prior_log_odds
 Array = NDArray[np.float64]
 SLOW_HZ = 10.0
 """Rate of the slow part."""
+LAG_S = 0.2
+"""Over which the force is correlated with itself for its time constant, s; by judgement."""
+SMALLEST_DRAG_1_S = 0.02
+"""Below it a model has no drag to speak of, through which a gust could act, 1/s; a twelfth of the
+usual one."""
 RIDGES = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 """Variance of a coefficient's prior in units of noise over one sample, tried in turn."""
 
@@ -282,14 +287,14 @@ def _gust_numbers(
     floor = np.mean([p.floor for p in pieces], axis=0) * (high - low)
     power = np.maximum(np.mean(rest**2, axis=0) - floor, 0.0)
     drag = np.concatenate([p.drag for p in pieces])
-    least = own.smallest_drag_1_s
+    least = SMALLEST_DRAG_1_S
     known = drag.shape[2] == 3 and float(np.sqrt(np.mean(drag[:, 0] ** 2))) > least
     per_speed = (
         np.sqrt(np.mean(np.sum(drag**2, axis=2), axis=0))
         if known
         else np.full(3, own.typical_drag_1_s)
     )
-    lag = round(own.lag_s * SLOW_HZ)
+    lag = round(LAG_S * SLOW_HZ)
     same = sum(float(np.mean(e[lag:, :2] * e[:-lag, :2])) for e in left) / len(left)
     time_s, seen = _time_constant(same / max(float(np.mean(power[:2])), 1e-300), settings)
     sigma = np.sqrt(power / seen) / np.maximum(per_speed, least)
@@ -314,17 +319,13 @@ def _time_constant(correlation: float, settings: StochasticSettings) -> tuple[fl
     """Time constant of a first-order process and the share of its power inside the slow band.
 
     Args:
-        correlation: Of its part inside the band, over `lag_s`.
+        correlation: Of its part inside the band, over `LAG_S`.
         settings: Of the slow force and of gusts.
     """
     f = np.linspace(*settings.slow_force.band_hz, 200)
     times = np.geomspace(0.05, 5.0, 60)[:, None]
     density = 4 * times / (1 + (2 * np.pi * f * times) ** 2)
     inside = density.mean(axis=1) * (f[-1] - f[0])
-    expected = (
-        (density * np.cos(2 * np.pi * f * settings.gust.lag_s)).mean(axis=1)
-        * (f[-1] - f[0])
-        / inside
-    )
+    expected = (density * np.cos(2 * np.pi * f * LAG_S)).mean(axis=1) * (f[-1] - f[0]) / inside
     k = int(np.argmin(np.abs(expected - correlation)))
     return float(times[k, 0]), float(inside[k])
