@@ -18,7 +18,6 @@ never anything but a sample.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +30,7 @@ from twin.errors import LogError, ModelError
 from twin.logs import Flight
 from twin.logs.columns import motor_number
 from twin.logs.stored import opened
+from twin.logs.stretches import stretches_where
 from twin.representation import short_repr
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.channels import OF_IMU, OF_POSE, pose_signals, rows_along_pose
@@ -305,9 +305,7 @@ def _against(samples: Signal, near: Array, t_s: Array, every: int) -> tuple[IntA
 
 
 def _spans(valid: BoolArray) -> tuple[tuple[int, int], ...]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], valid.astype(np.int8), [0]])))
-    spans = [(int(a), int(b)) for a, b in pairwise(edges)][::2]
-    return tuple((a, b) for a, b in spans if b - a >= SHORTEST_SPAN)
+    return tuple((a, b) for a, b in stretches_where(valid) if b - a >= SHORTEST_SPAN)
 
 
 _BLOCKS = ("virtual", "residual", "fresh")

@@ -22,6 +22,7 @@ from ..effects import EFFECTS, Effect
 from ..errors import LogError
 from ..logs import AnyFlight, Flight
 from ..logs.columns import ACC, MIN_MOTORS, POS, QUAT, VEL, motor_columns
+from ..logs.stretches import stretches_where
 from ..physics.sensors.table import sensor_of
 from ..residuals.aligned import AlignedFlight, align_flight
 from ..residuals.channels import GRID_HZ
@@ -251,12 +252,11 @@ def _falls(aligned: AlignedFlight, settings: UsableSettings) -> Iterator[Event]:
         return float(before) - margin, float(after) + margin
 
     over = aligned.airborne & (upright < 0)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], over.astype(np.int8), [0]])))
     fallen = False
-    for first, end in zip(edges[::2], edges[1::2], strict=True):
+    for first, end in stretches_where(over):
         if end - first > settings.upside_down_s * GRID_HZ:
             fallen = True
-            yield *around(int(first)), f"upside down at {t[first]:.1f} s, a crash or aerobatics"
+            yield *around(first), f"upside down at {t[first]:.1f} s, a crash or aerobatics"
     known = np.flatnonzero(np.isfinite(upright))
     end_rows = known[-round(GRID_HZ) :]
     if not fallen and len(end_rows) and np.median(upright[end_rows]) < settings.tipped_cos:

@@ -18,6 +18,7 @@ from ..component import Component, unknown_name
 from ..component.along import accumulated
 from ..errors import ModelError, TwinError
 from ..frames import AXES
+from ..logs.stretches import stretches_where
 from ..physics.airframe import airframe
 from ..representation import short_repr
 from ..vehicle import Vehicle
@@ -89,10 +90,8 @@ class Trajectory:
         low, high = self.bounds
         at = (self.drives <= low + AT_BOUND) | (self.drives >= high - AT_BOUND)
         at &= self.flying[:, None]
-        longest = 0
-        for column in at.T:
-            edges = np.flatnonzero(np.diff(np.concatenate([[0], column.astype(int), [0]])))
-            longest = max(longest, int(np.max(edges[1::2] - edges[::2], initial=0)))
+        lengths = (end - first for column in at.T for first, end in stretches_where(column))
+        longest = max(lengths, default=0)
         return longest * float(self.t_s[1] - self.t_s[0])
 
     @property

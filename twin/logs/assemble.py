@@ -18,7 +18,7 @@ from scipy.ndimage import median_filter
 from ..errors import LogError
 from .airframe import Airframe
 from .autopilot import Autopilot, Span, label_phases
-from .columns import MOTION, QUAT, beyond_limit, beyond_message, in_order
+from .columns import MOTION, QUAT, beyond_limit, beyond_message, in_order, motor_columns
 from .flight import Array, FindingCollector, Flight, Severity, Site
 
 # -- time stamps --------------------------------------------------------------------------------
@@ -29,6 +29,7 @@ _JUMP_US = 60_000_000  # between two groups of samples that are not of one fligh
 _FEW = 0.02  # share of samples below which such a group is damage
 _PAUSE_S = 0.2  # shortest pause of a steady signal
 _PAUSE_INTERVALS = 2.2  # the same in median intervals
+_SHOWN = 8  # times that a finding lists
 _LATEST = 0.5  # share of the record after which a signal begins late
 
 
@@ -239,9 +240,21 @@ def monotonic_samples(
         (repeated, "whose time repeats"),
         (jumped, "that lie more than a minute from the rest"),
     ):
-        if count:
-            log.note(severity, where, f"{what} dropped {why}", count)
+        log.note(severity, where, f"{what} dropped {why}", count)
     return keep
+
+
+def note_cut(log: FindingCollector, tail: int) -> None:
+    """The finding on a log that ends inside a message, of so many bytes; none of 0."""
+    message = f"cut short: it ends inside a message; the last {tail} bytes are not used"
+    log.note("error", "log", message, tail)
+
+
+def note_resets(log: FindingCollector, where: str, what: str, times_s: Sequence[float]) -> None:
+    """The finding on steps that an estimator put into its own output, at some times."""
+    at = ", ".join(f"{t:.2f}" for t in sorted(set(times_s))[:_SHOWN])
+    message = f"the estimator reset {what} at {at} s: expect steps there"
+    log.note("warning", where, message, len(times_s))
 
 
 # -- stamps and the order in the file -----------------------------------------------------------
@@ -309,12 +322,11 @@ def stray_samples(
     for name, off in zip(names, off_us, strict=True):
         far = np.abs(off) > _FAR_US
         middle_s = float(np.median(off)) * 1e-6
-        if far.any():
-            message = (
-                f"{what} dropped, stamped over {_FAR_US * 1e-6:.0f} s from what stands next to "
-                f"them in the file (median {middle_s:+.3g} s): another clock, or another unit?"
-            )
-            log.note("error", name, message, int(far.sum()))
+        message = (
+            f"{what} dropped, stamped over {_FAR_US * 1e-6:.0f} s from what stands next to "
+            f"them in the file (median {middle_s:+.3g} s): another clock, or another unit?"
+        )
+        log.note("error", name, message, far)
         if abs(middle_s) > APART_S and not far.all():
             message = f"stamped {middle_s:+.2f} s from what stands next to it in the file"
             log.note("error", name, f"{message}: another clock?")
@@ -349,12 +361,8 @@ def unit_quaternions(log: FindingCollector, q: Array) -> tuple[NDArray[np.bool_]
         norm = np.linalg.norm(q, axis=1)
     usable = np.isfinite(norm) & (norm > _LEAST_NORM) & (norm < _MOST_NORM)
     off = usable & (np.abs(norm - 1.0) > NORM_DOUBT)
-    if not usable.all():
-        count = int(np.count_nonzero(~usable))
-        log.note("error", "q", "samples left out, the quaternion is far from unit norm", count)
-    if off.any():
-        message = f"quaternions off unit norm by over {NORM_DOUBT:g}, normalised"
-        log.note("warning", "q", message, int(off.sum()))
+    log.note("error", "q", "samples left out, the quaternion is far from unit norm", ~usable)
+    log.note("warning", "q", f"quaternions off unit norm by over {NORM_DOUBT:g}, normalised", off)
     return usable, q[usable] / norm[usable, None]
 
 
@@ -441,30 +449,12 @@ class MotorCommands:
             log: Takes the findings.
             source: Topic or message that they are from.
         """
-        absurd = int(np.count_nonzero(np.abs(self.cmd) > _ABSURD))
-        if absurd:
-            log.note("error", "cmd", f"values of {source} beyond {_ABSURD:g} set to 0 or 1", absurd)
-        outside = int(np.count_nonzero((self.cmd < -1e-6) | (self.cmd > 1.0 + 1e-6))) - absurd
-        if outside:
-            message = f"values of {source} outside 0..1 (disarmed, or arming) set to its end"
-            log.note("info", "cmd", message, outside)
+        absurd = np.abs(self.cmd) > _ABSURD
+        log.note("error", "cmd", f"values of {source} beyond {_ABSURD:g} set to 0 or 1", absurd)
+        outside = ((self.cmd < -1e-6) | (self.cmd > 1.0 + 1e-6)) & ~absurd
+        message = f"values of {source} outside 0..1 (disarmed, or arming) set to its end"
+        log.note("info", "cmd", message, outside)
         return replace(self, cmd=np.asarray(np.clip(self.cmd, 0.0, 1.0)))
-
-    def doubt_current(self, t_us: NDArray[np.int64], amps: Array) -> str:
-        """Why a logged current does not follow the motors, "" where it may.
-
-        Args:
-            t_us: Times of the current, us, shape (n,).
-            amps: Current, A, shape (n,).
-        """
-        mean = np.interp(t_us, self.t_us, self.cmd.mean(axis=1))
-        idle, working = amps[mean < _IDLE], amps[mean > _WORKING]
-        if len(idle) and len(working) and np.median(working) < 1.5 * np.median(idle):
-            return (
-                f"{np.median(working):.2f} A in flight and {np.median(idle):.2f} A with the motors "
-                "idle: this is not the current of the motors"
-            )
-        return ""
 
 
 def doubt_current(
@@ -489,7 +479,14 @@ def doubt_current(
             return f"the current is {amps.mean():.2f} A throughout: no current sensor"
     if commands is None or not len(commands.t_us):
         return ""
-    return commands.doubt_current(t_us, amps)
+    mean = np.interp(t_us, commands.t_us, commands.cmd.mean(axis=1))
+    idle, working = amps[mean < _IDLE], amps[mean > _WORKING]
+    if len(idle) and len(working) and np.median(working) < 1.5 * np.median(idle):
+        return (
+            f"{np.median(working):.2f} A in flight and {np.median(idle):.2f} A with the motors "
+            "idle: this is not the current of the motors"
+        )
+    return ""
 
 
 # -- rows ---------------------------------------------------------------------------------------
@@ -530,24 +527,26 @@ class FlightBuilder:
         """
         absurd = beyond_limit(where, values)
         if absurd.any():
-            message = beyond_message(where, values[absurd])
-            self.log.note("error", where, message, int(absurd.sum()))
+            self.log.note("error", where, beyond_message(where, values[absurd]), absurd)
         early = (t_us < 0) & ~absurd
         broken = ~np.isfinite(values).all(axis=1) & ~early & ~absurd
         good = ~(early | broken | absurd)
         if good.any():
             self.signals.append((names, t_us[good], values[good]))
-        if early.any():
-            message = f"samples left out, taken before {self.begin}"
-            self.log.note("info", where, message, int(early.sum()))
-        if broken.any():
-            message = "samples left out, a value is NaN or infinite"
-            self.log.note("error", where, message, int(broken.sum()))
+        self.log.note("info", where, f"samples left out, taken before {self.begin}", early)
+        self.log.note("error", where, "samples left out, a value is NaN or infinite", broken)
 
     def add_attitude(self, t_us: NDArray[np.int64], q: Array) -> None:
         """Add logged quaternions FRD to NED, shape (n, 4), as of `unit_quaternions`."""
         usable, unit = unit_quaternions(self.log, q)
         self.add("q", QUAT, t_us[usable], unit)
+
+    def add_commands(self, commands: MotorCommands | None) -> None:
+        """Add commands of all motors and what is to be printed about them, where there are any."""
+        if commands is not None:
+            columns = motor_columns("cmd", commands.cmd.shape[1])
+            self.add("cmd", columns, commands.t_us, commands.cmd)
+            self.facts |= commands.facts
 
     def filter_delay_us(self, where: str, cutoff_hz: float, source: str = "") -> int:
         """Delay of the low-pass that a signal went through before it was logged, us; a finding.
@@ -581,9 +580,8 @@ class FlightBuilder:
         every = [t for _, t, _ in self.signals]
         t_us = np.unique(np.concatenate(every)) if every else np.zeros(0, dtype=np.int64)
         inside = longest_stretch(t_us) if every else np.zeros(0, dtype=np.bool_)
-        if outside := int(np.count_nonzero(~inside)):
-            message = "rows dropped outside the longest stretch without a pause of a minute"
-            self.log.note("error", "time", message + doubt, outside)
+        message = "rows dropped outside the longest stretch without a pause of a minute"
+        self.log.note("error", "time", message + doubt, ~inside)
         t_us = self.t_us = t_us[inside]
         columns: dict[str, Array] = {"time": np.asarray(t_us * 1e-6, dtype=np.float64)}
         for names, t, values in self.signals:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..representation import short_repr
 from .columns import GYRO, POS, QUAT, SIGNALS, VEL, beyond_limit
+from .stretches import stretches_where
 
 Array = NDArray[np.float64]
 Sensor = Literal["gyro", "acc"]
@@ -201,10 +202,9 @@ def stretches_of(t_s: Array, on: NDArray[np.bool_], name: str, end_s: float) -> 
         name: What it is.
         end_s: End of the record, until when the last one holds.
     """
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], on.astype(np.int8), [0]])))
     times = np.append(t_s, end_s)
-    pairs = edges.reshape(-1, 2).tolist()
-    found = [(max(float(times[a]), 0.0), min(float(times[b]), end_s)) for a, b in pairs]
+    pairs = [(float(times[a]), float(times[b])) for a, b in stretches_where(on)]
+    found = [(max(a, 0.0), min(b, end_s)) for a, b in pairs]
     return tuple(Stretch(name, a, b) for a, b in found if b > a)[:MOST_EVENTS]
 
 

@@ -22,6 +22,7 @@ from .assemble import missing_ends, pauses
 from .columns import ACC, GYRO, MAG, POS, QUAT, VEL, Columns, other_unit
 from .flight import Array, Finding
 from .motor_checks import doubt_motors
+from .stretches import stretches_where
 
 _FASTEST_ROTOR_RAD_S = 4500.0  # 43,000 rpm: over the fastest racing motors under load
 _FROZEN_S = 2.0  # without a change, from which on a signal is frozen; made up
@@ -416,15 +417,15 @@ def _tip_over(table: Columns) -> list[Finding]:
     still = _at_rest(table, t_s, q)
     if len(t_cmd) < _FEWEST or still is None:
         return []
-    for first, last in _runs(tilted):
-        rests = still[first : last + 1]
-        rest_s = max((t_s[first + b] - t_s[first + a] for a, b in _runs(rests)), default=0.0)
+    for first, end in stretches_where(tilted):
+        rests = [t_s[first + a : first + b] for a, b in stretches_where(still[first:end])]
+        rest_s = max((t[-1] - t[0] for t in rests), default=0.0)
         level = np.interp(t_s[first], t_cmd, cmd.mean(axis=1))
         before = (t_cmd >= t_s[first] - _RAN_S) & (t_cmd <= t_s[first])
         ran = max([level, *cmd[before].mean(axis=1)]) > _RUNS
         if rest_s < _LYING_S or not ran:
             continue
-        angle = np.degrees(np.arccos(np.clip(np.median(upright[first : last + 1]), -1.0, 1.0)))
+        angle = np.degrees(np.arccos(np.clip(np.median(upright[first:end]), -1.0, 1.0)))
         after = t_cmd[(t_cmd > t_s[first]) & (cmd.mean(axis=1) > _RUNS)]
         turning = f"; motors run until {after[-1]:.1f} s" if len(after) else ""
         message = (
@@ -472,7 +473,7 @@ def _limits(table: Columns) -> list[Finding]:
             share = float(step_s[rows].sum()) / flown_s
             if share < _NAMED:
                 continue
-            spans = [(t_s[a], t_s[b] + step_s[b]) for a, b in _runs(rows)]
+            spans = [(t_s[a], t_s[b - 1] + step_s[b - 1]) for a, b in stretches_where(rows)]
             longest = max(b - a for a, b in spans)
             parts.append(
                 f"motor {motor} at its {end} limit in {share:.1%} of the {flown_s:.0f} s with "
@@ -505,9 +506,3 @@ def lower_voltage(volts: Mapping[int, Array]) -> list[Finding]:
             )
             found.append(Finding("warning", "vbat_v", message, len(known[motor])))
     return found
-
-
-def _runs(on: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last index of each stretch in which something holds."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], on.astype(np.int8), [0]])))
-    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]

@@ -36,9 +36,24 @@ class FindingCollector:
     __slots__ = ()
     findings: list[Finding]
 
-    def note(self, severity: Severity, where: str, message: str, count: int = 1) -> None:
-        """Add a finding."""
-        self.findings.append(Finding(severity, where, message, count))
+    def note(
+        self,
+        severity: Severity,
+        where: str,
+        message: str,
+        count: int | np.bool_ | NDArray[np.bool_] = 1,
+    ) -> None:
+        """Add a finding.
+
+        Args:
+            severity: How bad it is.
+            where: Signal or part of the file.
+            message: What was found.
+            count: How many samples it is of, or which; nothing is added of none.
+        """
+        n = int(np.count_nonzero(count)) if isinstance(count, np.ndarray) else int(count)
+        if n:
+            self.findings.append(Finding(severity, where, message, n))
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,7 @@ from ..component import Component
 from ..component.rows import OverRows
 from ..effects import EFFECTS, Equation, ages
 from ..logs import AnyFlight
+from ..logs.stretches import stretches_where
 from ..physics.sensors.imu import imu
 from ..physics.sensors.table import BODY, SENSORS, Sensor
 from ..representation import short_repr
@@ -298,10 +299,9 @@ def _cubic(t: float) -> tuple[float, float, float, float]:
 def _pieces(known: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
     """Grid points of every uninterrupted piece that is long enough, without its ends: what is
     differentiated on the grid is not known there."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], known.astype(np.int8), [0]])))
     return [
         np.arange(first + 2, end - 2)
-        for first, end in zip(edges[::2], edges[1::2], strict=True)
+        for first, end in stretches_where(known)
         if end - first >= SHORTEST_S * GRID_HZ
     ]
 

@@ -32,6 +32,7 @@ from ..frames import AXES, rotation_vector
 from ..logs import AnyFlight
 from ..logs.airframe import origin_of
 from ..logs.columns import ACC, GYRO, POS, QUAT, VEL
+from ..logs.stretches import stretches_where
 from ..representation import short_repr
 from ..vehicle import Vehicle
 from .aligned import BLOCK_ROWS, AlignedFlight, Alignment, Block, align_flight
@@ -339,8 +340,7 @@ def _longest_s(flight: AnyFlight, columns: Sequence[str]) -> float:
     usual_s = float(np.median(steps))
     longest_s = min(LONGEST_GAP_INTERVALS * usual_s, max(LONGEST_GAP_S, 1.5 * usual_s))
     whole = (steps <= longest_s) & ~grounded[1:] & ~grounded[:-1]
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], whole.astype(np.int8), [0]])))
-    lengths = [t_s[b] - t_s[a] for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    lengths = [t_s[b] - t_s[a] for a, b in stretches_where(whole)]
     return float(max(lengths, default=0.0))
 
 

@@ -14,6 +14,7 @@ from ..component import Component, Sampling, substeps
 from ..component.along import Along
 from ..component.rows import OverRows
 from ..logs.columns import GYRO, POS, QUAT, VEL
+from ..logs.stretches import stretches_where
 from .aligned import AlignedFlight
 from .teacher_forced import GRID_S
 
@@ -41,8 +42,7 @@ def whole_windows(aligned: AlignedFlight, steps: int) -> NDArray[np.intp]:
 
 def window_starts(known: NDArray[np.bool_], steps: int) -> NDArray[np.intp]:
     """The same, of the grid points that count, shape (n,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], known.astype(np.int8), [0]])))
-    stretches = zip(edges[::2], edges[1::2], strict=True)
+    stretches = stretches_where(known)
     starts = [np.arange(first, end - steps, steps, dtype=np.intp) for first, end in stretches]
     return np.concatenate([np.zeros(0, dtype=np.intp), *starts])
 

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...frames import from_euler
 from ..autopilot import (
@@ -29,6 +28,7 @@ from ..autopilot import (
 )
 from ..columns import GYRO, POS, QUAT, VEL
 from ..flight import Array
+from ..stretches import stretches_where
 from .airframe import logged_commands
 from .log import OTHERS, ArduPilotLog, Topic, firmware
 
@@ -53,15 +53,9 @@ def armed_spans(log: ArduPilotLog) -> list[SpanUs]:
     """
     commands = logged_commands(log, log.whole)
     if commands is not None and commands.running.any():
-        return _spans(commands.t_us, commands.running)
+        t_us = commands.t_us.tolist()
+        return [(t_us[a], t_us[b - 1]) for a, b in stretches_where(commands.running)]
     return _by_events(log)
-
-
-def _spans(t_us: NDArray[np.int64], on: NDArray[np.bool_]) -> list[SpanUs]:
-    """Spans in which something is on, from samples of it."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], on.astype(np.int8), [0]])))
-    pairs = edges.reshape(-1, 2)
-    return [(int(t_us[a]), int(t_us[b - 1])) for a, b in pairs]
 
 
 def _by_events(log: ArduPilotLog) -> list[SpanUs]:
@@ -324,13 +318,11 @@ def note_failures(log: ArduPilotLog) -> None:
             if np.isfinite((system, code)).all() and code:
                 message = f"{subsystem(system)} error, code {code:.0f}, at {t:.2f} s"
                 log.note("warning", "log", message)
-    if lost := _grown(log, "DSF", None, "Dp"):
-        message = "messages that could not be logged; use a faster card or log less"
-        log.note("warning", "log", message, lost)
+    message = "messages that could not be logged; use a faster card or log less"
+    log.note("warning", "log", message, _grown(log, "DSF", None, "Dp"))
     for instance in log.instances("VIBE"):
-        if clipped := _grown(log, "VIBE", instance, "Clip"):
-            message = f"samples in which the accelerometer of IMU {instance} was at its limit"
-            log.note("warning", "acc", message, clipped)
+        message = f"samples in which the accelerometer of IMU {instance} was at its limit"
+        log.note("warning", "acc", message, _grown(log, "VIBE", instance, "Clip"))
     motors = log.topic("MOTB", None)
     if motors is not None and motors.has("FailFlags"):
         flags = motors.raw("FailFlags")
@@ -338,7 +330,7 @@ def note_failures(log: ArduPilotLog) -> None:
         if failed.any():
             at = motors.t_s[failed][0]
             message = f"ArduPilot takes a motor for failed (thrust boost) from {at:.2f} s"
-            log.note("warning", "cmd", message, int(failed.sum()))
+            log.note("warning", "cmd", message, failed)
 
 
 def _grown(log: ArduPilotLog, name: str, instance: int | None, field: str) -> int:

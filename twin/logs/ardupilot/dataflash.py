@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...frames import from_euler
 from ..airframe import local_ned
-from ..assemble import FlightBuilder, MotorCommands, doubt_current
+from ..assemble import FlightBuilder, MotorCommands, doubt_current, note_resets
 from ..columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
 from ..doubts import lower_voltage
 from ..flight import Array, Flight
@@ -178,8 +178,7 @@ def _add_current(
         log.note("warning", "ibat_a", f"left out: {reason}", len(amps))
         return
     unknown = np.isnan(amps[:, 0])
-    if unknown.any():
-        log.note("warning", "ibat_a", "samples hold no current", int(unknown.sum()))
+    log.note("warning", "ibat_a", "samples hold no current", unknown)
     flight.add("ibat_a", ("ibat_a",), topic.t_us[~unknown], amps[~unknown])
 
 
@@ -224,9 +223,7 @@ def _add_attitude(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimato
         return ""
     euler = si(log, angles, "q", _ANGLES)
     possible = np.isfinite(euler).all(axis=1) & (np.abs(euler) <= 2.0 * np.pi + 0.01).all(axis=1)
-    if not possible.all():
-        message = f"samples of {angles.name} left out, an angle is none"
-        log.note("error", "q", message, int(np.count_nonzero(~possible)))
+    log.note("error", "q", f"samples of {angles.name} left out, an angle is none", ~possible)
     q = np.asarray(from_euler(*euler[possible].T), dtype=np.float64).T
     flight.add("q", QUAT, angles.t_us[possible], q)
     return f"{angles.name}, {angles.rate_hz:.0f} Hz"
@@ -292,11 +289,8 @@ def _resets(log: ArduPilotLog) -> None:
         return
     kinds = events.raw("Id")
     for number, name in _RESETS.items():
-        if len(times := events.t_s[kinds == number]):
-            at = ", ".join(f"{t:.2f}" for t in times[:8])
-            where = "q" if name == "yaw" else "pos"
-            message = f"the estimator reset its {name} at {at} s: expect steps there"
-            log.note("warning", where, message, len(times))
+        times = events.t_s[kinds == number].tolist()
+        note_resets(log, "q" if name == "yaw" else "pos", f"its {name}", times)
 
 
 # -- rotor speeds -------------------------------------------------------------------------------
@@ -350,9 +344,8 @@ def add_rotors(log: ArduPilotLog, flight: FlightBuilder, commands: MotorCommands
     columns = [_at(slowest.t_us, t.t_us, s) for t, s in zip(found, speeds, strict=True)]
     together = np.column_stack(columns)
     bridged = np.isfinite(together).all(axis=1)
-    if not bridged.all():
-        message = f"samples left out: a motor reports nothing for over {_LONGEST_S:g} s"
-        log.note("warning", "rotor", message, int(np.count_nonzero(~bridged)))
+    message = f"samples left out: a motor reports nothing for over {_LONGEST_S:g} s"
+    log.note("warning", "rotor", message, ~bridged)
     n = len(found)
     flight.add("rotor", motor_columns("rotor", n), slowest.t_us[bridged], together[bridged])
     log.note(
@@ -426,10 +419,7 @@ def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     commands = from_ardupilot_commands(log)
     add_battery(log, flight, commands)
     add_rotors(log, flight, commands)
-    if commands is not None:
-        n = commands.cmd.shape[1]
-        flight.add("cmd", motor_columns("cmd", n), commands.t_us, commands.cmd)
-        facts |= commands.facts
+    flight.add_commands(commands)
     note_failures(log)
     table = flight.lay_out("Log the default messages (LOG_BITMASK) and fly again.")
     phases = from_ardupilot_phases(log, used)

@@ -13,6 +13,7 @@ from ..assemble import (
     Timed,
     monotonic,
     monotonic_samples,
+    note_cut,
     pauses,
     stamp_offsets,
     stray_samples,
@@ -402,14 +403,9 @@ def _used_stamps(log: ArduPilotLog, name: str, stamps: NDArray[np.int64]) -> NDA
 
 def _note_damage(log: ArduPilotLog, damage: Damage, size: int) -> None:
     """Findings on a log cut short or damaged; `size` is that of a binary one."""
-    if damage.lost:
-        log.note(
-            "error",
-            "log",
-            f"damaged: {damage.lost} bytes in {damage.stretches} "
-            f"{'place' if damage.stretches == 1 else 'places'} make no sense and are not used",
-            damage.lost,
-        )
+    places = f"{damage.stretches} {'place' if damage.stretches == 1 else 'places'}"
+    message = f"damaged: {damage.lost} bytes in {places} make no sense and are not used"
+    log.note("error", "log", message, damage.lost)
     if damage.tail and size and size % _BLOCK == 0:
         log.note(
             "info",
@@ -417,20 +413,14 @@ def _note_damage(log: ArduPilotLog, damage: Damage, size: int) -> None:
             f"it ends inside a message: the last {damage.tail} bytes are not used. That is normal, "
             "ArduPilot writes whole blocks",
         )
-    elif damage.tail:
-        log.note(
-            "error",
-            "log",
-            f"cut short: it ends inside a message; the last {damage.tail} bytes are not used",
-            damage.tail,
-        )
+    else:
+        note_cut(log, damage.tail)
     for found, what in (
         (damage.undefined, "definitions that make no sense; their messages are not read"),
         (damage.redefined, "messages that are defined twice, and differently"),
     ):
-        if found:
-            named = ", ".join(list(dict.fromkeys(found))[:_NAMED])
-            log.note("error", "FMT", f"{what}: {named}", len(found))
+        named = ", ".join(list(dict.fromkeys(found))[:_NAMED])
+        log.note("error", "FMT", f"{what}: {named}", len(found))
 
 
 def _drop_misplaced(log: ArduPilotLog, timed: Mapping[str, NDArray[np.int64]]) -> None:

@@ -216,9 +216,8 @@ def add_satellites(log: BlackboxLog, flight: FlightBuilder) -> SourcedValue[Plac
     enough = gps.columns(("GPS_numSat",))[:, 0] >= _FEWEST_SATELLITES
     somewhere = (np.abs(degrees) <= (90.0, 180.0)).all(axis=1) & degrees.any(axis=1)
     good = enough & somewhere
-    if not good.all():
-        message = f"fixes left out, of fewer than {_FEWEST_SATELLITES} satellites or nowhere"
-        log.note("warning", "pos", message, int(np.count_nonzero(~good)))
+    message = f"fixes left out, of fewer than {_FEWEST_SATELLITES} satellites or nowhere"
+    log.note("warning", "pos", message, ~good)
     if not good.any():
         return None
     t_us = gps.t_us[good]
@@ -349,9 +348,7 @@ def _add_speeds(log: BlackboxLog, flight: FlightBuilder, commands: Array) -> Non
         message = f"left out, a motor with a command reports no speed in {share:.0f} %"
         log.note("warning", "rotor", f"{message} of the frames")
         return
-    if silent.any():
-        message = "frames left out, a motor with a command reports no speed"
-        log.note("warning", "rotor", message, int(silent.sum()))
+    log.note("warning", "rotor", "frames left out, a motor with a command reports no speed", silent)
     speeds = raw[~silent] * (_PER_ERPM / (poles / 2.0))
     add(log, flight, "rotor", motor_columns("rotor", count), main.t_us[~silent], speeds)
 

@@ -500,8 +500,7 @@ def _flight(path: Path, blob: bytes) -> BlackboxLog:
     for letter, reason in header.unusable.items():
         message = f"the definition of {letter} frames makes no sense ({reason}); they are not read"
         log.note("error", "log", message)
-    if header.damaged:
-        log.note("error", "log", "damaged lines in the head, not used", header.damaged)
+    log.note("error", "log", "damaged lines in the head, not used", header.damaged)
     return log
 
 
@@ -522,30 +521,23 @@ def _check_firmware(log: BlackboxLog) -> None:
 def _note_damage(log: BlackboxLog) -> None:
     """Findings on what is missing."""
     damage: Damage = log.recording.damage
-    if damage.lost:
-        places = "place" if damage.places == 1 else "places"
-        message = f"damaged: bytes in {damage.places} {places} of which nothing can be made"
-        log.note("error", "log", message, damage.lost)
-    if damage.unfounded:
-        message = "frames not used, the whole frame that they build on was lost"
-        log.note("error", "log", message, damage.unfounded)
-    if damage.rejected:
-        message = "frames not used, whose time or number jumps or runs backward"
-        log.note("error", "log", message, damage.rejected)
-    if damage.missing:
-        log.note("warning", "log", "frames missing, by their numbers", damage.missing)
-    if damage.cut:
-        message = "cut short: bytes at the end that are no whole frame, not used"
-        log.note("error", "log", message, damage.cut)
+    places = "place" if damage.places == 1 else "places"
+    message = f"damaged: bytes in {damage.places} {places} of which nothing can be made"
+    log.note("error", "log", message, damage.lost)
+    message = "frames not used, the whole frame that they build on was lost"
+    log.note("error", "log", message, damage.unfounded)
+    message = "frames not used, whose time or number jumps or runs backward"
+    log.note("error", "log", message, damage.rejected)
+    log.note("warning", "log", "frames missing, by their numbers", damage.missing)
+    message = "cut short: bytes at the end that are no whole frame, not used"
+    log.note("error", "log", message, damage.cut)
     if not damage.ended:
         message = (
             "it does not end as Betaflight ends a log: the battery was taken off before the motors "
             "were disarmed, the chip was full, or the file was cut"
         )
         log.note("warning", "log", message)
-    if damage.behind:
-        message = "bytes behind the end of the log, not read"
-        log.note("warning", "log", message, damage.behind)
+    log.note("warning", "log", "bytes behind the end of the log, not read", damage.behind)
     if found := pauses(log.recording.main.t_us - log.start_us):
         resumed = sum(e.kind == RESUME for e in log.recording.events)
         why = f"; logging was paused by a switch {resumed} times" if resumed else ""

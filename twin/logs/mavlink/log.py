@@ -142,12 +142,9 @@ def _aircraft(
                 astray[frame.system] += len(samples[frame.system])
                 samples[frame.system] = _Samples()
             samples[frame.system].add(found)
-    if lost:
-        log.note("error", "file", "bytes that are no stamped MAVLink frame", lost)
-    if parser.wrong:
-        log.note("error", "file", "frames whose checksum is wrong", parser.wrong)
-    if parser.repeated:
-        log.note("info", "file", "messages that came twice, left out", parser.repeated)
+    log.note("error", "file", "bytes that are no stamped MAVLink frame", lost)
+    log.note("error", "file", "frames whose checksum is wrong", parser.wrong)
+    log.note("info", "file", "messages that came twice, left out", parser.repeated)
     if not link.sequences:
         raise LogError(f"{path.name}: no whole MAVLink frame in {len(blob)} bytes. Copy it again.")
     heard = {s: link.of(s).received for s in link.systems}
@@ -156,12 +153,11 @@ def _aircraft(
     for count, other in others[:_SHOWN]:
         message = f"another aircraft, system {other}, left out; system {system} is read"
         log.note("warning", "aircraft", message, count)
-    if more := others[_SHOWN:]:
-        message = f"samples of {len(more)} further systems left out; system {system} is read"
-        log.note("warning", "aircraft", message, sum(count for count, _ in more))
-    if stray := decoders[system].strays + astray[system]:
-        message = "messages left out, their time is far from the aircraft's clock"
-        log.note("warning", "time", message, stray)
+    more = others[_SHOWN:]
+    message = f"samples of {len(more)} further systems left out; system {system} is read"
+    log.note("warning", "aircraft", message, sum(count for count, _ in more))
+    message = "messages left out, their time is far from the aircraft's clock"
+    log.note("warning", "time", message, decoders[system].strays + astray[system])
     return system, decoders[system], samples[system]
 
 

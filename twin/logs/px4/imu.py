@@ -107,17 +107,14 @@ def add_imu(log: Px4Log, flight: FlightBuilder) -> bool:
         ("acc", ACC, acc_us, acc),
     ):
         rising = np.diff(np.maximum.accumulate(t_us), prepend=-_EARLIEST_US) > 0
-        if not rising.all():
-            count = int(np.count_nonzero(~rising))
-            log.note("error", where, "samples dropped whose averaging times overlap", count)
+        log.note("error", where, "samples dropped whose averaging times overlap", ~rising)
         flight.add(where, names, t_us[rising], values[rising])
     _gaps(log, source.topic, source.gyro_dt_us, flight.facts)
     for field in ("accelerometer_clipping", "delta_velocity_clipping"):
         clipping = source.topic.data.get(field)
-        if clipping is not None and np.any(clipping):
-            count = int(np.count_nonzero(clipping))
+        if clipping is not None:
             message = "samples in which the accelerometer was at its limit"
-            log.note("warning", "acc", message, count)
+            log.note("warning", "acc", message, clipping != 0)
     return False
 
 
@@ -139,16 +136,8 @@ def _combined(log: Px4Log) -> _Source | None:
         none = relative == _NO_RELATIVE_TIME
         has_acc = ~none
     has_acc &= np.abs(relative) < _FARTHEST_US
-    if none.any():
-        count = int(np.count_nonzero(none))
-        log.note("info", "acc", "rows of sensor_combined without an acceleration sample", count)
-    if not (has_acc | none).all():
-        log.note(
-            "error",
-            "acc",
-            f"samples left out, {field} is beyond 0.03 s",
-            int(np.count_nonzero(~has_acc & ~none)),
-        )
+    log.note("info", "acc", "rows of sensor_combined without an acceleration sample", none)
+    log.note("error", "acc", f"samples left out, {field} is beyond 0.03 s", ~has_acc & ~none)
     acc_end = topic.t_us + np.where(has_acc, relative, 0)
     return _Source(
         topic,
@@ -207,21 +196,11 @@ def _window(log: Px4Log, topic: Topic, field: str) -> Times:
         return np.zeros(len(topic.t_us), dtype=np.int64)
     length = from_px4_interval(topic.data[field])
     possible = (length > 0) & (length < _LONGEST_WINDOW_US)
-    if not possible.all():
-        log.note(
-            "warning",
-            topic.name,
-            f"samples whose {field} is not within 0 to 0.1 s: their own time is taken",
-            int(np.count_nonzero(~possible)),
-        )
+    message = f"samples whose {field} is not within 0 to 0.1 s: their own time is taken"
+    log.note("warning", topic.name, message, ~possible)
     over = possible[1:] & (length[1:] > _OVERLAP * np.diff(topic.t_us))
-    if over.any():
-        log.note(
-            "warning",
-            topic.name,
-            f"samples whose {field} reaches back over the sample before: their middle is off",
-            int(np.count_nonzero(over)),
-        )
+    message = f"samples whose {field} reaches back over the sample before: their middle is off"
+    log.note("warning", topic.name, message, over)
     return np.where(possible, length, 0)
 
 
@@ -236,14 +215,13 @@ def _gaps(log: Px4Log, topic: Topic, window_us: Times, facts: dict[str, str]) ->
     facts["imu_rate"] = (
         f"{(len(steps) + lost) / span_s:.0f} Hz sampled, {len(steps) / span_s:.0f} Hz in the log"
     )
-    if lost:
-        log.note(
-            "warning",
-            topic.name,
-            f"{100 * lost / (len(steps) + lost):.0f} % of the samples are missing; the longest gap "
-            f"is {steps.max() / 1e3:.1f} ms. Nothing is filled in",
-            lost,
-        )
+    log.note(
+        "warning",
+        topic.name,
+        f"{100 * lost / (len(steps) + lost):.0f} % of the samples are missing; the longest gap "
+        f"is {steps.max() / 1e3:.1f} ms. Nothing is filled in",
+        lost,
+    )
 
 
 def _filtered_imu(log: Px4Log, flight: FlightBuilder) -> None:

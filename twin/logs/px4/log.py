@@ -19,6 +19,7 @@ from ..assemble import (
     Timed,
     missing_ends,
     monotonic_samples,
+    note_cut,
     pauses,
     stamp_offsets,
     stray_samples,
@@ -301,13 +302,9 @@ class Px4Log(FindingCollector):
             return None
         published = _from_px4_us(raw["timestamp"], self.start_us)
         possible = np.abs(published) < _LONGEST_US
+        message = "samples dropped, stamped over a year from the start of the log"
+        self.note("error", name, message, ~possible)
         if not possible.all():
-            self.note(
-                "error",
-                name,
-                "samples dropped, stamped over a year from the start of the log",
-                int(np.count_nonzero(~possible)),
-            )
             raw = {k: v[possible] for k, v in raw.items()}
             published = published[possible]
             if len(published) == 0:
@@ -316,13 +313,9 @@ class Px4Log(FindingCollector):
         if name in _EVENTS:
             order = np.argsort(t_us, kind="stable")
             return Topic(name, t_us[order], {k: v[order] for k, v in raw.items()}, by_sample)
-        if by_sample and (back := int(np.count_nonzero(np.diff(published) <= 0))):
-            self.note(
-                "warning",
-                name,
-                "times of publication run backward or repeat; those of sampling are used",
-                back,
-            )
+        if by_sample:
+            message = "times of publication run backward or repeat; those of sampling are used"
+            self.note("warning", name, message, np.diff(published) <= 0)
         keep = monotonic_samples(self, name, t_us, "samples")
         if not keep.any():
             return None
@@ -344,18 +337,12 @@ class Px4Log(FindingCollector):
         late = published - sampled
         valid = (raw["timestamp_sample"] != 0) & (np.abs(late) < _LATEST_US)
         by_sample = bool(valid.mean() > 0.5)
-        if not valid.all():
-            self.note(
-                "warning",
-                name,
-                "samples without a sampling time: published time taken",
-                int(np.count_nonzero(~valid)) if by_sample else len(valid),
-            )
+        message = "samples without a sampling time: published time taken"
+        self.note("warning", name, message, ~valid if by_sample else len(valid))
         if not by_sample:
             return published, False
-        ahead = int(np.count_nonzero(valid & (late < 0)))
-        if ahead:
-            self.note("warning", name, "samples published before they were taken", ahead)
+        ahead = valid & (late < 0)
+        self.note("warning", name, "samples published before they were taken", ahead)
         slow_ms = float(np.median(late[valid])) / 1e3
         if slow_ms > _SLOW_MS:
             self.note(
@@ -498,10 +485,9 @@ def _drop_misplaced(opened: Px4Log, blob: bytes, ids: Mapping[tuple[str, int], i
             del raw[key]
         elif far.any():
             raw[key] = {k: v[~far] for k, v in raw[key].items()}
-        elif abs(float(np.median(off))) <= 1e6 * APART_S and np.any(np.abs(off) > _STRAY_US):
+        elif abs(float(np.median(off))) <= 1e6 * APART_S:
             message = f"samples stamped over {_STRAY_US * 1e-6:.1f} s from what stands next to them"
-            count = int(np.count_nonzero(np.abs(off) > _STRAY_US))
-            opened.note("warning", key[0], f"{message} in the file", count)
+            opened.note("warning", key[0], f"{message} in the file", np.abs(off) > _STRAY_US)
 
 
 def _note_damage(opened: Px4Log, blob: bytes, log: Any) -> None:
@@ -515,13 +501,8 @@ def _note_damage(opened: Px4Log, blob: bytes, log: Any) -> None:
             "sense; the messages found after it are used, the rest is lost",
             max(lost, 1),
         )
-    elif tail:
-        opened.note(
-            "error",
-            "log",
-            f"cut short: it ends inside a message; the last {tail} bytes are not used",
-            tail,
-        )
+    else:
+        note_cut(opened, tail)
     if log.dropouts:
         lost_ms = sum(d.duration for d in log.dropouts)
         opened.note(

@@ -328,9 +328,8 @@ def _within(values: Array, most: float) -> NDArray[np.bool_]:
 
 def _sound(log: Px4Log, topic: Topic, good: NDArray[np.bool_]) -> Topic | None:
     """The good samples of a topic, the others counted; None where there is none."""
-    if not good.all():
-        message = "samples left out of the rebuilt commands, a value is NaN or absurd"
-        log.note("error", topic.name, message, int(np.count_nonzero(~good)))
+    message = "samples left out of the rebuilt commands, a value is NaN or absurd"
+    log.note("error", topic.name, message, ~good)
     if not good.any():
         return None
     return replace(topic, t_us=topic.t_us[good], data={k: v[good] for k, v in topic.data.items()})
@@ -424,18 +423,16 @@ def _from_motors(log: Px4Log) -> MotorCommands | None:
     control = control[:, :count]
     stopped = np.isnan(control)
     alone = int(stopped[~stopped.all(axis=1)].sum())
-    if alone:
-        text = "values NaN in actuator_motors, while others have some, mean stopped: taken as 0"
-        log.note("warning", "cmd", text, alone)
-    if together := int(stopped.sum()) - alone:
-        log.note("info", "cmd", "values NaN in actuator_motors mean stopped, taken as 0", together)
+    text = "values NaN in actuator_motors, while others have some, mean stopped: taken as 0"
+    log.note("warning", "cmd", text, alone)
+    text = "values NaN in actuator_motors mean stopped, taken as 0"
+    log.note("info", "cmd", text, int(stopped.sum()) - alone)
     control = np.where(stopped, 0.0, control)
-    backward = int(np.count_nonzero(control < -_BACKWARD))
-    if backward and topic.has("reversible_flags") and topic.data["reversible_flags"].any():
+    if topic.has("reversible_flags") and topic.data["reversible_flags"].any():
         text = (
             "values of motors that turn backward (reversible_flags), which is not known: set to 0"
         )
-        log.note("error", "cmd", text, backward)
+        log.note("error", "cmd", text, control < -_BACKWARD)
     cmd = _through_curve(log, control)
     outputs = [
         MotorOutput(k + 1, f"actuator_motors control[{k}]", "", 0.0, 1.0, "number of the field")

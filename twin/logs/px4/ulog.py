@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..assemble import FlightBuilder, MotorCommands, doubt_current
+from ..assemble import FlightBuilder, MotorCommands, doubt_current, note_resets
 from ..autopilot import (
     Autopilot,
     Filter,
@@ -20,13 +20,13 @@ from ..autopilot import (
     setpoint_of,
     stretches_of,
 )
-from ..columns import GYRO, POS, QUAT, VEL, motor_columns
-from ..flight import Array, Finding, Flight
+from ..columns import GYRO, POS, QUAT, VEL
+from ..flight import Array, Flight
 from ..formats import ReadOptions
 from .airframe import FILTERS, from_px4_airframe, from_px4_site
-from .imu import add_barometer, add_imu, add_magnetometer, from_px4_gauss
+from .imu import add_barometer, add_imu, add_magnetometer
 from .log import Px4Log, Topic, open_px4
-from .outputs import add_rotors, from_px4_rpm
+from .outputs import add_rotors
 from .rebuild import from_px4_commands
 
 # -- phases -------------------------------------------------------------------------------------
@@ -248,10 +248,7 @@ def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     _end(log)
     _battery(log, flight, commands)
     add_rotors(log, flight, None if commands is None else commands.cmd.shape[1])
-    if commands is not None:
-        n = commands.cmd.shape[1]
-        flight.add("cmd", motor_columns("cmd", n), commands.t_us, commands.cmd)
-        flight.facts |= commands.facts
+    flight.add_commands(commands)
     advice = "Log the default topics (SDLOG_PROFILE bit 0) and fly again."
     table = flight.lay_out(advice, ": was the clock set in flight?")
     return flight.flight(
@@ -313,9 +310,7 @@ def _position(log: Px4Log, flight: FlightBuilder, topic: Topic) -> None:
         for flag in flags:
             if topic.has(flag):
                 valid &= topic.data[flag].astype(bool)
-        if not valid.all():
-            count = int(np.count_nonzero(~valid))
-            log.note("info", where, "samples left out, the estimator says they are invalid", count)
+        log.note("info", where, "samples left out, the estimator says they are invalid", ~valid)
         flight.add(where, names, topic.t_us[valid], values[valid])
     counters = ("xy_reset_counter", "z_reset_counter", "vxy_reset_counter", "vz_reset_counter")
     _resets(log, "pos", topic, counters)
@@ -338,14 +333,7 @@ def _resets(log: Px4Log, where: str, topic: Topic, counters: tuple[str, ...]) ->
         if topic.has(counter):
             stepped = np.flatnonzero(np.diff(topic.data[counter].astype(np.int64))) + 1
             times += topic.t_s[stepped].tolist()
-    if times:
-        at = ", ".join(f"{t:.2f}" for t in sorted(set(times))[:8])
-        log.note(
-            "warning",
-            where,
-            f"the estimator reset itself at {at} s: expect steps there",
-            len(times),
-        )
+    note_resets(log, where, "itself", times)
 
 
 def _battery(log: Px4Log, flight: FlightBuilder, commands: MotorCommands | None) -> None:
@@ -411,6 +399,3 @@ def _battery_rank(log: Px4Log, topic: Topic) -> tuple[bool, bool, bool]:
     middle = float(np.nanmedian(volts))
     fits = not cells > 0.0 or _CELL_V[0] < middle / cells < _CELL_V[1]
     return connected, fits, float(np.nanstd(volts)) > _SAGS_V
-
-
-__all__ = ["Finding", "from_px4_gauss", "from_px4_rpm", "read_ulog"]
