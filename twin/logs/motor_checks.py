@@ -12,7 +12,7 @@ Signals are means over cells of 20 ms or longer, without what is slower than 2 s
 where another one explains it far better: `_CARRIES`, `_UNEXPLAINED`, `_HALF`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations, permutations
 
@@ -25,6 +25,7 @@ from ..vehicle.layouts import Layout
 from .agreement import Signals, samples, window_integrals
 from .columns import ACC, GYRO, Columns
 from .flight import Array, Finding
+from .lags import TINY, LaggedMoments
 
 _CARRIES = 0.3
 """R^2 from which on a channel says anything about the motors."""
@@ -63,35 +64,6 @@ _ELASTICITY = 0.35, 5.0
 """Relative thrust by relative command: 2 for a speed proportional to the command, 1 for a thrust;
 recorded flights have 0.8 to 1.6."""
 _AXES = "xyz"  # of the body
-
-_TINY = 1e-12  # keeps a division finite
-
-
-@dataclass(frozen=True, slots=True)
-class _Moments:
-    """Second moments of commands and of what they are to explain, at one lag.
-
-    Attributes:
-        inputs: Covariance of the inputs, shape (n, n).
-        cross: Of inputs and channels, shape (n, k).
-        channels: Variance of the channels, shape (k,).
-    """
-
-    inputs: Array
-    cross: Array
-    channels: Array
-
-    def r2(self, weights: Array, channel: int) -> Array:
-        """R^2, negative for a negative correlation, of weighted sums of the inputs, shape (..., n).
-
-        Returns:
-            Shape (...): of one channel.
-        """
-        along = weights @ self.cross[:, channel]
-        size = (
-            np.einsum("...i,ij,...j->...", weights, self.inputs, weights) * self.channels[channel]
-        )
-        return np.asarray(np.sign(along) * along**2 / np.maximum(size, _TINY))
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,15 +142,11 @@ def _near(t_s: Array, edges_s: Array) -> NDArray[np.bool_]:
     return np.asarray(t_s[after] - t_s[after - 1] < 5.0 * _CELL_S)
 
 
-def _moments(cells: _Cells, inputs: tuple[Array, Array], channels: Array) -> list[_Moments]:
+def _moments(cells: _Cells, inputs: tuple[Array, Array], channels: Array) -> LaggedMoments:
     """Second moments at every lag of the inputs, times and values, before the channels."""
+    lagged = [cells.fast(cells.means(*inputs, lag_s)) for lag_s in _LAGS_S]
     fast = cells.fast(channels)
-    found = []
-    for lag_s in _LAGS_S:
-        u = cells.fast(cells.means(*inputs, lag_s))
-        n = len(u)
-        found.append(_Moments(u.T @ u / n, u.T @ fast / n, np.mean(fast**2, axis=0)))
-    return found
+    return LaggedMoments.of(lagged, fast, [np.arange(len(fast))]).over(slice(None))
 
 
 def _beaten(own: Array, other: Array) -> bool:
@@ -192,7 +160,7 @@ def _beaten(own: Array, other: Array) -> bool:
     if not carries.any():
         return False
     own, other = own[carries], other[carries]
-    ratio = float(np.prod((1.0 - own) / np.maximum(1.0 - other, _TINY)))
+    ratio = float(np.prod((1.0 - own) / np.maximum(1.0 - other, TINY)))
     return ratio >= _CLEARLY or (ratio >= _UNEXPLAINED and bool((own <= _HALF * other).any()))
 
 
@@ -219,7 +187,7 @@ def doubt_rotors(table: Columns, there: Signals) -> list[Finding]:
     apart = (t_cmd, cmd - cmd.mean(axis=1, keepdims=True))
     moments = _moments(cells, apart, speeds - speeds.mean(axis=1, keepdims=True))
     n = len(there["cmd"])
-    r2 = np.stack([[m.r2(np.eye(n), rotor) for rotor in range(n)] for m in moments])
+    r2 = np.stack([moments.r2(np.eye(n), rotor) for rotor in range(n)], axis=1)
     labels = [linear_sum_assignment(-each)[1] for each in r2]
     best = max(range(len(r2)), key=lambda k: float(r2[k, range(n), labels[k]].sum()))
     moved = np.flatnonzero(labels[best] != np.arange(n))
@@ -265,7 +233,7 @@ def moments_of(layout: Layout) -> Array:
     return np.stack([-right, forward, -layout.direction])
 
 
-def _labellings(allocation: Array, hint: Array, at: _Moments) -> Iterator[_Labelling]:
+def _labellings(allocation: Array, hint: Array, at: LaggedMoments) -> Iterator[_Labelling]:
     """Everything that is tried: other orders, signs, and a command that drives nothing.
 
     Args:
@@ -291,7 +259,7 @@ def _labellings(allocation: Array, hint: Array, at: _Moments) -> Iterator[_Label
         yield _Labelling(turned, text)
 
 
-def _orders(allocation: Array, hint: Array, at: _Moments) -> NDArray[np.intp]:
+def _orders(allocation: Array, hint: Array, at: LaggedMoments) -> NDArray[np.intp]:
     """The likeliest other orders of the motors, shape (orders, n): of all of up to eight motors, of
     all pairs and the one that regression suggests of more."""
     n = allocation.shape[1]
@@ -301,9 +269,9 @@ def _orders(allocation: Array, hint: Array, at: _Moments) -> NDArray[np.intp]:
         pairs = np.tile(np.arange(n), (n * (n - 1) // 2, 1))
         for row, (one, two) in zip(pairs, combinations(range(n), 2), strict=True):
             row[[one, two]] = two, one
-        unit = allocation / np.maximum(np.linalg.norm(allocation, axis=1, keepdims=True), _TINY)
+        unit = allocation / np.maximum(np.linalg.norm(allocation, axis=1, keepdims=True), TINY)
         orders = np.vstack([pairs, linear_sum_assignment(-(hint.T @ unit))[1]])
-    total = sum(at.r2(allocation[axis][orders], axis) for axis in range(3))
+    total = sum(at.r2(allocation[axis][orders], axis)[0] for axis in range(3))
     likely = np.argsort(-np.asarray(total))[:_LIKELY]
     moved = (orders[likely] != np.arange(n)).any(axis=1)
     return np.asarray(orders[likely][moved])
@@ -325,13 +293,13 @@ def doubt_moments(table: Columns, there: Signals, layout: Layout) -> list[Findin
         cells, samples(table, there["cmd"]), np.gradient(rates, cells.width_s, axis=0)
     )
     allocation = moments_of(layout)
-    r2 = np.array([[float(m.r2(allocation[a], a)) for a in range(3)] for m in moments])
+    r2 = np.stack([moments.r2(allocation[a], a) for a in range(3)], axis=1)  # lag, axis
     free, at, hint = _regressed(moments)
     if not _beaten(np.array([*r2[r2[:, :2].sum(axis=1).argmax(), :2], r2[:, 2].max()]), free):
         return []
     others = list(_labellings(allocation, hint, at))
     every = np.stack([allocation, *(o.weights for o in others)])
-    r2 = np.stack([[m.r2(every[:, a], a) for a in range(3)] for m in moments])  # lag, axis, label
+    r2 = np.stack([moments.r2(every[:, a], a) for a in range(3)], axis=1)  # lag, axis, label
     level = r2[:, :2].sum(axis=1)
     lag = level.argmax(axis=0)  # of each labelling
     yaw = r2[:, 2].max(axis=0)
@@ -367,21 +335,14 @@ def doubt_moments(table: Columns, there: Signals, layout: Layout) -> list[Findin
     return [Finding("error", "cmd", message)]
 
 
-def _regressed(moments: Sequence[_Moments]) -> tuple[Array, _Moments, Array]:
+def _regressed(moments: LaggedMoments) -> tuple[Array, LaggedMoments, Array]:
     """R^2 of a free regression on all commands by channel, roll and pitch at one lag; the moments
     at that lag, and the weights there, of unit size, shape (3, n)."""
-    weights = np.stack(
-        [np.linalg.pinv(m.inputs, rcond=1e-6, hermitian=True) @ m.cross for m in moments]
-    )
-    r2 = np.array(
-        [
-            (m.cross * w).sum(axis=0) / np.maximum(m.channels, _TINY)
-            for m, w in zip(moments, weights, strict=True)
-        ]
-    )
+    weights, explained = moments.regressed()
+    r2 = explained / np.maximum(moments.channels, TINY)
     lag = int(r2[:, :2].sum(axis=1).argmax())
-    hint = weights[lag].T / np.maximum(np.linalg.norm(weights[lag], axis=0), _TINY)[:, None]
-    return np.array([*r2[lag, :2], r2[:, 2].max()]), moments[lag], hint
+    hint = weights[lag].T / np.maximum(np.linalg.norm(weights[lag], axis=0), TINY)[:, None]
+    return np.array([*r2[lag, :2], r2[:, 2].max()]), moments.at(lag), hint
 
 
 # -- specific force behind commands -----------------------------------------------------------
@@ -390,9 +351,9 @@ def _regressed(moments: Sequence[_Moments]) -> tuple[Array, _Moments, Array]:
 def _doubt_still(commands: Array) -> list[Finding]:
     """A command that does not take part in what the others do, of fast parts, shape (cells, n)."""
     rms = np.sqrt(np.mean(commands**2, axis=0))
-    share = rms / max(float(np.median(rms)), _TINY)
+    share = rms / max(float(np.median(rms)), TINY)
     still = [f"cmd_{k + 1} ({share[k]:.1%})" for k in np.flatnonzero(share < _STILL)]
-    if not still or float(np.median(rms)) < _TINY:
+    if not still or float(np.median(rms)) < TINY:
         return []
     message = (
         f"hardly changes in flight compared with the other motors: {', '.join(still)}. Is it the "
@@ -422,7 +383,7 @@ def doubt_thrust(table: Columns, there: Signals) -> list[Finding]:
     t_acc, acc = samples(table, ACC)
     up = cells.means(t_acc, -acc[:, 2:])
     moments = _moments(cells, mean, up)
-    r2 = np.array([float(m.r2(np.ones(1), 0)) for m in moments])
+    r2 = moments.r2(np.ones(1), 0)
     if -r2.min() >= _CARRIES and _beaten(r2.max(keepdims=True), -r2.min(keepdims=True)):
         message = (
             f"specific force falls as the commands rise (R2 {-r2.min():.2f}): are commands "
@@ -430,9 +391,9 @@ def doubt_thrust(table: Columns, there: Signals) -> list[Finding]:
         )
         found.append(Finding("error", "cmd", message))
     elif r2.max() >= _CARRIES:
-        best = moments[int(r2.argmax())]
-        slope = float(best.cross[0, 0] / best.inputs[0, 0])
-        elasticity = slope * hover / max(float(np.median(up[cells.flown])), _TINY)
+        at = int(r2.argmax())
+        slope = float(moments.cross[at, 0, 0] / moments.inputs[at, 0, 0])
+        elasticity = slope * hover / max(float(np.median(up[cells.flown])), TINY)
         if not _ELASTICITY[0] <= elasticity <= _ELASTICITY[1]:
             message = (
                 f"1 % more command gives {elasticity:.2g} % more thrust, expected "

@@ -14,7 +14,7 @@ they do, their stamps are late. Where they do not, the commands act late, and th
 Standard deviations are those of a jackknife over blocks of `_BLOCK_S`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -25,6 +25,7 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 
 from .columns import ACC, GYRO, MAX_MOTORS, motor_columns
 from .flight import Array, Finding
+from .lags import Blocks, LaggedMoments, best_lag
 from .stored import AnyFlight, StoredFlight
 
 _F = TypeVar("_F", bound=AnyFlight)
@@ -309,7 +310,7 @@ def _behind_commands(
                     found[:, i, k, m] = motor.products(lagged, float(delay))
         return found
 
-    def r2(products: Array, blocks: slice | NDArray[np.bool_] = slice(None)) -> Array:
+    def r2(products: Array, blocks: Blocks = slice(None)) -> Array:
         """Share of variance explained over some blocks, shape (constants, delays)."""
         square, cross = products[..., blocks].sum(axis=-1)
         explained = np.maximum(cross, 0.0) ** 2 / np.maximum(square, 1e-30)
@@ -323,16 +324,10 @@ def _behind_commands(
     constants_s, delays_s = np.linspace(low, high, 13), _DELAYS_S[near] + _NEAR_S
     products = table(constants_s, delays_s)
 
-    def best(blocks: slice | NDArray[np.bool_] = slice(None)) -> tuple[float, float, float]:
-        """Delay and time constant, s, of the largest R2 over these blocks, and that R2."""
-        found = r2(products, blocks)
-        profile = found.max(axis=0)  # over the time constants
-        k = int(profile.argmax())
-        constant_s = float(constants_s[found[:, k].argmax()])
-        return _vertex(delays_s, profile, k), constant_s, float(profile[k])
-
-    delay_s, constant_s, share = best()
-    sd_s = _jackknife(lambda used: best(used)[0], len(begins))
+    delay_s, sd_s, share = best_lag(
+        delays_s, lambda used: r2(products, used).max(axis=0), len(begins)
+    )
+    constant_s = float(constants_s[r2(products).max(axis=1).argmax()])
     interval_s = max(float(np.median(np.diff(t))) for t, _ in commands)
     return SpeedLag(delay_s, float(np.hypot(sd_s, _INTERPOLATED * interval_s)), constant_s, share)
 
@@ -377,45 +372,14 @@ def _behind_motion(
     x = x / np.maximum(np.sqrt(np.mean(np.square(x), axis=0)), 1e-30)
     order = [np.flatnonzero(block[rows] == b) for b in range(len(begins))]
     there = [r for r in order if len(r)]
-    gram, cross = [], []
-    for ahead in _AHEAD:
-        moved = x[rows + ahead]
-        gram.append([moved[r].T @ moved[r] for r in there])
-        cross.append([moved[r].T @ y[r] for r in there])
-    grams, crosses = np.array(gram), np.array(cross)  # (a, b, n, n), (a, b, n, c)
-    total = np.array([np.sum(np.square(y[r])) for r in there])
-    ridge = 1e-9 * np.eye(x.shape[1])
+    moments = LaggedMoments.of([x[rows + ahead] for ahead in _AHEAD], y, there)
 
-    def best(used: slice | NDArray[np.bool_] = slice(None)) -> tuple[float, float]:
-        """Lead of the motion, s, of the largest R2 over these blocks, and that R2."""
-        g, c = grams[:, used].sum(axis=1), crosses[:, used].sum(axis=1)
-        g = g + ridge * np.trace(g, axis1=1, axis2=2)[:, None, None]
-        share = np.sum(c * np.linalg.solve(g, c), axis=(1, 2)) / total[used].sum()
-        k = int(share.argmax())
-        return _vertex(np.asarray(_AHEAD * _GRID_S, dtype=np.float64), share, k), float(share[k])
+    def r2(used: Blocks) -> Array:
+        """Share of variance explained over some blocks, shape (leads,)."""
+        chosen = moments.over(used)
+        return np.asarray(chosen.regressed()[1].sum(axis=1) / chosen.channels.sum())
 
-    ahead_s, share = best()
+    ahead_s, sd_s, share = best_lag(np.asarray(_AHEAD * _GRID_S, dtype=np.float64), r2, len(there))
     if share < LEAST_R2:
         return None
-    sd_s = _jackknife(lambda used: best(used)[0], len(there))
     return {"motion_s": ahead_s, "motion_sd_s": sd_s, "motion_r2": share}
-
-
-def _vertex(at: Array, values: Array, k: int) -> float:
-    """Place of the top of a parabola through the largest of some values and its neighbours."""
-    if not 0 < k < len(at) - 1:
-        return float(at[k])
-    left, top, right = (float(v) for v in values[k - 1 : k + 2])
-    bend = left - 2.0 * top + right
-    offset = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
-    return float(at[k] + offset * (at[1] - at[0]))
-
-
-def _jackknife(estimate: Callable[[NDArray[np.bool_]], float], blocks: int) -> float:
-    """Standard deviation of an estimate by leaving out one block after another."""
-    found = np.empty(blocks)
-    for b in range(blocks):
-        used = np.ones(blocks, dtype=np.bool_)
-        used[b] = False
-        found[b] = estimate(used)
-    return float(np.sqrt((blocks - 1) / blocks * np.sum(np.square(found - found.mean()))))
