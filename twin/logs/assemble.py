@@ -17,8 +17,8 @@ from scipy.ndimage import median_filter
 
 from ..errors import LogError
 from .airframe import Airframe
-from .autopilot import Autopilot, Span, label_phases
-from .columns import MOTION, QUAT, beyond_limit, beyond_message, in_order, motor_columns
+from .autopilot import Autopilot, Span, label_phases, motion_spans
+from .columns import MOTION, QUAT, VEL, beyond_limit, beyond_message, in_order, motor_columns
 from .flight import Array, FindingCollector, Flight, Severity, Site
 
 # -- time stamps --------------------------------------------------------------------------------
@@ -36,6 +36,13 @@ _LATEST = 0.5  # share of the record after which a signal begins late
 def filter_delay_us(cutoff_hz: float) -> int:
     """Delay of a second-order Butterworth low-pass for what is slow, sqrt(2) / (2 pi f), us."""
     return round(1e6 * math.sqrt(2.0) / (2.0 * math.pi * cutoff_hz))
+
+
+def mean_rate_hz(t_us: NDArray[np.int64]) -> float:
+    """Mean rate between the first and the last of increasing times, us; 0 for fewer than two."""
+    if len(t_us) < 2:
+        return 0.0
+    return float((len(t_us) - 1) / ((t_us[-1] - t_us[0]) * 1e-6))
 
 
 class Timed:
@@ -56,9 +63,7 @@ class Timed:
     @property
     def rate_hz(self) -> float:
         """Mean rate between the first and the last, 0 for fewer than two."""
-        if len(self.t_us) < 2:
-            return 0.0
-        return float((len(self.t_us) - 1) / ((self.t_us[-1] - self.t_us[0]) * 1e-6))
+        return mean_rate_hz(self.t_us)
 
     @abstractmethod
     def has(self, *fields: str) -> bool:
@@ -442,6 +447,14 @@ class MotorCommands:
         """Whether any motor gets more than a hundredth, shape (n,)."""
         return np.asarray((self.cmd > _STOPPED).any(axis=1))
 
+    def note_slow(self, log: FindingCollector, enough_hz: float) -> float:
+        """Their rate, Hz; a finding where it is below what is enough."""
+        rate_hz = mean_rate_hz(self.t_us)
+        if rate_hz < enough_hz:
+            message = f"motor commands at only {rate_hz:.0f} Hz; each is held until the next"
+            log.note("warning", "cmd", message)
+        return rate_hz
+
     def clipped(self, log: FindingCollector, source: str) -> "MotorCommands":
         """The same within 0..1; findings count what lay outside.
 
@@ -492,6 +505,14 @@ def doubt_current(
 # -- rows ---------------------------------------------------------------------------------------
 #
 # Signals with their own clocks put together into one flight table.
+
+
+def phases_of_table(table: pd.DataFrame, ground: list[Span]) -> list[Span]:
+    """Phases as of `motion_spans`, by the velocity of a table; `ground` alone where it has none."""
+    if not set(VEL) <= set(table):
+        return ground
+    known = table[["time", *VEL]].dropna().to_numpy(dtype=np.float64)
+    return motion_spans(known[:, 0], known[:, 1:], ground)
 
 
 @dataclass(slots=True)
@@ -615,7 +636,7 @@ class FlightBuilder:
         for names, t, _ in self.signals:
             if len(t) > 1:
                 group = names[0].rsplit("_", 1)[0] if len(names) > 1 else names[0]
-                facts[f"rate {group}"] = f"{(len(t) - 1) / ((t[-1] - t[0]) * 1e-6):.1f} Hz"
+                facts[f"rate {group}"] = f"{mean_rate_hz(t):.1f} Hz"
         findings = tuple(self.log.findings)
         path = self.path
         return Flight(path.stem, table, findings, facts, path, site, airframe, autopilot)

@@ -21,8 +21,8 @@ from ..frames import from_euler
 from ..vehicle import GRAVITY_M_S2
 from ..vehicle.layouts import frame
 from .airframe import Airframe, SourcedValue
-from .assemble import FlightBuilder, monotonic, monotonic_samples
-from .autopilot import Span, ground_spans, motion_spans
+from .assemble import FlightBuilder, monotonic, monotonic_samples, phases_of_table
+from .autopilot import Span, ground_spans
 from .columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
 from .flight import Array, Finding, FindingCollector, Flight
 from .formats import ReadOptions
@@ -370,7 +370,4 @@ def _phases(log: _Log, table: pd.DataFrame) -> list[Span]:
             t_s = (events.t_us[keep] - log.start_us).astype(np.float64) * 1e-6
             ground = ground_spans(t_s, flies == 0)
             break
-    if not set(VEL) <= set(table):
-        return ground
-    known = table[["time", *VEL]].dropna().to_numpy()
-    return motion_spans(known[:, 0], known[:, 1:], ground)
+    return phases_of_table(table, ground)

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..frames import to_ned
 from ..vehicle import GRAVITY_M_S2
 from ..vehicle.layouts import Layout
 from .agreement import (
@@ -442,8 +443,7 @@ def _at_rest(table: Columns, t_s: Array, q: Array) -> NDArray[np.bool_] | None:
         t_acc, acc = samples(table, ACC)
         if len(t_acc) >= _FEWEST:
             force = np.column_stack([np.interp(t_s, t_acc, a) for a in acc.T])
-            w, v = q[:, :1], q[:, 1:]
-            turned = force + 2.0 * np.cross(v, np.cross(v, force) + w * force)
+            turned = np.stack(to_ned(list(q.T), list(force.T)), axis=1)
             turned[:, 2] += GRAVITY_M_S2
             return np.asarray(np.linalg.norm(turned, axis=1) < _STILL_M_S2)
     if all(c in table for c in VEL):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from twin.errors import TwinError
 from twin.logs.mavlink.frames import BAD, MARKERS, Message, dialect, packed, parser
 
-from ..live.datagrams import Address
+from ..live.datagrams import Address, listening
 
 SYSTEM = 1
 """System id of the simulator: that of the aircraft, as PX4's own simulators have it."""
@@ -68,18 +68,7 @@ class AutopilotLink:
         self._packer = parser(SYSTEM, dialect.MAV_COMP_ID_AUTOPILOT1)
         self._reader = parser()
         self._peer: socket.socket | None = None
-        family = socket.AF_INET6 if ":" in where.host else socket.AF_INET
-        self._door = socket.socket(family, socket.SOCK_STREAM)
-        try:
-            self._door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._door.bind(where.pair)
-            self._door.listen()
-        except OSError as error:
-            self._door.close()
-            raise TwinError(
-                f"{where}: cannot be served: {error.strerror}. Choose another port, or end the "
-                f"simulator that is there."
-            ) from None
+        self._door = listening(where, connections=True)
 
     @property
     def port(self) -> int:

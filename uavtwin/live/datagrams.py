@@ -45,6 +45,11 @@ class Address:
         return f"{self.host}:{self.port}"
 
     @property
+    def family(self) -> socket.AddressFamily:
+        """IPv6 or IPv4."""
+        return socket.AF_INET6 if ":" in self.host else socket.AF_INET
+
+    @property
     def pair(self) -> tuple[str, int]:
         """As sockets take it."""
         return self.host, self.port
@@ -68,15 +73,19 @@ def address(text: str, direction: str, option: str) -> Address:
     return Address(match.group(2).strip("[]"), int(match.group(3)))
 
 
-def listening(where: Address) -> socket.socket:
-    """A socket that gets what is sent to an address.
+def listening(where: Address, connections: bool = False) -> socket.socket:
+    """A socket that gets the datagrams sent to an address, or takes connections (TCP) there.
 
     Raises:
         TwinError: Another program listens there, or the address is none of this machine.
     """
-    opened = _socket(where)
+    opened = socket.socket(where.family, socket.SOCK_STREAM) if connections else _socket(where)
     try:
+        if connections:
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         opened.bind(where.pair)
+        if connections:
+            opened.listen()
     except OSError as error:
         opened.close()
         raise TwinError(
@@ -102,8 +111,7 @@ def sending(where: Address) -> socket.socket:
 
 
 def _socket(where: Address) -> socket.socket:
-    family = socket.AF_INET6 if ":" in where.host else socket.AF_INET
-    opened = socket.socket(family, socket.SOCK_DGRAM)
+    opened = socket.socket(where.family, socket.SOCK_DGRAM)
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
     with contextlib.suppress(OSError):  # beyond what the system allows to everybody
         opened.setsockopt(socket.SOL_SOCKET, _FORCED, _BUFFER)

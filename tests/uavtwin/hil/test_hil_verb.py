@@ -220,7 +220,7 @@ def test_nobody_connects(copter: Vehicle, twin: FlyingTwin) -> None:
     [
         (("--listen", "udpin:127.0.0.1:4560"), "write tcpin:HOST:PORT, tcpin:127.0.0.1:4560"),
         pytest.param(
-            *(("--listen", "tcpin:192.0.2.1:4560"), "cannot be served"), marks=pytest.mark.slow
+            *(("--listen", "tcpin:192.0.2.1:4560"), "cannot be listened at"), marks=pytest.mark.slow
         ),
         (("--rate", "300"), "1000 over a whole number"),
         (("--speed", "0"), "more than 0"),

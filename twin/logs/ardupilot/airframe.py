@@ -319,13 +319,7 @@ def from_ardupilot_commands(log: ArduPilotLog) -> MotorCommands | None:
             why = f"{', '.join(outputs) or 'no RCOU'} and names no frame of known motors"
         log.note("warning", "cmd", f"no motor commands: the log has {why}. Set LOG_BITMASK bit 10")
         return None
-    rate_hz = (len(commands.t_us) - 1) / max(1e-6 * float(np.ptp(commands.t_us)), 1e-9)
-    if rate_hz < _ENOUGH_HZ:
-        log.note(
-            "warning",
-            "cmd",
-            f"motor commands at only {rate_hz:.0f} Hz; each is held until the next",
-        )
+    commands.note_slow(log, _ENOUGH_HZ)
     if not commands.running.any():
         log.note("warning", "cmd", "the motors never run")
     return commands.clipped(log, "RCOU")

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from ...errors import LogError
 from ..airframe import NO_MULTIROTOR, Airframe, SourcedValue
-from ..assemble import FlightBuilder, monotonic_samples
-from ..autopilot import Span, ground_spans, motion_spans
-from ..columns import VEL
+from ..assemble import FlightBuilder, monotonic_samples, phases_of_table
+from ..autopilot import Span, ground_spans
 from ..flight import Array, Finding, FindingCollector, Flight
 from ..formats import ReadOptions
 from ..validate import validate
@@ -190,10 +189,7 @@ def _phases(table: pd.DataFrame, t_us: NDArray[np.int64], state: Array) -> list[
     """Phases of the land detector, those of the air by how the aircraft moves."""
     t_s = np.asarray(t_us * 1e-6, dtype=np.float64)
     ground = ground_spans(t_s, state[:, 0] == dialect.MAV_LANDED_STATE_ON_GROUND)
-    if set(VEL) <= set(table):
-        known = table[list(VEL)].notna().all(axis=1).to_numpy()
-        velocity = table.loc[known, list(VEL)].to_numpy(dtype=np.float64)
-        ground = motion_spans(table["time"].to_numpy()[known], velocity, ground)
+    ground = phases_of_table(table, ground)
     edges = np.append(t_s, np.inf)
     for k, code in enumerate(state[:, 0].tolist()):
         if (name := PHASES.get(code, "ground")) != "ground":

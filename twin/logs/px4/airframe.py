@@ -20,7 +20,7 @@ from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array, Site
 from .control import airframe_mixer, frame_of_mixer
 from .log import Px4Log, Topic
-from .outputs import Outputs, logged_outputs
+from .outputs import MOTORS, Outputs, logged_outputs
 
 _OTHER_ALLOCATION = {
     1: "a fixed-wing aircraft",
@@ -85,7 +85,7 @@ def _rotors(log: Px4Log) -> SourcedValue[int] | None:
     if MIN_MOTORS <= count <= MAX_MOTORS:
         return SourcedValue(int(count), "CA_ROTOR_COUNT of the log")
     kind = int(log.params.get("MAV_TYPE", -1))
-    known = {2: 4, 13: 6, 14: 8, 15: 3}.get(kind)
+    known = MOTORS.get(kind)
     return None if known is None else SourcedValue(known, f"MAV_TYPE {kind} of the log")
 
 

@@ -47,6 +47,8 @@ _CAN_ENABLE = 3.0
 _BETAFLIGHT = (1, 2, 3, 0)
 """Channel of motors 1 to 4 with MOT_ORDERING = 1."""
 _MOST_CHANNELS = 16  # of actuator_outputs
+MOTORS = {2: 4, 13: 6, 14: 8, 15: 3}
+"""Number of motors by MAV_TYPE."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +104,7 @@ def motor_count(log: Px4Log) -> int | None:
     rotors = log.params.get("CA_ROTOR_COUNT", 0)
     if rotors >= 3:
         return int(rotors)
-    return {2: 4, 13: 6, 14: 8, 15: 3}.get(int(log.params.get("MAV_TYPE", 2)))
+    return MOTORS.get(int(log.params.get("MAV_TYPE", 2)))
 
 
 def motor_functions(params: Mapping[str, float], driver: str = "") -> dict[tuple[str, int], int]:

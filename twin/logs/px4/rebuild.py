@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble import MotorCommands, MotorOutput, describe_outputs
+from ..assemble import MotorCommands, MotorOutput, describe_outputs, mean_rate_hz
 from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array
 from .control import (
@@ -472,13 +472,11 @@ def _from_outputs(log: Px4Log, rebuild: bool | None) -> MotorCommands | None:
         except CannotRebuildError as why:
             log.note("warning", "cmd", f"not rebuilt at full rate: {why}")
             facts["commands_not_rebuilt"] = str(why)
-    if rate < _ENOUGH_HZ:
-        log.note(
-            "warning", "cmd", f"motor commands at only {rate:.0f} Hz; each is held until the next"
-        )
+    found = MotorCommands(outputs.topic.t_us, outputs.cmd, facts)
+    found.note_slow(log, _ENOUGH_HZ)
     facts["commands"] = f"actuator_outputs, {rate:.0f} Hz"
     facts["motors"] = describe_outputs(outputs.motors)
-    return MotorCommands(outputs.topic.t_us, outputs.cmd, facts).clipped(log, "actuator_outputs")
+    return found.clipped(log, "actuator_outputs")
 
 
 def _rebuilt(log: Px4Log, outputs: Outputs, requested: bool) -> MotorCommands:
@@ -507,9 +505,8 @@ def _rebuilt(log: Px4Log, outputs: Outputs, requested: bool) -> MotorCommands:
         "rebuilt by running the rate controller again on gyro and setpoints; its integral starts "
         "from the logged one at every rate_ctrl_status; logged outputs only check the result",
     )
-    rate = (len(commands.t_us) - 1) / ((commands.t_us[-1] - commands.t_us[0]) * 1e-6)
     facts = {
-        "commands": f"rebuilt from gyro and rate setpoints, {rate:.0f} Hz",
+        "commands": f"rebuilt from gyro and rate setpoints, {mean_rate_hz(commands.t_us):.0f} Hz",
         "commands_match": text,
         "motors": describe_outputs(outputs.motors),
     }

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.explain.running.alarms import Alarm
-from twin.frames import AXES, to_euler
+from twin.frames import to_euler
 from twin.logs.autopilot import LEVELS
-from twin.logs.columns import ACC, EULER, GYRO, POS, VEL
+from twin.logs.columns import ACC, EULER, GYRO, POS, QUAT, VEL
 from twin.logs.mavlink.decoder import Sample, columns_of
 from twin.residuals.gap import Channel
 from twin.residuals.stream_residuals import ResidualBlock
@@ -308,13 +308,12 @@ class PageFeed:
 
 ANGLES = tuple(name.removesuffix("_rad") for name in EULER)
 """Roll, pitch, yaw as the page has them, in degrees."""
-QUATERNION = tuple(f"q_{a}" for a in ("w", *AXES))  # columns of the attitude
 
 
 def _attitude(q_nb: Sequence[float]) -> dict[str, float]:
     angles = np.degrees(to_euler(np.array(q_nb, dtype=np.float64)))
     named = dict(zip(ANGLES, angles.tolist(), strict=True))
-    return named | dict(zip(QUATERNION, q_nb, strict=True))
+    return named | dict(zip(QUAT, q_nb, strict=True))
 
 
 def _twin_named(reading: Reading) -> dict[str, float]:

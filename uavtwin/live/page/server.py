@@ -9,7 +9,6 @@ import asyncio
 import contextlib
 import ipaddress
 import re
-import socket
 import threading
 import time
 from dataclasses import dataclass
@@ -29,7 +28,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from twin.errors import TwinError
 
-from ..datagrams import Address
+from ..datagrams import Address, listening
 from .document import Document
 from .feed import Hub, Viewer
 
@@ -121,8 +120,6 @@ _MOST_IDLE = 64
 """Connections that may be open without a request; of more, the oldest is closed."""
 _REQUEST_S, _ANSWER_S = 5.0, 60.0
 """Time for a request to be complete, and for its answer to be taken."""
-_BACKLOG = 128
-"""Connections that wait to be accepted, as usual for servers."""
 
 
 class _Question(msgspec.Struct):
@@ -223,7 +220,7 @@ class PageServer:
             TwinError: The address cannot be used.
         """
         self._hub, self._document = hub, document
-        self._socket = _listening(where)
+        self._socket = listening(where, connections=True)
         self.where = Address(where.host, int(self._socket.getsockname()[1]))
         routes = [Route("/", self._page), WebSocketRoute("/live", self._live)]
         config = uvicorn.Config(
@@ -317,19 +314,3 @@ async def _hear(websocket: WebSocket, viewer: Viewer) -> None:
             now_ms = 1e3 * time.time()
             answer = {"kind": "pong", "ping": question.ping, "at": now_ms}
             viewer.put(msgspec.json.encode(answer))
-
-
-def _listening(where: Address) -> socket.socket:
-    family = socket.AF_INET6 if ":" in where.host else socket.AF_INET
-    opened = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        opened.bind(where.pair)
-        opened.listen(_BACKLOG)
-    except OSError as error:
-        opened.close()
-        raise TwinError(
-            f"--serve {where}: cannot be listened at: {error.strerror}. Choose another port, or "
-            f"end the program that listens there."
-        ) from None
-    return opened
