@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from twin.effects import EFFECTS, Equation, Repeats
 from twin.errors import TwinError
 from twin.explain.design import Manoeuvre, plan, rehearse
-from twin.explain.localization import Attribution, attribute_effect
+from twin.explain.holdout import Attribution, attribute_effect
 from twin.explain.model.model import FlightModel, Model, candidates, model_of
 from twin.explain.model.numbers import Number, numbers_of, numbers_of_logs
 from twin.explain.model.prediction import Physics

@@ -18,9 +18,8 @@ from twin.explain.estimates import (
     undecided,
 )
 from twin.explain.explanation import Explanation
-from twin.explain.holdout import ChannelGap
+from twin.explain.holdout import ChannelGap, Place
 from twin.explain.inference.selection import Naming
-from twin.explain.localization import Place
 from twin.explain.unnamed import Equation
 from twin.flight.closed_loop import Mission
 

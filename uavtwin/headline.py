@@ -23,9 +23,8 @@ from twin.explain.estimates import (
     undecided,
 )
 from twin.explain.explanation import Explanation
-from twin.explain.inference.adequacy import Detectable
 from twin.explain.inference.fit import Fit
-from twin.explain.inference.selection import Naming
+from twin.explain.inference.selection import Detectable, Naming
 from twin.formatting import certainty, joined, number, percent, pretty_unit, quantity, title
 
 from .record import Headline

@@ -15,11 +15,20 @@ from ..residuals.flight_gap import HoverDiagnosis, diagnosis_of
 from ..residuals.teacher_forced import drive_warnings
 from ..vehicle import Vehicle
 from .design import Suggestion, next_manoeuvre
-from .holdout import Comparison, Span, compare_holdout, held_out_spans, hidden
+from .holdout import (
+    Attribution,
+    Comparison,
+    Place,
+    Span,
+    attribute_effect,
+    compare_holdout,
+    held_out_spans,
+    hidden,
+    localize,
+)
 from .inference.fit import Fit
 from .inference.priors import UNCALIBRATED
 from .inference.selection import Naming, Verdict, name_effects
-from .localization import Attribution, Place, attribute_effect, localize
 from .model.model import Model
 from .model.numbers import Payloads, with_effects
 from .settings import DEFAULT, SearchSettings

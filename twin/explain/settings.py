@@ -207,7 +207,7 @@ class SelectionSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class AdequacySettings(Group):
-    """Of `twin.explain.inference.adequacy`: how far a name can be believed."""
+    """Of `twin.explain.inference.selection`: how far a name can be believed."""
 
     law: float = setting(
         1 / 7,

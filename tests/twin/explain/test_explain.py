@@ -13,8 +13,15 @@ from twin.effects import EFFECTS
 from twin.errors import ModelError
 from twin.explain.estimates import listed_effects
 from twin.explain.explanation import explain
-from twin.explain.holdout import ChannelGap, Comparison, compare_holdout, held_out_spans, hidden
-from twin.explain.localization import attribute_effect, localize
+from twin.explain.holdout import (
+    ChannelGap,
+    Comparison,
+    attribute_effect,
+    compare_holdout,
+    held_out_spans,
+    hidden,
+    localize,
+)
 from twin.explain.model.model import model_of
 from twin.explain.model.numbers import with_effects
 from twin.explain.settings import DEFAULT

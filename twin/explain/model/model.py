@@ -47,8 +47,7 @@ from .numbers import (
     values_of,
     visible,
 )
-from .prediction import Physics
-from .trajectory import Trajectory
+from .prediction import Physics, Trajectory
 
 Array = NDArray[np.float64]
 AGE_STEP_S = 0.002

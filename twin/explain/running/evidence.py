@@ -10,8 +10,7 @@ from ...component.along import BUILDING
 from ...effects import EFFECTS, STANDING, Repeats
 from ...errors import LogError
 from ...representation import short_repr
-from ...residuals.recent_rows import Rows
-from ...residuals.stream import LONGEST_WAIT_S, Stream
+from ...residuals.stream import LONGEST_WAIT_S, Rows, Stream
 from ...vehicle import Vehicle
 from .alarms import Alarm, EstimatedChange, Shaking, SilentSign, StandStill, Verdict
 from .detector import AdaptiveNoise, ChangeDetector, ChangeEvidence, information

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from search_rigs.linear_evidence import Linear
 
 from twin.explain.inference.fit import State
-from twin.explain.inference.inclusion import Posterior, weigh
-from twin.explain.inference.search import SearchResult, log_posterior
+from twin.explain.inference.search import Posterior, SearchResult, log_posterior, weigh
 
 Array = NDArray[np.float64]
 NAMES = ("accel_bias", "gyro_bias", "mass_offset", "thrust_scale")

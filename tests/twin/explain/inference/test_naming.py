@@ -10,13 +10,18 @@ from search_rigs.hypotheses import against, fit_set
 from twin.component.rows import OverRows, noiseless_outputs
 from twin.effects import EFFECTS
 from twin.explain.inference import selection as search
-from twin.explain.inference.adequacy import coherent, credible
 from twin.explain.inference.fit import Fit, substantial_effects
-from twin.explain.inference.inclusion import Posterior, ScoredModel
 from twin.explain.inference.priors import Bounds, edges
-from twin.explain.inference.search import SearchResult
+from twin.explain.inference.search import Posterior, ScoredModel, SearchResult
 from twin.explain.inference.search import search as climbed
-from twin.explain.inference.selection import Naming, Resemblance, _named, name_effects
+from twin.explain.inference.selection import (
+    Naming,
+    Resemblance,
+    _named,
+    coherent,
+    credible,
+    name_effects,
+)
 from twin.explain.inference.whitening import WhitenedFlights
 from twin.explain.model.numbers import at_voltage, numbers_of
 from twin.explain.settings import DEFAULT

@@ -8,7 +8,7 @@ from sample_logs import flown_table
 from twin.errors import LogError
 from twin.logs import Flight
 from twin.logs.columns import ACC, POS
-from twin.residuals.recent_rows import LastRows, Rows
+from twin.residuals.stream import LastRows, Rows
 
 
 def portions(table: pd.DataFrame, rows: int) -> list[Rows]:
