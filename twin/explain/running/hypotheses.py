@@ -24,7 +24,11 @@ class RunningSettings(Group):
     """Of `twin.explain.running`."""
 
     quiet_s: float = setting(
-        8.0, "s", "in the air, from which noise and standing offset are learned at first", "made up"
+        8.0,
+        "s",
+        "in the air, from which noise and standing offset are learned at first",
+        "physics: 16 frames tell a power of 6 degrees of freedom each (CELL of "
+        "twin.explain.running.alarms) to 15 %",
     )
     settle_s: float = setting(1.5, "s", "after the lift-off that count for nothing", "made up")
     forget_s: float = setting(
@@ -38,7 +42,11 @@ class RunningSettings(Group):
     )
     noise_s: float = setting(20.0, "s", "over which noise levels follow the flight", "made up")
     burst: float = setting(
-        4.0, "1", "power over the noise level that counts in full towards it", "made up"
+        4.0,
+        "1",
+        "power over the noise level that counts in full towards it",
+        "physics: by chance a power exceeds it once in 22 with one degree of freedom, less often "
+        "with more",
     )
     together: float = setting(
         2.0,
