@@ -33,8 +33,8 @@ test: setup lint  ## all but the longest tests
 test-long: setup  ## the longest tests, which hold at length what others hold in parts
 	$(PYTEST) -m long
 
-fast: setup  ## without the slow tests; four and a half minutes
-	$(PYTEST) -m 'not slow and not long'
+fast: setup  ## mathematics, properties, units: what takes a quarter of a second at most, without benchmarks
+	$(PYTEST) -m 'not slow and not long' --ignore tests/benchmarks --ignore tests/fuzz
 
 FUZZ := $(if $(COUNT),--count $(COUNT)) $(if $(MINUTES),--minutes $(MINUTES))
 fuzz: setup  ## files changed at random: does one fell a reader, is a change told? MINUTES=10, or COUNT=1000

@@ -42,6 +42,8 @@ AUTOENCODERS = [
 SMOKE = "cvae"
 """Learns and draws in every run; the others, which take minutes, in `make test-long`. That each is
 trained, stored and read is in `tests/learning/model`."""
+SOME = ("cvae", "vqgan", "timeddpm", "wgan")
+"""One of each kind: a variational one, a codebook with a critic, a diffusion, critics alone."""
 BY_CRITIC = ("wgan", "tsgan")
 """Without a term that says how far off a residual is."""
 
@@ -164,7 +166,9 @@ def test_a_training_that_was_cut_off_ends_with_the_same_bytes(
         np.testing.assert_array_equal(values, again.tensors()[key], err_msg=key)
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize(
+    "name", [n if n in SOME else pytest.param(n, marks=pytest.mark.long) for n in SYSTEMS]
+)
 def test_a_system_works_on_the_device_that_it_is_moved_to(name: str) -> None:
     """A device without memory refuses whatever is still on the processor, as a GPU would."""
     family = family_row(name).load()

@@ -65,6 +65,7 @@ def noisy(oscillator: System, fmus: dict[str, Path]) -> System:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["settled", "gauss_seidel", "jacobi"])
 def test_error_falls_with_the_tolerance(oscillator: System, algorithm: Algorithm) -> None:
     """First-order coupling: the error of a step is its h**2, the error at the end h: the square

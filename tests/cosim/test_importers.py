@@ -86,11 +86,13 @@ def ours(fmus: dict[int, dict[str, Path]]) -> Array:
     return with_master(fmus[2], "jacobi")
 
 
+@pytest.mark.slow
 def test_fmi3_is_fmi2_to_the_bit(fmus: dict[int, dict[str, Path]], ours: Array) -> None:
     assert np.abs(np.diff(ours, axis=0)).max() > 1e-3  # it flies
     assert with_master(fmus[3], "jacobi").tobytes() == ours.tobytes()
 
 
+@pytest.mark.slow
 def test_python_is_the_fmu(ours: Array) -> None:
     """CasADi's interpreter against its C code: relative to the size of each signal."""
     python = with_python()
@@ -120,6 +122,7 @@ def test_libcosim_is_jacobi_to_the_bit(
     np.testing.assert_allclose(theirs, ours[1:], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_ecos_is_settled_to_the_bit(fmus: dict[int, dict[str, Path]], tmp_path: Path) -> None:
     """ecos sets inputs once more after each step: feed-through outputs show the present."""
     theirs = seen_by("ecospy", fmus[2], tmp_path)
@@ -174,6 +177,7 @@ def test_libcosim_reads_our_ssp(trio: System, tmp_path: Path) -> None:
     np.testing.assert_allclose(theirs, ours, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_ecos_reads_our_ssp(trio: System, tmp_path: Path) -> None:
     """The bits of `settled`. ecos reads no rates from SSP, so every slave steps at 1 ms, and after
     a step it passes values on by one link only, so the battery does not feed the airframe here."""

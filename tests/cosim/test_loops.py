@@ -125,6 +125,7 @@ def test_against_the_exact_solution(
     np.testing.assert_allclose(run["parabola.y"], exact**2, rtol=4e-12)
 
 
+@pytest.mark.slow
 def test_jacobi_solves_the_start_alone(fmu: Callable[..., Path]) -> None:
     """While stepping, each slave takes what the other had at the start of the step."""
     with Master(ring(fmu)) as master:

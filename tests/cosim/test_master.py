@@ -105,6 +105,7 @@ def fed(body: Array) -> Array:
 # -- algorithms -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("algorithm", "late"), [("jacobi", 1), ("settled", 0), ("gauss_seidel", 0)]
 )
@@ -192,6 +193,7 @@ def test_start_time_every_and_start_values(system: System) -> None:
     assert reports == pytest.approx([11.0, 12.0])
 
 
+@pytest.mark.slow
 def test_feedback_without_delay_is_no_algebraic_loop(fmu: Callable[..., Path]) -> None:
     """Position -> command -> acceleration: each slave feels the other, no output itself."""
     commands = [f"cmd_{i}" for i in range(1, 5)]

@@ -174,6 +174,7 @@ def test_a_list_of_members_without_end_is_not_read(tmp_path: Path) -> None:
         archive_members(path)
 
 
+@pytest.mark.slow
 def test_exit_codes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     code, said, _ = run(capsys, "check", written(lambda m: m, tmp_path / "drive.ssp"))
     assert code == 0

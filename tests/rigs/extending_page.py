@@ -182,7 +182,7 @@ class Tree:
             },
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=900,
         )
 
     def _command(self, text: str) -> None:

@@ -63,7 +63,7 @@ def in_process_of(package: str, out: Path, *arguments: str) -> Array:
     """What this file as a program, see its end, leaves in a file. Shape (STEPS, n)."""
     needs(package)
     command = [sys.executable, __file__, package, str(out), *arguments]
-    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=900)
     assert result.returncode == 0, result.stdout + result.stderr
     values: Array = np.load(out)
     return values

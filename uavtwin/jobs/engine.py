@@ -143,6 +143,10 @@ AHEAD = 4
 """Jobs that are given to the cluster for each of its threads."""
 
 
+CONNECT_S = 10.0
+"""How long a scheduler may take to answer; those of a batch system start within seconds."""
+
+
 class DaskEngine:
     """The workers of a cluster; what a killed one was doing is done by another."""
 
@@ -162,7 +166,7 @@ class DaskEngine:
                 f"--engine dask: needs the package distributed: {install_command('dask')}."
             ) from error
         try:
-            self._client: Any = Client(scheduler, set_as_default=False, timeout=10)
+            self._client: Any = Client(scheduler, set_as_default=False, timeout=CONNECT_S)
         except (OSError, ValueError) as error:
             raise TwinError(f"--scheduler {scheduler}: no scheduler answers: {error}.") from error
         self._keys: list[str] = []

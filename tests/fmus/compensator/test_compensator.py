@@ -263,6 +263,7 @@ def test_the_first_sample_is_a_period_after_the_start(new: New, name: str) -> No
     assert one.get("correction.gyro_x") != 0
 
 
+@pytest.mark.slow
 def test_a_long_step_takes_every_sample(new: New) -> None:
     rows = rows_of(flight(model("track"), 1))
     fine, coarse = new("track").start(), new("track").start()

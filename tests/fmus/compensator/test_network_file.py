@@ -134,6 +134,7 @@ def test_texts_that_are_never_used_do_not_run_either(
     assert "owned" not in network_source(read_network(folder).content)
 
 
+@pytest.mark.slow
 def test_the_writers_refuse_as_well(trained: Path, tmp_path: Path) -> None:
     """Whoever comes past the reader meets the same wall at the C and at the XML."""
     network, marker = read_network(trained), tmp_path / "owned"
@@ -401,10 +402,10 @@ def infinite_attribute(model: onnx.ModelProto) -> None:
 )
 def test_graphs_out_of_bounds(read_changed: Reader, change: Change, words: str) -> None:
     """Soon, too: a state of 2^31 numbers was once listed number by number."""
-    start = time.monotonic()
+    start = time.process_time()
     with pytest.raises(FmuError, match=words):
         read_changed(change)
-    assert time.monotonic() - start < 5
+    assert time.process_time() - start < 5
 
 
 def test_a_consistent_graph_with_a_huge_state(

@@ -88,6 +88,7 @@ def column(component: Component, values: Array, name: str) -> Array:
     return values[:: round(PERIOD_S / STEP_S), component.output_names.index(name)]
 
 
+@pytest.mark.slow
 def test_ramp_sine_and_samples_against_the_exact_answer(component: Component) -> None:
     inputs = np.random.default_rng(0).standard_normal(2001)
     values = in_python(component, inputs)

@@ -60,6 +60,7 @@ def sizes(kind: str, here: Array) -> Array:
     return size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("kind", COMPONENTS)
 def test_against_central_differences(fmu_folder: Folder, kind: str, fmi: int) -> None:

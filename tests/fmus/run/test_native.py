@@ -75,6 +75,7 @@ def host(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["airframe-crazyflie", "replay"])
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_c_host_prints_the_bits_of_fmpy(

@@ -76,6 +76,7 @@ def test_versions_of_one_component_do_not_meet(tmp_path: Path) -> None:
     assert outputs(*reversed(folders)) == alone[::-1]
 
 
+@pytest.mark.slow
 @needs(Path("/proc/self/statm").exists(), "counts by /proc")
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_instances_leave_nothing_behind(fmu_folder: Callable[[str, int], Path], fmi: int) -> None:

@@ -63,6 +63,7 @@ tables = st.lists(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(tables, st.lists(st.integers(-40, 1200), min_size=1, max_size=20), st.sampled_from([2, 3]))
 def test_any_record_at_any_time(

@@ -124,6 +124,7 @@ def test_rollback_is_exact(
     instance.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("name", MAKERS)
 def test_descriptions_are_valid(name: str, fmi: int, archive: Callable[[str, int], Path]) -> None:

@@ -122,6 +122,7 @@ def test_run_slave_and_native_fmu_give_the_same_bits(
     assert np.ptp(expected, axis=0).any()
 
 
+@pytest.mark.slow
 def test_through_the_master(built: Callable[[str], Path], tmp_path: Path) -> None:
     """In a system with a native FMU."""
     body, sensor = airframe(VEHICLE), component("imu")

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
+import pytest
 from places import needs
 
 BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
@@ -49,6 +50,10 @@ class View:
 
 
 VIEWS = tuple(View(width, dark) for width in (1300, 412) for dark in (False, True))
+SOME_VIEWS = [
+    v if k in (0, 3) else pytest.param(v, marks=pytest.mark.long) for k, v in enumerate(VIEWS)
+]
+"""Both widths and both colours once; the other two combinations are `long`."""
 
 
 class Browser:

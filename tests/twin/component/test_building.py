@@ -4,6 +4,7 @@ import threading
 
 import casadi as ca
 import numpy as np
+import pytest
 
 from twin.component.along import BUILDING, Along
 
@@ -16,6 +17,7 @@ def step() -> ca.Function:
     return ca.Function("step", [x, u], [after])
 
 
+@pytest.mark.slow
 def test_threads_build_and_run_beside_each_other() -> None:
     """Building waits for building; evaluation goes on meanwhile."""
     u = np.random.default_rng(2).normal(size=(77, 2))

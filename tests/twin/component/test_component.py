@@ -117,6 +117,7 @@ def test_batch_equals_sample_by_sample(vehicle: str) -> None:
             np.testing.assert_array_equal(batch[:, k], one)
 
 
+@pytest.mark.slow
 @given(duration=st.floats(1e-4, 10.0), longest=st.floats(1e-3, 1.0))
 @settings(max_examples=200)
 def test_substeps_are_equal_and_short_enough(duration: float, longest: float) -> None:

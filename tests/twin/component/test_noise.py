@@ -1,6 +1,7 @@
 """Counter-based noise: distribution, independence, and draws that need no memory."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ndtri
@@ -11,6 +12,7 @@ from twin.component.component import normal, normal_of_bits
 COUNT = 200_000
 
 
+@pytest.mark.slow
 def test_draws_are_standard_normal() -> None:
     draws = normal(seed=1, stream=2, channels=3, first=0, count=COUNT)
     for channel in draws.T:

@@ -98,6 +98,7 @@ def test_turned_senses_name_both_fields(name: str) -> None:
         assert "rotors.position" not in text
 
 
+@pytest.mark.slow
 @given(st.sampled_from(list(FRAMES)), st.randoms(use_true_random=False))
 def test_rows_in_another_order_are_told(name: str, random: object) -> None:
     """Rows of both keys, or of the positions alone."""

@@ -140,6 +140,7 @@ def test_a_closed_loop_delays_commands_as_a_run_does(delay_s: float) -> None:
     assert states[-1, [s.name for s in body.states].index("vel_z")] < -0.05
 
 
+@pytest.mark.slow
 def test_a_delay_does_not_change_the_gains() -> None:
     """They are those of motors that get their commands at once."""
     late, base = having("copter_default", "command_delay"), load_vehicle("copter_default")

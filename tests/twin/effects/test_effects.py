@@ -144,6 +144,7 @@ def test_rotor_drag_that_attacks_above_the_hubs_lifts_the_nose() -> None:
     assert added["vel_x"] == pytest.approx(-1.2)
 
 
+@pytest.mark.slow
 def test_a_centre_of_mass_below_the_hubs_is_pulled_nose_up_by_their_drag() -> None:
     dragged = plain().with_effects({"rotor_drag": {"k_xy_1_s": 0.3, "k_z_1_s": 0.0}})
     forward = vec("vel", [4, 0, 0])
@@ -162,6 +163,7 @@ def test_parasitic_drag_slows_with_the_square_of_the_speed() -> None:
     assert [added[f"vel_{a}"] for a in "xyz"] == pytest.approx([-0.3, -0.4, 0.0])
 
 
+@pytest.mark.slow
 def test_wind_acts_through_drag_alone() -> None:
     still = having(plain(), "steady_wind", north_m_s=5.0)
     assert np.allclose(list(still.rates(still.state(), still.inputs()).values()), 0.0)
@@ -200,6 +202,7 @@ def test_ground_effect_lifts_and_fades_with_the_square_of_the_height() -> None:
     assert gained(0.01) == gained(0.1)
 
 
+@pytest.mark.slow
 def test_thrust_scale_and_curve() -> None:
     assert change(plain(), "thrust_scale", {}, scale=0.9)["vel_z"] == pytest.approx(0.980665)
     assert change(plain(), "thrust_curve", {}, slope=0.5)["vel_z"] == pytest.approx(0.0, abs=1e-12)
@@ -240,6 +243,7 @@ def test_a_lag_that_is_short_is_as_late_as_it_says(tau_s: float) -> None:
     assert thrust == pytest.approx(8.0 * (commands[-1] - slope * late_s), abs=8.0 * slope * 1e-5)
 
 
+@pytest.mark.slow
 def test_a_lag_of_the_file_can_be_shortened() -> None:
     vehicle = plain()
     tau = EFFECTS["motor_lag"].parameters[0].sized(vehicle)
@@ -293,6 +297,7 @@ def test_rotors_without_a_lag_twist_as_they_speed_up(at_speed: bool) -> None:
     assert runs[0] - runs[1] == pytest.approx(-0.01 * gained, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_controller_is_designed_for_settled_rotors() -> None:
     """Whatever torque they have on the way, and whether they have a lag."""
     for lag_s in (0.0, 0.04):
@@ -346,6 +351,7 @@ def test_tilted_thrust_keeps_its_size() -> None:
     assert np.linalg.norm(force) == pytest.approx(9.80665)
 
 
+@pytest.mark.slow
 def test_mass_centre_and_inertia() -> None:
     heavier = change(plain(), "mass_offset", {}, mass_kg=0.12)
     assert heavier["vel_z"] == pytest.approx(9.80665 * (1 - 1 / 1.1))

@@ -38,6 +38,7 @@ NOISE = {
 TIMELY = {"stuck_sensor": {"stuck_sensor.time_s": 0.02}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MAKERS)
 def test_a_sensor_with_all_effects_off_is_the_one_without_to_the_last_bit(name: str) -> None:
     full, bare = MAKERS[name](VEHICLE, EFFECTS), MAKERS[name](VEHICLE)

@@ -100,6 +100,7 @@ def test_what_no_such_number_can_be_only_acts_like_its_effect() -> None:
     assert naming.verdict in ("unnamed", "named")
 
 
+@pytest.mark.slow
 def test_a_number_at_its_edge_is_of_something_that_acts_like_its_effect() -> None:
     flight = fly(COPTER, COPTER, seed=3, name="flown", waypoints=LEGS)
     problem = against(flight, COPTER, "gyro_scale")

@@ -95,6 +95,7 @@ def test_a_constant_of_the_day_is_set_apart_and_nothing_else() -> None:
     assert without.on_its_day > 3 * without.noise_floor  # drag is no constant
 
 
+@pytest.mark.slow
 def test_the_mean_of_the_flights_that_were_fitted_is_a_baseline(flight: Flight) -> None:
     plain = compare_holdout([flight], COPTER, [], {}, means={"acc_x": 0.3})
     gaps = {g.name: g for g in plain.gaps}
@@ -103,6 +104,7 @@ def test_the_mean_of_the_flights_that_were_fitted_is_a_baseline(flight: Flight) 
     assert gaps["acc_y"].fit_mean is None
 
 
+@pytest.mark.slow
 def test_a_wrong_number_makes_channels_worse_and_that_is_said_first(flight: Flight) -> None:
     wrong = compare_holdout([flight], COPTER, ["mass_offset"], {"mass_offset.mass_kg": 0.2})
     assert wrong.gaps[0].name == "acc_z"
@@ -127,6 +129,7 @@ def test_the_interval_of_the_shrink_is_that_of_the_blocks() -> None:
     assert not gap.worse
 
 
+@pytest.mark.slow
 def test_an_effect_acts_where_it_is_felt(shown: Comparison) -> None:
     acts = attribute_effect("rotor_drag", shown.model, VALUES, shown.after)
     assert set(acts.channels) == {"acc_x", "acc_y"}

@@ -75,7 +75,7 @@ def few_of(effects: list[str], every: int) -> list[Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "effect", few_of([e.name for e in candidates([blank()]) if e.name not in DAILY], 10)
+    "effect", few_of([e.name for e in candidates([blank()]) if e.name not in DAILY], 20)
 )
 def test_an_effect_is_the_best_single_explanation_of_itself(effect: str) -> None:
     problem = problem_of(flown(effect))

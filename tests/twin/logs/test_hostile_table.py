@@ -44,11 +44,11 @@ def parquet(table: pa.Table) -> bytes:
 def read(folder: Path, blob: bytes) -> Flight:
     path = folder / "flight"
     path.write_bytes(blob)
-    start = time.perf_counter()
+    start = time.process_time()
     try:
         return read_flight(path)
     finally:
-        assert time.perf_counter() - start < 5.0
+        assert time.process_time() - start < 5.0
 
 
 def test_a_table_too_large_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:

@@ -130,6 +130,7 @@ def test_evaluation_completes_it_with_the_numbers_of_its_json(folder: Path, tmp_
     assert "acc:" not in limits and "Nothing is known yet" not in limits
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "license"),
     [

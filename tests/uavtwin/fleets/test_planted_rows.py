@@ -32,6 +32,7 @@ def result(folder: Path) -> FleetResult:
     return result_of(folder, "copter_default")
 
 
+@pytest.mark.slow
 def test_what_is_planted_is_told_and_nothing_else(result: FleetResult) -> None:
     assert {(d.aircraft, d.number) for d in result.differing} >= {(HEAVY, "carried")}
     assert {d.aircraft for d in result.differing} <= {HEAVY, WORN}
@@ -55,6 +56,7 @@ def few(folder: Path, keep: tuple[str, ...], carried: float = 1.0) -> FleetResul
     return result_of(folder, "copter_default")
 
 
+@pytest.mark.slow
 def test_nothing_compared_is_never_none(tmp_path: Path) -> None:
     """Of three aircraft nothing can be compared: no sentence says that none differs."""
     three = few(tmp_path, ("A01", "A02", "A03"))
@@ -91,6 +93,7 @@ def test_four_aircraft_of_which_no_number_is_known_are_not_compared(tmp_path: Pa
     assert "no number is known of 4 aircraft" in found.claim
 
 
+@pytest.mark.slow
 def test_every_aircraft_and_every_log_has_a_row(result: FleetResult, tmp_path: Path) -> None:
     assert [r.name for r in result.rows] == [f"A{k:02d}" for k in range(1, AIRCRAFT + 1)]
     assert {r.flights for r in result.rows} == {FLIGHTS}
@@ -108,6 +111,7 @@ def test_every_aircraft_and_every_log_has_a_row(result: FleetResult, tmp_path: P
     assert [r["aircraft"] for r in three.json()["overview"]] == ["A01", "A02", "A03"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("carried", "fits"), [(1.14, True), (0.86, True), (1.2, False), (0.7, False)]
 )
@@ -119,6 +123,7 @@ def test_a_file_that_does_not_fit_is_a_finding(tmp_path: Path, carried: float, f
         assert f"A01: in hover the thrust of copter_default is {100 * carried:.0f} %" in str(found)
 
 
+@pytest.mark.slow
 def test_of_a_fleet_without_a_plant_nothing_is_told(tmp_path: Path) -> None:
     silent = result_of(made_fleet(tmp_path, planted=False), "copter_default")
     assert not silent.differing
@@ -164,6 +169,7 @@ def test_tables_say_units_and_are_as_documented(folder: Path) -> None:
             assert f"| `{c.name}` |" in page
 
 
+@pytest.mark.slow
 def test_a_query_joins_tables(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sql = (
         "select aircraft, count(*) as n, avg(carried) as c from flights join effects using "

@@ -36,6 +36,7 @@ def test_a_resistance_is_found_under_a_falling_voltage() -> None:
     assert battery_resistance(made(time=t, vbat_v=volts)) is None
 
 
+@pytest.mark.slow
 def test_a_bias_is_found_while_the_aircraft_turns() -> None:
     """About an axis that moves itself; the attitude is integrated in steps of a millisecond."""
     t = np.arange(0.0, 30.0, 0.001)

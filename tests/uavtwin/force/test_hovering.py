@@ -30,6 +30,7 @@ def test_a_twin_hovers_as_the_aircraft_of_its_numbers() -> None:
     assert same.tilt < 0.02 and twin.tilt < 0.02 and same.velocity < 0.2
 
 
+@pytest.mark.slow
 def test_a_flight_that_never_hovers_is_compared_with_nothing() -> None:
     legs: Waypoints = (*UP[:2], ("tour", 3.0, (3.0, 0.0, -2.0)))
     flight = fly(COPTER, COPTER, 1, "tour", legs)

@@ -78,6 +78,7 @@ def test_what_loses_missions_is_withdrawn_and_what_does_not_stays(
     assert 0 < found.closed_loop.lost <= found.closed_loop.flights == FLIGHTS
 
 
+@pytest.mark.slow
 def test_no_law_has_nothing_to_fly(empty: ForceLaw, memory: Memory) -> None:
     none = _model(empty)
     found = flyable(
@@ -90,6 +91,7 @@ def test_no_law_has_nothing_to_fly(empty: ForceLaw, memory: Memory) -> None:
     assert found.closed_loop == MissionCheck.nothing()
 
 
+@pytest.mark.slow
 def test_a_drag_is_felt_in_the_wind_and_not_without_the_law(empty: ForceLaw) -> None:
     """Both flights of a pair are in the same air: a law that says nothing changes no bit."""
     air = random_air(1, 3)

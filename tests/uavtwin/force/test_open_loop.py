@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from cosim.whole_twin import fused_model
 from fmus import build
@@ -21,6 +22,7 @@ ABOVE_M = 0.3
 SLOW = Observer(lag_s=1.0, fade_s=1.0)
 
 
+@pytest.mark.slow
 def test_what_carries_an_aircraft_on_the_ground_is_no_disturbance(tmp_path: Path) -> None:
     """A log counts its heights from somewhere; on its ground the twin would fall.
 

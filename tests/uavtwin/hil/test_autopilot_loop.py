@@ -171,6 +171,7 @@ def test_places_are_those_of_the_ellipsoid() -> None:
         np.testing.assert_allclose(ned_of_geodetic(place.tolist()), off, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_motors_that_are_not_armed_stand_still(copter: Vehicle, twin: FlyingTwin) -> None:
     session = HilSession(copter, twin, HilOptions(ANY_PORT))
     asked = (0.5, float("nan"), 1.2, -0.1)

@@ -39,6 +39,7 @@ def test_a_compensator_corrects_the_readings_and_not_the_motion(tmp_path: Path) 
     np.testing.assert_allclose(off, correction, rtol=0, atol=16 * 2.0**-24)  # sums in float32
 
 
+@pytest.mark.slow
 def test_a_compensator_that_sees_measurements_has_none_here(tmp_path: Path) -> None:
     model = compensator(tiny(), "track", vehicle=VEHICLE)
     network = read_compensator(exported(model, tmp_path / "model"))

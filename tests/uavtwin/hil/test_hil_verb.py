@@ -86,6 +86,7 @@ def test_an_autopilot_that_goes_silent_ends_the_flight(copter: Vehicle, twin: Fl
     assert "has not answered for 0.5 s" in status.ended and "of the flight" in status.ended
 
 
+@pytest.mark.slow
 def test_a_connection_that_is_lost_ends_the_flight(copter: Vehicle, twin: FlyingTwin) -> None:
     def hang_up(controls: Controls) -> Controls:
         if controls.t_us >= 400_000:

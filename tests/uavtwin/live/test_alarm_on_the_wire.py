@@ -42,9 +42,9 @@ def test_a_rotor_that_gets_weak_is_named_within_seconds(tmp_path: Path) -> None:
             ],
             check=True,
             capture_output=True,
-            timeout=200,
+            timeout=900,
         )
-        out, _ = listening.communicate(timeout=200)
+        out, _ = listening.communicate(timeout=900)
     finally:
         listening.kill()
     (alarm,) = json.loads(out)["alarms"]

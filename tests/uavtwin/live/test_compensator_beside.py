@@ -105,6 +105,7 @@ def test_the_score_is_a_number_on_the_ground_station() -> None:
     assert (heard[1].name, heard[1].value) == ("anomaly", 1.25)
 
 
+@pytest.mark.slow
 def test_a_compensator_of_another_vehicle_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -113,6 +114,7 @@ def test_a_compensator_of_another_vehicle_is_refused(
     assert code == 2 and "corrects the twin of copter_default" in err.replace("\n", " ")
 
 
+@pytest.mark.slow
 def test_nothing_is_said_on_the_ground(tmp_path: Path) -> None:
     vehicle = load_vehicle(VEHICLE)
     with (

@@ -67,6 +67,7 @@ def test_live_used_wrongly(
     assert code == 2 and said in err.replace("\n", " ")
 
 
+@pytest.mark.slow
 def test_nothing_is_heard(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, err = run(
         capsys,

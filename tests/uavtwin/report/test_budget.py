@@ -118,6 +118,7 @@ def test_a_page_is_drawn_finer_until_it_is_full() -> None:
     assert fitted(lambda _: "x" * 2_000_000) == "x" * 2_000_000
 
 
+@pytest.mark.slow
 @given(st.lists(st.one_of(st.floats(-1e9, 1e9), st.just(float("nan"))), max_size=50), st.booleans())
 def test_packed_numbers_are_as_exact_as_a_screen(values: list[float], log: bool) -> None:
     """To a part in 65,000 of what they span, or to single precision."""

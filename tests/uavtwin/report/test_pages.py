@@ -6,7 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from page_rigs.browser import VIEWS, Browser, View, browser, faults, needs_browser, pictures
+from page_rigs.browser import (
+    SOME_VIEWS,
+    VIEWS,
+    Browser,
+    View,
+    browser,
+    faults,
+    needs_browser,
+    pictures,
+)
 from page_rigs.circle import gap_of, recorded
 
 from cosim.recording import Recording
@@ -34,7 +43,8 @@ def gap_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("view", VIEWS, ids=str)
+@pytest.mark.slow
+@pytest.mark.parametrize("view", SOME_VIEWS, ids=str)
 def test_gap_page_is_fine_to_look_at(
     opened: Browser, gap_page: Path, view: View, tmp_path: Path
 ) -> None:
@@ -42,7 +52,7 @@ def test_gap_page_is_fine_to_look_at(
     assert gap_page.stat().st_size < PAGE_BYTES
 
 
-@pytest.mark.parametrize("view", [VIEWS[0], VIEWS[3]], ids=str)
+@pytest.mark.parametrize("view", SOME_VIEWS, ids=str)
 def test_page_of_a_simulation_is_fine_to_look_at(
     opened: Browser, view: View, tmp_path: Path
 ) -> None:

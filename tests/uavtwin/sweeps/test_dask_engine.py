@@ -59,7 +59,10 @@ def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(
         assert (tmp_path / "there" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
 
 
-def test_a_scheduler_that_does_not_answer_is_named(tmp_path: Path) -> None:
+def test_a_scheduler_that_does_not_answer_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uavtwin.jobs.engine.CONNECT_S", 1.0)
     with pytest.raises(TwinError, match="give --scheduler"):
         swept(tmp_path / "a", engine="dask")
     with pytest.raises(TwinError, match="no scheduler answers"):

@@ -32,6 +32,7 @@ def problem() -> Problem:
     return problem_of(model_of(flights, COPTER, effects))
 
 
+@pytest.mark.slow
 def test_a_model_on_its_days_is_each_flight_with_its_numbers() -> None:
     model, shared = problem().model, {X: 0.1, "thrust_scale.scale": 0.9}
     days: tuple[dict[str, float], ...] = ({X: 0.2}, {}, {X: -0.1, Z: 0.3})

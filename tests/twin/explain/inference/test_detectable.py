@@ -48,6 +48,7 @@ def test_the_critical_size_is_where_the_bayes_factor_reaches_the_threshold(
         assert log_bayes(1.01 * size, *variances) > needed
 
 
+@pytest.mark.slow
 def test_95_of_100_draws_of_a_detectable_effect_are_named() -> None:
     rng, noise, there, needed = np.random.default_rng(0), 0.02, 0.3, 4.0
     size = critical_size(noise**2, 0.0, 0.0, there**2, needed) + POWER_95 * noise

@@ -229,6 +229,7 @@ def test_no_direction_is_better_than_the_best_inside_ranges(seed: int, m: int) -
     assert np.all((down >= -scale) | np.isclose(x, low, rtol=1e-9, atol=0))
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10_000), st.integers(1, 8), st.integers(0, 3))
 def test_a_curvature_is_factored_whatever_its_units_and_its_rank(
     seed: int, m: int, lost: int

@@ -59,6 +59,7 @@ def late(flight: Flight, columns: list[str], rows: int) -> Flight:
     return replace(flight, table=table)
 
 
+@pytest.mark.slow
 def test_age_of_position_and_of_attitude_are_told_apart(quiet: Flight) -> None:
     """The table has 200 rows a second: ten rows are 50 ms."""
     place = [f"{stem}_{a}" for stem in ("pos", "vel") for a in "xyz"]
@@ -91,6 +92,7 @@ def test_a_delay_that_the_file_has_already_is_not_counted_twice() -> None:
         assert fitted.values["command_delay.delay_s"] == pytest.approx(true, abs=4e-3)
 
 
+@pytest.mark.slow
 def test_noise_of_the_pose_is_not_damped_by_a_scale(quiet: Flight) -> None:
     table, rng = quiet.table.copy(), np.random.default_rng(0)
     for a in "xyz":
@@ -135,6 +137,7 @@ def test_an_aircraft_that_nobody_has_calibrated_lacks_more_than_three_effects() 
     assert any(e.startswith("mag_") for e in naming.best.effects)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", [0.15, 0.3])
 def test_a_weak_rotor_is_found_where_others_stand_in_for_it(loss: float) -> None:
     """It loses no torque, which no step from none lost can tell: a linear one rules it out."""
@@ -145,6 +148,7 @@ def test_a_weak_rotor_is_found_where_others_stand_in_for_it(loss: float) -> None
     assert found.state.effects == ("rotor_efficiency_loss:2",)
 
 
+@pytest.mark.slow
 def test_a_weak_rotor_is_found_beside_another_centre_of_mass() -> None:
     """A smaller thrust and a centre of mass that is moved a little more say nearly the same."""
     moved = {"x_m": 0.1 * CRAZYFLIE.arm_m, "y_m": -0.06 * CRAZYFLIE.arm_m, "z_m": 0.0}
@@ -326,6 +330,7 @@ def named_of(
     return _named(problem, SearchResult(state, laplace, {}), posterior, DEFAULT.inference)
 
 
+@pytest.mark.slow
 def test_sets_that_differ_by_what_is_no_name_count_as_one(quiet: Flight) -> None:
     """Three sets: a bias; the same with a delay of 1 ms; the delay alone."""
     naming = named_of(
@@ -344,6 +349,7 @@ def test_sets_that_differ_by_what_is_no_name_count_as_one(quiet: Flight) -> None
     assert shown["imu_delay.delay_s"] == pytest.approx(0.5 * 0.001)
 
 
+@pytest.mark.slow
 def test_the_most_probable_set_may_hold_what_is_unlikely_and_small(quiet: Flight) -> None:
     """A bias of which the mean over all sets is worth no name."""
     (number,) = (
@@ -392,6 +398,7 @@ def test_a_share_may_be_none_or_all() -> None:
         assert not list(edges(numbers, values | {"rotor_drag.spin_share": share}, COPTER))
 
 
+@pytest.mark.slow
 def test_what_something_acts_like_is_never_named(quiet: Flight) -> None:
     sets, chances = [hypothesis("a", "b"), hypothesis("a")], [0.95, 0.05]
     both = weighed(quiet, sets, chances, {})
@@ -402,12 +409,14 @@ def test_what_something_acts_like_is_never_named(quiet: Flight) -> None:
     assert (none.verdict, none.named, none.undecided) == ("unnamed", (), ())
 
 
+@pytest.mark.slow
 def test_nothing_is_said_where_nothing_is_likely_enough(quiet: Flight) -> None:
     sets = [hypothesis(), hypothesis("a")]
     assert weighed(quiet, sets, [0.9, 0.1], {}).verdict == "nothing"
     assert weighed(quiet, sets, [0.6, 0.4], {}).verdict == "cannot_tell"
 
 
+@pytest.mark.slow
 def test_settings_decide_from_when_on_a_name_is_given(quiet: Flight) -> None:
     naming = weighed(quiet, [hypothesis("a"), hypothesis()], [0.85, 0.15], {})
     strict = DEFAULT.with_values({"inference.selection.sure": 0.9}).inference.selection
@@ -415,6 +424,7 @@ def test_settings_decide_from_when_on_a_name_is_given(quiet: Flight) -> None:
     assert replace(naming, settings=strict).verdict == "cannot_tell"
 
 
+@pytest.mark.slow
 def test_one_tie_does_not_take_away_a_name_that_is_sure(quiet: Flight) -> None:
     ab, ac, bc = (hypothesis(*pair) for pair in ("ab", "ac", "bc"))
     sure = dict.fromkeys("abc", 0.95)

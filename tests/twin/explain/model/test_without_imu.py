@@ -168,6 +168,7 @@ def test_an_old_pose_is_an_age_of_position_and_attitude(same: Flight) -> None:
             assert off <= 0.15 * np.sqrt(np.mean(slope**2)) + 1e-9, (a.name, model.numbers[i].full)
 
 
+@pytest.mark.slow
 def test_a_pose_that_is_compared_is_held_out(same: Flight) -> None:
     flight = without(same, *OF_IMU)
     spans = [(4.0, 6.0)]

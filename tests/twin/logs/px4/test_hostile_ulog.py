@@ -77,10 +77,10 @@ def test_formats_nested_fifty_deep_are_refused_at_once(tmp_path: Path, leaf: str
     formats = b"".join(ulog_message(b"F", t.encode()) for t in [*nest, f"f50:{leaf}"])
     added = ulog_message(b"A", struct.pack("<BH", 0, 99) + b"f0")
     blob = changed("sensor_combined")
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(LogError, match=r"format 'f\d+' has over 65535 fields"):
         read(tmp_path, blob[:DEFINITIONS] + formats + blob[DEFINITIONS:] + added)
-    assert time.perf_counter() - start < 5.0
+    assert time.process_time() - start < 5.0
 
 
 def test_a_format_within_itself_and_endless_subscriptions_are_refused(tmp_path: Path) -> None:
