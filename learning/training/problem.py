@@ -225,6 +225,6 @@ def _mean_square(errors: Sequence[Array], scored: Sequence[BoolArray]) -> Array:
     return np.asarray(np.sum(error**2, axis=0, where=count) / np.maximum(count.sum(0), 1))
 
 
-def _some(n: int, most: int = 100_000) -> slice:
-    """Every k-th sample, so that at most so many are sorted."""
-    return slice(0, n, -(-n // most))
+def _some(n: int) -> slice:
+    """Every k-th sample, so that at most 100,000 are sorted."""
+    return slice(0, n, -(-n // 100_000))

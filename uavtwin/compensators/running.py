@@ -49,47 +49,66 @@ class CompiledCompensator:
         correction = np.zeros((len(flight.t_s), n))
         spread = np.tile(np.array(network.uncorrected_rms), (len(flight.t_s), 1))
         anomaly, inside = np.zeros(len(flight.t_s)), np.zeros(len(flight.t_s), dtype=np.bool_)
-        names, table = fed(network, flight)
-        reads, period = outputs_of(network), 1 / flight.rate_hz
-        slave = Slave("compensator", self.fmu)
+        table, stepping = fed(network, flight), Stepping(self.fmu, network)
         try:
-            sent, received = np.zeros(len(names)), np.zeros(len(reads))
-            slave.bind(names, reads, sent, received)
             for a, b in flight.spans:
-                slave.initialize(0.0, {})
-                slave.finish_initialization()
-                for row in range(a, b):
-                    slave.inputs[:] = table[row]
-                    slave.write_inputs()
-                    slave.step((row - a) * period, period)
-                    slave.read_outputs()
-                    correction[row], spread[row] = np.split(slave.outputs[: 2 * n], 2)
-                    anomaly[row], inside[row] = slave.outputs[2 * n], slave.outputs[-1] > 0
-                slave.reset()
+                stepping.begin()
+                said = np.array([stepping.step(row) for row in table[a:b]])
+                correction[a:b], spread[a:b] = said[:, :n], said[:, n : 2 * n]
+                anomaly[a:b], inside[a:b] = said[:, 2 * n], said[:, -1] > 0
         finally:
-            slave.close()
+            stepping.close()
         return Corrected(correction, spread, anomaly, inside)
 
 
-def fed(network: NetworkFile, flight: ResidualFlight | None) -> tuple[list[str], Array]:
-    """Inputs of a compensator's FMU, and their values along a flight, shape (n, inputs).
+class Stepping:
+    """A compensator's FMU, a sample after the other; `close` frees it."""
 
-    Args:
-        network: The compensator.
-        flight: None: the names alone.
-    """
+    def __init__(self, fmu: Path, network: NetworkFile) -> None:
+        """Load it; `begin` comes next."""
+        names, reads = inputs_of(network), outputs_of(network)
+        self._period_s, self._row = 1 / network.rate_hz, 0
+        self._slave = Slave("compensator", fmu)
+        self._slave.bind(names, reads, np.zeros(len(names)), np.zeros(len(reads)))
+
+    def begin(self) -> None:
+        """From the state zero."""
+        self._slave.reset()
+        self._slave.initialize(0.0, {})
+        self._slave.finish_initialization()
+        self._row = 0
+
+    def step(self, given: Array) -> Array:
+        """Outputs, as `outputs_of`, after a sample of inputs, as `inputs_of`."""
+        self._slave.inputs[:] = given
+        self._slave.write_inputs()
+        self._slave.step(self._row * self._period_s, self._period_s)
+        self._slave.read_outputs()
+        self._row += 1
+        return self._slave.outputs.copy()
+
+    def close(self) -> None:
+        """Free the FMU."""
+        self._slave.close()
+
+
+def inputs_of(network: NetworkFile) -> list[str]:
+    """Inputs of a compensator's FMU."""
     names = [*network.channels, *network.commands, "phase"]
     if network.sees_measurements:
         names += [f"measured.{c}" for c in network.channels]
         names += [f"valid.{g}" for g in network.groups]
-    if flight is None:
-        return names, np.zeros((0, len(names)))
+    return names
+
+
+def fed(network: NetworkFile, flight: ResidualFlight) -> Array:
+    """`inputs_of` a compensator along a flight, shape (n, inputs)."""
     known = np.isfinite(flight.virtual).any(axis=0)  # a twin reads the others, too
     given = [np.where(known, flight.virtual, 0.0), flight.commands, flight.phase[:, None]]
     if network.sees_measurements:
         first = [network.group_of_channel.index(g) for g in range(len(network.groups))]
         given += [flight.virtual + flight.residual, flight.fresh[:, first]]
-    return names, np.hstack(given).astype(np.float64)
+    return np.hstack(given).astype(np.float64)
 
 
 def outputs_of(network: NetworkFile) -> list[str]:
@@ -161,15 +180,13 @@ class RunningCompensator:
             network.horizon,
             network.rate_hz,
         )
-        self._slave = Slave("compensator", fmu)
-        names, reads, _ = self._table(None)
-        self._slave.bind(names, reads, np.zeros(len(names)), np.zeros(len(reads)))
+        self._stepping = Stepping(fmu, network)
         self.begin()
 
     def begin(self) -> None:
         """A new flight."""
         self._until_s = self._last_s = -np.inf
-        self._row = self._rows = self._unusual = self._inside = 0
+        self._rows = self._unusual = self._inside = 0
         n = len(self.network.channels)
         self._samples, self._before, self._after = np.zeros(n), np.zeros(n), np.zeros(n)
         self.status = ModelStatus(self.horizon_s)
@@ -238,27 +255,16 @@ class RunningCompensator:
     def _stepped(self, seen: ResidualFlight, rows: NDArray[np.intp]) -> Correction:
         """Step it over rows, from zero where they do not follow on the row before."""
         period_s, n = 1 / self.network.rate_hz, len(self.network.channels)
-        _, _, table = self._table(seen)
-        said = np.zeros((len(rows), len(self._slave.outputs)))
-        for i, k in enumerate(rows):
+        table, said = fed(self.network, seen), []
+        for k in rows:
             if abs(seen.t_s[k] - self._last_s - period_s) > 0.1 * period_s:
-                self._slave.reset()
-                self._slave.initialize(0.0, {})
-                self._slave.finish_initialization()
-                self._row = 0
-            self._slave.inputs[:] = table[k]
-            self._slave.write_inputs()
-            self._slave.step(self._row * period_s, period_s)
-            self._slave.read_outputs()
-            said[i] = self._slave.outputs
-            self._row, self._last_s = self._row + 1, float(seen.t_s[k])
+                self._stepping.begin()
+            said.append(self._stepping.step(table[k]))
+            self._last_s = float(seen.t_s[k])
+        shown = np.array(said)
         residual = np.where(seen.fresh[rows], seen.residual[rows], np.nan)
-        return Correction(seen.t_s[rows], residual, said[:, :n], said[:, 2 * n], said[:, -1] > 0)
-
-    def _table(self, seen: ResidualFlight | None) -> tuple[list[str], list[str], Array]:
-        names, table = fed(self.network, seen)
-        return names, outputs_of(self.network), table
+        return Correction(seen.t_s[rows], residual, shown[:, :n], shown[:, 2 * n], shown[:, -1] > 0)
 
     def close(self) -> None:
         """Free the FMU."""
-        self._slave.close()
+        self._stepping.close()

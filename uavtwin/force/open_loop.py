@@ -6,7 +6,7 @@ what carries it there would be taken for a disturbance. Every `EVERY_S` its stat
 on the recorded commands alone for the longest horizon, and is taken back.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
@@ -120,7 +120,6 @@ class Replay:
         fmu: Path,
         starts: Mapping[str, float] | None = None,
         watch: Sequence[str] = (),
-        progress: Callable[[float], None] = lambda _: None,
     ) -> OpenLoop:
         """Replay it.
 
@@ -128,7 +127,6 @@ class Replay:
             fmu: Of `export corrected-twin --drive`.
             starts: Start values of the FMU.
             watch: Other outputs to be kept at the horizons.
-            progress: Called with the share done.
         """
         reads = (*(PREFIX + s for s in RIGID), *watch)
         sent, received = np.zeros(len(self._names)), np.zeros(len(reads))
@@ -143,7 +141,6 @@ class Replay:
                     slave.save(state)
                     found.append(self._alone(slave, row))
                     slave.restore(state)
-                    progress(len(found) / len(due))
                 self._step(slave, row, 1, follow=True)
         finally:
             slave.close()
