@@ -395,7 +395,7 @@ class VibrationSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class SlowForceSettings(Group):
-    """Of `twin.explain.stochastic.gust`."""
+    """Of `twin.explain.stochastic.search`."""
 
     band_hz: tuple[float, float] = setting(
         (0.1, 3.0), "Hz", "the slow part of the accelerometer residuals", "made up", 5.0
@@ -428,7 +428,7 @@ class SlowForceSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class GustSettings(Group):
-    """Of `twin.explain.stochastic.gust`."""
+    """Of `twin.explain.stochastic.search`."""
 
     slope_bands_hz: tuple[tuple[float, float], ...] = setting(
         ((0.15, 0.35), (0.4, 0.8), (0.8, 1.5), (1.5, 3.0)),

@@ -35,7 +35,7 @@ LOCAL = {
     "channels, by definition or chosen from the table of sensors": {
         "model.factors.SHARE_OF_RATE",
         "holdout.READINGS",
-        "stochastic.gust.SLOW_HZ",
+        "stochastic.search.SLOW_HZ",
         "stochastic.search.PLACEHOLDERS",
     },
     "steps, tries and tolerances of a solver": {
@@ -79,8 +79,8 @@ LOCAL = {
         "design.SHAPE_STEP",
         "inference.sparse_regression.RIDGE",
         "unnamed.FINER",
-        "stochastic.gust.RIDGES",
-        "stochastic.gust.NO_NOISE",
+        "stochastic.search.RIDGES",
+        "stochastic.search.NO_NOISE",
         "running.detector.RECENT",
     },
     "what is believed before any flight, besides the table of priors": {
@@ -102,8 +102,8 @@ LOCAL = {
         "inference.search.EXCHANGED",
         "estimates.UNDETERMINED",
         "estimates.MOST_OF_PRIOR",
-        "stochastic.gust.LAG_S",
-        "stochastic.gust.SMALLEST_DRAG_1_S",
+        "stochastic.search.LAG_S",
+        "stochastic.search.SMALLEST_DRAG_1_S",
     },
     "where the part of a long flight that is read may begin": {"usable.BLOCK_S"},
     "how many columns are held in memory at a time": {"model.model.SLOPES_AT_ONCE"},

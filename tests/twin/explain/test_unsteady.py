@@ -17,10 +17,10 @@ from twin.effects.sensors import SENSOR_NOISE_LEVEL, STUCK_SENSOR, VIBRATION
 from twin.explain.model.model import FlightModel, Model
 from twin.explain.model.numbers import numbers_of
 from twin.explain.model.prediction import Physics
-from twin.explain.stochastic.gust import pieces_in_common
 from twin.explain.stochastic.imu_noise import find_noise_level, find_vibration
 from twin.explain.stochastic.search import (
     find_stochastic,
+    pieces_in_common,
     stuck_channels,
     stuck_numbers,
     without_stuck,

@@ -14,25 +14,36 @@ Noise alone changes the last bit of a reading at nearly every sample. A reading 
 for a long time is stuck, unless there is another reason for it: nothing moves, the sensor is slower
 than the table, its last bit is coarse, or the column was never measured. Each of these also shows
 in the other axes of the sensor, or in the reading at other times.
+
+Gusts are looked for in the low-frequency part of the accelerometer residuals, less what a smooth
+function of the measured motion explains.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
 
 from ...effects import EFFECTS, Effect, Lines, NoiseFloor, RandomForce, Repeats
+from ...effects.stages import Air
+from ...frames import to_body
 from ...logs import Flight
+from ...logs.columns import ACC
 from ...physics.sensors.table import BODY, SENSORS
+from ...residuals.aligned import AlignedFlight
+from ...residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
 from ...vehicle import GRAVITY_M_S2
 from ..model.model import Model
-from ..settings import DEFAULT, StochasticSettings, StuckSettings
-from .gust import find_gust
+from ..model.numbers import columns_of
+from ..settings import DEFAULT, SlowForceSettings, StochasticSettings, StuckSettings
 from .imu_noise import find_noise_level, find_vibration
-from .spectral import StochasticEffect, prior_log_odds
+from .spectral import Piece, StochasticEffect, cells_of, level, prior_log_odds
 
 Array = NDArray[np.float64]
+
 PLACEHOLDERS = (0.0, GRAVITY_M_S2, 9.81, 9.8)
 """Magnitudes that fill columns of what was never measured."""
 
@@ -257,3 +268,313 @@ def find_stuck(
         for e in EFFECTS.values()
         if isinstance(e.observable_as, Repeats)
     ]
+
+
+# -- gusts -----------------------------------------------------------------------------------
+
+
+SLOW_HZ = 10.0
+"""Rate of the slow part."""
+LAG_S = 0.2
+"""Over which the force is correlated with itself for its time constant, s; by judgement."""
+SMALLEST_DRAG_1_S = 0.02
+"""Below it a model has no drag to speak of, through which a gust could act, 1/s; a twelfth of the
+usual one."""
+RIDGES = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
+"""Variance of a coefficient's prior in units of noise over one sample, tried in turn."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slow:
+    """Slow part of the accelerometer residuals of one piece of flight.
+
+    Attributes:
+        t_s: Shape (n,), at `SLOW_HZ`.
+        residual: m/s2, shape (n, 3).
+        features: What may explain it, per axis, shape (n, 3, k).
+        drag: Answer to north, east and down wind, 1/s, shape (n, 3, 3); empty without any.
+        speed_m_s: Of the vehicle, shape (n,).
+        floor: Density of the white floor per axis, (m/s2)^2/Hz, shape (3,).
+    """
+
+    t_s: Array
+    residual: Array
+    features: Array
+    drag: Array
+    speed_m_s: Array
+    floor: Array
+
+
+def slow_parts(
+    aligned: AlignedFlight,
+    channels: Sequence[ChannelData],
+    winds: Sequence[int],
+    settings: SlowForceSettings = DEFAULT.stochastic.slow_force,
+) -> list[Slow]:
+    """Slow parts of one flight.
+
+    Args:
+        twin: The flight on its grid.
+        channels: Its channels, with slopes.
+        winds: Columns of the slopes that answer to the steady wind: north, east, down.
+        settings: Which part is slow.
+    """
+    acc = [c for c in channels if c.name in ACC]
+    motion = aligned.motion
+    if len(acc) < 3 or motion.velocity is None or motion.attitude is None:
+        return []
+    found = []
+    every = round(CHANNEL_HZ / SLOW_HZ)
+    sos = butter(2, settings.band_hz, "bandpass", fs=CHANNEL_HZ, output="sos")
+    spin, force = aligned.predicted("spin_", "specific_force_")
+    for t in pieces_in_common(acc):
+        if len(t) < (settings.window_s + 1) * CHANNEL_HZ:
+            continue
+        rows = [np.searchsorted(c.t_s, t) for c in acc]
+        residual = np.stack([c.residual[k] for c, k in zip(acc, rows, strict=True)], axis=-1)
+        slopes = np.stack(
+            [c.slopes[k] for c, k in zip(acc, rows, strict=True)], axis=1
+        )  # (n, 3, k)
+        at = np.rint((t - aligned.inputs.t_s[0]) * GRID_HZ).astype(np.intp)
+        curves = _curves(aligned, at, spin, force)  # (n, c)
+        features = np.concatenate([slopes, np.repeat(curves[:, None, :], 3, axis=1)], axis=2)
+        speed = np.linalg.norm(motion.velocity.at(t), axis=1)
+        found.append(
+            Slow(
+                t[::every],
+                sosfiltfilt(sos, residual, axis=0)[::every],
+                sosfiltfilt(sos, features, axis=0)[::every],
+                slopes[::every][:, :, list(winds)],
+                speed[::every],
+                _floor(t, residual, settings),
+            )
+        )
+    return found
+
+
+def pieces_in_common(channels: Sequence[ChannelData]) -> list[Array]:
+    """Times of uninterrupted pieces that all of these channels have: each may lack its own."""
+    t = reduce(np.intersect1d, [c.t_s for c in channels])
+    return np.split(t, np.flatnonzero(np.diff(t) > 1.5 / CHANNEL_HZ) + 1)
+
+
+def _curves(aligned: AlignedFlight, at: NDArray[np.intp], spin: Array, force: Array) -> Array:
+    """Speed, thrust and turning, and products of them, shape (n, c)."""
+    assert aligned.motion.velocity is not None
+    column = {s.name: i for i, s in enumerate(aligned.airframe.states)}
+    q, v, w = (
+        aligned.states[at][:, [column[n] for n in names]]
+        for names in (
+            [f"q_{a}" for a in "wxyz"],
+            [f"vel_{a}" for a in "xyz"],
+            [f"omega_{a}" for a in "xyz"],
+        )
+    )
+    body = np.stack(to_body(list(q.T), list(v.T)), axis=-1)
+    size = np.linalg.norm(body, axis=1, keepdims=True)
+    thrust = force[at][:, 2:]
+    load = spin[at] ** 2
+    height = np.exp(aligned.states[at][:, [column["pos_z"]]])
+    return np.concatenate(
+        [
+            body,
+            np.abs(body),
+            size * body,
+            size**2 * body,
+            thrust * body,
+            load,
+            w,
+            np.abs(w),
+            body * np.roll(w, 1, axis=1),
+            body * np.roll(w, 2, axis=1),
+            height,
+        ],
+        axis=1,
+    )
+
+
+def _floor(t_s: Array, residual: Array, settings: SlowForceSettings) -> Array:
+    """White floor of the channels per axis, from where nothing else is, shape (3,)."""
+    c = cells_of(Piece(t_s, residual), CHANNEL_HZ, settings.window_s, "hann")
+    low, high = settings.floor_hz
+    inside = (c.f_hz >= low) & (c.f_hz <= high)
+    return level(c.power[:, :, inside], (0, 2))
+
+
+def left_over(
+    pieces: Sequence[Slow], settings: SlowForceSettings = DEFAULT.stochastic.slow_force
+) -> list[Array]:
+    """What a ridge regression, fitted on other blocks of time, leaves of each piece, (n, 3)."""
+    blocks = [np.floor(p.t_s / settings.fold_s).astype(int) for p in pieces]
+    fold = [(b + i) % settings.folds for i, b in enumerate(blocks)]
+    folds = np.concatenate(fold)
+    left = []
+    for axis in range(3):
+        y = np.concatenate([p.residual[:, axis] for p in pieces])
+        x = np.nan_to_num(np.concatenate([p.features[:, axis] for p in pieces]))
+        size = np.sqrt(np.mean(x * x, axis=0))
+        x = x[:, size > 1e-9 * max(float(size.max(initial=0.0)), 1e-9)]
+        x = x / np.maximum(np.sqrt(np.mean(x * x, axis=0)), 1e-300)
+        tries = [y]
+        for ridge in RIDGES:
+            out = np.array(y)
+            for k in range(settings.folds):
+                test, train = folds == k, folds != k
+                gram = x[train].T @ x[train] + ridge * train.sum() * 1e-2 * np.eye(x.shape[1])
+                out[test] -= x[test] @ np.linalg.solve(gram, x[train].T @ y[train])
+            tries.append(out)
+        left.append(min(tries, key=lambda e: float(np.median(e * e))))
+    rest = np.stack(left, axis=-1)
+    return np.split(rest, np.cumsum([len(p.t_s) for p in pieces])[:-1])
+
+
+NO_NOISE = 1e-8
+"""Smallest density that counts, (m/s2)^2/Hz: 0.5 mm/s2 at 50 Hz, the rounding of a simulator."""
+
+
+def find_gust(
+    model: Model,
+    values: Mapping[str, float],
+    effect: Effect,
+    settings: StochasticSettings = DEFAULT.stochastic,
+) -> StochasticEffect | None:
+    """A slow random force that no curve over the motion and no effect explains.
+
+    Args:
+        model: Flights.
+        values: Numbers of the effects that have been named.
+        effect: Seen as a random force.
+        settings: Of the slow force, and what makes it a gust.
+    """
+    columns = columns_of(model.numbers, model.effects)
+    flights = model.channels(columns, values)
+    winds = [k for k, i in enumerate(columns) if _blows(model.numbers[i].effect)]
+    pieces = [
+        piece
+        for flight, channels in zip(model.flights, flights, strict=True)
+        for piece in slow_parts(flight.aligned, channels, winds, settings.slow_force)
+    ]
+    return gust_in(pieces, effect, settings) if pieces else None
+
+
+def _blows(effect: str) -> bool:
+    """Whether an effect moves the air: its numbers are those of a wind, north, east and down."""
+    return EFFECTS[effect].stage is Air
+
+
+def gust_in(
+    pieces: Sequence[Slow], effect: Effect, settings: StochasticSettings = DEFAULT.stochastic
+) -> StochasticEffect | None:
+    """Judge the slow parts of all flights."""
+    own = settings.gust
+    left = left_over(pieces, settings.slow_force)
+    facts = gust_facts(pieces, left, settings)
+    beyond = np.log(max(facts["over_floor"], 1.0)) / own.known
+    log_odds = 0.5 * beyond**2 + prior_log_odds(settings)
+    if (
+        log_odds <= 0
+        or facts["unexplained"] < own.unexplained
+        or facts["rms"] < own.smallest_m_s2
+        or facts["uneven"] > own.uneven
+        or facts["fall"] < own.smallest_fall
+        or facts["lasting"] < own.lasting
+    ):
+        return None
+    values, intervals = _gust_numbers(pieces, left, effect, settings)
+    channels = ("acc_x", "acc_y")
+    return StochasticEffect(
+        effect.name, float(log_odds), values, intervals, channels, facts["unexplained"]
+    )
+
+
+def gust_facts(
+    pieces: Sequence[Slow],
+    left: Sequence[Array],
+    settings: StochasticSettings = DEFAULT.stochastic,
+) -> dict[str, float]:
+    """Figures by which a gust is told, of the horizontal axes."""
+    own = settings.gust
+    cells = [
+        cells_of(Piece(p.t_s, e), SLOW_HZ, settings.slow_force.window_s, "hann")
+        for p, e in zip(pieces, left, strict=True)
+    ]
+    f = cells[0].f_hz
+    power = np.concatenate([c.power for c in cells])  # (windows, 3, f)
+    floor = np.maximum(np.mean([p.floor for p in pieces], axis=0), NO_NOISE)
+    bands = [(f >= low) & (f < high) for low, high in own.slope_bands_hz]
+    typical = level(power, 0)  # robust to single bumps
+    density = np.stack([typical[:, b].mean(axis=1) for b in bands])  # (bands, 3)
+    before = np.concatenate([p.residual for p in pieces])
+    after = np.concatenate(list(left))
+    rms = np.sqrt(np.mean(after**2, axis=0))
+    xy = np.sum(density[:, :2] - floor[:2], axis=1)
+    tiny = 0.1 * float(floor[:2].sum())
+    n = round(own.lasting_s * SLOW_HZ)
+    blocks = np.concatenate(
+        [(e[: len(e) // n * n, :2] ** 2).reshape(-1, n * 2).mean(axis=1) for e in left]
+    )
+    return {
+        "over_floor": float(np.min(np.mean(density[:3, :2], axis=0) / floor[:2])),
+        "unexplained": float(np.sum(after[:, :2] ** 2) / max(np.sum(before[:, :2] ** 2), NO_NOISE)),
+        "rms": float(np.min(rms[:2])),
+        "uneven": float(np.max(rms[:2]) ** 2 / max(np.min(rms[:2]) ** 2, NO_NOISE)),
+        "lasting": float(np.median(blocks) / max(np.mean(blocks), NO_NOISE)),
+        "fall": float(np.min(xy[:-1] / np.maximum(xy[1:], tiny))),
+    }
+
+
+def _gust_numbers(
+    pieces: Sequence[Slow],
+    left: Sequence[Array],
+    effect: Effect,
+    settings: StochasticSettings,
+) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
+    """Intensities and lengths from the force that is left and the model's answer to wind."""
+    own = settings.gust
+    rest = np.concatenate(list(left))
+    low, high = settings.slow_force.band_hz
+    floor = np.mean([p.floor for p in pieces], axis=0) * (high - low)
+    power = np.maximum(np.mean(rest**2, axis=0) - floor, 0.0)
+    drag = np.concatenate([p.drag for p in pieces])
+    least = SMALLEST_DRAG_1_S
+    known = drag.shape[2] == 3 and float(np.sqrt(np.mean(drag[:, 0] ** 2))) > least
+    per_speed = (
+        np.sqrt(np.mean(np.sum(drag**2, axis=2), axis=0))
+        if known
+        else np.full(3, own.typical_drag_1_s)
+    )
+    lag = round(LAG_S * SLOW_HZ)
+    same = sum(float(np.mean(e[lag:, :2] * e[:-lag, :2])) for e in left) / len(left)
+    time_s, seen = _time_constant(same / max(float(np.mean(power[:2])), 1e-300), settings)
+    sigma = np.sqrt(power / seen) / np.maximum(per_speed, least)
+    through = np.concatenate([p.speed_m_s for p in pieces])
+    length = max(float(np.mean(through)), 1.0) * time_s
+    doubt = 1.5 if known else 3.0
+    values, intervals = {}, {}
+    observable_as = effect.observable_as
+    assert isinstance(observable_as, RandomForce)
+    sizes = (sigma[:2].mean(), sigma[:2].mean(), sigma[2])
+    for strength, reach, size in zip(
+        observable_as.intensity, observable_as.length, sizes, strict=True
+    ):
+        values[f"{effect.name}.{strength}"] = float(size)
+        intervals[f"{effect.name}.{strength}"] = (float(size) / doubt, float(size) * doubt)
+        values[f"{effect.name}.{reach}"] = length
+        intervals[f"{effect.name}.{reach}"] = (length / 3, length * 3)
+    return values, intervals
+
+
+def _time_constant(correlation: float, settings: StochasticSettings) -> tuple[float, float]:
+    """Time constant of a first-order process and the share of its power inside the slow band.
+
+    Args:
+        correlation: Of its part inside the band, over `LAG_S`.
+        settings: Of the slow force and of gusts.
+    """
+    f = np.linspace(*settings.slow_force.band_hz, 200)
+    times = np.geomspace(0.05, 5.0, 60)[:, None]
+    density = 4 * times / (1 + (2 * np.pi * f * times) ** 2)
+    inside = density.mean(axis=1) * (f[-1] - f[0])
+    expected = (density * np.cos(2 * np.pi * f * LAG_S)).mean(axis=1) * (f[-1] - f[0]) / inside
+    k = int(np.argmin(np.abs(expected - correlation)))
+    return float(times[k, 0]), float(inside[k])
