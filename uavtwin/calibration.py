@@ -272,12 +272,6 @@ class CalibrateResult(DisplayMixin):
         """The content of `--json`."""
         return self.record.json()
 
-    def sections(self) -> Iterable[str | TextTable]:
-        """All that `findings` says, and the warnings."""
-        yield from self.findings()
-        if self.warnings:
-            yield "\n".join(self.warnings)
-
     def findings(self) -> Iterable[str | TextTable]:
         """Sentence, hover, numbers, what is not determined, days, what to fly next."""
         yield self.sentence

@@ -19,10 +19,12 @@ class TextTable:
     Attributes:
         header: Of each column.
         rows: A cell per column.
+        unbroken: Columns of which no cell goes on in the next line.
     """
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    unbroken: tuple[int, ...] = (0,)
 
     def __str__(self) -> str:
         lines = (self.header, *self.rows)
@@ -47,9 +49,15 @@ class DisplayMixin:
 
     __slots__ = ()
 
-    def sections(self) -> Iterable[str | TextTable]:
+    def findings(self) -> Iterable[str | TextTable]:
         """What it says, the claim first."""
         raise NotImplementedError
+
+    def sections(self) -> Iterable[str | TextTable]:
+        """Findings, then warnings where the result has some."""
+        yield from self.findings()
+        if warnings := getattr(self, "warnings", ()):
+            yield "\n".join(warnings)
 
     def brief(self) -> str:
         """What it is, in a few words."""

@@ -269,6 +269,7 @@ class ExplainResult(PageMixin):
                 )
                 for name, g in self.record.gap.items()
             ),
+            unbroken=(0, 7),
         )
 
     def series(self) -> "tuple[Series, ...]":
@@ -300,9 +301,9 @@ class ExplainResult(PageMixin):
         """The content of `explain.json`."""
         return self.record.json()
 
-    def sections(self) -> Iterable[str | TextTable]:
+    def findings(self) -> Iterable[str | TextTable]:
         """The sentence, what got worse, hover, candidates, what to fly next, before and after, what
-        was in doubt, warnings."""
+        was in doubt."""
         yield self.sentence
         if self.got_worse:
             yield self.got_worse
@@ -314,8 +315,6 @@ class ExplainResult(PageMixin):
         if self.details.comparison is not None:
             yield self.gap_table()
         yield from self.further_tables()
-        if self.warnings:
-            yield "\n".join(self.warnings)
 
     def brief(self) -> str:
         """Verdict, vehicle and flights."""

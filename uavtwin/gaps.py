@@ -454,13 +454,14 @@ class GapResult(PageMixin):
         """The content of `gap.json`."""
         return self.record.json()
 
-    def sections(self) -> Iterable[str | TextTable]:
-        """Claim, table, warnings."""
+    def findings(self) -> Iterable[str | TextTable]:
+        """Claim, hover, table, and how far rebuilt commands match those of the log."""
         yield self.claim
         yield from self.hover
         yield self.table()
-        if self.warnings:
-            yield "\n".join(self.warnings)
+        for g in self.flights:
+            if "commands_match" in g.facts:
+                yield f"{g.flight}: commands {g.facts['commands_match']}"
 
     def brief(self) -> str:
         """How many flights and channels, against which vehicle."""

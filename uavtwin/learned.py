@@ -85,7 +85,7 @@ class TrainResult(DisplayMixin):
 
         return load(self.folder)
 
-    def sections(self) -> Iterable[str | TextTable]:
+    def findings(self) -> Iterable[str | TextTable]:
         """The claim, and where the files are."""
         yield self.claim
         yield f"written to {self.folder}: {', '.join(self.files)}"

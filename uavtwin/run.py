@@ -148,7 +148,7 @@ class Run(PageMixin):
         why = {"incomplete": r.incomplete} if r.incomplete else {}
         return Series(self.name, columns, {"verb": "simulate", **why})
 
-    def sections(self) -> Iterable[str | TextTable]:
+    def findings(self) -> Iterable[str | TextTable]:
         """The claim and its figures."""
         yield self.claim
         figures = summary(self.recording)
@@ -157,8 +157,6 @@ class Run(PageMixin):
                 ("figure", "value", "unit"),
                 tuple((text, f"{figures[k]:.3g}", unit) for k, (text, unit) in _FIGURES.items()),
             )
-        if self.warnings:
-            yield "\n".join(self.warnings)
 
     def brief(self) -> str:
         """How long, and how many outputs."""

@@ -187,12 +187,10 @@ class DraftResult(DisplayMixin):
         """The content of `--json`."""
         return self.record.json()
 
-    def sections(self) -> Iterable[str | TextTable]:
-        """Sentence, numbers, warnings."""
+    def findings(self) -> Iterable[str | TextTable]:
+        """Sentence, and numbers."""
         yield self.sentence
         yield self.table()
-        if self.warnings:
-            yield "\n".join(self.warnings)
 
     def brief(self) -> str:
         """Name, rotors and mass."""

@@ -198,7 +198,7 @@ def calibrated(folder: Path) -> dict[str, Any]:
     """What `calibrate --json` says; the vehicle file lies in the folder."""
     with pytest.MonkeyPatch.context() as patch:
         kept: list[Any] = []
-        patch.setattr("uavtwin.cli.calibrate.print_json", kept.append)
+        patch.setattr("uavtwin.cli.results.print_json", kept.append)
         patch.chdir(folder)
         names = ["one.parquet", "two.parquet", "three.parquet", "flipped.parquet"]
         options = ["--vehicle", "draft.toml", "--out", "mine.toml", "--json", "--outdoor"]

@@ -1,16 +1,13 @@
 """`uavtwin calibrate`: the numbers of one aircraft, from normal flights of it."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from .explain import flight_payloads, site_record
 from .options import Exit, Force, Indoor, Json, Payload, Prints, Rebuild, TrustVehicle, VehicleName
-from .printing import STDERR, STDOUT, print_damage, print_json, print_sections, progress
-
-if TYPE_CHECKING:
-    from ..calibration import CalibrateResult
+from .printing import STDOUT, print_damage, progress
 
 
 def calibrate(
@@ -34,6 +31,7 @@ def calibrate(
     from ..flights import read_alike
     from ..output import check_file, check_record, record_of, recorded_file
     from ..vehicles import load_vehicle
+    from .results import print_result
 
     check_file(out, force)
     check_record(record_of(out), force)
@@ -51,10 +49,7 @@ def calibrate(
         "left_out": [f.name for f in read if f.name not in found.flights],
     }
     inputs = [p for p in (*flights, Path(vehicle)) if p.is_file()]
-    if as_json:
-        print_json(found.record)
-    else:
-        _print(found)
+    print_result(found, as_json)
     with recorded_file(out, force) as (file, note):
         found.vehicle.save(file)
         note("calibrate", options, inputs)
@@ -62,10 +57,3 @@ def calibrate(
         STDOUT.print(f"written: {out}, {record_of(out).name}")
     if print_damage(read):
         raise typer.Exit(Exit.FINDINGS)
-
-
-def _print(found: "CalibrateResult") -> None:
-    """Everything that was found, warnings on stderr."""
-    for warning in found.warnings:
-        STDERR.print(warning, style="yellow")
-    print_sections(found.findings())

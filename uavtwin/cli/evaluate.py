@@ -1,19 +1,16 @@
 """`uavtwin evaluate`: a compensator on flights of its own."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import Csv, Exit, Force, Json, Mcap, Out, Prints, Rebuild, TrustVehicle
-from .printing import (
-    print_damage,
-    print_incomplete,
-    print_json,
-    print_sections,
-    print_written,
-    progress,
-)
+from .options import Csv, Force, Json, Mcap, Out, Prints, Rebuild, TrustVehicle
+from .printing import progress
+
+if TYPE_CHECKING:
+    from ..output import OptionalSteps
 
 
 def evaluate(
@@ -55,9 +52,10 @@ def evaluate(
     from ..flights import read_alike
     from ..learned import check_extra_learn, write_measured_card
     from ..learned import evaluate as evaluate_folder
-    from ..output import OptionalSteps, check_folder, results_folder, write_json, write_run
-    from ..series.files import chosen_forms, write_all_series
+    from ..output import check_folder
+    from ..series.files import chosen_forms
     from ..vehicles import load_vehicle
+    from .results import conclude, write_page
 
     check_extra_learn()
     check_folder(out, force)
@@ -79,24 +77,26 @@ def evaluate(
         "series": list(forms),
     }
     numbers = ("vehicle.toml", "model.json", "weights.safetensors", FILE)
-    inputs = [*flights, *(model / n for n in numbers if (model / n).is_file())]
-    inputs += [Path(p) for p in (explained, physics) if p and Path(p).is_file()]
-    if as_json:
-        print_json(found.record)
-    else:
-        print_sections(found.sections())
-    steps = OptionalSteps()
-    with results_folder(out, force) as folder:
-        write_json(folder / "evaluation.json", found.json())
-        found.report(folder / "report.html")
-        written, series = ["evaluation.json"], found.series()
+    inputs = [*flights, *(model / n for n in numbers)]
+    inputs += [Path(p) for p in (explained, physics) if p]
+
+    def write(folder: Path, steps: "OptionalSteps", _: Callable[[float], None]) -> list[str]:
+        """Page, numbers, model card."""
+        written = write_page(found, folder, "evaluation.json")
         card = steps.run("model card", folder, lambda p: write_measured_card(model, found, read, p))
-        written += [card] if card else []
-        if steps.run("series", folder, lambda place: write_all_series(series, place, forms)):
-            written.append("series/")
-        write_run(folder, "evaluate", options, inputs, incomplete=steps.incomplete)
-    if not as_json:
-        print_written(out, ["report.html", *written])
-    damaged = print_damage(read)
-    if print_incomplete(steps) or damaged:
-        raise typer.Exit(Exit.FINDINGS)
+        return [*written, card] if card else written
+
+    conclude(
+        "evaluate",
+        found,
+        out,
+        write,
+        options,
+        inputs,
+        force=force,
+        as_json=as_json,
+        findings=False,
+        flights=read,
+        series=found.series(),
+        forms=forms,
+    )

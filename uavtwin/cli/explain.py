@@ -1,6 +1,6 @@
 """`uavtwin explain`: find, name, add, show."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +11,6 @@ from twin.errors import TwinError
 from .options import (
     VEHICLE_VARIABLE,
     Csv,
-    Exit,
     Force,
     Indoor,
     Json,
@@ -24,17 +23,12 @@ from .options import (
     named_numbers,
     vehicle_named,
 )
-from .printing import (
-    print_damage,
-    print_explanation,
-    print_incomplete,
-    print_json,
-    print_written,
-    progress,
-)
+from .printing import progress
 
 if TYPE_CHECKING:
     from twin.logs import AnyFlight
+
+    from ..output import OptionalSteps
 
 
 def explain(
@@ -84,9 +78,10 @@ def explain(
     from fmus.platforms import DEFAULT, compilers, select_platforms
 
     from .. import explanation
-    from ..output import OptionalSteps, check_folder, results_folder, write_run
-    from ..series.files import chosen_forms, write_all_series
+    from ..output import check_folder
+    from ..series.files import chosen_forms
     from ..vehicles import load_vehicle
+    from .results import conclude
 
     check_folder(out, force)
     forms = chosen_forms(csv, mcap)
@@ -117,25 +112,29 @@ def explain(
         "series": list(forms),
         "indoors": {f.name: site_record(f, indoor) for f in (*fit, *away)},
     }
-    inputs = [p for p in (*flights, *held, Path(given)) if p.is_file()]
-    if as_json:
-        print_json(found.record)
-    else:
-        print_explanation(found)
-    steps = OptionalSteps()
-    with results_folder(out, force) as folder, progress("building") as step:
+
+    def write(folder: Path, steps: "OptionalSteps", step: Callable[[float], None]) -> list[str]:
+        """Page, numbers, vehicle files, FMUs."""
         written = explanation.write_explanation(found.details, folder)
         if not no_fmus:
             written += explanation.write_fmus(found.details, folder, steps, step)
-        series = found.series()
-        if steps.run("series", folder, lambda place: write_all_series(series, place, forms)):
-            written.append("series/")
-        write_run(folder, "explain", options, inputs, seed, incomplete=steps.incomplete)
-    if not as_json:
-        print_written(out, written)
-    damaged = print_damage([*fit, *away])
-    if print_incomplete(steps) or damaged or found.verdict != "nothing":
-        raise typer.Exit(Exit.FINDINGS)
+        return written
+
+    conclude(
+        "explain",
+        found,
+        out,
+        write,
+        options,
+        [*flights, *held, Path(given)],
+        force=force,
+        as_json=as_json,
+        findings=found.verdict != "nothing",
+        flights=[*fit, *away],
+        series=found.series(),
+        forms=forms,
+        seed=seed,
+    )
 
 
 def _read(

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from twin.logs import AnyFlight
 
     from ..display import TextTable
-    from ..explanation import ExplainResult
     from ..exports.write import WrittenFile
     from ..output import OptionalSteps
     from ..record import Record
@@ -150,11 +149,10 @@ def print_rows(rows: Sequence[Mapping[str, Any]]) -> None:
     sys.stdout.write(json_text(rows))
 
 
-def print_table(table: "TextTable", unbroken: str = "") -> None:
-    """A table as wide as it needs; what does not fit goes on in the next line, but in the first
-    column and in that named `unbroken`."""
+def print_table(table: "TextTable") -> None:
+    """A table as wide as it needs; what does not fit goes on in the next line."""
     columns = (
-        Column(name, no_wrap=not i or name == unbroken, overflow="fold")
+        Column(name, no_wrap=i in table.unbroken, overflow="fold")
         for i, name in enumerate(table.header)
     )
     printed = Table(*columns, box=None)
@@ -170,26 +168,6 @@ def print_sections(sections: "Iterable[str | TextTable]") -> None:
             STDOUT.print(section, style="bold" if i == 0 else None)
         else:
             print_table(section)
-
-
-def print_explanation(found: "ExplainResult") -> None:
-    """What was found, and the gap before and after."""
-    for warning in found.warnings:
-        STDERR.print(warning, style="yellow")
-    STDOUT.print(found.sentence, style="bold")
-    if found.got_worse:
-        STDOUT.print(found.got_worse)
-    for sentence in found.hover:
-        STDOUT.print(sentence)
-    if found.effects:
-        print_table(found.candidates_table())
-    if found.details.next_manoeuvre is not None:
-        STDOUT.print(f"Fly next: {found.details.next_manoeuvre.description}")
-    if found.details.comparison is not None:
-        table = found.gap_table()
-        print_table(table, unbroken=table.header[-1])
-    for table in found.further_tables():
-        print_table(table)
 
 
 def print_damage(flights: "Sequence[AnyFlight]") -> int:

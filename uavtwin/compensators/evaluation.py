@@ -155,7 +155,7 @@ class Evaluation(DisplayMixin):
             write_evaluation_report(self, file)
         return Path(path)
 
-    def sections(self) -> Iterable[str | TextTable]:
+    def findings(self) -> Iterable[str | TextTable]:
         """The claim, and the rms that each model leaves."""
         yield self.claim
         yield evaluation_table(self)

@@ -1,6 +1,6 @@
 """What `uavtwin demo` does: built-in flights with a hidden effect, gap, name, vehicle, proof."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from twin.logs.table import write_flight
 from twin.representation import short_repr
 from twin.vehicle import Vehicle
 
+from ..display import TextTable
 from ..explain_record import ExplainRecord
 from ..explanation import ExplainResult, explain, write_explanation, write_fmus
 from ..gaps import GapRecord, GapResult, gap
@@ -93,6 +94,27 @@ class Demo:
         return self.found.verdict == "named" and self.found.effects == (self.hidden.effect,)
 
     @property
+    def record(self) -> DemoRecord:
+        """Everything in numbers."""
+        return DemoRecord(
+            gap=self.gap.record,
+            explain=self.found.record,
+            truth=TruthRecord(effect=self.hidden.effect, text=self.hidden.text),
+            named_rightly=self.right,
+        )
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Of the explanation."""
+        return self.found.warnings
+
+    def findings(self) -> Iterable[str | TextTable]:
+        """The gap, the explanation, the truth."""
+        yield self.gap.claim
+        yield from self.found.findings()
+        yield self.ending
+
+    @property
     def ending(self) -> str:
         """The truth, and whether it was found."""
         truth = f"hidden in these flights: {self.hidden.text} ({title(self.hidden.effect)})"
@@ -148,13 +170,3 @@ def write_demo(
     written = write_explanation(demo.found.details, folder)
     written += write_fmus(demo.found.details, folder, steps, progress)
     return [*written, "flights/", "gap.html", "gap.json", "truth.json"]
-
-
-def demo_record(demo: Demo) -> DemoRecord:
-    """Everything in numbers."""
-    return DemoRecord(
-        gap=demo.gap.record,
-        explain=demo.found.record,
-        truth=TruthRecord(effect=demo.hidden.effect, text=demo.hidden.text),
-        named_rightly=demo.right,
-    )

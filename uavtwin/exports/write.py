@@ -263,7 +263,7 @@ class ExportResult(DisplayMixin):
         """Of the files, in the order of the FMI versions."""
         return tuple(self.folder / f.file for f in self.files)
 
-    def sections(self) -> Iterable[str | TextTable]:
+    def findings(self) -> Iterable[str | TextTable]:
         """A row per file, then notes on them."""
         yield f"{counted(self.files, 'file')} in {self.folder}"
         yield TextTable(

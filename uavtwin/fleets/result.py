@@ -458,7 +458,7 @@ class FleetResult(PageMixin):
         """The content of `fleet.json`."""
         return self.record.json()
 
-    def sections(self) -> Iterable[str | TextTable]:
+    def findings(self) -> Iterable[str | TextTable]:
         """The claim, each aircraft, each log, what differs, what drifts, effects, bad logs."""
         yield self.claim
         if self.misfits:

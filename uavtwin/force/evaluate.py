@@ -147,7 +147,7 @@ class ForceEvaluation(DisplayMixin):
             write_force_report(self, file)
         return Path(path)
 
-    def sections(self) -> Iterable[str | TextTable]:
+    def findings(self) -> Iterable[str | TextTable]:
         """The claim, and how far each twin is off."""
         yield self.claim
         yield shown_table(self.table)

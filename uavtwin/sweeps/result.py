@@ -396,7 +396,7 @@ class SweepResult(PageMixin):
             pq.write_table(pa.Table.from_pandas(self.table, preserve_index=False), file)
         return Path(path)
 
-    def sections(self) -> Iterable[str | TextTable]:
+    def findings(self) -> Iterable[str | TextTable]:
         """The claim, figures and what matters."""
         yield self.claim
         quantiles = self.json()["figures"]
@@ -415,9 +415,6 @@ class SweepResult(PageMixin):
                 for i in found
             ]
             yield TextTable((*head, "with the others") if total else head, tuple(rows))
-
-        if self.warnings:
-            yield "\n".join(self.warnings)
 
     def brief(self) -> str:
         """How many runs of what."""

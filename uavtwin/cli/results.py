@@ -1,0 +1,116 @@
+"""How the verbs end that leave a folder: result, files, series, run.json, damage, exit code."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import typer
+
+from ..output import OptionalSteps, results_folder, write_json, write_run
+from .options import Exit
+from .printing import (
+    STDERR,
+    print_damage,
+    print_incomplete,
+    print_json,
+    print_sections,
+    print_written,
+    progress,
+)
+
+if TYPE_CHECKING:
+    from twin.logs import AnyFlight
+
+    from ..display import TextTable
+    from ..record import Record
+    from ..series.files import Form, Series
+
+Write = Callable[[Path, OptionalSteps, Callable[[float], None]], list[str]]
+"""Writes files into a folder, optional ones by their steps, and takes the share done to a function;
+names of the files, the first one for people."""
+
+
+class Printable(Protocol):
+    """A result of a verb."""
+
+    @property
+    def record(self) -> "Record":
+        """Every number of it."""
+
+    def findings(self) -> "Iterable[str | TextTable]":
+        """What it says, the claim first."""
+
+
+class Paged(Printable, Protocol):
+    """A result with a page."""
+
+    def report(self, path: str | Path) -> Path:
+        """Write the page."""
+
+
+def print_result(found: Printable, as_json: bool) -> None:
+    """A result for machines; else its findings, warnings on stderr."""
+    if as_json:
+        print_json(found.record)
+        return
+    for warning in getattr(found, "warnings", ()):
+        STDERR.print(warning, style="yellow")
+    print_sections(found.findings())
+
+
+def write_page(found: Paged, folder: Path, name: str) -> list[str]:
+    """Write the page of a result and its numbers; names of the files."""
+    write_json(folder / name, found.record.json())
+    found.report(folder / "report.html")
+    return ["report.html", name]
+
+
+def conclude(
+    verb: str,
+    found: Printable,
+    out: Path,
+    write: Write,
+    options: Mapping[str, Any],
+    inputs: Iterable[Path],
+    *,
+    force: bool,
+    as_json: bool,
+    findings: bool,
+    flights: "Sequence[AnyFlight]" = (),
+    series: "Sequence[Series]" = (),
+    forms: "Sequence[Form]" = (),
+    seed: int | None = None,
+) -> None:
+    """Print a result, write its folder, and end with exit code 1 where there are findings.
+
+    Args:
+        verb: Of the command line.
+        found: The result.
+        out: Folder.
+        write: What is in it besides series and run.json.
+        options: For run.json.
+        inputs: Files that were read; what is no file, such as a built-in vehicle, is left out.
+        force: Whether files that are there are replaced.
+        as_json: Whether JSON is printed.
+        findings: Whether the result asks for exit code 1, which damaged flights and optional steps
+            that fail do as well.
+        flights: That were read.
+        series: Of the folder.
+        forms: Of these.
+        seed: Of what is drawn.
+    """
+    from ..series.files import write_all_series
+
+    print_result(found, as_json)
+    steps = OptionalSteps()
+    with results_folder(out, force) as folder, progress("writing") as step:
+        written = write(folder, steps, step)
+        if steps.run("series", folder, lambda place: write_all_series(series, place, forms)):
+            written.append("series/")
+        read = [p for p in inputs if p.is_file()]
+        write_run(folder, verb, options, read, seed, incomplete=steps.incomplete)
+    if not as_json:
+        print_written(out, written)
+    damaged = print_damage(flights)
+    if print_incomplete(steps) or damaged or findings:
+        raise typer.Exit(Exit.FINDINGS)
