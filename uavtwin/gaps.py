@@ -197,48 +197,34 @@ class BandRecord(Record, frozen=True, kw_only=True):
     residual_rms: float
 
 
-class GapChannel(Record, frozen=True, kw_only=True):
+class GapChannel(ScoreRecord, frozen=True, kw_only=True):
     """A channel of all flights together.
 
     Attributes:
         unit: Of the numbers.
         horizon_s: Time since the twin was restarted from the measured state; 0: teacher-forced.
-        n, rms, mean, share, slow_rms, rms_ci95: As of a phase.
         bands: The same by frequency.
         by_phase: By phase.
     """
 
     unit: str
     horizon_s: float
-    n: int
-    rms: float
-    mean: float
-    share: float
-    slow_rms: float
-    rms_ci95: tuple[float, float]
     bands: tuple[BandRecord, ...]
     by_phase: dict[str, ScoreRecord]
 
 
-class GapPlace(Record, frozen=True, kw_only=True):
+class GapPlace(ScoreRecord, frozen=True, kw_only=True):
     """A place where twin and flights disagree.
 
     Attributes:
         channel: Its name.
         phase: Of the flights.
         unit: Of the numbers.
-        n, rms, mean, share, slow_rms, rms_ci95: As of `by_phase`.
     """
 
     channel: str
     phase: str
     unit: str
-    n: int
-    rms: float
-    mean: float
-    share: float
-    slow_rms: float
-    rms_ci95: tuple[float, float]
 
 
 class GapRecord(Section, frozen=True, kw_only=True):

@@ -21,8 +21,12 @@ from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
+from msgspec import UNSET, UnsetType
+
 from twin.errors import TwinError
 from twin.scratch import PREFIX, leftovers, scratch_file, scratch_folder, sweep, umask
+
+from .record import Record
 
 T = TypeVar("T")
 _MOVING = "moving"
@@ -470,6 +474,44 @@ def write_json(path: Path, content: Any) -> None:
     path.write_text(json_text(content), "utf-8")
 
 
+class InputRecord(Record, frozen=True, kw_only=True):
+    """A file that was read.
+
+    Attributes:
+        name: Of the file.
+        sha256: Of its bytes.
+    """
+
+    name: str
+    sha256: str
+
+
+class RunRecord(Record, frozen=True, kw_only=True):
+    """Lies beside every result, so that it can be made again; the same run gives the same bytes.
+
+    Attributes:
+        verb: Of the command line.
+        options: It was called with; of `explain`, `indoors` holds of each flight `indoors`, as
+            taken, and `source`.
+        seed: Of what is drawn; null: nothing is.
+        inputs: Files that were read.
+        python: Its version.
+        packages: Versions, by name.
+        fmus: How each FMU of a simulation was run, by its name there.
+        incomplete: Optional steps that failed and why, as "FMUs: the C compiler failed ..."; of
+            `simulate`, why the run did not come to its end. Missing where all is there.
+    """
+
+    verb: str
+    options: dict[str, Any]
+    seed: int | None
+    inputs: tuple[InputRecord, ...]
+    python: str
+    packages: dict[str, str]
+    fmus: dict[str, str] | UnsetType = UNSET
+    incomplete: str | UnsetType = UNSET
+
+
 def write_run(
     out: Path,
     verb: str,
@@ -494,16 +536,14 @@ def write_run(
             they are of all of it.
         fmus: How each FMU of a simulation was run, by its name there; None: there were none.
     """
-    write_json(
-        out / file,
-        {
-            "verb": verb,
-            "options": dict(options),
-            "seed": seed,
-            "inputs": [{"name": p.name, "sha256": sha256(p)} for p in inputs],
-            "python": platform.python_version(),
-            "packages": {name: version(name) for name in _PACKAGES},
-            **({} if fmus is None else {"fmus": dict(fmus)}),
-            **({"incomplete": incomplete} if incomplete else {}),
-        },
+    record = RunRecord(
+        verb=verb,
+        options=dict(options),
+        seed=seed,
+        inputs=tuple(InputRecord(name=p.name, sha256=sha256(p)) for p in inputs),
+        python=platform.python_version(),
+        packages={name: version(name) for name in _PACKAGES},
+        fmus=UNSET if fmus is None else dict(fmus),
+        incomplete=incomplete or UNSET,
     )
+    write_json(out / file, record.json())

@@ -170,11 +170,14 @@ def _inner(kind: inspect.Type) -> tuple[inspect.Type, ...]:
 
 
 def documented(record: type) -> dict[str, str]:
-    """Meaning of each field, by the `Attributes:` of the class."""
-    _, _, section = cleandoc(record.__doc__ or "").partition("Attributes:\n")
-    entries = re.split(r"\n(?=\w)", cleandoc(section.partition("\n\n")[0]))
-    pairs = (" ".join(entry.split()).partition(": ") for entry in entries)
-    return {name: meaning for names, _, meaning in pairs for name in names.split(", ")}
+    """Meaning of each field, by the `Attributes:` of the class and of those that it extends."""
+    found: dict[str, str] = {}
+    for cls in reversed(record.__mro__):
+        _, _, section = cleandoc(cls.__doc__ or "").partition("Attributes:\n")
+        entries = re.split(r"\n(?=\w)", cleandoc(section.partition("\n\n")[0]))
+        pairs = (" ".join(entry.split()).partition(": ") for entry in entries)
+        found |= {name: meaning for names, _, meaning in pairs for name in names.split(", ")}
+    return found
 
 
 _NAMES: dict[type, str] = {

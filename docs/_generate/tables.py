@@ -17,6 +17,7 @@ from typing import Any
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 from typer.main import get_command
 
+from learning.force.model import ForceFile
 from learning.model.registry import FAMILIES
 from twin.component import Component, Enumeration, Variable
 from twin.effects import BEGINNINGS, EFFECTS, Effect, EffectParameter, effects_for, prior_of
@@ -45,6 +46,7 @@ from uavtwin.cli.main import VERBS, app
 from uavtwin.cli.options import Prints
 from uavtwin.cli.vehicle import vehicle as vehicle_app
 from uavtwin.fleets.dataset import TABLES
+from uavtwin.output import RunRecord
 from uavtwin.record import keys, sections, summary_of
 from uavtwin.series.files import SIDES
 from uavtwin.series.mcap import FOXGLOVE, MEANINGS, TOPICS
@@ -424,7 +426,11 @@ def json_keys() -> str:
         for heading, c in sorted(shared.items())
         if f"## {heading}\n" not in "\n".join(parts)
     ]
-    return "\n\n".join([*parts, "## Held by several", *own])
+    files = [
+        f"## {name}\n\n{summary_of(c)}\n\n{_keys_table(c)}"
+        for name, c in (("force.json", ForceFile), ("run.json", RunRecord))
+    ]
+    return "\n\n".join([*parts, *files, "## Held by several", *own])
 
 
 def _callbacks() -> Iterator[tuple[str, Callable[..., Any]]]:

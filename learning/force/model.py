@@ -4,10 +4,9 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from twin.errors import ModelError, TwinError
 from twin.physics.residual_force import FEATURES, INPUTS, OUTPUTS, ForceLaw
@@ -104,6 +103,67 @@ class Rival:
 
 
 @dataclass(frozen=True, slots=True)
+class StoredArray:
+    """An array as plain numbers.
+
+    Attributes:
+        shape: Of it.
+        values: All of it, row by row.
+    """
+
+    shape: tuple[int, ...]
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class StoredRival:
+    """Every output by one law.
+
+    Attributes:
+        law: Its arrays, by name.
+        observers: Of what it leaves, one per output.
+    """
+
+    law: dict[str, StoredArray]
+    observers: tuple[Observer, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ForceFile:
+    """What `uavtwin train --protocol force` writes beside `vehicle.toml`.
+
+    Attributes:
+        format: Version of the layout.
+        protocol: "force".
+        vehicle: Name of the vehicle.
+        vehicle_sha256: Of its file.
+        seed: Of the air of the missions that it had to fly.
+        flights: That taught it.
+        inputs: Names of what the law sees.
+        features: Names of what its linear part is linear in.
+        outputs: Of each of the six, by name.
+        closed_loop: Missions in random air, flown before the laws were shipped.
+        taken_1_s: Largest rate at which the linear part would have fed energy in; taken out.
+        law: Arrays of the law that is used, by name.
+        rivals: Every output by one law, by its name.
+    """
+
+    format: int
+    protocol: str
+    vehicle: str
+    vehicle_sha256: str
+    seed: int
+    flights: tuple[TrainingFlight, ...]
+    inputs: tuple[str, ...]
+    features: tuple[str, ...]
+    outputs: dict[str, Output]
+    closed_loop: MissionCheck
+    taken_1_s: float
+    law: dict[str, StoredArray]
+    rivals: dict[str, StoredRival]
+
+
+@dataclass(frozen=True, slots=True)
 class ForceModel:
     """A law, the observer alongside it, and how both were come by.
 
@@ -148,27 +208,25 @@ def observer_starts(observers: Sequence[Observer]) -> dict[str, float]:
 
 def save_force(model: ForceModel, folder: Path) -> None:
     """Write `force.json`; the same model gives the same bytes."""
-    content = {
-        "format": FORMAT,
-        "protocol": "force",
-        "vehicle": model.vehicle,
-        "vehicle_sha256": model.vehicle_sha256,
-        "seed": model.seed,
-        "flights": [asdict(f) for f in model.flights],
-        "inputs": [name for name, _ in INPUTS],
-        "features": list(FEATURES),
-        "outputs": {
-            name: asdict(output) for name, output in zip(_OUTPUTS, model.outputs, strict=True)
-        },
-        "closed_loop": asdict(model.closed_loop),
-        "taken_1_s": model.taken,
-        "law": _plain(model.law),
-        "rivals": {
-            name: {"law": _plain(rival.law), "observers": [asdict(o) for o in rival.observers]}
+    content = ForceFile(
+        format=FORMAT,
+        protocol="force",
+        vehicle=model.vehicle,
+        vehicle_sha256=model.vehicle_sha256,
+        seed=model.seed,
+        flights=model.flights,
+        inputs=tuple(name for name, _ in INPUTS),
+        features=tuple(FEATURES),
+        outputs=dict(zip(_OUTPUTS, model.outputs, strict=True)),
+        closed_loop=model.closed_loop,
+        taken_1_s=model.taken,
+        law=_plain(model.law),
+        rivals={
+            name: StoredRival(_plain(rival.law), rival.observers)
             for name, rival in model.rivals.items()
         },
-    }
-    text = json.dumps(content, indent=1, allow_nan=False)
+    )
+    text = json.dumps(asdict(content), indent=1, allow_nan=False)
     (folder / FILE).write_text(text + "\n", "utf-8")
 
 
@@ -183,8 +241,11 @@ def load_force(folder: Path) -> ForceModel:
         raise ModelError(f"{folder}: no {FILE}; `uavtwin train --protocol force` writes one.")
     try:
         content = json.loads(path.read_text("utf-8"))
-        return _model(content)
-    except (AttributeError, KeyError, TypeError, ValueError, TwinError) as error:
+        file = msgspec.convert(content, ForceFile)
+        if msgspec.json.decode(msgspec.json.encode(file)) != content:
+            raise ModelError("it has keys that are none of its own")
+        return _model(file)
+    except (msgspec.MsgspecError, KeyError, TypeError, ValueError, TwinError) as error:
         raise ModelError(
             f"{path}: is of another layout than this version's, or damaged ({error}). Train the "
             f"model again."
@@ -196,55 +257,36 @@ def is_force(folder: Path) -> bool:
     return (folder / FILE).is_file()
 
 
-def _model(content: Mapping[str, Any]) -> ForceModel:
-    named = {
+def _model(content: ForceFile) -> ForceModel:
+    expected = {
         "format": FORMAT,
-        "inputs": [name for name, _ in INPUTS],
-        "features": list(FEATURES),
+        "inputs": tuple(name for name, _ in INPUTS),
+        "features": tuple(FEATURES),
     }
-    for key, value in named.items():
-        if content[key] != value:
-            raise ModelError(f"{key} is {content[key]}, not {value}")
-    if list(content["outputs"]) != list(_OUTPUTS):
-        raise ModelError(f"outputs are {list(content['outputs'])}, not {list(_OUTPUTS)}")
+    for key, value in expected.items():
+        if getattr(content, key) != value:
+            raise ModelError(f"{key} is {getattr(content, key)}, not {value}")
+    if tuple(content.outputs) != _OUTPUTS:
+        raise ModelError(f"outputs are {list(content.outputs)}, not {list(_OUTPUTS)}")
     return ForceModel(
-        law=_law(content["law"]),
-        rivals={
-            name: Rival(_law(said["law"]), tuple(Observer(**o) for o in said["observers"]))
-            for name, said in content["rivals"].items()
-        },
-        outputs=tuple(
-            Output(
-                said["law"],
-                Observer(**said["observer"]),
-                tuple(LawScore(**f) for f in said["tried"]),
-            )
-            for said in content["outputs"].values()
-        ),
-        closed_loop=_checked(content["closed_loop"]),
-        taken=float(content["taken_1_s"]),
-        flights=tuple(TrainingFlight(**f) for f in content["flights"]),
-        vehicle=str(content["vehicle"]),
-        vehicle_sha256=str(content["vehicle_sha256"]),
-        seed=int(content["seed"]),
+        law=_law(content.law),
+        rivals={n: Rival(_law(r.law), r.observers) for n, r in content.rivals.items()},
+        outputs=tuple(content.outputs.values()),
+        closed_loop=content.closed_loop,
+        taken=content.taken_1_s,
+        flights=content.flights,
+        vehicle=content.vehicle,
+        vehicle_sha256=content.vehicle_sha256,
+        seed=content.seed,
     )
 
 
-def _checked(content: Mapping[str, Any]) -> MissionCheck:
-    return MissionCheck(int(content["flights"]), int(content["lost"]), tuple(content["withdrawn"]))
-
-
-def _plain(law: ForceLaw) -> dict[str, Any]:
+def _plain(law: ForceLaw) -> dict[str, StoredArray]:
     """A law as plain numbers; the shape of a table without rows is said, too."""
-    return {k: {"shape": list(v.shape), "values": _listed(v)} for k, v in law.arrays().items()}
+    return {k: StoredArray(v.shape, tuple(v.ravel().tolist())) for k, v in law.arrays().items()}
 
 
-def _listed(values: NDArray[np.float64]) -> list[float]:
-    numbers: list[float] = values.ravel().tolist()
-    return numbers
-
-
-def _law(content: Mapping[str, Any]) -> ForceLaw:
+def _law(content: Mapping[str, StoredArray]) -> ForceLaw:
     return ForceLaw.of(
-        {k: np.array(v["values"], dtype=np.float64).reshape(v["shape"]) for k, v in content.items()}
+        {k: np.array(v.values, dtype=np.float64).reshape(v.shape) for k, v in content.items()}
     )
