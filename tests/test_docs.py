@@ -228,9 +228,9 @@ def test_the_tutorial_works(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     assert explained["verdict"] == "named"
     assert found["name"] == "mass_offset"
     assert found["parameters"]["mass_kg"]["value"] == pytest.approx(0.09, abs=0.002)
-    sentence = re.compile(r"The model lacks [a-z ]+: ")
+    sentence = re.compile(r"Missing from the model: [a-z ]+ ")
     named = [[m[0] for text in texts if (m := sentence.match(text))] for texts in (printed, shown)]
-    assert named[0] == named[1] == ["The model lacks mass offset: "]
+    assert named[0] == named[1] == ["Missing from the model: mass offset "]
     for place in re.findall(r"pictures/(\w+)\.png", page):
         assert (tmp_path / place / "report.html").is_file()
 
@@ -281,7 +281,7 @@ def test_the_python_of_the_readme_works(tmp_path: Path) -> None:
         [sys.executable, "-c", "\n".join(script)], cwd=tmp_path, capture_output=True, text=True
     )
     assert result.returncode == 0, result.stderr
-    assert "The model lacks rotor drag: " in result.stdout
+    assert "Missing from the model: rotor drag " in result.stdout
     assert "[effects.rotor_drag]" in (tmp_path / "better.toml").read_text("utf-8")
     assert (tmp_path / "explained.html").is_file()
     assert (tmp_path / "flight.html").is_file()

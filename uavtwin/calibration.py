@@ -354,8 +354,8 @@ def calibrate(
         )
     found = fitted(fit, draft, progress, payloads, settings.inference)
     warnings += [
-        f"these flights act as if there were {title(effect)}: {why}; nothing is wrong with "
-        f"the aircraft in a calibration, so it is left out"
+        f"{title(effect)} would fit these flights, but is left out, since a calibration assumes an "
+        f"aircraft without faults: {why}"
         for effect, why in found.refused.items()
     ]
     return CalibrateResult(found, draft, tuple(warnings), hovers_of(fit, draft))

@@ -111,11 +111,11 @@ class ExplainResult(PageMixin):
             return ""
         clear = {n: g for n, g in self.record.gap.items() if g.shrink_ci95 and g.shrink_ci95[0] > 0}
         if not clear:
-            return "On the held-out flights no channel got clearly better."
+            return "On the held-out flights no channel improved significantly."
         name, best = max(clear.items(), key=lambda item: item[1].before / item[1].noise_floor)
         return (
-            f"On the held-out flights the gap in {name} falls from {number(best.before)} to "
-            f"{number(best.after)} {pretty_unit(best.unit)} rms; noise is "
+            f"On the held-out flights the residual in {name} falls from {number(best.before)} to "
+            f"{number(best.after)} {pretty_unit(best.unit)} rms; noise floor "
             f"{number(best.noise_floor)}."
         )
 
@@ -216,7 +216,7 @@ class ExplainResult(PageMixin):
 
     def calibrated_table(self) -> TextTable:
         """The same as a table."""
-        header = ("was in doubt", "value", "unit", "95 % interval", "")
+        header = ("calibrated", "value", "unit", "95 % interval", "")
         return TextTable(header, tuple(self.calibrated_rows()))
 
     def day_rows(self) -> list[Cells]:
@@ -230,7 +230,7 @@ class ExplainResult(PageMixin):
 
     def days_table(self) -> TextTable:
         """The same as a table."""
-        header = ("of the day", "number", "difference", "unit", "standard deviation")
+        header = ("flight", "number", "difference", "unit", "standard deviation")
         return TextTable(header, tuple(self.day_rows()))
 
     def further_tables(self) -> Iterable[TextTable]:
@@ -342,11 +342,11 @@ def why_lost(rival: RivalRecord, least: float) -> str:
         least: Probability from which on it is as good.
     """
     if isinstance(rival.behind, UnsetType) or isinstance(rival.with_, UnsetType):
-        return "does not look like this"
+        return "does not resemble this residual"
     if rival.name == "nothing":
-        return "leaves the whole gap open"
+        return "explains none of the residual"
     if rival.probability >= least:
-        return "explains the flights about as well: they cannot tell the two apart"
+        return "explains the flights as well: not distinguishable here"
     partners = f"together with {joined([title(e) for e in rival.with_])} " * bool(rival.with_)
     return f"{partners}is less probable: log probability lower by {rival.behind:.1f}"
 

@@ -55,18 +55,18 @@ def headline(found: Explanation) -> Headline:
         return Headline(text, since.numbers)
     if found.verdict == "nothing":
         sure = certainty(nothing_probability(naming))
-        text = f"The model lacks nothing that these flights can show (probability {sure})."
+        text = f"Nothing detectable is missing from the model, {sure} probability."
         return Headline(text + blind(naming.detectable, since=False))
     if found.verdict == "named":
         return _named(found, naming)
     if found.verdict == "unnamed":
-        return Headline(f"The model lacks something {_outside(found)}.")
+        return Headline(f"The cause of the residual is {_outside(found)}.")
     tied = _candidates(found)
     if nothing_probability(naming) > 0.01:
-        tied.append(f"nothing at all ({certainty(nothing_probability(naming))})")
+        tied.append(f"none ({certainty(nothing_probability(naming))})")
     if naming.outside > naming.settings.least:
-        tied.append(f"something not in the library of effects ({certainty(naming.outside)})")
-    return Headline(f"These flights cannot tell what the model lacks: {joined(tied, 'or')}.")
+        tied.append(f"a cause outside the library of effects ({certainty(naming.outside)})")
+    return Headline(f"Several causes are consistent with these flights: {joined(tied, 'or')}.")
 
 
 def _named(found: Explanation, naming: Naming) -> Headline:
@@ -78,7 +78,7 @@ def _named(found: Explanation, naming: Naming) -> Headline:
     most = MOST_NUMBERS if len(first) == 1 else 1
     parts = [_phrase(found, e, estimates[e], most) for e in first]
     text = (
-        f"{lead}{'Besides, the' if lead else 'The'} model lacks {'; '.join(p.text for p in parts)} "
+        f"{lead}Missing from the model: {'; '.join(p.text for p in parts)}"
         f"{_sure(found, first)}{later}{_what_else(found, effects)}{_doubts(found, estimates)}"
     )
     return Headline(text, tuple(n for p in parts for n in p.numbers))
@@ -123,8 +123,8 @@ def _acts_like(found: Explanation, naming: Naming, named: Sequence[str]) -> str:
         return ""
     why = next(r.why for r in naming.resemblances if r.effect == effect)
     return (
-        f"Something acts like {title(effect)}, and takes {percent(size)} of the gap in {channel}: "
-        f"it is not named, since {why}. "
+        f"{title(effect).capitalize()} would explain {percent(size)} of the residual in {channel}, "
+        f"but is not named: {why}. "
     )
 
 
@@ -135,12 +135,19 @@ def _phrase(
     stochastic = stochastic_effect(found, effect)
     if stochastic is None:
         size = sizes(effect, estimates, most, since)
-        return Headline(f"{title(effect)}{': ' * bool(size.text)}{size.text}", size.numbers)
+        return Headline(amount(effect, size.text), size.numbers)
     given = [t for t in estimates if t.determined or t.number.shape][:most]
     texts = [f"{t.number.name} = {quantity(t.value, t.number.about.unit)}" for t in given]
     where = f"{title(effect)} in {', '.join(stochastic.channels)}"
     numbers = tuple(t.number.full for t in given)
     return Headline(where + (f": {joined(texts)}" if texts else ""), numbers)
+
+
+def amount(effect: str, size: str) -> str:
+    """An effect and its size: a number follows the name, a clause stands in brackets."""
+    if not size or not size[0].isalpha():
+        return f"{title(effect)} {size}".rstrip()
+    return f"{title(effect)} ({size.removeprefix('it is ')})"
 
 
 def sizes(effect: str, estimates: Sequence[Estimate], most: int, since: bool = False) -> Headline:
@@ -186,36 +193,37 @@ def _candidates(found: Explanation) -> list[str]:
 
 
 def _sure(found: Explanation, effects: Sequence[str]) -> str:
-    """Probability of names, in brackets and with a stop: of several the smallest one."""
+    """Probability of names, with a comma before and a stop behind: of several the smallest one."""
     least = certainty(min(probability_of(found, e) for e in effects))
-    each = "" if len(effects) == 1 else " of each at least"
-    return f"(probability{each} {least})."
+    if len(effects) == 1:
+        return f", {least} probability."
+    return f", {least} probability or more each."
 
 
 def _outside(found: Explanation) -> str:
-    """What is known of something without a name; begins with a relative clause."""
+    """What is known of a cause without a name."""
     if found.unnamed:
         first = found.unnamed[0]
         return (
-            f"that is not in the library of effects: in {first.channel} it is {first.expression}, "
-            f"{100 * first.share:.0f} % of the gap there"
+            f"not in the library of effects: in {first.channel}, {first.expression} explains "
+            f"{100 * first.share:.0f} % of the residual"
         )
     alike = [] if found.naming is None else [r.effect for r in found.naming.resemblances]
     if found.naming is not None:
         shares = found.naming.shares
         alike.sort(key=lambda e: -shares.get(e, (0.0, ""))[0])
-    like = f" It acts like {joined([title(e) for e in alike], 'or')}" if alike else ""
-    return f"that is not in the library of effects.{like}".rstrip(".")
+    like = f", but resembles {joined([title(e) for e in alike], 'or')}" if alike else ""
+    return f"not in the library of effects{like}"
 
 
 def _since(found: Explanation, naming: Naming) -> Headline:
     """What has changed since the calibration, a clause that ends in a stop."""
     if found.verdict == "nothing":
         sure = certainty(nothing_probability(naming))
-        text = f"nothing has changed that these flights can show (probability {sure})."
+        text = f"no change is detectable, {sure} probability."
         return Headline(text + blind(naming.detectable, since=True))
     if found.verdict == "unnamed":
-        return Headline(f"something has changed {_outside(found)}.")
+        return Headline(f"the cause of the change is {_outside(found)}.")
     if found.verdict == "named":
         effects = [e for e in listed_effects(found) if e not in undecided(found)]
         estimates = {e: estimates_of(found, e) for e in effects}
@@ -227,7 +235,7 @@ def _since(found: Explanation, naming: Naming) -> Headline:
             for e in first
         ]
         text = (
-            f"{joined([p.text for p in parts])} {_sure(found, first)}{later}"
+            f"{joined([p.text for p in parts])}{_sure(found, first)}{later}"
             f"{_what_else(found, effects)}{_doubts(found, estimates)}"
         )
         return Headline(text, tuple(n for p in parts for n in p.numbers))
@@ -239,9 +247,9 @@ def _since(found: Explanation, naming: Naming) -> Headline:
             tied.append(f"{text} ({certainty(p)})")
             numbers += [n for part in parts for n in part.numbers]
     if naming.outside > naming.settings.least:
-        tied.append(f"something not in the library has changed ({certainty(naming.outside)})")
-    head = "either" if len(tied) > 1 else "it may be that"
-    text = f"{head} {joined(tied, 'or')}: these flights cannot tell."
+        tied.append(f"a cause outside the library of effects ({certainty(naming.outside)})")
+    head = "several causes are" if len(tied) > 1 else "one cause is"
+    text = f"{head} consistent with these flights: {joined(tied, 'or')}."
     return Headline(text, tuple(dict.fromkeys(numbers)))
 
 
@@ -274,7 +282,7 @@ def _what_else(found: Explanation, sure: Sequence[str]) -> str:
     chance = {e: probability_of(found, e) for e in sorted(every)}
     likely = sorted((e for e in chance if chance[e] >= least), key=lambda e: -chance[e])
     tied = joined([f"{title(e)} ({certainty(chance[e])})" for e in likely], "or")
-    return f" Beside that, these flights cannot tell what it lacks: {tied}."
+    return f" Also possible: {tied}."
 
 
 def _doubts(found: Explanation, estimates: Mapping[str, Sequence[Estimate]]) -> str:
@@ -316,7 +324,9 @@ def _calibrated(effect: str, estimates: Sequence[Estimate]) -> Headline:
     """An effect of the aircraft by its determined numbers, a clause with its own subject."""
     change = {t.number.name: t.change for t in estimates if t.determined}
     names = said_numbers(effect, change)
-    return Headline(said(effect, change, since=False), tuple(f"{effect}.{n}" for n in names))
+    size = clause(effect, change, since=False)
+    words = amount(effect, size) if size else said(effect, change, since=False)
+    return Headline(words, tuple(f"{effect}.{n}" for n in names))
 
 
 def undetermined(none: Sequence[str], unsized: Sequence[str]) -> str:
@@ -356,8 +366,8 @@ def got_worse(found: Explanation) -> str:
     if not worse:
         return ""
     worst = max(worse, key=lambda g: g.after / g.before if g.before > 0 else 0.0)
-    others = f"; so does that of {len(worse) - 1} further" if len(worse) > 1 else ""
+    others = f", and in {len(worse) - 1} further" if len(worse) > 1 else ""
     return (
-        f"On the held-out flights the gap in {worst.name} grows, from {number(worst.before)} to "
-        f"{number(worst.after)} {pretty_unit(worst.unit)} rms{others}."
+        f"On the held-out flights the residual in {worst.name} increases from "
+        f"{number(worst.before)} to {number(worst.after)} {pretty_unit(worst.unit)} rms{others}."
     )

@@ -86,7 +86,7 @@ def written(
         ("heading_offset", {"yaw_rad": np.pi / 18}, "its heading is off by another 10°"),
         ("accel_bias", {"x_m_s2": 0.3}, "its accelerometer reads 0.3 m/s² more in x than it did"),
         ("parasitic_drag", {"c_1_m": 0.1}, "parasitic drag (c_1_m 0.1 1/m)"),
-        ("rotor_drag", {"k_xy_1_s": 0.3}, "drag has changed by 0.3 m/s² per m/s of airspeed"),
+        ("rotor_drag", {"k_xy_1_s": 0.3}, "linear drag has changed by 0.3 (m/s²)/(m/s) horizontal"),
         ("rotor_drag", {"height_m": 0.02}, "rotor drag (height_m 20 mm)"),
     ],
 )
@@ -321,8 +321,11 @@ def test_a_tie_names_both(loaded: ut.ExplainResult) -> None:
     )
     assert isinstance(tied, Explanation)
     text = headline(tied).text
-    assert text.startswith("Since the calibration on one, two and three: either it carries ")
-    assert text.endswith("(40 %): these flights cannot tell.")
+    assert text.startswith(
+        "Since the calibration on one, two and three: several causes are consistent with "
+        "these flights: it carries "
+    )
+    assert text.endswith("(40 %).")
     assert explain_record(tied).json()["since"] == ["one", "two", "three"]
 
 

@@ -162,7 +162,7 @@ def test_demo_names_the_effect_it_hid(
     assert "The name is right." in told
     gap, name = said.splitlines()[:2]
     assert "disagree most in acc_x" in gap
-    assert name.startswith("The model lacks rotor drag: ")
+    assert name.startswith("Missing from the model: rotor drag ")
     assert json.loads((tmp_path / "d" / "explain.json").read_text())["verdict"] == "named"
     files = {str(p.relative_to(tmp_path / "d")) for p in (tmp_path / "d").rglob("*.*")}
     assert files == {

@@ -163,10 +163,8 @@ def test_the_hidden_effect_is_named_and_its_number_lies_in_its_interval(named: R
     assert effect["phases"][0] == "forward"
     assert "nothing" not in [r["name"] for r in effect["rivals"][:1]]
     assert all(r["probability"] < 0.05 for r in effect["rivals"])
-    sentence = r"The model lacks rotor drag: drag is 0\.(49|50)\d* m/s² per m/s"
-    assert re.match(
-        sentence + r" of airspeed \(probability \d+ %\)\.", named.stdout.splitlines()[0]
-    )
+    sentence = r"Missing from the model: rotor drag 0\.(49|50)\d* \(m/s²\)/\(m/s\) horizontal"
+    assert re.match(sentence + r".*, \d+ % probability\.", named.stdout.splitlines()[0])
 
 
 def test_the_gap_shrinks_to_the_noise_on_the_held_out_flight(named: Run) -> None:
@@ -253,9 +251,9 @@ def test_run_json_lists_every_input(named: Run) -> None:
 def test_the_page_says_it_first_and_shows_it(named: Run) -> None:
     page = (named.out / "report.html").read_text()
     order = (
-        "<h1>The model lacks rotor drag",
+        "<h1>Missing from the model: rotor drag",
         'id="evidence',
-        "why they lost",
+        "Alternative explanations",
         'id="time-acc_',
         '<h2 id="gap">',
         '<h2 id="where">',
@@ -300,12 +298,12 @@ def test_a_tie_is_told_as_a_tie(named: Run, tmp_path: Path) -> None:
         *other.effects,
     }
     assert headline(tied).text.startswith(
-        "These flights cannot tell what the model lacks: rotor drag"
+        "Several causes are consistent with these flights: rotor drag"
     )
     assert tied.added is None
     ExplainResult(tied).report(tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
-    assert "they cannot tell the two apart" in page
+    assert "not distinguishable here" in page
     assert "Fly fast and straight." in page
 
 
@@ -374,7 +372,7 @@ def test_nothing_hidden_nothing_named(folder: Path) -> None:
     assert all(g["before"] == g["after"] for g in out.json["gap"].values())
     files = {"explain.json", "report.html", "run.json", "series"}
     assert {p.name for p in out.out.iterdir()} == files
-    assert "lacks nothing" in out.stdout
+    assert "Nothing detectable is missing" in out.stdout
 
 
 def test_without_a_holdout_blocks_of_time_stand_in_and_that_is_said(

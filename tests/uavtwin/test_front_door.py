@@ -101,7 +101,7 @@ def test_the_snippet_says_what_was_found(names: dict[str, Any]) -> None:
     printed = names["printed"]
     assert re.search(r"^Twin and flight disagree most in acc_[xy]", printed, re.MULTILINE)
     assert re.search(r"^acc_x +m/s² +0 +\d+", printed, re.MULTILINE)
-    assert re.search(r"^The model lacks rotor drag: .* 0\.(48|49|50)", printed, re.MULTILINE)
+    assert re.search(r"^Missing from the model: rotor drag 0\.(48|49|50)", printed, re.MULTILINE)
     assert re.search(r"^rotor drag +.* %.*k_xy_1_s +0\.(48|49|50)", printed, re.MULTILINE)
     assert "noise floor" in printed
 
@@ -124,7 +124,7 @@ def test_the_better_vehicle_is_the_file_with_the_effect(
 def test_results_are_tables_pages_and_json(folder: Path, names: dict[str, Any]) -> None:
     gap, found, run = names["gap"], names["found"], names["run"]
     page = (folder / "out.html").read_text("utf-8")
-    assert "<h1>The model lacks rotor drag" in page
+    assert "<h1>Missing from the model: rotor drag" in page
     for result in (gap, found, run):
         json.dumps(result.json(), allow_nan=False)
         html = result._repr_html_()

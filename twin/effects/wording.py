@@ -204,11 +204,11 @@ def inertia_clause(change: Changes, since: bool) -> str:
 def drag_clause(change: Changes, since: bool) -> str:
     """Linear drag. See `Clause`."""
     parts = [
-        f"{number(change[name])} m/s² per m/s of {what}"
-        for name, what in (("k_xy_1_s", "airspeed"), ("k_z_1_s", "climb"))
+        f"{number(change[name])} (m/s²)/(m/s) {what}"
+        for name, what in (("k_xy_1_s", "horizontal"), ("k_z_1_s", "vertical"))
         if change.get(name)
     ]
-    return f"drag {'has changed by' if since else 'is'} {joined(parts)}" if parts else ""
+    return f"{'linear drag has changed by ' * since}{joined(parts)}" if parts else ""
 
 
 def sag_clause(change: Changes, since: bool) -> str:

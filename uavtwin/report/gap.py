@@ -192,8 +192,8 @@ def _detail(places: Sequence[Ranked]) -> str:
     score = places[0].score
     slow = min(1.0, (score.slow_rms / score.rms) ** 2)
     text = (
-        f"{percent(slow)} of the power of that residual lies below {SLOW_HZ:g} Hz, where a model "
-        "of the flight can mend it; the rest is vibration and noise. "
+        f"{percent(slow)} of the power of that residual lies below {SLOW_HZ:g} Hz, the band of "
+        "flight dynamics; the rest is vibration and noise. "
     )
     if math.isfinite(score.rms_ci95[0]):
         low, high = score.rms_ci95
@@ -202,9 +202,8 @@ def _detail(places: Sequence[Ranked]) -> str:
     later = next((p for p in places if p.horizon_s > 0), None)
     if later and places[0].horizon_s == 0:
         text += (
-            f" Restarted from the measured state, the twin is off by {number(later.score.rms)} "
-            f"{pretty_unit(later.unit)} rms in {describe(later.channel)} "
-            f"after {later.horizon_s:g} s."
+            f" {later.horizon_s:g} s prediction error: {number(later.score.rms)} "
+            f"{pretty_unit(later.unit)} rms in {describe(later.channel)}."
         )
     return text
 
