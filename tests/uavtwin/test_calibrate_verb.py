@@ -119,6 +119,7 @@ def test_one_of_vehicle_and_since(
         ut.explain([], [], *([COPTER] if given else []), since=COPTER if given else None)
 
 
+@pytest.mark.slow
 def test_since_takes_what_was_calibrated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -133,6 +134,7 @@ def test_since_takes_what_was_calibrated(
         ut.explain(read_flight(path), [], since=COPTER)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_calibrated_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = written(tmp_path, "one", COPTER, 1)
     flight = read_flight(path)

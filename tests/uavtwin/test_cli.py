@@ -193,6 +193,7 @@ def test_export_lists_what_it_wrote(capsys: pytest.CaptureFixture[str], tmp_path
         assert code == 0, said
 
 
+@pytest.mark.slow
 def test_exported_start_values_are_baked_in(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -368,6 +369,7 @@ def test_nanobench_through_the_example(
     assert gap["channels"]["acc_x"]["n"] > 1000
 
 
+@pytest.mark.slow
 def test_check_tells_a_motor_without_samples(
     capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
 ) -> None:
@@ -380,6 +382,7 @@ def test_check_tells_a_motor_without_samples(
     assert "good for: " not in said
 
 
+@pytest.mark.slow
 def test_one_bad_file_hides_no_other(
     capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
 ) -> None:

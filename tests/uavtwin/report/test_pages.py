@@ -150,6 +150,7 @@ def test_a_flight_is_hidden_in_all_figures_that_lay_it_over_others(
     assert result["titles"] == ["time from take-off, s"] * 3
 
 
+@pytest.mark.slow
 def test_the_test_of_pages_sees_what_is_wrong(opened: Browser, tmp_path: Path) -> None:
     page = tmp_path / "bad.html"
     page.write_text(

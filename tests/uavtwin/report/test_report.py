@@ -125,6 +125,7 @@ def test_same_flights_give_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
 
 
+@pytest.mark.slow
 def test_hostile_names_stay_text(tmp_path: Path) -> None:
     gap = flight(HOSTILE)
     evil = tuple(replace(c, name=c.name + HOSTILE, unit=HOSTILE) for c in gap.channels)

@@ -5,6 +5,7 @@ import hashlib
 import re
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,6 +13,7 @@ from uavtwin.report.drawing import drawn, thinned
 from uavtwin.report.page import HERE
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.integers(1, 400), st.integers(1, 60))
 def test_thinning_keeps_least_and_largest_of_each_column_and_every_gap(
     seed: int, n: int, columns: int

@@ -41,6 +41,7 @@ def log(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_log_comes_back_number_by_number(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, log: Path
 ) -> None:

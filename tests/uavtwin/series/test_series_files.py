@@ -114,6 +114,7 @@ def test_a_residual_is_measured_minus_its_side() -> None:
 GRID = st.lists(st.integers(0, 30), unique=True, max_size=12).map(sorted)
 
 
+@pytest.mark.slow
 @given(grids=st.lists(GRID, min_size=1, max_size=4), rows=st.integers(1, 7))
 def test_blocks_are_the_table(grids: list[list[int]], rows: int) -> None:
     """However few rows a block has, and whatever the times of the columns."""

@@ -68,6 +68,7 @@ def test_distributions_are_those_that_they_say() -> None:
     assert Choice(("a", "b", "c")).at(np.array([0.0, 0.34, 1.0])) == ["a", "b", "c"]
 
 
+@pytest.mark.slow
 def test_sobol_indices_of_a_known_function() -> None:
     """Ishigami and Homma (1990): first order 0.314, 0.442, 0; total 0.558, 0.442, 0.244."""
     vary = {n: Uniform(-math.pi, math.pi) for n in "abc"}
@@ -82,6 +83,7 @@ def test_sobol_indices_of_a_known_function() -> None:
     assert [i.factor for i in influences(table, design, "y")] == ["a", "b", "c"]
 
 
+@pytest.mark.slow
 def test_sobol_indices_of_words_have_intervals_that_repeat() -> None:
     vary: dict[str, Any] = {
         "mission": Choice(("calm", "fast")),
@@ -119,6 +121,7 @@ def mixed(runs: int, seed: int) -> tuple[pd.DataFrame, Design]:
     return table, design
 
 
+@pytest.mark.slow
 def test_words_angles_and_numbers_have_shares_of_one_kind() -> None:
     """Against the variances that the figure was made of."""
     table, design = mixed(2000, 3)
@@ -134,6 +137,7 @@ def test_words_angles_and_numbers_have_shares_of_one_kind() -> None:
     assert found["number"].rank > 0
 
 
+@pytest.mark.slow
 def test_a_factor_without_influence_is_seldom_given_one() -> None:
     """At most one sweep in twenty, where the intervals hold together as they say."""
     false = 0
