@@ -2,7 +2,8 @@
 
     python docs/_generate/sensitivity.py --out DIR --page docs/results/sensitivity.md --jobs 2
 
-All settings over four cases: about two hours on two cores. A run that was cut short goes on.
+With `--watch` 20 seconds of a core per case: which settings can matter in it. Without, another ten
+for each change that can, about ninety a case. A run that was cut short goes on.
 """
 
 import sys

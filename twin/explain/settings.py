@@ -12,6 +12,15 @@ from ..representation import short_repr
 from ..vehicle import GRAVITY_M_S2
 from .setting_group import Group, Value, setting
 
+_CHANGES = "sensitivity: halved and doubled it changes no step of a search in the "  # origin
+_IN_FIVE = _CHANGES + "5 cases that ask for it (docs/results/sensitivity.md)"  # origin
+_IN_ONE = _CHANGES + "case that asks for it (docs/results/sensitivity.md)"  # origin
+_FOLDS = (
+    "paper: Hastie, Tibshirani & Friedman, The Elements of Statistical Learning, sec. 7.10: "
+    "five or ten"
+)
+"""Origins that several settings share; how many cases ask is in the page."""
+
 # -- which flights are fit for a search ----------------------------------------------------
 
 
@@ -19,7 +28,7 @@ from .setting_group import Group, Value, setting
 class UsableSettings(Group):
     """Of `twin.explain.usable`."""
 
-    shortest_s: float = setting(3.0, "s", "time in the air at least", "made up")
+    shortest_s: float = setting(3.0, "s", "time in the air at least", _IN_FIVE)
     longest_s: float = setting(
         240.0,
         "s",
@@ -30,7 +39,7 @@ class UsableSettings(Group):
         5 * GRAVITY_M_S2,
         "m/s²",
         "specific force, low-passed, that no flight reaches but a blow does",
-        "made up",
+        _IN_FIVE,
     )
     impact_hz: float = setting(
         20.0,
@@ -43,7 +52,7 @@ class UsableSettings(Group):
         1.0,
         "s",
         "left out before and after a blow, and beside the upright ends of a fall",
-        "made up",
+        _IN_FIVE,
     )
     upside_down_s: float = setting(0.2, "s", "upside down for longer is a crash", "made up")
     tipped_cos: float = setting(
@@ -246,7 +255,7 @@ class AdequacySettings(Group):
         "0.0002 after so long",
     )
     most: int = setting(
-        4, "effects", "of a model that lacks more, what one law leaves is not to be told", "made up"
+        4, "effects", "of a model that lacks more, what one law leaves is not to be told", _IN_FIVE
     )
 
 
@@ -270,7 +279,7 @@ class StuckSettings(Group):
     """Of `twin.explain.stochastic.search`."""
 
     shortest_s: float = setting(
-        0.5, "s", "shorter stand-stills are lost packets, and harm no fit", "made up"
+        0.5, "s", "shorter stand-stills are lost packets, and harm no fit", _IN_FIVE
     )
     longer: float = setting(
         10.0,
@@ -291,7 +300,7 @@ class StuckSettings(Group):
         "1",
         "second difference over the first below which a signal has no noise to speak of: it may "
         "come to rest, where one with noise never does",
-        "made up",
+        _IN_ONE,
     )
 
 
@@ -332,7 +341,7 @@ class NoiseLevelSettings(Group):
         (0.1, 30.0),
         "1",
         "a ratio to the noise of the file beyond is no noise level: no noise, or another unit",
-        "made up",
+        _IN_FIVE,
     )
     alike: float = setting(
         1.25,
@@ -371,7 +380,7 @@ class VibrationSettings(Group):
         0.25,
         "share",
         "of the power of a line; where the twin predicts that much, it is motion",
-        "made up",
+        _IN_ONE,
         1.0,
     )
     smallest_acc_m_s2: float = setting(
@@ -389,7 +398,7 @@ class VibrationSettings(Group):
         "has of noise within 200 Hz",
     )
     line_share: float = setting(
-        0.05, "share", "of the power above `from_hz` that a line has at least", "made up", 1.0
+        0.05, "share", "of the power above `from_hz` that a line has at least", _IN_ONE, 1.0
     )
 
 
@@ -409,13 +418,7 @@ class SlowForceSettings(Group):
     fold_s: float = setting(
         4.0, "s", "blocks of time that a regression predicts from the others", "made up"
     )
-    folds: int = setting(
-        5,
-        "1",
-        "parts of the time that are left out in turn",
-        "paper: Hastie, Tibshirani & Friedman, The Elements of Statistical Learning, sec. 7.10: "
-        "five or ten",
-    )
+    folds: int = setting(5, "1", "parts of the time that are left out in turn", _FOLDS)
     floor_hz: tuple[float, float] = setting(
         (5.0, 12.0),
         "Hz",
@@ -448,7 +451,7 @@ class GustSettings(Group):
         0.25,
         "1",
         "median over mean of the power of these blocks: turbulence goes on, bumps do not",
-        "made up",
+        _IN_ONE,
         1.0,
     )
     unexplained: float = setting(
@@ -458,12 +461,12 @@ class GustSettings(Group):
         "physics: more than half of it",
         1.0,
     )
-    smallest_m_s2: float = setting(0.03, "m/s²", "rms of the force that is worth a name", "made up")
+    smallest_m_s2: float = setting(0.03, "m/s²", "rms of the force that is worth a name", _IN_ONE)
     uneven: float = setting(
         6.0,
         "1",
         "largest ratio of the power along x and y: turbulence has no direction to speak of",
-        "made up",
+        _IN_ONE,
     )
     known: float = setting(
         0.35,
@@ -514,13 +517,7 @@ class UnnamedSettings(Group):
     """Of `twin.explain.unnamed`."""
 
     most_terms: int = setting(4, "terms", "of an equation at most", "made up")
-    folds: int = setting(
-        5,
-        "1",
-        "parts of the time that are left out in turn",
-        "paper: Hastie, Tibshirani & Friedman, The Elements of Statistical Learning, sec. 7.10: "
-        "five or ten",
-    )
+    folds: int = setting(5, "1", "parts of the time that are left out in turn", _FOLDS)
     per_term: float = setting(
         6.0,
         "nat",
@@ -560,7 +557,7 @@ class UnnamedSettings(Group):
         "nat",
         "log likelihood below which equations say nothing: many products are tried in many "
         "channels",
-        "made up",
+        _IN_ONE,
     )
     covers: float = setting(
         0.4,
