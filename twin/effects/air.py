@@ -165,7 +165,7 @@ GUST = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)  # white noise through Dryden's forming filters, see above
+)
 
 
 NEAREST_GROUND = 0.25
@@ -301,7 +301,7 @@ ROTOR_DRAG = Effect(
         drag_clause, undetected=Undetected(7, "rotor drag below {}"), secondary=("height_m",)
     ),
     advice={"": FLY_FOR_DRAG},
-)  # force -m k v (1 - s + s spin), spin over that in hover
+)
 
 PARASITIC_DRAG = Effect(
     "parasitic_drag",
@@ -325,7 +325,7 @@ PARASITIC_DRAG = Effect(
     alarm=Stands(6),
     wording=None,
     advice=None,
-)  # force -m c |v| v
+)
 
 INDUCED_INFLOW = Effect(
     "induced_inflow",
@@ -341,7 +341,7 @@ INDUCED_INFLOW = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)  # thrust times 1 - k climb
+)
 
 TRANSLATIONAL_LIFT = Effect(
     "translational_lift",
@@ -362,7 +362,7 @@ TRANSLATIONAL_LIFT = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)  # thrust times 1 + gain (1 - sqrt(sqrt(1 + h^2) - h)), h = v^2 / (2 v_i^2)
+)
 
 BLADE_FLAPPING = Effect(
     "blade_flapping",
@@ -387,7 +387,7 @@ BLADE_FLAPPING = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)  # force -k T v in the plane of the discs, T the thrust
+)
 
 FLAPPING_MOMENT = Effect(
     "flapping_moment",
@@ -414,7 +414,7 @@ FLAPPING_MOMENT = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)  # moment k spin (-v_y, v_x), mean over the rotors
+)
 
 STEADY_WIND = Effect(
     "steady_wind",
@@ -445,7 +445,7 @@ STEADY_WIND = Effect(
     alarm=Begins(4),
     wording=Wording(wind_clause, undetected=Undetected(8, "a steady wind below {}")),
     advice=None,
-)  # velocity of the air, NED
+)
 
 GROUND_EFFECT = Effect(
     "ground_effect",
@@ -476,7 +476,7 @@ GROUND_EFFECT = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)  # thrust times 1 + gain / (1 + (height / height_m)^2)
+)
 
 EFFECTS = (
     ROTOR_DRAG,
@@ -488,4 +488,4 @@ EFFECTS = (
     STEADY_WIND,
     GROUND_EFFECT,
     GUST,
-)  # of this module, in the order of the documents
+)

@@ -31,7 +31,7 @@ from ..component.along import accumulated
 from ..frames import to_body
 from ..vehicle import Vehicle
 from .definition import Begins, Block, Effect, Equation, Limit, Observer, Stands
-from .parameters import COMMON, RARE, UNMEASURED, EffectParameter, Normal, Prior
+from .parameters import COMMON, LAST, RARE, UNMEASURED, EffectParameter, Normal, Prior
 from .stages import Body, Wrench
 from .wording import (
     FLY_FOR_CENTRE_OF_MASS,
@@ -43,6 +43,7 @@ from .wording import (
     inertia_clause,
     load_clause,
     mass_clause,
+    payload_clause,
     place_clause,
 )
 
@@ -123,6 +124,10 @@ def hang_load(
 
 ROPE_DAMPING = 0.3
 """Damping ratio of the rope. Made up: it stops ringing within a second."""
+REACH = 1.5
+"""Arms from the centre of mass to the farthest load: legs and guards end a half arm beyond hubs."""
+LIGHTEST_SHARE = 0.01
+"""Share of the mass below which a load adds no more inertia: the place of nothing is not known."""
 LIGHTEST_LOAD_KG = 1e-6
 """A lighter load moves as this one does, and pulls in proportion to its own mass."""
 
@@ -135,6 +140,39 @@ def _cog_offset(b: Body, p: Block) -> Body:
     shift = [p["x_m"], p["y_m"], p["z_m"]]
     hubs = [[h - s for h, s in zip(hub, shift, strict=True)] for hub in b.hubs]
     return replace(b, hubs=hubs, origin=[o - s for o, s in zip(b.origin, shift, strict=True)])
+
+
+def _payload_cg(b: Body, p: Block) -> Body:
+    """A point mass m at the place r, by m and the static moment m r: mass, centre of mass and
+    inertia about it (Huygens and Steiner) follow."""
+    load, moment = p["mass_kg"], [p[f"moment_{a}_kg_m"] for a in "xyz"]
+    mass = b.mass + load
+    shift = [q / mass for q in moment]
+    square = sum((q * q for q in moment), start=ca.SX(0))
+    per_load = b.mass / (mass * ca.fmax(load, LIGHTEST_SHARE * b.mass))
+    inertia = [
+        [
+            entry + per_load * ((square if i == j else 0.0) - moment[i] * moment[j])
+            for j, entry in enumerate(row)
+        ]
+        for i, row in enumerate(b.inertia)
+    ]
+    hubs = [[h - s for h, s in zip(hub, shift, strict=True)] for hub in b.hubs]
+    origin = [o - s for o, s in zip(b.origin, shift, strict=True)]
+    return replace(b, mass=mass, inertia=inertia, hubs=hubs, origin=origin)
+
+
+def _within_reach(vehicle: Vehicle) -> tuple[Limit, ...]:
+    """A load hangs no farther from the centre of mass than `REACH` arms along each axis."""
+    reach = REACH * vehicle.arm_m
+    return tuple(
+        Limit(
+            {"mass_kg": reach, f"moment_{a}_kg_m": sign},
+            f"no load hangs farther than {REACH:g} arm lengths from the centre of mass",
+        )
+        for a in "xyz"
+        for sign in (1.0, -1.0)
+    )
 
 
 def _inertia_error(b: Body, p: Block) -> Body:
@@ -229,8 +267,9 @@ MASS_OFFSET = Effect(
             "kg",
             "mass on top of the model's",
             0.1,
-            (-0.3, 0.8),
+            (-0.5, 3.0),
             scale=lambda v: v.mass_kg,
+            trifle=0.011,
         ),
     ),
     ("acc",),
@@ -239,11 +278,11 @@ MASS_OFFSET = Effect(
     prior=Prior(
         COMMON, "battery, payload of up to 30 %", {"": Normal(0.0, 0.12)}, corrects="body.mass"
     ),
-    change=Prior(COMMON, "payload of 5 to 25 %", {"": Normal(0.1, 0.1)}, one_sided=True),
-    alarm=Begins(2),
+    change=None,
+    alarm=Begins(2, Prior(COMMON, "payload of 5 to 25 %", {"": Normal(0.1, 0.1)}, one_sided=True)),
     wording=Wording(mass_clause, undetected=Undetected(3, "a mass that is off by less than {}")),
     advice={"": FLY_FOR_THRUST},
-)  # mass plus a number
+)
 
 COG_OFFSET = Effect(
     "cog_offset",
@@ -286,13 +325,13 @@ COG_OFFSET = Effect(
         {"": Normal(0.0, 0.05, 0.015)},
         corrects="rotors.position",
     ),
-    change=Prior(COMMON, "where it is strapped on", {"": Normal(0.0, 0.15)}),
-    alarm=Begins(3),
+    change=Prior(RARE, "a battery that sits elsewhere, of the same mass", {"": Normal(0.0, 0.05)}),
+    alarm=Begins(3, Prior(COMMON, "where a load is strapped on", {"": Normal(0.0, 0.15)})),
     wording=Wording(
         place_clause, undetected=Undetected(4, "a centre of mass that is off by less than {}")
     ),
     advice={"": FLY_FOR_CENTRE_OF_MASS},
-)  # hubs and IMU less a shift
+)
 
 INERTIA_ERROR = Effect(
     "inertia_error",
@@ -316,13 +355,62 @@ INERTIA_ERROR = Effect(
         {"": Normal(1.0, 0.25)},
         corrects="body.inertia",
     ),
-    change=Prior(COMMON, "it turns with the payload", {"": Normal(0.1, 0.1)}, one_sided=True),
+    change=None,
     alarm=Stands(4),
     wording=Wording(
         inertia_clause, undetected=Undetected(5, "inertia that is off by less than {}")
     ),
     advice={"scale_z": FLY_FOR_YAW_TORQUE, "": FLY_FOR_INERTIA},
-)  # moments of inertia times a factor each
+)
+
+PAYLOAD_CG = Effect(
+    "payload_cg",
+    "a load is strapped to the aircraft: mass, centre of mass and inertia change together",
+    "airframe",
+    Body,
+    (
+        EffectParameter(
+            "mass_kg",
+            "kg",
+            "mass of the load",
+            0.1,
+            (0, 3),
+            scale=lambda v: v.mass_kg,
+            trifle=0.01,
+        ),
+        *(
+            EffectParameter(
+                f"moment_{a}_kg_m",
+                "kg.m",
+                f"mass of the load times its place along {a} from the centre of mass",
+                0.0,
+                (-1.5, 1.5),
+                scale=lambda v: v.mass_kg * v.arm_m,
+                trifle=0.005,
+            )
+            for a in "xyz"
+        ),
+    ),
+    ("acc", "gyro"),
+    "definition: point mass; static moment and parallel axes, Goldstein, Classical Mechanics, "
+    "ch. 5",
+    _payload_cg,
+    _within_reach,
+    prior=Prior(
+        LAST,
+        "a file that lacks a load has another mass and centre of mass: effects of their own",
+        {"mass": Normal(0.0, 0.12), "moment": Normal(0.0, 0.06)},
+    ),
+    change=Prior(
+        COMMON,
+        "a load of some 10 % of the mass anywhere between the hubs",
+        {"mass": Normal(0.0, 0.1), "moment_z": Normal(0.0, 0.03), "moment": Normal(0.0, 0.07)},
+        one_sided=True,
+    ),
+    alarm=None,
+    wording=Wording(payload_clause, undetected=Undetected(3, "a load below {}")),
+    advice={"mass": FLY_FOR_THRUST, "": FLY_FOR_CENTRE_OF_MASS},
+)
 
 SLUNG_LOAD = Effect(
     "slung_load",
@@ -356,7 +444,6 @@ SLUNG_LOAD = Effect(
     alarm=None,
     wording=Wording(load_clause, undetected=Undetected(6, "a slung load below {}")),
     advice=None,
-)  # a point mass on a spring along the rope
+)
 
-EFFECTS = (MASS_OFFSET, COG_OFFSET, INERTIA_ERROR, SLUNG_LOAD)
-"""Of this module, in the order of the documents."""
+EFFECTS = (MASS_OFFSET, COG_OFFSET, INERTIA_ERROR, PAYLOAD_CG, SLUNG_LOAD)

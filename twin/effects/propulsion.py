@@ -16,6 +16,7 @@ from .wording import (
     FLY_FOR_YAW_TORQUE,
     Undetected,
     Wording,
+    cant_clause,
     delay_clause,
     factor_clause,
     rotor_clause,
@@ -102,6 +103,12 @@ def _thrust_tilt(w: Wrench, p: Block) -> Wrench:
     return replace(w, force=force, moment=moment)
 
 
+def _rotor_cant(w: Wrench, p: Block) -> Wrench:
+    lift = sum(w.rotors.thrust, start=ca.SX(0))
+    x, y, z = w.moment
+    return replace(w, moment=[x, y, z + p["yaw_m"] * lift])
+
+
 def _voltage(vehicle: Vehicle) -> float:
     return vehicle.voltage_v
 
@@ -113,7 +120,7 @@ _MOMENTUM = EffectParameter(
     1.0,
     (0, 10),
     scale=_hover_momentum,
-)  # shared by the torques that rotors exert through their momentum
+)
 
 
 THRUST_SCALE = Effect(
@@ -142,7 +149,7 @@ THRUST_SCALE = Effect(
         undetected=Undetected(2, "thrust that is off by less than {}"),
     ),
     advice={"": FLY_FOR_THRUST},
-)  # thrust times scale
+)
 
 THRUST_CURVE = Effect(
     "thrust_curve",
@@ -162,7 +169,7 @@ THRUST_CURVE = Effect(
     alarm=Stands(2),
     wording=None,
     advice=None,
-)  # thrust times 1 + slope (thrust / hover - 1)
+)
 
 BATTERY_SAG = Effect(
     "battery_sag",
@@ -203,7 +210,7 @@ BATTERY_SAG = Effect(
     ),
     wording=Wording(sag_clause),
     advice={"": FLY_FOR_BATTERY_SAG},
-)  # thrust and torque times 1 + slope (voltage / reference - 1)
+)
 
 MOTOR_LAG = Effect(
     "motor_lag",
@@ -237,7 +244,7 @@ MOTOR_LAG = Effect(
     alarm=Begins(8, Prior(RARE, "a bearing, a controller that is hot", {"": Normal(0.0, 0.03)})),
     wording=Wording(delay_clause("its rotors follow")),
     advice={"": FLY_FOR_INERTIA},
-)  # lags plus tau, no shorter than `LEAST_LAG_S`
+)
 
 ROTOR_EFFICIENCY_LOSS = Effect(
     "rotor_efficiency_loss",
@@ -245,7 +252,9 @@ ROTOR_EFFICIENCY_LOSS = Effect(
     "airframe",
     Thrust,
     (
-        EffectParameter("loss", "1", "share of the thrust lost", 0.0, (0, 0.6), per_rotor=True),
+        EffectParameter(
+            "loss", "1", "share of the thrust lost", 0.0, (-0.3, 1), per_rotor=True, trifle=0.006
+        ),
         EffectParameter(
             "torque_share",
             "1",
@@ -278,7 +287,7 @@ ROTOR_EFFICIENCY_LOSS = Effect(
         rotor_clause, undetected=Undetected(1, "a loss below {} of the thrust of one rotor")
     ),
     advice=None,
-)  # thrust of rotor i times 1 - loss_i
+)
 
 ROTOR_INERTIA_TORQUE = Effect(
     "rotor_inertia_torque",
@@ -301,7 +310,7 @@ ROTOR_INERTIA_TORQUE = Effect(
     alarm=None,
     wording=None,
     advice={"": FLY_FOR_YAW_TORQUE},
-)  # torque plus momentum times rate of the spin
+)
 
 GYROSCOPIC_TORQUE = Effect(
     "gyroscopic_torque",
@@ -322,7 +331,7 @@ GYROSCOPIC_TORQUE = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)  # moment -omega x (momentum times sum of the spins)
+)
 
 YAW_TORQUE_SCALE = Effect(
     "yaw_torque_scale",
@@ -343,7 +352,7 @@ YAW_TORQUE_SCALE = Effect(
     alarm=Stands(3),
     wording=Wording(factor_clause("its rotors give", "yaw torque")),
     advice={"": FLY_FOR_YAW_TORQUE},
-)  # torque times scale
+)
 
 THRUST_TILT = Effect(
     "thrust_tilt",
@@ -362,7 +371,38 @@ THRUST_TILT = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)  # thrust along -z turned by small angles, at each hub
+)
+
+ROTOR_CANT = Effect(
+    "rotor_cant",
+    "rotor axes lean around the body: a constant yaw moment per thrust",
+    "airframe",
+    Wrench,
+    (
+        EffectParameter(
+            "yaw_m",
+            "m",
+            "yaw moment per thrust",
+            0.02,
+            (-0.2, 0.2),
+            scale=lambda v: v.arm_m,
+        ),
+    ),
+    ("gyro",),
+    "definition: tangential tilt of arms or motor mounts, equal to the difference of reaction "
+    "torques of the two directions of rotation",
+    _rotor_cant,
+    prior=Prior(
+        UNMEASURED,
+        "arms that are turned by 1 degree make 0.017 arm lengths, 10 to 25 % of the reaction "
+        "torque per thrust of usual propellers",
+        {"": Normal(0.0, 0.02)},
+    ),
+    change=None,
+    alarm=None,
+    wording=Wording(cant_clause),
+    advice={"": FLY_FOR_YAW_TORQUE},
+)
 
 EFFECTS = (
     THRUST_SCALE,
@@ -374,4 +414,5 @@ EFFECTS = (
     GYROSCOPIC_TORQUE,
     YAW_TORQUE_SCALE,
     THRUST_TILT,
-)  # of this module, in the order of the documents
+    ROTOR_CANT,
+)

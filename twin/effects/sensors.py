@@ -127,7 +127,7 @@ IMU_LEVER_ARM = Effect(
     alarm=Stands(7),
     wording=None,
     advice=None,
-)  # place of the IMU plus a shift
+)
 
 VIBRATION = Effect(
     "vibration",
@@ -161,7 +161,7 @@ VIBRATION = Effect(
     alarm=Begins(12, Prior(COMMON, "a blade that is nicked or loose", {"": Normal(0.0, 1.0)})),
     wording=None,
     advice=None,
-)  # lines at once and twice the turns of each rotor
+)
 
 ACCEL_SCALE = Effect(
     "accel_scale",
@@ -180,7 +180,7 @@ ACCEL_SCALE = Effect(
     alarm=Stands(8),
     wording=None,
     advice=None,
-)  # reading times a factor per axis
+)
 
 GYRO_SCALE = Effect(
     "gyro_scale",
@@ -199,7 +199,7 @@ GYRO_SCALE = Effect(
     alarm=Stands(9),
     wording=None,
     advice=None,
-)  # reading times a factor per axis
+)
 
 ACCEL_MISALIGNMENT = Effect(
     "accel_misalignment",
@@ -218,7 +218,7 @@ ACCEL_MISALIGNMENT = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)  # reading turned by a small rotation
+)
 
 ACCEL_BIAS = Effect(
     "accel_bias",
@@ -237,7 +237,7 @@ ACCEL_BIAS = Effect(
     alarm=Begins(5),
     wording=Wording(reading_clause("accelerometer", "m/s2")),
     advice=None,
-)  # reading plus a constant
+)
 
 GYRO_BIAS = Effect(
     "gyro_bias",
@@ -256,7 +256,7 @@ GYRO_BIAS = Effect(
     alarm=Begins(6),
     wording=Wording(reading_clause("gyroscope", "rad/s")),
     advice=None,
-)  # reading plus a constant
+)
 
 SENSOR_NOISE_LEVEL = Effect(
     "sensor_noise_level",
@@ -277,7 +277,7 @@ SENSOR_NOISE_LEVEL = Effect(
     alarm=Begins(13, Prior(RARE, "a sensor that fails", {"": Normal(0.0, 1.0)})),
     wording=None,
     advice=None,
-)  # sd: root of (scale sd)^2 plus the square of a further one
+)
 
 STUCK_SENSOR = Effect(
     "stuck_sensor",
@@ -304,7 +304,7 @@ STUCK_SENSOR = Effect(
     alarm=Begins(11, Prior(COMMON, "a sensor that hangs", {"": Normal(0.0, 1.0)})),
     wording=None,
     advice=None,
-)  # a channel repeats itself from a time on
+)
 
 
 def _heading_offset(e: EarthField, p: Block) -> EarthField:
@@ -362,7 +362,7 @@ HEADING_OFFSET = Effect(
     alarm=Stands(10),
     wording=Wording(heading_clause, largest_alone=True),
     advice={"": FLY_FOR_COMPASS},
-)  # earth's field turned about down
+)
 
 MAG_SOFT_IRON = Effect(
     "mag_soft_iron",
@@ -394,7 +394,7 @@ MAG_SOFT_IRON = Effect(
     alarm=None,
     wording=None,
     advice={"": FLY_FOR_COMPASS},
-)  # field times a symmetric matrix
+)
 
 MAG_HARD_IRON = Effect(
     "mag_hard_iron",
@@ -423,7 +423,7 @@ MAG_HARD_IRON = Effect(
     ),
     wording=None,
     advice={"": FLY_FOR_COMPASS},
-)  # field plus a constant, body FRD
+)
 
 MAG_CURRENT_COUPLING = Effect(
     "mag_current_coupling",
@@ -443,7 +443,7 @@ MAG_CURRENT_COUPLING = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)  # field plus a vector times the battery's current
+)
 
 BARO_BIAS = Effect(
     "baro_bias",
@@ -464,7 +464,7 @@ BARO_BIAS = Effect(
     alarm=Begins(10, Prior(COMMON, "a draught, a blocked port", {"": Normal(0.0, 100.0)})),
     wording=None,
     advice=None,
-)  # pressure plus a constant
+)
 
 BARO_DYNAMIC_PRESSURE = Effect(
     "baro_dynamic_pressure",
@@ -481,7 +481,7 @@ BARO_DYNAMIC_PRESSURE = Effect(
     alarm=None,
     wording=None,
     advice=None,
-)  # pressure plus a share of the dynamic one
+)
 
 EFFECTS = (
     IMU_LEVER_ARM,
@@ -499,4 +499,4 @@ EFFECTS = (
     MAG_CURRENT_COUPLING,
     BARO_BIAS,
     BARO_DYNAMIC_PRESSURE,
-)  # of this module, in the order of the documents
+)

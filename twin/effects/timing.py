@@ -54,7 +54,7 @@ IMU_DELAY = Effect(
     alarm=None,
     wording=Wording(delay_clause("its IMU reads")),
     advice=None,
-)  # readings as they were a delay ago
+)
 
 POSITION_DELAY = Effect(
     "position_delay",
@@ -81,7 +81,7 @@ POSITION_DELAY = Effect(
     alarm=None,
     wording=Wording(delay_clause("its position arrives"), largest_alone=True),
     advice=None,
-)  # readings as they were a delay ago
+)
 
 COMMAND_DELAY = Effect(
     "command_delay",
@@ -108,7 +108,7 @@ COMMAND_DELAY = Effect(
     alarm=None,
     wording=Wording(delay_clause("its motors get their commands")),
     advice={"": FLY_FOR_INERTIA},
-)  # commands as they were a delay ago
+)
 
 _CLOCKS = (
     ("pose_s", "position and velocity", ("pos", "vel"), POSE_SAMPLING_S),
@@ -116,7 +116,7 @@ _CLOCKS = (
     ("accelerometer_s", "accelerometer", ("acc",), SAMPLING_S),
     ("command_s", "motor commands", ("cmd",), SAMPLING_S),
     ("rotor_s", "rotor speeds", ("rotor",), SAMPLING_S),
-)  # parameter, what its clock stamps, signals, smallest offset worth a name, s
+)
 
 CLOCK_OFFSET = effect_of_records(
     "clock_offset",
@@ -150,7 +150,7 @@ CLOCK_OFFSET = effect_of_records(
     alarm=None,
     wording=None,
     advice=None,
-)  # times of some signals plus a constant
+)
 
 POSE_SMOOTHING = effect_of_records(
     "pose_smoothing",
@@ -176,7 +176,7 @@ POSE_SMOOTHING = effect_of_records(
     alarm=None,
     wording=None,
     advice=None,
-)  # pose averaged symmetrically over time
+)
 
 EFFECTS = (IMU_DELAY, POSITION_DELAY, COMMAND_DELAY, CLOCK_OFFSET, POSE_SMOOTHING)
 """Of this module, in the order of the documents."""

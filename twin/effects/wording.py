@@ -81,7 +81,7 @@ FLY_FOR_BATTERY_SAG = Advice("battery sag", "one flight that takes the battery f
 """How to fly for it."""
 FLY_FOR_CENTRE_OF_MASS = Advice(
     "centre of mass", "hover for a minute, and turn on the spot meanwhile"
-)  # how to fly for it
+)
 FLY_FOR_COMPASS = Advice("compass", "turn through a full circle in hover, slowly, twice")
 """How to fly for it."""
 ADVICE = (
@@ -130,6 +130,22 @@ def place_clause(change: Changes, since: bool) -> str:
     if since:
         return f"its centre of mass has moved {joined(parts)}"
     return f"its centre of mass is {joined(parts)} than in the model"
+
+
+def payload_clause(change: Changes, since: bool) -> str:
+    """A load strapped on. See `Clause`."""
+    del since
+    kg = change.get("mass_kg", 0.0)
+    moment = [change.get(f"moment_{a}_kg_m", 0.0) for a in "xyz"]
+    away = [
+        f"{number(1e3 * abs(m) / kg)} mm {ways[0 if m > 0 else 1]}"
+        for m, (_, *ways) in zip(moment, AXES, strict=True)
+        if kg > 0 and m
+    ]
+    if kg > 0:
+        return f"it carries {quantity(kg, 'kg')} more" + (f", {joined(away)}" if away else "")
+    sides = [ways[0 if m > 0 else 1] for m, (_, *ways) in zip(moment, AXES, strict=True) if m]
+    return f"it carries a load {joined(sides)} of the centre of mass" if sides else ""
 
 
 def load_clause(change: Changes, since: bool) -> str:
@@ -209,6 +225,16 @@ def drag_clause(change: Changes, since: bool) -> str:
         if change.get(name)
     ]
     return f"{'linear drag has changed by ' * since}{joined(parts)}" if parts else ""
+
+
+def cant_clause(change: Changes, since: bool) -> str:
+    """A constant yaw moment of canted rotors. See `Clause`."""
+    del since
+    yaw = change.get("yaw_m", 0.0)
+    way = "clockwise" if yaw > 0 else "counter-clockwise"
+    return (
+        f"its rotors are canted and turn it {way} by {number(1e3 * abs(yaw))} mN m per N of thrust"
+    )
 
 
 def sag_clause(change: Changes, since: bool) -> str:

@@ -363,11 +363,14 @@ def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explan
 def _with_equations(found: Explanation, seed: int) -> Explanation:
     """The same with equations, where they say more than any effect of the library.
 
-    A model that lacks many things at once is not asked for one: they would be written down together
-    with the constants of days.
+    Since a calibration they never overrule a name, or that nothing has changed: what the flights of
+    the calibration had and no effect explains is no change. A model that lacks many things at once
+    is not asked for one: they would be written down together with the constants of days.
     """
     naming = found.naming
     assert naming is not None
+    if found.since is not None and naming.verdict in ("named", "nothing"):
+        return found
     if len(naming.best.effects) > found.settings.inference.adequacy.most:
         return found
     if any(isinstance(EFFECTS[u.effect].observable_as, RandomForce) for u in found.stochastic):

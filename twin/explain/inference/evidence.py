@@ -14,6 +14,7 @@ explains: trim, levelling, temperature. kappa scales all day-to-day variation an
 hypothesis, too.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -61,6 +62,56 @@ class MapEstimate:
         sd = np.zeros(len(self.x))
         sd[self.free] = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return sd
+
+
+TAIL_DEGREES = 3.0
+"""Degrees of freedom of the Student prior of the numbers of an effect: the fewest with a variance.
+4 deviations cost 3.8 nats in the place of 8.4: what is large is improbable, and not excluded."""
+_TAIL_LOG = math.lgamma((TAIL_DEGREES + 1) / 2) - math.lgamma(TAIL_DEGREES / 2)
+_TAIL_LOG += 0.5 * math.log(2 / TAIL_DEGREES)
+"""Log density of a Student variable at its mean over that of a normal one of the same scale."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Prior:
+    """Of the free entries of `MapEstimate.x` for one set of effects.
+
+    Numbers of effects have a Student distribution, as a mixture over the scale of normal ones: at a
+    deviation z its weight is (nu + 1) / (nu + z^2) (Lange, Little & Taylor, J. Am. Stat. Assoc. 84,
+    1989).
+
+    Attributes:
+        free: Positions in `x`, shape (m,).
+        mean: Shape (m,).
+        precision: At the mean and with weights of one, shape (m, m).
+        deviation: Of the entries with a Student distribution, 0 for those with none, shape (m,).
+        odds: Log prior odds of the set.
+    """
+
+    free: NDArray[np.intp]
+    mean: Array
+    precision: Array
+    deviation: Array
+    odds: float
+
+    def _weights(self, x: Array) -> Array:
+        """Of the scale of each entry, 1 where it has no tail."""
+        tailed = self.deviation > 0
+        square = np.divide(x - self.mean, self.deviation, where=tailed, out=np.ones(len(x))) ** 2
+        return np.where(tailed, (TAIL_DEGREES + 1) / (TAIL_DEGREES + square), 1.0)
+
+    def precision_at(self, x: Array) -> Array:
+        """With the weights of the scales."""
+        root = np.sqrt(self._weights(x))
+        return self.precision * np.outer(root, root)
+
+    def log_density(self, x: Array) -> float:
+        """Less what the determinant of `precision` contributes."""
+        weight, away = self._weights(x), x - self.mean
+        scaled = np.sqrt(weight) * away
+        w, nu = weight[self.deviation > 0], TAIL_DEGREES
+        tail = _TAIL_LOG - (nu + 1) / 2 * np.log((nu + 1) / (nu * w)) + (nu + 1 - nu * w) / 2
+        return float(tail.sum() - 0.5 * scaled @ self.precision @ scaled)
 
 
 class LaplaceEvidence:
@@ -158,10 +209,8 @@ class LaplaceEvidence:
 
     # -- priors ------------------------------------------------------------------------------
 
-    def _prior(
-        self, on: Sequence[str], kappa: float
-    ) -> tuple[NDArray[np.intp], Array, Array, float]:
-        """Free entries of `x`, their means and precision matrix, and the log odds of the set."""
+    def _prior(self, on: Sequence[str], kappa: float) -> "_Prior":
+        """Of a set; `kappa`: by how much days differ more than is usual."""
         b, k = self.priors, self._k
         there = np.zeros(k, dtype=np.bool_)
         for e in on:
@@ -176,19 +225,21 @@ class LaplaceEvidence:
         means = np.concatenate([mean[free], np.zeros(len(days))])
         precision = np.diag(np.concatenate([np.zeros(len(free)), (kappa * self._day) ** -2.0]))
         precision[: len(free), : len(free)] = Factored.of(inner).inverse()
-        return index, means, precision, float(sum(b.odds[e] for e in on))
+        own = np.where(there[free] & ~b.shape[free], b.slab[free], 0.0)
+        deviation = np.concatenate([own, np.zeros(len(days))])
+        return _Prior(index, means, precision, deviation, float(sum(b.odds[e] for e in on)))
 
     # -- one set -----------------------------------------------------------------------------
 
     def at(self, on: Sequence[str], kappa: float, x: Array | None = None) -> float:
         """Log density of residuals and numbers where the residuals were taken."""
         x = self.here if x is None else x
-        free, mean, precision, odds = self._prior(on, kappa)
+        prior = self._prior(on, kappa)
+        free = prior.free
         y = x[free]
         q, g = self._grams[:, 0, 1 + free], self._grams[:, 1 + free[:, None], 1 + free]
         rss = self._grams[:, 0, 0] - 2 * q @ y + np.einsum("bij,i,j->b", g, y, y, optimize=True)
-        prior = -0.5 * (y - mean) @ precision @ (y - mean)
-        return self._likelihood.log(np.maximum(rss, 0), kappa) + float(prior) + odds
+        return self._likelihood.log(np.maximum(rss, 0), kappa) + prior.log_density(y) + prior.odds
 
     def best(self, on: Sequence[str], kappa: float, reach: Array | None = None) -> MapEstimate:
         """The best numbers of a set, and its evidence.
@@ -217,7 +268,8 @@ class LaplaceEvidence:
         steps: int,
         reach: Array | None = None,
     ) -> MapEstimate:
-        free, mean, precision, odds = self._prior(on, kappa)
+        prior = self._prior(on, kappa)
+        free, mean = prior.free, prior.mean
         g = self._grams[:, 1 + free[:, None], 1 + free]
         q, power = self._grams[:, 0, 1 + free], self._grams[:, 0, 0]
         low, high = self._low[free], self._high[free]
@@ -232,15 +284,13 @@ class LaplaceEvidence:
             return np.maximum(power - 2 * q @ x + bent, 0)
 
         def density(left: Array, x: Array) -> float:
-            return self._likelihood.log(left, kappa) - float(
-                0.5 * (x - mean) @ precision @ (x - mean)
-            )
+            return self._likelihood.log(left, kappa) + prior.log_density(x)
 
-        def curvature(left: Array) -> Array:
+        def curvature(left: Array, precision: Array) -> Array:
             weight = self._likelihood.weights(left, kappa)[1]
             return (weight @ flat).reshape(m, m) + precision
 
-        def pull(left: Array, x: Array) -> Array:
+        def pull(left: Array, x: Array, precision: Array) -> Array:
             """Right side of the normal equations for the next numbers."""
             slope, weight = self._likelihood.weights(left, kappa)
             pulled = weight @ q + precision @ mean
@@ -251,8 +301,9 @@ class LaplaceEvidence:
         left = rss(x)
         now = density(left, x)
         for _ in range(steps if m else 0):
-            h = Factored.of(curvature(left))
-            y = best_inside(h, pull(left, x), low, high)
+            precision = prior.precision_at(x)
+            h = Factored.of(curvature(left, precision))
+            y = best_inside(h, pull(left, x, precision), low, high)
             if limited:
                 y = self._allowed(y, free, h)
             length, gained = 1.0, False
@@ -270,11 +321,11 @@ class LaplaceEvidence:
             x, left, now = z, new_left, new
             if done:
                 break
-        h = Factored.of(curvature(left))
-        laplace = 0.5 * (Factored.of(precision).log_determinant - h.log_determinant)
+        h = Factored.of(curvature(left, prior.precision_at(x)))
+        laplace = 0.5 * (Factored.of(prior.precision).log_determinant - h.log_determinant)
         full = np.zeros(len(self._low))
         full[free] = x
-        return MapEstimate(now + laplace + odds, kappa, full, free, h.inverse())
+        return MapEstimate(now + laplace + prior.odds, kappa, full, free, h.inverse())
 
     def _allowed(self, x: Array, free: NDArray[np.intp], h: "Factored") -> Array:
         """Numbers with what nature rules out taken back."""

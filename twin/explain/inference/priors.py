@@ -201,13 +201,19 @@ def _least(number: Number, vehicle: Vehicle) -> float:
     return number.about.bounds[0] if least is None or number.shape else least
 
 
+PROPELLERS = 0.03
+"""Standard deviation of the thrust of one rotor over that of the others: propellers of one bag
+differ by 2 to 5 %."""
+
+
 def priors_of(model: Model, trusted: bool = True) -> Priors:
     """Priors of a model's numbers.
 
     Args:
         model: Flights and vehicle.
         trusted: Whether a number is believed to be as the vehicle file says, but for the standard
-            deviation that is written beside it; else words of its source count as well.
+            deviation that is written beside it; else words of its source count as well, and each
+            rotor has a factor of its own.
     """
     vehicle, numbers = model.vehicle, model.numbers
     indoors = all(f.flight.indoors for f in model.flights)
@@ -227,6 +233,8 @@ def priors_of(model: Model, trusted: bool = True) -> Priors:
         mean[i] = n.now if in_file else expected.mean
         slab[i], day[i] = expected.sd, expected.day
         spike[i] = 0.0 if n.shape else _unsure(n, vehicle, trusted)
+        if n.about.per_rotor and not n.shape and not trusted:
+            spike[i] = max(spike[i], PROPELLERS)
     return Priors(
         tuple(columns),
         tuple(n.full for n in own),

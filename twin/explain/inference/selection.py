@@ -4,7 +4,7 @@
 |---|---|
 | named | it is there with certainty, and its numbers are such as it can have |
 | undecided | it may be there, or another stands for it |
-| acts like it | a number is at its edge or too far from what is expected, or its law leaves much |
+| acts like it | a number is at its edge, or its law leaves much |
 | calibrated | the file's own uncertainty covers it |
 
 *Adequacy*: how far a name can be believed. The noise of a residual decorrelates within a few
@@ -554,9 +554,6 @@ def _resemblances(
     believable: Mapping[str, float],
     rules: SelectionSettings,
 ) -> Sequence[Resemblance]:
-    tension = problem.priors.tension(
-        {n.full: conditional.values[n.full] for n in conditional.numbers}
-    )
     bare = Fit(
         best.effects,
         conditional.values,
@@ -567,18 +564,8 @@ def _resemblances(
     at_edge = dict(edges(bare.numbers, bare.values, problem.model.vehicle))
     found = []
     for e in best.effects:
-        own = [n for n in conditional.numbers if n.effect == e]
-        far = max(own, key=lambda n: tension[n.full])
         if e in at_edge:
             found.append(Resemblance(e, at_edge[e]))
-        elif tension[far.full] > rules.tension:
-            found.append(
-                Resemblance(
-                    e,
-                    f"{far.full} = {conditional.values[far.full]:.4g} is {tension[far.full]:.1f} "
-                    f"deviations from what such a number is expected to be",
-                )
-            )
         elif believable.get(e, 1.0) < rules.credible:
             found.append(Resemblance(e, "it leaves much of what its law should take"))
     return found
