@@ -34,6 +34,9 @@ class Calibration:
             `twin.explain`, in its unit.
         records: Numbers that no vehicle holds, because they are of its records, "effect.number" ->
             value: clocks, the frame of a pose.
+        means: By channel of the balance of forces and moments the mean of the residual over all
+            flights, in its unit, and of "vibration", see `twin.explain.balance`.
+        scatter: Of these, sample standard deviation between the flights.
     """
 
     flights: tuple[str, ...]
@@ -42,6 +45,8 @@ class Calibration:
     days: Mapping[str, float]
     constants: Mapping[str, float]
     records: Mapping[str, float] = field(default_factory=dict)
+    means: Mapping[str, float] = field(default_factory=dict)
+    scatter: Mapping[str, float] = field(default_factory=dict)
 
     __repr__ = short_repr
 

@@ -14,7 +14,8 @@ from ..effects import EFFECTS
 from ..vehicle import Array, Calibration, Vehicle
 
 SECTION = "calibration"  # of a vehicle file
-_PARTS = ("flights", "numbers", "sd", "correlation", "days", "constants", "records")
+_TABLES = ("days", "constants", "records", "means", "scatter")  # of numbers by name
+_PARTS = ("flights", "numbers", "sd", "correlation", *_TABLES)
 """Keys of the section."""
 _AGAIN = "Take the section out, or write it again by `uavtwin calibrate`."  # way out
 _DIGITS = 12
@@ -42,20 +43,19 @@ def read_calibration(section: Any, vehicle: Vehicle, mistakes: list[str]) -> Cal
     numbers = _texts("numbers", section.get("numbers"), mistakes)
     for n in dict.fromkeys(n for n in numbers if numbers.count(n) > 1):
         mistakes.append(f"{SECTION}.numbers holds {n!r} twice. {_AGAIN}")
-    days, constants, records = (
-        _by_name(part, section.get(part, {}), mistakes) for part in ("days", "constants", "records")
-    )
+    tables = [_by_name(part, section.get(part, {}), mistakes) for part in _TABLES]
+    days, constants, records, _, scatter = tables
     for part, names in (("numbers", numbers), ("days", days), ("records", records)):
         for name in (n for n in names if n not in known):
             mistakes.append(unknown_name(f"{SECTION}.{part}", "number", name, known))
-    for part, values in (("days", days), ("constants", constants)):
+    for part, values in (("days", days), ("constants", constants), ("scatter", scatter)):
         for name, sd in values.items():
             if sd < 0:
                 mistakes.append(f"{SECTION}.{part}.{name} = {sd:g} must not be negative. {_AGAIN}")
     covariance = _covariance(section, len(numbers), mistakes)
     if len(mistakes) > before or covariance is None:
         return None
-    return Calibration(flights, numbers, covariance, days, constants, records)
+    return Calibration(flights, numbers, covariance, *tables)
 
 
 def with_calibration(text: str, calibration: Calibration | None) -> str:
@@ -84,14 +84,7 @@ def same_calibration(a: Calibration | None, b: Calibration | None) -> bool:
     return (
         bool(np.allclose(one, two, rtol=_ROUNDING, atol=0))
         and bool(np.allclose(first, second, rtol=0, atol=_ROUNDING))
-        and all(
-            _alike(x, y)
-            for x, y in (
-                (a.days, b.days),
-                (a.constants, b.constants),
-                (a.records, b.records),
-            )
-        )
+        and all(_alike(getattr(a, part), getattr(b, part)) for part in _TABLES)
     )
 
 
@@ -189,7 +182,7 @@ def _section(calibration: Calibration) -> TOMLDocument:
     table["correlation"] = _lines(
         [round(float(v), _DIGITS) for v in row[: i + 1]] for i, row in enumerate(correlation)
     )
-    for part in ("days", "constants", "records"):
+    for part in _TABLES:
         values: Mapping[str, float] = getattr(calibration, part)
         if values:
             own = tomlkit.table()

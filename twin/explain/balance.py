@@ -1,0 +1,496 @@
+"""What has changed in the balance of forces and moments since a calibration: a rotor, a load, both
+alike, or nothing.
+
+The mean of an angular acceleration, and of the specific force along the thrust, does not feel the
+loop: whatever the controller does, the moments of a flight average to zero. A change y of these
+means since the flights of the calibration is compared with what each cause does,
+
+    y = S_h x_h + e,    x_h ~ sum_k w_k N(m_k, P_k),    e ~ N(0, f^2 D (1/n + 1/n0) + T + W)
+
+S_h: slopes at the numbers of the calibration; x_h: numbers of the cause, small, middling or large;
+D: day-to-day variance by the table, f its common factor, integrated over its posterior given the n0
+flights of the calibration; T: variance between sessions, in which batteries and propellers are
+changed; W: what the wind may do. n: flights. All of it is Gaussian but for the sums over k and f.
+
+Damaged propellers shake: the power above the motion of the body, where an acceleration is logged
+fast enough, is a fifth reading, which a load does not raise.
+
+Two rotors that lost alike and a load at their side are one and the same in these means but for yaw,
+and propellers of another session turn yaw as far: such causes are told apart by nothing, and said
+as "this or that".
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.signal import welch
+from scipy.special import logsumexp
+from scipy.stats import norm
+
+from ..effects import EFFECTS
+from ..logs.columns import ACC, ACC_NED
+from ..representation import short_repr
+from ..vehicle import Calibration, Vehicle
+from .inference.adequacy import POWER_95, Detectable
+from .model.model import FlightModel, Model
+from .stochastic.spectral import pieces_of, rate_of
+
+Array = NDArray[np.float64]
+NOTHING, ROTORS, LOAD, VIBRATION = "nothing", "rotor_efficiency_loss", "payload_cg", "vibration"
+CAUSES = (ROTORS, LOAD, "mass_offset", "cog_offset", "inertia_error")
+"""Effects that change the balance; the search for all other changes leaves them out."""
+BALANCED = ("acc_z", "gyro_rate_x", "gyro_rate_y", "gyro_rate_z")
+"""Channels whose means are the balance; of a flight without an IMU those of its pose."""
+DAY = np.array([0.015, 0.003, 0.003, 0.02])
+"""Standard deviation between flights of one session: thrust over the weight; moments about x and y
+over weight times arm; about z over the reaction torque of all rotors. Chosen on CrazyPAD's E9."""
+SESSION = np.array([0.03, 0.002, 0.002, 0.07])
+"""The same between sessions. Chosen on CrazyPAD's E9: yaw differs by 5 to 6 % between those in
+which propellers were changed."""
+FACTORS = 2.0 ** np.arange(-3.0, 3.25, 0.5)
+"""f: by how much days of an aircraft may differ from the table, log-normal with deviation 1."""
+SIZES = ((0.04, 0.02), (0.1, 0.05), (0.25, 0.12))
+"""Mean and deviation of a loss of thrust over that of the rotor, and of a mass over that of the
+aircraft: a nick, a cut, a stump; alike probable."""
+LOG_ODDS = -1.0
+"""Of one cause, a single rotor or a load, against nothing: who asks what has changed suspects
+something, so that a change is as probable as none."""
+SECOND_ROTOR = -1.0
+"""Log odds of a second damaged rotor, given the first: what breaks one often breaks its neighbour.
+Chosen on CrazyPAD's E9."""
+REACH = 0.5
+"""Deviation of the place of a load along each axis, in arms, where it hangs at no hub."""
+SHAKES_ABOVE_HZ = 12.0
+"""No body turns or climbs faster by its rotors: the loop of the attitude ends at 5 to 10 Hz."""
+SHAKEN_LEAST_HZ = 40.0
+"""Rate of an acceleration from which on vibration is read in it."""
+ALONE = 0.9
+"""Probability from which on a rotor, or a load, is named alone: only yaw parts the two, and what
+yaw does between sessions is known from one aircraft."""
+STEADY_SD, SHAKEN, SHAKEN_SD, SHAKES = 0.3, 0.7, 0.6, 0.4
+"""Change of the log of the amplitude of vibration: deviation between flights; mean and deviation of
+a damaged propeller that shakes, and how many do. Chosen on CrazyPAD's E9."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trim:
+    """Means of the channels of the balance in some flights, and their vibration.
+
+    Attributes:
+        channels: Names: thrust, moments about x, y, z.
+        means: Of the residuals of each flight, in the units of the channels, shape (n, 4).
+        slopes: Of these by the numbers of `CAUSES` and of the wind, shape (4, k).
+        numbers: "effect.number" of each column.
+        vibration: Log of the amplitude above `SHAKES_ABOVE_HZ`, of each flight that shows it.
+    """
+
+    channels: tuple[str, ...]
+    means: Array
+    slopes: Array
+    numbers: tuple[str, ...]
+    vibration: Array
+
+    __repr__ = short_repr
+
+    def by_name(self) -> tuple[dict[str, float], dict[str, float]]:
+        """Mean over the flights and sample deviation between them, by channel and `VIBRATION`."""
+        every = {c: v for c, v in zip(self.channels, self.means.T, strict=True)}
+        every |= {VIBRATION: self.vibration} if len(self.vibration) else {}
+        spread = {c: float(np.std(v, ddof=1)) for c, v in every.items() if len(v) > 1}
+        return {c: float(np.mean(v)) for c, v in every.items()}, spread
+
+
+def trim_of(model: Model, values: Mapping[str, float] | None = None) -> Trim | None:
+    """Balance of a model's flights, days apart; None where a channel of it is missing.
+
+    Args:
+        model: Flights with the vehicle as it was calibrated.
+        values: Numbers that differ from the vehicle's, "effect.number" -> value.
+    """
+    wanted = (*CAUSES, "steady_wind")
+    columns = [i for i, n in enumerate(model.numbers) if n.effect in wanted and not n.shape]
+    flights = model.channels(columns, values or {})
+    names = [c.name for c in flights[0]]
+    channels = tuple(c if c in names else f"motion_{c.replace('gyro_', '')}" for c in BALANCED)
+    if not set(channels) <= set(names):
+        return None
+    own = [[f[names.index(c)] for c in channels] for f in flights]
+    means = np.array([[c.residual.mean() for c in f] for f in own])
+    slopes = np.mean([[c.slopes.mean(axis=0) for c in f] for f in own], axis=0)
+    shaken = [v for f in model.flights if (v := vibration_of(f)) is not None]
+    return Trim(
+        channels, means, slopes, tuple(model.numbers[i].full for i in columns), np.array(shaken)
+    )
+
+
+def vibration_of(flight: FlightModel) -> float | None:
+    """Log of the root mean square of the acceleration above the motion of the body, m/s^2, over all
+    axes; None where none is logged fast enough."""
+    for columns in (ACC, ACC_NED):
+        pieces = pieces_of(flight, columns, 0.5)
+        rate = rate_of(pieces)
+        if rate < SHAKEN_LEAST_HZ:
+            continue
+        power, weight = 0.0, 0
+        for p in pieces:
+            f, density = welch(p.values, rate, nperseg=min(len(p.t_s), 128), axis=0)
+            inside = density[f >= SHAKES_ABOVE_HZ]
+            power += len(p.t_s) * float(np.sum(inside) * (f[1] - f[0]))
+            weight += len(p.t_s)
+        if power > 0:
+            return 0.5 * math.log(power / weight)
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """A cause of a change.
+
+    Attributes:
+        cause: Effect, or `NOTHING`.
+        rotors: From 1, of `ROTORS`.
+        probability: Among all of them.
+        values: "effect.number" -> posterior mean of the change.
+        deviations: Posterior standard deviations.
+    """
+
+    cause: str
+    rotors: tuple[int, ...]
+    probability: float
+    values: Mapping[str, float]
+    deviations: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Balance:
+    """What has changed in the balance.
+
+    Attributes:
+        hypotheses: All of them, the most probable first.
+        detectable: By cause the smallest change that would have been noticed, with 95 % power.
+        more: By rotor, from 1, how much more of its thrust it must give than at calibration, by the
+            change of the means alone, as a share.
+        sure: Probability from which on a name is given.
+    """
+
+    hypotheses: tuple[Hypothesis, ...]
+    detectable: Mapping[str, Detectable]
+    more: tuple[float, ...]
+    sure: float
+
+    __repr__ = short_repr
+
+    def probability_of(self, cause: str) -> float:
+        """Of a cause, whichever rotors it is of."""
+        return sum(h.probability for h in self.hypotheses if h.cause == cause)
+
+    def best(self, cause: str) -> Hypothesis:
+        """The most probable hypothesis of a cause."""
+        return next(h for h in self.hypotheses if h.cause == cause)
+
+    @property
+    def damaged(self) -> float:
+        """Probability of damaged propellers: thrust is lost, or they shake."""
+        return self.probability_of(ROTORS) + self.probability_of(VIBRATION)
+
+    @property
+    def changed(self) -> float:
+        """Probability that something has changed."""
+        return self.damaged + self.probability_of(LOAD)
+
+    @property
+    def named(self) -> Hypothesis | None:
+        """The cause that is sure; None: none is."""
+        if self.changed < self.sure:
+            return None
+        if self.damaged >= ALONE:
+            return max(self._damage, key=lambda h: h.probability)
+        return self.best(LOAD) if self.probability_of(LOAD) >= ALONE else None
+
+    @property
+    def _damage(self) -> list[Hypothesis]:
+        """Hypotheses of damage, the most probable first."""
+        return [h for h in self.hypotheses if h.cause in (ROTORS, VIBRATION)]
+
+    @property
+    def one_of(self) -> tuple[Hypothesis, ...]:
+        """A rotor and a load, where it is one of them and nobody can tell which."""
+        if self.named is not None or self.changed < self.sure:
+            return ()
+        return self.best(ROTORS), self.best(LOAD)
+
+    @property
+    def nothing(self) -> float:
+        """Probability that nothing has changed."""
+        return self.probability_of(NOTHING)
+
+
+def balance_of(trim: Trim, vehicle: Vehicle, indoors: bool, sure: float) -> Balance:
+    """What has changed between the calibration of a vehicle and some flights.
+
+    Args:
+        trim: Of the flights.
+        vehicle: Calibrated.
+        indoors: Whether the flights were under a roof: then no wind blows.
+        sure: Probability from which on a name is given.
+    """
+    assert vehicle.calibration is not None
+    known = vehicle.calibration
+    before = np.array([known.means.get(c, 0.0) for c in trim.channels])
+    made = _Competition(trim, vehicle, indoors)
+    shaken = None
+    if VIBRATION in known.means and len(trim.vibration):
+        shaken = float(np.mean(trim.vibration)) - known.means[VIBRATION]
+    change = trim.means.mean(axis=0) - before
+    weighed = made.weigh(change, shaken)
+    return Balance(
+        tuple(sorted(weighed, key=lambda h: -h.probability)),
+        {cause: made.smallest(cause, sure) for cause in (ROTORS, LOAD)},
+        made.more(change),
+        sure,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Component:
+    """One size of a cause: normal distribution of its numbers.
+
+    Attributes:
+        log_weight: Prior.
+        columns: Of the slopes.
+        mean: Of the numbers, shape (k,).
+        covariance: Shape (k, k).
+    """
+
+    log_weight: float
+    columns: tuple[int, ...]
+    mean: Array
+    covariance: Array
+
+
+Key = tuple[str, tuple[int, ...]]
+
+
+class _Competition:
+    """All causes of a change of the balance of one vehicle."""
+
+    def __init__(self, trim: Trim, vehicle: Vehicle, indoors: bool) -> None:
+        assert vehicle.calibration is not None
+        self._slopes, self._at = trim.slopes, {n: i for i, n in enumerate(trim.numbers)}
+        self._vehicle, self._rotors = vehicle, vehicle.rotors.count
+        self._unit = self._units()
+        counts = len(trim.means), max(len(vehicle.calibration.flights), 1)
+        self._noises = self._noise(vehicle.calibration, trim.channels, *counts, indoors)
+        self._components = {key: tuple(parts) for key, parts in self._causes()}
+        self._prepare()
+
+    def _units(self) -> Array:
+        """Weight, weight times arm about x and y, and all reaction torque, in the units of the
+        channels."""
+        s, at, v = np.abs(self._slopes), self._at, self._vehicle
+        turn = v.mass_kg * v.arm_m
+        return np.array(
+            [
+                s[0, at[f"{LOAD}.mass_kg"]] * v.mass_kg,
+                s[1, at[f"{LOAD}.moment_y_kg_m"]] * turn,
+                s[2, at[f"{LOAD}.moment_x_kg_m"]] * turn,
+                sum(s[3, i] for i in self._losses),
+            ]
+        )
+
+    @property
+    def _losses(self) -> tuple[int, ...]:
+        """Column of each rotor's loss."""
+        return tuple(self._at[f"{ROTORS}.loss_{i + 1}"] for i in range(self._rotors))
+
+    def _noise(
+        self, known: Calibration, channels: Sequence[str], n: int, before: int, indoors: bool
+    ) -> list[tuple[float, Array]]:
+        """Log weight and covariance of the noise of a change, by the factor on the days."""
+        day, session = DAY * self._unit, SESSION * self._unit
+        spread = np.array([known.scatter.get(c, np.nan) for c in channels])
+        seen = np.isfinite(spread) & (before > 1)
+        wind = EFFECTS["steady_wind"].change
+        assert wind is not None
+        blown = np.zeros((4, 4))
+        for name, i in self._at.items():
+            if name.startswith("steady_wind."):
+                sd = wind.of(name.partition(".")[2], indoors).sd
+                blown += sd**2 * np.outer(self._slopes[:, i], self._slopes[:, i])
+        logs = []
+        for f in FACTORS:
+            ratio = spread[seen] / (f * day[seen])
+            logs.append(
+                -0.5 * math.log(f) ** 2 - (before - 1) * float(np.sum(math.log(f) + 0.5 * ratio**2))
+            )
+        logs = np.array(logs) - logsumexp(logs)
+        share = 1 / n + 1 / before
+        return [
+            (float(w), np.diag((f * day) ** 2 * share + session**2) + blown)
+            for f, w in zip(FACTORS, logs, strict=True)
+        ]
+
+    def _causes(self) -> Iterator[tuple[Key, list[_Component]]]:
+        """Hypotheses with their sizes."""
+        n, each = self._rotors, -math.log(len(SIZES))
+        yield (NOTHING, ()), [_Component(0.0, (), np.zeros(0), np.zeros((0, 0)))]
+        for count in (1, 2):
+            odds = LOG_ODDS + (count - 1) * SECOND_ROTOR
+            odds -= math.log(math.comb(n, count))
+            for rotors in combinations(range(n), count):
+                columns = tuple(self._losses[i] for i in rotors)
+                yield (
+                    (ROTORS, tuple(i + 1 for i in rotors)),
+                    [
+                        _Component(odds + each, columns, np.full(count, m), s**2 * np.eye(count))
+                        for m, s in SIZES
+                    ],
+                )
+        yield (LOAD, ()), list(self._loads(LOG_ODDS + each))
+
+    def _loads(self, odds: float) -> Iterator[_Component]:
+        """A load at a hub, or anywhere, alike probable; half as heavy as a rotor's loss is large:
+        one rotor carries a fraction of the weight."""
+        v = self._vehicle
+        names = ("mass_kg", *(f"moment_{a}_kg_m" for a in "xyz"))
+        columns = tuple(self._at[f"{LOAD}.{name}"] for name in names)
+        hubs = v.rotors.position_m
+        for m, s in SIZES:
+            mass, sd = m * v.mass_kg / 2, s * v.mass_kg / 2
+            away = mass * REACH * v.arm_m
+            yield _Component(
+                odds - math.log(2),
+                columns,
+                np.array([mass, 0.0, 0.0, 0.0]),
+                np.diag([sd, away, away, away]) ** 2,
+            )
+            for x, y, _ in hubs:
+                way = np.array([1.0, x, y, 0.0])
+                yield _Component(
+                    odds - math.log(2 * len(hubs)), columns, mass * way, sd**2 * np.outer(way, way)
+                )
+
+    def _prepare(self) -> None:
+        """Normal distribution of the change under each size of each cause and each noise: position
+        of the cause, log weight with the normalisation, mean, whitening matrix."""
+        owner, logs, means, roots = [], [], [], []
+        for k, parts in enumerate(self._components.values()):
+            for part in parts:
+                slopes = self._slopes[:, part.columns]
+                carried = slopes @ part.covariance @ slopes.T
+                for weight, noise in self._noises:
+                    root = np.linalg.inv(np.linalg.cholesky(carried + noise))
+                    owner.append(k)
+                    logs.append(part.log_weight + weight + float(np.sum(np.log(np.diag(root)))))
+                    means.append(slopes @ part.mean)
+                    roots.append(root)
+        self._owner, self._logs = np.array(owner), np.array(logs)
+        self._means, self._roots = np.array(means), np.array(roots)
+
+    def _log_evidence(self, change: Array) -> tuple[Array, Array]:
+        """Of each cause, and of each size of it and noise, without a constant that all share."""
+        white = np.einsum("kij,kj->ki", self._roots, change - self._means)
+        each = self._logs - 0.5 * np.sum(white**2, axis=1)
+        count = len(self._components)
+        return np.array([logsumexp(each[self._owner == k]) for k in range(count)]), each
+
+    def weigh(self, change: Array, shaken: float | None = None) -> list[Hypothesis]:
+        """Posterior of all causes.
+
+        Args:
+            change: Of the means, shape (4,).
+            shaken: Change of the log amplitude of vibration; None: not known.
+        """
+        evidence, each = self._log_evidence(change)
+        found = {
+            key: (float(evidence[k]), *self._posterior(change, parts, each[self._owner == k]))
+            for k, (key, parts) in enumerate(self._components.items())
+        }
+        logs = {key: log + _log_shaking(key[0], shaken) for key, (log, _, _) in found.items()}
+        columns = {key: parts[0].columns for key, parts in self._components.items()}
+        if shaken is not None:
+            key = VIBRATION, ()
+            quiet = found[NOTHING, ()]
+            found[key], columns[key] = quiet, ()
+            logs[key] = quiet[0] + LOG_ODDS + SECOND_ROTOR + _log_shaking(VIBRATION, shaken)
+        total = logsumexp(list(logs.values()))
+        names = {i: n for n, i in self._at.items()}
+        return [
+            Hypothesis(
+                cause,
+                rotors,
+                float(np.exp(logs[cause, rotors] - total)),
+                dict(zip([names[i] for i in columns[cause, rotors]], mean.tolist(), strict=True)),
+                dict(zip([names[i] for i in columns[cause, rotors]], sd.tolist(), strict=True)),
+            )
+            for (cause, rotors), (_, mean, sd) in found.items()
+        ]
+
+    def _posterior(
+        self, change: Array, parts: Sequence[_Component], logs: Array
+    ) -> tuple[Array, Array]:
+        """Mean and deviation of the numbers of a cause, given the log evidence of its parts."""
+        means, squares = [], []
+        for part in parts:
+            slopes = self._slopes[:, part.columns]
+            carried = part.covariance @ slopes.T
+            for _, noise in self._noises:
+                gain = carried @ np.linalg.inv(slopes @ carried + noise)
+                mean = part.mean + gain @ (change - slopes @ part.mean)
+                means.append(mean)
+                squares.append(np.diag(part.covariance - gain @ slopes @ part.covariance) + mean**2)
+        share = np.exp(logs - logsumexp(logs))
+        mean = share @ np.array(means)
+        variance = share @ np.array(squares) - mean**2
+        return mean, np.sqrt(np.maximum(variance, 0.0))
+
+    def smallest(self, cause: str, sure: float) -> Detectable:
+        """The smallest change, at the rotor that shows least, of which it would be said in 95 of
+        100 flights that something has changed."""
+        hubs, v = self._vehicle.rotors.position_m, self._vehicle
+        if cause == ROTORS:
+            ways = [self._slopes[:, i] for i in self._losses]
+            name, unit, most = f"{ROTORS}.loss_{1}", "1", 1.0
+        else:
+            at = [self._at[f"{LOAD}.{n}"] for n in ("mass_kg", "moment_x_kg_m", "moment_y_kg_m")]
+            ways = [self._slopes[:, at] @ np.array([1.0, x, y]) for x, y, _ in hubs]
+            name, unit, most = f"{LOAD}.mass_kg", "kg", v.mass_kg
+        noise = max(self._noises, key=lambda item: item[0])[1]
+
+        def quiet(size: float, way: Array) -> float:
+            """Log odds of nothing at a change without noise, below which none is said."""
+            logs = self._log_evidence(size * way)[0]
+            return float(logs[0] - logsumexp(logs[1:])) - math.log((1 - sure) / sure)
+
+        def least(way: Array) -> float:
+            """Along one direction."""
+            if quiet(most, way) > 0:
+                return math.inf
+            sd = 1 / math.sqrt(float(way @ np.linalg.solve(noise, way)))
+            return float(brentq(quiet, 0.0, most, (way,), xtol=1e-3 * most)) + POWER_95 * sd
+
+        value = max(least(way) for way in ways)
+        return Detectable(name, value if value <= most else None, unit)
+
+    def more(self, change: Array) -> tuple[float, ...]:
+        """By rotor, the share of its thrust by which it gives more, least squares in the means."""
+        ways = self._slopes[:, self._losses]
+        scaled = (ways / self._unit[:, None], change / self._unit)
+        return tuple(np.linalg.lstsq(*scaled, rcond=None)[0].tolist())
+
+
+def _log_shaking(cause: str, shaken: float | None) -> float:
+    """Log density of a change of vibration under a cause."""
+    if shaken is None:
+        return 0.0
+    still, shaking = norm.logpdf(shaken, 0.0, STEADY_SD), norm.logpdf(shaken, SHAKEN, SHAKEN_SD)
+    if cause == VIBRATION:
+        return float(shaking)
+    if cause == ROTORS:
+        return float(np.logaddexp(math.log(1 - SHAKES) + still, math.log(SHAKES) + shaking))
+    return float(still)
