@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import msgspec
 from msgspec import UNSET, UnsetType, field
 
+from twin.explain.balance import LOAD, ROTORS, Balance
 from twin.explain.estimates import (
     calibrated_effects,
     channels_and_phases,
@@ -331,6 +332,20 @@ class SettingsRecord(Record, frozen=True, kw_only=True):
     changed: dict[str, Any]
 
 
+class OneOfRecord(Record, frozen=True, kw_only=True):
+    """One of two causes that flights cannot tell apart.
+
+    Attributes:
+        cause: Effect.
+        rotor: Rotors that it is of, from 1; null: none in particular.
+        probability: Of the cause, whichever rotors it is of.
+    """
+
+    cause: str
+    rotor: tuple[int, ...] | None
+    probability: float
+
+
 class ExplainRecord(Section, frozen=True, kw_only=True):
     """What flights say about a model.
 
@@ -344,6 +359,7 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
             asked what the model lacks.
         vehicle: Name of the model.
         nothing_probability: That no effect which changes a mean is missing.
+        one_of_causes: Two causes, one of which it is, and that these flights cannot tell apart.
         outside_probability: That a cause is none of the library, though the best set gives it a
             name.
         effects: For `named` and `cannot_tell`, the surest first.
@@ -374,6 +390,7 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
     since: tuple[str, ...] | None
     vehicle: str
     nothing_probability: float | None
+    one_of_causes: tuple[OneOfRecord, ...]
     outside_probability: float | None
     effects: tuple[EffectRecord, ...]
     undecided: tuple[str, ...]
@@ -403,7 +420,8 @@ def explain_record(found: Explanation) -> ExplainRecord:
         flights=found.flights,
         since=found.since,
         vehicle=found.vehicle.name,
-        nothing_probability=None if naming is None else nothing_probability(naming),
+        nothing_probability=nothing_probability(found),
+        one_of_causes=() if found.balance is None else _one_of(found.balance),
         outside_probability=None if naming is None else naming.outside,
         effects=tuple(_effect(found, e) for e in listed_effects(found)),
         undecided=undecided(found),
@@ -428,6 +446,14 @@ def explain_record(found: Explanation) -> ExplainRecord:
         if found.next_manoeuvre is None
         else msgspec.convert(found.next_manoeuvre, ManoeuvreRecord, from_attributes=True),
         settings=SettingsRecord(hash=found.settings.hash, changed=dict(found.settings.changed)),
+    )
+
+
+def _one_of(balance: Balance) -> tuple[OneOfRecord, ...]:
+    chance = {ROTORS: balance.damaged, LOAD: balance.probability_of(LOAD)}
+    return tuple(
+        OneOfRecord(cause=h.cause, rotor=h.rotors or None, probability=chance[h.cause])
+        for h in balance.one_of
     )
 
 

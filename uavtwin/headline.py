@@ -12,6 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from twin.effects import EFFECTS
+from twin.explain.balance import LOAD, ROTORS, Balance, Hypothesis
 from twin.explain.estimates import (
     Estimate,
     estimates_of,
@@ -54,7 +55,7 @@ def headline(found: Explanation) -> Headline:
         text = f"Since the calibration on {joined(list(found.since))}: {since.text}"
         return Headline(text, since.numbers)
     if found.verdict == "nothing":
-        sure = certainty(nothing_probability(naming))
+        sure = certainty(nothing_probability(found) or 0.0)
         text = f"Nothing detectable is missing from the model, {sure} probability."
         return Headline(text + blind(naming.detectable, since=False))
     if found.verdict == "named":
@@ -62,8 +63,8 @@ def headline(found: Explanation) -> Headline:
     if found.verdict == "unnamed":
         return Headline(f"The cause of the residual is {_outside(found)}.")
     tied = _candidates(found)
-    if nothing_probability(naming) > 0.01:
-        tied.append(f"none ({certainty(nothing_probability(naming))})")
+    if (none := nothing_probability(found) or 0.0) > 0.01:
+        tied.append(f"none ({certainty(none)})")
     if naming.outside > naming.settings.least:
         tied.append(f"a cause outside the library of effects ({certainty(naming.outside)})")
     return Headline(f"Several causes are consistent with these flights: {joined(tied, 'or')}.")
@@ -219,9 +220,9 @@ def _outside(found: Explanation) -> str:
 def _since(found: Explanation, naming: Naming) -> Headline:
     """What has changed since the calibration, a clause that ends in a stop."""
     if found.verdict == "nothing":
-        sure = certainty(nothing_probability(naming))
+        sure = certainty(nothing_probability(found) or 0.0)
         text = f"no change is detectable, {sure} probability."
-        return Headline(text + blind(naming.detectable, since=True))
+        return Headline(text + blind(_detectable(found, naming), since=True))
     if found.verdict == "unnamed":
         return Headline(f"the cause of the change is {_outside(found)}.")
     if found.verdict == "named":
@@ -239,6 +240,8 @@ def _since(found: Explanation, naming: Naming) -> Headline:
             f"{_what_else(found, effects)}{_doubts(found, estimates)}"
         )
         return Headline(text, tuple(n for p in parts for n in p.numbers))
+    if found.balance is not None and (found.balance.one_of or naming.verdict == "nothing"):
+        return Headline(_of_balance(found.balance))
     tied, numbers = [], []
     for fit, p in zip(naming.fitted, naming.probabilities, strict=True):
         if p >= naming.settings.least:
@@ -251,6 +254,37 @@ def _since(found: Explanation, naming: Naming) -> Headline:
     head = "several causes are" if len(tied) > 1 else "one cause is"
     text = f"{head} consistent with these flights: {joined(tied, 'or')}."
     return Headline(text, tuple(dict.fromkeys(numbers)))
+
+
+def _detectable(found: Explanation, naming: Naming) -> Mapping[str, Detectable]:
+    """Smallest changes that would show, those of the balance by the balance."""
+    return {**naming.detectable, **(found.balance.detectable if found.balance else {})}
+
+
+def _of_balance(balance: Balance) -> str:
+    """What may have changed in the balance, where it is one of several: first the place, then the
+    causes."""
+    rotors, load = balance.best(ROTORS), balance.best(LOAD)
+    causes = [
+        (said(ROTORS, _by_number(rotors), since=True), balance.damaged),
+        (said(LOAD, _by_number(load), since=True), balance.probability_of(LOAD)),
+    ]
+    tied = [f"{text} ({certainty(p)})" for text, p in sorted(causes, key=lambda c: -c[1])]
+    if balance.one_of:
+        more = joined(
+            [f"rotor {i} must give {percent(balance.more[i - 1])}" for i in rotors.rotors]
+        )
+        return (
+            f"{more} more thrust than at calibration: {joined(tied, 'or')}. These flights cannot "
+            f"tell which."
+        )
+    none = f"nothing has changed ({certainty(balance.nothing)})"
+    return f"either {joined([none, *tied], 'or')}: these flights cannot tell."
+
+
+def _by_number(hypothesis: Hypothesis) -> dict[str, float]:
+    """Changes by the numbers' own names."""
+    return {n.partition(".")[2]: v for n, v in hypothesis.values.items()}
 
 
 def _fitted(naming: Naming, fit: Fit, effect: str) -> list[Estimate]:

@@ -31,7 +31,7 @@ from ..component.along import accumulated
 from ..frames import to_body
 from ..vehicle import Vehicle
 from .definition import Begins, Block, Effect, Equation, Limit, Observer, Stands
-from .parameters import COMMON, LAST, RARE, UNMEASURED, EffectParameter, Normal, Prior
+from .parameters import COMMON, RARE, UNMEASURED, EffectParameter, Normal, Prior
 from .stages import Body, Wrench
 from .wording import (
     FLY_FOR_CENTRE_OF_MASS,
@@ -396,11 +396,7 @@ PAYLOAD_CG = Effect(
     "ch. 5",
     _payload_cg,
     _within_reach,
-    prior=Prior(
-        LAST,
-        "a file that lacks a load has another mass and centre of mass: effects of their own",
-        {"mass": Normal(0.0, 0.12), "moment": Normal(0.0, 0.06)},
-    ),
+    prior=None,
     change=Prior(
         COMMON,
         "a load of some 10 % of the mass anywhere between the hubs",

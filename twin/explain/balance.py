@@ -21,7 +21,7 @@ as "this or that".
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -37,8 +37,10 @@ from ..logs.columns import ACC, ACC_NED
 from ..representation import short_repr
 from ..vehicle import Calibration, Vehicle
 from .inference.adequacy import POWER_95, Detectable
+from .inference.fit import INTERVAL
 from .model.model import FlightModel, Model
-from .stochastic.spectral import pieces_of, rate_of
+from .model.numbers import numbers_of
+from .stochastic.spectral import StochasticEffect, pieces_of, rate_of
 
 Array = NDArray[np.float64]
 NOTHING, ROTORS, LOAD, VIBRATION = "nothing", "rotor_efficiency_loss", "payload_cg", "vibration"
@@ -105,26 +107,38 @@ class Trim:
         return {c: float(np.mean(v)) for c, v in every.items()}, spread
 
 
-def trim_of(model: Model, values: Mapping[str, float] | None = None) -> Trim | None:
+def channels_of_balance(names: Collection[str]) -> tuple[str, ...] | None:
+    """Channels of thrust and of the moments about x, y, z among those of a flight; None: not all
+    are there."""
+    found = tuple(c if c in names else f"motion_{c.replace('gyro_', '')}" for c in BALANCED)
+    return found if set(found) <= set(names) else None
+
+
+def trim_of(
+    model: Model, values: Mapping[str, float] | None = None, slopes: bool = True
+) -> Trim | None:
     """Balance of a model's flights, days apart; None where a channel of it is missing.
 
     Args:
         model: Flights with the vehicle as it was calibrated.
         values: Numbers that differ from the vehicle's, "effect.number" -> value.
+        slopes: Whether slopes are wanted.
     """
     wanted = (*CAUSES, "steady_wind")
-    columns = [i for i, n in enumerate(model.numbers) if n.effect in wanted and not n.shape]
+    columns = [
+        i for i, n in enumerate(model.numbers) if slopes and n.effect in wanted and not n.shape
+    ]
     flights = model.channels(columns, values or {})
     names = [c.name for c in flights[0]]
-    channels = tuple(c if c in names else f"motion_{c.replace('gyro_', '')}" for c in BALANCED)
-    if not set(channels) <= set(names):
+    channels = channels_of_balance(names)
+    if channels is None:
         return None
     own = [[f[names.index(c)] for c in channels] for f in flights]
     means = np.array([[c.residual.mean() for c in f] for f in own])
-    slopes = np.mean([[c.slopes.mean(axis=0) for c in f] for f in own], axis=0)
+    by_number = np.mean([[c.slopes.mean(axis=0) for c in f] for f in own], axis=0)
     shaken = [v for f in model.flights if (v := vibration_of(f)) is not None]
     return Trim(
-        channels, means, slopes, tuple(model.numbers[i].full for i in columns), np.array(shaken)
+        channels, means, by_number, tuple(model.numbers[i].full for i in columns), np.array(shaken)
     )
 
 
@@ -494,3 +508,30 @@ def _log_shaking(cause: str, shaken: float | None) -> float:
     if cause == ROTORS:
         return float(np.logaddexp(math.log(1 - SHAKES) + still, math.log(SHAKES) + shaking))
     return float(still)
+
+
+# -- as a result --------------------------------------------------------------------------------
+
+
+def effect_of_balance(balance: Balance, vehicle: Vehicle, trim: Trim) -> StochasticEffect | None:
+    """The cause that is named, in the form of effects found beside the search; None: none is, or
+    only that a propeller shakes.
+
+    Args:
+        balance: What has changed.
+        vehicle: Calibrated.
+        trim: Of the flights.
+    """
+    named = balance.named
+    if named is None or named.cause == VIBRATION:
+        return None
+    before = {n.full: n.now for n in numbers_of([EFFECTS[named.cause]], vehicle)}
+    values = {n: v + named.values.get(n, 0.0) for n, v in before.items()}
+    intervals = {
+        n: (values[n] - INTERVAL * sd, values[n] + INTERVAL * sd)
+        for n, sd in named.deviations.items()
+    }
+    chance = balance.damaged if named.cause == ROTORS else balance.probability_of(LOAD)
+    chance = min(chance, 1 - 1e-9)
+    log_odds = math.log(chance / (1 - chance))
+    return StochasticEffect(named.cause, log_odds, values, intervals, trim.channels, 1.0, before)

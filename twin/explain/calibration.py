@@ -13,6 +13,7 @@ from ..errors import LogError
 from ..logs import Flight
 from ..representation import short_repr
 from ..vehicle import Calibration, Vehicle
+from .balance import trim_of
 from .estimates import UNDETERMINED, Estimate, fitted_estimates
 from .inference.evidence import LaplaceEvidence
 from .inference.fit import Fit, Problem, State, fit_of
@@ -122,6 +123,7 @@ def calibrate(
         problem.between_days(state),
         problem.constants_between_days(state),
         _of_records(fit),
+        *_trim(problem, state),
     )
     made = replace(with_effects(vehicle, fit.effects, fit.values), calibration=reported)
     days, shares = days_of(problem, best), shares_of(problem, state)
@@ -181,6 +183,14 @@ def _undetermined_beyond(priors: Priors, laplace: LaplaceEvidence, state: State)
         own = [i for i in priors.of([cause]) if priors.cause[i] == cause and not priors.shape[i]]
         found += [priors.names[i] for i in own if sd[i] > UNDETERMINED * priors.slab[i]]
     return found
+
+
+def _trim(problem: Problem, state: State) -> tuple[dict[str, float], dict[str, float]]:
+    """`Calibration.means` and `.scatter`: the balance of each flight, its day apart."""
+    x = state.best.x.copy()
+    x[len(problem.priors.now) :] = 0.0
+    trim = trim_of(problem.model, problem.values(x), slopes=False)
+    return ({}, {}) if trim is None else trim.by_name()
 
 
 def _of_records(fit: Fit) -> dict[str, float]:

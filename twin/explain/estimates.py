@@ -177,11 +177,13 @@ def stochastic_effect(found: Explanation, effect: str) -> StochasticEffect | Non
     return next((u for u in found.stochastic if u.effect == effect), None)
 
 
-def nothing_probability(naming: Naming) -> float:
-    """That no effect is missing."""
-    return float(
-        sum(p for f, p in zip(naming.fitted, naming.probabilities, strict=True) if not f.effects)
-    )
+def nothing_probability(found: Explanation) -> float | None:
+    """That no effect is missing; since a calibration, that nothing has changed. None: not asked."""
+    naming = found.naming
+    if naming is None:
+        return None
+    none = sum(p for f, p in zip(naming.fitted, naming.probabilities, strict=True) if not f.effects)
+    return float(none) * (1.0 if found.balance is None else found.balance.nothing)
 
 
 def best_with(naming: Naming, effect: str) -> Fit:
@@ -206,7 +208,12 @@ def estimates_of(found: Explanation, effect: str) -> list[Estimate]:
         numbers = numbers_of([EFFECTS[effect]], found.vehicle)
         own = stochastic.intervals
         return [
-            Estimate(n, stochastic.values[n.full], n.about.neutral, own.get(n.full))
+            Estimate(
+                n,
+                stochastic.values[n.full],
+                stochastic.before.get(n.full, n.about.neutral),
+                own.get(n.full),
+            )
             for n in numbers
             if n.full in stochastic.values
         ]

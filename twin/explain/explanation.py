@@ -14,6 +14,14 @@ from ..representation import short_repr
 from ..residuals.flight_gap import HoverDiagnosis, diagnosis_of
 from ..residuals.teacher_forced import drive_warnings
 from ..vehicle import Vehicle
+from .balance import (
+    CAUSES,
+    Balance,
+    balance_of,
+    channels_of_balance,
+    effect_of_balance,
+    trim_of,
+)
 from .design import Suggestion, next_manoeuvre
 from .holdout import (
     Attribution,
@@ -29,7 +37,7 @@ from .holdout import (
 from .inference.fit import Fit
 from .inference.priors import UNCALIBRATED
 from .inference.selection import Naming, Verdict, name_effects
-from .model.model import Model
+from .model.model import Model, channel_names
 from .model.numbers import Payloads, with_effects
 from .settings import DEFAULT, SearchSettings
 from .stochastic.search import Stuck, find_stochastic, find_stuck, stuck_channels, without_stuck
@@ -93,6 +101,8 @@ class Explanation:
         since: Flights of the calibration since which it is asked what has changed; None: it is
             asked what the model lacks.
         recorded: All flights as they were read, stuck readings still in them.
+        balance: What has changed in the balance of forces and moments since the calibration; None:
+            that is not asked, or not shown by these flights.
         hovers: Diagnosis of the model as it stood in the hover of each of them that hovers.
     """
 
@@ -117,6 +127,7 @@ class Explanation:
     since: tuple[str, ...] | None = None
     recorded: tuple[AnyFlight, ...] = ()
     hovers: tuple[HoverDiagnosis, ...] = ()
+    balance: Balance | None = None
 
     __repr__ = short_repr
 
@@ -192,6 +203,7 @@ def explain(
     if not parts.fit:
         return found
     try:
+        channels = _balanced(parts.fit, vehicle, payloads) if since else None
         naming = name_effects(
             parts.fit,
             vehicle,
@@ -200,10 +212,14 @@ def explain(
             payloads,
             settings.inference,
             since,
+            CAUSES if channels else (),
+            channels or (),
         )
     except LogError as error:
         return replace(found, reasons=(str(error),))
     names = [f.name for f in flights]
+    if channels is not None:
+        found = _with_balance(found, naming)
     found = _named(found, naming, [s for s in stuck if s.flight in names])
     found = replace(
         found,
@@ -344,8 +360,8 @@ def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explan
     shown, settings = _shown(naming), found.settings.stochastic
     model, steady = naming.whitened.model, {} if shown is None else shown.values
     every = (*find_stuck(stuck, settings), *find_stochastic(model, steady, settings))
-    stochastic = tuple(u for u in every if u.log_odds > 0)
-    verdict: Verdict = "named" if naming.verdict == "nothing" and stochastic else naming.verdict
+    stochastic = (*found.stochastic, *(u for u in every if u.log_odds > 0))
+    verdict = _verdict(naming, found.balance, bool(stochastic))
     exact = dict(steady) | {k: v for u in stochastic for k, v in u.values.items()}
     values = {k: float(f"{v:.{DIGITS}g}") for k, v in exact.items()}
     alike = [f"something acts like {r.effect}: {r.why}" for r in naming.resemblances]
@@ -358,6 +374,40 @@ def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explan
         values=values,
         warnings=(*alike, *found.warnings),
     )
+
+
+def _verdict(naming: Naming, balance: Balance | None, beside: bool) -> Verdict:
+    """Of the search, of the balance, and of what was found beside them."""
+    verdict = naming.verdict
+    if verdict == "nothing" and beside:
+        return "named"
+    if balance is None or verdict == "named":
+        return verdict
+    if balance.named is not None and beside:
+        return "named"
+    if verdict == "nothing" and balance.nothing < balance.sure:
+        return "cannot_tell"
+    return "cannot_tell" if balance.one_of else verdict
+
+
+def _balanced(
+    flights: Sequence[Flight], vehicle: Vehicle, payloads: Payloads | None
+) -> tuple[str, ...] | None:
+    """Channels of the balance that all flights have; None: not all of them."""
+    every = [set(channel_names(f, flown(f, vehicle, payloads))) for f in flights]
+    return channels_of_balance(set.intersection(*every))
+
+
+def _with_balance(found: Explanation, naming: Naming) -> Explanation:
+    """The same with what has changed in the balance of forces and moments."""
+    model = naming.problem.model
+    trim = trim_of(model)
+    if trim is None:
+        return found
+    indoors = all(f.flight.indoors for f in model.flights)
+    balance = balance_of(trim, found.vehicle, indoors, naming.settings.sure)
+    named = effect_of_balance(balance, found.vehicle, trim)
+    return replace(found, balance=balance, stochastic=() if named is None else (named,))
 
 
 def _with_equations(found: Explanation, seed: int) -> Explanation:
@@ -412,8 +462,13 @@ def _means(model: Model) -> dict[str, float]:
 def _with_gap(
     found: Explanation, held: Sequence[Flight], seed: int, payloads: Payloads | None
 ) -> Explanation:
-    """The same with the gap of held-out flights, where effects act, and where the gap is."""
+    """The same with the gap of held-out flights, where effects act, and where the gap is; since a
+    calibration only where a change is named."""
+    if found.since is not None and found.verdict != "named":
+        return found
     effects = () if found.shown is None else found.shown.effects
+    named = [u.effect for u in found.stochastic if u.effect in CAUSES and u.effect not in effects]
+    effects = (*effects, *named)
     assert found.naming is not None
     if not held:
         problem = "no gap can be shown: of what is held out, no reading is known for long enough"

@@ -242,7 +242,7 @@ def _explain(
         _effect(explained, effect, log, aircraft, found)
     if not any(estimates_of(explained, e) for e in listed):
         found.add("effects", log=log, aircraft=aircraft, verdict=explained.verdict)
-    nothing = None if explained.naming is None else nothing_probability(explained.naming)
+    nothing = nothing_probability(explained)
     return {
         "verdict": explained.verdict,
         "nothing_probability": nothing,

@@ -103,7 +103,7 @@ class _Prior:
     def precision_at(self, x: Array) -> Array:
         """With the weights of the scales."""
         root = np.sqrt(self._weights(x))
-        return self.precision * np.outer(root, root)
+        return np.asarray(self.precision * np.outer(root, root))
 
     def log_density(self, x: Array) -> float:
         """Less what the determinant of `precision` contributes."""

@@ -368,6 +368,8 @@ def name_effects(
     payloads: Payloads | None = None,
     settings: InferenceSettings = DEFAULT.inference,
     since: bool = False,
+    apart: Collection[str] = (),
+    silent: Collection[str] = (),
 ) -> Naming:
     """Find the sets of effects that flights make probable.
 
@@ -379,14 +381,17 @@ def name_effects(
         payloads: Known masses aboard.
         settings: Noise, rules.
         since: Whether it is asked what has changed since the vehicle was calibrated.
+        apart: See `since_problem`.
+        silent: See `since_problem`.
 
     Raises:
         ModelError: The vehicle holds no calibration to ask since.
     """
-    model = model_of(
-        flights, vehicle, candidates(flights), lambda done: progress(0.1 * done), payloads
+    known = candidates(flights, since)
+    model = model_of(flights, vehicle, known, lambda done: progress(0.1 * done), payloads)
+    problem = (
+        since_problem(model, settings, apart, silent) if since else usual_problem(model, settings)
     )
-    problem = since_problem(model, settings) if since else usual_problem(model, settings)
     found = climb(problem, lambda done: progress(0.1 + 0.5 * done))
     if len(model.flights) >= DAYS_SHOWN:
         problem = problem.accustomed(found.state)
@@ -401,11 +406,25 @@ def usual_problem(model: Model, settings: InferenceSettings = DEFAULT.inference)
     return Problem.of(model, priors_of(model), settings.evidence, gated=True)
 
 
-def since_problem(model: Model, settings: InferenceSettings = DEFAULT.inference) -> Problem:
-    """Whatever may have changed on a calibrated aircraft."""
+def since_problem(
+    model: Model,
+    settings: InferenceSettings = DEFAULT.inference,
+    apart: Collection[str] = (),
+    silent: Collection[str] = (),
+) -> Problem:
+    """Whatever may have changed on a calibrated aircraft.
+
+    Args:
+        model: New flights with the calibrated vehicle.
+        settings: Noise.
+        apart: Effects that are judged elsewhere.
+        silent: Channels whose constants are judged elsewhere: here they may be anything.
+    """
     priors = priors_since(model)
+    odds = {c: v for c, v in priors.odds.items() if effect_of(c) not in apart}
+    priors = replace(priors, odds=odds)
     assert model.vehicle.calibration is not None
-    constants = model.vehicle.calibration.constants
+    constants = {**model.vehicle.calibration.constants, **dict.fromkeys(silent, UNKNOWN_CONSTANT)}
     return Problem.of(model, priors, settings.evidence, gated=True, constants=constants)
 
 
@@ -426,6 +445,8 @@ def climb(problem: Problem, progress: Callable[[float], None] = lambda _: None) 
     return max(found, other, key=lambda f: log_posterior(f.state))
 
 
+UNKNOWN_CONSTANT = 1e6
+"""Deviation of a constant that says nothing, in the unit of any channel."""
 DAYS_SHOWN = 3
 """Flights from which on it is told how much their days differ: two show a single difference."""
 MANY = 4

@@ -413,9 +413,16 @@ class Model:
         return now | {name: now[name] + more for name, more in day.items()} if day else change
 
 
-def candidates(flights: Sequence[Flight]) -> list[Effect]:
-    """Effects that change a mean, of which all flights have the signals."""
-    return [e for e in EFFECTS.values() if has_mean(e) and visible(e, flights)]
+def candidates(flights: Sequence[Flight], since: bool = False) -> list[Effect]:
+    """Effects that change a mean, of which all flights have the signals.
+
+    Args:
+        flights: That are compared.
+        since: Whether it is asked what has changed: else effects that no model lacks from the
+            start, as a load strapped on, are left out.
+    """
+    every = [e for e in EFFECTS.values() if has_mean(e) and visible(e, flights)]
+    return [e for e in every if since or e.prior is not None or e.change is None]
 
 
 def has_mean(effect: Effect) -> bool:

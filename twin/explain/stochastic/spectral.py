@@ -5,7 +5,7 @@ few cells hold besides (Percival & Walden, Spectral Analysis for Physical Applic
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,7 @@ class StochasticEffect:
         intervals: 95 % of each.
         channels: On which it was found.
         share: Of their power in the band where it acts.
+        before: Values without the effect, of those numbers where they are not neutral.
     """
 
     effect: str
@@ -43,6 +44,7 @@ class StochasticEffect:
     intervals: Mapping[str, tuple[float, float]]
     channels: tuple[str, ...]
     share: float
+    before: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def probability(self) -> float:
