@@ -298,7 +298,7 @@ ROTOR_DRAG = Effect(
     change=None,
     alarm=Stands(5),
     wording=Wording(
-        drag_clause, undetected=Undetected(7, "rotor drag below {}"), secondary=("height_m",)
+        drag_clause, undetected=Undetected(8, "rotor drag below {}"), secondary=("height_m",)
     ),
     advice={"": FLY_FOR_DRAG},
 )
@@ -443,7 +443,7 @@ STEADY_WIND = Effect(
         indoors={"": Normal(0.0, 0.3), "down_m_s": Normal(0.0, 0.05)},
     ),
     alarm=Begins(4),
-    wording=Wording(wind_clause, undetected=Undetected(8, "a steady wind below {}")),
+    wording=Wording(wind_clause, undetected=Undetected(9, "a steady wind below {}")),
     advice=None,
 )
 

@@ -328,7 +328,7 @@ COG_OFFSET = Effect(
     change=Prior(RARE, "a battery that sits elsewhere, of the same mass", {"": Normal(0.0, 0.05)}),
     alarm=Begins(3, Prior(COMMON, "where a load is strapped on", {"": Normal(0.0, 0.15)})),
     wording=Wording(
-        place_clause, undetected=Undetected(4, "a centre of mass that is off by less than {}")
+        place_clause, undetected=Undetected(5, "a centre of mass that is off by less than {}")
     ),
     advice={"": FLY_FOR_CENTRE_OF_MASS},
 )
@@ -358,7 +358,7 @@ INERTIA_ERROR = Effect(
     change=None,
     alarm=Stands(4),
     wording=Wording(
-        inertia_clause, undetected=Undetected(5, "inertia that is off by less than {}")
+        inertia_clause, undetected=Undetected(6, "inertia that is off by less than {}")
     ),
     advice={"scale_z": FLY_FOR_YAW_TORQUE, "": FLY_FOR_INERTIA},
 )
@@ -404,7 +404,7 @@ PAYLOAD_CG = Effect(
         one_sided=True,
     ),
     alarm=None,
-    wording=Wording(payload_clause, undetected=Undetected(3, "a load below {}")),
+    wording=Wording(payload_clause, undetected=Undetected(4, "a load below {}")),
     advice={"mass": FLY_FOR_THRUST, "": FLY_FOR_CENTRE_OF_MASS},
 )
 
@@ -438,7 +438,7 @@ SLUNG_LOAD = Effect(
         one_sided=True,
     ),
     alarm=None,
-    wording=Wording(load_clause, undetected=Undetected(6, "a slung load below {}")),
+    wording=Wording(load_clause, undetected=Undetected(7, "a slung load below {}")),
     advice=None,
 )
 

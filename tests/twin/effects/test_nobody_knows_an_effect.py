@@ -12,8 +12,9 @@ from twin.effects.definition import Average, Lines, NoiseFloor, RandomForce
 
 ROOT = Path(__file__).parents[3]
 FOLDERS = ("twin/explain", "twin/residuals", "twin/flight", "uavtwin")
-SPOKEN = ("uavtwin/wording.py", "uavtwin/calibration.py")
-"""Sentences of effects that have one of their own; others are told by their numbers."""
+SPOKEN = ("uavtwin/wording.py", "uavtwin/calibration.py", "twin/explain/balance.py")
+"""Sentences of effects that have one of their own, and the competition of a weak rotor with a load;
+other effects are reported by their numbers."""
 FILES = sorted(
     p
     for folder in FOLDERS

@@ -67,9 +67,6 @@ class MapEstimate:
 TAIL_DEGREES = 3.0
 """Degrees of freedom of the Student prior of the numbers of an effect: the fewest with a variance.
 4 deviations cost 3.8 nats in the place of 8.4: what is large is improbable, and not excluded."""
-_TAIL_LOG = math.lgamma((TAIL_DEGREES + 1) / 2) - math.lgamma(TAIL_DEGREES / 2)
-_TAIL_LOG += 0.5 * math.log(2 / TAIL_DEGREES)
-"""Log density of a Student variable at its mean over that of a normal one of the same scale."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +107,8 @@ class _Prior:
         weight, away = self._weights(x), x - self.mean
         scaled = np.sqrt(weight) * away
         w, nu = weight[self.deviation > 0], TAIL_DEGREES
-        tail = _TAIL_LOG - (nu + 1) / 2 * np.log((nu + 1) / (nu * w)) + (nu + 1 - nu * w) / 2
+        at_mean = math.lgamma((nu + 1) / 2) - math.lgamma(nu / 2) + 0.5 * math.log(2 / nu)
+        tail = at_mean - (nu + 1) / 2 * np.log((nu + 1) / (nu * w)) + (nu + 1 - nu * w) / 2
         return float(tail.sum() - 0.5 * scaled @ self.precision @ scaled)
 
 
