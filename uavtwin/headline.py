@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from twin.effects import EFFECTS
-from twin.explain.balance import LOAD, ROTORS, Balance, Hypothesis
+from twin.explain.balance import CAUSES, LOAD, ROTORS, Balance, Hypothesis
 from twin.explain.estimates import (
     Estimate,
     estimates_of,
@@ -231,7 +231,7 @@ def _since(found: Explanation, naming: Naming) -> Headline:
         first, later = leading(effects, naming.shares, _determined(estimates))
         parts = [
             _phrase(found, e, estimates[e], 1)
-            if stochastic_effect(found, e) is not None
+            if stochastic_effect(found, e) is not None and e not in CAUSES
             else _change(naming, e, estimates[e])
             for e in first
         ]

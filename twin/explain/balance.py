@@ -301,6 +301,9 @@ class _Competition:
         counts = len(trim.means), max(len(vehicle.calibration.flights), 1)
         self._noises = self._noise(vehicle.calibration, trim.channels, *counts, indoors)
         self._components = {key: tuple(parts) for key, parts in self._causes()}
+        self._prior: list[Array] = []
+        self._gains: list[Array] = []
+        self._left: list[Array] = []
         self._prepare()
 
     def _units(self) -> Array:
@@ -390,19 +393,28 @@ class _Competition:
                 )
 
     def _prepare(self) -> None:
-        """Normal distribution of the change under each size of each cause and each noise: position
-        of the cause, log weight with the normalisation, mean, whitening matrix."""
+        """Under each size of each cause and each noise: distribution of the change (position of the
+        cause, log weight with the normalisation, mean, whitening matrix), and of the numbers given
+        it (mean before, gain of Kalman, variance after)."""
         owner, logs, means, roots = [], [], [], []
         for k, parts in enumerate(self._components.values()):
+            prior, gains, left = [], [], []
             for part in parts:
                 slopes = self._slopes[:, part.columns]
-                carried = slopes @ part.covariance @ slopes.T
+                carried = slopes @ part.covariance
                 for weight, noise in self._noises:
-                    root = np.linalg.inv(np.linalg.cholesky(carried + noise))
+                    root = np.linalg.inv(np.linalg.cholesky(carried @ slopes.T + noise))
+                    gain = carried.T @ root.T @ root
                     owner.append(k)
                     logs.append(part.log_weight + weight + float(np.sum(np.log(np.diag(root)))))
                     means.append(slopes @ part.mean)
                     roots.append(root)
+                    prior.append(part.mean)
+                    gains.append(gain)
+                    left.append(np.diag(part.covariance - gain @ carried))
+            self._prior.append(np.array(prior))
+            self._gains.append(np.array(gains))
+            self._left.append(np.array(left))
         self._owner, self._logs = np.array(owner), np.array(logs)
         self._means, self._roots = np.array(means), np.array(roots)
 
@@ -422,8 +434,8 @@ class _Competition:
         """
         evidence, each = self._log_evidence(change)
         found = {
-            key: (float(evidence[k]), *self._posterior(change, parts, each[self._owner == k]))
-            for k, (key, parts) in enumerate(self._components.items())
+            key: (float(evidence[k]), *self._posterior(change, k, each[self._owner == k]))
+            for k, key in enumerate(self._components)
         }
         logs = {key: log + _log_shaking(key[0], shaken) for key, (log, _, _) in found.items()}
         columns = {key: parts[0].columns for key, parts in self._components.items()}
@@ -445,34 +457,29 @@ class _Competition:
             for (cause, rotors), (_, mean, sd) in found.items()
         ]
 
-    def _posterior(
-        self, change: Array, parts: Sequence[_Component], logs: Array
-    ) -> tuple[Array, Array]:
+    def _posterior(self, change: Array, k: int, logs: Array) -> tuple[Array, Array]:
         """Mean and deviation of the numbers of a cause, given the log evidence of its parts."""
-        means, squares = [], []
-        for part in parts:
-            slopes = self._slopes[:, part.columns]
-            carried = part.covariance @ slopes.T
-            for _, noise in self._noises:
-                gain = carried @ np.linalg.inv(slopes @ carried + noise)
-                mean = part.mean + gain @ (change - slopes @ part.mean)
-                means.append(mean)
-                squares.append(np.diag(part.covariance - gain @ slopes @ part.covariance) + mean**2)
+        inside = self._owner == k
+        left = change - self._means[inside]
+        means = np.array(
+            [m + g @ e for m, g, e in zip(self._prior[k], self._gains[k], left, strict=True)]
+        )
         share = np.exp(logs - logsumexp(logs))
-        mean = share @ np.array(means)
-        variance = share @ np.array(squares) - mean**2
+        mean = share @ means
+        variance = share @ (self._left[k] + means**2) - mean**2
         return mean, np.sqrt(np.maximum(variance, 0.0))
 
     def smallest(self, cause: str, sure: float) -> Detectable:
-        """The smallest change, at the rotor that shows least, of which it would be said in 95 of
-        100 flights that something has changed."""
+        """The smallest change, at the rotor or the place (a hub or the centre of mass) that shows
+        least, of which it would be said in 95 of 100 flights that something has changed."""
         hubs, v = self._vehicle.rotors.position_m, self._vehicle
         if cause == ROTORS:
             ways = [self._slopes[:, i] for i in self._losses]
-            name, unit, most = f"{ROTORS}.loss_{1}", "1", 1.0
+            name, unit, most = f"{ROTORS}.loss_1", "1", 1.0
         else:
             at = [self._at[f"{LOAD}.{n}"] for n in ("mass_kg", "moment_x_kg_m", "moment_y_kg_m")]
-            ways = [self._slopes[:, at] @ np.array([1.0, x, y]) for x, y, _ in hubs]
+            places = [(0.0, 0.0), *hubs[:, :2].tolist()]
+            ways = [self._slopes[:, at] @ np.array([1.0, x, y]) for x, y in places]
             name, unit, most = f"{LOAD}.mass_kg", "kg", v.mass_kg
         noise = max(self._noises, key=lambda item: item[0])[1]
 

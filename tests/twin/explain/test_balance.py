@@ -1,0 +1,211 @@
+"""The balance of forces and moments: planted causes, probabilities that are true, units."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from scipy.stats import multivariate_normal, norm
+
+from twin.explain import balance
+from twin.explain.balance import (
+    BALANCED,
+    DAY,
+    LOAD,
+    LOG_ODDS,
+    NOTHING,
+    ROTORS,
+    SESSION,
+    SIZES,
+    VIBRATION,
+    Balance,
+    Trim,
+    balance_of,
+)
+from twin.vehicle import Calibration
+from twin.vehicle.vehicle import Vehicle
+from twin.vehicle_file import load_vehicle
+
+Array = NDArray[np.float64]
+SURE = 0.8
+COPTER = load_vehicle("copter_default")
+N = COPTER.rotors.count
+G = 9.80665
+
+
+def slopes_of(vehicle: Vehicle) -> tuple[tuple[str, ...], Array]:
+    """Slopes of a rigid body in hover, written down by hand: thrust, and moments over inertia."""
+    weight, (ix, iy, iz) = vehicle.mass_kg * G, np.diag(vehicle.inertia_kg_m2)
+    per_thrust = 0.016
+    names, columns = [], []
+    turns = (1, 1, -1, -1)
+    for i, (x, y, _) in enumerate(vehicle.rotors.position_m):
+        share = weight / N
+        names.append(f"{ROTORS}.loss_{i + 1}")
+        moments = (share * y / ix, -share * x / iy, turns[i] * per_thrust * share / iz)
+        columns.append((share / vehicle.mass_kg, *moments))
+    names += [f"{LOAD}.mass_kg", *(f"{LOAD}.moment_{a}_kg_m" for a in "xyz")]
+    columns += [(G / vehicle.mass_kg, 0, 0, 0), (0, 0, -G / iy, 0), (0, G / ix, 0, 0), (0,) * 4]
+    return tuple(names), np.array(columns, dtype=np.float64).T
+
+
+NAMES, SLOPES = slopes_of(COPTER)
+UNIT = np.array(
+    [
+        G,
+        COPTER.mass_kg * G * COPTER.arm_m / COPTER.inertia_kg_m2[0, 0],
+        COPTER.mass_kg * G * COPTER.arm_m / COPTER.inertia_kg_m2[1, 1],
+        np.abs(SLOPES[3, :N]).sum(),
+    ]
+)
+FLIGHTS = ("one", "two", "three")
+
+
+def calibrated(scale: Array | float = 1.0, vibration: bool = False) -> Vehicle:
+    """The aircraft after three flights, whose days differ as the table says."""
+    means = dict.fromkeys(BALANCED, 0.0)
+    scatter = dict(zip(BALANCED, (DAY * UNIT * scale).tolist(), strict=True))
+    if vibration:
+        means[VIBRATION] = -1.0
+    known = Calibration(FLIGHTS, (), np.zeros((0, 0)), {}, {}, means=means, scatter=scatter)
+    return replace(COPTER, calibration=known)
+
+
+def judged(change: Array, scale: Array | float = 1.0, shaken: float | None = None) -> Balance:
+    """What is said of a change of the means, in units of the table."""
+    vibration = np.zeros(0) if shaken is None else np.array([shaken - 1.0])
+    scaled = SLOPES * np.reshape(scale, (-1, 1)) if np.ndim(scale) else SLOPES * scale
+    trim = Trim(BALANCED, (change * scale)[None], scaled, NAMES, vibration)
+    return balance_of(trim, calibrated(scale, shaken is not None), True, SURE)
+
+
+def of(name: str, value: float) -> Array:
+    return SLOPES[:, NAMES.index(name)] * value
+
+
+# -- planted ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rotor", range(1, N + 1))
+def test_a_weak_rotor_is_found_with_its_loss(rotor: int) -> None:
+    found = judged(of(f"{ROTORS}.loss_{rotor}", 0.25))
+    best = found.best(ROTORS)
+    assert best.rotors == (rotor,)
+    assert found.changed > 0.99
+    assert best.values[f"{ROTORS}.loss_{rotor}"] == pytest.approx(0.25, abs=0.03)
+    assert int(np.argmax(found.more)) == rotor - 1
+    told = found.named or found.one_of[0]
+    assert told.cause == ROTORS or {h.cause for h in found.one_of} == {ROTORS, LOAD}
+
+
+def test_a_load_in_the_middle_is_a_load() -> None:
+    found = judged(of(f"{LOAD}.mass_kg", 0.3 * COPTER.mass_kg))
+    assert found.named is not None
+    assert found.named.cause == LOAD
+    mass = found.named.values[f"{LOAD}.mass_kg"]
+    assert mass == pytest.approx(0.3 * COPTER.mass_kg, rel=0.2)
+
+
+def test_a_load_at_a_hub_without_yaw_is_this_or_that() -> None:
+    x, y, _ = COPTER.rotors.position_m[0]
+    kg = 0.08 * COPTER.mass_kg
+    parts = {"mass_kg": kg, "moment_x_kg_m": kg * x, "moment_y_kg_m": kg * y}
+    found = judged(np.sum([of(f"{LOAD}.{k}", v) for k, v in parts.items()], axis=0))
+    assert {h.cause for h in found.one_of} == {ROTORS, LOAD}
+    assert found.probability_of(LOAD) > 0.3
+
+
+def test_nothing_has_changed_where_nothing_has() -> None:
+    found = judged(np.zeros(4))
+    assert found.hypotheses[0].cause == NOTHING
+    assert found.nothing > SURE
+    assert found.named is None
+    assert not found.one_of
+
+
+def test_yaw_alone_is_what_a_session_brings() -> None:
+    found = judged(np.array([0.0, 0.0, 0.0, 0.07 * UNIT[3]]))
+    assert found.hypotheses[0].cause == NOTHING
+
+
+def test_shaking_speaks_for_a_rotor_and_stillness_for_neither() -> None:
+    change = of(f"{ROTORS}.loss_2", 0.15)
+    quiet, unknown, shaken = (judged(change, shaken=s) for s in (0.0, None, 0.9))
+    assert quiet.damaged < unknown.damaged < shaken.damaged
+    assert judged(np.zeros(4), shaken=1.2).damaged > 0.5
+
+
+# -- mathematics ------------------------------------------------------------------------------
+
+
+def test_evidence_of_one_rotor_is_the_integral_over_its_loss(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With days as the table says, one size: density of a rotor over that of nothing."""
+    monkeypatch.setattr(balance, "FACTORS", np.array([1.0]))
+    monkeypatch.setattr(balance, "SIZES", SIZES[1:2])
+    change = of(f"{ROTORS}.loss_1", 0.07) + 0.3 * DAY * UNIT
+    noise = np.diag((DAY * UNIT) ** 2 * (1 + 1 / 3) + (SESSION * UNIT) ** 2)
+    mean, sd = SIZES[1]
+
+    def density(loss: float) -> float:
+        left = change - of(f"{ROTORS}.loss_1", loss)
+        return float(multivariate_normal(cov=noise).pdf(left) * norm.pdf(loss, mean, sd))
+
+    top = quad(density, mean - 8 * sd, mean + 8 * sd, epsabs=0)[0]
+    ratio = top / multivariate_normal(cov=noise).pdf(change) * np.exp(LOG_ODDS) / N
+    found = judged(change)
+    one = next(h for h in found.hypotheses if h.rotors == (1,))
+    assert one.probability / found.nothing == pytest.approx(ratio, rel=1e-6)
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.lists(st.floats(0.2, 5.0), min_size=4, max_size=4))
+def test_units_and_inertia_are_no_evidence(scale: list[float]) -> None:
+    change = of(f"{ROTORS}.loss_3", 0.12) + 0.5 * DAY * UNIT
+    plain, scaled = judged(change), judged(change, np.array(scale))
+    assert scaled.nothing == pytest.approx(plain.nothing, rel=1e-9)
+    assert scaled.probability_of(LOAD) == pytest.approx(plain.probability_of(LOAD), rel=1e-9)
+    assert scaled.more == pytest.approx(plain.more)
+
+
+def test_probabilities_are_true_of_what_is_drawn_from_the_model() -> None:
+    """300 changes of causes drawn by their odds: what is given 80 % is right in 80 %."""
+    rng = np.random.default_rng(3)
+    trim = Trim(BALANCED, np.zeros((1, 4)), SLOPES, NAMES, np.zeros(0))
+    competition = balance._Competition(trim, calibrated(), True)
+    p, hit = [], []
+    for _ in range(300):
+        odds = np.exp([0.0, LOG_ODDS, LOG_ODDS])
+        cause = rng.choice([NOTHING, ROTORS, LOAD], p=odds / odds.sum())
+        mean, sd = SIZES[rng.integers(3)]
+        change = np.zeros(4)
+        if cause == ROTORS:
+            change = of(f"{ROTORS}.loss_{rng.integers(N) + 1}", rng.normal(mean, sd))
+        elif cause == LOAD:
+            kg = rng.normal(mean, sd) * COPTER.mass_kg / 2
+            x, y, _ = COPTER.rotors.position_m[rng.integers(N)]
+            parts = {"mass_kg": kg, "moment_x_kg_m": kg * x, "moment_y_kg_m": kg * y}
+            change = np.sum([of(f"{LOAD}.{k}", v) for k, v in parts.items()], axis=0)
+        spread = UNIT * np.hypot(DAY * np.sqrt(1 + 1 / 3), SESSION)
+        chance = dict.fromkeys((NOTHING, ROTORS, LOAD), 0.0)
+        for h in competition.weigh(change + spread * rng.standard_normal(4)):
+            chance[h.cause] += h.probability
+        first = max(chance, key=lambda c: chance[c])
+        p.append(chance[first])
+        hit.append(first == cause)
+    assert np.mean(p) == pytest.approx(np.mean(hit), abs=0.08)
+
+
+def test_the_smallest_change_is_where_nothing_is_no_longer_said() -> None:
+    found = judged(np.zeros(4))
+    for cause, most in ((ROTORS, 1.0), (LOAD, COPTER.mass_kg)):
+        value = found.detectable[cause].value
+        assert value is not None
+        assert 0.02 * most < value < 0.5 * most
+    loss = found.detectable[ROTORS].value
+    assert loss is not None
+    assert judged(of(f"{ROTORS}.loss_1", loss)).nothing < 1 - SURE
