@@ -475,7 +475,10 @@ def check_payloads(payloads: Mapping[str, float], flights: Sequence[str]) -> Non
 
 
 def explained_vehicle(found: Explanation) -> vehicles.Vehicle:
-    """The vehicle with the named effects, each number with pedigree and sd; else as it stood."""
+    """The vehicle with the named effects, each number with pedigree and sd; else as it stood.
+
+    The file of a model that does not fly says so on top.
+    """
     if found.added is None:
         return vehicles.Vehicle.of(found.vehicle)
     flights, sources = " and ".join(found.flights), dict(found.vehicle.sources)
@@ -489,9 +492,22 @@ def explained_vehicle(found: Explanation) -> vehicles.Vehicle:
             if (sd := _deviation(ci95)) > 0:
                 deviations[key] = Deviation.of([sd], [value])
     made = replace(vehicles.Vehicle.of(found.added), sources=sources, deviations=deviations)
+    made = made.marked(_grounded(found)) if found.lost or made.grounded else made
     if len(found.flights) > 1:
         return made
     return _on_day(found, made, found.flights[0]) or made
+
+
+def _grounded(found: Explanation) -> str:
+    """What the new model does not fly, and the way out, for the top of its file; "": it flies."""
+    if not found.lost:
+        return ""
+    lost = joined([f"{m.name} ({' '.join(m.problem.split())})" for m in found.lost])
+    return (
+        f"{lost}; uavtwin explain, {' and '.join(found.flights)}. Take out an [effects.NAME] "
+        f"section of this file, the least sure first, or explain with more flights. Once it flies, "
+        f"delete this line."
+    )
 
 
 def vehicle_today(found: Explanation) -> vehicles.Vehicle | None:

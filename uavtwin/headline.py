@@ -1,11 +1,12 @@
 """The sentence on top of a result: one rule for every verb.
 
 A headline gives a number only where its 95 % interval excludes "no effect" and the flights say more
-of it than the prior (`Estimate.determined`). Of the effects that act on the flight, that which
-takes the largest share of a force or moment channel leads, even where something only acts like it;
-sensors and records come after. An effect whose numbers are not determined is named without them,
-and a further sentence says so. `Headline.numbers` lists what the text gives, so that a program can
-hold the sentence against its numbers.
+of it than the prior (`Estimate.determined`). That the new model does not fly is said before all
+else. Of the effects that act on the flight, that which takes the largest share of a force or moment
+channel leads, even where something only acts like it; sensors and records come after. An effect
+whose numbers are not determined is named without them, and a further sentence says so.
+`Headline.numbers` lists what the text gives, so that a program can hold the sentence against its
+numbers.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -43,7 +44,22 @@ MOST_BLIND = 3
 
 
 def headline(found: Explanation) -> Headline:
-    """The answer of `explain`."""
+    """The answer of `explain`, behind what the new model does not fly."""
+    said = _answer(found)
+    return Headline(grounded(found) + said.text, said.numbers)
+
+
+def grounded(found: Explanation) -> str:
+    """What the new model does not fly, a sentence with a blank behind it; "": it flies, or there is
+    none."""
+    if not found.lost:
+        return ""
+    those = "these changes" if found.verdict == "named" else "the numbers of these flights"
+    missions = joined([m.name for m in found.lost], "or")
+    return f"The model with {those} does not fly {missions} in closed loop. "
+
+
+def _answer(found: Explanation) -> Headline:
     naming = found.naming
     if naming is None or found.verdict == "unusable":
         return Headline(f"These flights cannot be used: {'; '.join(found.reasons)}")
@@ -320,17 +336,14 @@ def _what_else(found: Explanation, sure: Sequence[str]) -> str:
 
 
 def _doubts(found: Explanation, estimates: Mapping[str, Sequence[Estimate]]) -> str:
-    """What speaks against a name or its numbers all the same; begins with a blank."""
+    """What speaks against the numbers of names all the same; begins with a blank."""
     known = _determined(estimates)
     none = [
         e
         for e, own in estimates.items()
         if e not in known and all(t.may_be_none for t in own if t.no_effect is not None)
     ]
-    text = undetermined(none, [e for e in estimates if e not in known and e not in none])
-    if lost := [m.name for m in found.missions if not m.stable]:
-        text += f" The model with it does not fly {joined(lost)} in closed loop."
-    return text
+    return undetermined(none, [e for e in estimates if e not in known and e not in none])
 
 
 def calibrated_headline(found: "Calibrated", lead: str) -> Headline:

@@ -1,6 +1,6 @@
 """Vehicles: the numbers of one aircraft, together with the text of the file that they came from."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -11,6 +11,10 @@ from twin.vehicle_file import builtin_vehicles, parse_vehicle, vehicle_text
 from twin.vehicle_file.write import update_text
 
 from .output import output_file
+
+GROUNDED = "DOES NOT FLY: "
+"""Stands in front of what a twin does not fly and what to do about it, in a comment on top of its
+vehicle file and in the description of its FMUs."""
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -34,6 +38,19 @@ class Vehicle(numbers.Vehicle):
             return given
         values = {f.name: getattr(given, f.name) for f in fields(numbers.Vehicle)}
         return cls(**values, text=text)
+
+    @property
+    def grounded(self) -> str:
+        """Why its twin does not fly, as its file says; "": it does not say so."""
+        lines = (line for line in self.text.splitlines() if line.startswith(f"# {GROUNDED}"))
+        return next(lines, "").removeprefix(f"# {GROUNDED}")
+
+    def marked(self, why: str) -> Self:
+        """The same with a line on top of its file that says why its twin does not fly; "": without
+        one."""
+        lines = self.toml().splitlines(keepends=True)
+        plain = "".join(x for x in lines if not x.startswith(f"# {GROUNDED}"))
+        return replace(self, text=f"# {GROUNDED}{why}\n{plain}" if why else plain)
 
     def toml(self) -> str:
         """Text of a vehicle file of this vehicle: that it was read from, brought up to date.

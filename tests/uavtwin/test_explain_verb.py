@@ -31,11 +31,14 @@ from twin.logs import read_flight, write_flight
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
 from uavtwin import explanation as explain_files
+from uavtwin import vehicles
 from uavtwin.cli import main
 from uavtwin.cli.explain import flight_payloads
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.explain_record import explain_record
 from uavtwin.explanation import ExplainResult, explained_vehicle, vehicle_today
+from uavtwin.exports.parts import component, twin
+from uavtwin.exports.write import Starts, products_of
 from uavtwin.headline import headline
 
 pytestmark = pytest.mark.slow
@@ -347,16 +350,55 @@ def test_without_arviz_the_error_says_how_to_get_it(
 
 
 def test_what_speaks_against_a_name_is_in_the_claim(named: Run) -> None:
-    """A model that does not fly, and an interval that holds what the model has already."""
+    """An interval that holds what the model has already."""
     found = named.found
     assert found is not None and found.naming is not None
-    assert "next to none" not in headline(found).text and "does not fly" not in headline(found).text
-    fallen = replace(found, missions=(Mission("hover", False, math.nan, "it tips over"),))
-    assert headline(fallen).text.endswith("The model with it does not fly hover in closed loop.")
+    assert "may be zero" not in headline(found).text
     told = found.naming.conditional
     wide = replace(told, half_widths=100 * np.abs(told.half_widths))
     vague = replace(found, naming=replace(found.naming, conditional=wide))
     assert "Rotor drag may be zero: these flights do not determine it." in headline(vague).text
+
+
+def test_a_model_that_does_not_fly_is_told_so_first(
+    named: Run, dragged: list[Path], tmp_path: Path
+) -> None:
+    """By the sentence, by its vehicle files, and by what is exported from them, with a way out."""
+    assert named.found is not None
+    assert "not fly" not in headline(named.found).text
+    assert not vehicles.load_vehicle(named.out / "vehicle.toml").grounded
+    missions = (Mission("hover", False, math.nan, "it tips\nover"), Mission("tour", True, 0.1, ""))
+    fallen = replace(named.found, missions=missions)
+    first = "The model with these changes does not fly hover in closed loop. "
+    assert headline(fallen).text == first + headline(named.found).text
+    assert headline(fallen).numbers == headline(named.found).numbers
+    since = replace(fallen, since=("zero",))
+    assert headline(since).text.startswith(f"{first}Since the calibration on zero: ")
+    quiet = headline(replace(fallen, verdict="nothing")).text
+    assert quiet.startswith("The model with the numbers of these flights does not fly hover in ")
+
+    out = run(tmp_path / "out", dragged[0], "--vehicle", "copter_default", found=fallen)
+    assert out.stdout.startswith(first)
+    assert out.json["closed_loop"]["stable"] is False
+    assert "<h1>The model with these changes does not fly hover" in (
+        (out.out / "report.html").read_text()
+    )
+    vehicle = vehicles.load_vehicle(out.out / "vehicle.toml")
+    assert vehicle.text.startswith(
+        "# DOES NOT FLY: hover (it tips over); uavtwin explain, one and "
+    )
+    assert "Take out an [effects.NAME] section" in vehicle.grounded
+    assert vehicle.effects == vehicles.load_vehicle(named.out / "vehicle.toml").effects
+    assert read_model_description(str(out.out / "airframe.fmu")).description.endswith(
+        f"DOES NOT FLY: {vehicle.grounded}"
+    )
+    for made in (component("airframe", vehicle), twin(vehicle)):
+        notes = [p.note for p in products_of(made, Starts({}), (2,))]
+        assert notes and {*notes} == {f"DOES NOT FLY: {vehicle.grounded}"}
+    (plain,) = products_of(component("airframe", vehicle.marked("")), Starts({}), (2,))
+    assert not plain.note
+    again = explained_vehicle(replace(named.found, vehicle=vehicle))
+    assert not again.grounded and "DOES NOT FLY" not in again.toml()
 
 
 def test_nothing_hidden_nothing_named(folder: Path) -> None:

@@ -148,6 +148,11 @@ class Explanation:
         made = with_effects(self.vehicle, self.effects, self.values)
         return replace(made, calibration=None)
 
+    @property
+    def lost(self) -> tuple[Mission, ...]:
+        """Missions that the new model does not fly."""
+        return tuple(m for m in self.missions if not m.stable)
+
 
 def explain(
     flights: Sequence[AnyFlight],
@@ -244,9 +249,9 @@ def _with_missions(
     """The same with flights of the new model in closed loop, where there is one."""
     if found.added is None:
         return found
-    flown = fly_missions(found.added, missions, progress)
-    lost = [UNSTABLE.format(m.name, m.problem) for m in flown if not m.stable]
-    return replace(found, missions=flown, warnings=(*lost, *found.warnings))
+    flying = replace(found, missions=fly_missions(found.added, missions, progress))
+    lost = [UNSTABLE.format(m.name, m.problem) for m in flying.lost]
+    return replace(flying, warnings=(*lost, *found.warnings))
 
 
 def _refuted(found: Explanation, why: str) -> Explanation:
@@ -376,14 +381,14 @@ def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explan
     )
 
 
-def _verdict(naming: Naming, balance: Balance | None, beside: bool) -> Verdict:
+def _verdict(naming: Naming, balance: Balance | None, stochastic: bool) -> Verdict:
     """Of the search, of the balance, and of what was found beside them."""
     verdict = naming.verdict
-    if verdict == "nothing" and beside:
+    if verdict == "nothing" and stochastic:
         return "named"
     if balance is None or verdict == "named":
         return verdict
-    if balance.named is not None and beside:
+    if balance.named is not None and stochastic:
         return "named"
     if verdict == "nothing" and balance.nothing < balance.sure:
         return "cannot_tell"

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -20,7 +20,7 @@ from twin.representation import short_repr
 from twin.vehicle import Vehicle
 
 from ..flights import checked_flights
-from ..vehicles import checked_vehicle
+from ..vehicles import GROUNDED, checked_vehicle
 
 if TYPE_CHECKING:
     from learning.force.model import ForceModel
@@ -36,11 +36,13 @@ class Twin:
         name: Of the vehicle.
         assembly: Components and who feeds whom.
         compensator: Correction of the sensors; None: without.
+        grounded: Why it does not fly, as the vehicle file says; "": it does not say so.
     """
 
     name: str
     assembly: Assembly
     compensator: NetworkFile | None = None
+    grounded: str = ""
 
     __repr__ = short_repr
 
@@ -102,7 +104,7 @@ def twin(
         assembly = driven_twin(model, drive, law=law, position=position)
         if force is not None:
             assembly = assembly.with_starts(force.model.observer_starts)
-    return Twin(model.name, assembly, compensator)
+    return Twin(model.name, assembly, compensator, model.grounded)
 
 
 def component(
@@ -132,7 +134,10 @@ def component(
     if drive is not None:
         _check_drive(name, drive)
     _check_position(name, position)
-    return COMPONENTS[name](model, Choices(effects_for(model), drive, position, mission))
+    made = COMPONENTS[name](model, Choices(effects_for(model), drive, position, mission))
+    if not model.grounded:
+        return made
+    return replace(made, description=f"{made.description} {GROUNDED}{model.grounded}")
 
 
 def _check_drive(name: str, drive: str) -> None:

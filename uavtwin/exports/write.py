@@ -21,6 +21,7 @@ from twin.formatting import counted
 from ..display import DisplayMixin, TextTable
 from ..output import results_folder, sha256
 from ..record import Record
+from ..vehicles import GROUNDED
 from .parts import Twin
 
 Exportable = Component | FmuModel | NetworkFile | Twin
@@ -133,9 +134,11 @@ def products_of(
         return [_compensator_product(what, versions, python_slave, starts)]
     if isinstance(what, Component):
         ready = what.with_starts(starts.of(what))
-        if python_slave:
-            return [_slave(ready)]
-        return [_native(component_model(ready, exchange=ready.for_solvers))]
+        native = not python_slave
+        made = (
+            _native(component_model(ready, exchange=ready.for_solvers)) if native else _slave(ready)
+        )
+        return [replace(made, note=_grounded(what.description))]
     if isinstance(what, FmuModel):
         return [_native(what.with_starts(starts.of(what)))]
     raise TwinError(
@@ -208,7 +211,15 @@ def _twin_products(twin: Twin, starts: Starts) -> list[Product]:
             )
 
     fused = fused_model(assembly, twin.name, compensator)
-    return [_native(fused), Product(f"{fused.name}.ssp", write)]
+    note = f"{GROUNDED}{twin.grounded}" if twin.grounded else ""
+    fused = replace(fused, description=f"{fused.description} {note}".rstrip())
+    return [replace(p, note=note) for p in (_native(fused), Product(f"{fused.name}.ssp", write))]
+
+
+def _grounded(description: str) -> str:
+    """What a description says of a twin that does not fly; "": nothing."""
+    _, mark, why = description.partition(GROUNDED)
+    return mark + why
 
 
 def write_products(
