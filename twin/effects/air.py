@@ -422,8 +422,8 @@ STEADY_WIND = Effect(
     "airframe",
     Air,
     (
-        EffectParameter("north_m_s", "m/s", "air moves north", 3.0, (-12, 12)),
-        EffectParameter("east_m_s", "m/s", "air moves east", 0.0, (-12, 12)),
+        EffectParameter("north_m_s", "m/s", "air moves north", 3.0, (-25, 25), trifle=0.24),
+        EffectParameter("east_m_s", "m/s", "air moves east", 0.0, (-25, 25), trifle=0.24),
         EffectParameter("down_m_s", "m/s", "air moves down", 0.0, (-3, 3)),
     ),
     ("acc", "vel", "q"),
