@@ -15,7 +15,6 @@ import uavtwin as ut
 from twin.errors import TwinError
 from twin.explain.calibration import Calibrated
 from twin.explain.explanation import Explanation
-from twin.explain.inference.selection import Naming
 from twin.logs import read_flight, write_flight
 from twin.vehicle import Calibration, Vehicle
 from uavtwin.calibration import CalibrateResult
@@ -31,7 +30,7 @@ NORMAL = replace(
     drag_linear_n_s_m=COPTER.drag_linear_n_s_m
     + DRAG_1_S * COPTER.mass_kg * np.array([1.0, 1.0, 0.0]),
 )
-LOADED_KG = 0.15
+LOADED_KG = 0.3
 Place = tuple[float, float, float]
 
 
@@ -282,19 +281,18 @@ def loaded(calibrated: dict[str, Any], folder: Path) -> ut.ExplainResult:
 
 @pytest.mark.slow
 def test_what_was_strapped_on_is_named(loaded: ut.ExplainResult) -> None:
-    assert loaded.effects == ("mass_offset",)
+    assert loaded.effects == ("payload_cg",)
     told = re.fullmatch(
-        r"Since the calibration on one, two and three: it carries ([\d.]+) (k?g) more \(.*",
+        r"Since the calibration on one, two and three: it carries ([\d.]+) (k?g) more.*",
         loaded.sentence,
     )
     assert told is not None, loaded.sentence
     assert float(told[1]) / (1 if told[2] == "kg" else 1e3) == pytest.approx(LOADED_KG, rel=0.1)
     assert loaded.json()["headline"] == {
         "text": loaded.sentence,
-        "numbers": ["mass_offset.mass_kg"],
+        "numbers": ["payload_cg.mass_kg"],
     }
-    (mass,) = loaded.json()["effects"][0]["parameters"].values()
-    assert mass["no_effect"] == 0.0
+    assert loaded.json()["effects"][0]["parameters"]["mass_kg"]["no_effect"] == 0.0
     assert loaded.json()["since"] == ["one", "two", "three"]
     assert "rotor_drag.k_xy_1_s" in str(loaded.calibrated_table())
     assert "set by the calibration" in str(loaded.calibrated_table())
@@ -306,29 +304,30 @@ def test_what_was_strapped_on_is_named(loaded: ut.ExplainResult) -> None:
 def test_the_page_says_what_has_changed(loaded: ut.ExplainResult, tmp_path: Path) -> None:
     page = loaded.report(tmp_path / "report.html").read_text("utf-8")
     assert "What has changed on copter_default" in page
-    order = ("<h1>Since the calibration on", "Mass offset</h2>", '<h2 id="doubt">')
+    order = ("<h1>Since the calibration on", "Payload cg</h2>", '<h2 id="doubt">')
     places = [page.index(words) for words in order]
     assert places == sorted(places)
 
 
 @pytest.mark.slow
 def test_a_tie_names_both(loaded: ut.ExplainResult) -> None:
-    naming = loaded.details.naming
-    assert isinstance(naming, Naming)
-    chances = (0.6, 0.4, *(0.0 for _ in naming.probabilities[2:]))
+    balance = loaded.details.balance
+    assert balance is not None
+    chance = {"rotor_efficiency_loss": 0.02, "payload_cg": 0.6, "nothing": 0.0, "vibration": 0.0}
+    torn = tuple(replace(h, probability=chance[h.cause]) for h in balance.hypotheses)
     tied = replace(
         loaded.details,
         verdict="cannot_tell",
-        naming=replace(naming, probabilities=chances, credible={}),
+        stochastic=(),
+        balance=replace(balance, hypotheses=torn, sure=0.7),
     )
     assert isinstance(tied, Explanation)
     text = headline(tied).text
-    assert text.startswith(
-        "Since the calibration on one, two and three: several causes are consistent with "
-        "these flights: it carries "
-    )
-    assert text.endswith("(40 %).")
-    assert explain_record(tied).json()["since"] == ["one", "two", "three"]
+    assert text.startswith("Since the calibration on one, two and three: rotor")
+    assert "more thrust than at calibration: it carries " in text
+    assert text.endswith("These flights cannot tell which.")
+    causes = explain_record(tied).json()["one_of_causes"]
+    assert {c["cause"] for c in causes} == {"rotor_efficiency_loss", "payload_cg"}
 
 
 @pytest.mark.slow
@@ -336,6 +335,7 @@ def test_a_normal_flight_has_not_changed(calibrated: dict[str, Any], folder: Pat
     assert calibrated
     quiet = since(folder, "quiet", NORMAL)
     assert quiet.verdict == "nothing"
-    assert "nothing has changed that these flights can show" in quiet.sentence
+    assert "no change is detectable" in quiet.sentence
+    assert "would not show in these flights" in quiet.sentence
     assert quiet.details.added is None
     assert quiet.vehicle.calibration is not None

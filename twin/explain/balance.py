@@ -35,6 +35,7 @@ from scipy.stats import norm
 from ..effects import EFFECTS
 from ..logs.columns import ACC, ACC_NED
 from ..representation import short_repr
+from ..residuals.channels import ChannelData
 from ..vehicle import Calibration, Vehicle
 from .inference.fit import INTERVAL
 from .inference.selection import POWER_95, Detectable
@@ -136,10 +137,21 @@ def trim_of(
     own = [[f[names.index(c)] for c in channels] for f in flights]
     means = np.array([[c.residual.mean() for c in f] for f in own])
     by_number = np.mean([[c.slopes.mean(axis=0) for c in f] for f in own], axis=0)
+    by_number[:, [model.numbers[i].effect == LOAD for i in columns]] *= _carried(own)
     shaken = [v for f in model.flights if (v := vibration_of(f)) is not None]
     return Trim(
         channels, means, by_number, tuple(model.numbers[i].full for i in columns), np.array(shaken)
     )
+
+
+def _carried(flights: Sequence[Sequence[ChannelData]]) -> float:
+    """Measured over predicted specific force along the thrust, M / (M + m) of an aircraft that
+    carries m: slopes of T / (M + m) by m at m = 0 times this ratio give m exactly."""
+    measured, left = (
+        sum(float(np.sum(v)) for v in values)
+        for values in ([f[0].measured for f in flights], [f[0].residual for f in flights])
+    )
+    return measured / (measured - left)
 
 
 def vibration_of(flight: FlightModel) -> float | None:
@@ -371,26 +383,22 @@ class _Competition:
         yield (LOAD, ()), list(self._loads(LOG_ODDS + each))
 
     def _loads(self, odds: float) -> Iterator[_Component]:
-        """A load at a hub, or anywhere, alike probable; half as heavy as a rotor's loss is large:
-        one rotor carries a fraction of the weight."""
+        """A load in the middle, at a hub, or anywhere, alike probable; at a hub half as heavy as a
+        loss of the same share: one rotor carries a fraction of the weight."""
         v = self._vehicle
         names = ("mass_kg", *(f"moment_{a}_kg_m" for a in "xyz"))
         columns = tuple(self._at[f"{LOAD}.{name}"] for name in names)
-        hubs = v.rotors.position_m
+        odds -= math.log(3)
         for m, s in SIZES:
-            mass, sd = m * v.mass_kg / 2, s * v.mass_kg / 2
-            away = mass * REACH * v.arm_m
-            yield _Component(
-                odds - math.log(2),
-                columns,
-                np.array([mass, 0.0, 0.0, 0.0]),
-                np.diag([sd, away, away, away]) ** 2,
-            )
+            mass, sd, away = m * v.mass_kg, s * v.mass_kg, m * v.mass_kg * REACH * v.arm_m
+            for spread in (0.0, away):
+                means, deviations = np.array([mass, 0, 0, 0]), np.array([sd, *[spread] * 3])
+                yield _Component(odds, columns, means, np.diag(deviations**2))
+            hubs = v.rotors.position_m
             for x, y, _ in hubs:
-                way = np.array([1.0, x, y, 0.0])
-                yield _Component(
-                    odds - math.log(2 * len(hubs)), columns, mass * way, sd**2 * np.outer(way, way)
-                )
+                way = np.array([0.5, 0.5 * x, 0.5 * y, 0.0])
+                spread_at = sd**2 * np.outer(way, way)
+                yield _Component(odds - math.log(len(hubs)), columns, mass * way, spread_at)
 
     def _prepare(self) -> None:
         """Under each size of each cause and each noise: distribution of the change (position of the

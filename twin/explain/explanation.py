@@ -38,7 +38,7 @@ from .inference.fit import Fit
 from .inference.priors import UNCALIBRATED
 from .inference.selection import Naming, Verdict, name_effects
 from .model.model import Model, channel_names
-from .model.numbers import Payloads, with_effects
+from .model.numbers import Payloads, visible, with_effects
 from .settings import DEFAULT, SearchSettings
 from .stochastic.search import Stuck, find_stochastic, find_stuck, stuck_channels, without_stuck
 from .stochastic.spectral import StochasticEffect
@@ -399,6 +399,8 @@ def _balanced(
     flights: Sequence[Flight], vehicle: Vehicle, payloads: Payloads | None
 ) -> tuple[str, ...] | None:
     """Channels of the balance that all flights have; None: not all of them."""
+    if not all(visible(EFFECTS[e], flights) for e in CAUSES):
+        return None
     every = [set(channel_names(f, flown(f, vehicle, payloads))) for f in flights]
     return channels_of_balance(set.intersection(*every))
 

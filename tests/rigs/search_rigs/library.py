@@ -15,5 +15,5 @@ def library(names: Sequence[str]) -> Iterator[None]:
     """A search, what it is held against and a calibration know these effects alone."""
     with pytest.MonkeyPatch.context() as patch:
         for module in (calibration, holdout, selection):
-            patch.setattr(module, "candidates", lambda _: [EFFECTS[e] for e in names])
+            patch.setattr(module, "candidates", lambda *_: [EFFECTS[e] for e in names])
         yield

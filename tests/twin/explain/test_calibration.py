@@ -26,6 +26,7 @@ FEW = (
     "thrust_scale",
     "mass_offset",
     "rotor_efficiency_loss",
+    "payload_cg",
     "cog_offset",
     "motor_lag",
     "rotor_drag",
@@ -87,12 +88,13 @@ def test_normal_flights_tell_thrust_over_mass_and_how_well() -> None:
 def test_a_rotor_that_lost_thrust_since_is_named_with_its_number() -> None:
     worn = TRUE.with_effects({**TRUE.effects, "rotor_efficiency_loss": {"loss_3": 0.15}})
     found = since(worn, 5)
-    assert found.verdict == "named"
-    assert found.naming is not None
-    assert found.naming.named == ("rotor_efficiency_loss",)
-    losses = {i: found.values.get(f"rotor_efficiency_loss.loss_{i}", 0.0) for i in range(1, 5)}
-    assert losses[3] == pytest.approx(0.15, abs=0.03)
-    assert max(abs(v) for i, v in losses.items() if i != 3) < 0.03
+    balance = found.balance
+    assert balance is not None
+    assert balance.changed > 0.99
+    assert found.verdict == ("named" if balance.named else "cannot_tell")
+    best = balance.best("rotor_efficiency_loss")
+    assert best.rotors == (3,)
+    assert best.values["rotor_efficiency_loss.loss_3"] == pytest.approx(0.15, abs=0.03)
 
 
 @pytest.mark.slow
@@ -125,8 +127,9 @@ def test_a_calibration_believes_no_rotor_that_explain_would_not() -> None:
         found = calibrate([flown(broken, 0)], COPTER, settings=settings)
     assert {*found.refused} == {"rotor_efficiency_loss"}
     assert "loss_3 = 0." in found.refused["rotor_efficiency_loss"]
-    assert "rotor_efficiency_loss" not in found.fit.effects
-    assert not any(name.startswith("rotor_efficiency_loss") for name in found.estimates)
+    assert "rotor_efficiency_loss" not in found.state.effects
+    lost = found.estimates["rotor_efficiency_loss.loss_3"].value
+    assert 0 < lost < 0.2, "the factor that every rotor has takes a part of it"
     assert not calibrated().refused
 
 
