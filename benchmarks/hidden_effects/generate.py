@@ -274,7 +274,8 @@ def write_case(out: Path, produced: Produced) -> None:
     folder, truth = flights_folder(out, produced.case), truth_file(out, produced.case)
     folder.mkdir(parents=True, exist_ok=True)
     for name, table in produced.flights.items():
-        write_flight(Flight(name, table), folder / f"{name}.parquet")
+        flight = Flight(name, table, autopilot=produced.asked[name])
+        write_flight(flight, folder / f"{name}.parquet")
     (folder / "vehicle.toml").write_text(produced.vehicle, "utf-8")
     write_json(truth, produced.truth)
 

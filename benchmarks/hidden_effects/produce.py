@@ -20,14 +20,17 @@ import pandas as pd
 from numpy.polynomial.polynomial import polyval
 from scipy.signal import lfilter
 
+from twin.flight.simulate_flight import setpoints_of_mission
+from twin.logs.autopilot import Autopilot
+
 from .cases import SENSORS, Case, Conditions
 from .hiding import Number, Truth
 from .planning import Plan, aircraft_of, hidden, missions_of, plan, sizes
 from .plants.aircraft import NOISE, Aircraft, Noise, vehicle_toml
 from .plants.kinds import EFFECTS, PLANTS
-from .plants.missions import CONTROL_HZ
+from .plants.missions import CONTROL_HZ, Setpoints
 from .plants.own.flight import STEPS, Trace, fly
-from .plants.own.parameters import FIELD_T, STEP_S, Array, Batch, Parameters
+from .plants.own.parameters import FIELD_T, GRAVITY_M_S2, STEP_S, Array, Batch, Parameters
 from .plants.own.physics import Dynamics, Layout, Simulator, motion, own_dynamics, rotation, to_body
 from .plants.sensing import (
     accelerometer,
@@ -307,12 +310,14 @@ class Produced:
     Attributes:
         case: What it is.
         flights: Flight tables by name.
+        asked: What the mission of each asks for.
         vehicle: Text of the vehicle file.
         truth: What the truth file holds.
     """
 
     case: Case
     flights: dict[str, pd.DataFrame]
+    asked: dict[str, Autopilot]
     vehicle: str
     truth: dict[str, Any]
 
@@ -338,6 +343,7 @@ def produce(batch: list[Case]) -> Iterator[Produced]:
                 name: as_logged(flight_table(order, trace, i), trace.rotor[:, :, i], case.life)
                 for i, (name, order) in zip(rows, planned.flights.items(), strict=True)
             },
+            {name: _asked(order.setpoints) for name, order in planned.flights.items()},
             vehicle_toml(
                 aircraft,
                 NOISE[case.noise],
@@ -351,3 +357,9 @@ def produce(batch: list[Case]) -> Iterator[Produced]:
                 **(life_json(case, planned, trace, rows[-1], pure) if case.life.key else {}),
             },
         )
+
+
+def _asked(mission: Setpoints) -> Autopilot:
+    """What a mission asks for, as an autopilot logs it."""
+    rows = np.column_stack([mission.pos, mission.vel, mission.acc, mission.yaw])
+    return setpoints_of_mission(rows, 1 / CONTROL_HZ, GRAVITY_M_S2)

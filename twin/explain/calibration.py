@@ -88,7 +88,7 @@ def calibrate(
     model = model_of(
         flights, vehicle, candidates(flights), lambda done: progress(0.1 * done), payloads
     )
-    problem = Problem.of(model, priors_of(model, trusted=False), settings.evidence, gated=True)
+    problem = Problem.of(model, priors_of(model, trusted=False), settings.evidence)
     found = search(
         problem,
         calibration_start(problem.priors),

@@ -150,14 +150,6 @@ class EvidenceSettings(Group):
         "chosen on: RflySimDT real flights and NanoBench",
         1.0,
     )
-    coherent: float = setting(
-        0.7,
-        "1",
-        "squared coherence of predicted and measured angular acceleration from which on a band "
-        "votes",
-        "chosen on: slow flights of small quadrotors, once; not tuned",
-        1.0,
-    )
     trim_force: float = setting(
         0.01,
         "share",

@@ -176,6 +176,8 @@ class _Sampled:
 
 GRID_S = 1e-3
 """Step of the grid, s: the communication step of the co-simulation."""
+SAMPLED_HZ = 30.0
+"""Flight controllers command their motors more often; a log below it holds samples of that."""
 SPIN_RATE = "spin_rate_"
 """Prefix of the airframe's inputs for rotor accelerations."""
 _WARM_UP_S = 2.0
@@ -301,7 +303,13 @@ class InputSignals:
 
 
 def _held(signal: AnySignal, t_s: Array) -> Array:
-    return signal.held(t_s)[:, 0]
+    return signal.held(t_s + _ahead_s(signal))[:, 0]
+
+
+def _ahead_s(command: AnySignal) -> float:
+    """By how much a held command is early: half a period of a log that samples commands more seldom
+    than any flight controller gives them, of which holding makes the mean late by as much."""
+    return 0.5 / command.rate_hz if 0 < command.rate_hz < SAMPLED_HZ else 0.0
 
 
 def _speed(signal: AnySignal, t_s: Array) -> Array:
@@ -321,6 +329,7 @@ def _arriving(command: AnySignal, delay_s: float, t_s: Array) -> Array:
 
     The line is sampled at the end of each period, where what was held over it counts.
     """
+    t_s = t_s + _ahead_s(command)
     periods = max(delay_s / COMMAND_PERIOD_S, 1.0)
     whole = int(periods + 1e-9)
     after, before = (

@@ -81,8 +81,14 @@ def fly(
         imu_s: Time between two rows of the table, commands and IMU in each.
     """
     setpoints, phases = setpoints_along(plant, waypoints)
+    recorder = recorder_of(plant, seed, imu_s)
+    return simulate_flight(setpoints, phases, vehicle, plant, recorder, name)
+
+
+def recorder_of(plant: Vehicle, seed: int, imu_s: float) -> Recorder:
+    """Motion capture and a quiet IMU; arguments as of `fly`."""
     drives = motor_columns("cmd" if plant.drive == "command" else "rotor", plant.rotors.count)
-    recorder = Recorder(
+    return Recorder(
         streams=(
             Stream(drives, imu_s),
             Stream(ACC, imu_s, ACC_NOISE_M_S2),
@@ -95,7 +101,6 @@ def fly(
         sampled_hz=1 / STEP_S,
         seed=seed,
     )
-    return simulate_flight(setpoints, phases, vehicle, plant, recorder, name)
 
 
 def setpoints_along(plant: Vehicle, waypoints: Waypoints) -> tuple[Array, list[str]]:

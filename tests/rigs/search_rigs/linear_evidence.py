@@ -29,7 +29,6 @@ class Linear:
         day: Standard deviation between flights.
         odds: Log odds of each effect.
         own: Share of each channel's rows that counts.
-        silent: Channels and bands without a vote.
         reach: Largest size of a number.
     """
 
@@ -42,7 +41,6 @@ class Linear:
     day: Array | None = None
     odds: Mapping[str, float] = field(default_factory=dict)
     own: Array | None = None
-    silent: frozenset[tuple[int, int]] = frozenset()
     reach: float = 1e9
 
     @property
@@ -81,5 +79,5 @@ class Linear:
         k, priors = len(self.effects), self.priors
         bounds = Bounds(priors.low, priors.high, np.zeros((0, k)), np.zeros(0))
         own = np.ones(len(self.channels)) if self.own is None else self.own
-        noise = BandNoise(self.floor, own, {}, self.silent)
+        noise = BandNoise(self.floor, own, {})
         return LaplaceEvidence(self.spectrum, noise, priors, bounds)

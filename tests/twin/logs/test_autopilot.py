@@ -116,6 +116,24 @@ def test_setpoints_as_planted(tmp_path: Path) -> None:
     assert np.array_equal(rates.values, np.tile([0.25, 0.0, 0.0], (len(t), 1)))
 
 
+def test_the_velocity_of_the_mission_comes_before_that_of_the_position_loop(tmp_path: Path) -> None:
+    t = MOVING_S[::25]
+    for fields in (("vx", "vy", "vz"), ("velocity[0]", "velocity[1]", "velocity[2]")):
+        asked = {f: np.full(len(t), k, np.float32) for k, f in enumerate(fields)}
+        if "[" in fields[0]:
+            asked = {"velocity": np.tile(np.arange(3, dtype=np.float32), (len(t), 1))}
+        path = tmp_path / f"{fields[0]}.ulg"
+        local = {f"v{a}": np.full(len(t), 9, np.float32) for a in "xyz"}
+        topics = moving_topics() | {
+            "trajectory_setpoint": {"t": t, **asked},
+            "vehicle_local_position_setpoint": {"t": t, **local},
+        }
+        path.write_bytes(ulog(topics))
+        velocity = told(read_flight(path)).setpoint(VEL)
+        assert velocity is not None
+        assert np.array_equal(velocity.values, np.tile([0.0, 1.0, 2.0], (len(t), 1)))
+
+
 def test_messages_parameters_and_filters_as_planted(tmp_path: Path) -> None:
     """Defaults of the airframe go before those of the firmware; one that is kept is not listed."""
     found = planted(
@@ -202,7 +220,7 @@ def test_recorded_logs_as_pyulog_decodes_them(name: str, tmp_path: Path) -> None
     }
     for columns, topic, fields in (
         (POS, "vehicle_local_position_setpoint", ("x", "y", "z")),
-        (VEL, "vehicle_local_position_setpoint", ("vx", "vy", "vz")),
+        (VEL, "trajectory_setpoint", ("vx", "vy", "vz")),
         (QUAT, "vehicle_attitude_setpoint", tuple(f"q_d[{k}]" for k in range(4))),
         (GYRO, "vehicle_rates_setpoint", ("roll", "pitch", "yaw")),
     ):

@@ -3,11 +3,8 @@
 What the linearisation promises is checked by the model itself; a step that falls short of it is
 halved, and slopes are computed again where the model has turned out to bend.
 
-Bands of angular acceleration in which command and motion are not coherent take no part: in a flight
-in which nothing is commanded the commands answer to disturbances, and their gain to the motion
-tends to zero: such bands pull every gain down, of thrust, inertia and torque alike. Source: direct
-identification in closed loop, Ljung, System Identification, ch. 13; the limit and its effect on
-slow flights were measured once on small quadrotors (docs/guide/calibrate.md).
+No scale is fitted to a mean: what turns a vehicle in the mean, such as a canted rotor or a shifted
+centre of mass, is no reason to make its inertia large, or its rotors' torque small.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import csd, welch
 
 from ...effects import EFFECTS, prior_of
 from ...representation import short_repr
@@ -24,54 +20,13 @@ from ..model.model import Model
 from ..model.numbers import DRIVES, Number
 from ..settings import DEFAULT, EvidenceSettings
 from .evidence import LaplaceEvidence, MapEstimate
+from .instruments import InstrumentNoise
 from .noise import BandNoise, constants_of_days
 from .priors import Bounds, Priors, effect_of
-from .spectrum import BANDS_HZ, Flights, Spectrum
+from .setpoints import turns
+from .spectrum import Flights, Spectrum
 
 Array = NDArray[np.float64]
-WINDOW = 128
-"""Samples of a window: 2.6 s."""
-
-
-def silent_bands(flights: Flights, least: float) -> frozenset[tuple[int, int]]:
-    """Channels and bands of angular acceleration that do not vote, by their numbers.
-
-    Args:
-        flights: Channels of each flight.
-        least: Coherence from which on a band votes.
-    """
-    found = set()
-    for c, first in enumerate(flights[0]):
-        if not first.name.startswith(("gyro_rate_", "motion_rate_")):
-            continue
-        hz, coherent = _coherence([f[c] for f in flights])
-        for b in range(1, len(BANDS_HZ)):
-            inside = (hz >= BANDS_HZ[b - 1]) & (hz < BANDS_HZ[b])
-            if not inside.any() or float(np.mean(coherent[inside])) < least:
-                found.add((c, b))
-    return frozenset(found)
-
-
-def _coherence(channels: Sequence[ChannelData]) -> tuple[Array, Array]:
-    """Squared coherence of what was measured and what was predicted, all flights together."""
-    hz, sums = np.zeros(0), None
-    for c in channels:
-        for k in np.unique(c.piece):
-            measured = c.measured[c.piece == k]
-            predicted = measured - c.residual[c.piece == k]
-            if len(measured) < WINDOW:
-                continue
-            options = {"fs": CHANNEL_HZ, "nperseg": WINDOW}
-            hz, both = csd(measured, predicted, **options)
-            powers = [welch(v, **options)[1] for v in (measured, predicted)]
-            part = len(measured) * np.array([both, *powers])
-            sums = part if sums is None else sums + part
-    if sums is None:
-        return np.zeros(1), np.zeros(1)
-    both, one, other = sums
-    power = np.maximum(one.real * other.real, 1e-300)
-    return hz, np.asarray(np.abs(both) ** 2 / power, dtype=np.float64)
-
 
 # -- Gauss-Newton --------------------------------------------------------------------------
 
@@ -94,6 +49,8 @@ SETTLED = 0.2
 STRAIGHT = 0.02
 """Share of the power of a step that the model may deviate from a straight line on it."""
 
+SCALES = "inertia_error.", "yaw_torque_scale."
+"""How numbers that no mean tells begin."""
 BEFORE = 2.0
 """Days that the table of priors counts for, beside the flights' own."""
 
@@ -146,7 +103,7 @@ class Problem:
     model: Model
     priors: Priors
     bounds: Bounds
-    noise: BandNoise
+    noise: InstrumentNoise
     rest: Spectrum
     kappas: tuple[float, ...] = (1.0,)
 
@@ -158,7 +115,6 @@ class Problem:
         model: Model,
         priors: Priors,
         settings: EvidenceSettings = DEFAULT.inference.evidence,
-        gated: bool = False,
         constants: Mapping[str, float] | None = None,
     ) -> "Problem":
         """Flights with every number of their model.
@@ -167,19 +123,19 @@ class Problem:
             model: Flights.
             priors: Priors of its numbers.
             settings: What is known of noise before a flight is looked at.
-            gated: Whether bands in which command and motion do not go together have no vote.
             constants: Deviation between days of a channel's constant, where it is known.
         """
         numbers = [model.numbers[i] for i in priors.columns]
         bounds = Bounds.of(numbers, model.vehicle).around(priors.now)
         theta, days = np.zeros(len(numbers)), np.zeros((len(model.flights), len(priors.days)))
-        flights = model.channels(priors.columns)
+        flights = _without_means(model.channels(priors.columns), priors.names, {})
         rest = Spectrum.of(flights, theta, days, priors.days)
         usual = constants_of_days(rest.channels, model.vehicle, settings)
         sizes = [(constants or {}).get(n, u) for n, u in zip(rest.channels, usual, strict=True)]
-        silent = silent_bands(flights, settings.coherent) if gated else frozenset()
-        noise = BandNoise.of(rest, sizes, settings, silent)
-        odds = {c: v - gained_by_following(c, rest, noise) for c, v in priors.odds.items()}
+        bands = BandNoise.of(rest, sizes, settings)
+        logs = [f.flight for f in model.flights]
+        noise = InstrumentNoise.of(logs, flights, bands, settings.rough)
+        odds = {c: v - gained_by_following(c, rest, bands) for c, v in priors.odds.items()}
         kappas = KAPPAS if len(model.flights) > 1 else (1.0,)
         return cls(model, replace(priors, odds=odds), bounds, noise, rest, kappas)
 
@@ -199,7 +155,9 @@ class Problem:
     def channels(self, x: Array, columns: Sequence[int] = ()) -> list[list[ChannelData]]:
         """Channels of each flight on its day at some numbers, with slopes by some of them."""
         at = [self.priors.columns[i] for i in columns]
-        return replace(self.model, days=self.days(x)).channels(at, self.values(x))
+        values = self.values(x)
+        flights = replace(self.model, days=self.days(x)).channels(at, values)
+        return _without_means(flights, [self.priors.names[i] for i in columns], values)
 
     def split(self, x: Array) -> tuple[Array, Array]:
         """Numbers that all flights share, and those of the days."""
@@ -229,7 +187,7 @@ class Problem:
         pairs = zip(self.rest.channels, state.spectrum.rows, strict=True)
         for c, (name, rows) in enumerate(pairs):
             left = np.array([float(np.sum(r.residual[r.band == 0] ** 2)) for r in rows])
-            found[name] = _deviation(state.kappa * np.sqrt(self.noise.floor[c, 0]), left)
+            found[name] = _deviation(state.kappa * np.sqrt(self.noise.bands.floor[c, 0]), left)
         return found
 
     def accustomed(self, state: State) -> "Problem":
@@ -241,10 +199,11 @@ class Problem:
         pairs = zip(self.priors.names, self.priors.day, strict=True)
         day = np.array([shown.get(n, usual) for n, usual in pairs])
         constants = {(c, 0): left[name] ** 2 for c, name in enumerate(self.rest.channels)}
+        bands = replace(self.noise.bands, floor={**self.noise.bands.floor, **constants})
         return replace(
             self,
             priors=replace(self.priors, day=day),
-            noise=replace(self.noise, floor={**self.noise.floor, **constants}),
+            noise=replace(self.noise, bands=bands),
             kappas=(1.0,),
         )
 
@@ -346,6 +305,38 @@ class Problem:
         """Residuals and slopes of some columns taken anew."""
         flights = self.channels(x, columns.tolist())
         return spectrum.moved(flights, *self.split(x)).renewed(flights, columns)
+
+
+def _without_means(
+    flights: Flights, names: Sequence[str], values: Mapping[str, float]
+) -> list[list[ChannelData]]:
+    """Channels in which no scale changes the constants of angular acceleration: those of roll and
+    pitch are as of the moment, inertia times what is measured.
+
+    Args:
+        flights: Channels of each flight.
+        names: Numbers of the slopes.
+        values: Of the numbers, as of `Model.channels`.
+    """
+    scales = [i for i, n in enumerate(names) if n.startswith(SCALES)]
+
+    def made(c: ChannelData) -> ChannelData:
+        """Of one channel."""
+        if not turns(c.name):
+            return c
+        axis = c.name[-1]
+        more = 0.0 if axis == "z" else values.get(f"inertia_error.scale_{axis}", 1.0) - 1.0
+        residual, slopes = c.residual.copy(), c.slopes.copy()
+        for k in np.unique(c.piece):
+            own = c.piece == k
+            residual[own] += more * residual[own].mean()
+            mean = slopes[own].mean(axis=0)
+            change = more * mean
+            change[scales] = -mean[scales]
+            slopes[own] += change
+        return replace(c, residual=residual, slopes=slopes)
+
+    return [[made(c) for c in row] for row in flights]
 
 
 def _deviation(usual: float, shown: Array) -> float:

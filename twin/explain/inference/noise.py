@@ -100,7 +100,6 @@ class BandNoise:
             its variance at kappa = 1.
         own: By channel, how much of its power rows count.
         rounding: By channel and band, variance of a row by rounding to the sensor's least count.
-        silent: Channels and bands that do not vote.
         level: Degrees of freedom with which a level is known.
         capped: Whether a band that is quieter than its level weighs no more than the level says.
     """
@@ -108,7 +107,6 @@ class BandNoise:
     floor: Mapping[tuple[int, int], float]
     own: Array
     rounding: Mapping[tuple[int, int], float]
-    silent: frozenset[tuple[int, int]] = frozenset()
     level: float = DEFAULT.inference.evidence.level
     capped: bool = False
 
@@ -120,7 +118,6 @@ class BandNoise:
         rest: Spectrum,
         constants: Sequence[float],
         settings: EvidenceSettings = DEFAULT.inference.evidence,
-        silent: frozenset[tuple[int, int]] = frozenset(),
     ) -> "BandNoise":
         """From the residuals of the model as it stands.
 
@@ -128,7 +125,6 @@ class BandNoise:
             rest: About the model as it stands.
             constants: Of each channel, the size of a constant that a day may bring.
             settings: How exact laws are, how much a flight tells.
-            silent: Channels and bands that do not vote.
         """
         power, flights = rest.power(), len(rest.rows[0])
         floor, own = {}, np.ones(len(rest.channels))
@@ -146,7 +142,7 @@ class BandNoise:
                 elif (c, b) in power:
                     p, count = power[c, b]
                     floor[c, b] = settings.rough**2 * max(p / count, 1e-3 * mean) + least[b]
-        return cls(floor, own, rounding, silent, settings.level)
+        return cls(floor, own, rounding, settings.level)
 
     def terms(
         self, channel: int, rows: Array, band: NDArray[np.intp], flight: NDArray[np.intp]
@@ -154,8 +150,6 @@ class BandNoise:
         """See `NoiseLaw`."""
         found = []
         for b in np.unique(band[band >= 0]).tolist():
-            if (channel, b) in self.silent:
-                continue
             inside = rows[band == b]
             weight = 1.0 if b == 0 else float(self.own[channel])
             n = len(np.unique(flight[band == b])) if b == 0 else len(inside)

@@ -403,7 +403,7 @@ def name_effects(
 
 def usual_problem(model: Model, settings: InferenceSettings = DEFAULT.inference) -> Problem:
     """Everything that a model may lack."""
-    return Problem.of(model, priors_of(model), settings.evidence, gated=True)
+    return Problem.of(model, priors_of(model), settings.evidence)
 
 
 def since_problem(
@@ -425,7 +425,7 @@ def since_problem(
     priors = replace(priors, odds=odds)
     assert model.vehicle.calibration is not None
     constants = {**model.vehicle.calibration.constants, **dict.fromkeys(silent, UNKNOWN_CONSTANT)}
-    return Problem.of(model, priors, settings.evidence, gated=True, constants=constants)
+    return Problem.of(model, priors, settings.evidence, constants=constants)
 
 
 def climb(problem: Problem, progress: Callable[[float], None] = lambda _: None) -> SearchResult:

@@ -85,7 +85,7 @@ class Spectrum:
         """The same slopes with residuals taken elsewhere."""
         rows = tuple(
             tuple(
-                replace(r, residual=_transformed(f[i], f[i].residual[:, None])[0][:, 0])
+                replace(r, residual=transformed(f[i], f[i].residual[:, None])[0][:, 0])
                 for r, f in zip(own, flights, strict=True)
             )
             for i, own in enumerate(self.rows)
@@ -101,7 +101,7 @@ class Spectrum:
         """
         rows = tuple(
             tuple(
-                _with_slopes(r, len(self.theta), columns, _transformed(f[i], f[i].slopes)[0])
+                _with_slopes(r, len(self.theta), columns, transformed(f[i], f[i].slopes)[0])
                 for r, f in zip(own, flights, strict=True)
             )
             for i, own in enumerate(self.rows)
@@ -134,7 +134,7 @@ class Spectrum:
 
 def _rows(channel: ChannelData) -> Rows:
     both = np.column_stack([channel.residual, channel.slopes])
-    values, band = _transformed(channel, both)
+    values, band = transformed(channel, both)
     active = np.flatnonzero(np.any(values[:, 1:] != 0, axis=0))
     return Rows(band, values[:, 0], active, values[:, 1 + active])
 
@@ -147,8 +147,13 @@ def _with_slopes(rows: Rows, width: int, columns: NDArray[np.intp], slopes: Arra
     return replace(rows, active=active, slopes=full[:, active])
 
 
-def _transformed(channel: ChannelData, values: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Rows of all long enough pieces, and their bands."""
+def transformed(channel: ChannelData, values: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Rows of all long enough pieces of a channel, and their bands.
+
+    Args:
+        channel: Whose pieces.
+        values: At its samples, shape (n, m).
+    """
     out, bands = [], []
     pieces = [p for p in np.unique(channel.piece) if np.sum(channel.piece == p) >= SHORTEST]
     total = sum(int(np.sum(channel.piece == p)) for p in pieces)

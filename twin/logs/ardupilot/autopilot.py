@@ -362,8 +362,8 @@ def setpoints(log: ArduPilotLog, end_s: float) -> tuple[Setpoint, ...]:
         end_s: End of the record, s.
     """
     found = [
-        _course(log, POS, "TP", end_s),
-        _course(log, VEL, "TV", end_s),
+        _course(log, POS, ("TP",), end_s),
+        _course(log, VEL, ("DV", "TV"), end_s),
         _attitude(log, end_s),
         _rates(log, end_s),
     ]
@@ -371,9 +371,11 @@ def setpoints(log: ArduPilotLog, end_s: float) -> tuple[Setpoint, ...]:
 
 
 def _course(
-    log: ArduPilotLog, columns: tuple[str, ...], letters: str, end_s: float
+    log: ArduPilotLog, columns: tuple[str, ...], letters: tuple[str, ...], end_s: float
 ) -> Setpoint | None:
-    """Targets of PSCN, PSCE and PSCD (ArduPilot 4.1 and later), at the times of the last.
+    """Targets of PSCN, PSCE and PSCD (ArduPilot 4.1 and later), at the times of the last, by the
+    first of some letters that a message has: DV is the velocity that mission or pilot desire, TV
+    has what the position controller adds to it.
 
     The horizontal controller rests where the pilot gives a lean angle: it has no setpoint then.
     """
@@ -384,8 +386,8 @@ def _course(
     down, times = _until(down, end_s)
     values = np.full((len(times), len(_AXES)), np.nan)
     for k, (axis, topic) in enumerate(zip(_AXES, axes, strict=True)):
-        name = f"{letters}{axis}"
-        if topic is not None and topic.has(name):
+        name = next((f"{k}{axis}" for k in letters if topic and topic.has(f"{k}{axis}")), None)
+        if topic is not None and name is not None:
             values[:, k] = _nearest(topic, topic.si((name,))[:, 0], times)
     return setpoint_of(columns, times, values)
 

@@ -62,7 +62,7 @@ QUANTITIES = (
     Quantity("EKF1 NKF1 XKF1", "VN VE VD", "m/s"),
     Quantity("EKF1 NKF1 XKF1", "PN PE PD", "m"),
     Quantity("PSCN PSCE PSCD", "PN PE PD TPN TPE TPD", "m"),
-    Quantity("PSCN PSCE PSCD", "VN VE VD TVN TVE TVD", "m/s"),
+    Quantity("PSCN PSCE PSCD", "VN VE VD TVN TVE TVD DVN DVE DVD", "m/s"),
     Quantity("PSC", "PX PY", "m"),
     Quantity("PSC", "VX VY", "m/s"),
     Quantity("NTUN", "PosX PosY", "m", 1e-2),

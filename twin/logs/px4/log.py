@@ -154,7 +154,7 @@ def _unfolded(
 
 _MESSAGES = b"BFIMPQADLCSOR"  # kinds of message of ULog
 _EVENTS = ("vehicle_command",)  # several may carry the same time
-_ASIDE = ("vehicle_local_position_setpoint", "vehicle_status")
+_ASIDE = ("trajectory_setpoint", "vehicle_local_position_setpoint", "vehicle_status")
 """Of no signal: no sample is judged by them."""
 _ON_CHANGE = (  # topics without a steady rate
     *("actuator_armed", "estimator_sensor_bias", "vehicle_land_detected"),

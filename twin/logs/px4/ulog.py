@@ -190,7 +190,13 @@ def _position_setpoint(log: Px4Log) -> Setpoint | None:
 
 
 def _velocity_setpoint(log: Px4Log) -> Setpoint | None:
-    return _setpoint(log, "vehicle_local_position_setpoint", VEL, ("vx", "vy", "vz"))
+    """What mission or pilot ask for; without it that with what the position controller adds."""
+    course, local = "trajectory_setpoint", ("vx", "vy", "vz")
+    return (
+        _setpoint(log, course, VEL, ("velocity[0]", "velocity[1]", "velocity[2]"))
+        or _setpoint(log, course, VEL, local)
+        or _setpoint(log, "vehicle_local_position_setpoint", VEL, local)
+    )
 
 
 def _rates_setpoint(log: Px4Log) -> Setpoint | None:

@@ -177,25 +177,6 @@ def test_differences_do_not_depend_on_units() -> None:
     assert lead(1.0) > 3
 
 
-def test_a_band_that_does_not_vote_has_no_influence() -> None:
-    rng = np.random.default_rng(4)
-    n = 100
-    band = np.repeat([1, 2], n).astype(np.intp)
-    s = rng.standard_normal((2 * n, 1))
-    r = rng.standard_normal(2 * n) + np.where(band == 1, 0.5, -3.0) * s[:, 0]
-    floor = {(0, b): 0.01 for b in range(3)}
-    both = Linear(["a"], [[(band, r, s)]], floor)
-    gated = replace(both, silent=frozenset({(0, 2)}))
-    alone = Linear(["a"], [[(band[:n], r[:n], s[:n])]], floor)
-    assert gated.laplace.best(["a"], 1.0).x == pytest.approx(alone.laplace.best(["a"], 1.0).x)
-    leads = [
-        p.laplace.best(["a"], 1.0).evidence - p.laplace.best([], 1.0).evidence
-        for p in (gated, alone)
-    ]
-    assert leads[0] == pytest.approx(leads[1], abs=1e-9)
-    assert abs(both.laplace.best(["a"], 1.0).x[0] - gated.laplace.best(["a"], 1.0).x[0]) > 0.1
-
-
 def test_one_flight_tells_no_more_than_its_samples_however_fast_it_was_logged() -> None:
     rng, samples = np.random.default_rng(5), DEFAULT.inference.evidence.samples
     leads = []

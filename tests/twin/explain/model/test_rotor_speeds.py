@@ -14,7 +14,7 @@ from twin.effects import EFFECTS
 from twin.explain.explanation import explain
 from twin.explain.model.model import candidates, model_of
 from twin.flight.closed_loop import STEP_S
-from twin.flight.simulate_flight import Recorder, Stream, simulate_flight
+from twin.flight.simulate_flight import Stream, simulate_flight
 from twin.logs import Flight
 from twin.logs.columns import motor_columns
 from twin.vehicle import Vehicle
@@ -42,13 +42,14 @@ FEW = (
 """Candidates of the whole search."""
 
 
-def flown(plant: Vehicle) -> Flight:
-    """A flight with commands and rotor speeds."""
-    flight = demo.fly(VEHICLE, plant, 3, waypoints=WAYPOINTS)
+def flown(plant: Vehicle, turned_rad: float = 0.0) -> Flight:
+    """A flight with commands and rotor speeds, the nose to and fro."""
     setpoints, phases = demo.setpoints_along(plant, WAYPOINTS)
-    tachometers = Recorder((Stream(SPEEDS, demo.IMU_S),), 1 / demo.IMU_S, 1 / STEP_S)
-    turning = simulate_flight(setpoints, phases, VEHICLE, plant, tachometers)
-    return replace(flight, table=flight.table.join(turning.table[[*SPEEDS]]))
+    since = np.clip(STEP_S * np.arange(len(setpoints)) - 2.5, 0.0, None)
+    setpoints[:, 9] = turned_rad * np.sin(2 * np.pi * 0.4 * since) ** 2
+    recorder = demo.recorder_of(plant, 3, demo.IMU_S)
+    streams = (*recorder.streams, Stream(SPEEDS, demo.IMU_S))
+    return simulate_flight(setpoints, phases, VEHICLE, plant, replace(recorder, streams=streams))
 
 
 def without(flight: Flight, columns: Sequence[str]) -> Flight:
@@ -139,7 +140,8 @@ def test_flights_of_two_kinds_show_what_both_can_show(dragged: Flight) -> None:
 @pytest.mark.slow
 def test_the_torque_of_rotors_that_speed_up_is_seen_in_measured_speeds() -> None:
     truth = {"momentum_n_m_s": EFFECTS["rotor_inertia_torque"].starts(VEHICLE)["momentum_n_m_s"]}
-    flight = without(flown(VEHICLE.with_effects({"rotor_inertia_torque": truth})), COMMANDS)
+    flight = flown(VEHICLE.with_effects({"rotor_inertia_torque": truth}), turned_rad=0.8)
+    flight = without(flight, COMMANDS)
     problem = against(flight, VEHICLE, "rotor_inertia_torque")
     found = fit_set(problem, ["rotor_inertia_torque"])
     name = "rotor_inertia_torque.momentum_n_m_s"

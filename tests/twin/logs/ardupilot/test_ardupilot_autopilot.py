@@ -19,7 +19,10 @@ FOLDER = DATA / "quiver_pt1"
 REPORTED = KINDS | {
     "ATT": Kind("Qcccccc", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw", "sddddhh", "FBBBBBB"),
     "RATE": Kind("Qffffff", "TimeUS,RDes,R,PDes,P,YDes,Y", "skkkkkk", "F------"),
-    **{f"PSC{a}": Kind("Qffff", f"TimeUS,TP{a},P{a},TV{a},V{a}", "smmnn", "F0000") for a in "NED"},
+    **{
+        f"PSC{a}": Kind("Qfffff", f"TimeUS,TP{a},P{a},DV{a},TV{a},V{a}", "smmnnn", "F00000")
+        for a in "NED"
+    },
 }
 T = np.arange(0.0, 28.0, 0.1)
 
@@ -65,9 +68,9 @@ def test_setpoints_as_planted(tmp_path: Path) -> None:
         tmp_path,
         ATT={"t": T, "DesRoll": 10 + 0 * T, "DesPitch": -5 + 0 * T, "DesYaw": 90 + 0 * T},
         RATE={"t": T, "RDes": 90 + 0 * T},
-        PSCN={"t": rest, "TPN": np.sin(rest)},
+        PSCN={"t": rest, "TPN": np.sin(rest), "DVN": 2 + 0 * rest, "TVN": 3 + 0 * rest},
         PSCE={"t": rest + 1e-4, "TPE": 1 + np.sin(rest)},
-        PSCD={"t": T, "TPD": along["TPD"], "TVD": 0.5 + 0 * T},
+        PSCD={"t": T, "TPD": along["TPD"], "DVD": 0.5 + 0 * T},
     )
     position, velocity, attitude, rates = (found.setpoint(c) for c in (POS, VEL, QUAT, GYRO))
     assert position and velocity and attitude and rates
@@ -79,6 +82,9 @@ def test_setpoints_as_planted(tmp_path: Path) -> None:
     assert np.isnan(position.values[away, :2]).all()
     assert np.isfinite(position.values[:, 2]).all()
     assert np.allclose(velocity.values[:, 2], 0.5)
+    assert np.allclose(
+        velocity.values[flown, 0], 2.0
+    )  # desired, before what the position loop adds
     expected = np.asarray(from_euler(*np.radians([10.0, -5.0, 90.0])))
     assert np.allclose(attitude.values, expected, atol=1e-6)
     assert np.allclose(rates.values, [np.pi / 2, 0.0, 0.0], atol=1e-6)

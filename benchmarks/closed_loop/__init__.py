@@ -1,0 +1,1 @@
+"""Numbers of aircraft that controllers fly through disturbances, without any excitation."""

@@ -1,0 +1,122 @@
+"""Numbers of aircraft in closed loop: `python -m benchmarks.closed_loop --out OUT --seeds 20`.
+
+Flies aircraft that differ from their file through disturbances, without any excitation, fits the
+numbers that differ, all at once, and asks how far they are off and how often their 95 % intervals
+hold the truth. One JSON file per flight in OUT; those that are there are not flown again.
+`--page FILE` writes the page of what is there.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.effects import EFFECTS
+from twin.explain.inference.fit import INTERVAL, Problem
+from twin.explain.inference.priors import priors_of
+from twin.explain.model.model import model_of
+
+from .flights import MISSIONS, NUMBERS, VEHICLE, Case, flown, planted
+
+LOGS = ("imu", "pose")
+HEAD = """# Numbers of aircraft in closed loop
+
+The built-in quadrotor, its inertia, lag, centre of mass, thrust and yaw torque off its file, flown
+by a controller designed on the file through turbulence in force (0.5 m/s²) and moment (2 rad/s²),
+without any excitation: hover, and a tour on which it turns its nose. The log holds the velocity of
+the mission and the attitude that the position loop asks for. All numbers are fitted at once, as
+`calibrate` does.
+
+```console
+python -m benchmarks.closed_loop --out DIR --seeds {seeds}
+python -m benchmarks.closed_loop --out DIR --page docs/results/closed_loop.md
+```
+
+Mean of estimate minus truth in posterior deviations, share of 95 % intervals that hold the truth,
+and in brackets the median width over that of the prior (1: not told); logs with an IMU, and of the
+pose alone; {seeds} flights a cell.
+
+"""
+GOALS = {
+    "inertia": ("inertia_error.scale_x", "inertia_error.scale_y"),
+    "lag": ("motor_lag.tau_s",),
+    "centre of mass": ("cog_offset.x_m", "cog_offset.y_m"),
+    "thrust": ("thrust_scale.scale",),
+    "yaw torque": ("yaw_torque_scale.scale",),
+}
+
+
+def fitted(case: Case) -> dict[str, dict[str, float]]:
+    """Truth, estimate, its deviation and that of the prior, by number."""
+    model = model_of([flown(case)], VEHICLE, [EFFECTS[e] for e in NUMBERS])
+    problem = Problem.of(model, priors_of(model, trusted=False))
+    best = problem.start(sorted(NUMBERS), 1.0).best
+    truth, sd = planted(case.seed), best.deviations()
+    found = {}
+    for i, name in enumerate(problem.priors.names):
+        effect, _, number = name.partition(".")
+        if number in NUMBERS[effect]:
+            found[name] = {
+                "truth": truth[effect][number],
+                "estimate": float(problem.priors.now[i] + best.x[i]),
+                "sd": float(sd[i]),
+                "prior": float(problem.priors.slab[i]),
+            }
+    return found
+
+
+def table(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Bias and coverage by cell, as a table in Markdown."""
+    cells = [(m, log) for m in MISSIONS for log in LOGS]
+    every = list(rows)
+    lines = ["| number | " + " | ".join(f"{m}, {log}" for m, log in cells) + " |"]
+    lines.append("|---" * (1 + len(cells)) + "|")
+    for goal, names in GOALS.items():
+        found = [_cell([r for r in every if (r["mission"], r["log"]) == c], names) for c in cells]
+        lines.append(f"| {goal} | " + " | ".join(found) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _cell(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
+    """Bias in deviations, coverage, and the share of the prior's width that is left."""
+    own = [r["numbers"][n] for r in rows for n in names if n in r["numbers"]]
+    if not own:
+        return "-"
+    off = np.array([(n["estimate"] - n["truth"]) / n["sd"] for n in own])
+    width = np.median([n["sd"] / n["prior"] for n in own])
+    held = np.mean(np.abs(off) <= INTERVAL)
+    return f"{np.mean(off):+.2f}, {held:.2f} ({width:.2f})"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder of the results")
+    parser.add_argument("--seeds", type=int, default=20, help="flights of each cell")
+    parser.add_argument("--logs", nargs="+", default=LOGS, choices=LOGS)
+    parser.add_argument("--page", type=Path, help="write the page of what is there, and no more")
+    given = parser.parse_args(arguments)
+    given.out.mkdir(parents=True, exist_ok=True)
+    for seed in range(0 if given.page else given.seeds):
+        for case in (Case(m, log, seed) for log in given.logs for m in MISSIONS):
+            file = given.out / f"{case.name}.json"
+            if not file.exists():
+                row = {"mission": case.mission, "log": case.log, "numbers": fitted(case)}
+                file.write_text(json.dumps(row), "utf-8")
+                print(case.name, file=sys.stderr)
+    rows = [json.loads(p.read_text("utf-8")) for p in sorted(given.out.glob("*.json"))]
+    text = table(rows)
+    if given.page:
+        seeds = len(rows) // (len(MISSIONS) * len(LOGS))
+        given.page.write_text(HEAD.format(seeds=seeds) + text, "utf-8")
+    else:
+        print(text, end="")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

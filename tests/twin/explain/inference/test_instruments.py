@@ -1,0 +1,234 @@
+"""Instruments: a planted loop is not read backwards, a setpoint in the loop is no instrument."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.signal import butter, lfilter, sosfiltfilt
+
+from twin.effects import EFFECTS
+from twin.explain.inference.fit import Problem
+from twin.explain.inference.instruments import InstrumentNoise
+from twin.explain.inference.noise import BandNoise
+from twin.explain.inference.priors import priors_of
+from twin.explain.inference.spectrum import Spectrum, transformed
+from twin.explain.model.model import model_of
+from twin.frames import from_euler
+from twin.logs import Flight
+from twin.logs.autopilot import Autopilot, Setpoint
+from twin.logs.columns import POS, QUAT, VEL
+from twin.residuals.channels import CHANNEL_HZ, ChannelData
+from twin.vehicle_file import load_vehicle
+from uavtwin.demo.flights import fly
+
+Array = NDArray[np.float64]
+GAIN = 1.5
+"""Of the plant over that of the model: its inertia is smaller."""
+T_S = np.arange(0, 60, 1 / CHANNEL_HZ)
+ZERO = np.zeros_like(T_S)
+
+
+def slow_noise(seed: int, edge_hz: float) -> Array:
+    """Of deviation one."""
+    noise = np.random.default_rng(seed).standard_normal(len(T_S))
+    low = sosfiltfilt(butter(2, edge_hz / (CHANNEL_HZ / 2), output="sos"), noise)
+    return np.asarray(low / low.std())
+
+
+def pushes(seed: int, size: float) -> Array:
+    """Disturbance as of turbulence: it falls with the first power of frequency."""
+    noise = np.random.default_rng(seed).standard_normal(len(T_S))
+    kept = np.exp(-1 / (0.1 * CHANNEL_HZ))
+    return np.asarray(size * np.sqrt(1 - kept**2) * lfilter([1.0], [1.0, -kept], noise))
+
+
+def looped(asked: Array, push: Array, follows: float = 0.0) -> tuple[Array, Array, Array]:
+    """Angular acceleration, command and attitude setpoint of a roll axis under a controller.
+
+    Args:
+        asked: Roll that is asked for, rad.
+        push: Disturbance, rad/s2.
+        follows: Gain of a position loop from lateral speed to the attitude setpoint.
+    """
+    step, lag = 1 / CHANNEL_HZ, 0.0
+    turned = rate = speed = 0.0
+    found = np.zeros((3, len(T_S)))
+    for k, (want, d) in enumerate(zip(asked, push, strict=True)):
+        setpoint = want - follows * speed
+        lag += 0.5 * (40.0 * (setpoint - turned) - 9.0 * rate - lag)
+        found[:, k] = GAIN * lag + d, lag, setpoint
+        rate += step * found[0, k]
+        turned += step * rate
+        speed += step * (9.8 * turned + 0.3 * d)
+    return found[0], found[1], found[2]
+
+
+def channel(y: Array, u: Array) -> ChannelData:
+    """Of the model whose gain is one."""
+    piece = np.zeros(len(T_S), dtype=np.intp)
+    return ChannelData("gyro_rate_x", "rad/s2", T_S, y, y - u, u[:, None], piece)
+
+
+def flight(setpoint: Setpoint | None, velocity: Array | None = None, name: str = "one") -> Flight:
+    q = from_euler(ZERO, ZERO, ZERO).T
+    columns = {"time": T_S, "cmd_1": ZERO} | dict(zip(QUAT, q.T, strict=True))
+    if velocity is not None:
+        columns |= dict(zip(VEL, (ZERO, velocity, ZERO), strict=True))
+    asked = None if setpoint is None else Autopilot(setpoints=(setpoint,))
+    return Flight(name, pd.DataFrame(columns), autopilot=asked)
+
+
+def rolled(roll: Array) -> Setpoint:
+    return Setpoint(QUAT, T_S, from_euler(roll, ZERO, ZERO).T)
+
+
+def law_of(flights: Sequence[Flight], channels: Sequence[ChannelData]) -> InstrumentNoise:
+    rows = [[c] for c in channels]
+    nothing = np.zeros((len(flights), 0)), np.zeros(0, dtype=np.intp)
+    rest = Spectrum.of(rows, np.zeros(1), *nothing)
+    return InstrumentNoise.of(flights, rows, BandNoise.of(rest, [1.0]), 0.02)
+
+
+def best_gain(law: InstrumentNoise, channels: Sequence[ChannelData]) -> float:
+    """Where the likelihood of a gain is largest."""
+    parts = [transformed(c, np.column_stack([c.measured, c.slopes])) for c in channels]
+    flight = np.repeat(np.arange(len(parts)), [len(p[1]) for p in parts])
+    rows, band = (np.concatenate([p[i] for p in parts]) for i in (0, 1))
+    terms = law.terms(0, rows, np.where(band == 0, -1, band), flight)
+    gains = np.linspace(-2, 4, 601)
+    rss = np.array([np.array([1, -g]) @ t.gram @ [1, -g] for g in gains for t in terms])
+    log = law.likelihood(terms).log
+    return float(gains[np.argmax([log(r) for r in rss.reshape(len(gains), -1)])])
+
+
+def directly(c: ChannelData) -> float:
+    """Least squares."""
+    u = c.slopes[:, 0]
+    return float(u @ c.measured / (u @ u))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_asked_tells_the_gain_where_the_loop_reads_backwards(seed: int) -> None:
+    """As much push as is asked for: least squares have -1/C in them."""
+    roll = 0.1 * slow_noise(seed, 2.0)
+    y, u, setpoint = looped(roll, pushes(100 + seed, 3.0))
+    c = channel(y, u)
+    law = law_of([flight(rolled(setpoint))], [c])
+    assert directly(c) < GAIN - 0.25
+    assert law.instruments[0, 0].trust > 0.3
+    assert best_gain(law, [c]) == pytest.approx(GAIN, abs=0.15)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_setpoint_that_follows_the_disturbance_is_none(seed: int) -> None:
+    """Hover: nothing is asked for but what the position loop makes of the push."""
+    y, u, setpoint = looped(ZERO, pushes(seed, 3.0), follows=0.2)
+    law = law_of([flight(rolled(setpoint))], [channel(y, u)])
+    assert law.instruments[0, 0].trust == 0
+
+
+def test_the_mission_comes_before_the_attitude_and_its_position_will_do() -> None:
+    speed = slow_noise(5, 0.8)
+    lean = np.gradient(speed) * CHANNEL_HZ / 9.8
+    y, u, _ = looped(lean, pushes(6, 1.0))
+    place = np.cumsum(speed) / CHANNEL_HZ
+    found = []
+    for columns, values in ((VEL, speed), (POS, place)):
+        asked = Setpoint(columns, T_S, np.column_stack([ZERO, values, ZERO]))
+        both = Autopilot(setpoints=(asked, rolled(lean)))
+        law = law_of([replace(flight(None), autopilot=both)], [channel(y, u)])
+        assert law.instruments[0, 0].source == "mission"
+        found.append(best_gain(law, [channel(y, u)]))
+    assert found == pytest.approx([GAIN, GAIN], abs=0.25)
+
+
+def test_without_a_setpoint_constants_alone_vote() -> None:
+    y, u, _ = looped(0.1 * slow_noise(7, 1.0), pushes(8, 1.0))
+    c = channel(y, u)
+    rows, band = transformed(c, np.column_stack([c.residual, c.slopes]))
+    law = law_of([flight(None)], [c])
+    terms = law.terms(0, rows, band, np.zeros(len(band), dtype=np.intp))
+    assert not law.instruments
+    assert [t.constant for t in terms] == [True]
+
+
+def test_another_flight_of_the_same_mission_stands_in_for_setpoints() -> None:
+    """It began two seconds later in its record, and had pushes of its own."""
+    roll, late = 0.2 * slow_noise(9, 1.0), round(2 * CHANNEL_HZ)
+    channels, flights = [], []
+    for k, by in enumerate((0, late)):
+        y, u, _ = looped(np.roll(roll, by), pushes(10 + k, 2.0))
+        channels.append(channel(y, u))
+        flights.append(flight(None, np.roll(np.cumsum(roll), by) / CHANNEL_HZ, f"flight {k}"))
+    law = law_of(flights, channels)
+    assert {i.source for i in law.instruments.values()} == {"other flights"}
+    assert all(i.trust > 0.3 for i in law.instruments.values())
+    assert best_gain(law, channels) == pytest.approx(GAIN, abs=0.25)
+    other = [
+        flights[0],
+        replace(flights[1], table=flights[1].table.assign(vel_y=slow_noise(12, 1))),
+    ]
+    assert not law_of(other, channels).instruments
+
+
+@settings(max_examples=15)
+@given(st.floats(0, 3), st.integers(0, 100))
+def test_the_density_does_not_know_how_loud_the_noise_is(decades: float, seed: int) -> None:
+    """Anderson & Rubin: a ratio of what is along to what is across; rounding is next to none."""
+    c, times = channel(*looped(0.1 * slow_noise(1, 1.0), pushes(2, 1.0))[:2]), 10**decades
+    loud = replace(c, measured=times * c.measured, residual=times * c.residual)
+    loud = replace(loud, slopes=times * c.slopes)
+    rss = np.random.default_rng(seed).uniform(1, 100, 10)
+    logs = []
+    for each, scale in ((c, 1.0), (loud, times)):
+        law = law_of([flight(rolled(0.1 * slow_noise(1, 1.0)))], [each])
+        rows, band = transformed(each, each.residual[:, None])
+        band = np.where(band == 0, -1, band)
+        terms = law.terms(0, rows, band, np.zeros(len(band), dtype=np.intp))
+        logs.append(law.likelihood(terms).log(scale**2 * rss[: len(terms)]))
+    assert logs[1] == pytest.approx(logs[0], rel=1e-3)
+
+
+def test_the_gradient_is_that_of_the_density() -> None:
+    c = channel(*looped(0.1 * slow_noise(1, 1.0), pushes(2, 1.0))[:2])
+    law = law_of([flight(rolled(0.1 * slow_noise(1, 1.0)))], [c])
+    rows, band = transformed(c, c.residual[:, None])
+    terms = law.terms(0, rows, band, np.zeros(len(band), dtype=np.intp))
+    likelihood, rss = law.likelihood(terms), np.array([t.gram[0, 0] for t in terms])
+    gradient, weight = likelihood.weights(rss)
+    for i, step in enumerate(1e-6 * rss):
+        ahead, back = rss.copy(), rss.copy()
+        ahead[i] += step
+        back[i] -= step
+        slope = (likelihood.log(ahead) - likelihood.log(back)) / (2 * step)
+        assert -2 * slope == pytest.approx(gradient[i], rel=1e-4, abs=1e-9)
+    assert np.all(weight >= 0)
+
+
+def test_no_scale_answers_to_a_constant() -> None:
+    """Of roll and pitch the constant is that of the moment."""
+    vehicle = load_vehicle("copter_default")
+    effects = [EFFECTS[e] for e in ("inertia_error", "yaw_torque_scale", "cog_offset")]
+    model = model_of([fly(vehicle, vehicle, seed=1)], vehicle, effects)
+    problem = Problem.of(model, priors_of(model))
+    names = list(problem.priors.names)
+    x = np.zeros(len(names) + problem.rest.days.size)
+    x[names.index("inertia_error.scale_x")] = 0.5
+    for at in (0 * x, x):
+        for c in problem.channels(at, range(len(names)))[0]:
+            if "gyro_rate" in c.name:
+                for name in ("inertia_error.scale_x", "yaw_torque_scale.scale"):
+                    mean = c.slopes[:, names.index(name)].mean()
+                    assert mean == pytest.approx(0, abs=1e-9)
+    plain = model.channels([], {"inertia_error.scale_x": 1.5})[0]
+    made = problem.channels(x)[0]
+    means = {
+        c.name: (c.residual.mean(), d.residual.mean()) for c, d in zip(plain, made, strict=True)
+    }
+    assert means["gyro_rate_x"][1] == pytest.approx(1.5 * means["gyro_rate_x"][0])
+    assert means["gyro_rate_y"][1] == pytest.approx(means["gyro_rate_y"][0])

@@ -1,0 +1,299 @@
+"""Instruments: what setpoints ask of an aircraft, of which disturbances in its loop know nothing.
+
+    y = G(theta) u + d,    u = -C y + r
+
+A controller answers to a disturbance d, so that command u and motion y go together with no cause
+from one to the other: their ratio is -1/C, the controller read backwards, and no model of the noise
+tells it from G (Ljung, System Identification, sec. 13.4). What a setpoint r asks does not depend on
+d: at the right numbers e = y - G(theta) u is not coherent with z, the setpoint as an acceleration,
+nor with its Hilbert quadrature; the two span any gain and lag. Of a channel and band k, Q an
+orthonormal basis of z in the n rows of each flight, and T how far it is trusted,
+
+    log L(theta) = -1/2 sum_k n_k log(1 + T |Q'e|^2 / |e - QQ'e|^2),    by Anderson & Rubin (1949)
+    J = min over gain and lag of sum_k n_k log(1 + |Q'e|^2 / |e - QQ'e|^2) / (sum_k rank Q_k - 3)
+    T = 1 / max(1, J);  0 where such a J is improbable, and where the first stage is weak
+
+A weak setpoint is flat: the prior stands, the numbers are not told. One that follows disturbances,
+as an attitude setpoint in hover does, cannot fit all bands with one gain and lag, and J drops it
+(Sargan, Econometrica 26 (1958); Hansen, Econometrica 50 (1982)). In order of trust: the velocity
+that a mission or a stick asks for; the attitude setpoint; the prediction of other flights of the
+same mission, aligned in time. The rate setpoint is none. Constants do not feel the loop. Noise is
+what is left across the instruments, and laws are inexact by a share of what is along them.
+
+Bands of angular acceleration vote in no other way. Those of specific force vote as they are: the
+disturbances of a heavy aircraft turn it sooner than they lift it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import hilbert, lfilter
+from scipy.stats import chi2
+
+from ...logs import Flight
+from ...representation import short_repr
+from ...residuals.channels import CHANNEL_HZ, ChannelData
+from ...residuals.measured import signal_of
+from .noise import BandLikelihood, BandNoise, Term
+from .setpoints import SOURCES, turns
+from .spectrum import BANDS_HZ, Flights, transformed
+
+Array = NDArray[np.float64]
+F_LEAST = {"mission": 3.0, "attitude setpoint": 15.0, "other flights": 10.0}
+"""Of the first stage. Staiger & Stock, Econometrica 65 (1997), ask for 10, where intervals are
+those of a normal distribution; these are not. That of an attitude setpoint in hover, which J does
+not always drop, was 7 to 11 in simulation and 5 to 14 on an aircraft of 18 kg; on the way 20 to 70.
+"""
+SLOWEST, LOOP_HZ = 2, 10.0
+"""Bands of setpoints: from 0.3 Hz, below which wind moves them, to where loops end. Made up."""
+GAINS = np.exp(np.linspace(np.log(0.3), np.log(4.0), 41))
+DELAYS_S = np.arange(-0.1, 0.061, 0.01)
+LAGS_S = 0.0, -0.06, -0.03, -0.015, 0.015, 0.03, 0.06
+"""What a prediction may be off by before anything is fitted. Made up."""
+CHANCE = {"mission": 0.005, "attitude setpoint": 0.05, "other flights": 0.05}
+"""Least probability of the overidentification test."""
+INEXACT = 0.1
+"""Share of an amplitude by which laws are inexact before anything is fitted. Made up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Instrument:
+    """What is asked of one axis in one flight.
+
+    Attributes:
+        source: What asks, see `SOURCES`.
+        bases: By band, orthonormal in the rows of the band, shape (n, rank).
+        power: By band, mean square of what was measured along it.
+        misfit: J of the flight or of all flights, whichever is less likely.
+        chance: Probability of so large a J where the instrument is valid.
+        strength: F of the first stage.
+    """
+
+    source: str
+    bases: Mapping[int, Array]
+    power: Mapping[int, float]
+    misfit: float
+    chance: float
+    strength: float
+
+    __repr__ = short_repr
+
+    @property
+    def trust(self) -> float:
+        """T: by how much what is along it counts; 0: it is none."""
+        valid = self.chance >= CHANCE[self.source] and self.strength >= F_LEAST[self.source]
+        return 1 / max(1.0, self.misfit) if valid else 0.0
+
+
+def instruments_of(
+    flights: Sequence[Flight], channels: Flights
+) -> dict[tuple[int, int], Instrument]:
+    """Of each channel of angular acceleration and flight, by their numbers, the first instrument
+    that is valid in the order of trust; where none is, the last.
+
+    Args:
+        flights: As read.
+        channels: Of each flight, against the model as it stands.
+    """
+    found: dict[tuple[int, int], Instrument] = {}
+    for c in (c for c, first in enumerate(channels[0]) if turns(first.name)):
+        own = [f[c] for f in channels]
+        for source, asked in SOURCES.items():
+            left = [f for f in range(len(own)) if (c, f) not in found or not found[c, f].trust]
+            wanted = {f: asked(flights, own, f) for f in left}
+            bases = {f: _bases(flights[f], own[f], z) for f, z in wanted.items() if z is not None}
+            found |= {(c, f): i for f, i in _judged(source, own, bases).items()}
+    return found
+
+
+def _judged(
+    source: str, own: Sequence[ChannelData], bases: Mapping[int, dict[int, Array]]
+) -> dict[int, Instrument]:
+    """Instruments of the flights in which something may ask, by their numbers."""
+    tests = {f: _test(own[f], b) for f, b in bases.items() if b}
+    found = {f: Instrument(source, {}, {}, 0.0, 1.0, 0.0) for f in bases}
+    if not tests:
+        return found
+    ranks = {f: sum(q.shape[1] for q in bases[f].values()) for f in tests}
+    fitted = max(_fitted(bases[f]) for f in tests)
+    together = _misfit(np.sum([t[0] for t in tests.values()], axis=0), sum(ranks.values()) - fitted)
+    for f, (misfit, power, strength) in tests.items():
+        alone = _misfit(misfit, ranks[f] - _fitted(bases[f]))
+        chance, j = min(alone, together)
+        found[f] = Instrument(source, bases[f], power, j, chance, strength)
+    return found
+
+
+def _fitted(bases: Mapping[int, Array]) -> int:
+    """Numbers that a test fits: gain, delay, and a lag, which two bands do not tell from it."""
+    return 2 if len(bases) <= 2 else 3
+
+
+def _misfit(likelihood: Array, degrees: int) -> tuple[float, float]:
+    """Probability of a J as large as the least one, and that J."""
+    least, degrees = float(np.min(likelihood)), max(degrees, 1)
+    return float(chi2.sf(least, degrees)), least / degrees
+
+
+# -- tests of an instrument ----------------------------------------------------------------------
+
+
+def _bases(flight: Flight, channel: ChannelData, asked: Array) -> dict[int, Array]:
+    """Of each band that counts, an orthonormal basis of what is asked and its quadrature."""
+    asked = asked[:, np.std(asked, axis=0) > 1e-6]
+    if not asked.size:
+        return {}
+    rows, band = transformed(channel, np.column_stack([asked, np.imag(hilbert(asked, axis=0))]))
+    commands = signal_of(flight, ("cmd_1" if flight.has("cmd_1") else "rotor_1",))
+    fastest = min(LOOP_HZ, 1.05 * commands.rate_hz / 5)
+    last = int(np.searchsorted(BANDS_HZ, fastest, side="right")) - 1
+    wide = [b for b in range(SLOWEST, last + 1) if np.sum(band == b) > 2 * rows.shape[1]]
+    return {b: np.linalg.qr(rows[band == b]).Q for b in wide}
+
+
+def _test(
+    channel: ChannelData, bases: Mapping[int, Array]
+) -> tuple[Array, dict[int, float], float]:
+    """-2 log L by lag and gain of the prediction, shape (lags, gains); what was measured along the
+    instrument, see `Instrument`; F of the first stage."""
+    t_s, predicted = channel.t_s, channel.measured - channel.residual
+    lags = LAGS_S if _fitted(bases) > 2 else LAGS_S[:1]
+    late = [_lagged(predicted, v) for v in lags]
+    late = [np.interp(t_s - delay, t_s, v) for v in late for delay in DELAYS_S]
+    rows, band = transformed(channel, np.column_stack([channel.measured, *late]))
+    still = 1 + int(np.argmin(np.abs(DELAYS_S)))
+    misfit, power = np.zeros((len(late), len(GAINS))), {}
+    taken = left = n = ranks = 0.0
+    for b, q in bases.items():
+        inside = rows[band == b]
+        part = q.T @ inside
+        along, total = _power(part), _power(inside)
+        power[b] = float(np.mean(part[:, 0] ** 2))
+        across = total - along + len(inside) * INEXACT**2 * power[b]
+        misfit += len(inside) * np.log1p(along / np.maximum(across, 1e-12 * total))
+        share = np.sum(part[:, still] ** 2) / max(np.sum(inside[:, still] ** 2), 1e-300)
+        taken, left = taken + len(inside) * share, left + len(inside) * (1 - share)
+        n, ranks = n + len(inside), ranks + len(part)
+    return misfit, power, float(taken / ranks / max(left / (n - ranks), 1e-300))
+
+
+def _power(rows: Array) -> Array:
+    """Sum of squares of the first column less gains times each other one, (columns, gains)."""
+    y, x = rows[:, 0], rows[:, 1:]
+    square = np.sum(x * x, axis=0)
+    return np.asarray(y @ y - 2 * np.outer(y @ x, GAINS) + np.outer(square, GAINS**2))
+
+
+def _lagged(values: Array, lag_s: float) -> Array:
+    """Behind a lag of first order; behind its inverse where it is negative."""
+    if lag_s <= 0:
+        return np.asarray(values - lag_s * CHANNEL_HZ * np.gradient(values))
+    kept = np.exp(-1 / (CHANNEL_HZ * lag_s))
+    return np.asarray(lfilter([1 - kept], [1.0, -kept], values))
+
+
+# -- the law of the noise -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Along(Term):
+    """Rows along instruments, by how far these are trusted; the next term holds those across."""
+
+
+@dataclass(frozen=True, slots=True)
+class InstrumentNoise:
+    """`BandNoise`, in which bands that feel the loop vote along instruments alone: a `NoiseLaw`.
+
+    Attributes:
+        bands: Law of all other rows.
+        turning: Channels of angular acceleration.
+        instruments: By channel and flight.
+        rough: Share of an amplitude by which laws are inexact.
+    """
+
+    bands: BandNoise
+    turning: frozenset[int]
+    instruments: Mapping[tuple[int, int], Instrument]
+    rough: float
+
+    __repr__ = short_repr
+
+    @classmethod
+    def of(
+        cls, flights: Sequence[Flight], channels: Flights, bands: BandNoise, rough: float
+    ) -> "InstrumentNoise":
+        """From the residuals of the model as it stands; arguments as of `instruments_of`."""
+        turning = frozenset(i for i, c in enumerate(channels[0]) if turns(c.name))
+        return cls(bands, turning, instruments_of(flights, channels), rough)
+
+    def terms(
+        self, channel: int, rows: Array, band: NDArray[np.intp], flight: NDArray[np.intp]
+    ) -> list[Term]:
+        """See `NoiseLaw`."""
+        if channel not in self.turning:
+            return self.bands.terms(channel, rows, band, flight)
+        found = self.bands.terms(channel, rows, np.minimum(band, -band), flight)
+        own = {f: i for (c, f), i in self.instruments.items() if c == channel and i.trust}
+        for b in sorted({b for i in own.values() for b in i.bases}):
+            rounding, floor = self.bands.rounding[channel, b], self.bands.floor[channel, b]
+            along, across = np.zeros((2, rows.shape[1], rows.shape[1]))
+            n = 0
+            for f, i in ((f, i) for f, i in own.items() if b in i.bases):
+                inside = rows[(band == b) & (flight == f)]
+                part = i.bases[b].T @ inside
+                products = part.T @ part
+                along, across = along + i.trust * products, across + inside.T @ inside - products
+                along[0, 0] += i.trust * len(part) * rounding
+                across[0, 0] += len(inside) * (rounding + self.rough**2 * i.power[b])
+                n += len(inside)
+            found.append(Along(channel, along, n, floor, False))
+            found.append(Term(channel, across, n, floor, False))
+        return found
+
+    def likelihood(self, terms: Sequence[Term]) -> "InstrumentLikelihood":
+        """See `NoiseLaw`."""
+        along = np.array([i for i, t in enumerate(terms) if isinstance(t, Along)], dtype=np.intp)
+        alone = np.setdiff1d(np.arange(len(terms)), [along, along + 1])
+        usual, level = self.bands.likelihood([terms[i] for i in alone]), self.bands.level
+        count = level + np.array([terms[i].count for i in along])
+        floor = level * np.array([terms[i].floor for i in along])
+        return InstrumentLikelihood(usual, alone, along, count, floor)
+
+
+@dataclass(frozen=True, slots=True)
+class InstrumentLikelihood:
+    """Of terms alone and of pairs along and across instruments: a `Likelihood`.
+
+    Attributes:
+        usual: Of the terms alone.
+        alone: Numbers of these.
+        along: Numbers of the terms along instruments, each before that across.
+        count: Of each pair: rows, and those that its floor is worth.
+        floor: Of each pair, sum of squares of these.
+    """
+
+    usual: BandLikelihood
+    alone: NDArray[np.intp]
+    along: NDArray[np.intp]
+    count: Array
+    floor: Array
+
+    __repr__ = short_repr
+
+    def log(self, rss: Array, kappa: float = 1.0) -> float:
+        """See `Likelihood`."""
+        across = self.floor + rss[self.along + 1]
+        pairs = self.count * np.log1p(rss[self.along] / across)
+        return self.usual.log(rss[self.alone], kappa) - 0.5 * float(np.sum(pairs))
+
+    def weights(self, rss: Array, kappa: float = 1.0) -> tuple[Array, Array]:
+        """See `Likelihood`; that numbers may raise the level of the noise is no curvature."""
+        gradient, weight = np.zeros((2, len(rss)))
+        gradient[self.alone], weight[self.alone] = self.usual.weights(rss[self.alone], kappa)
+        across = self.floor + rss[self.along + 1]
+        weight[self.along] = self.count / (across + rss[self.along])
+        gradient[self.along] = weight[self.along]
+        gradient[self.along + 1] = weight[self.along] - self.count / across
+        return gradient, weight

@@ -1,0 +1,109 @@
+"""What is asked of an aircraft, as an acceleration: of a mission or a stick, of an attitude
+controller, of other flights of the same mission.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, correlate, sosfiltfilt
+
+from ...frames import to_euler
+from ...logs import Flight
+from ...logs.columns import POS, QUAT, VEL
+from ...residuals.channels import CHANNEL_HZ, ChannelData
+from ...residuals.measured import signal_of
+
+Array = NDArray[np.float64]
+FEWEST = 50
+"""Samples of a setpoint at least."""
+ALIKE = 0.8
+"""Correlation of velocities from which on two flights are of one mission. Made up."""
+SHARPEST = 0.3, 6.0
+"""Low-pass of a setpoint before it is differentiated: share of its rate, and Hz at most."""
+
+
+def turns(channel: str) -> bool:
+    """Whether a channel is of angular acceleration."""
+    return channel.startswith(("gyro_rate_", "motion_rate_"))
+
+
+def _mission(flights: Sequence[Flight], own: Sequence[ChannelData], f: int) -> Array | None:
+    """The velocity that is asked for across an axis, and its third derivative, shape (n, 2): what
+    the air and what the rotors do to turn the aircraft then. Of a position one derivative more.
+    About z it is the heading, which no position loop moves."""
+    flight, told, name = flights[f], flights[f].autopilot, own[f].name
+    if name.endswith("z"):
+        return _attitude(flights, own, f)
+    courses = [] if told is None else [told.setpoint(VEL), told.setpoint(POS)]
+    course = next((s for s in courses if s is not None), None)
+    if course is None or not flight.has(*QUAT):
+        return None
+    known, more = np.isfinite(course.values[:, :2]).all(axis=1), int(course.columns == POS)
+    t_s, (north, east) = course.t_s[known], course.values[known, :2].T
+    attitude = signal_of(flight, QUAT)
+    yaw = np.interp(t_s, attitude.t_s, np.unwrap(to_euler(attitude.values.T)[2]))
+    yaw += 0.0 if name.endswith("y") else np.pi / 2  # ahead for pitch, to the right for roll
+    way = np.cos(yaw) * north + np.sin(yaw) * east
+    turned, speed = (_derived(t_s, way, own[f].t_s, k + more) for k in (3, 0))
+    return None if turned is None or speed is None else np.column_stack([turned, speed])
+
+
+def _attitude(flights: Sequence[Flight], own: Sequence[ChannelData], f: int) -> Array | None:
+    """Second derivative of the attitude that is asked for, shape (n, 1)."""
+    told = flights[f].autopilot
+    attitude = None if told is None else told.setpoint(QUAT)
+    if attitude is None:
+        return None
+    known = np.isfinite(attitude.values).all(axis=1)
+    angle = np.unwrap(to_euler(attitude.values[known].T)["xyz".index(own[f].name[-1])])
+    return _derived(attitude.t_s[known], angle, own[f].t_s, 2)
+
+
+def _others(flights: Sequence[Flight], own: Sequence[ChannelData], f: int) -> Array | None:
+    """Mean prediction of other flights of the same mission, aligned in time, shape (n, 1)."""
+    found = []
+    for g in (g for g in range(len(own)) if g != f):
+        later_s = _later(flights[f], flights[g])
+        if later_s is not None:
+            t_s, predicted = own[g].t_s - later_s, own[g].measured - own[g].residual
+            found.append(np.interp(own[f].t_s, t_s, predicted, 0.0, 0.0))
+    return np.mean(found, axis=0)[:, None] if found else None
+
+
+SOURCES: dict[str, Callable[[Sequence[Flight], Sequence[ChannelData], int], Array | None]] = {
+    "mission": _mission,
+    "attitude setpoint": _attitude,
+    "other flights": _others,
+}
+"""What may ask, in the order of trust: flights, the channel of each, number of the flight."""
+
+
+def _derived(t_s: Array, values: Array, at_s: Array, times: int) -> Array | None:
+    """A derivative of a setpoint at some times, (n, 1); None where it has too few samples."""
+    if len(t_s) < FEWEST:
+        return None
+    grid = np.arange(at_s[0] - 1, at_s[-1] + 1, 1 / CHANNEL_HZ)
+    share, most_hz = SHARPEST
+    edge = min(share / float(np.median(np.diff(t_s))), most_hz) / (CHANNEL_HZ / 2)
+    z = sosfiltfilt(butter(2, edge, output="sos"), np.interp(grid, t_s, values))
+    for _ in range(times):
+        z = np.gradient(z) * CHANNEL_HZ
+    return np.asarray(np.interp(at_s, grid, z))[:, None]
+
+
+def _later(one: Flight, other: Flight) -> float | None:
+    """By how much another flight of the same mission has later times; None: it is of another."""
+    if not (one.has(*VEL) and other.has(*VEL)):
+        return None
+    step_s, moved, starts = 2 / CHANNEL_HZ, [], []
+    for velocity in (signal_of(f, VEL) for f in (one, other)):
+        grid = np.arange(velocity.t_s[0], velocity.t_s[-1], step_s)
+        moved.append([np.interp(grid, velocity.t_s, v) for v in velocity.values.T])
+        starts.append(velocity.t_s[0])
+    a, b = moved
+    both = np.sum([correlate(y, x) for x, y in zip(a, b, strict=True)], axis=0)
+    k = int(np.argmax(both))
+    if both[k] < ALIKE * np.linalg.norm(a) * np.linalg.norm(b):
+        return None
+    return float((k - (len(a[0]) - 1)) * step_s + starts[1] - starts[0])
