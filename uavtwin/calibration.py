@@ -10,8 +10,9 @@ from twin.effects.wording import ADVICE
 from twin.errors import TwinError
 from twin.explain.calibration import Calibrated
 from twin.explain.calibration import calibrate as fitted
-from twin.explain.estimates import UNDETERMINED, Estimate
+from twin.explain.estimates import UNDETERMINED
 from twin.explain.explanation import UNKNOWN_SITE, hovers_of, sited, usable_of
+from twin.explain.inference.estimate import Estimate
 from twin.explain.inference.fit import INTERVAL
 from twin.explain.model.numbers import Number
 from twin.explain.settings import DEFAULT, SearchSettings

@@ -11,6 +11,7 @@ from twin.explain.balance import LOAD, ROTORS, Balance
 from twin.explain.estimates import (
     calibrated_effects,
     channels_and_phases,
+    detectable,
     estimates_of,
     listed_effects,
     nothing_probability,
@@ -486,7 +487,6 @@ def _parameters(found: Explanation, effect: str) -> dict[str, ParameterRecord]:
 
 def _not_visible(found: Explanation) -> list[NotVisibleRecord]:
     """Effects that are not named, and the smallest change that these flights would show."""
-    detectable = {} if found.naming is None else found.naming.detectable
     named = listed_effects(found)
     return [
         NotVisibleRecord(
@@ -496,7 +496,7 @@ def _not_visible(found: Explanation) -> list[NotVisibleRecord]:
             if d.value is None
             else ChangeRecord(value=d.value, unit=d.unit),
         )
-        for effect, d in detectable.items()
+        for effect, d in detectable(found).items()
         if effect not in named
     ]
 

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING
 from twin.effects import EFFECTS
 from twin.explain.balance import CAUSES, LOAD, ROTORS, Balance, Hypothesis
 from twin.explain.estimates import (
-    Estimate,
+    detectable,
     estimates_of,
-    fitted_estimates,
     listed_effects,
     nothing_probability,
     probability_of,
@@ -25,6 +24,7 @@ from twin.explain.estimates import (
     undecided,
 )
 from twin.explain.explanation import Explanation
+from twin.explain.inference.estimate import Estimate, fitted_estimates
 from twin.explain.inference.fit import Fit
 from twin.explain.inference.selection import Detectable, Naming
 from twin.formatting import certainty, joined, number, percent, pretty_unit, quantity, title
@@ -73,7 +73,7 @@ def _answer(found: Explanation) -> Headline:
     if found.verdict == "nothing":
         sure = certainty(nothing_probability(found) or 0.0)
         text = f"Nothing detectable is missing from the model, {sure} probability."
-        return Headline(text + blind(naming.detectable, since=False))
+        return Headline(text + blind(detectable(found), since=False))
     if found.verdict == "named":
         return _named(found, naming)
     if found.verdict == "unnamed":
@@ -238,7 +238,7 @@ def _since(found: Explanation, naming: Naming) -> Headline:
     if found.verdict == "nothing":
         sure = certainty(nothing_probability(found) or 0.0)
         text = f"no change is detectable, {sure} probability."
-        return Headline(text + blind(_detectable(found, naming), since=True))
+        return Headline(text + blind(detectable(found), since=True))
     if found.verdict == "unnamed":
         return Headline(f"the cause of the change is {_outside(found)}.")
     if found.verdict == "named":
@@ -270,11 +270,6 @@ def _since(found: Explanation, naming: Naming) -> Headline:
     head = "several causes are" if len(tied) > 1 else "one cause is"
     text = f"{head} consistent with these flights: {joined(tied, 'or')}."
     return Headline(text, tuple(dict.fromkeys(numbers)))
-
-
-def _detectable(found: Explanation, naming: Naming) -> Mapping[str, Detectable]:
-    """Smallest changes that would show, those of the balance by the balance."""
-    return {**naming.detectable, **(found.balance.detectable if found.balance else {})}
 
 
 def _of_balance(balance: Balance) -> str:
@@ -394,10 +389,15 @@ def undetermined(none: Sequence[str], unsized: Sequence[str]) -> str:
     return text
 
 
-def blind(detectable: Mapping[str, Detectable], since: bool) -> str:
+def blind(smallest: Mapping[str, Detectable], since: bool) -> str:
     """How large an effect may be and still not show; begins with a blank, "" where nothing is
-    known."""
-    known = {e: detectable[e] for e in BLIND_ORDER if e in detectable}
+    known.
+
+    Args:
+        smallest: By effect the smallest change that would show.
+        since: Whether it is a change since a calibration.
+    """
+    known = {e: smallest[e] for e in BLIND_ORDER if e in smallest}
     texts = [
         blind_clause(e, d.value, d.unit, since) for e, d in known.items() if d.value is not None
     ]

@@ -2,7 +2,8 @@
 
 A draw takes one of the candidate models by its probability, then its numbers from the Laplace
 approximation about the MAP estimate of that model, correlations kept by a Gaussian copula: each
-number has the law of which `twin.explain.estimates.credible_interval` gives the 95 % interval.
+number has the law of which `credible_interval` of `twin.explain.inference.estimate` gives the 95 %
+interval.
 
 ArviZ: Kumar et al., J. Open Source Softw. 4 (2019) 1143. Needs the package `arviz`, which is
 imported where draws are asked for.

@@ -20,8 +20,10 @@ from fmpy import read_model_description
 from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
 
 from twin.errors import TwinError
+from twin.explain.balance import Balance, Hypothesis
 from twin.explain.design import Suggestion
 from twin.explain.explanation import Explanation
+from twin.explain.inference.selection import Detectable
 from twin.explain.setting_group import Value
 from twin.explain.settings import DEFAULT
 from twin.explain.unnamed import Equation
@@ -349,15 +351,21 @@ def test_without_arviz_the_error_says_how_to_get_it(
         ExplainResult(named.found).to_arviz()
 
 
-def test_what_speaks_against_a_name_is_in_the_claim(named: Run) -> None:
-    """An interval that holds what the model has already."""
+def test_no_name_where_every_interval_contains_no_effect(named: Run) -> None:
     found = named.found
     assert found is not None and found.naming is not None
-    assert "may be zero" not in headline(found).text
     told = found.naming.conditional
     wide = replace(told, half_widths=100 * np.abs(told.half_widths))
-    vague = replace(found, naming=replace(found.naming, conditional=wide))
-    assert "Rotor drag may be zero: these flights do not determine it." in headline(vague).text
+    vague = replace(found.naming, conditional=wide)
+    assert vague.probability_of("rotor_drag") == found.naming.probability_of("rotor_drag")
+    assert (vague.named, vague.undecided) == ((), ("rotor_drag",))
+    assert vague.verdict == "cannot_tell"
+    assert found.naming.named == ("rotor_drag",)
+    untold = replace(found, verdict=vague.verdict, naming=vague)
+    assert headline(untold).text.startswith(
+        "Several causes are consistent with these flights: rotor drag ("
+    )
+    assert untold.added is None
 
 
 def test_a_model_that_does_not_fly_is_told_so_first(
@@ -520,6 +528,27 @@ def test_constants_of_the_day_go_into_the_vehicle_of_a_single_flight(named: Run)
     assert explained_vehicle(single).effects == today.effects
     quiet = replace(several, naming=replace(found.naming, days={"two": {}}))
     assert vehicle_today(quiet) is None
+
+
+def test_not_visible_holds_what_the_balance_would_show(named: Run) -> None:
+    """Since a calibration; the sentence and the JSON say the same."""
+    assert named.found is not None
+    loss = Detectable("rotor_efficiency_loss.loss_1", 0.0625, "1")
+    load = Detectable("payload_cg.mass_kg", None, "kg")
+    seen = {"rotor_efficiency_loss": loss, "payload_cg": load}
+    nothing = Hypothesis("nothing", (), 1.0, {}, {})
+    found = replace(
+        named.found,
+        verdict="nothing",
+        since=("zero",),
+        balance=Balance((nothing,), seen, (0.0,) * 4, 0.8),
+    )
+    hidden = {
+        e["cause"]: e["smallest_detectable"] for e in explain_record(found).json()["not_visible"]
+    }
+    assert hidden["rotor_efficiency_loss"] == {"value": 0.0625, "unit": "1"}
+    assert hidden["payload_cg"] is None
+    assert " A loss below 6.2 % " in headline(found).text
 
 
 def test_the_headline_and_its_numbers(named: Run) -> None:

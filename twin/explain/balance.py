@@ -191,6 +191,12 @@ class Hypothesis:
     values: Mapping[str, float]
     deviations: Mapping[str, float]
 
+    @property
+    def clear(self) -> bool:
+        """Whether the 95 % interval of one of its numbers excludes no change; of none, yes."""
+        pairs = [(v, self.deviations[n]) for n, v in self.values.items()]
+        return not pairs or any(abs(v) > INTERVAL * sd for v, sd in pairs)
+
 
 @dataclass(frozen=True, slots=True)
 class Balance:
@@ -231,7 +237,13 @@ class Balance:
 
     @property
     def named(self) -> Hypothesis | None:
-        """The cause that is sure; None: none is."""
+        """The cause that is sure, a number of which excludes no change; None: none is."""
+        alone = self._alone
+        return alone if alone is not None and alone.clear else None
+
+    @property
+    def _alone(self) -> Hypothesis | None:
+        """The cause that no other stands for; None: there is none."""
         if self.changed < self.sure:
             return None
         if self.damaged >= ALONE:
@@ -246,7 +258,7 @@ class Balance:
     @property
     def one_of(self) -> tuple[Hypothesis, ...]:
         """A rotor and a load, where it is one of them and nobody can tell which."""
-        if self.named is not None or self.changed < self.sure:
+        if self._alone is not None or self.changed < self.sure:
             return ()
         return self.best(ROTORS), self.best(LOAD)
 

@@ -14,7 +14,8 @@ from ..logs import Flight
 from ..representation import short_repr
 from ..vehicle import Calibration, Vehicle
 from .balance import trim_of
-from .estimates import UNDETERMINED, Estimate, fitted_estimates
+from .estimates import UNDETERMINED
+from .inference.estimate import Estimate, fitted_estimates
 from .inference.evidence import LaplaceEvidence
 from .inference.fit import Fit, Problem, State, fit_of
 from .inference.priors import Priors, effect_of, priors_of

@@ -1,131 +1,22 @@
 """What a result reports of each effect, to programs and to people alike."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
-
-from scipy.stats import norm
 
 from ..effects import EFFECTS
 from .explanation import Explanation
-from .inference.fit import INTERVAL, Fit
-from .inference.priors import Priors, effect_of, parameter_of
-from .inference.selection import Naming
-from .model.numbers import Number, numbers_of
+from .inference.estimate import Estimate
+from .inference.fit import Fit
+from .inference.priors import effect_of
+from .inference.selection import Detectable, Naming
+from .model.numbers import numbers_of
 from .stochastic.spectral import StochasticEffect
 
 MOST_RIVALS = 5
 """That are listed."""
 UNDETERMINED = 0.7
 """Posterior over prior deviation of a number from which on flights do not tell it."""
-MOST_OF_PRIOR = 0.5
-"""The same for a number that a headline gives: the flights say more of it than the prior."""
-_CREDIBLE = 0.95  # probability that an interval holds its number
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """A number of an effect.
-
-    Attributes:
-        number: What it is.
-        value: In its unit.
-        no_effect: Its value where the effect is absent, or has not changed; None: a shape, which
-            has none.
-        ci95: 95 % interval; None: it has none.
-        prior_share: Posterior over prior deviation: 1 where the flights say nothing; None: it has
-            no prior.
-        tension: Prior deviations between the value and what was expected; None: the same.
-    """
-
-    number: Number
-    value: float
-    no_effect: float | None
-    ci95: tuple[float, float] | None
-    prior_share: float | None = None
-    tension: float | None = None
-
-    @property
-    def may_be_none(self) -> bool:
-        """Whether the 95 % interval contains `no_effect`; of a shape, and without one, no."""
-        if self.ci95 is None or self.no_effect is None:
-            return False
-        return self.ci95[0] <= self.no_effect <= self.ci95[1]
-
-    @property
-    def determined(self) -> bool:
-        """Whether a headline may give it: the 95 % interval excludes `no_effect`, and the flights
-        say more of it than the prior."""
-        known = self.ci95 is not None and self.no_effect is not None and not self.may_be_none
-        return known and (self.prior_share or 0.0) <= MOST_OF_PRIOR
-
-    @property
-    def change(self) -> float:
-        """Difference from `no_effect`; of a shape from 0."""
-        return self.value - (self.no_effect or 0.0)
-
-
-def credible_interval(number: Number, value: float, half_width: float) -> tuple[float, float]:
-    """95 % interval of a number whose posterior is normal in the search, inside its physical range.
-
-    A factor (no effect: 1) is log-normal, with `value` as its median and the coefficient of
-    variation of the search: what doubles is as far away as what halves. Any other quantity that
-    cannot be negative has the normal posterior truncated at its physical minimum, and the interval
-    is that of highest density: it contains the minimum exactly where no effect is credible.
-
-    Args:
-        number: Gives the physical range.
-        value: Mode of the posterior, in the unit of the number.
-        half_width: Of the 95 % interval of a normal posterior.
-
-    Returns:
-        Lower and upper end.
-    """
-    sd, about = half_width / INTERVAL, number.about
-    if not sd > 0 or not math.isfinite(sd):
-        return value - half_width, value + half_width
-    if parameter_of(number)[0].bounds[0] < 0:
-        return value - half_width, value + half_width
-    if about.neutral and about.bounds[0] > 0 and value > 0:
-        spread = math.exp(INTERVAL * math.sqrt(math.log1p((sd / value) ** 2)))
-        return value / spread, value * spread
-    least = min(about.bounds[0], value)
-    inside = float(norm.cdf((value - least) / sd))
-    half = sd * float(norm.ppf((1 + _CREDIBLE * inside) / 2))
-    if value - half >= least:
-        return value - half, value + half
-    return least, value + sd * float(norm.ppf(1 - inside + _CREDIBLE * inside))
-
-
-def fitted_estimates(
-    fitted: Fit, priors: Priors, effect: str, wider: float = 1.0
-) -> list[Estimate]:
-    """The numbers of an effect in one fit.
-
-    Args:
-        fitted: Values and half widths.
-        priors: Priors of the same search.
-        effect: Identifier.
-        wider: Factor on the half widths.
-    """
-    tension = priors.tension({n.full: fitted.values[n.full] for n in fitted.numbers})
-    place = {n: i for i, n in enumerate(priors.names)}
-    found = []
-    for n, w in zip(fitted.numbers, fitted.half_widths, strict=True):
-        if n.effect != effect:
-            continue
-        i, value = place[n.full], fitted.values[n.full]
-        found.append(
-            Estimate(
-                n,
-                value,
-                None if n.shape else float(priors.now[i] + priors.held[i]),
-                credible_interval(n, value, wider * float(w)),
-                min(1.0, float(w) / INTERVAL / float(priors.slab[i])),
-                tension[n.full],
-            )
-        )
-    return found
 
 
 def listed_effects(found: Explanation) -> list[str]:
@@ -161,6 +52,13 @@ def calibrated_effects(found: Explanation) -> list[str]:
 def undecided(found: Explanation) -> tuple[str, ...]:
     """Effects among the named ones that something else may stand for; none for other verdicts."""
     return () if found.naming is None or found.verdict != "named" else found.naming.undecided
+
+
+def detectable(found: Explanation) -> Mapping[str, Detectable]:
+    """By effect that is not in the final set the smallest change that these flights would show,
+    that of the balance of forces and moments by the balance."""
+    shown = {} if found.naming is None else found.naming.detectable
+    return {**shown, **({} if found.balance is None else found.balance.detectable)}
 
 
 def probability_of(found: Explanation, effect: str) -> float:
@@ -217,10 +115,8 @@ def estimates_of(found: Explanation, effect: str) -> list[Estimate]:
             for n in numbers
             if n.full in stochastic.values
         ]
-    naming = found.naming
-    assert naming is not None
-    wider = math.sqrt(1 + naming.settings.variance_per_effect * reported_count(found))
-    return fitted_estimates(naming.conditional, naming.problem.priors, effect, wider)
+    assert found.naming is not None
+    return found.naming.estimates(effect, reported_count(found))
 
 
 def channels_and_phases(found: Explanation, effect: str) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -366,6 +366,7 @@ def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explan
     model, steady = naming.whitened.model, {} if shown is None else shown.values
     every = (*find_stuck(stuck, settings), *find_stochastic(model, steady, settings))
     stochastic = (*found.stochastic, *(u for u in every if u.log_odds > 0))
+    naming = replace(naming, further=len(stochastic))
     verdict = _verdict(naming, found.balance, bool(stochastic))
     exact = dict(steady) | {k: v for u in stochastic for k, v in u.values.items()}
     values = {k: float(f"{v:.{DIGITS}g}") for k, v in exact.items()}

@@ -101,6 +101,16 @@ def test_a_weak_rotor_is_found_with_its_loss(rotor: int) -> None:
     assert told.cause == ROTORS or {h.cause for h in found.one_of} == {ROTORS, LOAD}
 
 
+def test_no_name_where_every_interval_contains_no_change() -> None:
+    found = judged(of(f"{LOAD}.mass_kg", 0.3 * COPTER.mass_kg))
+    assert found.named is not None and found.named.clear
+    wide = {n: 100 * sd for n, sd in found.named.deviations.items()}
+    others = found.hypotheses[1:]
+    vague = replace(found, hypotheses=(replace(found.named, deviations=wide), *others))
+    assert vague.probability_of(LOAD) == found.probability_of(LOAD)
+    assert (vague.named, vague.one_of) == (None, ())
+
+
 def test_a_load_in_the_middle_is_a_load() -> None:
     found = judged(of(f"{LOAD}.mass_kg", 0.3 * COPTER.mass_kg))
     assert found.named is not None

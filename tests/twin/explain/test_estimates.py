@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import truncnorm
 
 from twin.effects import EFFECTS
-from twin.explain.estimates import Estimate, credible_interval
+from twin.explain.inference.estimate import Estimate, credible_interval
 from twin.explain.inference.fit import INTERVAL
 from twin.explain.model.numbers import Number, numbers_of
 from twin.vehicle_file import load_vehicle

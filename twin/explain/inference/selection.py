@@ -2,7 +2,7 @@
 
 | said of an effect | where |
 |---|---|
-| named | it is there with certainty, and its numbers are such as it can have |
+| named | it is there with certainty, its numbers are such as it can have, one excludes no effect |
 | undecided | it may be there, or another stands for it |
 | acts like it | a number is at its edge, or its law leaves much |
 | calibrated | the file's own uncertainty covers it |
@@ -43,6 +43,7 @@ from ...vehicle import Vehicle
 from ..model.model import Model, candidates, model_of
 from ..model.numbers import Payloads
 from ..settings import DEFAULT, AdequacySettings, InferenceSettings, SelectionSettings
+from .estimate import Estimate, fitted_estimates
 from .evidence import LaplaceEvidence, MapEstimate
 from .fit import Fit, Problem, State, fit_of, fit_of_best, substantial_effects
 from .priors import edges, effect_of, priors_of, priors_since
@@ -270,6 +271,7 @@ class Naming:
             takes, and the channel.
         detectable: By effect that is not in the final set, the smallest one that would show.
         settings: From when on a name is given.
+        further: Effects without a mean that are reported with these: they widen the intervals.
     """
 
     fitted: tuple[Fit, ...]
@@ -287,6 +289,7 @@ class Naming:
     shares: Mapping[str, tuple[float, str]] = field(default_factory=dict)
     detectable: Mapping[str, Detectable] = field(default_factory=dict)
     settings: SelectionSettings = DEFAULT.inference.selection
+    further: int = 0
 
     __repr__ = short_repr
 
@@ -332,11 +335,22 @@ class Naming:
         return "nothing" if quiet else "cannot_tell"
 
     def _is_sure(self, effect: str) -> bool:
-        if any(r.effect == effect for r in self.resemblances):
+        if any(r.effect == effect for r in self.resemblances) or self._may_be_none(effect):
             return False
         return self.joint_probability([effect]) >= self.settings.sure * self.credible.get(
             effect, 1.0
         )
+
+    def _may_be_none(self, effect: str) -> bool:
+        """Whether no interval of its numbers, as reported, excludes no effect."""
+        own = self.estimates(effect, len(self.best.effects) + self.further)
+        own = [t for t in own if t.no_effect is not None]
+        return bool(own) and all(t.may_be_none for t in own)
+
+    def estimates(self, effect: str, reported: int) -> list[Estimate]:
+        """Numbers of an effect where it is there; the more effects are reported, the wider."""
+        wider = math.sqrt(1 + self.settings.variance_per_effect * reported)
+        return fitted_estimates(self.conditional, self.problem.priors, effect, wider)
 
     @property
     def sure(self) -> bool:

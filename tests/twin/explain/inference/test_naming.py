@@ -229,7 +229,7 @@ def turned(heading_steps: int) -> Flight:
 def compass(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search knows two faults of a compass alone."""
     known = [EFFECTS["mag_hard_iron"], EFFECTS["mag_soft_iron"]]
-    monkeypatch.setattr(search, "candidates", lambda _: known)
+    monkeypatch.setattr(search, "candidates", lambda *_: known)
 
 
 @pytest.mark.xfail(reason="what flights cannot tell is named by priors alone", strict=True)

@@ -1,0 +1,120 @@
+"""A number of an effect with its interval, as it is reported."""
+
+import math
+from dataclasses import dataclass
+
+from scipy.stats import norm
+
+from ..model.numbers import Number
+from .fit import INTERVAL, Fit
+from .priors import Priors, parameter_of
+
+MOST_OF_PRIOR = 0.5
+"""Posterior over prior deviation of a number that a headline gives: the flights say more of it than
+the prior."""
+_CREDIBLE = 0.95  # probability that an interval holds its number
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A number of an effect.
+
+    Attributes:
+        number: What it is.
+        value: In its unit.
+        no_effect: Its value where the effect is absent, or has not changed; None: a shape, which
+            has none.
+        ci95: 95 % interval; None: it has none.
+        prior_share: Posterior over prior deviation: 1 where the flights say nothing; None: it has
+            no prior.
+        tension: Prior deviations between the value and what was expected; None: the same.
+    """
+
+    number: Number
+    value: float
+    no_effect: float | None
+    ci95: tuple[float, float] | None
+    prior_share: float | None = None
+    tension: float | None = None
+
+    @property
+    def may_be_none(self) -> bool:
+        """Whether the 95 % interval contains `no_effect`; of a shape, and without one, no."""
+        if self.ci95 is None or self.no_effect is None:
+            return False
+        return self.ci95[0] <= self.no_effect <= self.ci95[1]
+
+    @property
+    def determined(self) -> bool:
+        """Whether a headline may give it: the 95 % interval excludes `no_effect`, and the flights
+        say more of it than the prior."""
+        known = self.ci95 is not None and self.no_effect is not None and not self.may_be_none
+        return known and (self.prior_share or 0.0) <= MOST_OF_PRIOR
+
+    @property
+    def change(self) -> float:
+        """Difference from `no_effect`; of a shape from 0."""
+        return self.value - (self.no_effect or 0.0)
+
+
+def credible_interval(number: Number, value: float, half_width: float) -> tuple[float, float]:
+    """95 % interval of a number whose posterior is normal in the search, inside its physical range.
+
+    A factor (no effect: 1) is log-normal, with `value` as its median and the coefficient of
+    variation of the search: what doubles is as far away as what halves. Any other quantity that
+    cannot be negative has the normal posterior truncated at its physical minimum, and the interval
+    is that of highest density: it contains the minimum exactly where no effect is credible.
+
+    Args:
+        number: Gives the physical range.
+        value: Mode of the posterior, in the unit of the number.
+        half_width: Of the 95 % interval of a normal posterior.
+
+    Returns:
+        Lower and upper end.
+    """
+    sd, about = half_width / INTERVAL, number.about
+    if not sd > 0 or not math.isfinite(sd):
+        return value - half_width, value + half_width
+    if parameter_of(number)[0].bounds[0] < 0:
+        return value - half_width, value + half_width
+    if about.neutral and about.bounds[0] > 0 and value > 0:
+        spread = math.exp(INTERVAL * math.sqrt(math.log1p((sd / value) ** 2)))
+        return value / spread, value * spread
+    least = min(about.bounds[0], value)
+    inside = float(norm.cdf((value - least) / sd))
+    half = sd * float(norm.ppf((1 + _CREDIBLE * inside) / 2))
+    if value - half >= least:
+        return value - half, value + half
+    return least, value + sd * float(norm.ppf(1 - inside + _CREDIBLE * inside))
+
+
+def fitted_estimates(
+    fitted: Fit, priors: Priors, effect: str, wider: float = 1.0
+) -> list[Estimate]:
+    """The numbers of an effect in one fit.
+
+    Args:
+        fitted: Values and half widths.
+        priors: Priors of the same search.
+        effect: Identifier.
+        wider: Factor on the half widths.
+    """
+    tension = priors.tension({n.full: fitted.values[n.full] for n in fitted.numbers})
+    place = {n: i for i, n in enumerate(priors.names)}
+    found = []
+    for n, w in zip(fitted.numbers, fitted.half_widths, strict=True):
+        if n.effect != effect:
+            continue
+        i, value = place[n.full], fitted.values[n.full]
+        found.append(
+            Estimate(
+                n,
+                value,
+                None if n.shape else float(priors.now[i] + priors.held[i]),
+                credible_interval(n, value, wider * float(w)),
+                min(1.0, float(w) / INTERVAL / float(priors.slab[i])),
+                tension[n.full],
+            )
+        )
+    return found
