@@ -103,7 +103,7 @@ LOCAL = {
     "reported numbers and sets, once their probability is known": {
         "inference.search.EXCHANGED",
         "estimates.UNDETERMINED",
-        "estimates.MOST_OF_PRIOR",
+        "inference.estimate.MOST_OF_PRIOR",
         "stochastic.search.LAG_S",
         "stochastic.search.SMALLEST_DRAG_1_S",
     },
@@ -117,6 +117,30 @@ LOCAL = {
         "inference.setpoints.ALIKE",
         "inference.setpoints.FEWEST",
     },
+    "the balance of forces and moments, chosen on one aircraft (docs/dev/decisions/balance.md)": {
+        f"balance.{n}"
+        for n in (
+            "ALONE",
+            "DAY",
+            "FACTORS",
+            "LOG_ODDS",
+            "REACH",
+            "SECOND_ROTOR",
+            "SESSION",
+            "SHAKEN",
+            "SHAKEN_LEAST_HZ",
+            "SHAKEN_SD",
+            "SHAKES",
+            "SHAKES_ABOVE_HZ",
+            "SIZES",
+            "STEADY_SD",
+        )
+    },
+    "a prior of physics: what it is, stands beside it": {
+        "inference.evidence.TAIL_DEGREES",
+        "inference.priors.PROPELLERS",
+        "inference.selection.UNKNOWN_CONSTANT",
+    },
     "where the part of a long flight that is read may begin": {"usable.BLOCK_S"},
     "how many columns are held in memory at a time": {"model.model.SLOPES_AT_ONCE"},
     "how numbers are rounded": {
@@ -127,7 +151,7 @@ LOCAL = {
     "mathematics": {
         "inference.fit.INTERVAL",  # 95 % intervals
         "inference.selection.POWER_95",
-        "estimates._CREDIBLE",
+        "inference.estimate._CREDIBLE",
         "inference.whitening._FAR",
         "running.alarms.CELL",
         "stochastic.spectral.SURE",
