@@ -190,8 +190,8 @@ def _lagged(values: Array, lag_s: float) -> Array:
     """Behind a lag of first order; behind its inverse where it is negative."""
     if lag_s <= 0:
         return np.asarray(values - lag_s * CHANNEL_HZ * np.gradient(values))
-    kept = np.exp(-1 / (CHANNEL_HZ * lag_s))
-    return np.asarray(lfilter([1 - kept], [1.0, -kept], values))
+    decay = np.exp(-1 / (CHANNEL_HZ * lag_s))
+    return np.asarray(lfilter([1 - decay], [1.0, -decay], values))
 
 
 # -- the law of the noise -----------------------------------------------------------------------

@@ -32,10 +32,10 @@ def _mission(flights: Sequence[Flight], own: Sequence[ChannelData], f: int) -> A
     """The velocity that is asked for across an axis, and its third derivative, shape (n, 2): what
     the air and what the rotors do to turn the aircraft then. Of a position one derivative more.
     About z it is the heading, which no position loop moves."""
-    flight, told, name = flights[f], flights[f].autopilot, own[f].name
+    flight, autopilot, name = flights[f], flights[f].autopilot, own[f].name
     if name.endswith("z"):
         return _attitude(flights, own, f)
-    courses = [] if told is None else [told.setpoint(VEL), told.setpoint(POS)]
+    courses = [] if autopilot is None else [autopilot.setpoint(VEL), autopilot.setpoint(POS)]
     course = next((s for s in courses if s is not None), None)
     if course is None or not flight.has(*QUAT):
         return None
@@ -51,8 +51,8 @@ def _mission(flights: Sequence[Flight], own: Sequence[ChannelData], f: int) -> A
 
 def _attitude(flights: Sequence[Flight], own: Sequence[ChannelData], f: int) -> Array | None:
     """Second derivative of the attitude that is asked for, shape (n, 1)."""
-    told = flights[f].autopilot
-    attitude = None if told is None else told.setpoint(QUAT)
+    autopilot = flights[f].autopilot
+    attitude = None if autopilot is None else autopilot.setpoint(QUAT)
     if attitude is None:
         return None
     known = np.isfinite(attitude.values).all(axis=1)
