@@ -158,7 +158,7 @@ def test_demo_names_the_effect_it_hid(
     assert code == 0
     assert truth["effect"] == "rotor_drag"
     assert truth["named_rightly"] is True
-    assert truth["text"] in told
+    assert truth["text"] in said
     assert "The name is right." in told
     gap, name = said.splitlines()[:2]
     assert "disagree most in acc_x" in gap

@@ -20,8 +20,7 @@ that a mission or a stick asks for; the attitude setpoint; the prediction of oth
 same mission, aligned in time. The rate setpoint is none. Constants do not feel the loop. Noise is
 what is left across the instruments, and laws are inexact by a share of what is along them.
 
-Bands of angular acceleration vote in no other way. Those of specific force vote as they are: the
-disturbances of a heavy aircraft turn it sooner than they lift it.
+Bands of angular acceleration vote in no other way; those of specific force vote as they are.
 """
 
 from collections.abc import Mapping, Sequence
