@@ -153,13 +153,13 @@ def test_demo_names_the_effect_it_hid(
     monkeypatch.setattr("uavtwin.demo.chain.FIT", {"fit_1": (*there, back), "fit_2": across})
     monkeypatch.setattr("uavtwin.demo.chain.HOLDOUT", {"holdout": across})
     monkeypatch.setattr("twin.flight.closed_loop.mission_names", lambda: ("takeoff",))
-    code, said, told = run(capsys, "demo", "--seed", 4, "--out", tmp_path / "d")
+    code, said, _ = run(capsys, "demo", "--seed", 4, "--out", tmp_path / "d")
     truth = json.loads((tmp_path / "d" / "truth.json").read_text())
     assert code == 0
     assert truth["effect"] == "rotor_drag"
     assert truth["named_rightly"] is True
     assert truth["text"] in said
-    assert "The name is right." in told
+    assert "The name is right." in said
     gap, name = said.splitlines()[:2]
     assert "disagree most in acc_x" in gap
     assert name.startswith("Missing from the model: rotor drag ")
@@ -490,6 +490,6 @@ def test_the_installed_command_runs(word: str) -> None:
 def test_every_file_of_the_command_line_is_a_verb() -> None:
     """A verb that is written and not listed in `VERBS` would be missing without a word."""
     files = {p.stem for p in Path(str(main.__file__)).parent.glob("*.py")}
-    shared = {"__init__", "main", "options", "printing"}
+    shared = {"__init__", "main", "options", "printing", "results"}
     listed = {str(verb.__name__) for verb in main.VERBS} - {"version"}
     assert files - shared == listed | {"vehicle"}

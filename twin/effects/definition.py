@@ -78,11 +78,13 @@ class Equation:
         mistaken_for: Effects that together do much of what one part of it does, so that no step
             from none of it on leads to it; where one of them is, each part is tried in the place
             of the first.
+        scales: Which factor its numbers are, "inertia" or "torque", which no mean tells; "": none.
     """
 
     observer: Observer | None = None
     turns_pose: str | None = None
     mistaken_for: tuple[str, ...] = ()
+    scales: str = ""
 
 
 @dataclass(frozen=True, slots=True)

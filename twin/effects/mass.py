@@ -349,6 +349,7 @@ INERTIA_ERROR = Effect(
     "inequality: Goldstein, Classical Mechanics, ch. 5",
     _inertia_error,
     _rigid,
+    observable_as=Equation(scales="inertia"),
     prior=Prior(
         UNMEASURED,
         "CAD or bifilar 5 to 10 % off, guessed 30 %",

@@ -342,6 +342,7 @@ YAW_TORQUE_SCALE = Effect(
     ("gyro",),
     "definition: one factor on the torque map",
     _yaw_torque_scale,
+    observable_as=Equation(scales="torque"),
     prior=Prior(
         UNMEASURED,
         "torque coefficients are the least known numbers of a file",

@@ -7,13 +7,14 @@ No scale is fitted to a mean: what turns a vehicle in the mean, such as a canted
 centre of mass, is no reason to make its inertia large, or its rotors' torque small.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS, prior_of
+from ...effects import EFFECTS, Equation, prior_of
 from ...representation import short_repr
 from ...residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
 from ..model.model import Model
@@ -49,8 +50,6 @@ SETTLED = 0.2
 STRAIGHT = 0.02
 """Share of the power of a step that the model may deviate from a straight line on it."""
 
-SCALES = "inertia_error.", "yaw_torque_scale."
-"""How numbers that no mean tells begin."""
 BEFORE = 2.0
 """Days that the table of priors counts for, beside the flights' own."""
 
@@ -307,6 +306,12 @@ class Problem:
         return spectrum.moved(flights, *self.split(x)).renewed(flights, columns)
 
 
+def _scales(effect: str) -> str:
+    """See `Equation.scales`."""
+    observable_as = EFFECTS[effect].observable_as
+    return observable_as.scales if isinstance(observable_as, Equation) else ""
+
+
 def _without_means(
     flights: Flights, names: Sequence[str], values: Mapping[str, float]
 ) -> list[list[ChannelData]]:
@@ -318,14 +323,17 @@ def _without_means(
         names: Numbers of the slopes.
         values: Of the numbers, as of `Model.channels`.
     """
-    scales = [i for i, n in enumerate(names) if n.startswith(SCALES)]
+    effects = [n.partition(".")[0] for n in names]
+    scales = [i for i, e in enumerate(effects) if _scales(e)]
+    inertia = {e for e in EFFECTS if _scales(e) == "inertia"}
 
     def made(c: ChannelData) -> ChannelData:
         """Of one channel."""
         if not turns(c.name):
             return c
         axis = c.name[-1]
-        more = 0.0 if axis == "z" else values.get(f"inertia_error.scale_{axis}", 1.0) - 1.0
+        factors = (values.get(f"{e}.scale_{axis}", 1.0) for e in inertia if axis != "z")
+        more = math.prod(factors) - 1.0
         residual, slopes = c.residual.copy(), c.slopes.copy()
         for k in np.unique(c.piece):
             own = c.piece == k
