@@ -419,7 +419,8 @@ def test_nothing_hidden_nothing_named(folder: Path) -> None:
     assert out.json["effects"] == []
     assert out.json["nothing_probability"] > 0.9
     assert re.search(r" A loss below [\d.]+ % .* would not show in these flights\.", out.stdout)
-    assert all(g["before"] == g["after"] for g in out.json["gap"].values())
+    # Commands that are held come half a sample late: a lag below what is worth a name may be there.
+    assert all(g["after"] == pytest.approx(g["before"], rel=0.01) for g in out.json["gap"].values())
     files = {"explain.json", "report.html", "run.json", "series"}
     assert {p.name for p in out.out.iterdir()} == files
     assert "Nothing detectable is missing" in out.stdout
