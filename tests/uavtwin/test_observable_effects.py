@@ -46,7 +46,7 @@ def test_what_is_observable_is_what_the_search_looks_for(stems: tuple[str, ...])
     assert listed | unknown == {*EFFECTS}
     assert not listed & unknown
     steady = {n for n in listed if isinstance(EFFECTS[n].observable_as, Average | Equation | Shift)}
-    assert steady == {e.name for e in candidates([flight])}
+    assert steady == {e.name for e in candidates([flight], since=True)}
 
 
 def test_the_missing_column_is_named() -> None:

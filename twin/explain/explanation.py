@@ -35,7 +35,7 @@ from .holdout import (
     localize,
 )
 from .inference.fit import Fit
-from .inference.priors import UNCALIBRATED
+from .inference.priors import UNCALIBRATED, effect_of
 from .inference.selection import Naming, Verdict, name_effects
 from .model.model import Model, channel_names
 from .model.numbers import Payloads, visible, with_effects
@@ -138,12 +138,23 @@ class Explanation:
         return (*steady, *(u.effect for u in self.stochastic))
 
     @property
+    def _unsure(self) -> frozenset[str]:
+        """Effects with a number that the vehicle file is unsure of."""
+        if self.naming is None:
+            return frozenset()
+        priors = self.naming.problem.priors
+        rows = zip(priors.cause, priors.spike, strict=True)
+        return frozenset(effect_of(cause) for cause, sd in rows if sd > 0)
+
+    @property
     def added(self) -> Vehicle | None:
         """The model with the effects that it lacks and the numbers that its file was unsure of;
         None where nothing is named and nothing was unsure, and where nothing has changed since a
         calibration. What it holds is no longer what flights calibrated."""
         conclusive = ("named",) if self.since is not None else ("named", "nothing")
         if self.verdict not in conclusive or not self.effects:
+            return None
+        if self.verdict == "nothing" and not {*self.effects} & self._unsure:
             return None
         made = with_effects(self.vehicle, self.effects, self.values)
         return replace(made, calibration=None)
