@@ -18,15 +18,9 @@ from twin.effects import EFFECTS, prior_of
 from twin.flight.closed_loop import STEP_S
 from twin.flight.control_laws import linearise
 from twin.flight.lqr import design
-from twin.flight.simulate_flight import (
-    SETPOINT_S,
-    Recorder,
-    Stream,
-    setpoints_of_mission,
-    simulate_flight,
-)
+from twin.flight.simulate_flight import Recorder, Stream, simulate_flight
 from twin.logs import Flight
-from twin.logs.autopilot import Autopilot
+from twin.logs.autopilot import SETPOINT_S, Autopilot, setpoints_of_mission
 from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL, motor_columns
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, setpoints_along

@@ -20,8 +20,7 @@ import pandas as pd
 from numpy.polynomial.polynomial import polyval
 from scipy.signal import lfilter
 
-from twin.flight.simulate_flight import setpoints_of_mission
-from twin.logs.autopilot import Autopilot
+from twin.logs.autopilot import Autopilot, setpoints_of_mission
 
 from .cases import SENSORS, Case, Conditions
 from .hiding import Number, Truth

@@ -28,7 +28,13 @@ from twin.residuals.aligned import align_flight
 from twin.residuals.channels import BAND_HZ, GRID_HZ, imu_channels, low_pass
 from twin.vehicle_file import parse_vehicle
 
-ALLOWED = ("twin.errors", "twin.logs.flight", "twin.logs.table", "twin.vehicle_file")
+ALLOWED = (
+    "twin.errors",
+    "twin.logs.autopilot",
+    "twin.logs.flight",
+    "twin.logs.table",
+    "twin.vehicle_file",
+)
 """What the generators may take from the twin: the file formats and their errors."""
 RUNNERS = ("run", "__main__")
 """What calls `twin.explain`; generators import none of it."""

@@ -72,7 +72,7 @@ SHAKES_ABOVE_HZ = 12.0
 """No body turns or climbs faster by its rotors: the loop of the attitude ends at 5 to 10 Hz."""
 SHAKEN_LEAST_HZ = 40.0
 """Rate of an acceleration from which on vibration is read in it."""
-ALONE = 0.9
+ALONE = 0.95
 """Probability from which on a rotor, or a load, is named alone: only yaw parts the two, and what
 yaw does between sessions is known from one aircraft."""
 STEADY_SD, SHAKEN, SHAKEN_SD, SHAKES = 0.3, 0.7, 0.6, 0.4

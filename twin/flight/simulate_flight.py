@@ -11,10 +11,9 @@ from scipy.ndimage import gaussian_filter1d
 from ..component import Component
 from ..component.rows import noiseless_outputs
 from ..effects import EFFECTS, Average, Repeats, Shift
-from ..frames import from_euler
 from ..logs import Flight, Site
-from ..logs.autopilot import Autopilot, setpoint_of
-from ..logs.columns import POS, QUAT, VEL
+from ..logs.autopilot import setpoints_of_mission
+from ..logs.columns import QUAT
 from ..physics.airframe import airframe
 from ..physics.sensors.table import components_of_sensors
 from ..vehicle import Vehicle
@@ -22,8 +21,6 @@ from .closed_loop import FARTHEST_ARMS, FARTHEST_M, STEEPEST_RAD, STEP_S, fly, s
 from .lqr import controller
 
 Array = NDArray[np.float64]
-SETPOINT_S = 0.02
-"""Time between two setpoints of a record."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,27 +142,6 @@ def simulate_flight(
     table = _table(known, phases[rows], recorder, since)
     asked = setpoints_of_mission(setpoints[:end], STEP_S, plant.gravity_m_s2)
     return Flight(name, table, site=outdoors, autopilot=asked)
-
-
-def setpoints_of_mission(setpoints: Array, step_s: float, gravity_m_s2: float) -> Autopilot:
-    """Position, velocity and attitude that a mission asks for, as an autopilot logs them: the
-    attitude is that of its acceleration and heading, whatever pushes the aircraft.
-
-    Args:
-        setpoints: In the order of `closed_loop.SETPOINTS`, of which the first ten, one row per
-            step, shape (n, 10) or wider.
-        step_s: Time between two of them.
-        gravity_m_s2: Acceleration of free fall.
-    """
-    rows = setpoints[:: round(SETPOINT_S / step_s)]
-    t_s, yaw = np.asarray(SETPOINT_S * np.arange(len(rows))), rows[:, 9]
-    north, east, lift = rows[:, 6], rows[:, 7], gravity_m_s2 - rows[:, 8]
-    pitch = np.arctan2(-np.cos(yaw) * north - np.sin(yaw) * east, lift)
-    right = np.cos(yaw) * east - np.sin(yaw) * north
-    attitude = from_euler(np.arctan2(right * np.cos(pitch), lift), pitch, yaw)
-    found = [(POS, rows[:, :3]), (VEL, rows[:, 3:6]), (QUAT, attitude.T)]
-    made = (setpoint_of(columns, t_s, values) for columns, values in found)
-    return Autopilot(setpoints=tuple(s for s in made if s is not None))
 
 
 def _added(effects: Iterable[str], flown: Vehicle) -> list[str]:

@@ -10,6 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from ..frames import from_euler
 from ..representation import short_repr
 from .columns import GYRO, POS, QUAT, SIGNALS, VEL, beyond_limit
 from .stretches import stretches_where
@@ -31,6 +32,10 @@ MOST_SAMPLES = 10_000
 """Of a setpoint: more than any screen shows; some megabytes of a flight table at most."""
 LONGEST = 300
 """Largest number of characters of a text that is stored."""
+
+
+SETPOINT_S = 0.02
+"""Time between two setpoints of a record."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -383,3 +388,24 @@ def _spread(
                 kind[i] = name
             else:
                 state = "air"
+
+
+def setpoints_of_mission(setpoints: Array, step_s: float, gravity_m_s2: float) -> Autopilot:
+    """Position, velocity and attitude that a mission asks for, as an autopilot logs them: the
+    attitude is that of its acceleration and heading, whatever pushes the aircraft.
+
+    Args:
+        setpoints: In the order of `twin.flight.closed_loop.SETPOINTS`, of which the first ten, one
+            row per step, shape (n, 10) or wider.
+        step_s: Time between two of them.
+        gravity_m_s2: Acceleration of free fall.
+    """
+    rows = setpoints[:: round(SETPOINT_S / step_s)]
+    t_s, yaw = np.asarray(SETPOINT_S * np.arange(len(rows))), rows[:, 9]
+    north, east, lift = rows[:, 6], rows[:, 7], gravity_m_s2 - rows[:, 8]
+    pitch = np.arctan2(-np.cos(yaw) * north - np.sin(yaw) * east, lift)
+    right = np.cos(yaw) * east - np.sin(yaw) * north
+    attitude = from_euler(np.arctan2(right * np.cos(pitch), lift), pitch, yaw)
+    found = [(POS, rows[:, :3]), (VEL, rows[:, 3:6]), (QUAT, attitude.T)]
+    made = (setpoint_of(columns, t_s, values) for columns, values in found)
+    return Autopilot(setpoints=tuple(s for s in made if s is not None))
