@@ -195,8 +195,11 @@ def priors_since(model: Model) -> Priors:
     return replace(usual, mean=mean, slab=slab, file=file, low=low, held=held, day=day, odds=odds)
 
 
-def _least(number: Number, vehicle: Vehicle) -> float:
-    """Smallest value of a number."""
+def _lowest(number: Number, vehicle: Vehicle, trusted: bool) -> float:
+    """Smallest value of a number: single rotors only lose thrust, but in a calibration or where the
+    file says that one gives more."""
+    if trusted and number.about.per_rotor and not number.shape:
+        return min(number.now, number.about.neutral or 0.0)
     least = prior_of(EFFECTS[number.effect]).least(vehicle)
     return number.about.bounds[0] if least is None or number.shape else least
 
@@ -244,7 +247,7 @@ def priors_of(model: Model, trusted: bool = True) -> Priors:
         mean,
         np.hypot(slab, spike),
         np.diag(spike**2),
-        np.array([_least(n, vehicle) for n in own]),
+        np.array([_lowest(n, vehicle, trusted) for n in own]),
         np.array([n.about.bounds[1] for n in own]),
         np.zeros(len(own)),
         day,
