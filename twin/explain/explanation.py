@@ -446,7 +446,9 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
         return found  # a random force has no equation
     whitened, settings = naming.whitened, found.settings.unnamed
     stands = _stands(naming)
-    alone = find_equations(whitened, stands, seed, settings)
+    noise, names = naming.problem.noise, naming.problem.rest.channels
+    mute = frozenset(names[c] for c in noise.mute)
+    alone = find_equations(whitened, stands, seed, settings, mute)
     if alone is None or not explains_better(whitened, naming.likely, alone, settings, stands):
         return found
     return replace(

@@ -6,7 +6,7 @@ regressors' noise model makes them; checked on time that neither picked nor fitt
 Source: Brunton, Proctor & Kutz, PNAS 113 (2016).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -121,6 +121,7 @@ def find_equations(
     fitted: Fit,
     seed: int = 0,
     settings: UnnamedSettings = DEFAULT.unnamed,
+    mute: Collection[str] = (),
 ) -> Unnamed | None:
     """Equations for what a hypothesis leaves; None where none is worth having.
 
@@ -129,6 +130,7 @@ def find_equations(
         fitted: The hypothesis; no effects: what the model as it stands leaves.
         seed: Draws which blocks of time are left out together.
         settings: Terms, their price, and when an equation is worth having.
+        mute: Channels of which no equation is sought.
     """
     days = fitted.on_its_days(whitened.model).channels([], fitted.values)
     left = [[_about_its_day(c) for c in flight] for flight in days]
@@ -138,7 +140,7 @@ def find_equations(
     tones = _tones(left, settings)
     equations, gains, noises = [], dict.fromkeys(keys, 0.0), {}
     for i, first in enumerate(left[0]):
-        if sensor_of(first.name) is None:
+        if sensor_of(first.name) is None or first.name in mute:
             continue  # what the pose implies has its own noise in every regressor
         made = _channel(whitened, [f[i] for f in left], known, tones, settings)
         found = _found(made, search)

@@ -227,6 +227,13 @@ class InstrumentNoise:
         turning = frozenset(i for i, c in enumerate(channels[0]) if turns(c.name))
         return cls(bands, turning, instruments_of(flights, channels), rough)
 
+    @property
+    def mute(self) -> frozenset[int]:
+        """Channels of angular acceleration of which no instrument is trusted in any flight: what
+        commands and motion have in common there may be the controller."""
+        heard = {c for (c, _), i in self.instruments.items() if i.trust}
+        return self.turning - heard
+
     def terms(
         self, channel: int, rows: Array, band: NDArray[np.intp], flight: NDArray[np.intp]
     ) -> list[Term]:
