@@ -74,7 +74,7 @@ SHAKEN_LEAST_HZ = 40.0
 """Rate of an acceleration from which on vibration is read in it."""
 ALONE = 0.95
 """Probability from which on a rotor, or a load, is named alone: only yaw parts the two, and what
-yaw does between sessions is known from one aircraft."""
+yaw does between sessions is known from one aircraft. Chosen on CrazyPAD's E9."""
 STEADY_SD, SHAKEN, SHAKEN_SD, SHAKES = 0.3, 0.7, 0.6, 0.4
 """Change of the log of the amplitude of vibration: deviation between flights; mean and deviation of
 a damaged propeller that shakes, and how many do. Chosen on CrazyPAD's E9."""
