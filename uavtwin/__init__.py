@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from twin.vehicle_file import builtin_vehicles
 
     from .calibration import CalibrateResult, calibrate
+    from .diagnosis import WhyResult, why
     from .explanation import ExplainResult, explain
     from .exports.parts import Twin, compensator, component, learned_force, replay, twin
     from .exports.write import export
@@ -56,6 +57,7 @@ __all__ = [
     "Twin",
     "TwinError",
     "Vehicle",
+    "WhyResult",
     "__version__",
     "builtin_vehicles",
     "calibrate",
@@ -82,6 +84,7 @@ __all__ = [
     "train",
     "twin",
     "vehicle",
+    "why",
     "write_flight",
 ]
 
@@ -101,6 +104,7 @@ _HOME = {
     "Twin": "uavtwin.exports.parts",
     "TwinError": "twin.errors",
     "Vehicle": "uavtwin.vehicles",
+    "WhyResult": "uavtwin.diagnosis",
     "builtin_vehicles": "twin.vehicle_file",
     "check": "uavtwin.file_check:check_file",
     "compensator": "uavtwin.exports.parts",
@@ -125,6 +129,7 @@ _HOME = {
     "train": "uavtwin.learned",
     "twin": "uavtwin.exports.parts",
     "vehicle": "uavtwin.vehicles",
+    "why": "uavtwin.diagnosis",
     "write_flight": "twin.logs",
 }
 """Module of each name, and its name there where it is another. A name here is never that of a

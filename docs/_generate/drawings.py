@@ -29,6 +29,7 @@ WORDS = {
     "cosim": "systems (SSP), master, recordings",
     "fmus": "components to C to FMUs",
     "learning": "compensator to ONNX; alone needs torch",
+    "twin.why": "why a flight went wrong, from its log alone",
     "twin.explain": "find, name, add, show; the result",
     "twin.explain.stochastic": "no mean: gust, noise",
     "twin.explain.unnamed": "equations",

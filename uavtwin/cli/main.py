@@ -40,6 +40,7 @@ from .simulate import simulate
 from .sweep import sweep
 from .train import train
 from .vehicle import vehicle
+from .why import why
 
 
 def version() -> None:
@@ -60,7 +61,21 @@ _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THRE
 """Read where numpy and scipy are imported, which the verbs do. Of several threads the sums come in
 another order and end in other bits; one is as fast for matrices of this size."""
 VERBS = (
-    *(check, convert, gap, calibrate, explain, demo, show, export, simulate, sweep, fleet, query),
+    *(
+        check,
+        why,
+        convert,
+        gap,
+        calibrate,
+        explain,
+        demo,
+        show,
+        export,
+        simulate,
+        sweep,
+        fleet,
+        query,
+    ),
     *(live, replay, hil, train, evaluate, bench, version),
 )
 """In the order of the help: a verb is a function in a file of its name, and a name here."""
@@ -124,13 +139,14 @@ def _end_interrupted() -> NoReturn:
 
 
 def _spread(arguments: list[str]) -> list[str]:
-    """`--holdout A B` as `--holdout A --holdout B`: it takes all files up to the next option."""
+    """`--holdout A B` as `--holdout A --holdout B`, and so `--reference`: all files up to the next
+    option belong to it."""
     found: list[str] = []
     option = ""
     for argument in arguments:
         if argument.startswith("-"):
             option = argument
-        elif option == "--holdout" and found[-1] != option:
+        elif option in ("--holdout", "--reference") and found[-1] != option:
             found.append(option)
         found.append(argument)
     return found

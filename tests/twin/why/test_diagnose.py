@@ -1,0 +1,91 @@
+"""Why a flight went wrong: the frame of a flight, loss of control, what is a consequence."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from twin.errors import LogError
+from twin.logs import Flight
+from twin.logs.columns import ACC, GYRO, QUAT
+from twin.why.diagnose import FINDERS, Findings, diagnose
+from twin.why.flight import FlightFrame, moment_signs
+from twin.why.records import Event
+
+G = 9.80665
+
+
+def hover(seconds: float = 30.0, rate_hz: float = 100.0, lost_s: float | None = None) -> Flight:
+    """A quad on its spot, that tumbles from `lost_s` on and hits the ground a second later."""
+    rng = np.random.default_rng(1)
+    t = np.arange(0, seconds, 1 / rate_hz)
+    flies = (t > 3) & (t < seconds - 3)
+    table = {"time": t} | {f"cmd_{i}": np.where(flies, 0.5, 0.0) for i in range(1, 5)}
+    gyro, acc = 0.02 * rng.standard_normal((len(t), 3)), np.tile([0.0, 0.0, -G], (len(t), 1))
+    angle = np.zeros(len(t))
+    if lost_s is not None:
+        after = (t > lost_s) & (t < lost_s + 1)
+        gyro[after, 0] += 10 * (t[after] - lost_s)
+        angle = np.cumsum(np.where(after, gyro[:, 0], 0.0)) / rate_hz
+        acc[(t > lost_s + 1) & (t < lost_s + 1.1)] *= 8
+    acc += 0.05 * rng.standard_normal(acc.shape)
+    q = np.column_stack([np.cos(angle / 2), np.sin(angle / 2), 0 * t, 0 * t])
+    table |= dict(zip(GYRO, gyro.T, strict=True)) | dict(zip(ACC, acc.T, strict=True))
+    table |= dict(zip(QUAT, q.T, strict=True))
+    return Flight("hover", pd.DataFrame(table))
+
+
+def test_loss_of_control_and_crash_are_found_in_time() -> None:
+    found = diagnose(hover(lost_s=20.0), finders=FINDERS[:1])
+    assert found.loss_of_control_s == pytest.approx(20.45, abs=0.15)  # 4 rad/s after 0.4 s
+    assert found.crash_s == pytest.approx(21.0, abs=0.1)
+    assert [i.kind for i in found.timeline] == ["loss_of_control", "crash"]
+    assert found.verdict == "cannot_tell"
+
+
+def test_a_hover_is_flown_to_its_end() -> None:
+    found = diagnose(hover())
+    assert found.verdict == "nothing_found"
+    assert found.loss_of_control_s is None and found.crash_s is None
+    assert found.airborne_s == pytest.approx(24.0, abs=1.0)
+
+
+def test_the_grid_averages() -> None:
+    flight = hover()
+    frame = FlightFrame.of(flight)
+    assert frame.dt_s == pytest.approx(0.03)
+    first = flight.table.gyro_x[flight.table.time < frame.edges_s[1]].mean()
+    assert frame.grid["gyro"][0, 0] == pytest.approx(first)
+
+
+def test_a_short_log_is_refused() -> None:
+    with pytest.raises(LogError, match=r"lasts 3\.0 s"):
+        diagnose(hover().between(0, 3))
+
+
+def test_what_a_lost_rotor_explains_is_a_consequence() -> None:
+    events = (
+        Event(cause="attitude_estimate", onset_s=12.0, probability=0.9),
+        Event(cause="rotor_failure", rotor=(2,), onset_s=10.0, probability=0.9, text="Rotor 2"),
+        Event(cause="compass", onset_s=5.0, probability=0.9),
+    )
+    found = diagnose(hover(), finders=[lambda *_: Findings(events=events, nothing=0.1)])
+    assert [e.cause for e in found.events] == ["compass", "rotor_failure", "attitude_estimate"]
+    assert [e.consequence for e in found.events] == [False, False, True]
+    assert found.verdict == "found"
+
+
+@pytest.mark.parametrize("name", ["x", "+", "h", "crazyflie x", "betaflight x"])
+def test_the_frame_is_found_by_how_the_body_turns(name: str) -> None:
+    """Random commands turn the body by the signs of one usual frame; the log states none."""
+    from twin.vehicle.layouts import frame
+
+    rng = np.random.default_rng(2)
+    flight = hover(60.0, 33.0)
+    signs = moment_signs(frame(name))
+    commands = 0.5 + 0.05 * rng.standard_normal((len(flight.table), 4))
+    turning = np.cumsum((commands - 0.5) @ signs[1:].T, axis=0)
+    table = flight.table.assign(**{f"cmd_{i + 1}": commands[:, i] for i in range(4)})
+    table = table.assign(**dict(zip(GYRO, turning.T, strict=True)))
+    found = FlightFrame.of(Flight("random", table)).layout
+    assert found is not None
+    assert np.array_equal(np.sign(moment_signs(found).round(3)), np.sign(signs.round(3)))

@@ -1,0 +1,177 @@
+"""What all finders say of a flight, put together: what began first is the cause."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from math import prod
+
+from msgspec.structs import replace
+
+from ..logs import Flight
+from .flight import FlightFrame
+from .records import Candidate, Diagnosis, Event, NotVisible, TimelineItem, Verdict
+
+NAMED = 0.5
+"""Probability from which on an event makes the verdict "found"."""
+CONSEQUENCE_S = 15.0
+"""A body that was pushed or lost a rotor upsets sensors and estimator for that long."""
+BEFORE_S = 0.5
+"""By which a finder of sensors may place an onset too early."""
+BODY_CAUSES = frozenset(
+    {"rotor_failure", "thrust_loss_all_rotors", "mass_change", "force_or_moment", "gust"}
+)
+"""Causes that move the body: what instruments show after them is no cause."""
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What one finder says of a flight.
+
+    Attributes:
+        events: At an instant, or without onset where it was there all the time.
+        timeline: What happened besides.
+        one_of_causes: Two causes that the flight does not tell apart; else empty.
+        not_visible: What the log would not have shown.
+        nothing: Probability that there is nothing of what it looks for.
+        notes: What was assumed, and what the log lacks.
+    """
+
+    events: Sequence[Event] = ()
+    timeline: Sequence[TimelineItem] = ()
+    one_of_causes: Sequence[Candidate] = ()
+    not_visible: Sequence[NotVisible] = ()
+    nothing: float = 1.0
+    notes: Sequence[str] = ()
+
+
+Finder = Callable[[FlightFrame, Sequence[FlightFrame]], Findings]
+"""Takes a flight and normal flights of the same aircraft, of which there may be none."""
+
+
+def control(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
+    """Loss of control, and what the aircraft hits after it."""
+    items = []
+    for part in flight.airborne:
+        if part.lost is not None:
+            items.append(_item(flight, part.lost, "loss_of_control", "control is lost"))
+        if part.crash is not None:
+            items.append(_item(flight, part.crash, "crash", "hits something"))
+    return Findings(timeline=items)
+
+
+def _item(flight: FlightFrame, place: int, kind: str, text: str) -> TimelineItem:
+    return TimelineItem(kind=kind, t_s=float(flight.t_s[place]), text=text)  # type: ignore[arg-type]
+
+
+FINDERS: tuple[Finder, ...] = (control,)
+"""All of them, in no order."""
+
+
+def diagnose(
+    flight: Flight, references: Sequence[Flight] = (), finders: Sequence[Finder] = FINDERS
+) -> Diagnosis:
+    """Why a flight went wrong.
+
+    Args:
+        flight: Of any log.
+        references: Normal flights of the same aircraft.
+        finders: What is looked for.
+
+    Raises:
+        LogError: The log is too short, or has no motion.
+    """
+    frame = FlightFrame.of(flight)
+    normal = [FlightFrame.of(r) for r in references]
+    found = [find(frame, normal) for find in finders]
+    events = _in_order([e for f in found for e in f.events])
+    timeline = sorted((i for f in found for i in f.timeline), key=lambda i: i.t_s)
+    one_of = next((tuple(f.one_of_causes) for f in found if f.one_of_causes), ())
+    nothing = prod(f.nothing for f in found)
+    lost = next((i.t_s for i in timeline if i.kind == "loss_of_control"), None)
+    crash = next((i.t_s for i in timeline if i.kind == "crash"), None)
+    airborne_s = sum(p.end - p.start for p in frame.airborne) * frame.dt_s
+    verdict, probability = _verdict(events, one_of, nothing, lost is not None, airborne_s > 0)
+    return Diagnosis(
+        flight=flight.name,
+        verdict=verdict,
+        probability=probability,
+        text=_sentence(verdict, events, one_of, lost, airborne_s),
+        events=events,
+        one_of_causes=one_of,
+        loss_of_control_s=lost,
+        crash_s=crash,
+        timeline=tuple(timeline),
+        not_visible=tuple(v for f in found for v in f.not_visible),
+        airborne_s=airborne_s,
+        notes=tuple(dict.fromkeys([*frame.notes, *(n for f in found for n in f.notes)])),
+    )
+
+
+def _in_order(events: Sequence[Event]) -> tuple[Event, ...]:
+    """By time, those without onset last; what a moved body explains is a consequence."""
+    moved = [e.onset_s for e in events if e.cause in BODY_CAUSES and e.onset_s is not None]
+
+    def explained(event: Event) -> bool:
+        if event.onset_s is None or event.cause in BODY_CAUSES:
+            return False
+        return any(-BEFORE_S <= event.onset_s - t <= CONSEQUENCE_S for t in moved)
+
+    marked = [replace(e, consequence=e.consequence or explained(e)) for e in events]
+    return tuple(sorted(marked, key=lambda e: float("inf") if e.onset_s is None else e.onset_s))
+
+
+def _verdict(
+    events: Sequence[Event],
+    one_of: Sequence[Candidate],
+    nothing: float,
+    lost: bool,
+    flies: bool,
+) -> tuple[Verdict, float]:
+    """What is found, and how probable that is."""
+    causes = [e.probability for e in events if not e.consequence and e.probability >= NAMED]
+    if one_of:
+        return "found", sum(c.probability for c in one_of)
+    if causes:
+        return "found", max(causes)
+    if lost or not flies:
+        return "cannot_tell", 1.0 - nothing if lost else nothing
+    return "nothing_found", nothing
+
+
+def _sentence(
+    verdict: Verdict,
+    events: Sequence[Event],
+    one_of: Sequence[Candidate],
+    lost: float | None,
+    airborne_s: float,
+) -> str:
+    """The answer on top."""
+    return " ".join(_clauses(verdict, events, one_of, lost, airborne_s))
+
+
+def _clauses(
+    verdict: Verdict,
+    events: Sequence[Event],
+    one_of: Sequence[Candidate],
+    lost: float | None,
+    airborne_s: float,
+) -> Iterator[str]:
+    first = next((e for e in events if not e.consequence and e.probability >= NAMED), None)
+    if airborne_s == 0:
+        yield "The log holds no flight of five seconds or more."
+    elif one_of:
+        names = " or ".join(f"{_named(c)} ({100 * c.probability:.0f} %)" for c in one_of)
+        yield f"One of two causes: {names}."
+    elif first is not None:
+        yield f"{first.text} ({100 * first.probability:.0f} %)."
+    elif verdict == "nothing_found":
+        yield "Nothing went wrong that this log can show."
+    if lost is not None:
+        yield f"Control is lost at {lost:.2f} s" + (
+            "." if verdict == "found" else ", and this log does not show why."
+        )
+
+
+def _named(candidate: Candidate) -> str:
+    """A cause in a sentence."""
+    rotors = " and ".join(map(str, candidate.rotor or ()))
+    return candidate.cause.replace("_", " ") + (f" {rotors}" if rotors else "")

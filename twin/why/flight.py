@@ -1,0 +1,344 @@
+"""One flight on an even grid, as every finding reads it: signals, rotors, what was flown.
+
+Nothing here needs a vehicle: commands count per rotor, forces per mass, moments per inertia. Places
+and senses of the rotors are those that the log states, else those of the usual frame that explains
+best how the body turns.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.spatial.transform import Rotation
+
+from ..errors import LogError
+from ..logs import Flight
+from ..logs.columns import (
+    ACC,
+    ACC_NED,
+    GYRO,
+    MAG,
+    MAX_MOTORS,
+    MIN_MOTORS,
+    QUAT,
+    VEL,
+    motor_columns,
+)
+from ..logs.stretches import stretches_where
+from ..residuals.measured import Signal, measured_motion, signal_of
+from ..vehicle import GRAVITY_M_S2
+from ..vehicle.layouts import Layout, frame, frames_of
+
+Array = NDArray[np.float64]
+FINEST_S, COARSEST_S = 0.03, 0.1
+"""Interval of the grid: a controller answers within 0.1 s; below 0.03 s vibration rules."""
+FEWEST_SAMPLES = 20
+"""Of a signal that is used."""
+SHORTEST_S = 5.0
+"""Of a part in the air that is looked into."""
+LOSS_TILT_RAD = np.radians(60.0)
+"""Tilt that counts as lost, if it is twice what was flown until a second before."""
+LOSS_RATE_RAD_S = 4.0
+"""Body rate that counts as lost, if it is three times what was flown until a second before."""
+CONTACT_M_S2 = 30.0
+"""Specific force of a body that hits something, after control was lost."""
+LIFTING = 0.65
+"""Curvature of thrust by command that is assumed for what lifts: between linear and a square."""
+
+_SIGNALS: dict[str, tuple[str, ...]] = {
+    "acc": ACC,
+    "mag": MAG,
+    "baro": ("baro_pa",),
+    "vbat": ("vbat_v",),
+    "ibat": ("ibat_a",),
+}
+"""Signals of the flight table, besides motion and motors."""
+
+
+@dataclass(frozen=True, slots=True)
+class Airborne:
+    """A part of a flight in the air, as places of the grid.
+
+    Attributes:
+        start: First place.
+        end: Place behind the last.
+        lost: Where control was lost; None: it was not.
+        crash: Where it hit something after that; None: it did not.
+    """
+
+    start: int
+    end: int
+    lost: int | None = None
+    crash: int | None = None
+
+    @property
+    def flown(self) -> int:
+        """Place behind the last that was flown under control."""
+        return self.end if self.lost is None else min(self.end, self.lost)
+
+
+@dataclass(frozen=True, eq=False)
+class FlightFrame:
+    """A flight on an even grid.
+
+    Attributes:
+        flight: As read.
+        signals: As logged, by name: command or rotor_speed, gyro, acc, q, pos, vel, mag, baro,
+            vbat, ibat; only those that the log has.
+        edges_s: Edges of the intervals, shape (n + 1,).
+        grid: Means over the intervals, shape (n, k) each.
+        notes: What was derived or assumed.
+    """
+
+    flight: Flight
+    signals: Mapping[str, Signal]
+    edges_s: Array
+    grid: Mapping[str, Array]
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, flight: Flight) -> "FlightFrame":
+        """Put a flight on its grid.
+
+        Raises:
+            LogError: It has no motion.
+        """
+        signals, notes = _signals_of(flight)
+        dt = _interval_s(signals)
+        start, end = flight.time_s[0], flight.time_s[-1]
+        if end - start < SHORTEST_S:
+            raise LogError(
+                f"{flight.name}: the log lasts {end - start:.1f} s; at least {SHORTEST_S:g} s are "
+                f"needed to know what is usual in it."
+            )
+        edges = np.arange(start, end + dt, dt)
+        grid = {name: binned(s, edges) for name, s in signals.items()}
+        if "q" in grid:
+            grid["q"] /= np.linalg.norm(grid["q"], axis=1, keepdims=True)
+        return cls(flight, signals, edges, grid, tuple(notes))
+
+    @property
+    def dt_s(self) -> float:
+        """Interval of the grid."""
+        return float(self.edges_s[1] - self.edges_s[0])
+
+    @cached_property
+    def t_s(self) -> Array:
+        """Middles of the intervals, s from the start of the log, shape (n,)."""
+        return np.asarray((self.edges_s[1:] + self.edges_s[:-1]) / 2)
+
+    def places(self, seconds: float) -> int:
+        """Intervals of a length of time."""
+        return int(seconds / self.dt_s)
+
+    def rate_hz(self, name: str) -> float:
+        """Rate at which a signal is logged; 0: it is not."""
+        return self.signals[name].rate_hz if name in self.signals else 0.0
+
+    @cached_property
+    def attitude(self) -> Array:
+        """R_nb, body to NED, shape (n, 3, 3). The log must have an attitude."""
+        return rotations(self.grid["q"])
+
+    @cached_property
+    def tilt_rad(self) -> Array | None:
+        """Angle of the body's z axis from the vertical, shape (n,)."""
+        if "q" not in self.grid:
+            return None
+        return np.asarray(np.arccos(np.clip(self.attitude[:, 2, 2], -1, 1)))
+
+    @cached_property
+    def drive(self) -> str | None:
+        """Signal of the rotors: "command", else "rotor_speed" over its largest; None: neither."""
+        return next((s for s in ("command", "rotor_speed") if s in self.grid), None)
+
+    @cached_property
+    def layout(self) -> Layout | None:
+        """Rotors in the order of the commands, scaled to an arm of 1; None: not known."""
+        if self.drive is None:
+            return None
+        count = self.grid[self.drive].shape[1]
+        airframe = self.flight.airframe
+        stated = None if airframe is None else airframe.layout
+        if stated is not None and stated.count == count:
+            return stated.sized(1.0, "scaled")
+        usual = frames_of(count)
+        if not usual:
+            return None
+        if airframe is not None:  # PX4 and ArduPilot number the motors of their first frame alike
+            return frame(usual[0])
+        return max(map(frame, usual), key=self._turning_explained)
+
+    def _turning_explained(self, layout: Layout) -> float:
+        """Correlation, over roll, pitch and yaw, of what commands ask with how the body turns."""
+        if self.drive is None or "gyro" not in self.grid:
+            return 0.0
+        asked = lift(self.grid[self.drive]) @ moment_signs(layout)[1:].T
+        turned = np.gradient(self.grid["gyro"], self.dt_s, axis=0)
+        flown = np.zeros(len(self.t_s), dtype=bool)
+        for part in self.airborne:
+            flown[part.start : part.flown] = True
+        rows = np.flatnonzero(flown)
+        if len(rows) < FEWEST_SAMPLES:
+            return 0.0
+        a, b = np.diff(asked[rows], axis=0), np.diff(turned[rows], axis=0)
+        scale = np.sqrt((a**2).sum(0) * (b**2).sum(0))
+        return float(np.sum((a * b).sum(0) / np.maximum(scale, 1e-12)))
+
+    @cached_property
+    def airborne(self) -> tuple[Airborne, ...]:
+        """Parts in the air, with where control was lost in them."""
+        joined: list[tuple[int, int]] = []
+        for start, end in stretches_where(self._lifted()):
+            if joined and start - joined[-1][1] < self.places(0.4):
+                joined[-1] = joined[-1][0], end
+            else:
+                joined.append((start, end))
+        clear = [self._off_the_ground(*part) for part in joined]
+        return tuple(
+            Airborne(a, z, *self._lost(a, z)) for a, z in clear if (z - a) * self.dt_s > SHORTEST_S
+        )
+
+    def _lifted(self) -> NDArray[np.bool_]:
+        """Whether it may fly, by what drives it, else by height, else by how it shakes."""
+        if self.drive is not None:
+            raised = lift(self.grid[self.drive]).mean(axis=1)
+            raised = uniform_filter1d(raised, max(self.places(0.5), 1))
+            usual = np.median(raised[raised > 0.4 * np.percentile(raised, 90)])
+            return np.asarray(raised > 0.5 * usual)
+        if "pos" in self.grid:
+            height = -self.grid["pos"][:, 2]
+            return np.asarray(height > np.percentile(height, 5) + 0.4)
+        if "gyro" in self.grid:
+            turning = np.linalg.norm(self.grid["gyro"], axis=1)
+            return np.asarray(uniform_filter1d(turning, max(self.places(2.0), 1)) > 0.03)
+        return np.ones(len(self.t_s), dtype=bool)
+
+    def _off_the_ground(self, start: int, end: int) -> tuple[int, int]:
+        """The part without moments in which the feet may touch: by height over its ends."""
+        if "pos" not in self.grid:
+            return start, end
+        height = -self.grid["pos"][:, 2]
+        reach = np.ptp(height[start:end])
+        before = height[max(start - self.places(1.0), 0)]
+        after = height[min(end + self.places(0.5), len(height) - 1)]
+        clear = max(0.25, 0.15 * reach)
+        up = np.flatnonzero(height[start:end] > before + clear)
+        down = np.flatnonzero(height[start:end] > after + clear)
+        if reach > 0.8 and len(up) and len(down) and up[0] < down[-1]:
+            return start + int(up[0]), start + int(down[-1]) + 1
+        return start, end
+
+    def _lost(self, start: int, end: int) -> tuple[int | None, int | None]:
+        """Where tilt or rates leave all that was flown before, and where it then hits something."""
+        bad = np.zeros(end - start, dtype=bool)
+        if self.tilt_rad is not None:
+            tilt = self.tilt_rad[start:end]
+            bad |= (tilt > LOSS_TILT_RAD) & (tilt > 2 * self._flown_until(tilt))
+        if "gyro" in self.grid:
+            smooth = uniform_filter1d(
+                self.grid["gyro"][start:end], 2 * self.places(0.08) + 1, axis=0
+            )
+            turning = np.linalg.norm(smooth, axis=1)
+            bad |= (turning > LOSS_RATE_RAD_S) & (turning > 3 * self._flown_until(turning))
+        bad[: self.places(3.0)] = False
+        if not bad.any():
+            return None, None
+        lost = start + int(np.argmax(bad))
+        if "acc" not in self.grid:
+            return lost, None
+        hit = np.linalg.norm(self.grid["acc"][lost:], axis=1) > CONTACT_M_S2
+        return lost, lost + int(np.argmax(hit)) if hit.any() else None
+
+    def _flown_until(self, values: Array) -> Array:
+        """Largest value until a second before each place."""
+        back = self.places(1.0)
+        largest = np.maximum.accumulate(values)
+        return np.concatenate([np.full(min(back, len(values)), values[0]), largest])[: len(values)]
+
+
+def rotations(q_nb: Array) -> Array:
+    """Matrices body to NED of unit quaternions, shape (n, 3, 3)."""
+    return np.asarray(Rotation.from_quat(q_nb, scalar_first=True).as_matrix())
+
+
+def lift(command: Array, curvature: float = LIFTING) -> Array:
+    """Thrust of a command over that at full command: (1 - e) c + e c^2."""
+    return (1 - curvature) * command + curvature * command * command
+
+
+def moment_signs(layout: Layout) -> Array:
+    """What one unit of thrust of each rotor does, up to a positive factor per row: specific force
+    along z, angular acceleration about x, y, z (FRD). Shape (4, rotors)."""
+    x, y = layout.position[:, 0], layout.position[:, 1]
+    return np.stack([-np.ones(layout.count), -y, x, -layout.direction])
+
+
+def binned(signal: Signal, edges_s: Array) -> Array:
+    """Mean in each interval; empty intervals are interpolated. Shape (n, k)."""
+    middle = (edges_s[1:] + edges_s[:-1]) / 2
+    place = np.searchsorted(edges_s, signal.t_s, side="right") - 1
+    inside = (place >= 0) & (place < len(middle))
+    count = np.bincount(place[inside], minlength=len(middle))
+    full = count > 0
+    out = np.full((len(middle), signal.values.shape[1]), np.nan)
+    for k, column in enumerate(signal.values.T):
+        total = np.bincount(place[inside], column[inside], minlength=len(middle))
+        out[:, k] = np.interp(middle, middle[full], total[full] / count[full])
+    return out
+
+
+def _signals_of(flight: Flight) -> tuple[dict[str, Signal], list[str]]:
+    """Signals as logged, motion derived where it is not, and notes on that."""
+    motion = measured_motion(flight, doubts=False)
+    notes = [n for n in motion.notes if "derived" in n]
+    found: dict[str, Signal | None] = {name: _signal(flight, c) for name, c in _SIGNALS.items()}
+    found |= {
+        "pos": _whole(motion.position),
+        "vel": _signal(flight, VEL) or _whole(motion.velocity),
+    }
+    found |= {"q": _whole(motion.attitude), "gyro": _signal(flight, GYRO) or _whole(motion.rates)}
+    if found["acc"] is None and flight.has(*ACC_NED, *QUAT):
+        found["acc"] = _derived_force(flight)
+        notes.append("specific force derived from the motion")
+    found["command"], speeds = (_motors(flight, stem) for stem in ("cmd", "rotor"))
+    if speeds is not None:
+        top = float(np.percentile(speeds.values, 99.5))
+        found["rotor_speed"] = Signal(speeds.t_s, speeds.values / max(top, 1e-9))
+    usable = {n: s for n, s in found.items() if s is not None and len(s.t_s) > FEWEST_SAMPLES}
+    return usable, notes
+
+
+def _signal(flight: Flight, columns: tuple[str, ...]) -> Signal | None:
+    return _whole(signal_of(flight, columns)) if flight.has(*columns) else None
+
+
+def _whole(signal: object) -> Signal | None:
+    return signal if isinstance(signal, Signal) else None
+
+
+def _derived_force(flight: Flight) -> Signal:
+    """Specific force, body FRD, of an acceleration NED and an attitude in the same rows."""
+    t_s, values = flight.signal((*ACC_NED, *QUAT))
+    force = values[:, :3] - np.array([0.0, 0.0, GRAVITY_M_S2])
+    return Signal(t_s, np.einsum("kij,ki->kj", rotations(values[:, 3:]), force))
+
+
+def _motors(flight: Flight, stem: str) -> Signal | None:
+    """Commands or speeds of all motors."""
+    for count in range(MAX_MOTORS, MIN_MOTORS - 1, -1):
+        if flight.has(*motor_columns(stem, count)):
+            return _signal(flight, motor_columns(stem, count))
+    return None
+
+
+def _interval_s(signals: Mapping[str, Signal]) -> float:
+    """Interval of the grid: half the rate of the gyroscope and the rate of what drives it."""
+    drive = signals.get("command", signals.get("rotor_speed"))
+    rates = [drive.rate_hz] if drive is not None else []
+    rates += [signals["gyro"].rate_hz / 2] if "gyro" in signals else []
+    known = [r for r in rates if r > 0]
+    return float(np.clip(1 / min(known), FINEST_S, COARSEST_S)) if known else COARSEST_S

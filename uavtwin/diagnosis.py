@@ -1,0 +1,111 @@
+"""Why a flight went wrong, as a result to print."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from msgspec import structs
+
+from twin.logs import Flight, read_flight
+from twin.why.diagnose import diagnose
+from twin.why.records import Diagnosis, Event
+
+from .display import DisplayMixin, TextTable
+from .flights import checked_flights
+from .record import Record
+
+
+class WhyRecord(Record, Diagnosis, frozen=True, kw_only=True):
+    """Why a flight went wrong, as `why --json` prints it."""
+
+    digits: ClassVar[int | None] = 6
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class WhyResult(DisplayMixin):
+    """Why a flight went wrong.
+
+    Attributes:
+        record: Every number of it.
+    """
+
+    record: WhyRecord
+
+    def brief(self) -> str:
+        """See `DisplayMixin`."""
+        return f"why {self.record.flight}: {self.record.text}"
+
+    def findings(self) -> Iterable[str | TextTable]:
+        """See `DisplayMixin`."""
+        yield self.record.text
+        if self.record.events:
+            yield TextTable(
+                ("time", "what", "which", "how much", "probability", "or"),
+                tuple(_row(e) for e in self.record.events),
+            )
+        if self.record.timeline:
+            yield "\n".join(f"{i.t_s:8.2f} s  {i.text}" for i in self.record.timeline)
+        checks = [e.bench_check for e in self.record.events if e.bench_check and not e.consequence]
+        if checks:
+            yield "To check: " + " ".join(dict.fromkeys(checks))
+        if self.record.not_visible:
+            yield "\n".join(_hidden(self.record))
+        if self.record.notes:
+            yield "\n".join(self.record.notes)
+
+
+def why(flight: Any, references: Any = ()) -> WhyResult:
+    """Say why a flight went wrong, from its log alone.
+
+    Args:
+        flight: A flight, or the path of a log.
+        references: Normal flights of the same aircraft, or the paths of their logs.
+
+    Raises:
+        TwinError: A log cannot be read, or is too short.
+    """
+    (asked,) = _read([flight])
+    return WhyResult(WhyRecord(**structs.asdict(diagnose(asked, _read(references)))))
+
+
+def _read(given: Sequence[Any]) -> tuple[Flight, ...]:
+    flights = [read_flight(Path(f)) if isinstance(f, str | Path) else f for f in given]
+    return checked_flights(flights, "why")
+
+
+def _row(event: Event) -> tuple[str, ...]:
+    """An event in the table."""
+    when = "all the time" if event.onset_s is None else f"{event.onset_s:.2f} s"
+    which = ", ".join(f"rotor {r}" for r in event.rotor or ()) or (event.sensor or "")
+    others = ", ".join(f"{_words(c.cause)} {100 * c.probability:.0f} %" for c in event.alternatives)
+    what = _words(event.cause) + (" (consequence)" if event.consequence else "")
+    return when, what, which, _size(event), f"{100 * event.probability:.0f} %", others
+
+
+def _size(event: Event) -> str:
+    """How much, with its interval."""
+    if event.severity is None:
+        return ""
+    s = event.severity
+    if s.unit == "1":
+        low, value, high = (f"{100 * v:.0f}" for v in (s.low, s.value, s.high))
+        return f"{_words(s.quantity)} {value} % ({low} to {high})"
+    return f"{_words(s.quantity)} {s.value:.3g} {s.unit} ({s.low:.3g} to {s.high:.3g})"
+
+
+def _hidden(found: Diagnosis) -> Iterator[str]:
+    """What the log would not have shown."""
+    for cause in found.not_visible:
+        least = cause.smallest_detectable
+        if least.value is None:
+            size = "of any size"
+        elif least.unit == "1":
+            size = f"below {100 * least.value:.0f} %"
+        else:
+            size = f"below {least.value:.3g} {least.unit}"
+        yield f"Not visible: {_words(cause.cause)} {size}: {cause.reason}."
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
