@@ -85,9 +85,9 @@ class Trim:
     """Means of the channels of the balance in some flights, and their vibration.
 
     Attributes:
-        channels: Names: thrust, moments about x, y, z.
-        means: Of the residuals of each flight, in the units of the channels, shape (n, 4).
-        slopes: Of these by the numbers of `CAUSES` and of the wind, shape (4, k).
+        channels: Names: thrust, moments about x, y, z, as far as the flights show them.
+        means: Of the residuals of each flight, in the units of the channels, shape (n, channels).
+        slopes: Of these by the numbers of `CAUSES` and of the wind, shape (channels, k).
         numbers: "effect.number" of each column.
         vibration: Log of the amplitude above `SHAKES_ABOVE_HZ`, of each flight that shows it.
     """
@@ -109,16 +109,22 @@ class Trim:
 
 
 def channels_of_balance(names: Collection[str]) -> tuple[str, ...] | None:
-    """Channels of thrust and of the moments about x, y, z among those of a flight; None: not all
-    are there."""
-    found = tuple(c if c in names else f"motion_{c.replace('gyro_', '')}" for c in BALANCED)
-    return found if set(found) <= set(names) else None
+    """Channels of thrust and of the moments about x, y, z among those of a flight, as far as they
+    are there; None where one about x or y is missing, without which no place is known."""
+    either = (c if c in names else f"motion_{c.replace('gyro_', '')}" for c in BALANCED)
+    found = tuple(c for c in either if c in names)
+    return found if {1, 2} <= {*rows_of_balance(found)} else None
+
+
+def rows_of_balance(channels: Sequence[str]) -> list[int]:
+    """Which of thrust and the moments about x, y, z some channels are."""
+    return [0 if "acc" in c else 1 + "xyz".index(c[-1]) for c in channels]
 
 
 def trim_of(
     model: Model, values: Mapping[str, float] | None = None, slopes: bool = True
 ) -> Trim | None:
-    """Balance of a model's flights, days apart; None where a channel of it is missing.
+    """Balance of a model's flights, days apart; None where they do not show it.
 
     Args:
         model: Flights with the vehicle as it was calibrated.
@@ -131,13 +137,16 @@ def trim_of(
     ]
     flights = model.channels(columns, values or {})
     names = [c.name for c in flights[0]]
-    channels = channels_of_balance(names)
+    known = model.vehicle.calibration
+    before = known.means if slopes and known is not None and known.means else names
+    channels = channels_of_balance([c for c in names if c in before])
     if channels is None:
         return None
     own = [[f[names.index(c)] for c in channels] for f in flights]
     means = np.array([[c.residual.mean() for c in f] for f in own])
     by_number = np.mean([[c.slopes.mean(axis=0) for c in f] for f in own], axis=0)
-    by_number[:, [model.numbers[i].effect == LOAD for i in columns]] *= _carried(own)
+    if rows_of_balance(channels[:1]) == [0]:
+        by_number[:, [model.numbers[i].effect == LOAD for i in columns]] *= _carried(own)
     shaken = [v for f in model.flights if (v := vibration_of(f)) is not None]
     return Trim(
         channels, means, by_number, tuple(model.numbers[i].full for i in columns), np.array(shaken)
@@ -321,6 +330,7 @@ class _Competition:
         assert vehicle.calibration is not None
         self._slopes, self._at = trim.slopes, {n: i for i, n in enumerate(trim.numbers)}
         self._vehicle, self._rotors = vehicle, vehicle.rotors.count
+        self._rows = rows_of_balance(trim.channels)
         self._unit = self._units()
         counts = len(trim.means), max(len(vehicle.calibration.flights), 1)
         self._noises = self._noise(vehicle.calibration, trim.channels, *counts, indoors)
@@ -333,16 +343,19 @@ class _Competition:
     def _units(self) -> Array:
         """Weight, weight times arm about x and y, and all reaction torque, in the units of the
         channels."""
-        s, at, v = np.abs(self._slopes), self._at, self._vehicle
+        at, v = self._at, self._vehicle
         turn = v.mass_kg * v.arm_m
-        return np.array(
-            [
-                s[0, at[f"{LOAD}.mass_kg"]] * v.mass_kg,
-                s[1, at[f"{LOAD}.moment_y_kg_m"]] * turn,
-                s[2, at[f"{LOAD}.moment_x_kg_m"]] * turn,
-                sum(s[3, i] for i in self._losses),
-            ]
+        sizes = (
+            (v.mass_kg, [at[f"{LOAD}.mass_kg"]]),
+            (turn, [at[f"{LOAD}.moment_y_kg_m"]]),
+            (turn, [at[f"{LOAD}.moment_x_kg_m"]]),
+            (1.0, self._losses),
         )
+        found = []
+        for k, row in enumerate(self._rows):
+            size, columns = sizes[row]
+            found.append(size * sum(abs(self._slopes[k, i]) for i in columns))
+        return np.array(found)
 
     @property
     def _losses(self) -> tuple[int, ...]:
@@ -353,12 +366,12 @@ class _Competition:
         self, known: Calibration, channels: Sequence[str], n: int, before: int, indoors: bool
     ) -> list[tuple[float, Array]]:
         """Log weight and covariance of the noise of a change, by the factor on the days."""
-        day, session = DAY * self._unit, SESSION * self._unit
+        day, session = DAY[self._rows] * self._unit, SESSION[self._rows] * self._unit
         spread = np.array([known.scatter.get(c, np.nan) for c in channels])
         seen = np.isfinite(spread) & (before > 1)
         wind = EFFECTS["steady_wind"].change
         assert wind is not None
-        blown = np.zeros((4, 4))
+        blown = np.zeros((len(channels), len(channels)))
         for name, i in self._at.items():
             if name.startswith("steady_wind."):
                 sd = wind.of(name.partition(".")[2], indoors).sd
@@ -449,7 +462,7 @@ class _Competition:
         """Posterior of all causes.
 
         Args:
-            change: Of the means, shape (4,).
+            change: Of the means, shape (channels,).
             shaken: Change of the log amplitude of vibration; None: not known.
         """
         evidence, each = self._log_evidence(change)

@@ -410,7 +410,7 @@ def _verdict(naming: Naming, balance: Balance | None, stochastic: bool) -> Verdi
 def _balanced(
     flights: Sequence[Flight], vehicle: Vehicle, payloads: Payloads | None
 ) -> tuple[str, ...] | None:
-    """Channels of the balance that all flights have; None: not all of them."""
+    """Channels of the balance that all flights have, as of `channels_of_balance`."""
     if not all(visible(EFFECTS[e], flights) for e in CAUSES):
         return None
     every = [set(channel_names(f, flown(f, vehicle, payloads))) for f in flights]

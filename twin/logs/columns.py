@@ -76,6 +76,8 @@ VEL = ("vel_x", "vel_y", "vel_z")  # NED, m/s
 QUAT = ("q_w", "q_x", "q_y", "q_z")  # body FRD to NED, Hamilton, unit norm
 ACC_NED = ("acc_ned_x", "acc_ned_y", "acc_ned_z")  # acceleration of the motion, NED, m/s^2
 EULER = ("roll_rad", "pitch_rad", "yaw_rad")  # yaw, then pitch, then roll
+ALIASES = {f"acc_world_{a}": f"acc_ned_{a}" for a in "xyz"}
+"""Other names of columns, by what they are read as."""
 MOTION = (*ACC, *GYRO, *POS, *VEL, *QUAT, *ACC_NED)  # of which a flight needs one
 
 _MOTOR = re.compile(r"(cmd|rotor)_([1-9][0-9]{0,3})")  # name of a motor's column

@@ -105,6 +105,8 @@ class Flight:
         autopilot: What the autopilot says of the flight: modes, failsafes, setpoints; None:
             nothing.
         settled: What was settled while it was recorded; None: it is all of one piece.
+        derived_angles: Columns of Euler angles that were not logged: the attitude has them from
+            the acceleration (`twin.logs.attitude`).
     """
 
     name: str
@@ -116,6 +118,7 @@ class Flight:
     airframe: Airframe | None = None
     autopilot: Autopilot | None = None
     settled: Settled | None = None
+    derived_angles: tuple[str, ...] = ()
 
     __repr__ = short_repr
 

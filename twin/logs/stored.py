@@ -251,6 +251,7 @@ class StoredFlight:
         known: Columns with a finite sample.
         autopilot: What the autopilot says of the flight; None: nothing.
         settled: What was settled while it was recorded; None: it is all of one piece.
+        derived_angles: As of `Flight`.
     """
 
     name: str
@@ -265,6 +266,7 @@ class StoredFlight:
     known: frozenset[str] = field(default=frozenset())
     autopilot: Autopilot | None = None
     settled: Settled | None = None
+    derived_angles: tuple[str, ...] = ()
 
     __repr__ = short_repr
 

@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 
 from ..errors import LogError
 from .airframe import Airframe
+from .attitude import with_quaternion
 from .autopilot import Autopilot, check_autopilot
-from .columns import COLUMNS, EULER, MAX_MOTORS, in_order, is_known, motor_columns, over
+from .columns import ALIASES, COLUMNS, EULER, MAX_MOTORS, in_order, is_known, motor_columns, over
 from .flight import Array, Finding, Flight, Settled, Site
 from .formats import ReadOptions
 from .stored import ParquetColumns, StoredFlight, as_log_error, opened
-from .validate import check_columns, validate, with_quaternion
+from .validate import check_columns, validate
 
 # -- metadata -----------------------------------------------------------------------------------
 #
@@ -45,6 +46,7 @@ class Notes:
     airframe: Airframe | None = None
     autopilot: Autopilot | None = None
     settled: Settled | None = None
+    derived_angles: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, flight: Flight) -> "Notes":
@@ -178,7 +180,9 @@ def read_parquet(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     """Read a flight table in Parquet, with what its writer noted; arguments and errors as of
     `formats.Reader`."""
     raw, notes, found = _parquet(path, blob)
-    return notes.on(_checked(path, raw, notes.facts, [*notes.findings, *found]))
+    flight = _checked(path, raw, notes.facts, [*notes.findings, *found])
+    derived = flight.derived_angles or notes.derived_angles
+    return replace(notes.on(flight), derived_angles=derived)
 
 
 def read_csv(path: Path, blob: bytes, options: ReadOptions) -> Flight:
@@ -195,13 +199,16 @@ def open_parquet(path: Path) -> StoredFlight | None:
 
     Returns:
         None where it is to be read whole: smaller than `HELD_CELLS`, with Euler angles that have to
-        be turned into a quaternion first, or with a column that holds no plain numbers.
+        be turned into a quaternion first, with a column of another name, or one that holds no plain
+        numbers.
 
     Raises:
         LogError: It contradicts the definition of the flight table.
     """
     with opened(path, path.name) as file:
         schema, size = file.schema_arrow, file.metadata
+    if {*schema.names} & {*ALIASES}:
+        return None
     held = [n for n in schema.names if is_known(n) and n != "phase"]
     plain = all(_is_plain(schema.field(n).type) for n in held if schema.names.count(n) == 1)
     if size.num_rows * (len(held) + 1) <= HELD_CELLS or not plain or {*held} & {*EULER}:
@@ -229,6 +236,7 @@ def open_parquet(path: Path) -> StoredFlight | None:
         frozenset([*there, "phase"]),
         notes.autopilot,
         notes.settled,
+        notes.derived_angles,
     )
 
 
@@ -239,14 +247,15 @@ def _checked(path: Path, raw: pa.Table, facts: dict[str, str], findings: list[Fi
     for name in [c for c in raw.column_names if c != "phase"]:
         columns[name] = _numbers(path, name, raw.column(name).to_pandas(use_threads=False))
         raw = raw.drop_columns(name)
-    quaternion, turned = with_quaternion(path.name, columns)
-    columns = {c: v for c, v in columns.items() if c not in EULER} | quaternion
+    attitude = with_quaternion(path.name, columns)
+    columns = {c: v for c, v in columns.items() if c not in EULER} | attitude.columns
     columns["phase"] = phase
     mended, doubts = validate(path.name, {c: columns[c] for c in in_order(columns)})
     columns |= mended
     columns["phase"] = pd.Series(phase, dtype=object)
     table = pd.DataFrame(columns, copy=False)
-    return Flight(path.stem, table, (*findings, *turned, *doubts), facts, path)
+    findings = [*findings, *attitude.findings, *doubts]
+    return Flight(path.stem, table, tuple(findings), facts, path, derived_angles=attitude.derived)
 
 
 def _parquet(path: Path, blob: bytes) -> tuple[pa.Table, Notes, list[Finding]]:
@@ -254,15 +263,24 @@ def _parquet(path: Path, blob: bytes) -> tuple[pa.Table, Notes, list[Finding]]:
     with opened(blob, path.name) as file:
         schema, size = file.schema_arrow, file.metadata
         _check_size(path, size.num_rows, size.num_columns)
-        _check_once(path, schema.names)
-        held = [n for n in schema.names if is_known(n)]
-        found = check_columns(path.name, schema.names)
+        names = [ALIASES.get(n, n) for n in schema.names]
+        _check_once(path, names)
+        held = [n for n, own in zip(schema.names, names, strict=True) if is_known(own)]
+        found = [*_renamed(schema.names), *check_columns(path.name, names)]
         _check_flat(path, schema, held)
     # A text that stands in many rows is held once.
     texts = [n for n in held if not _is_number(schema.field(n).type)]
     with opened(blob, path.name, texts, size) as file, as_log_error(path.name):
         raw = file.read(columns=held, use_threads=False)
+    raw = raw.rename_columns([ALIASES.get(n, n) for n in held])
     return raw, read_notes(schema.metadata), found
+
+
+def _renamed(names: list[str]) -> list[Finding]:
+    """Columns that are read by another name."""
+    found = [n for n in names if n in ALIASES]
+    text = f"read from {', '.join(found)}: of the motion, north-east-down, no gravity in it"
+    return [Finding("info", ALIASES[found[0]][:-2], text)] if found else []
 
 
 def _check_size(path: Path, rows: int, columns: int) -> None:
@@ -334,7 +352,9 @@ def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pa.Table:
             f"{path.name}: line {longest + 1} has {len(lines[longest])} characters; at most "
             f"{_LONGEST_LINE} are read. Is it a table?"
         )
-    header = [c.strip().strip('"') for c in lines[0].split(",")]
+    given = [c.strip().strip('"') for c in lines[0].split(",")]
+    findings += _renamed(given)
+    header = [ALIASES.get(c, c) for c in given]
     if len(header) == 1 and any(s in lines[0] for s in ";\t"):
         raise LogError(f"{path.name}: columns must be separated by commas: '{lines[0][:40]}'.")
     _check_once(path, header)

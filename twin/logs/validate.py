@@ -7,7 +7,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ..errors import LogError
-from ..frames import from_euler, rotation_vector
 from .agreement import signals
 from .assemble import NORM_DOUBT
 from .columns import (
@@ -304,79 +303,3 @@ def _unit_quaternions(name: str, table: Columns) -> tuple[dict[str, Array], list
     count = int(np.count_nonzero(off))
     found = [Finding("warning", "q", "off unit norm by over 0.001, normalised", count)]
     return {c: table[c] / norm for c in QUAT}, found
-
-
-# -- Euler angles -------------------------------------------------------------------------------
-
-_FARTHEST_RAD = 2 * np.pi
-"""No angle of an attitude is beyond a whole turn."""
-_APART_RAD = 0.02
-"""Made up: over the rounding of any log, under any mistake of axes."""
-
-
-def with_quaternion(name: str, table: Columns) -> tuple[dict[str, Array], list[Finding]]:
-    """The q_* that stand in for roll, pitch and yaw.
-
-    Args:
-        name: File name, for messages.
-        table: By column, one for each of what the file gives.
-
-    Returns:
-        Columns q_*, none where the file gives no Euler angles, not all of them, or a quaternion as
-        well, which then counts; and findings.
-
-    Raises:
-        LogError: Angles that cannot be radians, or another attitude than that of the quaternion.
-    """
-    given = [c for c in EULER if c in table]
-    if not given:
-        return {}, []
-    missing = [c for c in EULER if c not in table]
-    if missing:
-        return {}, [
-            Finding("warning", "attitude", f"not used, the Euler angles lack {', '.join(missing)}")
-        ]
-    angles = np.stack([table[c] for c in EULER], axis=1)
-    _check_radians(name, angles)
-    there = np.isfinite(angles)
-    whole = there.all(axis=1)
-    findings = []
-    partial = int(np.count_nonzero(there.any(axis=1) & ~whole))
-    if partial:
-        message = "rows with NaN in a part of the Euler angles; they are left out there"
-        findings.append(Finding("error", "attitude", message, partial))
-    q_euler = np.full((len(angles), 4), np.nan)
-    q_euler[whole] = from_euler(*angles[whole].T).T
-    if all(c in table for c in QUAT):
-        q_nb = np.stack([table[c] for c in QUAT], axis=1)
-        if (~np.isnan(q_nb)).all(axis=1).any():
-            _check_same(name, q_nb, q_euler)
-            return {}, findings
-    return {c: np.ascontiguousarray(q_euler[:, k]) for k, c in enumerate(QUAT)}, findings
-
-
-def _check_radians(name: str, angles: Array) -> None:
-    """No angle beyond a whole turn."""
-    rows, columns = np.nonzero(np.abs(angles) > _FARTHEST_RAD)
-    if len(rows):
-        value, column = angles[rows[0], columns[0]], EULER[columns[0]]
-        raise LogError(
-            f"{name}: {column} in data row {rows[0] + 1} is {value:.6g}, beyond a whole turn "
-            f"({len(rows)} such values). Is it in degrees? 1 degree = 0.0174533 rad."
-        )
-
-
-def _check_same(name: str, q_nb: Array, q_euler: Array) -> None:
-    """Both attitudes are the same wherever both are there."""
-    size = np.linalg.norm(q_nb, axis=1)
-    both = np.flatnonzero(np.isfinite(size) & (size > 0.5) & np.isfinite(q_euler[:, 0]))
-    unit = q_nb[both] / size[both, None]
-    apart = np.linalg.norm(rotation_vector(unit, q_euler[both]), axis=1)
-    off = np.flatnonzero(apart > _APART_RAD)
-    if len(off):
-        k = off[0]
-        raise LogError(
-            f"{name}: in data row {both[k] + 1} the quaternion and roll, pitch, yaw are "
-            f"{apart[k]:.3g} rad apart ({len(off)} such rows). Both turn the body into NED, yaw "
-            f"first, then pitch, then roll; give one of them."
-        )

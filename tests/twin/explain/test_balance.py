@@ -24,6 +24,7 @@ from twin.explain.balance import (
     Balance,
     Trim,
     balance_of,
+    channels_of_balance,
 )
 from twin.vehicle import Calibration
 from twin.vehicle.vehicle import Vehicle
@@ -180,6 +181,37 @@ def test_units_and_inertia_are_no_evidence(scale: list[float]) -> None:
     assert scaled.nothing == pytest.approx(plain.nothing, rel=1e-9)
     assert scaled.probability_of(LOAD) == pytest.approx(plain.probability_of(LOAD), rel=1e-9)
     assert scaled.more == pytest.approx(plain.more)
+
+
+@pytest.mark.parametrize("row", [0, 3])
+def test_a_channel_that_is_missing_is_one_of_which_nothing_is_known(
+    monkeypatch: pytest.MonkeyPatch, row: int
+) -> None:
+    change = of(f"{ROTORS}.loss_3", 0.12) + 0.5 * DAY * UNIT
+    kept = [k for k in range(4) if k != row]
+    channels = tuple(BALANCED[k] for k in kept)
+    less = Trim(channels, change[None, kept], SLOPES[kept], NAMES, np.zeros(0))
+    found = balance_of(less, calibrated(), True, SURE)
+    monkeypatch.setattr(balance, "SESSION", np.where(np.arange(4) == row, 1e4, SESSION))
+    known = calibrated().calibration
+    assert known is not None
+    blind = replace(known, scatter={c: v for c, v in known.scatter.items() if c in channels})
+    whole = Trim(BALANCED, change[None], SLOPES, NAMES, np.zeros(0))
+    expected = balance_of(whole, replace(COPTER, calibration=blind), True, SURE)
+    for cause in (NOTHING, ROTORS, LOAD):
+        assert found.probability_of(cause) == pytest.approx(
+            expected.probability_of(cause), rel=1e-4
+        )
+    assert found.probability_of(NOTHING) != pytest.approx(judged(change).nothing, rel=1e-2)
+
+
+def test_a_place_needs_both_moments_of_the_tilt() -> None:
+    pose = ["motion_acc_z", "motion_rate_x", "motion_rate_y", "motion_rate_z"]
+    assert channels_of_balance(pose) == tuple(pose)
+    assert channels_of_balance(pose[:3]) == tuple(pose[:3])
+    assert channels_of_balance(pose[1:]) == tuple(pose[1:])
+    for k in (1, 2):
+        assert channels_of_balance(pose[:k] + pose[k + 1 :]) is None
 
 
 def test_probabilities_are_true_of_what_is_drawn_from_the_model() -> None:

@@ -24,7 +24,7 @@ from ...component import Component
 from ...effects import EFFECTS
 from ...frames import to_body, to_ned
 from ...logs import Flight
-from ...logs.columns import ACC_NED, POS, VEL
+from ...logs.columns import ACC_NED, EULER, POS, VEL
 from ...physics.sensors.table import Sensor
 from ...representation import short_repr
 from ...residuals.aligned import AlignedFlight
@@ -137,6 +137,50 @@ def driven_apart(
     return [(slice(0, 2), None), (slice(2, 3), saturated)]
 
 
+@dataclass(frozen=True, slots=True)
+class PoseAxis:
+    """Axes of the pose that are compared together.
+
+    Attributes:
+        axes: Which of x, y and z.
+        left_out: Grid points that do not count, shape (n,); None: all count.
+        slow: Whether only slow motion is known, below `DERIVED_BAND_HZ`.
+    """
+
+    axes: slice
+    left_out: NDArray[np.bool_] | None
+    slow: bool = False
+
+    __repr__ = short_repr
+
+
+def pose_axes(context: FlightContext, rate: bool) -> list[PoseAxis]:
+    """Axes of a specific force, or of an angular acceleration, that the pose shows.
+
+    An angle that was told from the force shows neither that force nor a fast turn; without a
+    heading nothing across the thrust or about the vertical is known, and no turn whose angle came
+    from the force.
+
+    Args:
+        context: A flight and its twin.
+        rate: Whether of the angular acceleration.
+    """
+    parts = driven_apart(context, rate)
+    roll, pitch, yaw = (c in context.flight.derived_angles for c in EULER)
+    if not (roll or pitch or yaw):
+        return [PoseAxis(*part) for part in parts]
+    if rate:
+        lost, slow = (roll and yaw, pitch and yaw, yaw), (roll, pitch, False)
+    else:
+        lost, slow = (pitch or yaw, roll or yaw, False), (False, False, False)
+    return [
+        PoseAxis(slice(k, k + 1), left_out, slow[k])
+        for axes, left_out in parts
+        for k in range(axes.start, axes.stop)
+        if not lost[k]
+    ]
+
+
 def pull_signal(context: FlightContext) -> tuple[AnySignal, int] | None:
     """What shows the acceleration of the pose, and how often it is to be differentiated.
 
@@ -225,6 +269,8 @@ def other_factors(context: FlightContext) -> list[SensorFactor]:
     """Sensors that the pose alone tells."""
     t, flight = context.aligned.inputs.t_s, context.flight
     pose = pose_signals(context.aligned)
+    if flight.derived_angles:
+        pose.pop("q", None)
     found = []
     for kind in OF_POSE:
         if not flight.has(*kind.columns) or not set(kind.needs) <= pose.keys():
@@ -372,6 +418,9 @@ FORCE, TORQUE = (tuple(f"motion_{kind}_{a}" for a in "xyz") for kind in ("acc", 
 """Names of the channels."""
 SHARE_OF_RATE = 0.2
 """Band of what is differentiated once, over the rate at which it was sampled."""
+DERIVED_BAND_HZ = 1.0
+"""Band of the angular acceleration of an angle that was told from the force: a fifth of that of the
+force, so that its low-pass takes nothing of it."""
 
 
 def motion_factors(context: FlightContext, missing: Collection[str]) -> list[SensorFactor]:
@@ -394,15 +443,15 @@ def motion_factors(context: FlightContext, missing: Collection[str]) -> list[Sen
         turned = reach | {n.effect for n in context.numbers if n.turns_pose}
         shown = partial(_force_as_logged, q_nb, context.numbers)
         force = in_body(q_nb, pull)
-        for axes, left_out in driven_apart(context, False):
-            readings = _readings(context, FORCE[axes], "m/s²", force[:, axes], narrow, left_out)
-            found.append((readings, slice(0, 3), turned, False, shown, axes))
+        for part in pose_axes(context, False):
+            readings = _readings(context, FORCE, "m/s²", force, narrow, part)
+            found.append((readings, slice(0, 3), turned, False, shown, part.axes))
     if GYROSCOPE in missing:
         turning = rate_over_step(on_grid(rates_of(attitude), t))
-        ((_, left_out),) = driven_apart(context, True)
-        readings = _readings(context, TORQUE, "rad/s²", turning, band, left_out)
         shown = partial(_torque_as_logged, context.numbers)
-        found.append((readings, slice(3, 6), reach, True, shown, slice(0, 3)))
+        for part in pose_axes(context, True):
+            readings = _readings(context, TORQUE, "rad/s²", turning, band, part)
+            found.append((readings, slice(3, 6), reach, True, shown, part.axes))
     nothing = np.zeros((0, 0))
     return [
         SensorFactor(
@@ -429,11 +478,13 @@ def _readings(
     unit: str,
     values: Array,
     band_hz: float,
-    left_out: NDArray[np.bool_] | None,
+    part: PoseAxis,
 ) -> Measured | None:
     known = context.aligned.airborne & np.all(np.isfinite(context.aligned.states), axis=1)
-    known = known if left_out is None else known & ~left_out
-    return measured(names, unit, context.aligned.inputs.t_s, values, known, band_hz, None)
+    known = known if part.left_out is None else known & ~part.left_out
+    band_hz = min(band_hz, DERIVED_BAND_HZ) if part.slow else band_hz
+    t_s, axes = context.aligned.inputs.t_s, part.axes
+    return measured(names[axes], unit, t_s, values[:, axes], known, band_hz, None)
 
 
 def _force_as_logged(q_nb: Array, numbers: Sequence[Number], force_b: Array, theta: Array) -> Array:

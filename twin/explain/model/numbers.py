@@ -163,10 +163,15 @@ def lacking(effect: Effect, flight: AnyFlight) -> tuple[str, ...]:
     return tuple(
         need
         for need in effect.needs
-        if not has_signal(flight, need)
+        if not (has_signal(flight, need) and _is_logged(effect, need, flight))
         and not (need == "vel" and flight.has(*POS))
         and not (on_the_body(effect) and pose_shows(need, flight))
     )
+
+
+def _is_logged(effect: Effect, need: str, flight: AnyFlight) -> bool:
+    """Whether an effect of a sensor finds the whole attitude in the record."""
+    return need not in TURN or on_the_body(effect) or not flight.derived_angles
 
 
 def pose_shows(signal: str, flight: AnyFlight) -> bool:

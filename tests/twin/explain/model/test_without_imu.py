@@ -9,14 +9,17 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from places import DATA, needs
 
 from twin.effects import EFFECTS
+from twin.explain.balance import trim_of
 from twin.explain.explanation import explain
 from twin.explain.holdout import hidden
 from twin.explain.model.model import Model, candidates, model_of
 from twin.explain.model.numbers import lacking
-from twin.logs import Flight
-from twin.logs.columns import ACC_NED, POS, QUAT, VEL
+from twin.frames import to_euler
+from twin.logs import Flight, read_flight
+from twin.logs.columns import ACC_NED, EULER, POS, QUAT, VEL
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
@@ -239,3 +242,72 @@ def test_flights_of_a_pose_alone_are_explained() -> None:
     assert set(gaps) == {*MOTION}
     assert gaps["motion_acc_z"].after < 0.5 * gaps["motion_acc_z"].before
     assert not {"accel_bias", "gyro_bias"} & {*found.naming.inclusion}
+
+
+# -- angles that the log has not ----------------------------------------------------------------
+
+
+def logged(folder: Path, flight: Flight, *missing: str) -> Flight:
+    """As a table with Euler angles, but for some, and no IMU."""
+    table = without(flight, *OF_IMU).table
+    there = table["q_w"].notna()
+    for k, name in enumerate(EULER):
+        if name not in missing:
+            table.loc[there, name] = to_euler(table.loc[there, [*QUAT]].to_numpy().T)[k]
+    table.drop(columns=[*QUAT]).to_parquet(folder / "flight.parquet")
+    return read_flight(folder / "flight.parquet")
+
+
+LEFT = {
+    ("pitch_rad",): ["acc_y", "acc_z", "rate_x", "rate_y", "rate_z"],
+    ("roll_rad",): ["acc_x", "acc_z", "rate_x", "rate_y", "rate_z"],
+    ("roll_rad", "pitch_rad"): ["acc_z", "rate_x", "rate_y", "rate_z"],
+    ("yaw_rad",): ["acc_z", "rate_x", "rate_y"],
+    ("pitch_rad", "yaw_rad"): ["acc_z", "rate_x"],
+    EULER: ["acc_z"],
+}
+"""Axes that are compared without some angles."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("missing", LEFT)
+def test_an_angle_that_is_missing_takes_its_axes_alone(
+    missing: tuple[str, ...], same: Flight, tmp_path: Path
+) -> None:
+    model = modelled(logged(tmp_path, same, *missing))
+    assert names(model) == [f"motion_{c}" for c in LEFT[missing]]
+    for channel in model.channels([])[0]:
+        size = 0.25 if "acc" in channel.name else 1.5
+        assert abs(np.mean(channel.residual)) < 0.1 * size, channel.name
+
+
+@pytest.mark.slow
+def test_without_pitch_a_weak_rotor_is_told_by_the_means(tmp_path: Path) -> None:
+    losses = {f"loss_{i}": 0.1 * (i == 2) for i in range(1, 5)}
+    flight = flown(COPTER.with_effects({"rotor_efficiency_loss": losses}))
+    model = modelled(logged(tmp_path, flight, "pitch_rad"))
+    found = solved(model, ["rotor_efficiency_loss"], "motion_")
+    for name, loss in losses.items():
+        assert found[f"rotor_efficiency_loss.{name}"] == pytest.approx(loss, abs=0.02)
+
+
+CRAZYPAD = DATA / "crazypad"
+
+
+@needs(CRAZYPAD.is_dir(), "no crazypad: set UAVTWIN_DATA")
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["flight_002", "flight_054"])
+def test_recorded_flights_without_pitch_have_the_balance_of_those_whose_pitch_was_made_up(
+    name: str,
+) -> None:
+    """Of the same flights somebody else rebuilt the pitch by the same law; the means are one."""
+    vehicle = load_vehicle(CRAZYPAD / "crazyflie21_with_decks.toml")
+    means = []
+    for folder in ("tables", "tables_pitch_rebuilt"):
+        flight = read_flight(CRAZYPAD / folder / f"{name}.parquet")
+        found = trim_of(model_of([flight], vehicle, candidates([flight])), slopes=False)
+        assert found is not None
+        means.append(found.means[0])
+    plain, rebuilt = means
+    assert np.abs(rebuilt).max() > 1.0
+    assert plain == pytest.approx(rebuilt, rel=0.03, abs=0.3)
