@@ -1,14 +1,15 @@
 """What all finders say of a flight, put together: what began first is the cause."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from math import prod
 
 from msgspec.structs import replace
 
 from ..logs import Flight
+from .findings import Finder, Findings
 from .flight import FlightFrame
-from .records import Candidate, Diagnosis, Event, NotVisible, TimelineItem, Verdict
+from .records import Candidate, Diagnosis, Event, TimelineItem, Verdict
+from .sensors import sensors
 
 NAMED = 0.5
 """Probability from which on an event makes the verdict "found"."""
@@ -20,31 +21,6 @@ BODY_CAUSES = frozenset(
     {"rotor_failure", "thrust_loss_all_rotors", "mass_change", "force_or_moment", "gust"}
 )
 """Causes that move the body: what instruments show after them is no cause."""
-
-
-@dataclass(frozen=True, slots=True)
-class Findings:
-    """What one finder says of a flight.
-
-    Attributes:
-        events: At an instant, or without onset where it was there all the time.
-        timeline: What happened besides.
-        one_of_causes: Two causes that the flight does not tell apart; else empty.
-        not_visible: What the log would not have shown.
-        nothing: Probability that there is nothing of what it looks for.
-        notes: What was assumed, and what the log lacks.
-    """
-
-    events: Sequence[Event] = ()
-    timeline: Sequence[TimelineItem] = ()
-    one_of_causes: Sequence[Candidate] = ()
-    not_visible: Sequence[NotVisible] = ()
-    nothing: float = 1.0
-    notes: Sequence[str] = ()
-
-
-Finder = Callable[[FlightFrame, Sequence[FlightFrame]], Findings]
-"""Takes a flight and normal flights of the same aircraft, of which there may be none."""
 
 
 def control(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
@@ -62,7 +38,7 @@ def _item(flight: FlightFrame, place: int, kind: str, text: str) -> TimelineItem
     return TimelineItem(kind=kind, t_s=float(flight.t_s[place]), text=text)  # type: ignore[arg-type]
 
 
-FINDERS: tuple[Finder, ...] = (control,)
+FINDERS: tuple[Finder, ...] = (control, sensors)
 """All of them, in no order."""
 
 

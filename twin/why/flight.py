@@ -224,7 +224,8 @@ class FlightFrame:
         height = -self.grid["pos"][:, 2]
         reach = np.ptp(height[start:end])
         before = height[max(start - self.places(1.0), 0)]
-        after = height[min(end + self.places(0.5), len(height) - 1)]
+        later = end + self.places(0.5)
+        after = height[later] if later < len(height) else -np.inf  # the record ends in the air
         clear = max(0.25, 0.15 * reach)
         up = np.flatnonzero(height[start:end] > before + clear)
         down = np.flatnonzero(height[start:end] > after + clear)

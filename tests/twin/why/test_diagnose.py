@@ -7,7 +7,8 @@ import pytest
 from twin.errors import LogError
 from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, QUAT
-from twin.why.diagnose import FINDERS, Findings, diagnose
+from twin.why.diagnose import FINDERS, diagnose
+from twin.why.findings import Findings
 from twin.why.flight import FlightFrame, moment_signs
 from twin.why.records import Event
 

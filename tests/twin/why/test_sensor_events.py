@@ -1,0 +1,222 @@
+"""Sensors and state estimate: faults put into a sound flight are named, and a sound one is not."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from twin.frames import from_euler, rotation_vector, to_body
+from twin.logs import Flight
+from twin.logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL
+from twin.why.consistency import FALSE_IN_10_H, Budget, Residual, changed_at, smallest_detectable
+from twin.why.flight import FlightFrame
+from twin.why.records import Event
+from twin.why.sensors import SENSOR_CAUSES, grouped, sensors
+
+G, FIELD = 9.80665, np.array([2.0e-5, 0.0, 4.4e-5])
+ONSET_S, RATE_HZ = 25.0, 100.0
+Table = dict[str, np.ndarray]
+
+
+def sound(seconds: float = 45.0, seed: int = 0) -> Table:
+    """A flight that swings about hover, with all sensors sound: exact kinematics, white noise."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, seconds, 1 / RATE_HZ)
+    yaw = 0.4 * np.sin(0.31 * t)
+    q = from_euler(0.15 * np.sin(1.1 * t + 0.3), 0.12 * np.sin(0.9 * t), yaw).T
+    rates = rotation_vector(np.roll(q, -1, axis=0), q) * RATE_HZ
+    rates[-1] = rates[-2]
+    acc_n = np.column_stack([np.sin(0.9 * t), 0.8 * np.cos(1.1 * t), 0.3 * np.sin(0.7 * t)])
+    vel = np.cumsum(acc_n, axis=0) / RATE_HZ
+    vel -= vel.mean(axis=0)
+    pos = np.cumsum(vel, axis=0) / RATE_HZ
+    pos[:, 2] -= 20.0
+    force = np.stack(to_body(list(q.T), list((acc_n - [0, 0, G]).T)), axis=1)
+    field = np.stack(to_body(list(q.T), [np.full(len(t), b) for b in FIELD]), axis=1)
+    table = {"time": t} | {f"cmd_{i}": np.full(len(t), 0.5) for i in range(1, 5)}
+    columns = ((GYRO, rates, 2e-3), (ACC, force, 0.03), (MAG, field, 3e-7), (QUAT, q, 2e-4))
+    for names, values, noise in (*columns, (VEL, vel, 0.01), (POS, pos, 0.01)):
+        noisy = values + noise * rng.standard_normal(values.shape)
+        table |= dict(zip(names, noisy.T, strict=True))
+    table["baro_pa"] = 101325.0 * np.exp(pos[:, 2] / 8434.0) + 2.0 * rng.standard_normal(len(t))
+    table["vbat_v"] = 16.0 - 0.01 * t + 0.01 * rng.standard_normal(len(t))
+    return table
+
+
+def after(table: Table) -> np.ndarray:
+    return np.asarray(table["time"] >= ONSET_S)
+
+
+def found_in(table: Table) -> list[Event]:
+    frame = FlightFrame.of(Flight("flight", pd.DataFrame(table)))
+    return list(sensors(frame).events)
+
+
+def _add(column: str, size: float, until_s: float = np.inf) -> Callable[[Table], None]:
+    def change(table: Table) -> None:
+        table[column] = table[column] + size * (after(table) & (table["time"] < until_s))
+
+    return change
+
+
+def _gyro_scale(table: Table) -> None:
+    table["gyro_x"] = table["gyro_x"] * np.where(after(table), 1.5, 1.0)
+
+
+def _stuck(table: Table) -> None:
+    table["acc_y"] = np.where(
+        after(table), table["acc_y"][round(ONSET_S * RATE_HZ)], table["acc_y"]
+    )
+
+
+def _missing(table: Table) -> None:
+    for column in MAG:
+        table[column] = np.where(after(table), np.nan, table[column])
+
+
+def _yaw_reset(table: Table) -> None:
+    turn = from_euler(0.0, 0.0, 0.9)
+    w, x, y, z = (table[c] for c in QUAT)
+    turned = [turn[0] * w - turn[3] * z, turn[0] * x - turn[3] * y, turn[0] * y + turn[3] * x]
+    for column, value in zip(QUAT, [*turned, turn[0] * z + turn[3] * w], strict=True):
+        table[column] = np.where(after(table), value, table[column])
+
+
+def _shakes(table: Table) -> None:
+    rng = np.random.default_rng(3)
+    for column in ACC:
+        table[column] = table[column] + 0.5 * rng.standard_normal(len(table["time"])) * after(table)
+
+
+def _steel(table: Table) -> None:
+    for column in MAG:
+        table[column] = table[column] * np.where(after(table), 1.6, 1.0)
+
+
+def _sag(table: Table) -> None:
+    table["vbat_v"] = table["vbat_v"] * np.where(after(table), 0.8, 1.0)
+
+
+FAULTS: dict[str, tuple[Callable[[Table], None], str, str | None, float]] = {
+    "gyro bias": (_add("gyro_y", 0.08), "gyro_bias", "gyro_y", 0.08),
+    "gyro scale": (_gyro_scale, "gyro_scale", "gyro_x", 1.0 / 3.0),
+    "accelerometer bias": (_add("acc_x", 0.8), "accel_bias", "acc_x", 0.8),
+    "barometer": (_add("baro_pa", -150.0), "baro_bias", "barometer", 12.5),
+    "compass": (_steel, "mag_hard_iron", "compass", 0.6),
+    "yaw reset": (_yaw_reset, "attitude_estimate", None, np.nan),
+    "position jump": (_add("pos_x", 6.0), "position_estimate", None, np.nan),
+    "velocity jump": (_add("vel_y", 4.0), "velocity_estimate", None, np.nan),
+    "stuck": (_stuck, "stuck_sensor", "acc_y", np.nan),
+    "missing": (_missing, "sensor_dropout", "compass", np.nan),
+    "noise": (_shakes, "sensor_noise_level", "accelerometer", np.nan),
+    "battery": (_sag, "battery_sag", "battery", -0.2),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_named_with_onset_and_size(fault: str) -> None:
+    change, cause, sensor, size = FAULTS[fault]
+    change(table := sound())
+    events = [e for e in found_in(table) if not e.consequence]
+    assert [(e.cause, e.sensor) for e in events] == [(cause, sensor)]
+    (event,) = events
+    assert event.onset_s == pytest.approx(ONSET_S, abs=0.3)
+    assert event.probability > 0.5
+    assert event.text and event.bench_check
+    if np.isfinite(size) and event.severity is not None:
+        assert event.severity.value == pytest.approx(size, rel=0.15)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sound_flight_is_silent_and_says_what_it_hides(seed: int) -> None:
+    found = sensors(FlightFrame.of(Flight("sound", pd.DataFrame(sound(seed=seed)))))
+    assert not found.events and found.nothing == 1.0
+    hidden = {v.cause: v.smallest_detectable.value for v in found.not_visible}
+    assert {"gyro_bias", "accel_bias", "baro_bias", "mag_hard_iron"} <= hidden.keys()
+    assert hidden["gyro_bias"] is not None and 0.01 < hidden["gyro_bias"] < 0.05
+
+
+def test_what_is_hidden_is_not_reported_and_twice_of_it_is() -> None:
+    found = sensors(FlightFrame.of(Flight("sound", pd.DataFrame(sound()))))
+    least = next(v for v in found.not_visible if v.cause == "gyro_bias").smallest_detectable.value
+    assert least is not None
+    for share, reported in ((0.4, False), (2.5, True)):
+        _add("gyro_z", share * least)(table := sound())
+        assert any(e.cause == "gyro_bias" for e in found_in(table)) == reported
+
+
+def test_a_log_without_attitude_still_shows_a_frozen_reading() -> None:
+    _stuck(table := sound())
+    for column in (*QUAT, *VEL, *POS, *MAG, "baro_pa", *(f"cmd_{i}" for i in range(1, 5))):
+        del table[column]
+    assert [e.cause for e in found_in(table)] == ["stuck_sensor"]
+
+
+def test_more_false_alarms_allowed_bring_a_lower_bound() -> None:
+    rng = np.random.default_rng(2)
+    n = 400
+    r = Residual(
+        lasting="baro_bias",
+        passing="baro_disturbance",
+        sensor="barometer",
+        quantity="height",
+        unit="m",
+        t_s=np.asarray(0.1 * np.arange(n)),
+        reading=np.zeros(n),
+        difference=rng.standard_normal(n),
+        error=np.zeros(n),
+        window_s=1.0,
+        least=0.1,
+        usual=1.0,
+    )
+    bounds = [smallest_detectable(r, Budget(f, 10)) for f in (0.1, FALSE_IN_10_H, 100.0)]
+    assert bounds[0] > bounds[1] > bounds[2]
+    assert changed_at(r, Budget(FALSE_IN_10_H, 10)) is None
+
+
+def test_by_chance_a_bound_is_exceeded_no_more_often_than_allowed() -> None:
+    rng = np.random.default_rng(5)
+    n, flights = 3000, 60  # of five minutes: 5 h
+    allowed = 100.0
+    hits = 0
+    for _ in range(flights):
+        r = Residual(
+            lasting="baro_bias",
+            passing="baro_disturbance",
+            sensor="barometer",
+            quantity="height",
+            unit="m",
+            t_s=np.asarray(0.1 * np.arange(n)),
+            reading=np.zeros(n),
+            difference=rng.standard_normal(n),
+            error=np.zeros(n),
+            window_s=1.0,
+            least=0.01,
+            usual=1.0,
+        )
+        hits += changed_at(r, Budget(allowed, 1)) is not None
+    assert hits <= allowed / 2
+
+
+def test_what_begins_first_explains_what_follows() -> None:
+    def event(cause: str, onset_s: float, probability: float = 0.9) -> Event:
+        return Event(cause=cause, sensor=cause, onset_s=onset_s, probability=probability)
+
+    marked = grouped(
+        [
+            event("gyro_bias", 10.0),
+            event("stuck_sensor", 10.2),
+            event("velocity_estimate", 19.0),
+            event("baro_bias", 40.0),
+        ]
+    )
+    causes = [e.cause for e in marked if not e.consequence]
+    assert causes == ["stuck_sensor", "baro_bias"]
+    assert {e.cause for e in marked if e.consequence} == {"gyro_bias", "velocity_estimate"}
+
+
+def test_every_cause_fills_its_sentence() -> None:
+    for about in SENSOR_CAUSES.values():
+        text = about.text.format(sensor="gyro_x", size="1 rad/s", t="3.00")
+        assert "{" not in text and about.bench_check.endswith(".")
