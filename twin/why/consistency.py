@@ -39,6 +39,8 @@ PASSES = 0.67
 LASTS, SCALES = 0.3, 0.1
 """Prior of a zero that moves for good, and of a scale that changes; else something passes:
 estimates are reset more often than instruments change. By judgement."""
+PERSISTS = 0.02
+"""Prior of what passes as a rule and stays, of any size: an estimate that is wrong for long."""
 USUAL_SCALE = 0.05
 """Change of a scale that is no surprise."""
 OVERLAP = 4.0
@@ -235,10 +237,16 @@ def _change(r: Residual, k: int, middle: float, scale: float, true: float) -> Ch
         shapes[r.scaled] = _steps(d, r.reading[part], begin)
     shapes.setdefault(r.passing, _pulse(d, begin))
     cost = 0.5 * np.log(len(d))
-    score = np.array(
-        [s.gain / noise / 2.0 - s.numbers * cost + _prior(r, c, s.size) for c, s in shapes.items()]
-    )
-    share = dict(zip(shapes, np.exp(score - logsumexp(score)).tolist(), strict=True))
+    score = {
+        c: s.gain / noise / 2.0 - s.numbers * cost + _prior(r, c, s.size) for c, s in shapes.items()
+    }
+    step = shapes[r.lasting]
+    if r.passing != r.lasting:
+        stays = step.gain / noise / 2.0 - step.numbers * cost + np.log(PERSISTS)
+        if stays > score[r.passing]:
+            score[r.passing], shapes[r.passing] = stays, step
+    total = logsumexp(list(score.values()))
+    share = {c: float(np.exp(v - total)) for c, v in score.items()}
     first = max(share, key=lambda c: share[c])
     best = shapes[first]
     if first == r.lasting and abs(middle + best.size) < 0.5 * abs(middle) and not _has_zero(r):

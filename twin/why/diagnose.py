@@ -10,6 +10,7 @@ from .findings import Finder, Findings
 from .flight import FlightFrame
 from .records import Candidate, Diagnosis, Event, TimelineItem, Verdict
 from .sensors import sensors
+from .timeline import timeline
 
 NAMED = 0.5
 """Probability from which on an event makes the verdict "found"."""
@@ -38,7 +39,7 @@ def _item(flight: FlightFrame, place: int, kind: str, text: str) -> TimelineItem
     return TimelineItem(kind=kind, t_s=float(flight.t_s[place]), text=text)  # type: ignore[arg-type]
 
 
-FINDERS: tuple[Finder, ...] = (control, sensors)
+FINDERS: tuple[Finder, ...] = (control, sensors, timeline)
 """All of them, in no order."""
 
 

@@ -371,7 +371,7 @@ def _turn(signals: Signals) -> Iterator[Residual]:
                 error=np.nan_to_num(error),
                 window_s=window_s,
                 least=least,
-                usual=0.04,
+                usual=0.1,
             )
 
 
@@ -406,7 +406,7 @@ def _force(signals: Signals) -> Iterator[Residual]:
                 error=np.nan_to_num(error),
                 window_s=window_s,
                 least=least,
-                usual=0.5,
+                usual=1.0,
             )
 
 
@@ -423,6 +423,7 @@ def _single(
     reading: Array,
     window_s: float,
     least: float,
+    usual: float = 0.0,
 ) -> Residual:
     """A residual that has no axes: lasting and passing cause; sensor, quantity and unit."""
     (lasting, passing), (sensor, quantity, unit), (t, r) = causes, named, bins
@@ -438,7 +439,7 @@ def _single(
         error=np.zeros(len(t)),
         window_s=window_s,
         least=least,
-        usual=least,
+        usual=usual or least,
     )
 
 
@@ -473,7 +474,7 @@ def _height(signals: Signals) -> Iterator[Residual]:
     _, reading = _binned(baro.t_s, height, step)
     bins = t, apart - trailing_median(apart, 20.0 / step)
     causes = "baro_bias", "baro_disturbance"
-    yield _single(causes, ("barometer", "height", "m"), bins, reading, 1.0, 4.0)
+    yield _single(causes, ("barometer", "height", "m"), bins, reading, 1.0, 4.0, usual=10.0)
 
 
 def _place(signals: Signals) -> Iterator[Residual]:

@@ -1,0 +1,166 @@
+"""What happened besides, on the time axis of the events: by the autopilot's word and by the motion.
+
+Take-off and landing, motors at a stop, contact, a record that ends in the air, and what the
+autopilot says itself: arming, modes, failsafes, messages.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..formatting import number
+from ..logs.autopilot import Autopilot, Message
+from ..logs.stretches import stretches_where
+from .findings import Findings
+from .flight import CONTACT_M_S2, Airborne, FlightFrame, lift
+from .records import TimelineItem
+
+UPPER_STOP, LOWER_STOP = 0.985, 0.01
+"""Commands from which on a motor is at its stop; rounding of a log takes 1 % at most."""
+STOP_S = 0.2
+"""Least time at a stop: a controller's kick is shorter."""
+JOINED_S = 0.5
+"""Between two stretches that are told as one."""
+MOST_STOPS = 12
+"""Of each motor; more say no more."""
+MOST_MESSAGES = 60
+"""On the time axis; `report` lists all."""
+REPEATED_S = 10.0
+"""The same message within that time is told once."""
+MARGIN_S = 2.0
+"""Before take-off and after landing, for messages."""
+SILENT_S = 1.0
+"""Without a sample of any signal: the logger left out something."""
+CUT_VOLTAGE = 0.75
+"""Share of the flight's median voltage below which a board browns out, if its record ends so."""
+
+
+def timeline(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
+    """What happened besides the events."""
+    items: list[TimelineItem] = []
+    for part in flight.airborne:
+        items += [*_in_the_air(flight, part), *_stops(flight, part), *_contacts(flight, part)]
+    items += _gaps(flight)
+    if flight.flight.autopilot is not None:
+        items += _said(flight, flight.flight.autopilot)
+    return Findings(timeline=sorted(items, key=lambda i: i.t_s))
+
+
+# -- by the motion ------------------------------------------------------------------------------
+
+
+def _in_the_air(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
+    """Take-off, and how it ended."""
+    begin, end = float(flight.t_s[part.start]), float(flight.t_s[part.end - 1])
+    if part.start > flight.places(SILENT_S):
+        yield TimelineItem(kind="takeoff", t_s=begin, text="clear of the ground")
+    else:
+        yield TimelineItem(kind="note", t_s=begin, text="the record begins in the air")
+    if part.end < len(flight.t_s) - flight.places(SILENT_S):
+        if part.lost is None:
+            yield TimelineItem(kind="landing", t_s=end, text="near the ground again")
+    elif part.crash is None:
+        yield TimelineItem(kind="note", t_s=end, text=_ends_in_the_air(flight))
+
+
+def _ends_in_the_air(flight: FlightFrame) -> str:
+    text = "the record ends in the air: the power, or the recording, was cut"
+    if "vbat" in flight.grid:
+        volts = flight.grid["vbat"][:, 0]
+        last, usual = float(volts[-max(flight.places(0.3), 1) :].min()), float(np.median(volts))
+        if usual > 2.0 and last < CUT_VOLTAGE * usual:
+            return f"{text}; the voltage falls to {number(last)} V, a brown-out"
+    return text
+
+
+def _stops(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
+    """Motors at a stop, by their commands as logged."""
+    if flight.drive != "command":
+        return
+    command = flight.signals["command"]
+    start, end = flight.t_s[part.start], flight.t_s[part.flown - 1]
+    inside = (command.t_s >= start) & (command.t_s <= end)
+    t, c = command.t_s[inside], command.values[inside]
+    for i, own in enumerate(c.T):
+        for which, on in (("upper", own > UPPER_STOP), ("lower", own < LOWER_STOP)):
+            for a, b in _long(t, on)[:MOST_STOPS]:
+                text = f"motor {i + 1} at its {which} stop"
+                yield TimelineItem(kind="actuator_limit", t_s=a, end_s=b, text=text)
+
+
+def _long(t: NDArray[np.float64], on: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Stretches of time in which it holds for long enough, near ones joined."""
+    joined: list[tuple[float, float]] = []
+    for a, b in stretches_where(on):
+        begin, end = float(t[a]), float(t[min(b, len(t) - 1)])
+        if joined and begin - joined[-1][1] < JOINED_S:
+            joined[-1] = joined[-1][0], end
+        else:
+            joined.append((begin, end))
+    return [(a, b) for a, b in joined if b - a >= STOP_S]
+
+
+def _contacts(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
+    """Specific forces that the rotors cannot bring: it touches something, and flies on."""
+    if "acc" not in flight.grid:
+        return
+    rows = slice(part.start, part.flown)
+    force = np.linalg.norm(flight.grid["acc"][rows], axis=1)
+    if flight.drive is not None:
+        raised = lift(flight.grid[flight.drive][rows]).mean(axis=1)
+        force = force / np.maximum(raised / max(float(np.median(raised)), 1e-9), 1.0)
+    for a, b in stretches_where(force > CONTACT_M_S2)[:MOST_STOPS]:
+        peak = number(float(force[a:b].max()))
+        t_s = float(flight.t_s[part.start + a])
+        yield TimelineItem(kind="contact", t_s=t_s, text=f"a blow of {peak} m/s2")
+
+
+def _gaps(flight: FlightFrame) -> Iterator[TimelineItem]:
+    """Times without a sample of any signal."""
+    t = flight.flight.time_s
+    for k in np.flatnonzero(np.diff(t) > SILENT_S):
+        text = f"nothing is logged for {number(float(t[k + 1] - t[k]))} s"
+        yield TimelineItem(kind="note", t_s=float(t[k]), end_s=float(t[k + 1]), text=text)
+
+
+# -- by the autopilot's word --------------------------------------------------------------------
+
+
+def _said(flight: FlightFrame, autopilot: Autopilot) -> Iterator[TimelineItem]:
+    """Modes, arming, failsafes and messages."""
+    for mode in autopilot.modes:
+        yield TimelineItem(kind="mode", t_s=mode.start_s, text=f"mode {mode.name}")
+    for failsafe in autopilot.failsafes:
+        times = {"t_s": failsafe.start_s, "end_s": failsafe.end_s}
+        yield TimelineItem(kind="failsafe", **times, text=failsafe.name)
+    yield from _arming(flight, autopilot)
+    yield from _messages(flight, autopilot.messages)
+
+
+def _arming(flight: FlightFrame, autopilot: Autopilot) -> Iterator[TimelineItem]:
+    last = float(flight.t_s[-1])
+    for stretch in autopilot.armed:
+        if stretch.start_s > 0:
+            yield TimelineItem(kind="note", t_s=stretch.start_s, text="motors are armed")
+        if stretch.end_s < last - SILENT_S:
+            flies = any(
+                flight.t_s[p.start] < stretch.end_s < flight.t_s[p.end - 1] - SILENT_S
+                for p in flight.airborne
+            )
+            text = "motors are disarmed" + (" in the air" if flies else "")
+            yield TimelineItem(kind="note", t_s=stretch.end_s, text=text)
+
+
+def _messages(flight: FlightFrame, messages: Sequence[Message]) -> Iterator[TimelineItem]:
+    """Grave ones, and those without a level, while it flies; the same one once in a while."""
+    spans = [(flight.t_s[p.start], flight.t_s[p.end - 1]) for p in flight.airborne]
+    told: dict[str, float] = {}
+    for message in messages:
+        near = any(a - MARGIN_S <= message.t_s <= b + MARGIN_S for a, b in spans)
+        repeated = message.t_s - told.get(message.text, -np.inf) < REPEATED_S
+        if near and (message.grave or not message.level) and not repeated:
+            told[message.text] = message.t_s
+            yield TimelineItem(kind="message", t_s=message.t_s, text=f'"{message.text}"')
+            if len(told) == MOST_MESSAGES:
+                return
