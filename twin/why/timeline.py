@@ -21,13 +21,13 @@ UPPER_STOP, LOWER_STOP = 0.985, 0.01
 STOP_S = 0.2
 """Least time at a stop: a controller's kick is shorter."""
 JOINED_S = 0.5
-"""Between two stretches that are told as one."""
+"""Between two stretches that are shown as one."""
 MOST_STOPS = 12
 """Of each motor; more say no more."""
 MOST_MESSAGES = 60
 """On the time axis; `report` lists all."""
 REPEATED_S = 10.0
-"""The same message within that time is told once."""
+"""The same message within that time is shown once."""
 MARGIN_S = 2.0
 """Before take-off and after landing, for messages."""
 SILENT_S = 1.0
@@ -155,12 +155,12 @@ def _arming(flight: FlightFrame, autopilot: Autopilot) -> Iterator[TimelineItem]
 def _messages(flight: FlightFrame, messages: Sequence[Message]) -> Iterator[TimelineItem]:
     """Grave ones, and those without a level, while it flies; the same one once in a while."""
     spans = [(flight.t_s[p.start], flight.t_s[p.end - 1]) for p in flight.airborne]
-    told: dict[str, float] = {}
+    shown: dict[str, float] = {}
     for message in messages:
         near = any(a - MARGIN_S <= message.t_s <= b + MARGIN_S for a, b in spans)
-        repeated = message.t_s - told.get(message.text, -np.inf) < REPEATED_S
+        repeated = message.t_s - shown.get(message.text, -np.inf) < REPEATED_S
         if near and (message.grave or not message.level) and not repeated:
-            told[message.text] = message.t_s
+            shown[message.text] = message.t_s
             yield TimelineItem(kind="message", t_s=message.t_s, text=f'"{message.text}"')
-            if len(told) == MOST_MESSAGES:
+            if len(shown) == MOST_MESSAGES:
                 return

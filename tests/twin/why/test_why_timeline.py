@@ -98,7 +98,7 @@ def test_silence_of_the_logger_is_told() -> None:
     flight = flown()
     table = flight.table[(flight.table.time < 15) | (flight.table.time > 17.5)]
     notes = of_kind(replace(flight, table=table.reset_index(drop=True)), "note")
-    assert [n.text for n in notes] == ["nothing is logged for 2.52 s"]
+    assert [n.text for n in notes] == ["nothing is logged for 2.54 s"]
 
 
 def test_all_of_it_is_in_order_of_time() -> None:
