@@ -33,7 +33,7 @@ test: setup lint  ## all but the longest tests
 test-long: setup  ## the longest tests, which hold at length what others hold in parts
 	$(PYTEST) -m long
 
-fast: setup  ## mathematics, properties, units: what takes a quarter of a second at most, without benchmarks
+fast: setup  ## mathematics, properties, units: what takes a sixth of a second at most, without benchmarks
 	$(PYTEST) -m 'not slow and not long' --ignore tests/benchmarks --ignore tests/fuzz
 
 FUZZ := $(if $(COUNT),--count $(COUNT)) $(if $(MINUTES),--minutes $(MINUTES))

@@ -40,12 +40,14 @@ def graph() -> grimp.ImportGraph:
 # -- the tree -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_contracts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Layers, circles, forbidden imports; imports inside functions count."""
     monkeypatch.chdir(ROOT)
     assert lint_imports(no_cache=True, show_timings=False) == 0
 
 
+@pytest.mark.slow
 def test_a_module_is_one_concept() -> None:
     """Neither a fragment of its only importer nor several concepts."""
     files = {m: f for m, f in modules_of(ROOT, SHIPPED).items() if not m.startswith(TABLES)}
@@ -53,6 +55,7 @@ def test_a_module_is_one_concept() -> None:
     assert long_modules(modules_of(ROOT, SHIPPED), MOST_LINES) == []
 
 
+@pytest.mark.slow
 def test_private_names_stay_in_their_module() -> None:
     assert private_uses(modules_of(ROOT, PACKAGES)) == []
 

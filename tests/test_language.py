@@ -37,6 +37,7 @@ def banned_headings(file: Path) -> Iterator[str]:
                 yield f"{file}:{line} {name}"
 
 
+@pytest.mark.slow
 def test_names_and_keys() -> None:
     files = [f for p in SHIPPED for f in sorted((ROOT / p).rglob("*.py"))]
     assert [found for f in files for found in banned_names(f)] == []

@@ -40,6 +40,7 @@ def by_fmpy(path: Path, model: str, starts: dict[str, float]) -> NDArray[np.void
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "fmi"), ALL)
 def test_descriptions_are_valid(made: Made, model: str, fmi: int) -> None:
     assert validate_fmu(str(made(model, fmi))) == []

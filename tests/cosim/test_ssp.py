@@ -352,6 +352,7 @@ REFUSED: dict[str, tuple[dict[str, str], str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", REFUSED)
 def test_refused(ssp: Path, case: str) -> None:
     changes, message = REFUSED[case]

@@ -88,6 +88,7 @@ def test_a_thrust_is_a_line_with_its_unit() -> None:
     assert lines["specific_force_x"].right == "force_x/1.4"
 
 
+@pytest.mark.slow
 def test_ground_contact_is_left_out_unless_asked_for() -> None:
     shown = equations_of(airframe(COPTER)), equations_of(airframe(COPTER), contact=True)
     flight, contact = ("\n".join(e.right for e in lines) for lines in shown)
@@ -95,6 +96,7 @@ def test_ground_contact_is_left_out_unless_asked_for() -> None:
     assert "pos_z" in contact
 
 
+@pytest.mark.slow
 def test_effects_that_are_off_add_nothing() -> None:
     """The same left sides as of a component without them; no state of theirs is read."""
     with_effects = equations_of(airframe(X150, effects=effects_for(X150)))

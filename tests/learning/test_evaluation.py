@@ -71,6 +71,7 @@ def row(table: pd.DataFrame, **where: str) -> pd.Series:
 # -- rows -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_cell_has_a_row_and_only_fresh_samples_count() -> None:
     table = table_of(Share(0.5))
     keys = ["model", "flight", "phase", "channel"]
@@ -84,6 +85,7 @@ def test_every_cell_has_a_row_and_only_fresh_samples_count() -> None:
     assert set(table["unit"][table.channel == "mag_x"]) == {"T"}
 
 
+@pytest.mark.slow
 def test_numbers_of_a_row() -> None:
     table = table_of(Share(0.75, spread=0.5))
     r = row(table, model="model", flight="flight 2", phase="tour", channel="acc_y")
@@ -106,6 +108,7 @@ def test_numbers_of_a_row() -> None:
     assert r["wasserstein_std"] == pytest.approx(r["wasserstein"] / spread)
 
 
+@pytest.mark.slow
 def test_a_constant_is_subtracted_before_the_share_beyond_it() -> None:
     """Taking away the mean removes most of the rms, and nothing beyond a constant."""
     table = table_of(Share(0.0, offset=5.0))
@@ -114,6 +117,7 @@ def test_a_constant_is_subtracted_before_the_share_beyond_it() -> None:
     assert np.allclose(whole["removed_beyond_constant"], 0.0)
 
 
+@pytest.mark.slow
 def test_bands_hold_the_variance() -> None:
     r = row(table_of(None), model="none", flight="flight 2", phase=WHOLE, channel="gyro_x")
     powers = [r[c] for c in r.index if c.startswith("before ")]
@@ -141,6 +145,7 @@ def test_same_input_same_table() -> None:
 # -- pooled ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_pooled_is_what_all_samples_together_give() -> None:
     table = table_of({"half": Share(0.5), "all": Share(1.0)})
     whole = pooled(table[table.phase == WHOLE])
@@ -155,6 +160,7 @@ def test_pooled_is_what_all_samples_together_give() -> None:
     assert row(whole, model="all", group="gyro")["removed"] == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_pooled_by_phase_agrees_with_the_whole() -> None:
     table = table_of(Share(0.5))
     parts = pooled(table[table.phase != WHOLE], ["model", "group"]).set_index(["model", "group"])
@@ -166,6 +172,7 @@ def test_pooled_by_phase_agrees_with_the_whole() -> None:
 # -- what is refused ------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_is_refused() -> None:
     with pytest.raises(ModelError, match="track needs 1 or more"):
         Task("track", 0)

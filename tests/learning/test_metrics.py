@@ -10,6 +10,7 @@ from learning import metrics
 SAMPLES = st.lists(st.floats(-1e3, 1e3, width=32), min_size=1, max_size=50).map(np.array)
 
 
+@pytest.mark.slow
 @given(SAMPLES, st.floats(-100, 100))
 def test_wasserstein_of_shifted_samples_is_the_shift(values: np.ndarray, shift: float) -> None:
     assert metrics.wasserstein(values, values + shift) == pytest.approx(abs(shift), abs=1e-9)
@@ -26,6 +27,7 @@ def test_wasserstein_ignores_order_and_knows_scale() -> None:
     )
 
 
+@pytest.mark.slow
 @given(SAMPLES)
 def test_a_constant_is_no_achievement(values: np.ndarray) -> None:
     """The best constant leaves the spread, and squares add up."""

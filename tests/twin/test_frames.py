@@ -45,6 +45,7 @@ def test_rotation_matrix_is_scipys(q: Array) -> None:
     np.testing.assert_allclose(rotation_matrix(list(q)), scipy_of(q).as_matrix(), atol=1e-14)
 
 
+@pytest.mark.slow
 @given(q=quaternions, v=vectors)
 def test_to_ned_and_back(q: Array, v: Array) -> None:
     there = to_ned(list(q), list(v))
@@ -53,6 +54,7 @@ def test_to_ned_and_back(q: Array, v: Array) -> None:
     assert np.linalg.norm(there) == pytest.approx(np.linalg.norm(v), rel=1e-13, abs=1e-13)
 
 
+@pytest.mark.slow
 @given(a=quaternions, b=quaternions)
 def test_multiply_composes_rotations(a: Array, b: Array) -> None:
     product = np.array(multiply(list(a), list(b)))
@@ -61,6 +63,7 @@ def test_multiply_composes_rotations(a: Array, b: Array) -> None:
     np.testing.assert_allclose(rotation_matrix(list(product)), expected, atol=1e-14)
 
 
+@pytest.mark.slow
 @given(roll=angles, pitch=angles, yaw=angles)
 def test_from_euler_is_yaw_then_pitch_then_roll(roll: float, pitch: float, yaw: float) -> None:
     expected = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
@@ -87,6 +90,7 @@ def test_positive_angles_turn_nose_right_nose_up_right_wing_down(
     np.testing.assert_allclose(to_ned(list(from_euler(*angles)), list(body)), ned, atol=1e-15)
 
 
+@pytest.mark.slow
 @given(q=quaternions, omega=vectors)
 def test_quaternion_rate_is_the_derivative_of_the_rotation(q: Array, omega: Array) -> None:
     """dR/dt = R [omega]x, checked by a small exact turn."""
@@ -102,6 +106,7 @@ def test_quaternion_rate_is_the_derivative_of_the_rotation(q: Array, omega: Arra
     assert abs(rate @ q) < 1e-12 * (1 + np.linalg.norm(omega))  # the norm stays
 
 
+@pytest.mark.slow
 @given(a=vectors, b=vectors)
 def test_cross(a: Array, b: Array) -> None:
     np.testing.assert_allclose(cross(list(a), list(b)), np.cross(a, b), rtol=1e-13, atol=1e-9)
@@ -110,6 +115,7 @@ def test_cross(a: Array, b: Array) -> None:
 # -- rotation_vector ----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @given(base=quaternions, axis=directions, exponent=st.floats(-16, 0), flip=st.booleans())
 def test_rotation_vector_of_any_size(base: Array, axis: Array, exponent: float, flip: bool) -> None:
     """From 1e-16 to nearly pi, in the axes of the second attitude, whatever the signs."""
@@ -119,6 +125,7 @@ def test_rotation_vector_of_any_size(base: Array, axis: Array, exponent: float, 
     np.testing.assert_allclose(vector, angle * axis, atol=1e-15 * 10 + 1e-9 * (angle > 3))
 
 
+@pytest.mark.slow
 @given(axis=directions, gap=st.floats(1e-12, 1e-3), beyond=st.booleans())
 def test_rotation_vector_near_pi(axis: Array, gap: float, beyond: bool) -> None:
     """Never longer than pi; beyond it the other way round."""
@@ -129,6 +136,7 @@ def test_rotation_vector_near_pi(axis: Array, gap: float, beyond: bool) -> None:
     np.testing.assert_allclose(vector, axis * (angle - 2 * np.pi if beyond else angle), atol=1e-12)
 
 
+@pytest.mark.slow
 @given(a=quaternions, b=quaternions)
 def test_rotation_vector_is_scipys(a: Array, b: Array) -> None:
     vector = rotation_vector(a[None], b[None])[0]

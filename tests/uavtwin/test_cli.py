@@ -399,6 +399,7 @@ def test_one_bad_file_hides_no_other(
     assert ["error" in t for t in told] == [True, False, True, True, False]
 
 
+@pytest.mark.slow
 def test_a_mistake_of_ours_is_one_line_with_a_code_of_its_own(
     capsys: pytest.CaptureFixture[str],
     table: Path,
@@ -434,6 +435,7 @@ def test_brackets_are_text_and_no_markup(capsys: pytest.CaptureFixture[str]) -> 
         assert said.count(text) >= 2
 
 
+@pytest.mark.slow
 def test_names_from_files_do_not_steer_the_terminal(
     capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
 ) -> None:
@@ -459,6 +461,7 @@ def test_names_from_files_do_not_steer_the_terminal(
         printed.encode("utf-8")
 
 
+@pytest.mark.slow
 def test_check_asks_of_an_odd_vehicle_and_fails_an_impossible_one(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -478,6 +481,7 @@ def test_check_asks_of_an_odd_vehicle_and_fails_an_impossible_one(
     assert "problem: body.inertia" in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("word", ["version", "--version"])
 def test_the_installed_command_runs(word: str) -> None:
     command = Path(sys.executable).with_name("uavtwin")

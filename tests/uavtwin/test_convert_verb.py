@@ -20,6 +20,7 @@ def log(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["parquet", "csv"])
 def test_the_table_is_the_flight(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, log: Path, ending: str

@@ -579,6 +579,7 @@ def test_a_type_checker_sees_it_all(tmp_path: Path) -> None:
     assert len(told) >= 6
 
 
+@pytest.mark.slow
 def test_commands_of_one_aircraft_are_read_in_one_way(data_dir: Path, tmp_path: Path) -> None:
     paths = [foreign(data_dir / "rflysimdt" / "real_1.ulg", tmp_path)]
     paths.append(data_dir / "rflysimdt" / "real_3.ulg")
@@ -604,6 +605,7 @@ def test_flights_of_one_name_are_told_apart_and_the_same_flight_is_refused(tmp_p
         ut.read_flights(tmp_path / "may" / "one" / "log.parquet", copy)
 
 
+@pytest.mark.slow
 def test_another_aircraft_is_told(data_dir: Path) -> None:
     folder = data_dir / "rflysimdt"
     one, two, other = ut.read_flights(*(folder / f"{n}.ulg" for n in ("real_1", "real_2", "sim_1")))

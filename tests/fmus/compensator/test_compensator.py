@@ -287,6 +287,7 @@ def test_outside_the_envelope_nothing_is_corrected(new: New) -> None:
     assert said["correction"][20:].all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["track", "slave track"])
 def test_a_sample_with_no_number_is_left_out_and_counted(new: New, name: str) -> None:
     """The rest is that of a run without it, to the bit; what is not valid is never looked at."""
@@ -310,6 +311,7 @@ def test_a_sample_with_no_number_is_left_out_and_counted(new: New, name: str) ->
 # -- what FMI promises ----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "fmi"), [("track", 2), ("track", 3), ("slave track", 2)])
 def test_restored_run_repeats_bit_by_bit(new: New, name: str, fmi: int) -> None:
     rows = rows_of(flight(model("track"), 60))

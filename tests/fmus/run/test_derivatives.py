@@ -94,6 +94,7 @@ def test_against_central_differences(fmu_folder: Folder, kind: str, fmi: int) ->
     assert worst <= TOLERANCE, worst
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_before_initialization_ends_initial_states_count(fmu_folder: Folder, fmi: int) -> None:
     """A start value moves the position one to one; once stepping it moves nothing."""

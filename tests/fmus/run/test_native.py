@@ -103,6 +103,7 @@ def test_c_host_prints_the_messages(fmu_folder: FmuPath, bin_folder: Path, fmi: 
     assert any(line.startswith("saved state has ") for line in said)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "fmi"), ALL)
 def test_library_needs_only_libc_and_libm(fmu_folder: FmuPath, kind: str, fmi: int) -> None:
     path = library(fmu_folder(kind, fmi))

@@ -189,6 +189,7 @@ def test_state_during_initialisation(folder: Callable[[str], Path]) -> None:
     instance.close()
 
 
+@pytest.mark.slow
 def test_foreign_states_are_refused(folder: Callable[[str], Path]) -> None:
     instance, foreign = Logged(folder("battery")).start(), Instance(folder("imu")).start()
     good = instance.fmu.serializeFMUState(instance.fmu.getFMUState())
@@ -456,6 +457,7 @@ def test_same_component_same_bytes(built: Callable[[str], Path], tmp_path: Path)
     assert len(tokens) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COMPONENTS)
 def test_a_component_travels_unchanged(name: str) -> None:
     text = component_text(component(name))

@@ -218,6 +218,7 @@ def test_a_reading_that_comes_later_changes_nothing_before(
     assert not np.array_equal(before.residual[~early], after.residual[~early], equal_nan=True)
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(*[st.one_of(st.none(), st.floats(-9, 9))] * 2), min_size=1, max_size=30))
 def test_held_is_the_last_one_known(rows: list[tuple[float | None, ...]]) -> None:
     values = np.array(rows, dtype=np.float64)
@@ -276,6 +277,7 @@ def test_ground_is_no_span_and_phases_have_codes() -> None:
 # -- how long before a reading the twin was at the measured state ---------------------------
 
 
+@pytest.mark.slow
 def test_a_twin_that_follows_is_where_it_is_put(noisy: Flight) -> None:
     follows, later = residual_flight(noisy, FEISI, restart_s=0.0), residual_flight(noisy, FEISI)
     for group in ("acc", "mag"):
@@ -289,6 +291,7 @@ def test_a_twin_that_follows_is_where_it_is_put(noisy: Flight) -> None:
         assert np.isfinite(follows.virtual[slice(*follows.spans[0]), GROUPS[group]]).all()
 
 
+@pytest.mark.slow
 def test_a_twin_that_was_just_restarted_nearly_follows(noisy: Flight) -> None:
     """The shortest time there is, at which the start of the window is among what is kept."""
     follows, soon = (residual_flight(noisy, FEISI, restart_s=s) for s in (0.0, 0.01))

@@ -247,6 +247,7 @@ def test_int8_is_smaller_and_says_what_it_costs(tmp_path: Path) -> None:
     assert deviation(onnx.load(folder / MODEL_FILE), reference) < 1e-5
 
 
+@pytest.mark.slow
 def test_the_example_needs_no_torch(folder: Path) -> None:
     """Nor anything else than onnxruntime and numpy, in at most 30 lines."""
     text = EXAMPLE.read_text()

@@ -56,6 +56,7 @@ def left(
 # -- known answers --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("horizon", [1, 2, 5])
 def test_autoregression_of_a_known_process(horizon: int) -> None:
     """Its error is that of the best predictor: sum of the squared first terms of the response."""
@@ -66,6 +67,7 @@ def test_autoregression_of_a_known_process(horizon: int) -> None:
     assert np.sqrt(np.mean(error[50:] ** 2)) == pytest.approx(best, rel=0.02)
 
 
+@pytest.mark.slow
 def test_spread_of_a_baseline_is_what_it_left_in_training() -> None:
     train, test = flight_of(process(0, 20000), "a"), flight_of(process(1, 20000), "b")
     spread = fit_baselines([train], "track", 1)[f"linear AR({ORDER})"].run(test).spread
@@ -146,6 +148,7 @@ def test_last_is_the_last_sample_truly_measured() -> None:
     np.testing.assert_allclose(said[:horizon], mean)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 12), st.integers(1, 10), st.integers(0, 2**31))
 def test_lags_are_the_values_of_their_age(horizon: int, count: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

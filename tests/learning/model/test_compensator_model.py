@@ -117,6 +117,7 @@ def test_a_flight_cut_short_is_the_same_up_to_there(protocol: str, horizon: int,
     np.testing.assert_allclose(model.run(short).correction / UNITS, whole, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("protocol", "horizon"), PROTOCOLS)
 def test_zero_correction_far_outside_the_envelope(protocol: str, horizon: int) -> None:
     """Each feature by itself; `reconstruct` only repeats what it is given and knows no envelope.

@@ -174,6 +174,7 @@ def folder(once: Trained) -> Path:
     return once(row, quick(preset), "track")[1]
 
 
+@pytest.mark.slow
 def test_a_folder_without_a_family_is_of_the_first(tmp_path: Path) -> None:
     """As written before there were others."""
     trained(family_row("svq"), quick(PRESETS["best"]), "free", tmp_path)
@@ -234,6 +235,7 @@ def test_unknown_presets_and_protocols_are_refused(tmp_path: Path) -> None:
 # -- the members ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("protocol", ["track", "free"])
 def test_the_linear_family_is_the_network_with_shut_gates(
     protocol: Protocol, once: Trained

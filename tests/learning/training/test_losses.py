@@ -105,6 +105,7 @@ def test_spread_is_least_at_the_size_of_the_error() -> None:
     assert y.grad is None or not bool(y.grad.any())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", [PAPER, PUBLISHED, BEST], ids=lambda p: p.name)
 def test_network_and_losses_are_on_the_device_that_they_are_moved_to(preset: Preset) -> None:
     """A device without memory refuses whatever is still on the processor, as a GPU would."""

@@ -96,6 +96,7 @@ def test_same_seed_same_bytes_other_seed_others(tmp_path: Path) -> None:
     assert (a / WEIGHTS).read_bytes() != (c / WEIGHTS).read_bytes()
 
 
+@pytest.mark.slow
 def test_training_again_takes_the_finished_model(tmp_path: Path) -> None:
     seen: list[float] = []
 
@@ -110,6 +111,7 @@ def test_training_again_takes_the_finished_model(tmp_path: Path) -> None:
     assert len(seen) == 10
 
 
+@pytest.mark.slow
 def test_a_foreign_checkpoint_is_refused(tmp_path: Path) -> None:
     preset = tiny()
     with pytest.raises(KilledError):
@@ -157,6 +159,7 @@ def test_a_channel_without_measurements_stays_uncorrected(tmp_path: Path) -> Non
     assert not found.correction[:, 6:9].any() and found.correction[:, 0:6].any()
 
 
+@pytest.mark.slow
 def test_stops_early_and_keeps_the_best(tmp_path: Path) -> None:
     """A rate far too high makes it worse at once; patience ends it."""
     preset = tiny(epochs=60, validate_every=1, patience=3, learning_rate=0.3, schedule="constant")
@@ -207,6 +210,7 @@ def test_a_gain_that_could_be_chance_opens_no_gate() -> None:
     assert np.mean(gates(y, y + target, scored, blocks) > 0) > 0.9
 
 
+@pytest.mark.slow
 def test_linear_prediction_is_the_autoregression_that_made_the_data() -> None:
     """x[t+1] = 0.9 x[t] + noise: three samples ahead the best weight is 0.9^3 on the newest."""
     flight = made_up(0, n=6000, gain=0.0)
@@ -226,6 +230,7 @@ def test_linear_prediction_is_the_autoregression_that_made_the_data() -> None:
     np.testing.assert_allclose(share.mean(), 1 - 0.9**6, atol=0.03)
 
 
+@pytest.mark.slow
 def test_a_steady_sensor_under_a_twin_that_jitters_reads_what_it_read() -> None:
     """Residual = slow reading - virtual: the linear prediction must not hold the twin's noise."""
     flight = made_up(0, n=1500)
@@ -240,6 +245,7 @@ def test_a_steady_sensor_under_a_twin_that_jitters_reads_what_it_read() -> None:
     assert np.median(np.mean(left**2, axis=0)) < 0.02
 
 
+@pytest.mark.slow
 def test_a_twin_of_no_use_is_not_looked_at() -> None:
     """Residual = noise - virtual: the sensor reads its mean, whatever the twin says."""
     flights = []
@@ -264,6 +270,7 @@ def test_a_twin_of_no_use_is_not_looked_at() -> None:
         assert error.max() < 0.13, protocol
 
 
+@pytest.mark.slow
 def test_a_twin_that_leaves_is_not_corrected_by_all_the_way_it_has_gone(tmp_path: Path) -> None:
     """Taught that the sensor reads 5, whatever the twin says, by flights that stay in place."""
     flights = []
@@ -347,6 +354,7 @@ def test_an_alarm_rings_for_a_fault_and_hardly_without(tmp_path: Path) -> None:
     assert np.all(broken.anomaly[at : at + 2] > 1)
 
 
+@pytest.mark.slow
 def test_a_channel_that_training_never_had_rings_no_alarm(tmp_path: Path) -> None:
     blind = made_up(5)
     blind.fresh[:, 6:9] = False
@@ -357,6 +365,7 @@ def test_a_channel_that_training_never_had_rings_no_alarm(tmp_path: Path) -> Non
     np.testing.assert_allclose(one, other, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_flights_that_know_nothing_of_each_other_still_tell_an_alarm(tmp_path: Path) -> None:
     """One on the spot, one that is fast: neither is inside the envelope of the other."""
     slow, fast = made_up(0), made_up(1)
@@ -368,6 +377,7 @@ def test_flights_that_know_nothing_of_each_other_still_tell_an_alarm(tmp_path: P
     assert model.run(replace(slow, residual=residual)).anomaly[200] > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset", [0.0, 0.37])
 def test_a_residual_that_never_changed_rings_when_it_does_and_not_before(
     offset: float, tmp_path: Path
@@ -393,6 +403,7 @@ def test_wrong_presets_are_refused() -> None:
         tiny(temperature=0.0)
 
 
+@pytest.mark.slow
 def test_an_offset_of_another_size_than_all_that_were_learned_from_is_followed() -> None:
     """Two flights agree about an offset, the third has another: a running mean tells it in time."""
     flights = []

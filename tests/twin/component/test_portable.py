@@ -28,11 +28,13 @@ GRID = np.concatenate(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ours", "theirs"), [(portable.sine, np.sin), (portable.cosine, np.cos)])
 def test_circle_functions(ours: Callable[..., ca.SX], theirs: Callable[[Array], Array]) -> None:
     assert np.max(np.abs(evaluate(ours, GRID) - theirs(GRID))) < 3e-16
 
 
+@pytest.mark.slow
 def test_slope_of_the_sine_is_the_cosine() -> None:
     x = ca.SX.sym("x")
     slope = ca.Function("d", [x], [ca.jacobian(portable.sine(x), x)])
@@ -102,6 +104,7 @@ def test_components_call_nothing_whose_last_bit_differs(name: str) -> None:
             assert not used & LIBM, (component.name, f.name())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["copter_default", "crazyflie", "feisi_x150"])
 def test_slopes_are_finite_at_rest(name: str) -> None:
     """Directional derivatives of an FMU in hover: no square root of zero."""

@@ -70,6 +70,7 @@ def test_an_airframe_with_all_effects_off_is_the_one_without_to_the_last_bit(
     assert {n: y_full[n] for n in y_bare} == y_bare
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", AIRFRAME, ids=IDS)
 def test_an_effect_at_its_neutral_value_changes_nothing(effect: Effect) -> None:
     vehicle = plain()
@@ -258,6 +259,7 @@ def test_a_lag_of_the_file_can_be_shortened() -> None:
         assert sized.bounds == (0.0, 0.3)
 
 
+@pytest.mark.slow
 def test_a_weak_rotor_drops_its_corner() -> None:
     added = change(plain(), "rotor_efficiency_loss", {}, loss_1=0.1)  # front right
     push = 0.1 * 1.2 * 9.80665 / 4

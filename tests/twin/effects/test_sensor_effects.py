@@ -179,6 +179,7 @@ def test_a_delay_that_does_not_fit_is_refused() -> None:
         readings(sensor, motion(sensor, 2), effect_on("imu_delay", imu_delay__delay_s=0.3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channel", range(1, 7))
 def test_a_stuck_channel_repeats_its_last_value(channel: int) -> None:
     sensor = imu(plain(), ["stuck_sensor"])

@@ -102,6 +102,7 @@ def test_a_weak_rotor_is_found_with_its_loss(rotor: int) -> None:
     assert told.cause == ROTORS or {h.cause for h in found.one_of} == {ROTORS, LOAD}
 
 
+@pytest.mark.slow
 def test_no_name_where_every_interval_contains_no_change() -> None:
     found = judged(of(f"{LOAD}.mass_kg", 0.3 * COPTER.mass_kg))
     assert found.named is not None and found.named.clear
@@ -142,6 +143,7 @@ def test_yaw_alone_is_what_a_session_brings() -> None:
     assert found.hypotheses[0].cause == NOTHING
 
 
+@pytest.mark.slow
 def test_shaking_speaks_for_a_rotor_and_stillness_for_neither() -> None:
     change = of(f"{ROTORS}.loss_2", 0.15)
     quiet, unknown, shaken = (judged(change, shaken=s) for s in (0.0, None, 0.9))
@@ -152,6 +154,7 @@ def test_shaking_speaks_for_a_rotor_and_stillness_for_neither() -> None:
 # -- mathematics ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_evidence_of_one_rotor_is_the_integral_over_its_loss(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -173,6 +176,7 @@ def test_evidence_of_one_rotor_is_the_integral_over_its_loss(
     assert one.probability / found.nothing == pytest.approx(ratio, rel=1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=8, deadline=None)
 @given(st.lists(st.floats(0.2, 5.0), min_size=4, max_size=4))
 def test_units_and_inertia_are_no_evidence(scale: list[float]) -> None:
@@ -214,6 +218,7 @@ def test_a_place_needs_both_moments_of_the_tilt() -> None:
         assert channels_of_balance(pose[:k] + pose[k + 1 :]) is None
 
 
+@pytest.mark.slow
 def test_probabilities_are_true_of_what_is_drawn_from_the_model() -> None:
     """300 changes of causes drawn by their odds: what is given 80 % is right in 80 %."""
     rng = np.random.default_rng(3)
@@ -242,6 +247,7 @@ def test_probabilities_are_true_of_what_is_drawn_from_the_model() -> None:
     assert np.mean(p) == pytest.approx(np.mean(hit), abs=0.08)
 
 
+@pytest.mark.slow
 def test_the_smallest_change_is_where_nothing_is_no_longer_said() -> None:
     found = judged(np.zeros(4))
     for cause, most in ((ROTORS, 1.0), (LOAD, COPTER.mass_kg)):

@@ -136,6 +136,7 @@ def test_an_effect_acts_where_it_is_felt(shown: Comparison) -> None:
     assert acts.phases[0] == "forward"
 
 
+@pytest.mark.slow
 def test_places_name_channel_phase_and_what_the_residual_goes_with(shown: Comparison) -> None:
     found = localize(shown.model, VALUES, shown.floors)
     first = next(p for p in found if p.channel == "acc_x")
@@ -186,6 +187,7 @@ def test_a_good_flight_is_usable(flight: Flight) -> None:
     assert reasons_unusable(flight, COPTER) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SPOILT)
 def test_a_spoilt_flight_is_told_by_its_reason(flight: Flight, kind: str) -> None:
     changes, word = SPOILT[kind]
@@ -242,6 +244,7 @@ def spoilt(flight: Flight, changes: dict[str, Change]) -> Flight:
     return replace(flight, table=table)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", PARTLY)
 def test_seconds_are_left_out_and_not_the_flight(flight: Flight, kind: str) -> None:
     changes, word, first, last = PARTLY[kind]
@@ -253,6 +256,7 @@ def test_seconds_are_left_out_and_not_the_flight(flight: Flight, kind: str) -> N
     assert part.time_s[-1] == pytest.approx(min(last, flight.time_s[-1]), abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_motor_at_its_limit_hides_torque_and_thrust_alone(flight: Flight) -> None:
     """For two seconds; what is read across the thrust counts all the time."""
     at_limit = {"cmd_1": lambda t: np.where(t["time"].between(4, 6), 1.0, t["cmd_1"])}
@@ -270,12 +274,14 @@ def test_a_motor_at_its_limit_hides_torque_and_thrust_alone(flight: Flight) -> N
         assert not np.any(np.abs(by_name[name].t_s - 5) < 1 - 1 / GRID_HZ)
 
 
+@pytest.mark.slow
 def test_what_is_left_has_to_be_long_enough(flight: Flight) -> None:
     hit = {"acc_x": lambda t: np.where(t["time"] % 3 < 0.1, 200, t["acc_x"])}
     (reason,) = reasons_unusable(spoilt(flight, hit), COPTER)
     assert "s in the air" in reason and "hits something" in reason
 
 
+@pytest.mark.slow
 def test_too_short_and_never_airborne(flight: Flight) -> None:
     (short,) = reasons_unusable(replace(flight, table=flight.table[flight.table.time < 3]), COPTER)
     assert "s in the air" in short
@@ -358,6 +364,7 @@ def test_vehicle_text_names_the_file_that_is_not_there() -> None:
 # -- flying ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_vehicle_flies_with_an_effect_and_not_without_thrust() -> None:
     good = with_effects(COPTER, ["rotor_drag"], VALUES)
     (mission,) = fly_missions(good, ["takeoff"])

@@ -67,6 +67,7 @@ class StopError(Exception):
     """The search was reached."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "side"),
     [
@@ -102,6 +103,7 @@ def test_the_run_goes_on_without_it(
     assert "bad" in warning and word in warning, warning
 
 
+@pytest.mark.slow
 def test_alone_it_is_a_verdict(good: Flight) -> None:
     for spoil, word in BAD.values():
         if word == "as in other flights":
@@ -111,6 +113,7 @@ def test_alone_it_is_a_verdict(good: Flight) -> None:
         assert any(word in reason for reason in found.reasons), found.reasons
 
 
+@pytest.mark.slow
 def test_a_known_mass_aboard_counts(good: Flight) -> None:
     """What flew carries two fifths of the weight that is said: a finding, and no reason."""
     aboard = flown(good, COPTER, {"good": 1.5 * COPTER.mass_kg})
@@ -119,6 +122,7 @@ def test_a_known_mass_aboard_counts(good: Flight) -> None:
     assert " 40 %" in note or " 41 %" in note or " 39 %" in note
 
 
+@pytest.mark.slow
 def test_flights_of_pressure_alone_stay_together(good: Flight) -> None:
     drop = [c for c in good.table if c.startswith(("acc", "gyro", "q_"))]
     table = good.table.drop(columns=drop).assign(baro_pa=101325.0)

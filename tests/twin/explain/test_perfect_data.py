@@ -77,6 +77,7 @@ def test_a_channel_without_noise_among_noisy_ones_does_not_end_the_search(
     assert found["motor_lag.tau_s"] == pytest.approx(0.045, abs=0.005)
 
 
+@pytest.mark.slow
 def test_the_prior_of_a_lag_is_about_the_whole(perfect: Flight) -> None:
     """Two files of one aircraft expect the same whole lag, and none below zero."""
     whole = prior_of(EFFECTS["motor_lag"]).of("tau_s", False).mean

@@ -299,6 +299,7 @@ def takers() -> dict[str, tuple[str, int]]:
     return by_name
 
 
+@pytest.mark.slow
 def test_no_part_of_the_search_forgets_to_hand_settings_down() -> None:
     known, calls = takers(), 0
     assert {

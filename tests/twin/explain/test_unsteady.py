@@ -114,6 +114,7 @@ def test_noise_level_is_found_with_its_scale(scale: float) -> None:
     assert inside(named["sensor_noise_level"], "sensor_noise_level.scale", scale)
 
 
+@pytest.mark.slow
 def test_noise_of_one_sensor_is_further_noise_of_that_sensor() -> None:
     def louder(columns: dict[str, Array], t: Array, rng: np.random.Generator) -> None:
         for c in GYRO:
@@ -125,6 +126,7 @@ def test_noise_of_one_sensor_is_further_noise_of_that_sensor() -> None:
     assert dict(named.values)["sensor_noise_level.scale"] == 1.0
 
 
+@pytest.mark.slow
 def test_a_vehicle_file_without_noise_says_nothing_about_noise() -> None:
     assert find_noise_level(model([hovering(noise=3.0)], COPTER), SENSOR_NOISE_LEVEL) is None
 
@@ -158,6 +160,7 @@ def test_filters_held_and_coarse_readings_raise_no_alarm(change: Change) -> None
     assert found(flight) == {}
 
 
+@pytest.mark.slow
 def test_readings_without_noise_raise_no_alarm() -> None:
     flight = hovering(noise=0.0)
     assert stuck_channels(flight) == []
@@ -195,6 +198,7 @@ def test_vibration_is_found_with_its_sizes(hz: float) -> None:
     assert {"acc_x", "acc_y", "gyro_x", "gyro_y"} <= set(named["vibration"].channels)
 
 
+@pytest.mark.slow
 def test_lines_below_the_noise_and_slow_swings_are_no_vibration() -> None:
     assert find_vibration(model([hovering(shaking(85.0, 0.002, 1e-4))]), VIBRATION) is None
     assert find_vibration(model([hovering(shaking(8.0, 0.4, 0.05))]), VIBRATION) is None
@@ -253,6 +257,7 @@ def standing(channel: str, from_s: float, to_s: float = np.inf) -> Change:
     return change
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(st.sampled_from((*ACC, *GYRO, *MAG, "baro_pa")), st.floats(0.5, 18.0))
 def test_a_stuck_channel_is_found_with_its_time(channel: str, from_s: float) -> None:

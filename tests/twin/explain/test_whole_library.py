@@ -51,6 +51,7 @@ def likely(problem: Problem) -> list[str]:
     return sorted(gains, key=lambda e: -gains[e])
 
 
+@pytest.mark.slow
 def test_the_flight_shows_every_effect_that_changes_a_mean() -> None:
     _, _, _, names = library()
     assert {*names} == {e.name for e in candidates([blank()])}

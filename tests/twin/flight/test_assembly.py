@@ -30,6 +30,7 @@ def twin() -> Assembly:
     return flying_twin(load_vehicle("crazyflie"), "tour")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("control", CONTROLLERS)
 @pytest.mark.parametrize("vehicle", BUILTIN)
 def test_every_input_has_a_source_of_its_name_and_unit(vehicle: str, control: str) -> None:
@@ -58,6 +59,7 @@ def test_a_driven_twin_wants_rotors_voltage_and_motion(drive: Drive) -> None:
     assert "airframe.density" not in free
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("vehicle", BUILTIN)
 def test_no_input_that_nothing_depends_on(vehicle: str) -> None:
     """An aircraft without a battery has no input for its voltage or current, whoever drives it,
@@ -89,6 +91,7 @@ def inputs_of(twin: Assembly) -> set[str]:
     return {f"{key}.{name}" for key, part in twin.parts.items() for name in part.input_names}
 
 
+@pytest.mark.slow
 def test_the_position_sensor_is_that_of_the_kind() -> None:
     """A motion capture system measures the attitude as well."""
     model, seen = load_vehicle("crazyflie"), {}
@@ -102,6 +105,7 @@ def test_the_position_sensor_is_that_of_the_kind() -> None:
     assert seen == {"gnss": False, "mocap": True}
 
 
+@pytest.mark.slow
 def test_a_battery_is_a_part_where_the_vehicle_has_one() -> None:
     assert "battery" in twin().parts
     bare = flying_twin(replace(load_vehicle("crazyflie"), battery=None), effects=())
@@ -117,6 +121,7 @@ def test_all_effects_are_built_in_and_off() -> None:
         assert switch.start == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", mission_names())
 def test_missions_say_how_long_they_take(name: str) -> None:
     assert flying_twin(load_vehicle("crazyflie"), name, effects=()).duration_s > 5.0

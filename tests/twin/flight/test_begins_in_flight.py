@@ -40,6 +40,7 @@ def apart(flight: Flight, column: str) -> tuple[Array, Array]:
     return more[before & np.isfinite(more)], more[~before & np.isfinite(more)]
 
 
+@pytest.mark.slow
 def test_the_aircraft_changes_where_it_is() -> None:
     """A twentieth of the mass dropped: 5 % more specific force at once, and it climbs."""
     lighter = flown("mass_offset", mass_kg=-0.05 * VEHICLE.mass_kg)
@@ -51,6 +52,7 @@ def test_the_aircraft_changes_where_it_is() -> None:
     assert after[-1] < -0.005
 
 
+@pytest.mark.slow
 def test_a_sensor_changes_and_the_flight_does_not() -> None:
     biased = flown("accel_bias", x_m_s2=0.3, y_m_s2=0.0, z_m_s2=-0.2)
     before, after = apart(biased, "acc_x")
@@ -59,6 +61,7 @@ def test_a_sensor_changes_and_the_flight_does_not() -> None:
     assert np.all(np.hstack(apart(biased, "pos_z")) == 0)
 
 
+@pytest.mark.slow
 def test_a_reading_stands_still_noise_and_all() -> None:
     stuck = flown("stuck_sensor", channel=5.0, time_s=0.0)
     before, _ = apart(stuck, "gyro_y")
@@ -68,6 +71,7 @@ def test_a_reading_stands_still_noise_and_all() -> None:
     assert len(np.unique(stuck.table["gyro_x"].to_numpy()[stuck.time_s >= BEGINS_S])) > 100
 
 
+@pytest.mark.slow
 def test_a_course_that_stands_still_is_a_start_value() -> None:
     setpoints, _ = setpoints_along(VEHICLE, UP)
     body = airframe(VEHICLE, effects=["mass_offset"])

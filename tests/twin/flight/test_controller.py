@@ -167,6 +167,7 @@ def answer(control: Component, **inputs: float) -> Array:
     return np.asarray(control.outputs(x, u, p), dtype=np.float64).ravel()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["feisi_x150", "known by rotor speed"])
 def test_hover_command_is_the_trim_and_disarmed_is_zero(name: str) -> None:
     """Without lag there is nothing to lead."""

@@ -36,6 +36,7 @@ def test_setpoints_are_smooth_and_belong_together(vehicle: str, name: str) -> No
     assert np.abs(np.diff(y[:, 9])).max() / STEP_S < 2.0  # turn rate, rad/s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("vehicle", BUILTIN)
 @pytest.mark.parametrize("name", mission_names())
 def test_begins_and_ends_where_it_should(vehicle: str, name: str) -> None:
@@ -67,6 +68,7 @@ def test_durations_are_those_of_the_documentation() -> None:
     }
 
 
+@pytest.mark.slow
 def test_small_vehicles_fly_at_half_the_size_and_speed() -> None:
     for name in ("forward", "tour"):
         large, small = (rows(v, name)[1] for v in ("copter_default", "crazyflie"))
@@ -75,6 +77,7 @@ def test_small_vehicles_fly_at_half_the_size_and_speed() -> None:
         assert speed == pytest.approx({"forward": 5.0, "tour": 2.0}[name], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_circle_is_a_circle_and_parameters_move_it() -> None:
     _, y = rows("copter_default", "tour", speed=1.0, radius=0.8, extra_s=40.0)
     middle = np.array([0.0, 0.8])
@@ -89,6 +92,7 @@ def test_unknown_mission() -> None:
         mission(load_vehicle("crazyflie"), "loop")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", mission_names())
 def test_shapes_that_are_not_flown_are_left_out(name: str) -> None:
     """At each time the first shortcut that holds gives the setpoints; each holds at some time."""

@@ -79,6 +79,7 @@ def test_only_known_parameters_and_degrees_become_radians() -> None:
     }
 
 
+@pytest.mark.slow
 def test_hover_thrust_follows_the_curve_of_the_thrust() -> None:
     vehicle = load_vehicle("copter_default")
     trim = airframe(vehicle).input_values()[0]

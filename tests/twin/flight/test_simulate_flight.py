@@ -104,6 +104,7 @@ def test_streams_are_recorded_at_their_own_rates_with_their_own_noise() -> None:
     assert again.equals(loud.table)
 
 
+@pytest.mark.slow
 def test_an_old_pose_is_recorded_late_and_flown_as_it_is() -> None:
     streams = Stream(("cmd_1",), 0.005), Stream(("pos_z",), 0.005), Stream(("q_w",), 0.005)
     old = FEISI.with_effects({"position_delay": {"delay_s": 0.05, "attitude_s": 0.0}})
@@ -126,6 +127,7 @@ def test_late_commands_are_recorded_early_or_answered_late() -> None:
     assert np.abs(answered["pos_z"] - now["pos_z"]).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_a_record_ends_where_the_vehicle_is_lost() -> None:
     crossed = 0.005 - FEISI.rotors.position_m * [1, 1, 0]
     torn = replace(FEISI, rotors=replace(FEISI.rotors, position_m=crossed))

@@ -161,6 +161,7 @@ def test_a_log_that_tells_nothing_of_its_autopilot(tmp_path: Path) -> None:
     assert told(read_flight(path)) == Autopilot()
 
 
+@pytest.mark.slow
 def test_what_the_autopilot_says_changes_neither_signals_nor_findings(tmp_path: Path) -> None:
     """Setpoints and states that stop amid the flight, in no order, are no doubt of its signals."""
     path = tmp_path / "log.ulg"

@@ -74,6 +74,7 @@ def test_compressed_logs_are_read(tmp_path: Path, pack: object, what: str) -> No
     assert f"{what}-compressed, {len(ULOG)} bytes unpacked" in said(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("members", "text"),
     [
@@ -92,6 +93,7 @@ def test_archives_that_hold_no_one_log_say_so(
         read(tmp_path, zipped(members))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pack", [gzip.compress, bz2.compress, lambda b: zipped({"log.ulg": b})])
 def test_damaged_and_cut_archives_are_named(tmp_path: Path, pack: object) -> None:
     assert callable(pack)

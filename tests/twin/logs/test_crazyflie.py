@@ -29,6 +29,7 @@ def _read(tmp_path: Path, blob: bytes) -> Flight:
     return read_flight(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize(("small", "angles"), [(False, False), (True, True)])
 def test_a_flight_comes_back_in_si_ned_and_frd(
@@ -81,6 +82,7 @@ def test_a_second_decoder_reads_the_same(tmp_path: Path) -> None:
             np.testing.assert_array_equal(events.values((name,))[:, 0], other[name])
 
 
+@pytest.mark.slow
 def test_what_was_cut_is_told(tmp_path: Path) -> None:
     whole = usd_log(flown_kinds(flown_table()))
     found = {f.message for f in _read(tmp_path, whole[: len(whole) // 2]).findings}
@@ -112,6 +114,7 @@ def test_what_is_no_flight_is_refused(blob: bytes, told: str, tmp_path: Path) ->
     assert told in str(error.value)
 
 
+@pytest.mark.slow
 @settings(max_examples=150)
 @given(data=st.data())
 def test_changed_bytes_raise_nothing_but_a_log_error(

@@ -202,6 +202,7 @@ def test_the_motors_idle_before_a_height(tmp_path: Path) -> None:
     assert [f for f in found(table, tmp_path) if "higher with the motors on" in f.message]
 
 
+@pytest.mark.slow
 def test_overflowing_commands_end_at_one_and_others_are_refused(tmp_path: Path) -> None:
     table = flown_table()
     table.loc[700:703, "cmd_2"] = (1.02, 1.3, -0.01, 1.0)

@@ -32,6 +32,7 @@ def test_a_sample_is_recognised_and_read(name: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(gyro, 0.0, atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 @settings(max_examples=60)
 @given(share=st.floats(0, 1), garbage=st.binary(max_size=8))

@@ -46,6 +46,7 @@ def test_the_reader_of_every_row_is_there(each: LogFormat) -> None:
     assert hasattr(found, function), f"{each.name!r}: {path.name} has no function {function}"
 
 
+@pytest.mark.slow
 def test_every_reader_has_a_row() -> None:
     """A reader is a public function that takes a path, bytes and `ReadOptions`."""
     readers = set()
@@ -107,6 +108,7 @@ def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         ULOG.load()
 
 
+@pytest.mark.slow
 def test_only_the_reader_of_the_format_is_imported(tmp_path: Path) -> None:
     """A Parquet table needs no pyulog."""
     path = tmp_path / "flight.parquet"

@@ -51,6 +51,7 @@ def read(folder: Path, blob: bytes) -> Flight:
         assert time.process_time() - start < 5.0
 
 
+@pytest.mark.slow
 def test_a_table_too_large_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
     """Equal rows cost next to nothing in the file."""
     part = pa.table({"time": np.zeros(5_000_000, np.float32), "acc_x": np.zeros(5_000_000)})
@@ -64,6 +65,7 @@ def test_a_table_too_large_is_refused_before_it_is_unpacked(tmp_path: Path) -> N
         read(tmp_path, blob)
 
 
+@pytest.mark.slow
 def test_thousands_of_unknown_columns(tmp_path: Path) -> None:
     table = flight_table()
     extra = pd.DataFrame({f"my_own_{i}": np.zeros(len(table)) for i in range(5000)})
@@ -136,6 +138,7 @@ def test_a_motor_of_absurd_number_is_no_motor(tmp_path: Path, digits: int) -> No
     assert found.where == ("cmd_" + "9" * digits)[:40]
 
 
+@pytest.mark.slow
 def test_a_cell_of_fifty_megabytes(tmp_path: Path) -> None:
     text = "time,acc_x\n0.0,1\n0.1," + "9" * 50_000_000 + "\n"
     with pytest.raises(LogError, match="line 3 has 50000004 characters"):
@@ -149,6 +152,7 @@ def test_columns_of_something_else_than_numbers(tmp_path: Path, kind: pa.DataTyp
         read(tmp_path, parquet(table))
 
 
+@pytest.mark.slow
 def test_a_text_in_many_rows_is_held_once(tmp_path: Path) -> None:
     """200 MB of one phase; the memory that reading takes is measured."""
     n = 4000
@@ -202,6 +206,7 @@ def test_a_name_that_is_no_text(tmp_path: Path) -> None:
         read(tmp_path, blob.replace(b"foo_bar", b"\xff\xfe\xfa_bar"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("metadata", "said"),
     [

@@ -77,6 +77,7 @@ def test_a_sound_flight_is_left_alone(kind: str, seed: int) -> None:
     assert doubts(*flown(kind, seed)) == []
 
 
+@pytest.mark.slow
 @settings(max_examples=24)
 @given(st.permutations(range(4)))
 def test_any_order_of_a_quadrotors_outputs_is_named(order: list[int]) -> None:
@@ -93,6 +94,7 @@ def test_any_order_of_a_quadrotors_outputs_is_named(order: list[int]) -> None:
         assert f"rotor_{k + 1} follows cmd_{i + 1}" in about["rotor"].message
 
 
+@pytest.mark.slow
 @settings(max_examples=12)
 @given(st.permutations(range(6)))
 def test_any_order_of_speeds_is_named(order: list[int]) -> None:
@@ -103,6 +105,7 @@ def test_any_order_of_speeds_is_named(order: list[int]) -> None:
     assert all(f"rotor_{i + 1} follows cmd_{k + 1}" in found[0].message for i, k in moved)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "blind_deg"), [(HEXA, 0.0), (OCTO, 50.0)])
 def test_two_outputs_exchanged_of_many_are_noticed(kind: str, blind_deg: float) -> None:
     """Neighbours of an octorotor act so alike that gusts hide the difference."""
@@ -115,6 +118,7 @@ def test_two_outputs_exchanged_of_many_are_noticed(kind: str, blind_deg: float) 
         assert "cmd" in {f.where for f in found}, (one, two)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [QUAD, HEXA, OCTO])
 def test_signs_are_named(kind: str) -> None:
     table, layout = flown(kind)
@@ -192,6 +196,7 @@ def test_misnumbered_speeds_are_left_out_of_the_flight(tmp_path: Path) -> None:
     assert "rotor_1 follows cmd_3, rotor_3 follows cmd_1" in found.message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["parquet", "csv", "left in its file"])
 def test_motors_are_told_by_number_and_not_by_place(
     form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

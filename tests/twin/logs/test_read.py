@@ -45,6 +45,7 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
 HEADS = [b"", b"ULog\x01\x12\x35\x01", b"PAR1", b"time,acc_x\n", b"\xa3\x95", b"FMT, "]
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(
     st.sampled_from(

@@ -152,6 +152,7 @@ def test_late_stamps_are_set_earlier(delay_s: float, speed_hz: float) -> None:
     assert align_speed_stamps(read).findings == read.findings  # once is enough
 
 
+@pytest.mark.slow
 def test_the_verbs_that_fit_say_what_was_done() -> None:
     """`explain` and `calibrate` print these; `gap` prints all warnings of the readers."""
     vehicle = load_vehicle("copter_default")
@@ -161,6 +162,7 @@ def test_the_verbs_that_fit_say_what_was_done() -> None:
     assert drive_warnings(in_time, vehicle) == []
 
 
+@pytest.mark.slow
 def test_late_commands_are_not_late_speeds() -> None:
     """Where the motion comes with the speeds, the stamps stay and the commands are named."""
     flight = made(act_s=0.15)
@@ -170,6 +172,7 @@ def test_late_commands_are_not_late_speeds() -> None:
     assert "command_delay" in finding.message and "earlier" not in finding.message
 
 
+@pytest.mark.slow
 def test_speeds_that_do_not_follow_say_nothing() -> None:
     flight = made(0.2)
     rng = np.random.default_rng(1)
@@ -205,6 +208,7 @@ def test_without_commands_or_speeds_nothing_is_said(column: str) -> None:
     assert speed_lag(bare) is None
 
 
+@pytest.mark.slow
 def test_a_table_left_in_its_file_is_set_earlier_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

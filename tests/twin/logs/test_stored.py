@@ -80,6 +80,7 @@ def faults() -> dict[str, Callable[[pd.DataFrame], None]]:
     return {k: v for k, v in locals().items() if callable(v)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", faults())
 def test_it_says_what_it_says_in_memory(fault: str, tmp_path: Path) -> None:
     table = flown_table()

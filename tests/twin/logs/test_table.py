@@ -194,6 +194,7 @@ def doubtful(case: str) -> pd.DataFrame:
     return f
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case", ["acc", "acc up", "gyro", "rotor", "mag", "baro_pa", "pos", "vel", "time"]
 )

@@ -56,6 +56,7 @@ def test_order_of_convergence_is_four() -> None:
         assert np.all((orders > 3.7) & (orders < 4.2)), (group, orders, size)
 
 
+@pytest.mark.slow
 def test_torque_free_spin_conserves_energy_and_momentum(free: Rig) -> None:
     x = at_rest(free, **vec("omega", [2.0, -3.0, 4.0]))
     states = free.fly(x, free.commands(0.0), 60.0)
@@ -381,6 +382,7 @@ def test_what_cannot_hover_is_said(positions: Array, direction: list[int]) -> No
         airframe(vehicle)
 
 
+@pytest.mark.slow
 def test_too_heavy_is_said() -> None:
     with pytest.raises(ModelError, match="no hover trim"):
         airframe(plain(mass_kg=3.3))  # 4 * 8 N carry 3.26 kg
@@ -393,6 +395,7 @@ def test_rotor_speed_drive_needs_a_map_of_the_speed() -> None:
         airframe(load_vehicle("feisi_x150"), "rotor_speed")
 
 
+@pytest.mark.slow
 def test_a_parameter_acts_as_the_number_in_the_vehicle_file() -> None:
     base, J = plain(), np.diag([0.03, 0.027, 0.036])
     changed = with_rotors(

@@ -56,6 +56,7 @@ def test_inputs_of_an_effect_are_there_only_with_it() -> None:
     assert "wind_x" in barometer(plain(), ["baro_dynamic_pressure"]).input_names
 
 
+@pytest.mark.slow
 def test_noise_and_walk() -> None:
     white = draws(IDEAL.component, {"baro_noise": 3.0}, 4000) - 101325.0
     assert white.std() == pytest.approx(3.0, rel=0.05)

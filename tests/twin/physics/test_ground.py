@@ -120,6 +120,7 @@ def test_ground_can_be_elsewhere_or_absent() -> None:
     assert none.get(fallen, "pos_z")[0] > 5.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("vehicle", BUILTIN)
 def test_leaving_contact_out_far_from_the_ground_changes_no_bit(vehicle: str) -> None:
     """Near the ground, fast, upside down: wherever the shortcut holds it gives the full step."""

@@ -70,6 +70,7 @@ def test_the_current_is_an_input_only_where_an_effect_asks_for_it() -> None:
     assert "ibat_a" in magnetometer(plain(), ["mag_current_coupling"]).input_names
 
 
+@pytest.mark.slow
 def test_noise_and_walk() -> None:
     white = draws(IDEAL.component, {"mag_noise": 3e-7}, 2000) - EARTH_FIELD_N_T
     assert white.std(axis=0) == pytest.approx([3e-7] * 3, rel=0.07)

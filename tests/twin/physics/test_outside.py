@@ -70,6 +70,7 @@ def running() -> tuple[Run, Rig]:
     return run, rig
 
 
+@pytest.mark.slow
 def test_motion_becomes_the_given_one_and_rotors_go_on() -> None:
     run, rig = running()
     u = rig.commands([0.5, 0.45, 0.47, 0.52])
@@ -87,6 +88,7 @@ def test_motion_becomes_the_given_one_and_rotors_go_on() -> None:
     assert free == pytest.approx(3e-3, rel=0.01)
 
 
+@pytest.mark.slow
 def test_without_a_restart_it_is_the_airframe_as_ever() -> None:
     run, rig = running()
     plain_rig = in_air(FREE)
@@ -95,6 +97,7 @@ def test_without_a_restart_it_is_the_airframe_as_ever() -> None:
     np.testing.assert_array_equal(mine, path[-1])
 
 
+@pytest.mark.slow
 def test_a_given_attitude_is_made_a_unit_quaternion() -> None:
     run, rig = running()
     given_now = {**GIVEN, **{f"q_{a}": 3 * GIVEN[f"q_{a}"] for a in "wxyz"}}
@@ -109,6 +112,7 @@ LACKING = {**vec("force", (0.4, -0.3, 0.8)), **vec("moment", (0.02, -0.01, 0.005
 LAG_S, FADE_S = 0.1, 0.5
 
 
+@pytest.mark.slow
 def test_what_the_equations_lack_is_learned_and_fades() -> None:
     """A plant that a constant force and moment push, in body axes; exponential both ways."""
     plant, seconds = Rig(airframe(FREE), {"ground.enabled": 0.0, "initial.omega_z": 0.1}), 0.6
@@ -136,6 +140,7 @@ def test_what_the_equations_lack_is_learned_and_fades() -> None:
         assert left == pytest.approx(np.exp(-1), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_restart_alone_teaches_nothing() -> None:
     """However far it is from where the twin was; and nothing acts while it is switched off."""
     run, rig = running()

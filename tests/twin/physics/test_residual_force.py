@@ -73,6 +73,7 @@ def motion(**values: float) -> dict[str, float]:
 three = st.tuples(*[st.floats(-0.6, 0.6)] * 3)
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(three, three, st.tuples(*[st.floats(0.9, 1.1)] * 4), st.integers(0, 99))
 def test_within_the_envelope_it_is_its_formula(
@@ -100,6 +101,7 @@ def test_within_the_envelope_it_is_its_formula(
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(st.floats(-3, 3), three, st.tuples(st.floats(-50, 50), st.floats(-50, 50)))
 def test_neither_heading_nor_place_takes_part(turn: float, vel: Array, place: Array) -> None:
@@ -132,6 +134,7 @@ def test_it_fades_without_a_step_and_ends_at_zero() -> None:
     assert np.all(steps < 0.01 * np.ptp(acts, axis=0))  # one of 4000 steps, not a jump
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(three, st.floats(0, 3), st.integers(0, 99))
 def test_nothing_is_said_beyond_what_may_be(vel: Array, most: float, seed: int) -> None:

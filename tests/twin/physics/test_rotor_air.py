@@ -84,6 +84,7 @@ def added(
 # -- by hand ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_parasitic_drag_is_the_whole_speed_times_each_component() -> None:
     vehicle = plain(drag_parasitic_n_s2_m2=np.array([0.005, 0.006, 0.01]))
     rig = Rig(airframe(vehicle), {"ground.enabled": 0.0})
@@ -117,6 +118,7 @@ def test_air_stops_a_turn_with_the_square_of_its_rate() -> None:
 SPEEDS = [500.0, 600.0, 700.0, 800.0]
 
 
+@pytest.mark.slow
 def test_rotor_drag_acts_at_each_hub() -> None:
     """Flying forward at 3 m/s: rear left and front right pull harder where they turn faster."""
     force, moment = added(
@@ -213,6 +215,7 @@ def test_a_further_lag_adds_to_the_rotors_own_law() -> None:
     assert (700 - rig.get(end, "rotor_1")[0]) / 200 == pytest.approx(np.exp(-0.1 / 0.08), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_rotor_that_speeds_up_turns_the_body_the_other_way() -> None:
     vehicle = with_rotors(spinning(), lag_up_s=0.05, lag_down_s=0.05, reaction_inertia_kg_m2=2e-5)
     rig, bare = (
@@ -321,6 +324,7 @@ CLEAN = replace(spinning(), drag_linear_n_s_m=np.zeros(3), drag_quadratic_n_s2_m
 triples = st.tuples(*[st.floats(-20, 20)] * 3)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=200)
 @given(triples, triples, st.tuples(*[st.floats(0, 2000)] * 4), triples)
 def test_drag_of_body_and_rotors_never_gives_power(
@@ -358,6 +362,7 @@ def code_of(component: Component) -> str:
     return str(generator.dump()) + repr(component.variables) + repr(component.states)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BUILTIN)
 def test_zeros_and_nothing_are_the_same_equations(name: str) -> None:
     """A vehicle that leaves these laws out pays nothing for them, and nothing of them is in it."""
@@ -390,6 +395,7 @@ def test_zeros_and_nothing_are_the_same_equations(name: str) -> None:
     assert not [n for n in names if n.startswith(new)]
 
 
+@pytest.mark.slow
 def test_every_number_is_a_parameter_with_a_unit_that_fmi_knows() -> None:
     air = {"drag_kg_rad": 1e-4, "inflow_kg_rad": 2e-4, "lift_kg_m": 1e-3}
     air |= {"flapping_kg_m_rad": 1e-6, "rolling_kg_m_rad": 2e-6}

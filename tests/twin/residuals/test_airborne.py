@@ -40,6 +40,7 @@ def wrong(thrust: float, mass: float) -> Vehicle:
 WRONG = ((0.5, 1.0), (2.0, 1.0), (1.0, 0.5), (1.0, 2.0), (0.7, 1.2), (2.5, 0.7))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("thrust", "mass"), WRONG)
 @pytest.mark.parametrize("lacks", ["", "land detector", "pose"])
 def test_a_wrong_file_flies_as_long_as_the_right_one(
@@ -77,6 +78,7 @@ def test_what_idles_on_the_ground_does_not_fly(tour: Flight) -> None:
         align_flight(replace(tour, table=table), COPTER, 1 / GRID_HZ)
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(st.floats(0.05, 20.0), st.integers(0, 1000))
 def test_the_thrust_that_carries_scales_with_the_file(factor: float, seed: int) -> None:

@@ -40,6 +40,7 @@ def vehicle(loaded: bool) -> Vehicle:
     return made.with_effects(LOADED) if loaded else made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loaded", [False, True])
 def test_blocks_are_parts_of_the_whole(loaded: bool) -> None:
     """Rotor states, what hangs on a rope and what comes late go on from one to the next."""

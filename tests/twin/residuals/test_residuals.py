@@ -154,6 +154,7 @@ def test_one_name_at_two_horizons_gives_two_channels() -> None:
     assert set(report["channels"]) == {"acc_z@0s", "acc_z@0.5s"}
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(
     n=st.integers(0, 60),
@@ -196,6 +197,7 @@ def test_rotors_accelerate_as_their_measured_speeds_say() -> None:
 # -- shifts in time --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @given(later_s=st.floats(-0.2, 0.2), seed=st.integers(0, 2**16))
 def test_a_shift_is_that_of_a_second_implementation(later_s: float, seed: int) -> None:
     values = np.random.default_rng(seed).standard_normal((300, 2)).cumsum(axis=0)

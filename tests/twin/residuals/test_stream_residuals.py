@@ -148,6 +148,7 @@ def test_a_recorded_flight() -> None:
     check_same(table, load_vehicle("feisi_x150"), 1.0)
 
 
+@pytest.mark.slow
 def test_the_rate_of_a_filter_is_settled(copter: Vehicle) -> None:
     """What would be a median of the whole flight is what the recording notes."""
     flight = Flight("flown", flown_table().iloc[:600])

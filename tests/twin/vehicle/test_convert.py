@@ -526,6 +526,7 @@ def f450() -> tuple[Any, Vehicle]:
     return fdm, converted(root / "aircraft" / "F450" / "F450.xml")
 
 
+@pytest.mark.slow
 @needs_package("jsbsim")
 def test_the_f450_of_jsbsim_feels_what_it_does_there(f450: tuple[Any, Vehicle]) -> None:
     """Drag and thrust in a tumbling climb and fall, at the rotor speeds of JSBSim itself."""

@@ -187,6 +187,7 @@ torque_from_speed = {{ value = 2.2e-7, unit = "N*m*s^2/rad^2", source = "s" }}
     assert "0.0123 and 0.0124 kg*m^2 add up to less than the third, 0.0248" in doubt
 
 
+@pytest.mark.slow
 @given(
     size=st.floats(0.3, 3.0),
     mass=st.floats(0.5, 2.0),

@@ -173,6 +173,7 @@ def test_keys_of_many_parts_are_refused(part: str) -> None:
         parse_vehicle(f"{FULL}\n{part * 20_000}a = 1\n", "v.toml")
 
 
+@pytest.mark.slow
 def test_unknown_keys_without_end_are_counted() -> None:
     keys = "".join(f"key_{k} = 1\n" for k in range(30_000))
     begun = time.process_time()

@@ -187,6 +187,7 @@ def test_a_query_joins_tables(folder: Path, capsys: pytest.CaptureFixture[str]) 
     assert HEAVY in out
 
 
+@pytest.mark.slow
 def test_a_query_gives_the_numbers_of_pandas(folder: Path) -> None:
     rows = query(folder, "select log, carried from flights order by log").rows
     flights = pd.read_parquet(folder / "flights.parquet").sort_values("log")
@@ -248,6 +249,7 @@ def test_the_page_of_a_fleet_is_fine_to_look_at(result: FleetResult, tmp_path: P
             assert faults(opened, page, view, pictures(tmp_path) / f"fleet_{view}.png") == []
 
 
+@pytest.mark.slow
 def test_the_page_says_how_many_were_tried_and_which_is_bad(
     result: FleetResult, tmp_path: Path
 ) -> None:
@@ -281,6 +283,7 @@ def test_tables_of_others_are_no_dataset(folder: Path, tmp_path: Path, column: p
         query(tmp_path, "select log from flights")
 
 
+@pytest.mark.slow
 def test_a_query_without_end_is_ended(folder: Path) -> None:
     endless = "with recursive n(i) as (select 1 union all select i + 1 from n) select max(i) from n"
     with pytest.raises(TwinError, match=r"took longer than 0\.2 s, the limit"):

@@ -74,6 +74,7 @@ def test_unknown_motion_is_never_given(flown: tuple[Flight, AlignedFlight]) -> N
     assert all(np.isfinite(table[name]).all() for name in table.dtype.names or ())
 
 
+@pytest.mark.slow
 def test_rotor_speeds_come_with_their_rates() -> None:
     """Where the twin asks for them."""
     spun = load_vehicle("copter_default")

@@ -260,6 +260,7 @@ def test_killed_it_leaves_all_but_the_last_second(tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.slow
 def test_nothing_is_commanded_unless_asked_for(copter: Vehicle) -> None:
     """What goes back to the aircraft: questions for its time, and rates where they are wanted."""
     heard: dict[bool, set[str]] = {}

@@ -133,6 +133,7 @@ def test_an_observer_draws_it_to_what_was_measured(copter: Vehicle) -> None:
     assert apart == pytest.approx([np.exp(-1.0 / 0.5), 1.0], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_alarms_reach_the_recording_and_the_ground_station(copter: Vehicle, tmp_path: Path) -> None:
     """Evidence gets each row of the grid, in order; its alarms are a line, a text and a number."""
     listener, recording = Listener(), Recording(tmp_path / "rec", 4)

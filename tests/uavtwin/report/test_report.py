@@ -71,6 +71,7 @@ def written(path: Path, *gaps: FlightGap) -> tuple[str, _Loads]:
     return text, page
 
 
+@pytest.mark.slow
 def test_report_opens_offline_and_embeds_plotly_once(tmp_path: Path) -> None:
     text, page = written(tmp_path / "report.html", flight(), flight("real_3"))
     assert page.fetched == []
@@ -119,6 +120,7 @@ def test_horizons_are_labelled(tmp_path: Path) -> None:
     assert "short horizon, 0.5 s" in text
 
 
+@pytest.mark.slow
 def test_same_flights_give_the_same_bytes(tmp_path: Path) -> None:
     write_gap_report([flight()], tmp_path / "a.html")
     write_gap_report([flight()], tmp_path / "b.html")

@@ -53,6 +53,7 @@ def normal_priors(monkeypatch: pytest.MonkeyPatch) -> None:
 # -- against integrals ------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.0, 0.1, 0.4, 2.3])
 def test_evidence_is_the_integral_over_number_and_noise_level(size: float) -> None:
     """N(r; s x, v) t(x; 0.2, 0.5) Inv-chi2(v; 2, 0.3), summed on a grid of x and log v."""
@@ -204,6 +205,7 @@ def test_a_number_stays_inside_its_range_and_the_others_make_the_best_of_it() ->
     assert x[1] == pytest.approx(min(1.0, s[:, 1] @ rest / (s[:, 1] @ s[:, 1])), rel=0.02)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10_000), st.integers(1, 12))
 def test_no_direction_is_better_than_the_best_inside_ranges(seed: int, m: int) -> None:
     """Karush, Kuhn and Tucker: the slope is zero inside, and points outward at an end."""

@@ -176,6 +176,7 @@ def test_another_flight_of_the_same_mission_stands_in_for_setpoints() -> None:
     assert not law_of(other, channels).instruments
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(st.floats(0, 3), st.integers(0, 100))
 def test_the_density_does_not_know_how_loud_the_noise_is(decades: float, seed: int) -> None:
@@ -210,6 +211,7 @@ def test_the_gradient_is_that_of_the_density() -> None:
     assert np.all(weight >= 0)
 
 
+@pytest.mark.slow
 def test_no_scale_answers_to_a_constant() -> None:
     """Of roll and pitch the constant is that of the moment."""
     vehicle = load_vehicle("copter_default")

@@ -171,6 +171,7 @@ def test_a_voltage_comes_from_the_flights_where_the_vehicle_has_none(quiet: Flig
     assert at_voltage(number, [dead], COPTER) is number
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "values"),
     [

@@ -46,6 +46,7 @@ def compare(found: Flight, start_s: float = 0.0) -> None:
         assert len(t) > 650
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", [False, True])
 @pytest.mark.parametrize("units", [False, True])
 def test_the_flown_flight_comes_back(tmp_path: Path, text: bool, units: bool) -> None:
@@ -65,6 +66,7 @@ def test_the_flown_flight_comes_back(tmp_path: Path, text: bool, units: bool) ->
     assert found.facts["attitude from"].startswith("XKQ, core 0")
 
 
+@pytest.mark.slow
 def test_sensors_are_those_of_the_core_in_charge(tmp_path: Path) -> None:
     """Core 1 takes the second sensor of EK3_IMU_MASK, which is 2; compass 1, barometer 1."""
     base = flown_messages()
@@ -108,6 +110,7 @@ def test_a_change_of_core_is_told(tmp_path: Path) -> None:
     assert "in charge changes at 20.0 s; here number 0 is used" in said(found, "q", "warning")
 
 
+@pytest.mark.slow
 def test_the_delay_of_the_filters_is_taken_off(tmp_path: Path) -> None:
     """Second-order Butterworth, sqrt(2) / (2 pi f): 11.254 ms at 20 Hz, 22.508 ms at 10 Hz."""
     params = FLOWN_PARAMS | {"INS_GYRO_FILTER": 20.0, "INS_ACCEL_FILTER": 10.0}
@@ -153,6 +156,7 @@ def test_without_outputs_the_events_tell(tmp_path: Path) -> None:
     assert "all of it is used" in said(whole, "log", "info")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("functions", "outputs"),
     [
@@ -212,6 +216,7 @@ def test_a_stretch_of_the_yaw_trim(tmp_path: Path) -> None:
     assert found.facts["yaw trim"].endswith("11.3% of the mean command")
 
 
+@pytest.mark.slow
 def test_attitude_from_angles_where_there_is_no_quaternion(tmp_path: Path) -> None:
     """ATT has hundredths of a degree."""
     roll, pitch, yaw = 0.1 * np.sin(1.3 * T), 0.12 * np.sin(0.9 * T), 0.4 * np.sin(0.4 * T)
@@ -224,6 +229,7 @@ def test_attitude_from_angles_where_there_is_no_quaternion(tmp_path: Path) -> No
     assert faster.facts["attitude from"] == "ATT, 100 Hz"
 
 
+@pytest.mark.slow
 def test_position_of_the_controller_and_of_satellites(tmp_path: Path) -> None:
     base: Any = flown_messages()["XKF1"]
     axes = {f"PSC{a}": {"t": SLOW, f"P{a}": base[f"P{a}"], f"V{a}": base[f"V{a}"]} for a in "NED"}
@@ -238,6 +244,7 @@ def test_position_of_the_controller_and_of_satellites(tmp_path: Path) -> None:
     assert not found.has("vel_x")
 
 
+@pytest.mark.slow
 def test_a_log_before_units_and_instances(tmp_path: Path) -> None:
     """ArduPilot 3.6: IMU2, NKF1, NKQ1, CURR, Chan1; mGauss and degrees by documentation."""
     base: Any = flown_messages()
@@ -269,6 +276,7 @@ def test_a_log_before_units_and_instances(tmp_path: Path) -> None:
     assert found.has("cmd_4", "ibat_a", "vbat_v", "baro_pa")
 
 
+@pytest.mark.slow
 def test_a_unit_that_contradicts_is_an_error(tmp_path: Path) -> None:
     kinds = KINDS | {"BARO": Kind("QBff", "TimeUS,I,Alt,Press", "s#mv", "F-00")}
     found = flight(tmp_path, flown(), kinds=kinds)
@@ -279,6 +287,7 @@ def test_a_unit_that_contradicts_is_an_error(tmp_path: Path) -> None:
     compare(flight(tmp_path, flown(IMU=imu), kinds=degrees))
 
 
+@pytest.mark.slow
 def test_current_is_taken_where_it_is_one(tmp_path: Path) -> None:
     volts, amps = 16.0 - 0.01 * SLOW, 20.0 + np.sin(SLOW)
     holes = np.where(np.arange(len(SLOW)) % 10 == 0, np.nan, amps)
@@ -318,6 +327,7 @@ def test_what_happens_is_told(tmp_path: Path) -> None:
     assert set(phase[6.0:27.0]) <= {"hover", "forward", "takeoff", "land"}
 
 
+@pytest.mark.slow
 def test_another_vehicle_is_an_error(tmp_path: Path) -> None:
     plane = {"MSG": {"t": [0.0], "Message": ["ArduPlane V4.5.7 (abc)"]}}
     found = flight(tmp_path, flown(**plane))
@@ -341,6 +351,7 @@ def test_body_rates_of_the_controller_where_there_is_no_imu(tmp_path: Path) -> N
     assert "no IMU" in said(found, "acc", "warning")
 
 
+@pytest.mark.slow
 def test_a_site_is_outdoors_where_satellites_are(tmp_path: Path) -> None:
     fix = {"t": SLOW, "GWk": 2356, "GMS": 3 * 86_400_000, "Lat": 47.5, "Lng": 8.5, "Alt": 410.0}
     found = flight(tmp_path, flown(GPS=fix | {"Status": 3}))
@@ -357,6 +368,7 @@ def test_a_log_without_motion_is_refused(tmp_path: Path, messages: dict[str, Any
         flight(tmp_path, {"BAT": {"t": SLOW, "Volt": 12.0 + 0.0 * SLOW}})
 
 
+@pytest.mark.slow
 def test_stamps_of_another_clock_are_dropped_and_told(tmp_path: Path) -> None:
     """Of XKQ alone; from the middle on in milliseconds."""
     base: Any = flown_messages()

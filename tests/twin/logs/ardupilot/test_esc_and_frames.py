@@ -53,6 +53,7 @@ def doubt(found: Flight) -> str:
     )
 
 
+@pytest.mark.slow
 def test_speeds_of_controllers_that_report_in_their_own_time(tmp_path: Path) -> None:
     """Linear between reports: off by at most a^2 / 8 of the second derivative, 40 rad/s^3."""
     found = flight(tmp_path, telemetry())
@@ -63,6 +64,7 @@ def test_speeds_of_controllers_that_report_in_their_own_time(tmp_path: Path) -> 
     assert "rotor speeds" in found.facts
 
 
+@pytest.mark.slow
 def test_reports_that_lack_are_not_bridged(tmp_path: Path) -> None:
     esc = telemetry()
     kept = (esc[2]["t"] < 10.0) | (esc[2]["t"] > 12.0)
@@ -92,6 +94,7 @@ def test_speeds_that_are_not_good_are_left_out(tmp_path: Path, change: Any, why:
     assert not found.has("rotor_1")
 
 
+@pytest.mark.slow
 def test_pulses_of_oneshot125_are_an_eighth(tmp_path: Path) -> None:
     """Until Copter 3.5 as they were sent, 125 to 250 us; the same commands come out."""
     messages: dict[str, Any] = dict(flown_messages())

@@ -71,6 +71,7 @@ def same_as_pymavlink(path: Path, content: Content, text: bool) -> int:
     return compared
 
 
+@pytest.mark.slow
 @needs_package("pymavlink")
 @pytest.mark.parametrize("text", [False, True])
 def test_every_value_is_that_of_pymavlink(tmp_path: Path, text: bool) -> None:
@@ -118,6 +119,7 @@ def test_a_lost_definition_loses_its_messages_alone() -> None:
     assert content.damage.stretches > 100
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.integers(SHORT.rindex(b"SERVO"), len(SHORT)), st.integers(1, 3000))
 def test_bytes_that_are_missing_are_noticed(at: int, count: int) -> None:
@@ -196,6 +198,7 @@ def test_a_second_definition_does_not_change_the_messages_before_it() -> None:
     assert again.damage.redefined == []  # the same once more is none
 
 
+@pytest.mark.slow
 def test_lines_that_make_no_sense_are_counted() -> None:
     lines = dataflash(flown_messages(), FLOWN_PARAMS, text=True).decode().splitlines(True)
     lines[500:500] = ["NONE, 1, 2\n", "IMU, 1, 2\n", "\n"]

@@ -271,6 +271,7 @@ def written(release: Release, text: bool, **others: Any) -> bytes:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "text"),
     [*((n, False) for n in RELEASES), ("Copter 3.1", True), ("Solo", True), ("Copter 3.3", True)],
@@ -305,6 +306,7 @@ def test_the_same_flight_comes_out_of_every_release(tmp_path: Path, name: str, t
     np.testing.assert_allclose(mag, np.tile([2.2e-5, -2e-6, 4.3e-5], (len(mag), 1)), rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n, r in RELEASES.items() if "ESC1" in r.kinds])
 def test_speeds_of_both_letters_are_rpm(tmp_path: Path, name: str) -> None:
     """`c` holds thousands of rpm after the divisor of the letter, `e` rpm."""
@@ -315,6 +317,7 @@ def test_speeds_of_both_letters_are_rpm(tmp_path: Path, name: str) -> None:
         np.testing.assert_allclose(rotors[:, k], truth, atol=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("frame", "form", "motors", "layout"),
     [
@@ -366,6 +369,7 @@ def test_a_frame_that_is_nowhere_is_not_guessed(tmp_path: Path) -> None:
     assert any("names no frame of known motors" in f.message for f in found.findings)
 
 
+@pytest.mark.slow
 def test_thrust_and_battery_by_their_old_names(tmp_path: Path) -> None:
     """THR_MIN 100 of 1000, and 0.9 of what is left above it."""
     found = read(tmp_path, written(RELEASES["Copter 3.3"], text=False)).airframe
@@ -375,6 +379,7 @@ def test_thrust_and_battery_by_their_old_names(tmp_path: Path) -> None:
     assert found.cells.value.count == 4 and found.cells.value.empty_v == pytest.approx(3.3)
 
 
+@pytest.mark.slow
 def test_modes_and_events_without_a_time_have_that_of_their_neighbours(tmp_path: Path) -> None:
     release = RELEASES["Copter 3.2"]
     modes = {"t": [0.0, 12.3], "Mode": [5, 6]}
@@ -382,6 +387,7 @@ def test_modes_and_events_without_a_time_have_that_of_their_neighbours(tmp_path:
     assert found.facts["modes"].startswith("Loiter from 0.0 s, RTL from 12.3 s")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["APM:Plane V3.2", "ArduPlane V4.5", "APM:Rover v2.5"])
 def test_firmware_of_other_vehicles_is_named(tmp_path: Path, name: str) -> None:
     message = {"t": [0.0], "Message": [name]}
@@ -408,6 +414,7 @@ def test_a_log_of_px4s_first_logger_is_named(tmp_path: Path) -> None:
         read(tmp_path, blob)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Solo", "Copter 4.0"])
 def test_a_controller_that_reads_half_a_volt_less_is_told(tmp_path: Path, name: str) -> None:
     release = RELEASES[name]
@@ -419,6 +426,7 @@ def test_a_controller_that_reads_half_a_volt_less_is_told(tmp_path: Path, name: 
     assert len(told) == 1 and "motor 3 reads 15.6" in told[0] and "0.50 V below" in told[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", [False, True])
 @pytest.mark.parametrize("name", ["MSG", "MODE", "EV", "PARM"])
 def test_messages_without_a_time_may_lack_their_columns(

@@ -129,6 +129,7 @@ def test_times_go_on_where_the_counter_of_the_firmware_begins_anew(tmp_path: Pat
 # -- the flight table -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fine", [False, True])
 def test_a_flight_comes_back_in_si_ned_and_frd(fine: bool, tmp_path: Path) -> None:
     meant = flown_table()
@@ -160,6 +161,7 @@ def test_a_flight_comes_back_in_si_ned_and_frd(fine: bool, tmp_path: Path) -> No
     assert [f for f in flight.findings if f.severity != "info"] == []
 
 
+@pytest.mark.slow
 def test_gyroscope_and_attitude_agree(tmp_path: Path) -> None:
     """Signs of all three axes at once: the integrated rates are the attitude's, so that no doubt of
     frames is raised; turned about, it is."""
@@ -182,6 +184,7 @@ def test_the_unfiltered_gyroscope_comes_first(tmp_path: Path) -> None:
     assert flight.airframe.gyro_cutoff_hz is None
 
 
+@pytest.mark.slow
 def test_the_scale_of_the_gyroscope_is_that_of_the_head(tmp_path: Path) -> None:
     main = flown_main(flown_table()[:600])
     one = _read(tmp_path, Part(main)).signal(["gyro_x"])[1]
@@ -217,6 +220,7 @@ def test_motor_outputs_become_commands(
     np.testing.assert_allclose(given[0], command, atol=0.51 / 900)
 
 
+@pytest.mark.slow
 def test_the_sense_of_the_rotors_is_seen_in_the_motors(tmp_path: Path) -> None:
     main = flown_main(flown_table())
     flight = _read(tmp_path, Part(main))
@@ -238,6 +242,7 @@ def test_the_sense_of_the_rotors_is_seen_in_the_motors(tmp_path: Path) -> None:
     assert other.airframe is not None and other.airframe.layout is None
 
 
+@pytest.mark.slow
 def test_rotors_that_are_silent_are_left_out(tmp_path: Path) -> None:
     main = flown_main(flown_table()[:400])
     speeds = np.asarray(main["eRPM[1]"]).copy()
@@ -252,6 +257,7 @@ def test_rotors_that_are_silent_are_left_out(tmp_path: Path) -> None:
     assert _told(_read(tmp_path, Part(main, {"motor_poles": ""})), "motor_poles ''")
 
 
+@pytest.mark.slow
 def test_satellites_give_a_course(tmp_path: Path) -> None:
     fixes = [
         (k, HOME if k == 0 else None, (50, 12, k, 2 * k, 4321 + k // 10, 0, 0, 150, -20, 5))
@@ -274,6 +280,7 @@ def test_satellites_give_a_course(tmp_path: Path) -> None:
     assert _told(poor, "fixes left out")[0].count == 30 and not poor.has("pos_x")
 
 
+@pytest.mark.slow
 def test_what_the_autopilot_says(tmp_path: Path) -> None:
     part = Part(
         flown_main(flown_table()),
@@ -308,6 +315,7 @@ def test_what_the_autopilot_says(tmp_path: Path) -> None:
 # -- damage ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_of_several_flights_the_longest_is_read(tmp_path: Path) -> None:
     short, long = flown_main(flown_table()[:300]), flown_main(flown_table()[:900])
     flight = _read(tmp_path, Part(short), Part(long), Part(short, ended=False))
@@ -322,6 +330,7 @@ def test_of_several_flights_the_longest_is_read(tmp_path: Path) -> None:
     assert _told(flight, "encoding 99 is not known")
 
 
+@pytest.mark.slow
 def test_a_flipped_byte_and_a_cut_are_told(tmp_path: Path) -> None:
     whole = blackbox(Part(flown_main(flown_table())))
     path = tmp_path / "a.bbl"
@@ -345,6 +354,7 @@ def _frames(first: int, end: int, ended: bool = False) -> bytes:
     return blob[read_header(blob).size :]
 
 
+@pytest.mark.slow
 def test_missing_and_doubled_frames_are_told(tmp_path: Path) -> None:
     """At whole frames, where no byte is wrong: by the numbers of the loops."""
     begin = blackbox(Part(flown_main(flown_table()[:640]), ended=False))
@@ -374,6 +384,7 @@ def test_a_jump_of_the_clock_is_followed_where_it_lasts(tmp_path: Path) -> None:
     assert _told(flight, "gaps, the longest of 30.3 s")
 
 
+@pytest.mark.slow
 def test_a_pause_that_the_pilot_made_is_a_pause(tmp_path: Path) -> None:
     table = flown_table()
     main = {n: np.asarray(v) for n, v in flown_main(table).items()}
@@ -425,6 +436,7 @@ SMALL = blackbox(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=150)
 @given(data=st.data())
 def test_changed_bytes_raise_nothing_but_a_log_error(

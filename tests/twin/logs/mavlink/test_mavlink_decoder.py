@@ -41,6 +41,7 @@ def numbers(limit: float, count: int) -> st.SearchStrategy[tuple[float, ...]]:
     return st.tuples(*[one] * count)
 
 
+@pytest.mark.slow
 @given(
     t_us=T_US,
     acc=numbers(200, 3),

@@ -81,6 +81,7 @@ FLOATS = st.sampled_from([math.nan, math.inf, -math.inf, 3e38, -3e38, 0.0, 1.0])
 WHOLE = st.sampled_from([0, 1, 2**31, 2**32 - 1, 2**53, 2**63 - 1])
 
 
+@pytest.mark.slow
 @given(st.data())
 def test_any_content_of_a_message_becomes_finite_samples(data: st.DataObject) -> None:
     """Whatever a frame of a kind that is read holds, samples are finite or counted."""
@@ -173,6 +174,7 @@ def test_random_stamps_move_no_clock(times: list[int]) -> None:
     assert gate.newest_us == 10_000_010
 
 
+@pytest.mark.slow
 def test_forged_senders_take_bounded_memory() -> None:
     """The aircraft is followed all the while, its counts are whole."""
     link = Link()

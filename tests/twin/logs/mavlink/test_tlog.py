@@ -39,6 +39,7 @@ def flown(system: int = 1, table_rows: int = 1000) -> list[bytes]:
     return found
 
 
+@pytest.mark.slow
 def test_a_flight_comes_back(tmp_path: Path) -> None:
     path = tmp_path / "flown.tlog"
     path.write_bytes(b"".join(flown()))

@@ -131,6 +131,7 @@ def one_by_one(control: Array, scale: Array, airmode: int) -> Array:
     return np.clip(out, 0, 1)
 
 
+@pytest.mark.slow
 @given(
     arrays(np.float64, (5, 4), elements=st.floats(-1.2, 1.2)),
     st.sampled_from(["quad_x", "quad_wide", "quad_plus", "hex_x"]),

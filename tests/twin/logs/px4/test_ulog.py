@@ -155,6 +155,7 @@ def test_log_without_samples(tmp_path: Path) -> None:
         saved(tmp_path, ulog(only))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REAL)
 def test_rebuilt_commands_match_the_logged_outputs(data_dir: Path, name: str) -> None:
     """Within 10 us rms of pulse width for each motor while flying (850 us is full range)."""
@@ -170,6 +171,7 @@ def test_rebuilt_commands_match_the_logged_outputs(data_dir: Path, name: str) ->
     assert 0.0 <= cmd.min() <= cmd.max() <= 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SIMULATED)
 def test_rebuilt_commands_of_the_simulated_flights(data_dir: Path, name: str) -> None:
     told = recorded(data_dir, name).facts["commands_match"]
@@ -239,6 +241,7 @@ def test_rebuilding_that_is_impossible_says_why(data_dir: Path, tmp_path: Path) 
     assert len(flight.signal(["cmd_1"])[0]) == 251
 
 
+@pytest.mark.slow
 def test_what_another_controller_flew_is_not_rebuilt(data_dir: Path, tmp_path: Path) -> None:
     """The log of an aircraft whose parameters are not those that flew it."""
     path = foreign(data_dir / "rflysimdt" / "real_1.ulg", tmp_path)
@@ -283,6 +286,7 @@ def match_of(logged_us: Sequence[Sequence[float]], cmd: Sequence[Sequence[float]
     return compare(outputs, t_us, np.array(cmd), np.ones(len(t_us), dtype=np.bool_))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("topic", "field"),
     [
@@ -324,6 +328,7 @@ def test_a_cut_log_is_read_as_far_as_it_goes(data_dir: Path, tmp_path: Path, sha
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(30))
 def test_damaged_bytes_never_raise_anything_but_a_twin_error(
     data_dir: Path, tmp_path: Path, seed: int
