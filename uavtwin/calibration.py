@@ -16,7 +16,7 @@ from twin.explain.inference.estimate import Estimate
 from twin.explain.inference.fit import INTERVAL
 from twin.explain.model.numbers import Number
 from twin.explain.settings import DEFAULT, SearchSettings
-from twin.formatting import counted, joined, number, number_cells, readable, title
+from twin.formatting import counted, joined, number, number_cells, readable
 from twin.logs import Flight
 from twin.residuals.flight_gap import HoverDiagnosis
 from twin.residuals.teacher_forced import drive_warnings
@@ -354,11 +354,6 @@ def calibrate(
             + (f", so {', '.join(again)} count twice; calibrate the draft instead" if again else "")
         )
     found = fitted(fit, draft, progress, payloads, settings.inference)
-    warnings += [
-        f"{title(effect)} would fit these flights, but is left out, since a calibration assumes an "
-        f"aircraft without faults: {why}"
-        for effect, why in found.refused.items()
-    ]
     return CalibrateResult(found, draft, tuple(warnings), hovers_of(fit, draft))
 
 

@@ -1,13 +1,14 @@
 """Calibration: all numbers of one aircraft, fitted together to normal flights of it."""
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
-from ..effects import EFFECTS
+from ..effects import EFFECTS, prior_of
 from ..effects.parameters import RARE
 from ..errors import LogError
 from ..logs import Flight
@@ -19,7 +20,7 @@ from .inference.estimate import Estimate, fitted_estimates
 from .inference.evidence import LaplaceEvidence
 from .inference.fit import Fit, Problem, State, fit_of
 from .inference.priors import Priors, effect_of, priors_of
-from .inference.search import calibration_start, search
+from .inference.search import CLEAR, SearchResult, calibration_start, search
 from .inference.selection import days_of, shares_of
 from .model.model import candidates, model_of
 from .model.numbers import Payloads, with_effects
@@ -39,15 +40,15 @@ class Calibrated:
         prior_share: Posterior over prior deviation of each number of `fit`: 1 where the flights
             say nothing.
         undetermined: Numbers, "effect.number", shapes left out, that these flights do not
-            determine: they stay at the prior mean, those of effects that are not in `fit` as the
-            vehicle has them.
+            determine: those that the file gives stay as it has them unless that is clearly worse,
+            others at the prior mean; those of effects that are not in `fit` as the vehicle has
+            them.
         days: What stands out of the day of a flight: flight -> "effect.number" -> difference from
             what all flights share, and its standard deviation.
         problem: What was fitted.
         state: The numbers and the residuals there.
         shares: By effect, the largest share of the power of a force or moment channel that it
             takes, and the channel.
-        refused: Effects that the flights would have and that a sound aircraft has not, and why.
     """
 
     vehicle: Vehicle
@@ -59,7 +60,6 @@ class Calibrated:
     problem: Problem
     state: State
     shares: Mapping[str, tuple[float, str]]
-    refused: Mapping[str, str]
 
     __repr__ = short_repr
 
@@ -89,38 +89,30 @@ def calibrate(
     model = model_of(
         flights, vehicle, candidates(flights), lambda done: progress(0.1 * done), payloads
     )
-    problem = Problem.of(model, priors_of(model, trusted=False), settings.evidence)
+    problem = Problem.of(model, _of_sound(priors_of(model, trusted=False)), settings.evidence)
     found = search(
         problem,
         calibration_start(problem.priors),
-        progress=lambda done: progress(0.1 + 0.45 * done),
+        progress=lambda done: progress(0.1 + 0.75 * done),
     )
-    refused = _refused(problem, found.state, settings)
-    if refused:
-        problem = _without(problem, refused)
-        found = search(
-            problem,
-            calibration_start(problem.priors),
-            progress=lambda done: progress(0.55 + 0.4 * done),
-        )
-    estimate = found.laplace.at_linearisation(found.state.effects, found.state.kappa)
-    state = replace(found.state, best=estimate)
+    state, sd, unclear = _profiled(problem, found)
     best, priors = state.best, problem.priors
     free = [int(i) for i in best.free if i < len(priors.now)]
     causes = sorted({priors.cause[i] for i in free})
-    fit = fit_of(problem, causes, best.x, best.deviations(), 0.0)
-    prior = np.where(
-        np.isin(np.arange(len(priors.now)), priors.of(state.effects)), priors.slab, priors.spike
-    )
-    sd = best.deviations()
+    fit = fit_of(problem, causes, best.x, sd, 0.0)
+    prior = _spread(priors, state.effects)
     share = {priors.names[i]: min(1.0, float(sd[i] / prior[i])) for i in free}
     shapes = {priors.names[i] for i in np.flatnonzero(priors.shape)}
-    undetermined = [name for name, s in share.items() if s > UNDETERMINED and name not in shapes]
+    undetermined = [
+        name
+        for name, s in share.items()
+        if (s > UNDETERMINED or name in unclear) and name not in shapes
+    ]
     undetermined += _undetermined_beyond(priors, found.laplace, state)
     reported = Calibration(
         tuple(f.name for f in flights),
         tuple(priors.names[i] for i in free),
-        _shared_covariance(state, free),
+        _shared_covariance(state, free, sd),
         problem.between_days(state),
         problem.constants_between_days(state),
         _of_records(fit),
@@ -130,32 +122,97 @@ def calibrate(
     days, shares = days_of(problem, best), shares_of(problem, state)
     estimates = _estimates(fit, priors, share, settings)
     return Calibrated(
-        made, fit, estimates, share, tuple(undetermined), days, problem, state, shares, refused
+        made, fit, estimates, share, tuple(undetermined), days, problem, state, shares
     )
 
 
-def _refused(problem: Problem, state: State, settings: InferenceSettings) -> dict[str, str]:
-    """Effects that come with damage or a load, are rare on a sound aircraft, and would be larger
-    than `explain` believes: nothing is wrong with the aircraft, that is what a calibration is told.
+def _of_sound(priors: Priors) -> Priors:
+    """Without effects that come with damage or a load and are rare on a sound aircraft: nothing is
+    wrong with it, that is what a calibration is told. Each rotor has its own factor all the same.
     """
-    b, found = problem.priors, {}
-    rare = [c for c in state.effects if b.odds[c] <= RARE]
-    damage = [c for c in rare if EFFECTS[effect_of(c)].change is not None]
-    values = problem.values(state.best.x)
-    tension = b.tension({b.names[i]: values[b.names[i]] for i in b.of(damage) if not b.shape[i]})
-    for name, away in tension.items():
-        if away > settings.selection.tension:
-            found[name.partition(".")[0]] = (
-                f"{name} = {values[name]:.3g} would be {away:.1f} deviations from what such a "
-                f"number is expected to be"
-            )
-    return found
+    damage = {e.name for e in EFFECTS.values() if e.change is not None}
+    odds = {c: v for c, v in priors.odds.items() if v > RARE or effect_of(c) not in damage}
+    return replace(priors, odds=odds)
 
 
-def _without(problem: Problem, effects: Collection[str]) -> Problem:
-    """The same search without some effects."""
-    odds = {c: v for c, v in problem.priors.odds.items() if effect_of(c) not in effects}
-    return replace(problem, priors=replace(problem.priors, odds=odds))
+# -- what is handed on --------------------------------------------------------------------------
+
+CLEARLY = 0.5 * float(chi2.isf(0.05, 1))
+"""Nats by which the file's value, with all others refitted, is worse where a number is told: the
+likelihood ratio at 95 % (Wilks, Ann. Math. Stat. 9, 1938)."""
+AT_FILE = 1e-9
+"""How far a number that is held at the file's value may move, in deviations of its prior."""
+
+
+def _profiled(problem: Problem, found: SearchResult) -> tuple[State, Array, frozenset[str]]:
+    """The end of a search with numbers at the file's value where that is not clearly worse.
+
+    A factor that is far off its file may look sure by its curvature there, and be no better than
+    the file's value once all others are fitted to that. Numbers are held one after the other, the
+    least sure first: of thrust and mass, which together tell one ratio, the file's mass is kept.
+    Where it is not out of the question, the profile is as wide as a parabola through both. A number
+    at the edge of its range is as wide as its prior.
+
+    Args:
+        problem: What was fitted.
+        found: The end of the search.
+
+    Returns:
+        The state, the deviation of each entry of `MapEstimate.x` by its profile, and the numbers
+        that are not told.
+    """
+    end = found.laplace.at_linearisation(found.state.effects, found.state.kappa)
+    state = replace(found.state, best=end)
+    b, sd = problem.priors, end.deviations()
+    prior, moved = _spread(b, state.effects), state.best.x[: len(b.now)]
+    inside = ~(np.isclose(b.now + moved, b.low) | np.isclose(b.now + moved, b.high))
+    told = [
+        int(i)
+        for i in state.best.free
+        if i < len(b.now) and _of_file(b, i) and sd[i] <= UNDETERMINED * prior[i]
+    ]
+    pinned, width, unclear = problem, sd.copy(), set()
+    for i in sorted(told, key=lambda i: abs(moved[i]) / sd[i]):
+        alone = _at_file(pinned, i)
+        start = state.best.x.copy()
+        start[i] = 0.0
+        there = alone.settle(state.effects, state.kappa, found.laplace.spectrum, start)
+        away = abs(float(state.best.x[i]))
+        worse = _density(pinned, state) - _density(alone, there)
+        if sd[i] < away and worse < CLEAR:
+            chord = away / math.sqrt(2 * max(worse, AT_FILE))
+            width[i] = np.clip(chord, sd[i], max(prior[i], sd[i]))
+        if worse < CLEARLY:
+            pinned, state = alone, there
+            unclear.add(b.names[i])
+    edge = [i for i in range(len(b.now)) if sd[i] > 0 and not inside[i] and not b.shape[i]]
+    width[edge] = np.maximum(width[edge], prior[edge])
+    return state, width, frozenset(unclear | {b.names[i] for i in edge})
+
+
+def _of_file(priors: Priors, i: int) -> bool:
+    """Whether a number corrects one that the file has; each rotor has a factor in any case."""
+    corrects = prior_of(EFFECTS[effect_of(priors.cause[i])]).corrects is not None
+    return corrects and not priors.shape[i] and ":" not in priors.cause[i]
+
+
+def _at_file(problem: Problem, i: int) -> Problem:
+    """The same with one number held at the file's value."""
+    b = problem.priors
+    low, high = b.low.copy(), b.high.copy()
+    low[i], high[i] = b.now[i] - AT_FILE * b.slab[i], b.now[i] + AT_FILE * b.slab[i]
+    return replace(problem, priors=replace(b, low=low, high=high))
+
+
+def _density(problem: Problem, state: State) -> float:
+    """Log density of residuals and numbers of a state."""
+    return problem.laplace(state.spectrum).at(state.effects, state.kappa)
+
+
+def _spread(priors: Priors, effects: Sequence[str]) -> Array:
+    """Prior deviation of each number given the effects that are there."""
+    there = np.isin(np.arange(len(priors.now)), priors.of(effects))
+    return np.asarray(np.where(there, priors.slab, priors.spike))
 
 
 def _estimates(
@@ -200,8 +257,10 @@ def _of_records(fit: Fit) -> dict[str, float]:
     return {n: v for n, v in fit.values.items() if n in held}
 
 
-def _shared_covariance(state: State, free: Sequence[int]) -> Array:
-    """Covariance of some numbers that all flights share."""
+def _shared_covariance(state: State, free: Sequence[int], sd: Array) -> Array:
+    """Covariance of some numbers that all flights share, as wide as their profiles."""
     place = {int(i): k for k, i in enumerate(state.best.free)}
     at = [place[i] for i in free]
-    return np.asarray(state.best.covariance[np.ix_(at, at)])
+    covariance = state.best.covariance[np.ix_(at, at)]
+    wider = np.maximum(sd[list(free)] / np.sqrt(np.diag(covariance)), 1.0)
+    return np.asarray(covariance * np.outer(wider, wider))

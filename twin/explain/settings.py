@@ -186,13 +186,6 @@ class SelectionSettings(Group):
         "paper: Kass & Raftery, J. Am. Stat. Assoc. 90 (1995): up to it evidence is not worth more "
         "than a bare mention",
     )
-    tension: float = setting(
-        3.0,
-        "sd",
-        "by which a number may be away from what is expected of it; beyond, something else acts "
-        "like its effect",
-        "physics: one in 370 of right names is farther away, if numbers are normal",
-    )
     credible: float = setting(
         0.5,
         "probability",

@@ -1,5 +1,6 @@
 """Normal flights calibrate an aircraft; what has changed since has a name, and nothing else has."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,7 +11,6 @@ from twin.effects import EFFECTS
 from twin.errors import LogError, ModelError
 from twin.explain.calibration import Calibrated, calibrate
 from twin.explain.explanation import Explanation, explain
-from twin.explain.settings import DEFAULT
 from twin.logs import Flight
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
@@ -119,18 +119,46 @@ def test_what_changed_is_asked_of_a_calibrated_vehicle_alone() -> None:
 
 
 @pytest.mark.slow
-def test_a_calibration_believes_no_rotor_that_explain_would_not() -> None:
-    """Beyond the deviations that count as too many, here one: left out, the rest fitted without."""
+def test_a_calibration_knows_no_damage_and_gives_each_rotor_its_factor() -> None:
     broken = TRUE.with_effects({**TRUE.effects, "rotor_efficiency_loss": {"loss_3": 0.2}})
-    settings = DEFAULT.with_values({"inference.selection.tension": 1.0}).inference
-    with library(("thrust_scale", "rotor_efficiency_loss", "cog_offset")):
-        found = calibrate([flown(broken, 0)], COPTER, settings=settings)
-    assert {*found.refused} == {"rotor_efficiency_loss"}
-    assert "loss_3 = 0." in found.refused["rotor_efficiency_loss"]
-    assert "rotor_efficiency_loss" not in found.state.effects
-    lost = found.estimates["rotor_efficiency_loss.loss_3"].value
-    assert 0 < lost < 0.2, "the factor that every rotor has takes a part of it"
-    assert not calibrated().refused
+    with library(("thrust_scale", "rotor_efficiency_loss", "payload_cg", "cog_offset")):
+        found = calibrate([flown(broken, 0)], COPTER)
+    assert not {"rotor_efficiency_loss:3", "payload_cg"} & {*found.state.effects}
+    assert 0 < found.estimates["rotor_efficiency_loss.loss_3"].value < 0.2
+
+
+UNSURE = replace(
+    COPTER, sources={**COPTER.sources, "rotors.thrust": "estimate", "body.mass": "estimate"}
+)
+"""A draft that has guessed thrust and mass."""
+
+
+@pytest.mark.slow
+def test_the_value_of_the_file_stays_where_it_is_not_clearly_worse() -> None:
+    with library(("thrust_scale", "mass_offset")):
+        exact, wrong = (calibrate([flown(plant, 0)], UNSURE) for plant in (COPTER, TRUE))
+    both = {"thrust_scale.scale": 0.01, "mass_offset.mass_kg": 1e-4}
+    assert "mass_offset.mass_kg" in exact.undetermined
+    for name, least in both.items():
+        stands = 1.0 if name.endswith("scale") else 0.0
+        assert exact.fit.values.get(name, stands) == pytest.approx(stands, abs=least)
+    assert not {*both} & {*wrong.undetermined}
+    assert wrong.fit.values["thrust_scale.scale"] == pytest.approx(0.88, abs=0.01)
+    assert wrong.fit.values["mass_offset.mass_kg"] == pytest.approx(0.08, abs=0.02)
+
+
+@pytest.mark.slow
+def test_a_profile_of_what_is_nearly_linear_is_as_wide_as_its_curvature_says() -> None:
+    with library(("thrust_scale", "cog_offset")):
+        found = calibrate([flown(TRUE, 0)], COPTER)
+    i = found.problem.priors.names.index("thrust_scale.scale")
+    curved = found.state.best.deviations()[i]
+    known = found.vehicle.calibration
+    assert known is not None
+    at = known.numbers.index("thrust_scale.scale")
+    wide = np.sqrt(known.covariance[at, at])
+    assert curved <= wide * (1 + 1e-9)
+    assert wide < 1.5 * curved
 
 
 @pytest.mark.slow

@@ -33,6 +33,7 @@ LOCAL = {
         "inference.sparse_regression.TURNING",
     },
     "channels, by definition or chosen from the table of sensors": {
+        "model.factors.DERIVED_BAND_HZ",
         "model.factors.SHARE_OF_RATE",
         "holdout.READINGS",
         "stochastic.search.SLOW_HZ",
@@ -46,6 +47,7 @@ LOCAL = {
         "model.numbers.STEPS",
         "model.factors.AGE_S",
         "model.prediction.REMEMBERED",
+        "calibration.AT_FILE",
         "inference.priors.EDGE",
         "inference.evidence.HALVINGS",
         "inference.evidence.SETTLED",
@@ -102,6 +104,7 @@ LOCAL = {
     },
     "reported numbers and sets, once their probability is known": {
         "inference.search.EXCHANGED",
+        "calibration.CLEARLY",
         "estimates.UNDETERMINED",
         "inference.estimate.MOST_OF_PRIOR",
         "stochastic.search.LAG_S",
