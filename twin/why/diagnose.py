@@ -10,7 +10,9 @@ from .findings import Finder, Findings
 from .flight import FlightFrame
 from .records import Candidate, Diagnosis, Event, TimelineItem, Verdict
 from .sensors import sensors
+from .steady import steady
 from .timeline import timeline
+from .vibration import vibration
 
 NAMED = 0.5
 """Probability from which on an event makes the verdict "found"."""
@@ -39,7 +41,7 @@ def _item(flight: FlightFrame, place: int, kind: str, text: str) -> TimelineItem
     return TimelineItem(kind=kind, t_s=float(flight.t_s[place]), text=text)  # type: ignore[arg-type]
 
 
-FINDERS: tuple[Finder, ...] = (control, sensors, timeline)
+FINDERS: tuple[Finder, ...] = (control, sensors, timeline, steady, vibration)
 """All of them, in no order."""
 
 

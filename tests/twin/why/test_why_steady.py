@@ -1,0 +1,94 @@
+"""What is there during the whole flight: patterns of the rotors, board, compass, battery."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from twin.logs import Flight
+from twin.logs.columns import ACC, MAG, POS, QUAT, VEL
+from twin.vehicle.layouts import frame, frames_of
+from twin.why.flight import FlightFrame
+from twin.why.steady import balance_of, patterns_of, steady
+
+LAYOUT = frame(frames_of(4)[0])
+
+
+def hover(level: np.ndarray | None = None, seed: int = 0, **changed: np.ndarray) -> FlightFrame:
+    """A hover at 10 m with these mean commands; columns may be changed."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 30.0, 0.02)
+    height = 10.0 * np.clip((t - 3) / 3, 0, 1) * np.clip((29 - t) / 3, 0, 1)
+    height = np.minimum(height, 10.0)
+    commands = (np.full(4, 0.5) if level is None else level) * (1 + 0.004 * rng.standard_normal())
+    flies = (t > 3) & (t < 29)
+    table = {"time": t}
+    for i, c in enumerate(commands):
+        wiggle = c * (1 + 0.02 * rng.standard_normal(len(t)))
+        table[f"cmd_{i + 1}"] = np.where(flies, wiggle, 0.0)
+    table |= dict(zip(POS, (0 * t, 0 * t, -height), strict=True))
+    table |= dict(zip(VEL, 0.1 * rng.standard_normal((3, len(t))), strict=True))
+    table |= dict(zip(ACC, (0 * t, 0 * t, 0 * t - 9.81), strict=True))
+    table |= dict(zip(QUAT, (0 * t + 1, 0 * t, 0 * t, 0 * t), strict=True))
+    table |= dict(zip(MAG, (0 * t + 2e-5, 0 * t, 0 * t + 4.4e-5), strict=True))
+    return FlightFrame.of(Flight(f"hover {seed}", pd.DataFrame(table | changed)))
+
+
+def asked(change: np.ndarray) -> np.ndarray:
+    return np.asarray(0.5 * np.exp(change))
+
+
+NORMAL = [hover(seed=i) for i in range(1, 6)]
+
+
+@pytest.mark.parametrize("rotor", [1, 2, 3, 4])
+def test_a_weak_rotor_leads_against_normal_flights(rotor: int) -> None:
+    now = balance_of(hover(asked(0.12 * np.eye(4)[rotor - 1])))
+    normal = [b for b in map(balance_of, NORMAL) if b is not None]
+    assert now is not None and len(normal) == len(NORMAL)
+    best = max(patterns_of(now, normal, LAYOUT), key=lambda p: p.log_evidence)
+    assert (best.cause, best.rotors) == ("rotor_efficiency_loss", (rotor,))
+    assert best.size == pytest.approx(0.12, rel=0.25)
+
+
+def test_a_load_at_a_side_is_no_rotor() -> None:
+    side = np.sign(LAYOUT.position[:, 1])
+    found = steady(hover(asked(0.04 + 0.03 * side)), NORMAL)
+    causes = {c.cause for c in found.one_of_causes} | {e.cause for e in found.events}
+    assert causes & {"payload_cg", "cog_offset", "mass_offset"}
+    assert found.nothing < 0.1
+
+
+def test_a_normal_flight_is_nothing() -> None:
+    found = steady(hover(seed=9), NORMAL)
+    assert not found.events and not found.one_of_causes and found.nothing > 0.5
+
+
+def test_without_normal_flights_no_rotor_is_named_however_weak() -> None:
+    found = steady(hover(asked(0.2 * np.eye(4)[2])))
+    assert not found.events and not found.one_of_causes
+    assert "rotor 3 is asked for" in found.notes[0] and "--reference" in found.notes[0]
+    assert found.not_visible[0].smallest_detectable.value is None
+
+
+def test_a_tilted_board_is_named_with_its_angle() -> None:
+    t = np.arange(0.0, 30.0, 0.02)
+    angle = np.radians(8.0)
+    force = {ACC[0]: 0 * t + 9.81 * np.sin(angle), ACC[2]: 0 * t - 9.81 * np.cos(angle)}
+    (event,) = steady(hover(**force)).events
+    assert event.cause == "imu_tilt" and event.onset_s is None and event.severity is not None
+    assert event.severity.value == pytest.approx(angle, rel=0.02)
+    assert "forward" in event.text
+    assert not steady(hover()).events
+
+
+def test_a_disturbed_compass_and_a_weak_battery_are_named() -> None:
+    t = np.arange(0.0, 30.0, 0.02)
+    (event,) = steady(hover(**{MAG[2]: 4.4e-5 * (1 + 0.9 * np.sin(t))})).events
+    assert event.cause == "mag_disturbance"
+    amps = 20.0 + 5.0 * np.sin(t)
+    weak, sound = (16.8 - ohm * amps for ohm in (0.2, 0.01))
+    (event,) = steady(hover(vbat_v=weak, ibat_a=amps)).events
+    assert event.cause == "battery_sag" and event.severity is not None
+    assert event.severity.value == pytest.approx(0.2 * 24.8 / np.mean(weak), rel=0.05)
+    found = steady(hover(vbat_v=sound, ibat_a=amps))
+    assert not found.events and any("10" in n and "mOhm" in n for n in found.notes)
