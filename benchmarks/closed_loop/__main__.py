@@ -54,7 +54,9 @@ def fitted(case: Case) -> dict[str, dict[str, float]]:
     """Truth, estimate, its deviation and that of the prior, by number."""
     model = model_of([flown(case)], VEHICLE, [EFFECTS[e] for e in NUMBERS])
     problem = Problem.of(model, priors_of(model, trusted=False))
-    best = problem.start(sorted(NUMBERS), 1.0).best
+    start = problem.start(sorted(NUMBERS), 1.0)
+    problem = problem.asked_anew(start)
+    best = problem.settle(sorted(NUMBERS), 1.0, start.spectrum, start.best.x).best
     truth, sd = planted(case.seed), best.deviations()
     found = {}
     for i, name in enumerate(problem.priors.names):

@@ -20,7 +20,13 @@ from .inference.estimate import Estimate, fitted_estimates
 from .inference.evidence import LaplaceEvidence
 from .inference.fit import Fit, Problem, State, fit_of
 from .inference.priors import Priors, effect_of, priors_of
-from .inference.search import CLEAR, SearchResult, calibration_start, search
+from .inference.search import (
+    CLEAR,
+    SearchResult,
+    calibration_start,
+    search,
+    with_instruments_of_end,
+)
 from .inference.selection import days_of, shares_of
 from .model.model import candidates, model_of
 from .model.numbers import Payloads, with_effects
@@ -93,7 +99,10 @@ def calibrate(
     found = search(
         problem,
         calibration_start(problem.priors),
-        progress=lambda done: progress(0.1 + 0.75 * done),
+        progress=lambda done: progress(0.1 + 0.6 * done),
+    )
+    problem, found = with_instruments_of_end(
+        problem, found, lambda done: progress(0.7 + 0.2 * done)
     )
     state, sd, unclear = _profiled(problem, found)
     best, priors = state.best, problem.priors

@@ -111,6 +111,7 @@ LOCAL = {
         "stochastic.search.SMALLEST_DRAG_1_S",
     },
     "which setpoints tell of an aircraft: tests of an instrument, with their sources": {
+        "inference.instruments.ALIKE",
         "inference.instruments.CHANCE",
         "inference.instruments.DELAYS_S",
         "inference.instruments.F_LEAST",

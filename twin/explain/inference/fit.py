@@ -189,6 +189,15 @@ class Problem:
             found[name] = _deviation(state.kappa * np.sqrt(self.noise.bands.floor[c, 0]), left)
         return found
 
+    def asked_anew(self, state: State) -> "Problem":
+        """The same with instruments tested against the model at the numbers of a state: what the
+        model as it stands lacks makes valid instruments look as if they followed disturbances.
+        """
+        logs = [f.flight for f in self.model.flights]
+        flights = self.channels(state.best.x)
+        noise = InstrumentNoise.of(logs, flights, self.noise.bands, self.noise.rough)
+        return replace(self, noise=noise)
+
     def accustomed(self, state: State) -> "Problem":
         """The same with days that differ as those of its flights do, number by number.
 

@@ -13,6 +13,9 @@ orthonormal basis of z in the n rows of each flight, and T how far it is trusted
     J = min over gain and lag of sum_k n_k log(1 + |Q'e|^2 / |e - QQ'e|^2) / (sum_k rank Q_k - 3)
     T = 1 / max(1, J);  0 where such a J is improbable, and where the first stage is weak
 
+J is computed against the model as it stands, and once more with the effects of the end of a search:
+what the model lacks is no disturbance.
+
 A weak setpoint is flat: the prior stands, the numbers are not told. One that follows disturbances,
 as an attitude setpoint in hover does, cannot fit all bands with one gain and lag, and J drops it
 (Sargan, Econometrica 26 (1958); Hansen, Econometrica 50 (1982)). In order of trust: the velocity
@@ -53,6 +56,8 @@ LAGS_S = 0.0, -0.06, -0.03, -0.015, 0.015, 0.03, 0.06
 """What a prediction may be off by before anything is fitted. Made up."""
 CHANCE = {"mission": 0.005, "attitude setpoint": 0.05, "other flights": 0.05}
 """Least probability of the overidentification test."""
+ALIKE = 1.25
+"""Factor by which two trusts may differ to be one: J is known no better. Made up."""
 INEXACT = 0.1
 """Share of an amplitude by which laws are inexact before anything is fitted. Made up."""
 
@@ -233,6 +238,14 @@ class InstrumentNoise:
         commands and motion have in common there may be the controller."""
         heard = {c for (c, _), i in self.instruments.items() if i.trust}
         return self.turning - heard
+
+    def trusts_as(self, other: "InstrumentNoise") -> bool:
+        """Whether the same instruments are trusted, about as far."""
+        own, others = ({k: i for k, i in n.instruments.items() if i.trust} for n in (self, other))
+        return own.keys() == others.keys() and all(
+            i.source == others[k].source and 1 / ALIKE < i.trust / others[k].trust < ALIKE
+            for k, i in own.items()
+        )
 
     def terms(
         self, channel: int, rows: Array, band: NDArray[np.intp], flight: NDArray[np.intp]

@@ -127,6 +127,26 @@ def search_on(
     return SearchResult(state, laplace, tried)
 
 
+def with_instruments_of_end(
+    problem: Problem,
+    found: SearchResult,
+    progress: Callable[[float], None] = lambda _: None,
+) -> tuple[Problem, SearchResult]:
+    """A search, gone on with where its instruments are trusted otherwise once its effects are in.
+
+    Args:
+        problem: What was fitted.
+        found: Its end.
+        progress: Called with the share done.
+    """
+    renewed = problem.asked_anew(found.state)
+    if renewed.noise.trusts_as(problem.noise):
+        return problem, found
+    end = found.state
+    state = renewed.settle(end.effects, end.kappa, found.laplace.spectrum, end.best.x)
+    return renewed, search_on(renewed, state, progress)
+
+
 def log_posterior(state: State) -> float:
     """Log of the probability of a state, that of its days included."""
     return state.evidence + log_prior_of_days(state.kappa)

@@ -56,6 +56,7 @@ from .search import (
     search,
     search_on,
     weigh,
+    with_instruments_of_end,
 )
 from .spectrum import force_shares
 from .whitening import WhitenedFlights
@@ -406,7 +407,10 @@ def name_effects(
     problem = (
         since_problem(model, settings, apart, silent) if since else usual_problem(model, settings)
     )
-    found = climb(problem, lambda done: progress(0.1 + 0.5 * done))
+    found = climb(problem, lambda done: progress(0.1 + 0.4 * done))
+    problem, found = with_instruments_of_end(
+        problem, found, lambda done: progress(0.5 + 0.1 * done)
+    )
     if len(model.flights) >= DAYS_SHOWN:
         problem = problem.accustomed(found.state)
         state = problem.settle(found.state.effects, 1.0, found.laplace.spectrum, found.state.best.x)

@@ -16,6 +16,7 @@ from twin.explain.inference.fit import Problem
 from twin.explain.inference.instruments import InstrumentNoise
 from twin.explain.inference.noise import BandNoise
 from twin.explain.inference.priors import priors_of
+from twin.explain.inference.search import search, with_instruments_of_end
 from twin.explain.inference.spectrum import Spectrum, transformed
 from twin.explain.model.model import model_of
 from twin.frames import from_euler
@@ -130,6 +131,42 @@ def test_a_setpoint_that_follows_the_disturbance_is_none(seed: int) -> None:
     y, u, setpoint = looped(ZERO, pushes(seed, 3.0), follows=0.2)
     law = law_of([flight(rolled(setpoint))], [channel(y, u)])
     assert law.instruments[0, 0].trust == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_the_model_lacks_is_no_disturbance_once_it_is_there(seed: int) -> None:
+    """A moment that comes late looks like a setpoint in the loop; with it in the model, J is small,
+    and that of a setpoint in the loop stays."""
+    roll = 0.1 * slow_noise(seed, 2.0)
+    y, u, setpoint = looped(roll, pushes(100 + seed, 1.0))
+    late = -0.8 * np.roll(u, round(0.4 * CHANNEL_HZ))
+    asked = [flight(rolled(setpoint))]
+    before, after = (law_of(asked, [channel(y + late, u + known)]) for known in (ZERO, late))
+    assert before.instruments[0, 0].trust == 0
+    assert after.instruments[0, 0].trust > 0.3
+    assert not after.trusts_as(before)
+    assert after.trusts_as(law_of(asked, [channel(y + late, u + late)]))
+    y, u, setpoint = looped(ZERO, pushes(seed, 3.0), follows=0.2)
+    law = law_of([flight(rolled(setpoint))], [channel(y, GAIN * u)])
+    assert law.instruments[0, 0].trust == 0
+
+
+@pytest.mark.slow
+def test_a_search_goes_on_where_its_instruments_are_trusted_otherwise() -> None:
+    """And ends as it was where they are not."""
+    vehicle = load_vehicle("copter_default")
+    flown = fly(vehicle, vehicle, 3)
+    model = model_of([flown], vehicle, [EFFECTS["thrust_scale"], EFFECTS["motor_lag"]])
+    problem = Problem.of(model, priors_of(model))
+    found = search(problem, ())
+    same, end = with_instruments_of_end(problem, found)
+    assert (same, end) == (problem, found)
+    distrusted = {k: replace(i, chance=0.0) for k, i in problem.noise.instruments.items()}
+    blind = replace(problem, noise=replace(problem.noise, instruments=distrusted))
+    renewed, end = with_instruments_of_end(blind, found)
+    assert not blind.noise.trusts_as(problem.noise)
+    assert renewed.noise.trusts_as(problem.noise)
+    assert end.state.evidence == pytest.approx(found.state.evidence, abs=1.0)
 
 
 def test_the_mission_comes_before_the_attitude_and_its_position_will_do() -> None:
