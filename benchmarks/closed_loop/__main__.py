@@ -55,7 +55,7 @@ def fitted(case: Case) -> dict[str, dict[str, float]]:
     model = model_of([flown(case)], VEHICLE, [EFFECTS[e] for e in NUMBERS])
     problem = Problem.of(model, priors_of(model, trusted=False))
     start = problem.start(sorted(NUMBERS), 1.0)
-    problem = problem.asked_anew(start)
+    problem = problem.with_instruments_at(start)
     best = problem.settle(sorted(NUMBERS), 1.0, start.spectrum, start.best.x).best
     truth, sd = planted(case.seed), best.deviations()
     found = {}

@@ -175,13 +175,13 @@ def _profiled(problem: Problem, found: SearchResult) -> tuple[State, Array, froz
     b, sd = problem.priors, end.deviations()
     prior, moved = _spread(b, state.effects), state.best.x[: len(b.now)]
     inside = ~(np.isclose(b.now + moved, b.low) | np.isclose(b.now + moved, b.high))
-    told = [
+    given = [
         int(i)
         for i in state.best.free
         if i < len(b.now) and _of_file(b, i) and sd[i] <= UNDETERMINED * prior[i]
     ]
     pinned, width, unclear = problem, sd.copy(), set()
-    for i in sorted(told, key=lambda i: abs(moved[i]) / sd[i]):
+    for i in sorted(given, key=lambda i: abs(moved[i]) / sd[i]):
         alone = _at_file(pinned, i)
         start = state.best.x.copy()
         start[i] = 0.0

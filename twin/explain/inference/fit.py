@@ -189,7 +189,7 @@ class Problem:
             found[name] = _deviation(state.kappa * np.sqrt(self.noise.bands.floor[c, 0]), left)
         return found
 
-    def asked_anew(self, state: State) -> "Problem":
+    def with_instruments_at(self, state: State) -> "Problem":
         """The same with instruments tested against the model at the numbers of a state: what the
         model as it stands lacks makes valid instruments look as if they followed disturbances.
         """

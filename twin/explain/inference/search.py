@@ -139,7 +139,7 @@ def with_instruments_of_end(
         found: Its end.
         progress: Called with the share done.
     """
-    renewed = problem.asked_anew(found.state)
+    renewed = problem.with_instruments_at(found.state)
     if renewed.noise.trusts_as(problem.noise):
         return problem, found
     end = found.state
