@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
-TENSE = 3.0
-"""Prior deviations from which on a number is not what its effect is expected to have."""
 UNDETERMINED = 0.7
 """Posterior over prior deviation from which on a number is the prior's more than the flights'."""
 Case = Mapping[str, Any]
@@ -21,7 +19,6 @@ class Number:
         unit: Of the value.
         ci95: Interval; None: it has none.
         edge: Prior range, where the number is at the end of it.
-        tension: Prior deviations between value and what was expected; None: not known.
         neutral: Value at which the effect vanishes; None: a shape.
         prior_share: Posterior over prior deviation; None: not known.
     """
@@ -30,7 +27,6 @@ class Number:
     unit: str
     ci95: tuple[float, float] | None
     edge: tuple[float, float] | None = None
-    tension: float | None = None
     neutral: float | None = None
     prior_share: float | None = None
 
@@ -74,11 +70,6 @@ class Agreement:
         return tuple(f for f, n in self.by.items() if n.edge is not None)
 
     @property
-    def tense(self) -> tuple[str, ...]:
-        """The same where it is too far from what was expected."""
-        return tuple(f for f, n in self.by.items() if (n.tension or 0.0) > TENSE)
-
-    @property
     def undetermined(self) -> tuple[str, ...]:
         """The same where the prior says more of it than the flights."""
         return tuple(f for f, n in self.by.items() if (n.prior_share or 0.0) > UNDETERMINED)
@@ -92,7 +83,7 @@ class Agreement:
     def passes(self) -> bool:
         """Whether rotations agree on it, and nothing else speaks against it."""
         apart = self.same_sign is False or self.overlap is False
-        return self.compared and not (apart or self.edges or self.tense)
+        return self.compared and not (apart or self.edges)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +125,6 @@ def numbers_of(case: Case, effects: Collection[str] | None = None) -> dict[str, 
             n["unit"],
             None if n["ci95"] is None else (n["ci95"][0], n["ci95"][1]),
             None if n["edge"] is None else (n["edge"][0], n["edge"][1]),
-            n["tension"],
             n["neutral"],
             n["prior_share"],
         )
@@ -195,9 +185,6 @@ def _against_numbers(effect: str, by: Sequence[Case]) -> Iterator[str]:
             always = len(edges) == len(by) > 1
             where = "every time" if always else f"with {_and(edges)} held out"
             yield f"`{full}` at the edge of its range {where}"
-        tense = [c["holdout"] for c, n in own if (n.tension or 0.0) > TENSE]
-        if tense:
-            yield f"`{full}` far from what is expected of it with {_and(tense)} held out"
         if Agreement(full, {c["holdout"]: n for c, n in own}).overlap is False:
             values = " and ".join(f"{n.value:.3g}" for _, n in own)
             yield f"`{full}` differs between rotations, beyond the intervals: {values}"

@@ -104,7 +104,7 @@ def agree(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
         facts = (
             _yes(a.same_sign),
             _yes(a.overlap),
-            *map(_listed, (a.edges, a.tense, a.undetermined)),
+            *map(_listed, (a.edges, a.undetermined)),
         )
         cells = [_number(a.by.get(h)) for h in holdouts]
         lines.append((f"`{full}`", unit, *wanted, *cells, *facts, _passed(a)))
@@ -112,7 +112,7 @@ def agree(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
         *("number", "unit"),
         *(["wanted"] if scenario.expected else []),
         *(f"without {h}" for h in holdouts),
-        *("same sign", "intervals overlap", "at edge", "tension > 3", "mostly prior", "passes"),
+        *("same sign", "intervals overlap", "at edge", "mostly prior", "passes"),
     )
     shown = table(head, lines) if lines else ["No rotation gives a number."]
     every = list(found.values())

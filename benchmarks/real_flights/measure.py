@@ -103,7 +103,6 @@ def numbers(found: Explanation) -> dict[str, dict[str, Any]]:
                 "unit": e.number.about.unit,
                 "ci95": None if e.ci95 is None else list(e.ci95),
                 "prior_share": e.prior_share,
-                "tension": e.tension,
                 "neutral": e.number.about.neutral,
                 "edge": _edge(e.value, e.number.about),
             }

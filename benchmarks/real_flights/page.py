@@ -22,6 +22,8 @@ from .details import (
 from .scenarios import Scenario
 
 HEAD = Path(__file__).with_name("protocol.md").read_text("utf-8")
+LABELLED = Path(__file__).parents[2] / "docs" / "results" / "labelled_flights.md"
+"""Flights of which it is known what was done to the aircraft."""
 COLUMNS = {
     "none": "none",
     "effects": "effects",
@@ -35,7 +37,7 @@ COLUMNS = {
 
 def page(found: Sequence[tuple[Scenario, Sequence[Case]]]) -> str:
     """The whole document, from the rotations of each scenario."""
-    parts = [HEAD.format(rate=CHANNEL_HZ), *overview(found)]
+    parts = [HEAD.format(rate=CHANNEL_HZ, labelled=labelled()), *overview(found)]
     for scenario, cases in found:
         parts += ["", f"## {scenario.title}", "", scenario.about, *rotations(cases)]
         parts += agree(scenario, cases)
@@ -55,6 +57,14 @@ def page(found: Sequence[tuple[Scenario, Sequence[Case]]]) -> str:
         f"a rotation.",
     ]
     return "\n".join(parts) + "\n"
+
+
+def labelled() -> str:
+    """What is said of labelled flights, the trivial rule beside: the first table of their page."""
+    lines = LABELLED.read_text("utf-8").splitlines()
+    rows = [bool(line.startswith("|")) for line in lines]
+    first = rows.index(True)
+    return "\n".join(lines[first : rows.index(False, first)])
 
 
 def overview(found: Sequence[tuple[Scenario, Sequence[Case]]]) -> list[str]:
