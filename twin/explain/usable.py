@@ -126,13 +126,6 @@ def usable_part(
     return part, left_out, reasons
 
 
-def reasons_unusable(
-    flight: Flight, vehicle: Vehicle, settings: UsableSettings = DEFAULT.usable
-) -> list[str]:
-    """Why nothing can be learnt from a flight about a vehicle; empty for a usable one."""
-    return usable_part(flight, vehicle, settings)[2]
-
-
 def with_readings(
     flights: Sequence[Flight], vehicle: Vehicle, payloads: Payloads | None = None
 ) -> tuple[list[Flight], list[str]]:

@@ -25,7 +25,7 @@ from twin.explain.holdout import (
 from twin.explain.model.model import model_of
 from twin.explain.model.numbers import with_effects
 from twin.explain.settings import DEFAULT
-from twin.explain.usable import reasons_unusable, usable_part
+from twin.explain.usable import usable_part
 from twin.flight.closed_loop import fly_missions
 from twin.logs import Flight
 from twin.residuals.channels import GRID_HZ
@@ -184,7 +184,7 @@ SPOILT: dict[str, tuple[dict[str, Change], str]] = {
 
 
 def test_a_good_flight_is_usable(flight: Flight) -> None:
-    assert reasons_unusable(flight, COPTER) == []
+    assert usable_part(flight, COPTER)[2] == []
 
 
 @pytest.mark.slow
@@ -195,7 +195,7 @@ def test_a_spoilt_flight_is_told_by_its_reason(flight: Flight, kind: str) -> Non
     known = {c: table[c].notna() for c in changes}
     for column, values in {c: change(flight.table) for c, change in changes.items()}.items():
         table[column] = pd.Series(values, index=table.index).where(known[column])
-    reasons = reasons_unusable(replace(flight, table=table), COPTER)
+    reasons = usable_part(replace(flight, table=table), COPTER)[2]
     assert any(word in reason for reason in reasons), reasons
     assert all(reason.startswith("dragged: ") for reason in reasons)
 
@@ -277,17 +277,15 @@ def test_a_motor_at_its_limit_hides_torque_and_thrust_alone(flight: Flight) -> N
 @pytest.mark.slow
 def test_what_is_left_has_to_be_long_enough(flight: Flight) -> None:
     hit = {"acc_x": lambda t: np.where(t["time"] % 3 < 0.1, 200, t["acc_x"])}
-    (reason,) = reasons_unusable(spoilt(flight, hit), COPTER)
+    (reason,) = usable_part(spoilt(flight, hit), COPTER)[2]
     assert "s in the air" in reason and "hits something" in reason
 
 
 @pytest.mark.slow
 def test_too_short_and_never_airborne(flight: Flight) -> None:
-    (short,) = reasons_unusable(replace(flight, table=flight.table[flight.table.time < 3]), COPTER)
+    (short,) = usable_part(replace(flight, table=flight.table[flight.table.time < 3]), COPTER)[2]
     assert "s in the air" in short
-    (never,) = reasons_unusable(
-        replace(flight, table=flight.table[flight.table.time < 0.4]), COPTER
-    )
+    (never,) = usable_part(replace(flight, table=flight.table[flight.table.time < 0.4]), COPTER)[2]
     assert "never airborne" in never
 
 
@@ -296,7 +294,7 @@ def test_a_late_attitude_is_an_effect_and_no_reason(flight: Flight, late_s: floa
     table = flight.table.copy()
     q = [f"q_{a}" for a in "wxyz"]
     table[q] = table[q].shift(round(late_s * 200)).bfill(limit=200).where(table[q].notna())
-    assert reasons_unusable(replace(flight, table=table), COPTER) == []
+    assert usable_part(replace(flight, table=table), COPTER)[2] == []
 
 
 # -- vehicle file ---------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import pytest
 
 from twin.explain import explanation
 from twin.explain.explanation import Explanation, explain
-from twin.explain.usable import flown, reasons_unusable, with_readings
+from twin.explain.usable import flown, usable_part, with_readings
 from twin.logs import Flight
 from twin.residuals.aligned import align_flight
 from twin.vehicle_file import load_vehicle
@@ -117,7 +117,7 @@ def test_alone_it_is_a_verdict(good: Flight) -> None:
 def test_a_known_mass_aboard_counts(good: Flight) -> None:
     """What flew carries two fifths of the weight that is said: a finding, and no reason."""
     aboard = flown(good, COPTER, {"good": 1.5 * COPTER.mass_kg})
-    assert reasons_unusable(good, aboard) == []
+    assert usable_part(good, aboard)[2] == []
     (note,) = [n for n in align_flight(good, aboard).notes if "of its weight" in n]
     assert " 40 %" in note or " 41 %" in note or " 39 %" in note
 
