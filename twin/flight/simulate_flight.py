@@ -115,7 +115,7 @@ def simulate_flight(
     ended = plant
     if later is not None:
         ended = plant.with_effects({**plant.effects, **later.effects})
-        changes = _changes(body, airframe(_punctual(ended, recorder)))
+        changes = _changes(body, airframe(_punctual(ended, recorder), trimmed=False))
         begun = STEP_S * np.arange(len(setpoints)) >= later.from_s
         steps = {k: np.where(begun, after, before) for k, (before, after) in changes.items()}
     given = {k: v for k, v in courses.items() if k in body.input_names}

@@ -191,6 +191,7 @@ def airframe(
     effects: Iterable[str] = (),
     restart: bool = False,
     voltage: bool = False,
+    trimmed: bool = True,
 ) -> Component:
     """The airframe of a vehicle as a component; its start values are a hover at 10 m.
 
@@ -209,6 +210,8 @@ def airframe(
             shown again, `drive.cmd_1` and so on, since no part of a twin gives it.
         voltage: Whether the battery voltage is an input although nothing in the airframe depends on
             it, for another part that reads its output `voltage`.
+        trimmed: Whether it starts in that hover; else nothing says where, and it need not hover,
+            as an aircraft whose rotor stands still.
 
     Raises:
         ModelError: The vehicle's maps do not allow this drive, or it has no hover trim.
@@ -216,7 +219,7 @@ def airframe(
     wanted = {*effects, *vehicle.effects}
     chosen = [e for e in effects_of("airframe") if e.name in wanted]
     component = _equations(vehicle, drive or vehicle.drive, chosen, restart, voltage)
-    return component.with_starts(hover_trim(component, vehicle))
+    return component.with_starts(hover_trim(component, vehicle)) if trimmed else component
 
 
 def _equations(

@@ -33,7 +33,7 @@ from ..vehicle import GRAVITY_M_S2
 from ..vehicle.layouts import Layout, frame, frames_of
 
 Array = NDArray[np.float64]
-FINEST_S, COARSEST_S = 0.03, 0.1
+FINEST_S, COARSEST_S = 0.02, 0.1
 """Interval of the grid: a controller answers within 0.1 s; below 0.03 s vibration rules."""
 FEWEST_SAMPLES = 20
 """Of a signal that is used."""
@@ -45,6 +45,8 @@ LOSS_RATE_RAD_S = 4.0
 """Body rate that counts as lost, if it is three times what was flown until a second before."""
 CONTACT_M_S2 = 30.0
 """Specific force of a body that hits something, after control was lost."""
+FRAME_LAG_S = 0.2
+"""Longest lag of the turning of the body behind commands that is tried to find the frame."""
 LIFTING = 0.65
 """Curvature of thrust by command that is assumed for what lifts: between linear and a square."""
 
@@ -173,7 +175,8 @@ class FlightFrame:
         return max(map(frame, usual), key=self._turning_explained)
 
     def _turning_explained(self, layout: Layout) -> float:
-        """Correlation, over roll, pitch and yaw, of what commands ask with how the body turns."""
+        """Correlation, over roll, pitch and yaw, of what commands ask with how the body turns; at
+        the best of some lags."""
         if self.drive is None or "gyro" not in self.grid:
             return 0.0
         asked = lift(self.grid[self.drive]) @ moment_signs(layout)[1:].T
@@ -181,12 +184,10 @@ class FlightFrame:
         flown = np.zeros(len(self.t_s), dtype=bool)
         for part in self.airborne:
             flown[part.start : part.flown] = True
-        rows = np.flatnonzero(flown)
-        if len(rows) < FEWEST_SAMPLES:
+        if flown.sum() < FEWEST_SAMPLES:
             return 0.0
-        a, b = np.diff(asked[rows], axis=0), np.diff(turned[rows], axis=0)
-        scale = np.sqrt((a**2).sum(0) * (b**2).sum(0))
-        return float(np.sum((a * b).sum(0) / np.maximum(scale, 1e-12)))
+        lags = range(self.places(FRAME_LAG_S) + 1)
+        return max(_alike(np.roll(asked, k, axis=0)[flown], turned[flown]) for k in lags)
 
     @cached_property
     def airborne(self) -> tuple[Airborne, ...]:
@@ -227,8 +228,8 @@ class FlightFrame:
         later = end + self.places(0.5)
         after = height[later] if later < len(height) else -np.inf  # the record ends in the air
         clear = max(0.25, 0.15 * reach)
-        up = np.flatnonzero(height[start:end] > before + clear)
-        down = np.flatnonzero(height[start:end] > after + clear)
+        up = np.flatnonzero((height[start:end] > before + clear) | (start == 0))
+        down = np.flatnonzero((height[start:end] > after + clear) | (end == len(height)))
         if reach > 0.8 and len(up) and len(down) and up[0] < down[-1]:
             return start + int(up[0]), start + int(down[-1]) + 1
         return start, end
@@ -276,6 +277,20 @@ def moment_signs(layout: Layout) -> Array:
     along z, angular acceleration about x, y, z (FRD). Shape (4, rotors)."""
     x, y = layout.position[:, 0], layout.position[:, 1]
     return np.stack([-np.ones(layout.count), -y, x, -layout.direction])
+
+
+def _alike(asked: Array, turned: Array) -> float:
+    """Sum over the axes of the correlation of changes, of which none counts as far more than
+    usual: a crash says nothing."""
+    a, b = _clipped(np.diff(asked, axis=0)), _clipped(np.diff(turned, axis=0))
+    scale = np.sqrt((a**2).sum(axis=0) * (b**2).sum(axis=0))
+    return float(np.sum((a * b).sum(axis=0) / np.maximum(scale, 1e-12)))
+
+
+def _clipped(changes: Array) -> Array:
+    """Changes, at most three robust deviations."""
+    most = 3 * 1.4826 * np.median(np.abs(changes), axis=0)
+    return np.clip(changes, -most, most)
 
 
 def binned(signal: Signal, edges_s: Array) -> Array:

@@ -1,0 +1,280 @@
+"""How the commands of a flight move its body, learned from the flight itself.
+
+Channels j are the specific force along z and the angular accelerations about x, y, z:
+
+    y_j = s_j (sum_i S_ji eta_i g(c_i) - K_j) + d_j w_j + k_j x_j + b_j + e_j,    e_j AR(1)
+
+S: signs of the frame. g: thrust by command, of several curvatures and lags, over which is
+marginalised. eta: share of its thrust that a rotor has left, 1 while it is sound. s_j absorbs mass,
+inertia, arm, voltage and thrust map; K_j is the usual sum, so that the offset b_j does not depend on
+s_j; d_j damping, k_j gyroscopic products (wx^2 + wy^2 for z), b_j
+an offset. Errors of the model grow with what happens, for all hypotheses alike: a lively interval
+weighs little, so that a crash cannot outvote an onset.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
+from scipy.signal import lfilter
+
+from .flight import Airborne, Array, FlightFrame, binned, lift, moment_signs
+from ..residuals.measured import Signal
+
+CURVATURES = (0.0, 0.35, 0.7, 1.0, 1.25)
+"""Of thrust by command: linear, square, square above a dead band."""
+USUAL_CURVATURE = 0.65
+"""With which gains and noise are learned."""
+LIKELY = 12.0
+"""Nats by which a curvature and a lag may explain the early part worse than the best."""
+LAGS_S = (0.03, 0.08, 0.15)
+"""Of thrust behind the command: small to large rotors."""
+TRIED_LAGS_S = (0.0, 0.03, 0.06, 0.1, 0.15)
+"""Among which that of the sound part is chosen."""
+SETTLES_S, ENDS_S = 1.5, 1.0
+"""After the start and before the end of a part: the ground may still act."""
+LEARNED_S, LEARNED_SHARE = 8.0, 1 / 3
+"""The early part sets lag and noise: at least so long, or such a share of the part."""
+SEEN_EARLY_S = 0.1
+"""By which a loss of control may be seen too early, since rates are smoothed."""
+AFTER_LOSS_S = 1.0
+"""The physics of the body holds for a while as it tumbles."""
+RHO_MOST = 0.98
+"""Of the AR(1) of a residual."""
+FLOOR = np.array([0.02, 0.02, 0.02, 0.01])
+"""Least deviation of an innovation, m/s^2 and rad/s^2."""
+CLIP = 5.0
+"""Deviations beyond which an innovation gains no further weight."""
+LIVELY = 4.0
+"""Deviations of the reading from its median up to which an interval keeps its full weight."""
+SATURATED = 0.97
+"""Share of the largest body rate that counts as the end of the gyroscope's range, if it is
+reached often."""
+FAST_HZ = 40.0
+"""Rate of commands from which on their jitter does not hide the gain."""
+FINE_S = 0.01
+"""Interval on which commands pass their lag."""
+SETTLED_GAIN = np.sqrt(0.5)
+"""Arm of a rotor of an X about roll and pitch, over its distance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A part of a flight as the regression sees it; times count intervals from its start.
+
+    Attributes:
+        frame: The flight.
+        start: First place of the grid.
+        end: Place behind the last.
+        last: Place behind the last possible onset, from `start` on.
+        lost: Whether control is lost at `last`.
+    """
+
+    frame: FlightFrame
+    start: int
+    end: int
+    last: int
+    lost: bool
+
+    @classmethod
+    def of(cls, frame: FlightFrame, part: Airborne) -> "Body":
+        """The part without its ends; after a loss of control until it hits something."""
+        start = part.start + frame.places(SETTLES_S)
+        if part.lost is None:
+            end = part.end - frame.places(ENDS_S)
+            return cls(frame, start, end, end - start, False)
+        end = min(part.lost + frame.places(AFTER_LOSS_S), len(frame.t_s) - 1)
+        end = end if part.crash is None else min(end, part.crash - 1)
+        last = part.lost - start + frame.places(SEEN_EARLY_S) + 1
+        return cls(frame, start, end, min(last, end - start - 1), True)
+
+    def __len__(self) -> int:
+        return self.end - self.start
+
+    def places(self, seconds: float) -> int:
+        """Intervals of a length of time."""
+        return self.frame.places(seconds)
+
+    @cached_property
+    def t_s(self) -> Array:
+        """Middles of the intervals, s from the start of the log."""
+        return self.frame.t_s[self.start : self.end]
+
+    @cached_property
+    def signs(self) -> Array:
+        """See `moment_signs`, shape (4, rotors)."""
+        layout = self.frame.layout
+        assert layout is not None
+        return moment_signs(layout)
+
+    @property
+    def rotors(self) -> int:
+        """Number of rotors."""
+        return self.signs.shape[1]
+
+    @cached_property
+    def learned(self) -> slice:
+        """The early part."""
+        least = min(self.places(LEARNED_S), len(self))
+        return slice(0, max(least, int(len(self) * LEARNED_SHARE)))
+
+    @cached_property
+    def measured(self) -> Array:
+        """The channels, shape (n, 4): m/s^2, rad/s^2."""
+        grid = self.frame.grid
+        turning = np.gradient(grid["gyro"], self.frame.dt_s, axis=0)
+        return np.column_stack([grid["acc"][:, 2], turning])[self.start : self.end]
+
+    @cached_property
+    def _rates(self) -> tuple[Array, Array]:
+        """Damping and gyroscopic regressors of each channel, shape (n, 4) each."""
+        w = self.frame.grid["gyro"][self.start : self.end]
+        x, y, z = w.T
+        damping = np.column_stack([np.zeros(len(w)), w])
+        return damping, np.column_stack([x**2 + y**2, y * z, x * z, x * y])
+
+    @cached_property
+    def _seen(self) -> Array:
+        """1, less where the gyroscope is at the end of its range, shape (n, 4)."""
+        raw, w = np.abs(self.frame.signals["gyro"].values), np.abs(self.frame.grid["gyro"])
+        top = raw.max(axis=0)
+        stop = (w > SATURATED * top) & ((raw > 0.999 * top).sum(axis=0) > 20)
+        stop = stop | np.roll(stop, 1, axis=0) | np.roll(stop, -1, axis=0)
+        share = np.where(stop.any(axis=1), 0.3, 1.0)
+        return np.column_stack([np.ones(len(w)), ~stop * share[:, None]])[self.start : self.end]
+
+    def thrust(self, curvature: float, lag_s: float) -> Array:
+        """Thrust of each rotor over that at full command, shape (n, rotors)."""
+        drive = self.frame.signals[self.frame.drive or ""]
+        edges = self.frame.edges_s[self.start : self.end + 1]
+        fine = np.arange(edges[0] - 1.0, edges[-1], FINE_S)
+        raised = lift(drive.values, curvature)
+        values = np.stack([np.interp(fine, drive.t_s, v) for v in raised.T], axis=1)
+        if lag_s > 0:
+            k = 1 - np.exp(-FINE_S / lag_s)
+            values = lfilter([k], [1, k - 1], values - values[0], axis=0) + values[0]
+        return binned(Signal(fine, np.asarray(values)), edges)
+
+    @cached_property
+    def lag_s(self) -> float:
+        """Lag of the early part: that which leaves the least median innovation."""
+        cost = {}
+        for lag in TRIED_LAGS_S:
+            g, total = self.thrust(USUAL_CURVATURE, lag), 0.0
+            for j in range(4):
+                X = np.diff(self._regressors(g, j)[self.learned], axis=0)
+                y = np.diff(self.measured[self.learned, j])
+                left = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
+                total += len(y) * np.log(np.median(np.abs(left)) + 1e-9)
+            cost[lag] = total
+        return min(cost, key=lambda lag: cost[lag])
+
+    def _regressors(self, thrust: Array, j: int) -> Array:
+        return np.column_stack([thrust @ self.signs[j], self._rates[0][:, j], np.ones(len(self))])
+
+    @cached_property
+    def noise(self) -> "Noise":
+        """Of each channel, by the early part."""
+        g = self.thrust(USUAL_CURVATURE, self.lag_s)
+        fits = [self._noise_of(g, j) for j in range(4)]
+        rho, sd, gain, weight = (np.array(v) for v in zip(*fits, strict=True))
+        return Noise(rho, sd, gain, weight)
+
+    def _noise_of(self, thrust: Array, j: int) -> tuple[float, float, float, Array]:
+        """AR(1), deviation of the innovations, gain, and weight of each interval."""
+        X, y, early, rho = self._regressors(thrust, j), self.measured[:, j], self.learned, 0.8
+        for _ in range(3):
+            white_X, white_y = X[1:] - rho * X[:-1], y[1:] - rho * y[:-1]
+            beta = robust_fit(white_X[early], white_y[early])
+            left = (y - X @ beta)[early]
+            left = np.clip(left - np.median(left), *(np.percentile(left - np.median(left), [2, 98])))
+            rho = float(np.clip(left[1:] @ left[:-1] / max(left @ left, 1e-12), 0.0, RHO_MOST))
+        innovation = np.concatenate([[0.0], white_y - white_X @ beta])
+        sd = 1.4826 * float(np.median(np.abs(innovation[early]))) + FLOOR[j]
+        lively = maximum_filter1d(np.abs(y - np.median(y[early])), 3)
+        excess = np.maximum(lively - LIVELY * sd, 0) / CLIP
+        return rho, sd, float(beta[0]), self._seen[:, j] * sd**2 / (sd**2 + excess**2)
+
+    @cached_property
+    def hover_command(self) -> float:
+        """Median command of the early part."""
+        grid = self.frame.grid[self.frame.drive or ""]
+        return float(np.median(grid[self.start : self.start + self.learned.stop]))
+
+    @property
+    def fast(self) -> bool:
+        """Whether commands are logged fast enough to show the gain."""
+        return self.frame.rate_hz(self.frame.drive or "") > FAST_HZ
+
+    @cached_property
+    def authority(self) -> Array:
+        """What all rotors together do to each channel in the early part, shape (4,)."""
+        g = self.thrust(USUAL_CURVATURE, self.lag_s)[self.learned]
+        return np.asarray(np.abs(self.noise.gain) * np.median(g.sum(axis=1)) * SETTLED_GAIN)
+
+    @cached_property
+    def grams(self) -> Mapping[tuple[float, float], tuple[Array, Array]]:
+        """By curvature and lag: cumulated Gram matrices, shape (4, n + 1, k, k), of
+        [S g_1 .. S g_n, their sum - K, damping, products, 1, y], whitened and weighted; and K of
+        each channel, shape (4,)."""
+        found, explained = {}, {}
+        for curvature in CURVATURES:
+            for lag in LAGS_S:
+                g = self.thrust(curvature, lag)
+                usual = np.median(g[self.learned] @ self.signs.T, axis=0)
+                gram = np.stack([self._gram(g, j, usual[j]) for j in range(4)])
+                found[curvature, lag] = gram, usual
+                explained[curvature, lag] = -self._unexplained(gram[:, self.learned.stop]) / 4
+        best = max(explained.values())
+        return {k: v for k, v in found.items() if explained[k] > best - LIKELY}
+
+    def _unexplained(self, gram: Array) -> float:
+        """Sum of squares that the regression leaves in the early part."""
+        n, total = self.rotors, 0.0
+        for g in gram[:, n:, n:]:
+            inside = g[:4, :4] + 1e-6 * np.diag(np.diag(g[:4, :4]) + 1e-9)
+            total += float(g[4, 4] - g[:4, 4] @ np.linalg.solve(inside, g[:4, 4]))
+        return total
+
+    def _gram(self, thrust: Array, j: int, usual: float) -> Array:
+        each, (damping, products), noise = thrust * self.signs[j], self._rates, self.noise
+        ones, y = np.ones(len(self)), self.measured[:, j]
+        rows = np.column_stack(
+            [each, each.sum(axis=1) - usual, damping[:, j], products[:, j], ones, y]
+        )
+        rows[1:] = rows[1:] - noise.rho[j] * rows[:-1]
+        rows[0] = 0.0
+        rows *= np.sqrt(noise.weight[j])[:, None] / noise.sd[j]
+        products_of = np.cumsum(rows[:, :, None] * rows[:, None], axis=0)
+        return np.concatenate([np.zeros((1, *products_of.shape[1:])), products_of])
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Noise of the channels.
+
+    Attributes:
+        rho: Of the AR(1), shape (4,).
+        sd: Of the innovations, shape (4,).
+        gain: By which all thrust acts in the early part, shape (4,).
+        weight: Of each interval, 0..1, shape (4, n).
+    """
+
+    rho: Array
+    sd: Array
+    gain: Array
+    weight: Array
+
+
+def robust_fit(X: Array, y: Array) -> Array:
+    """Huber's regression by reweighting."""
+    w = np.ones(len(y))
+    for _ in range(4):
+        beta = np.linalg.lstsq(X * w[:, None], y * w, rcond=None)[0]
+        left = np.abs(y - X @ beta)
+        scale = 1.4826 * np.median(left) + 1e-9
+        w = np.sqrt(np.minimum(1.0, 2.5 * scale / np.maximum(left, 1e-12)))
+    return np.asarray(beta)

@@ -1,0 +1,188 @@
+"""Events of the body: a rotor that fails, a mass that changes, a push, a gust; as records."""
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from .body import Body
+from .competition import (
+    AFTER_S,
+    ALL,
+    BEFORE_S,
+    BLOW,
+    LOSSES,
+    MASS,
+    NOTHING,
+    PUSH,
+    ROTOR,
+    Competition,
+    Onset,
+)
+from .findings import Findings
+from .flight import Airborne, Array, FlightFrame
+from .records import Amount, Candidate, Event, EvidenceSeries, NotVisible, Severity
+
+LEAST_S = 8.0
+"""Of a part in the air in which events of the body are looked for."""
+STRETCH_S = 150.0
+"""Longer parts are looked into in stretches of this length, each with what came before."""
+SHOWN_S = (2.0, 1.5)
+"""Before and after an onset: what a page shows."""
+TOLD = 0.02
+"""Least probability of an alternative that is said."""
+REFINED_S, RISING_S, STEP_S = 0.15, 0.12, 0.004
+"""An onset is refined within so much, on the body rates until so long after it, in such steps."""
+RAMP_LAGS_S = (0.0, 0.03, 0.08)
+"""Of the moment behind the failure."""
+
+TEXTS = {
+    ROTOR: "Rotor {rotor} loses {value} of its thrust at {t} s",
+    ALL: "All rotors lose thrust at {t} s",
+    MASS: "The mass changes by {value} at {t} s",
+    PUSH: "A constant force or moment acts from {t} s on",
+    BLOW: "A short blow hits the aircraft at {t} s",
+}
+"""What happened."""
+CHECKS = {
+    ROTOR: "Rotor {rotor}: propeller (cracked, loose, on the right way round), motor (bearing, "
+    "windings, screws), speed controller and its cables.",
+    ALL: "Battery (voltage under load, connector), power cables, all propellers.",
+    MASS: "What was lost or picked up: payload, battery strap, landing gear.",
+    PUSH: "A rope or cable, a shifted battery, a bent arm; wind that set in.",
+    BLOW: "Marks of a collision; else a gust.",
+}
+"""What to check on the bench."""
+QUANTITIES = {ROTOR: "thrust_lost", ALL: "thrust_lost", MASS: "mass_change"}
+"""What the size of a cause is."""
+
+
+def moved(frame: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
+    """What moved the body besides its commands."""
+    missing = [s for s in ("gyro", "acc") if s not in frame.grid]
+    if frame.drive is None or frame.layout is None or missing:
+        lacking = ", ".join(missing) or "motor commands whose rotors are known"
+        return Findings(not_visible=[_hidden(c, None, f"the log has no {lacking}") for c in TEXTS])
+    events, nothing = [], 1.0
+    for body, first in _bodies(frame):
+        competition = Competition(body)
+        for onset in competition.onsets():
+            if body.t_s[onset.place] >= first:
+                events.append(_event(body, onset))
+                nothing *= 1.0 - events[-1].probability
+    return Findings(
+        events=events,
+        nothing=nothing,
+        not_visible=[_hidden(ROTOR, float(LOSSES[0]), "smaller sudden losses look like a gust")],
+        notes=[f"rotors: {frame.layout.source}"],
+    )
+
+
+def _bodies(frame: FlightFrame) -> Iterator[tuple[Body, float]]:
+    """Stretches of all parts in the air, and from when on events of each count, s."""
+    for part in frame.airborne:
+        if (part.flown - part.start) * frame.dt_s < LEAST_S:
+            continue
+        yield from ((Body.of(frame, s), t) for s, t in _stretches(frame, part))
+
+
+def _stretches(frame: FlightFrame, part: Airborne) -> Iterator[tuple[Airborne, float]]:
+    """A part in pieces of at most `STRETCH_S`, each longer by what came before."""
+    length = (part.flown - part.start) * frame.dt_s
+    count = max(1, int(np.ceil((length - BEFORE_S) / (STRETCH_S - BEFORE_S))))
+    edges = np.linspace(part.start, part.flown, count + 1).astype(int)
+    for k, (start, end) in enumerate(pairwise(edges.tolist())):
+        last = k == count - 1
+        early = max(start - frame.places(BEFORE_S), part.start) if k else start
+        until = part.end if last else min(end + frame.places(AFTER_S), part.flown)
+        piece = Airborne(early, until, part.lost, part.crash) if last else Airborne(early, until)
+        yield piece, float(frame.t_s[start]) if k else 0.0
+
+
+def _event(body: Body, onset: Onset) -> Event:
+    """An event of the competition as a record."""
+    name, (_, probability) = onset.name, onset.probabilities[0]
+    rotor = (name.rotor,) if name.rotor else None
+    onset_s = float(body.t_s[onset.place] - body.frame.dt_s / 2)
+    if name.cause == ROTOR:
+        onset_s = refined_onset(body, onset_s, name.rotor - 1)
+    severity = _severity(onset)
+    value = "" if severity is None else f"{100 * severity.value:.0f} %"
+    words = {"rotor": name.rotor, "t": f"{onset_s:.2f}", "value": value}
+    return Event(
+        cause=name.cause,
+        rotor=rotor,
+        onset_s=onset_s,
+        severity=severity,
+        probability=probability,
+        alternatives=_alternatives(onset),
+        text=TEXTS[name.cause].format(**words),
+        bench_check=CHECKS[name.cause].format(**words),
+        evidence=tuple(_evidence(body, onset_s)),
+    )
+
+
+def _severity(onset: Onset) -> Severity | None:
+    if not onset.sizes:
+        return None
+    low, value, high = (onset.quantile(q) for q in (0.05, 0.5, 0.95))
+    quantity = QUANTITIES[onset.name.cause]
+    return Severity(quantity=quantity, value=value, low=low, high=high, unit="1")
+
+
+def _alternatives(onset: Onset) -> tuple[Candidate, ...]:
+    return tuple(
+        Candidate(cause=n.cause, rotor=(n.rotor,) if n.rotor else None, probability=p)
+        for n, p in onset.probabilities[1:]
+        if p > TOLD and n.cause != NOTHING
+    )
+
+
+def refined_onset(body: Body, onset_s: float, rotor: int) -> float:
+    """When the body begins to turn away from a rotor, on the body rates as logged.
+
+    The rate along the moment of the rotor is a line, to which a moment that builds up with a lag
+    adds from the onset on; least squares over onset and lag.
+    """
+    gyro = body.frame.signals["gyro"]
+    away = -body.signs[1:, rotor] * np.array([1.0, 1.0, 0.0])
+    half = max(REFINED_S, body.frame.dt_s)
+    first, last = onset_s - 3 * half, onset_s + half + RISING_S
+    inside = (gyro.t_s >= first) & (gyro.t_s <= last)
+    t, rate = gyro.t_s[inside], gyro.values[inside] @ away
+    if len(t) < 10:
+        return onset_s
+    tried = np.arange(onset_s - half, onset_s + half, STEP_S)
+    cost = [min(_left(t, rate, o, lag) for lag in RAMP_LAGS_S) for o in tried]
+    return float(tried[int(np.argmin(cost))])
+
+
+def _left(t_s: Array, rate: Array, onset_s: float, lag_s: float) -> float:
+    """Mean square that a line and a moment from an onset on leave of a rate."""
+    use = t_s <= onset_s + RISING_S
+    since = np.maximum(t_s[use] - onset_s, 0.0)
+    built = since if lag_s == 0 else since - lag_s * (1 - np.exp(-since / lag_s))
+    X = np.column_stack([np.ones(use.sum()), t_s[use] - onset_s, built])
+    left = rate[use] - X @ np.linalg.lstsq(X, rate[use], rcond=None)[0]
+    return float(np.mean(left**2))
+
+
+def _evidence(body: Body, onset_s: float) -> Iterator[EvidenceSeries]:
+    """Specific force and turning against what the commands ask for by the sound part."""
+    shown = (body.t_s > onset_s - SHOWN_S[0]) & (body.t_s < onset_s + SHOWN_S[1])
+    t = tuple(body.t_s[shown].tolist())
+    expected = body.expected()
+    names = ("specific force z", "angular acceleration x", "angular acceleration y")
+    for j, (name, unit) in enumerate(zip(names, ("m/s^2", "rad/s^2", "rad/s^2"), strict=True)):
+        yield EvidenceSeries(
+            name=name,
+            unit=unit,
+            t_s=t,
+            measured=tuple(body.measured[shown, j].tolist()),
+            expected=tuple(expected[shown, j].tolist()),
+        )
+
+
+def _hidden(cause: str, value: float | None, reason: str) -> NotVisible:
+    least = Amount(value=value, unit="1")
+    return NotVisible(cause=cause, smallest_detectable=least, reason=reason)
