@@ -106,16 +106,16 @@ def flown(case: Case) -> tuple[Flight, float]:
     rng, vehicle = case.rng, aircraft(case.aircraft)
     begins_s = float(rng.uniform(22.0, 30.0)) if case.effect else np.inf
     seconds = begins_s + AFTER_S if case.effect else case.seconds
-    setpoints, phases = setpoints_along(vehicle, _waypoints(vehicle, seconds, rng))
+    setpoints, phases = setpoints_along(vehicle, waypoints(vehicle, seconds, rng))
     later = None
     if case.effect:
         size = SIZES[case.effect][MAGNITUDES.index(case.magnitude)]
         later = Later({case.effect: numbers(case.effect, size, vehicle, rng)}, begins_s)
-    courses = _air(len(setpoints), rng)
-    courses["vbat_v"] = _voltage(
+    courses = air(len(setpoints), rng)
+    courses["vbat_v"] = voltage(
         vehicle, len(setpoints), begins_s if case.effect == "battery_sag" else np.inf
     )
-    recorder = _recorder(vehicle, int(rng.integers(2**31)))
+    recorder = recorder_of(vehicle, int(rng.integers(2**31)))
     flight = simulate_flight(
         setpoints, phases, vehicle, vehicle, recorder, case.name, later=later, courses=courses
     )
@@ -163,7 +163,7 @@ def numbers(effect: str, size: float, v: Vehicle, rng: np.random.Generator) -> N
     return {k: float(x) for k, x in table[effect].items()}
 
 
-def _waypoints(v: Vehicle, seconds: float, rng: np.random.Generator) -> Waypoints:
+def waypoints(v: Vehicle, seconds: float, rng: np.random.Generator) -> Waypoints:
     """Take-off, a hover, then legs and hovers by chance until the time is over."""
     reach = 1.5 if v.arm_m < 0.06 else 5.0
     legs = [
@@ -183,7 +183,7 @@ def _waypoints(v: Vehicle, seconds: float, rng: np.random.Generator) -> Waypoint
     return tuple((p, float(s), (float(x), float(y), float(z))) for p, s, (x, y, z) in legs)
 
 
-def _air(n: int, rng: np.random.Generator) -> dict[str, Array]:
+def air(n: int, rng: np.random.Generator) -> dict[str, Array]:
     """Wind: steady, level, up to 3 m/s, and turbulence about it, shape (n,) each."""
     speed, angle = float(rng.uniform(0.0, 3.0)), float(rng.uniform(0, 2 * np.pi))
     steady = (speed * np.cos(angle), speed * np.sin(angle), 0.0)
@@ -194,7 +194,7 @@ def _air(n: int, rng: np.random.Generator) -> dict[str, Array]:
     return {f"wind_{a}": steady[i] + gust[:, i] for i, a in enumerate("xyz")}
 
 
-def _voltage(v: Vehicle, n: int, fails_s: float) -> Array:
+def voltage(v: Vehicle, n: int, fails_s: float) -> Array:
     """A battery that loses 2 % in five minutes, and much more once it fails."""
     t = STEP_S * np.arange(n)
     since = np.clip(t - fails_s, 0.0, None)
@@ -202,7 +202,8 @@ def _voltage(v: Vehicle, n: int, fails_s: float) -> Array:
     return np.asarray(v.voltage_v * charged * (1 - SAG * (1 - np.exp(-since / SAG_S))))
 
 
-def _recorder(v: Vehicle, seed: int) -> Recorder:
+def recorder_of(v: Vehicle, seed: int) -> Recorder:
+    """What is recorded of a flight, with medium noise."""
     noise = NOISE["medium"]
     drives = motor_columns("cmd" if v.drive == "command" else "rotor", v.rotors.count)
     streams = (

@@ -6,10 +6,10 @@ Channels j are the specific force along z and the angular accelerations about x,
 
 S: signs of the frame. g: thrust by command, of several curvatures and lags, over which is
 marginalised. eta: share of its thrust that a rotor has left, 1 while it is sound. s_j absorbs mass,
-inertia, arm, voltage and thrust map; K_j is the usual sum, so that the offset b_j does not depend on
-s_j; d_j damping, k_j gyroscopic products (wx^2 + wy^2 for z), b_j
-an offset. Errors of the model grow with what happens, for all hypotheses alike: a lively interval
-weighs little, so that a crash cannot outvote an onset.
+inertia, arm, voltage and thrust map; K_j is the usual sum, so that the offset b_j does not depend
+on s_j; d_j damping, k_j gyroscopic products (wx^2 + wy^2 for z). Errors of the model grow with what
+happens, for all hypotheses alike: a lively interval weighs little, so that a crash cannot outvote
+an onset.
 """
 
 from collections.abc import Mapping
@@ -18,11 +18,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal import lfilter
 
-from .flight import Airborne, Array, FlightFrame, binned, lift, moment_signs
 from ..residuals.measured import Signal
+from .flight import Airborne, Array, FlightFrame, binned, lift, moment_signs
 
 CURVATURES = (0.0, 0.35, 0.7, 1.0, 1.25)
 """Of thrust by command: linear, square, square above a dead band."""
@@ -53,6 +53,8 @@ LIVELY = 4.0
 SATURATED = 0.97
 """Share of the largest body rate that counts as the end of the gyroscope's range, if it is
 reached often."""
+AT_STOP, AT_STOP_S = 0.985, 1.0
+"""Command that is at its upper stop, and for how long that matters."""
 FAST_HZ = 40.0
 """Rate of commands from which on their jitter does not hide the gain."""
 FINE_S = 0.01
@@ -113,7 +115,7 @@ class Body:
     @property
     def rotors(self) -> int:
         """Number of rotors."""
-        return self.signs.shape[1]
+        return int(self.signs.shape[1])
 
     @cached_property
     def learned(self) -> slice:
@@ -146,6 +148,15 @@ class Body:
         share = np.where(stop.any(axis=1), 0.3, 1.0)
         return np.column_stack([np.ones(len(w)), ~stop * share[:, None]])[self.start : self.end]
 
+    @cached_property
+    def limited(self) -> NDArray[np.bool_]:
+        """Whether a command was at its upper stop in the second before, shape (n,): there a rotor
+        gives what the battery lets it, and the thrust by command is no longer that of before."""
+        top = self.frame.grid[self.frame.drive or ""].max(axis=1) > AT_STOP
+        back = self.places(AT_STOP_S)
+        since = uniform_filter1d(top.astype(float), back, origin=(back - 1) // 2)
+        return np.asarray(since > 1e-9)[self.start : self.end]
+
     def thrust(self, curvature: float, lag_s: float) -> Array:
         """Thrust of each rotor over that at full command, shape (n, rotors)."""
         drive = self.frame.signals[self.frame.drive or ""]
@@ -175,6 +186,14 @@ class Body:
     def _regressors(self, thrust: Array, j: int) -> Array:
         return np.column_stack([thrust @ self.signs[j], self._rates[0][:, j], np.ones(len(self))])
 
+    def expected(self) -> Array:
+        """The channels as the commands ask for them, by the early part, shape (n, 4)."""
+        g, found = self.thrust(USUAL_CURVATURE, self.lag_s), np.empty((len(self), 4))
+        for j in range(4):
+            X, early = self._regressors(g, j), self.learned
+            found[:, j] = X @ robust_fit(X[early], self.measured[early, j])
+        return found
+
     @cached_property
     def noise(self) -> "Noise":
         """Of each channel, by the early part."""
@@ -190,8 +209,11 @@ class Body:
             white_X, white_y = X[1:] - rho * X[:-1], y[1:] - rho * y[:-1]
             beta = robust_fit(white_X[early], white_y[early])
             left = (y - X @ beta)[early]
-            left = np.clip(left - np.median(left), *(np.percentile(left - np.median(left), [2, 98])))
-            rho = float(np.clip(left[1:] @ left[:-1] / max(left @ left, 1e-12), 0.0, RHO_MOST))
+            left -= np.median(left)
+            low, high = np.percentile(left, [2, 98])
+            left = np.clip(left, low, high)
+            power = max(float(left @ left), 1e-12)
+            rho = float(np.clip(left[1:] @ left[:-1] / power, 0.0, RHO_MOST))
         innovation = np.concatenate([[0.0], white_y - white_X @ beta])
         sd = 1.4826 * float(np.median(np.abs(innovation[early]))) + FLOOR[j]
         lively = maximum_filter1d(np.abs(y - np.median(y[early])), 3)
@@ -220,7 +242,8 @@ class Body:
         """By curvature and lag: cumulated Gram matrices, shape (4, n + 1, k, k), of
         [S g_1 .. S g_n, their sum - K, damping, products, 1, y], whitened and weighted; and K of
         each channel, shape (4,)."""
-        found, explained = {}, {}
+        found: dict[tuple[float, float], tuple[Array, Array]] = {}
+        explained: dict[tuple[float, float], float] = {}
         for curvature in CURVATURES:
             for lag in LAGS_S:
                 g = self.thrust(curvature, lag)

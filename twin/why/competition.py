@@ -16,12 +16,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 from scipy.special import log_ndtr, logsumexp
 
 from ..vehicle import GRAVITY_M_S2
 from .body import USUAL_CURVATURE, Body
 from .flight import Array
+
+Places = NDArray[np.int64]
+"""Onsets as places of the grid of a `Body`."""
 
 TEMPER = 0.5
 """Share of the log evidence that is believed."""
@@ -74,7 +78,7 @@ PRODUCT_SD = np.array([0.1, 1.0, 1.0, 1.0])
 DAMPING_SD, GAIN_SD = 30.0, 1e3
 """Of damping, 1/s, and of the gain before an onset."""
 SPIKE = np.log(6.0)
-"""Cost of each reading that a blow leaves out, in nats: the density of anything within its range."""
+"""Cost of each reading that a blow leaves out, nats: it may be anything within its range."""
 
 ROTOR, ALL, MASS, PUSH, BLOW = (
     "rotor_failure",
@@ -144,7 +148,7 @@ class Competition:
 
     # -- evidence ---------------------------------------------------------------------------
 
-    def evidence(self, onsets: Array, low: int, high: int) -> dict[Name, Array]:
+    def evidence(self, onsets: Places, low: int, high: int) -> dict[Name, Array]:
         """Log evidence of every size of every name, shape (onsets, sizes), within intervals."""
         by_curve = [
             self._of_curve(curvature, gram, usual, onsets, low, high)
@@ -153,7 +157,7 @@ class Competition:
         return {n: logsumexp([found[n] for found in by_curve], axis=0) for n in self.names}
 
     def _of_curve(
-        self, curvature: float, gram: Array, usual: Array, onsets: Array, low: int, high: int
+        self, curvature: float, gram: Array, usual: Array, onsets: Places, low: int, high: int
     ) -> dict[Name, Array]:
         """The same for one curvature and lag."""
         body, one = self.body, self._left[:1]
@@ -170,7 +174,7 @@ class Competition:
         scaled = [channel(j, self._left) for j in range(4)]
         pushed = [channel(j, one, step=True) for j in range(4)]
         base = [s[:, :1] for s in scaled]
-        each = sum(scaled)
+        each = np.sum(scaled, axis=0)
         n = len(LOSSES)
         found = {Name(NOTHING): each[:, :1]}
         for i in range(body.rotors):
@@ -179,16 +183,23 @@ class Competition:
         found[Name(ALL)] = weak + base[1] + base[2] + base[3]
         heavy = channel(0, one / (1 + MASSES)[:, None])
         found[Name(MASS)] = heavy + pushed[1] + pushed[2] + base[3]
-        found[Name(PUSH)] = sum(pushed)
+        found[Name(PUSH)] = np.sum(pushed, axis=0)
         spikes = ((later - onsets) * 4 * SPIKE)[:, None]
-        found[Name(BLOW)] = sum(channel(j, one, blow=True) for j in range(4)) - spikes
+        blown = [channel(j, one, blow=True) for j in range(4)]
+        found[Name(BLOW)] = np.sum(blown, axis=0) - spikes
         return found
 
     def _reduced(
-        self, j: int, gram: Array, before: tuple[Array, Array], after: tuple[Array, Array], step: bool
+        self,
+        j: int,
+        gram: Array,
+        before: tuple[Places, Places],
+        after: tuple[Places, Places],
+        step: bool,
     ) -> tuple[Array, Array]:
-        """Per onset the Gram matrix of [S g after, 1 after, y] with gain before, damping, products, offset
-        and its change, large where there is a step, marginalised; and the log of what that costs.
+        """Per onset the Gram matrix of [S g after, 1 after, y] with gain before, damping, products,
+        offset and its change, large where there is a step, marginalised; and the log of what that
+        costs.
 
         Columns of the cumulated Gram matrix: n rotors, sum, damping, products, 1, y.
         """
@@ -210,12 +221,12 @@ class Competition:
     @cached_property
     def _trims(self) -> Array:
         """Deviation of the change of an offset under every hypothesis."""
-        return np.maximum(TRIM_SHARE * self._authority, 1e-3)
+        return np.asarray(np.maximum(TRIM_SHARE * self._authority, 1e-3))
 
     @cached_property
     def _steps(self) -> Array:
         """The same under a force or a moment."""
-        return np.maximum(LEAST_STEP, STEP_SHARE * self._authority)
+        return np.asarray(np.maximum(LEAST_STEP, STEP_SHARE * self._authority))
 
     @cached_property
     def _authority(self) -> Array:
@@ -225,8 +236,8 @@ class Competition:
         """Prior of the gain after an onset as a mixture of normal distributions: log weights,
         means, deviations."""
         body = self.body
-        slope = lambda e: (1 - e) + 2 * e * body.hover_command  # noqa: E731
-        fit = body.noise.gain[j] * slope(USUAL_CURVATURE) / slope(curvature)
+        usual, now = (1 + e * (2 * body.hover_command - 1) for e in (USUAL_CURVATURE, curvature))
+        fit = body.noise.gain[j] * usual / now  # the same change of thrust at the usual command
         if j == 0 or fit <= 0:
             means = GRAVITY_M_S2 / total * GAINS[j]
             spread = LIFT_SPREAD * GRAVITY_M_S2 / total if j == 0 else GAIN_SPREAD * means
@@ -238,7 +249,7 @@ class Competition:
         weights = -0.5 * (np.log(means / fit) / 0.5) ** 2
         return weights - logsumexp(weights), means, spreads
 
-    def unchanged(self, onsets: Array, low: int, high: int) -> Array:
+    def unchanged(self, onsets: Places, low: int, high: int) -> Array:
         """Log evidence that nothing changes at all, not even gain and offset, in the window of
         each onset: what different onsets are measured by, since it does not depend on them."""
         body = self.body
@@ -247,7 +258,10 @@ class Competition:
         return np.asarray(
             logsumexp(
                 [
-                    sum(self._regression(j, TEMPER * (g[end] - g[start])) for j, g in enumerate(gram))
+                    sum(
+                        self._regression(j, TEMPER * (g[end] - g[start]))
+                        for j, g in enumerate(gram)
+                    )
                     for gram, _ in self.body.grams.values()
                 ],
                 axis=0,
@@ -265,7 +279,7 @@ class Competition:
 
     # -- decision ---------------------------------------------------------------------------
 
-    def odds(self, onsets: Array, low: int, high: int) -> tuple[Array, dict[Name, Array]]:
+    def odds(self, onsets: Places, low: int, high: int) -> tuple[Array, dict[Name, Array]]:
         """Log odds of each name against no change at all, shape (names, onsets), and the evidence
         of its sizes."""
         evidence = self.evidence(onsets, low, high)
@@ -283,7 +297,7 @@ class Competition:
         """Nats over nothing that make an event, of each name."""
         return np.array([LEVEL.get(n.cause, np.inf) for n in self.names])
 
-    def asked(self, onsets: Array) -> Array:
+    def asked(self, onsets: Places) -> Array:
         """Nats over nothing that each name needs at each onset: fewer of a rotor in the last
         seconds before control is lost, since something must have taken it."""
         body = self.body
@@ -301,6 +315,8 @@ class Competition:
         if last - first < 2 or depth > DEPTH:
             return
         tried = self._tried(first, last)
+        if len(tried) < 2:
+            return
         odds, _ = self.odds(tried, low, high)
         nothing = maximum_filter1d(odds[0], 2 * round(AFTER_S / COARSE_S) + 1)
         over = (odds - nothing - self.asked(tried))[1:].max(axis=0)
@@ -320,15 +336,15 @@ class Competition:
     def _stride(self) -> int:
         return max(self.body.places(COARSE_S), 1)
 
-    def _tried(self, first: int, last: int) -> Array:
-        """Onsets that are tried within places."""
-        coarse = np.arange(first, last, self._stride)
-        if not self.body.lost:
-            return coarse
-        fine = max(self.body.last - self.body.places(FINELY_S), first)
-        return np.unique(np.concatenate([coarse, np.arange(fine, last)]))
+    def _tried(self, first: int, last: int) -> Places:
+        """Onsets that are tried within places: none where a command has just been at its stop."""
+        tried = np.arange(first, last, self._stride)
+        if self.body.lost:
+            fine = max(self.body.last - self.body.places(FINELY_S), first)
+            tried = np.unique(np.concatenate([tried, np.arange(fine, last)]))
+        return tried[~self.body.limited[tried]]
 
-    def _onset(self, near: Array, low: int, high: int) -> Onset | None:
+    def _onset(self, near: Places, low: int, high: int) -> Onset | None:
         """The best of some onsets; None: at a closer look none passes."""
         odds, evidence = self.odds(near, low, high)
         over = odds - odds[0].max() - self.asked(near)

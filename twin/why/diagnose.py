@@ -8,6 +8,7 @@ from msgspec.structs import replace
 from ..logs import Flight
 from .findings import Finder, Findings
 from .flight import FlightFrame
+from .motion import moved
 from .records import Candidate, Diagnosis, Event, TimelineItem, Verdict
 from .sensors import sensors
 from .steady import steady
@@ -41,7 +42,7 @@ def _item(flight: FlightFrame, place: int, kind: str, text: str) -> TimelineItem
     return TimelineItem(kind=kind, t_s=float(flight.t_s[place]), text=text)  # type: ignore[arg-type]
 
 
-FINDERS: tuple[Finder, ...] = (control, sensors, timeline, steady, vibration)
+FINDERS: tuple[Finder, ...] = (control, moved, sensors, timeline, steady, vibration)
 """All of them, in no order."""
 
 

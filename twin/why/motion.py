@@ -20,7 +20,7 @@ from .competition import (
     Onset,
 )
 from .findings import Findings
-from .flight import Airborne, Array, FlightFrame
+from .flight import Airborne, FlightFrame
 from .records import Amount, Candidate, Event, EvidenceSeries, NotVisible, Severity
 
 LEAST_S = 8.0
@@ -31,10 +31,8 @@ SHOWN_S = (2.0, 1.5)
 """Before and after an onset: what a page shows."""
 TOLD = 0.02
 """Least probability of an alternative that is said."""
-REFINED_S, RISING_S, STEP_S = 0.15, 0.12, 0.004
-"""An onset is refined within so much, on the body rates until so long after it, in such steps."""
-RAMP_LAGS_S = (0.0, 0.03, 0.08)
-"""Of the moment behind the failure."""
+REFINED_S, STEP_S, BEND_S = 0.15, 0.004, 0.05
+"""An onset is refined within so much, in such steps, by the rate so long before and after it."""
 
 TEXTS = {
     ROTOR: "Rotor {rotor} loses {value} of its thrust at {t} s",
@@ -139,32 +137,18 @@ def _alternatives(onset: Onset) -> tuple[Candidate, ...]:
 
 
 def refined_onset(body: Body, onset_s: float, rotor: int) -> float:
-    """When the body begins to turn away from a rotor, on the body rates as logged.
-
-    The rate along the moment of the rotor is a line, to which a moment that builds up with a lag
-    adds from the onset on; least squares over onset and lag.
-    """
+    """When the body begins to turn away from a rotor: the sharpest bend of its rate along the
+    moment of the rotor, in the readings as logged."""
     gyro = body.frame.signals["gyro"]
+    if gyro.rate_hz < 2 / BEND_S:
+        return onset_s
     away = -body.signs[1:, rotor] * np.array([1.0, 1.0, 0.0])
     half = max(REFINED_S, body.frame.dt_s)
-    first, last = onset_s - 3 * half, onset_s + half + RISING_S
-    inside = (gyro.t_s >= first) & (gyro.t_s <= last)
-    t, rate = gyro.t_s[inside], gyro.values[inside] @ away
-    if len(t) < 10:
-        return onset_s
     tried = np.arange(onset_s - half, onset_s + half, STEP_S)
-    cost = [min(_left(t, rate, o, lag) for lag in RAMP_LAGS_S) for o in tried]
-    return float(tried[int(np.argmin(cost))])
-
-
-def _left(t_s: Array, rate: Array, onset_s: float, lag_s: float) -> float:
-    """Mean square that a line and a moment from an onset on leave of a rate."""
-    use = t_s <= onset_s + RISING_S
-    since = np.maximum(t_s[use] - onset_s, 0.0)
-    built = since if lag_s == 0 else since - lag_s * (1 - np.exp(-since / lag_s))
-    X = np.column_stack([np.ones(use.sum()), t_s[use] - onset_s, built])
-    left = rate[use] - X @ np.linalg.lstsq(X, rate[use], rcond=None)[0]
-    return float(np.mean(left**2))
+    before, now, after = (
+        np.interp(tried + k * BEND_S, gyro.t_s, gyro.values @ away) for k in (-1, 0, 1)
+    )
+    return float(tried[int(np.argmax(after - 2 * now + before))])
 
 
 def _evidence(body: Body, onset_s: float) -> Iterator[EvidenceSeries]:

@@ -53,7 +53,7 @@ def test_a_hover_is_flown_to_its_end() -> None:
 def test_the_grid_averages() -> None:
     flight = hover()
     frame = FlightFrame.of(flight)
-    assert frame.dt_s == pytest.approx(0.03)
+    assert frame.dt_s == pytest.approx(0.02)
     first = flight.table.gyro_x[flight.table.time < frame.edges_s[1]].mean()
     assert frame.grid["gyro"][0, 0] == pytest.approx(first)
 

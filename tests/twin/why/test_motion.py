@@ -1,0 +1,80 @@
+"""What moved the body: planted in simulated flights, found from the log alone."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from benchmarks.sudden_faults import Planted, trivial_rule
+from twin.logs import Flight
+from twin.why.body import Body
+from twin.why.competition import ROTOR, Competition, Name
+from twin.why.diagnose import FINDERS, diagnose
+from twin.why.findings import Findings
+from twin.why.flight import FlightFrame
+from twin.why.motion import moved
+
+
+def found_in(flight: Flight) -> Findings:
+    return moved(FlightFrame.of(flight))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("size", "seed"), [(0.2, 2), (0.3, 3), (0.5, 4), (1.0, 1), (1.0, 5)])
+def test_a_rotor_that_loses_thrust(size: float, seed: int) -> None:
+    """Rotor, onset and size, of three aircraft; no vehicle is known."""
+    flight, begins_s, rotor = Planted("rotor_failure", size, seed).flown()
+    first = found_in(flight).events[0]
+    assert first.cause == "rotor_failure" and first.rotor == (rotor,)
+    assert first.onset_s == pytest.approx(begins_s, abs=0.1)
+    assert first.severity is not None
+    assert first.severity.value == pytest.approx(size, rel=0.25)
+    assert first.severity.low <= first.severity.value <= first.severity.high
+
+
+@pytest.mark.slow
+def test_commands_at_ten_hertz_show_a_full_stop() -> None:
+    flight, begins_s, rotor = Planted("rotor_failure", 1.0, 3, rate_hz=10.0).flown()
+    found = diagnose(flight, finders=[*FINDERS[:1], moved])
+    assert found.verdict == "found"
+    assert found.events[0].rotor == (rotor,)
+    assert found.events[0].onset_s == pytest.approx(begins_s, abs=0.1)
+    assert found.loss_of_control_s is not None and found.loss_of_control_s > begins_s
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_windy_flight_has_no_event(seed: int) -> None:
+    """The trivial rule is no detector: it names a rotor in flights like these."""
+    found = found_in(Planted("", 0.0, seed).flown()[0])
+    assert found.events == [] and found.nothing == 1.0
+
+
+@pytest.mark.slow
+def test_evidence_against_no_change_is_largest_at_the_onset() -> None:
+    """Log odds of the right rotor peak within an interval of the truth."""
+    flight, begins_s, rotor = Planted("rotor_failure", 0.3, 2).flown()
+    frame = FlightFrame.of(flight)
+    body = Body.of(frame, frame.airborne[-1])
+    at = int(np.searchsorted(body.t_s, begins_s))
+    tried = np.arange(at - 10, at + 10)
+    competition = Competition(body)
+    odds, _ = competition.odds(tried, 0, len(body))
+    best = odds[competition.names.index(Name(ROTOR, rotor or 0))]
+    assert abs(int(tried[np.argmax(best)]) - at) <= 1
+    assert best.max() > odds[0].max() + 100
+
+
+def test_a_log_without_commands_says_what_it_cannot_show() -> None:
+    t = np.arange(0, 20, 0.02)
+    table = pd.DataFrame({"time": t, **{f"gyro_{a}": 0.01 * np.sin(t) for a in "xyz"}})
+    found = found_in(Flight("imu", table))
+    assert not found.events
+    assert all(v.smallest_detectable.value is None for v in found.not_visible)
+
+
+def test_the_trivial_rule_takes_the_highest_output() -> None:
+    t = np.arange(0, 20, 0.1)
+    table = {"time": t, **{f"cmd_{i}": np.full(len(t), 0.5) for i in range(1, 5)}}
+    table["cmd_3"] = np.where(t > 12, 0.7, 0.5)
+    rotor, t_s = trivial_rule(Flight("f", pd.DataFrame(table))) or (0, 0.0)
+    assert rotor == 3 and t_s == pytest.approx(12.1)
