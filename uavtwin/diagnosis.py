@@ -7,11 +7,12 @@ from typing import Any, ClassVar
 
 from msgspec import structs
 
+from twin.formatting import pretty_unit
 from twin.logs import Flight, read_flight
 from twin.why.diagnose import diagnose
-from twin.why.records import Diagnosis, Event
+from twin.why.records import Candidate, Diagnosis, Event, NotVisible
 
-from .display import DisplayMixin, TextTable
+from .display import PageMixin, TextTable
 from .flights import checked_flights
 from .record import Record
 
@@ -23,14 +24,18 @@ class WhyRecord(Record, Diagnosis, frozen=True, kw_only=True):
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class WhyResult(DisplayMixin):
+class WhyResult(PageMixin):
     """Why a flight went wrong.
 
     Attributes:
         record: Every number of it.
+        recorded: The flight, for the figures of the page; None: it has the record alone.
     """
 
     record: WhyRecord
+    recorded: Flight | None = None
+
+    page = "uavtwin.report.why"
 
     def brief(self) -> str:
         """See `DisplayMixin`."""
@@ -66,7 +71,8 @@ def why(flight: Any, references: Any = ()) -> WhyResult:
         TwinError: A log cannot be read, or is too short.
     """
     (asked,) = _read([flight])
-    return WhyResult(WhyRecord(**structs.asdict(diagnose(asked, _read(references)))))
+    found = diagnose(asked, _read(references))
+    return WhyResult(WhyRecord(**structs.asdict(found)), asked)
 
 
 def _read(given: Sequence[Any]) -> tuple[Flight, ...]:
@@ -78,12 +84,14 @@ def _row(event: Event) -> tuple[str, ...]:
     """An event in the table."""
     when = "all the time" if event.onset_s is None else f"{event.onset_s:.2f} s"
     which = ", ".join(f"rotor {r}" for r in event.rotor or ()) or (event.sensor or "")
-    others = ", ".join(f"{_words(c.cause)} {100 * c.probability:.0f} %" for c in event.alternatives)
+    others = ", ".join(
+        f"{cause_in_words(c)} {100 * c.probability:.0f} %" for c in event.alternatives
+    )
     what = _words(event.cause) + (" (consequence)" if event.consequence else "")
-    return when, what, which, _size(event), f"{100 * event.probability:.0f} %", others
+    return when, what, which, size_in_words(event), f"{100 * event.probability:.0f} %", others
 
 
-def _size(event: Event) -> str:
+def size_in_words(event: Event) -> str:
     """How much, with its interval."""
     if event.severity is None:
         return ""
@@ -91,20 +99,33 @@ def _size(event: Event) -> str:
     if s.unit == "1":
         low, value, high = (f"{100 * v:.0f}" for v in (s.low, s.value, s.high))
         return f"{_words(s.quantity)} {value} % ({low} to {high})"
-    return f"{_words(s.quantity)} {s.value:.3g} {s.unit} ({s.low:.3g} to {s.high:.3g})"
+    unit = pretty_unit(s.unit)
+    return f"{_words(s.quantity)} {s.value:.3g} {unit} ({s.low:.3g} to {s.high:.3g})"
+
+
+def cause_in_words(given: Event | Candidate | NotVisible) -> str:
+    """A cause, with its rotors or its sensor."""
+    rotors = getattr(given, "rotor", None) or ()
+    which = " and ".join(map(str, rotors))
+    sensor = getattr(given, "sensor", None) or ""
+    named = f", rotor {which}" if rotors else f", {sensor}" if sensor else ""
+    return _words(given.cause) + named
+
+
+def least_in_words(hidden: NotVisible) -> str:
+    """Sizes that would not have shown."""
+    least = hidden.smallest_detectable
+    if least.value is None:
+        return "of any size"
+    if least.unit == "1":
+        return f"below {100 * least.value:.0f} %"
+    return f"below {least.value:.3g} {pretty_unit(least.unit)}"
 
 
 def _hidden(found: Diagnosis) -> Iterator[str]:
     """What the log would not have shown."""
-    for cause in found.not_visible:
-        least = cause.smallest_detectable
-        if least.value is None:
-            size = "of any size"
-        elif least.unit == "1":
-            size = f"below {100 * least.value:.0f} %"
-        else:
-            size = f"below {least.value:.3g} {least.unit}"
-        yield f"Not visible: {_words(cause.cause)} {size}: {cause.reason}."
+    for hidden in found.not_visible:
+        yield f"Not visible: {_words(hidden.cause)} {least_in_words(hidden)}: {hidden.reason}."
 
 
 def _words(name: str) -> str:

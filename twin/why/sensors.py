@@ -290,11 +290,11 @@ def _drawn(change: Change) -> tuple[EvidenceSeries, ...]:
     near &= np.isfinite(r.difference) & np.isfinite(r.reading)
     rows = np.flatnonzero(near)[:: max(1, int(near.sum()) // MOST_POINTS)]
     t, apart = r.t_s[rows], r.difference[rows] - change.middle
-    series = [("by the reading and by the others", r.reading[rows], r.reading[rows] - apart)]
-    series.append(("reading less the others", apart, np.zeros(len(rows))))
+    series = [(r.sensor, r.reading[rows], r.reading[rows] - apart)]
+    series.append(("difference", apart, np.zeros(len(rows))))
     return tuple(
         EvidenceSeries(
-            name=f"{r.sensor}: {what}",
+            name=what,
             unit=r.unit,
             t_s=tuple(t.tolist()),
             measured=tuple(measured.tolist()),

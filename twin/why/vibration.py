@@ -210,7 +210,7 @@ def _drawn(hz: Array, power: Array) -> EvidenceSeries:
     density = np.sqrt(power.mean(axis=1).sum(axis=1))
     every = max(1, len(hz) // 240)
     return EvidenceSeries(
-        name="vibration, over frequency in Hz",
+        name="density by Hz",
         unit="m/s^2/sqrt(Hz)",
         t_s=tuple(hz[::every].tolist()),
         measured=tuple(density[::every].tolist()),

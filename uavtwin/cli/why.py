@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Exit, Json, Prints
+from .options import Exit, Force, Json, Prints
 
 
 def why(
@@ -14,6 +14,14 @@ def why(
         list[Path] | None,
         typer.Option(help="Normal flights of the same aircraft: one or several."),
     ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Page to write, .html: opens offline.")
+    ] = None,
+    diagnostic: Annotated[
+        Path | None,
+        typer.Option("--diagnostic", help="JSON to write: records as flight-review has them."),
+    ] = None,
+    force: Force = False,
     as_json: Annotated[
         Json,
         Prints(
@@ -24,8 +32,19 @@ def why(
 ) -> None:
     """Say why a flight went wrong, and when: no vehicle file, no mass, no size."""
     from ..diagnosis import why as ask_why
+    from ..diagnostic import write_diagnostics
+    from ..output import check_file
     from .results import print_result
 
+    for file, suffix in ((out, ".html"), (diagnostic, ".json")):
+        if file is not None:
+            if file.suffix != suffix:
+                raise typer.BadParameter(f"{file.name}: name a file that ends in {suffix}.")
+            check_file(file, force)
     found = ask_why(log, reference or [])
     print_result(found, as_json)
+    if out is not None:
+        found.report(out)
+    if diagnostic is not None:
+        write_diagnostics(found, diagnostic)
     raise typer.Exit(Exit.FINE if found.record.verdict == "nothing_found" else Exit.FINDINGS)

@@ -1,0 +1,124 @@
+"""The page of `uavtwin why`, and its events as Diagnostic records."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from cli_rig import run
+from page_rigs.browser import SOME_VIEWS, Browser, View, browser, faults, needs_browser, pictures
+from why_rig import ONSET_S, sound
+
+from twin.logs import Flight, write_flight
+from twin.logs.autopilot import Autopilot, Message, Mode, Stretch
+from twin.why.records import Candidate, Event, Severity
+from uavtwin.diagnosis import WhyResult, why
+from uavtwin.diagnostic import diagnostics
+from uavtwin.report.drawing import PAGE_BYTES
+
+
+def faulty() -> Flight:
+    """A gyroscope that is off from `ONSET_S` on, and an autopilot that talks about it."""
+    table = sound()
+    table["gyro_y"] = table["gyro_y"] + 0.1 * (table["time"] >= ONSET_S)
+    said = Autopilot(
+        modes=(Mode("Hold", 0.0), Mode("Land", 40.0)),
+        failsafes=(Stretch("battery failsafe", 38.0, 44.0),),
+        messages=(Message(ONSET_S + 0.5, "warning", "gyro <b>inconsistent</b>"),),
+    )
+    facts = {"clock": "t = 0 is 100.000000 s after boot, the start of the log"}
+    return Flight("faulty", pd.DataFrame(table), autopilot=said, facts=facts)
+
+
+@pytest.fixture(scope="module")
+def result() -> WhyResult:
+    return why(faulty())
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with browser(tmp_path_factory.mktemp("browser")) as one:
+        yield one
+
+
+def test_the_page_says_what_when_what_to_check_and_quotes(
+    result: WhyResult, tmp_path: Path
+) -> None:
+    page = result.report(tmp_path / "why.html").read_text("utf-8")
+    (cause,) = [e for e in result.record.events if not e.consequence]
+    assert cause.cause == "gyro_bias"
+    for text in (result.record.text, cause.bench_check, "What to do next", "could not have shown"):
+        assert text.split("<")[0] in page
+    assert "gyro &lt;b&gt;inconsistent&lt;/b&gt;" in page and "<b>inconsistent" not in page
+    assert "mode Land" in page and "battery failsafe" in page
+    assert "https://" not in page.split("plotly.js")[0]
+
+
+def test_a_page_of_nothing_says_what_it_could_not_have_shown(tmp_path: Path) -> None:
+    found = why(Flight("sound", pd.DataFrame(sound())))
+    assert found.record.verdict == "nothing_found"
+    page = found.report(tmp_path / "why.html").read_text("utf-8")
+    assert "it is not excluded" in page and "below" in page
+
+
+def test_a_result_without_its_flight_has_a_page(result: WhyResult, tmp_path: Path) -> None:
+    page = replace(result, recorded=None).report(tmp_path / "why.html").read_text("utf-8")
+    assert result.record.text in page
+
+
+@needs_browser
+@pytest.mark.parametrize("view", SOME_VIEWS, ids=str)
+def test_the_page_is_fine_to_look_at(
+    opened: Browser, result: WhyResult, view: View, tmp_path: Path
+) -> None:
+    page = result.report(tmp_path / "why.html")
+    assert faults(opened, page, view, pictures(tmp_path) / f"why_{view}.png") == []
+    assert page.stat().st_size < PAGE_BYTES
+
+
+def test_diagnostic_records_have_the_keys_and_the_clock_of_flight_review(
+    result: WhyResult,
+) -> None:
+    first = diagnostics(result)[0]
+    times = ["timestamp_us", "end_timestamp_us"]
+    assert list(first) == ["id", "summary", "severity", *times, "evidence"]
+    assert first["id"] == "gyro_bias" and first["severity"] == "warning"
+    assert first["timestamp_us"] == pytest.approx(1e6 * (100.0 + ONSET_S), abs=0.3e6)
+    assert first["evidence"]["type"] == "Event"
+
+
+def test_a_failed_rotor_is_a_motor_failure_of_theirs(result: WhyResult) -> None:
+    failed = Event(
+        cause="rotor_failure",
+        rotor=(2,),
+        onset_s=30.0,
+        severity=Severity(quantity="thrust_lost", value=0.5, low=0.4, high=0.6, unit="1"),
+        probability=0.9,
+        alternatives=(Candidate(cause="gust", rotor=None, probability=0.1),),
+    )
+    from msgspec.structs import replace as changed
+
+    record = changed(result.record, events=(failed,), loss_of_control_s=31.0)
+    (said,) = diagnostics(replace(result, record=record))
+    assert said["id"] == "motor_failure" and said["severity"] == "critical"
+    evidence = {"type": "MotorFailure", "motor_index": 1, "flight_mode": "Hold"}
+    assert evidence.items() <= said["evidence"].items()
+    assert said["evidence"]["pwm_value"] == pytest.approx(1500.0)
+
+
+def test_the_verb_writes_both_and_keeps_what_is_there(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    log, page, records = (tmp_path / n for n in ("log.parquet", "why.html", "why.json"))
+    write_flight(faulty(), log)
+    asked = ("why", log, "--out", page, "--diagnostic", records)
+    code, said, _ = run(capsys, *asked)
+    assert code == 1 and "gyro" in said
+    assert page.read_text("utf-8").startswith("<!DOCTYPE html>")
+    assert np.all([r["timestamp_us"] > 0 for r in json.loads(records.read_text("utf-8"))])
+    assert run(capsys, *asked)[0] == 2
+    assert run(capsys, *asked, "--force")[0] == 1
+    assert run(capsys, "why", log, "--out", tmp_path / "why.pdf")[0] == 2
