@@ -292,7 +292,7 @@ def test_a_tie_is_told_as_a_tie(named: Run, tmp_path: Path) -> None:
             naming, probabilities=tuple(chances.get(f.effects, 0.0) for f in naming.fitted)
         ),
         next_manoeuvre=Suggestion(
-            "legs", "Fly fast and straight.", (("rotor_drag",), ("mass_offset",)), 50.0, 1.0
+            "legs", "Fly fast and straight.", (("rotor_drag",), ("mass_offset",)), 50.0
         ),
     )
     content = explain_record(tied).json()

@@ -44,6 +44,7 @@ class EffectParameter:
         kind: What its values are.
         ends: Whether it may well be at a bound, as a share may be none or all: that is no hint that
             another effect is meant.
+        modes: Values that a search begins at as well, as it would not find the way there.
     """
 
     name: str
@@ -58,6 +59,7 @@ class EffectParameter:
     floor: Callable[[Vehicle], float] | None = None
     ends: bool = False
     kind: Kind = "real"
+    modes: tuple[float, ...] = ()
 
     @property
     def smallest(self) -> float:

@@ -342,7 +342,17 @@ HEADING_OFFSET = Effect(
     "magnetic anomaly of the site",
     "magnetometer",
     EarthField,
-    (EffectParameter("yaw_rad", "rad", "heading shown minus true heading", 0.2, (-1.6, 1.6)),),
+    (
+        EffectParameter(
+            "yaw_rad",
+            "rad",
+            "heading shown minus true heading",
+            0.2,
+            (-3.5, 3.5),
+            trifle=0.03,
+            modes=(-np.pi, np.pi),  # mounted backwards: no slope leads there
+        ),
+    ),
     ("mag", "q"),
     "definition: the field turned about the vertical",
     _heading_offset,
@@ -350,7 +360,12 @@ HEADING_OFFSET = Effect(
     observable_as=Equation(turns_pose="pose_rad"),
     of_logs=(
         EffectParameter(
-            "pose_rad", "rad", "logged attitude turned about the vertical", 0.2, (-1.6, 1.6)
+            "pose_rad",
+            "rad",
+            "logged attitude turned about the vertical",
+            0.2,
+            (-3.2, 3.2),
+            trifle=0.03,
         ),
     ),
     prior=Prior(

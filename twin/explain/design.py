@@ -381,14 +381,12 @@ class Suggestion:
         description: What a pilot can follow.
         separates: The two sets, the more probable first; an empty one: nothing is missing.
         separation: Log likelihood by which the true one is expected to lead, mean over both.
-        present: The same in the flights so far.
     """
 
     manoeuvre: str
     description: str
     separates: tuple[tuple[str, ...], tuple[str, ...]]
     separation: float
-    present: float
 
     __repr__ = short_repr
 
@@ -466,8 +464,8 @@ def suggestions(
             if last <= flight.table["time"].iloc[-1]:
                 inside = [b for (_, k), b in blocks.items() if first <= k * block_s < last]
                 leads[name] += lead(inside, held[1 - i]) / 2
-    pair, present = (rivals[0].effects, rivals[1].effects), _present(naming, *rivals)
-    found = [Suggestion(m.name, m.description, pair, leads[m.name], present) for m in listed]
+    pair = (rivals[0].effects, rivals[1].effects)
+    found = [Suggestion(m.name, m.description, pair, leads[m.name]) for m in listed]
     return sorted(found, key=lambda s: -s.separation)
 
 
@@ -521,18 +519,6 @@ def _held(naming: Naming, fitted: Fit) -> Held:
         np.array([n.about.bounds[0] - at[n.full] for n in numbers]),
         np.array([n.about.bounds[1] - at[n.full] for n in numbers]),
     )
-
-
-def _present(naming: Naming, a: Fit, b: Fit) -> float:
-    """Log likelihood by which the truth leads in the flights so far: both are at their best."""
-    whitened, model = naming.whitened, naming.whitened.model
-    ours, theirs = model.channels([], a.values), model.channels([], b.values)
-    rows = [
-        [replace(x, residual=x.residual - y.residual) for x, y in zip(f, g, strict=True)]
-        for f, g in zip(ours, theirs, strict=True)
-    ]
-    blocks = blocks_of(rows, whitened.noise, whitened.settings).values()
-    return 0.5 * sum(block.power for block in blocks)
 
 
 def _answers(model: Model, fitted: Fit) -> list[list[ChannelData]]:

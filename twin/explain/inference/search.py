@@ -117,6 +117,7 @@ def search_on(
             or _verified(problem, laplace, state, tried, _weak(laplace, state))
             or _verified(problem, laplace, state, tried, _alone(state))
             or _verified(problem, laplace, state, tried, _mistaken(problem, state))
+            or _verified(problem, laplace, state, {}, _mounted(problem, laplace, state))
             or _restarted(problem, state, tried, begun)
             or _followed(problem, laplace, state, tried, begun, -np.inf)
         )
@@ -227,8 +228,8 @@ def _different(moves: Sequence[Move], on: Sequence[str]) -> Iterator[Move]:
         seen.add(new)
 
 
-Trial = tuple[tuple[str, ...], str | None]
-"""A set, and what has come in to begin at its expected numbers."""
+Trial = tuple[tuple[str, ...], Array | None]
+"""A set, and the numbers to begin with; None: those of the state."""
 
 
 def _without_clocks(state: State) -> list[Trial]:
@@ -250,7 +251,8 @@ def _clocks(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Tr
     for old in present:
         rest = tuple(e for e in state.effects if e != old)
         known = [e for e in absent if laplace.share_a_channel(old, e) and not laplace.silent(e)]
-        sets += [(tuple(sorted((*rest, new))), new) for new in known]
+        x = state.best.x
+        sets += [(tuple(sorted((*rest, c))), _with_expected(problem, x, c)) for c in known]
     return sets
 
 
@@ -294,7 +296,8 @@ def _mistaken(problem: Problem, state: State) -> list[Trial]:
         for other in EFFECTS[effect_of(c)].mistaken_for:
             if other in on:
                 rest = [e for e in state.effects if e != other]
-                sets.append((tuple(sorted((*rest, c))), c))
+                x = _with_expected(problem, state.best.x, c)
+                sets.append((tuple(sorted((*rest, c))), x))
     return sets
 
 
@@ -336,15 +339,28 @@ def _followed(
     return None if best is state else best
 
 
+def _mounted(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Trial]:
+    """The set with a number at each of its modes: no slope leads to a compass that is mounted
+    backwards."""
+    b = problem.priors
+    sets: list[Trial] = []
+    for i, c in ((i, c) for i, c in enumerate(b.cause) if c in b.causes and not laplace.silent(c)):
+        for mode in problem.model.numbers[b.columns[i]].about.modes:
+            x = state.best.x.copy()
+            x[i] = mode - b.now[i]
+            sets.append((tuple(sorted({*state.effects, c})), x))
+    return sets
+
+
 def _verified(
     problem: Problem, laplace: LaplaceEvidence, state: State, tried: Tried, sets: Sequence[Trial]
 ) -> State | None:
     """The best of some sets, each fitted; None where none is better."""
     best = state
-    for on, new in sets:
+    for on, start in sets:
         if (on, state.kappa) in tried:
             continue
-        x = state.best.x if new is None else _with_expected(problem, state.best.x, new)
+        x = state.best.x if start is None else start
         there = problem.settle(on, state.kappa, laplace.spectrum, x, log_posterior(best))
         tried[on, state.kappa] = log_posterior(there)
         best = there if log_posterior(there) > log_posterior(best) + MIN_GAIN else best

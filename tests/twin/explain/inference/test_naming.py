@@ -209,14 +209,16 @@ def test_rows_one_by_one_and_all_at_once_are_the_same() -> None:
     assert OverRows(body.outputs, rows=2)(xs[:0], us[:0], p).shape == (0, whole.shape[1])
 
 
-def turned(heading_steps: int) -> Flight:
-    """Hard iron on a flight in hover, with the nose north or turning."""
+def turned(heading_steps: int, mounted_rad: float = 0.0) -> Flight:
+    """Hard iron on a flight in hover, with the nose north or turning, and a compass that shows
+    another heading."""
     rng = np.random.default_rng(3)
     flight = fly(COPTER, COPTER, seed=4, name="hover", waypoints=HOVER)
     table = flight.table.copy()
     yaw = heading_steps * np.pi / 2 * np.clip((table["time"] - 3) / 6, 0, 1).to_numpy()
     q = np.column_stack([np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)])
-    sensor = magnetometer(COPTER)
+    shown = {"heading_offset": {"yaw_rad": mounted_rad}} if mounted_rad else {}
+    sensor = magnetometer(COPTER.with_effects(shown))
     rows = np.tile(sensor.input_values(), (len(q), 1))
     for i, a in enumerate("wxyz"):
         rows[:, sensor.input_names.index(f"q_{a}")] = q[:, i]
@@ -239,6 +241,21 @@ def test_hard_and_soft_iron_are_one_while_the_nose_stays_north(compass: None) ->
     naming = name_effects([turned(0)], COPTER)
     assert naming.verdict == "cannot_tell"
     assert naming.probability_of("mag_hard_iron") > 0.2 < naming.probability_of("mag_soft_iron")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mounted_rad", [np.pi / 4, 1.36, -np.pi / 2, 3.1])
+def test_a_compass_mounted_at_an_angle_is_found_at_once(
+    mounted_rad: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = [EFFECTS[e] for e in ("mag_hard_iron", "mag_soft_iron", "heading_offset")]
+    monkeypatch.setattr(search, "candidates", lambda *_: known)
+    naming = name_effects([turned(2, mounted_rad)], COPTER)
+    assert naming.verdict == "named"
+    assert naming.best.effects == ("heading_offset", "mag_hard_iron")
+    off = naming.best.values["heading_offset.yaw_rad"] - mounted_rad
+    assert abs((off + np.pi) % (2 * np.pi) - np.pi) < 0.15  # the day takes a part
+    assert naming.best.values["mag_hard_iron.x_t"] == pytest.approx(6e-6, abs=1e-6)
 
 
 @pytest.mark.slow
