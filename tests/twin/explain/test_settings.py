@@ -118,6 +118,7 @@ LOCAL = {
         "inference.instruments.GAINS",
         "inference.instruments.INEXACT",
         "inference.instruments.LAGS_S",
+        "inference.instruments.TESTED",
         "inference.setpoints.ALIKE",
         "inference.setpoints.FEWEST",
     },

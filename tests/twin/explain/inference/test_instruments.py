@@ -133,6 +133,21 @@ def test_a_setpoint_that_follows_the_disturbance_is_none(seed: int) -> None:
     assert law.instruments[0, 0].trust == 0
 
 
+def test_an_attitude_setpoint_that_two_bands_cannot_test_is_none() -> None:
+    """A log of 10 Hz: of one flight it is not tested, of two it is."""
+    found = []
+    for seed in (1, 2):
+        roll = 0.1 * slow_noise(seed, 1.0)
+        y, u, setpoint = looped(roll, pushes(100 + seed, 1.0))
+        one = flight(rolled(setpoint), name=str(seed))
+        slow = one.table.assign(cmd_1=np.where(np.arange(len(T_S)) % 5, np.nan, 0.0))
+        found.append((replace(one, table=slow), channel(y, u)))
+    alone, both = (law_of(*zip(*some, strict=True)) for some in (found[:1], found))
+    assert len(alone.instruments[0, 0].bases) == 2
+    assert alone.instruments[0, 0].trust == 0
+    assert all(both.instruments[0, f].trust > 0.2 for f in (0, 1))
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_what_the_model_lacks_is_no_disturbance_once_it_is_there(seed: int) -> None:
     """A moment that comes late looks like a setpoint in the loop; with it in the model, J is small,
