@@ -44,7 +44,8 @@ class Preset:
         clustering: `kmeans` on mean, variance and lag autocorrelation of each channel; `sensors`:
             one network per sensor; `none`: one for all channels; `channels`: one per channel.
         n_clusters: Of `kmeans`.
-        encoder_units: Size of each LSTM layer before the quantiser.
+        encoder_units: Size of each LSTM layer before the quantiser; () as are those behind it: no
+            network, the linear prediction alone.
         decoder_units: Size of each LSTM layer behind it.
         code_size: Size D of latent and codes.
         n_codes: Codes K of each cluster's codebook.
@@ -132,8 +133,8 @@ class Preset:
         sizes = (self.code_size, self.n_codes, self.phase_size, self.batch, self.window)
         counts = (*sizes, self.epochs, self.carry, self.validate_every)
         units = (*self.encoder_units, *self.decoder_units)
-        if min(*counts, *units, self.stride or 1) < 1 or not (
-            self.encoder_units and self.decoder_units
+        if min(*counts, *units, self.stride or 1) < 1 or (
+            bool(self.encoder_units) != bool(self.decoder_units)
         ):
             raise ModelError(f"preset {self.name}: sizes and counts must be 1 or more: {self}")
         if self.temperature <= 0:
@@ -141,6 +142,11 @@ class Preset:
                 f"preset {self.name}: temperature {self.temperature:g} must be above 0; "
                 "for the nearest code set quantiser to 'hard'"
             )
+
+    @property
+    def network(self) -> bool:
+        """Whether there is one."""
+        return bool(self.encoder_units)
 
     def sees_features(self, protocol: Protocol) -> bool:
         """Whether the network sees virtual signals and commands."""
@@ -204,6 +210,9 @@ in all, and its figures are of these windows, in ranges of -1..1, hover numbered
 
 BEST = Preset(name="best")
 """What measurably beats it: docs/results/paper.md."""
+
+LINEAR = Preset(name="linear", encoder_units=(), decoder_units=(), clustering="none")
+"""The linear prediction alone: what the network has to beat."""
 
 SEEDS = MappingProxyType({"paper": 42, "published": 42})
 """Of everything that is drawn, by the name of the preset, where nobody says; of others 0."""

@@ -60,6 +60,7 @@ class TrainResult(DisplayMixin):
         claim: What it is good for, in one sentence.
         seed: Of everything that was drawn.
         options: With which it was trained, as they were decided.
+        tables: What it does in use.
     """
 
     folder: Path
@@ -67,6 +68,7 @@ class TrainResult(DisplayMixin):
     claim: str
     seed: int = 0
     options: Mapping[str, Any] = field(default_factory=dict)
+    tables: tuple[TextTable, ...] = ()
 
     @property
     def record(self) -> TrainRecord:
@@ -86,8 +88,9 @@ class TrainResult(DisplayMixin):
         return load(self.folder)
 
     def findings(self) -> Iterable[str | TextTable]:
-        """The claim, and where the files are."""
+        """The claim, what it does in use, and where the files are."""
         yield self.claim
+        yield from self.tables
         yield f"written to {self.folder}: {', '.join(self.files)}"
 
     def brief(self) -> str:
@@ -117,7 +120,7 @@ def train(
     preset: str | None = None,
     protocol: 'Protocol | Literal["force"]' = "track",
     horizon: int = 1,
-    rate_hz: float = 100.0,
+    rate_hz: float | None = None,
     epochs: int | None = None,
     seed: int | None = None,
     device: str = "cpu",
@@ -133,15 +136,16 @@ def train(
         flights: To train on.
         vehicle: Whose twin is to be corrected.
         folder: To write the model into.
-        model: `svq`: ours, taken where nothing is said; `linear`: no network; `trivial`; or a
-            system of the paper's comparison, such as `cvae`, from a source checkout.
+        model: `svq`: ours, taken where nothing is said, but of `free` without epochs; `linear`: no
+            network, taken there; `trivial`; or a system of the paper's comparison, such as `cvae`,
+            from a source checkout.
         preset: Of the model; of `svq` `best`: ours, `paper`: the paper's text, `published`: its
             code.
         protocol: `force`: force and moment inside the equations. Of the sensors: `track`: it sees
             residuals as old as the horizon; `free`: none; `reconstruct`: the present one;
             `generate`: none, it draws what might have been (from a source checkout).
         horizon: Of `track`, samples.
-        rate_hz: Samples per second: 1000 over an integer.
+        rate_hz: Samples per second: 1000 over an integer; default: of `free` the IMU's, else 100.
         epochs: Default: the preset's; none for a preset in closed form.
         seed: Of everything that is drawn; default: the preset's, 0 in most.
         device: `cpu`; `cuda`: a GPU; `auto`: a GPU where torch finds one. The same seed gives the
@@ -165,7 +169,7 @@ class Wanted:
     preset: str | None = None
     protocol: 'Protocol | Literal["force"]' = "track"
     horizon: int = 1
-    rate_hz: float = 100.0
+    rate_hz: float | None = None
     epochs: int | None = None
     seed: int | None = None
     device: str = "cpu"
@@ -227,6 +231,7 @@ def _sensor_training(
     progress: Progress,
 ) -> _Prepared:
     """A compensator of the sensors, checked before the work begins."""
+    from learning.data.flights import DEFAULT_RATE_HZ
     from learning.training.checkpoint import CHECKPOINT
 
     from .compensators import training
@@ -244,7 +249,8 @@ def _sensor_training(
         out,
         force,
     )
-    rate_hz = wanted.rate_hz
+    usual_hz = training.imu_rate_hz(flights) if plan.protocol == "free" else DEFAULT_RATE_HZ
+    rate_hz = wanted.rate_hz or usual_hz
     options = {
         "model": plan.family.name,
         "preset": plan.preset.name,
@@ -257,15 +263,17 @@ def _sensor_training(
 
     def write(folder: Path) -> TrainResult:
         """Train, and write the model and its card."""
-        residuals = training.prepare(
+        prepared = training.prepare(
             plan, flights, vehicle, rate_hz, lambda done: progress(0.1 * done)
         )
         written = training.run_training(
-            plan, residuals, vehicle, folder, out, lambda done: progress(0.1 + 0.9 * done)
+            plan, prepared, folder, out, lambda done: progress(0.1 + 0.9 * done)
         )
         claim = training.training_claim(folder)
         written.append(write_card(folder, claim, wanted.license))
-        return TrainResult(folder, tuple(written), claim, plan.seed, options)
+        in_use = training.in_use_of(folder)
+        tables = () if in_use is None else (in_use.table(),)
+        return TrainResult(folder, tuple(written), claim, plan.seed, options, tables)
 
     return CHECKPOINT, write
 

@@ -347,4 +347,5 @@ const Model MODEL = {
     .initial = model_initial,
     .outputs = model_outputs,
     .tangent = model_tangent,
+    .passes = 1,
 };

@@ -304,13 +304,25 @@ static int settle(Instance* c, int tangents) {
     return 0;
 }
 
+/* A part that passes its inputs on gets those of this instant; what it holds is of the last one. */
+static void receive_now(Instance* c, const Part* p) {
+    for (unsigned i = 0; i < fmu.n_connections; i++) {
+        const Port from = fmu.connections[i].source, to = fmu.connections[i].target;
+        if (&c->parts[to.part] == p)
+            memcpy(p->v + to.variable, c->parts[from.part].v + from.variable, from.count * sizeof *p->v);
+    }
+}
+
 static int refresh(Instance* c) {
     if (c->state->outputs == FRESH) return 0;
     if (c->state->mode < STEPPING) {
         if (settle(c, 0)) return -1;
     } else {
-        FOR_EACH_PART(p)
-            if (!(p->gives && c->state->outputs == REST_STALE) && put_out(c, p)) return -1;
+        FOR_EACH_PART(p) {
+            if (p->gives && c->state->outputs == REST_STALE) continue;
+            if (p->model->passes && !p->gives) receive_now(c, p);
+            if (put_out(c, p)) return -1;
+        }
     }
     c->state->outputs = FRESH;
     return 0;

@@ -86,6 +86,7 @@ typedef struct {
     unsigned n_crossings;
     const unsigned* crossings; /* variables at whose zeros the derivatives jump */
     int (*rests)(const Part* p); /* whether nothing feels what is done at sample instants */
+    int passes; /* whether an output that nobody reads is an input and something held: of one instant */
 } Model;
 
 /* ---- how parts make a system: constant data, in system.c ---- */

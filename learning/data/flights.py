@@ -8,7 +8,8 @@ Input-driven: the twin gets the flight's own commands, on the log's clock.
 | the other sensors that are learned | at the measured state |
 
 Without any time in between it follows the flight: what is left of its sensors then is no motion.
-Position and velocity are where it is put, and have no residual.
+Position and velocity are where it is put, and have no residual. An instant then has the residual of
+the interval that begins with it, over which its correction is held: what is corrected is not seen.
 
 The gyroscope is compared by its own samples; the gap low-passes it forward and backward, which
 looks ahead. What the twin reads knows the flight: its state some time before, and for acc and mag
@@ -69,13 +70,15 @@ class ResidualFlight:
             the state to start from is not measured.
         residual: Measured minus virtual, each sample at its own time; between samples the last
             one held; NaN before the first, shape (n, 15).
-        fresh: Whether a sample lies in the interval that ends at the instant, shape (n, 15).
+        fresh: Whether a sample lies in the interval that ends at the instant, of a twin that
+            follows in that which begins with it, shape (n, 15).
         commands: What drives the rotors, as held at the instant: commands 0..1 or measured
             speeds, rad/s; shape (n, m).
         phase: Code of the phase, `channels.PHASE_CODES`, shape (n,).
         spans: Rows [a, b) in the air and without gaps, in order; outside nothing is fresh.
         notes: What is missing or was assumed.
         log_sha256: `Flight.fingerprint` of the flight, "" where not known.
+        alone: Whether the twin flew by itself, shape (n,); None: nowhere.
     """
 
     name: str
@@ -89,8 +92,14 @@ class ResidualFlight:
     spans: tuple[tuple[int, int], ...]
     notes: tuple[str, ...] = ()
     log_sha256: str = ""
+    alone: BoolArray | None = None
 
     __repr__ = short_repr
+
+    @property
+    def alone_rows(self) -> BoolArray:
+        """`alone` as an array."""
+        return np.zeros(len(self.t_s), dtype=np.bool_) if self.alone is None else self.alone
 
 
 def residual_flight(
@@ -145,7 +154,9 @@ def residual_flight(
             continue
         samples = Signal(*flight.signal(CHANNELS[columns]))
         rows, values = _against(samples, near, t[grid], every)
-        residual[rows, columns], fresh[rows, columns] = values, True
+        rows = rows if ends is not None else rows - 1  # it begins where the one before ended
+        residual[rows[rows >= 0], columns] = values[rows >= 0]
+        fresh[rows[rows >= 0], columns] = True
     if not fresh.any():
         raise LogError(
             f"{flight.name}: no sample to compare in the air: it needs gyro_*, acc_*, mag_*, pos_* "
@@ -166,6 +177,85 @@ def residual_flight(
         spans=_spans(valid),
         notes=(*aligned.notes, *notes),
         log_sha256=flight.fingerprint,
+    )
+
+
+def residuals_in_use(
+    flight: Flight,
+    aligned: AlignedFlight,
+    readings: Sequence[Array],
+    drives: Sequence[Array],
+    flown: Sequence[BoolArray],
+    counts: Sequence[BoolArray],
+    alone: Sequence[BoolArray],
+    rate_hz: float,
+) -> ResidualFlight:
+    """Residuals of a twin that was flown along a flight, once or more.
+
+    An instant has the residual of the interval that begins with it, over which its correction is
+    held: what is corrected is not seen. Position and velocity of a twin that follows are given to
+    it, and have no residual.
+
+    Args:
+        flight: With the readings of its sensors.
+        aligned: On the grid of the twin.
+        readings: `CHANNELS` of the twin at every grid point, of each pass, shape (n_grid, 15).
+        drives: What drives the rotors, as the compensator is given it, shape (n_grid, m) each.
+        flown: Where the motion is known, shape (n_grid,) each.
+        counts: Where readings are to be compared, shape (n_grid,) each.
+        alone: Where the twin flew by itself, shape (n_grid,) each.
+        rate_hz: 1000 Hz over a whole number.
+
+    Returns:
+        The passes one behind the other.
+
+    Raises:
+        ModelError: The rate is not allowed.
+        LogError: There is no sample to compare.
+    """
+    every, _ = _steps(rate_hz, 0.0)
+    t = aligned.inputs.t_s
+    grid = np.arange(-round(float(t[0]) / GRID_S) % every, len(t) - every, every)
+    spans: list[tuple[int, int]] = []
+    residuals: list[Array] = []
+    fresh: list[BoolArray] = []
+    for seen, known, use, lone in zip(readings, flown, counts, alone, strict=True):
+        left, new = np.full((len(grid), len(CHANNELS)), np.nan), np.zeros((len(grid), 15), bool)
+        for group, columns in GROUPS.items():
+            if not flight.has(*CHANNELS[columns]):
+                continue
+            near = seen[:, columns][grid[:, None] + np.arange(every + 1)]
+            samples = Signal(*flight.signal(CHANNELS[columns]))
+            rows, values = _against(samples, near, t[grid + every], every)
+            if group in PUT:
+                values, rows = values[lone[grid[rows] + every]], rows[lone[grid[rows] + every]]
+            left[rows, columns], new[rows, columns] = values, True
+        whole, use = known[grid] & known[grid + every], use[grid] & use[grid + every]
+        spans += [
+            (a + len(grid) * len(fresh), b + len(grid) * len(fresh)) for a, b in _spans(whole)
+        ]
+        residuals.append(left)
+        fresh.append(new & (whole & use)[:, None])
+    if not np.any(fresh):
+        raise LogError(
+            f"{flight.name}: no sample to compare in the air: it needs readings of a sensor "
+            f"besides motor commands, and a second of position, velocity, attitude and body rates "
+            f"without a gap."
+        )
+    times, whole_s = len(readings), float(t[grid[-1]] - t[grid[0]]) + 1 / rate_hz
+    return ResidualFlight(
+        name=flight.name,
+        rate_hz=rate_hz,
+        t_s=np.concatenate([t[grid] + k * whole_s for k in range(times)]),
+        virtual=np.vstack([seen[grid] for seen in readings]),
+        residual=held(np.vstack(residuals)),
+        fresh=np.vstack(fresh),
+        commands=np.vstack([given[grid] for given in drives]),
+        phase=np.tile(phase_codes(aligned.phases[grid]), times),
+        spans=tuple(spans),
+        notes=aligned.notes,
+        log_sha256=flight.fingerprint,
+        alone=np.concatenate([a[grid + every] for a in alone]),
     )
 
 

@@ -141,15 +141,18 @@ def fit_scaling(
         normalise: As in `Preset`.
 
     Returns:
-        Scaling; a channel or feature that never varies is divided by 1.
+        Scaling; mean and scale are those of a twin that follows, where some of it does. A channel
+        or feature that never varies is divided by 1.
     """
     residual = np.concatenate(
         [np.where(f.fresh, f.residual, np.nan)[c] for f, c in zip(flights, chosen, strict=True)]
     )
     phase = np.concatenate([f.phase[c] for f, c in zip(flights, chosen, strict=True)])
+    alone = np.concatenate([f.alone_rows[c] for f, c in zip(flights, chosen, strict=True)])
+    follows = np.where(alone[:, None] & ~alone.all(), np.nan, residual)
     mean = np.zeros((N_PHASES, residual.shape[1]))
     scale = np.ones_like(mean)
-    for c, column in enumerate(residual.T):
+    for c, column in enumerate(follows.T):
         known = np.isfinite(column)
         mean[:, c], scale[:, c] = _centre(column[known], normalise)
         for p in range(N_PHASES) if normalise != "pooled" else ():
@@ -179,7 +182,7 @@ def fit_scaling(
         place_scale=envelope.scale,
         place_whitening=envelope.whitening,
         place_reach=np.array([envelope.reach]),
-        rms=np.array([_rms(column[np.isfinite(column)]) for column in residual.T]),
+        rms=np.array([_rms(column[np.isfinite(column)]) for column in follows.T]),
     )
 
 

@@ -53,6 +53,7 @@ class SpanSequence:
         slow: Low-passed features, shape (n, 2 F).
         phase: Codes, shape (n,).
         distance: From where training has been, 1 where that ends, shape (n,).
+        alone: Whether the twin flew by itself, shape (n,).
     """
 
     flight: int
@@ -67,6 +68,7 @@ class SpanSequence:
     slow: Array
     phase: NDArray[np.intp]
     distance: Array
+    alone: BoolArray
 
     @property
     def inside(self) -> BoolArray:
@@ -160,6 +162,7 @@ def _span(
         slow=np.hstack(slow),
         phase=phase,
         distance=_distance(raw, scaling, protocol),
+        alone=flight.alone_rows[rows],
     )
 
 

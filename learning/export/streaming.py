@@ -29,7 +29,7 @@ from ..data.channels import CHANNELS, FEATURE_CHANNELS, N_PHASES, PLACES
 from ..data.envelope import BEYOND, NETWORK_END
 from ..data.sequences import LAGS, SMOOTHING_S, limited, running_mean, smoothing
 from ..model.compensator import NO_SPREAD, Compensator
-from ..model.network import LOG_SPREAD_LIMIT, ClusterNetwork, LstmStack
+from ..model.network import LOG_SPREAD_LIMIT, ClusterNetwork, LstmStack, SvqNetwork
 from .graph import Graph
 
 Array = NDArray[np.float64]
@@ -113,7 +113,9 @@ def _step(g: Graph, model: Compensator) -> None:
             slow = _smoothed(g, model, features, slow)
         first = model.info.horizon * n
         known = past if rows <= 1 else g.columns(past, first, first + n)
-    y, log_spread, alarm, cells = network(g, model, known, features, here, cells)
+    y, log_spread, alarm = "", "", ""
+    if model.network is not None:
+        y, log_spread, alarm, cells = network(g, model, known, features, here, cells)
 
     said, today, base = "", "", numbers(model.base)
     with g.scope("linear"):
@@ -140,7 +142,7 @@ def _step(g: Graph, model: Compensator) -> None:
         if said:
             linear = g.op("Add", mean, g.op("Mul", scale, _bounded(g, model, said, today)))
     with g.scope("envelope"):
-        more = g.op("Mul", scale, y)
+        more = g.op("Mul", scale, y) if y else ""
         if log_spread:
             expected = g.op("Mul", expected, g.op("Exp", log_spread))
         inside, rms = sample.whole, g.floats(_row(model.rms))
@@ -148,11 +150,12 @@ def _step(g: Graph, model: Compensator) -> None:
             distance = _distance(g, model, raw)
             close = _fade(g, distance, 1.0, NETWORK_END)
             linear = g.op("Mul", linear, _fade(g, distance, LINEAR_BEGIN, LINEAR_END))
-            more = g.op("Mul", more, close)
+            more = g.op("Mul", more, close) if more else ""
             expected = g.op("Add", rms, g.op("Mul", close, g.op("Sub", expected, rms)))
             within = g.op("LessOrEqual", distance, g.floats([[1.0]]))
             inside = g.op("And", sample.whole, within)
-        correction, nothing = g.op("Add", linear, more), g.floats(np.zeros((1, n)))
+        correction = g.op("Add", linear, more) if more else linear
+        nothing, silent = g.floats(np.zeros((1, n))), g.floats([[0.0]])
     g.output("correction", n, "Where", sample.whole, correction, nothing)
     g.output("spread", n, "Where", sample.whole, expected, rms)
     with g.scope("alarm"):
@@ -161,9 +164,11 @@ def _step(g: Graph, model: Compensator) -> None:
                 g, model, sample, correction, expected, innovation_ratios
             )
             alarm = g.op("ReduceMax", innovation_ratios, axes=[1], keepdims=1)
-        else:
+        elif alarm:
             alarm = g.op("ReduceMax", alarm, axes=[0], keepdims=0)
-    g.output("anomaly", 1, "Where", sample.whole, alarm, g.floats([[0.0]]))
+        else:
+            alarm = g.op("Mul", sample.phase, silent)  # of as many samples
+    g.output("anomaly", 1, "Where", sample.whole, alarm, silent)
     g.output("inside", 1, "Cast", inside, to=_FLOAT)
     later = g.concat(past, mean_so_far, readings, begun, innovation_ratios, slow, cells, axis=1)
     g.output("state_out", model.state_size, "Where", sample.whole, later, "state")
@@ -312,7 +317,7 @@ def network(
         Shapes (B, 15), (B, 15), (clusters, B, 1), (B, numbers) for B samples; "" for the log spread
         without a head, and for the alarm in `track`, which knows innovations.
     """
-    network, preset = model.network, model.info.preset
+    network, preset = _network(model), model.info.preset
     clusters = [n for n in network.networks if isinstance(n, ClusterNetwork)]
     units = [*preset.encoder_units, *preset.decoder_units]
     with g.scope("cells"):
@@ -347,6 +352,12 @@ def network(
         return y, log_spread, alarm, _side_by_side(g, after)
 
 
+def _network(model: Compensator) -> SvqNetwork:
+    """That of a model which has one."""
+    assert model.network is not None
+    return model.network
+
+
 def _side_by_side(g: Graph, of_clusters: str) -> str:
     """Numbers of the clusters in one row per sample: (C, B, n) to (B, C n)."""
     return g.reshape(g.transpose(of_clusters, 1, 0, 2), 0, -1)
@@ -359,7 +370,7 @@ def _closeness(cluster: ClusterNetwork) -> float:
 
 def _seen_table(model: Compensator, number: int) -> Array:
     """From [known residuals, features, phase] to a cluster's gates and latent, (S, 4 U + D)."""
-    network = model.network
+    network = _network(model)
     cluster = network.networks[number]
     assert isinstance(cluster, ClusterNetwork)
     n_known = len(CHANNELS) if network.sees_known else 0
@@ -468,7 +479,7 @@ def _read_out(
     width = units + (preset.code_size if preset.skip else 0)
     weights = np.zeros((n, width, 2, n_channels))
     biases = np.zeros((2, n_channels))
-    for i, (cluster, own) in enumerate(zip(clusters, model.network.clusters, strict=True)):
+    for i, (cluster, own) in enumerate(zip(clusters, _network(model).clusters, strict=True)):
         places = list(own)
         weights[i, :units, 0, places] = numbers(cluster.to_output.weight)
         biases[0, places] = numbers(cluster.to_output.bias)

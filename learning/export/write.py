@@ -127,10 +127,11 @@ def reference_vectors(compensator: Compensator) -> dict[str, NDArray[np.float32]
     }
     inputs = {name: values.astype(np.float32) for name, values in rows.items()}
     found = compensator.run(flight_of(inputs, compensator.info.rate_hz))
+    anomaly = np.nan_to_num(found.anomaly)[:, None]  # 0 where there is no alarm
     right = {
         "correction": found.correction,
         "spread": found.spread,
-        "anomaly": found.anomaly[:, None],
+        "anomaly": anomaly,
         "inside": found.inside[:, None],
     }
     return inputs | {name: values.astype(np.float32) for name, values in right.items()}

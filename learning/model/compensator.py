@@ -15,6 +15,7 @@ layout is said here; each export is given the numbers of `run` to be checked aga
 
 import copy
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ from ..data.sequences import (
     sequences,
 )
 from ..preset import Preset
-from .family import Corrected, ModelInfo, between
+from .family import Corrected, ModelInfo, between, no_alarm
 from .linear import predict_base
 from .network import NetworkOut, SvqNetwork
 
@@ -56,7 +57,6 @@ LINEAR_PART = "linear part alone"
 class Compensator(nn.Module):
     """Streaming model; everything it needs is in its buffers and weights."""
 
-    family = "svq"
     mean: Tensor
     scale: Tensor
     reading: Tensor
@@ -85,7 +85,9 @@ class Compensator(nn.Module):
         n_channels, n_features = len(CHANNELS), len(self.features)
         n_places = len(place_names(info.n_commands))
         regressors = n_regressors(info.protocol, n_features)
-        self.network = SvqNetwork(info.preset, info.protocol, info.clusters, n_features)
+        self.network: SvqNetwork | None = None
+        if info.preset.network:
+            self.network = SvqNetwork(info.preset, info.protocol, info.clusters, n_features)
         shapes = {
             "mean": (N_PHASES, n_channels),
             "scale": (N_PHASES, n_channels),
@@ -109,6 +111,16 @@ class Compensator(nn.Module):
         }
         for name, shape in shapes.items():
             self.register_buffer(name, torch.ones(shape))
+
+    @property
+    def family(self) -> str:
+        """Its row in the registry."""
+        return "svq" if self.info.preset.network else "linear"
+
+    @property
+    def alarms(self) -> bool:
+        """Whether it tells strange readings; of what sees none only a network does."""
+        return self.network is not None or self.info.protocol == "track"
 
     @property
     def history(self) -> int:
@@ -139,7 +151,8 @@ class Compensator(nn.Module):
         past, readings = self.history * n, self.readings * n
         begun = min(self.readings, 1)
         now = begun, begun * n, self.n_slow
-        return past, self.n_offset, readings, *now, self.network.state_size
+        cells = self.network.state_size if self.network else 0
+        return past, self.n_offset, readings, *now, cells
 
     @property
     def state_size(self) -> int:
@@ -166,7 +179,8 @@ class Compensator(nn.Module):
         n = len(flight.t_s)
         correction = np.zeros((n, len(CHANNELS)))
         spread = np.tile(self.rms.double().numpy(), (n, 1))
-        anomaly, inside = np.zeros(n), np.zeros(n, dtype=np.bool_)
+        anomaly = np.zeros(n) if self.alarms else no_alarm(n)
+        inside = np.zeros(n, dtype=np.bool_)
         scaling, base = self.scaling(), self.base.double().numpy()
         gain = (self.gate * self.leftover).double().numpy()
         factor = self.spread_factor.double().numpy()
@@ -184,7 +198,7 @@ class Compensator(nn.Module):
                 new = np.nan_to_num(flight.residual[span.rows] - correction[span.rows])
                 now = innovation_ratio(new, spread[span.rows], self.anomaly_scale.double().numpy())
                 anomaly[span.rows] = held(now, span.fresh, 0.0).max(axis=1)
-            else:
+            elif self.alarms:
                 anomaly[span.rows] = (out.distance / self.anomaly_scale).amax(-1).numpy()
             inside[span.rows] = span.inside
         return Corrected(correction, spread, anomaly, inside)
@@ -193,6 +207,8 @@ class Compensator(nn.Module):
     @torch.no_grad()
     def outputs(self, spans: Sequence[SpanSequence]) -> list[NetworkOut]:
         """Output of the network over each span, from the state zero, shapes (n, ...)."""
+        if self.network is None:
+            return [_nothing(len(s.d), len(self.info.clusters)) for s in spans]
         found, device = [], self.network.phase_embedding.device
         for span in spans:
             known, features, phase = (t.to(device) for t in network_inputs(span))
@@ -210,11 +226,26 @@ class Compensator(nn.Module):
 
     def without_network(self) -> "Compensator | None":
         """The same with its gates shut: what the network adds; None where nothing is under it."""
-        if not self.info.preset.linear or self.info.protocol == "reconstruct":
+        preset = self.info.preset
+        if not (preset.network and preset.linear) or self.info.protocol == "reconstruct":
             return None
         alone = copy.deepcopy(self)
         alone.gate.zero_()
         return alone
+
+    def drop_network(self) -> None:
+        """Leave the linear prediction alone: what says nothing need not be shipped."""
+        preset = replace(self.info.preset, encoder_units=(), decoder_units=())
+        self.network, self.info = None, replace(self.info, preset=preset)
+
+    @torch.no_grad()
+    def shut(self, channels: Sequence[int]) -> None:
+        """Correct some channels no more: what is expected of them is what the twin leaves."""
+        for c in channels:
+            for values in (self.gate, self.base):
+                values[c] = 0
+            self.mean[:, c] = 0
+            self.spread_factor[:, c] = self.rms[c] / self.scale[:, c]
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """Weights and buffers by name."""
@@ -234,6 +265,12 @@ class Compensator(nn.Module):
                 "reach": said.reach,
             }
         }
+
+
+def _nothing(n: int, clusters: int) -> NetworkOut:
+    """What no network says of n samples."""
+    zero = torch.zeros(n, len(CHANNELS))
+    return NetworkOut(zero, zero, torch.zeros(n, clusters))
 
 
 def innovation_ratio(innovation: Array, spread: Array, level: Array) -> Array:

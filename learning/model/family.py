@@ -264,7 +264,7 @@ def describe_flight(flight: ResidualFlight) -> dict[str, Any]:
     """Name, sha256 of all its numbers and of its log's, samples and seconds in the air."""
     digest = hashlib.sha256(np.array(flight.spans, dtype=np.int64).tobytes())
     arrays = (flight.t_s, flight.virtual, flight.residual, flight.commands)
-    for array in (*arrays, flight.fresh, flight.phase.astype(np.int64)):
+    for array in (*arrays, flight.fresh, flight.phase.astype(np.int64), flight.alone_rows):
         digest.update(np.ascontiguousarray(array).tobytes())
     samples = int(in_spans(flight).sum())
     return {

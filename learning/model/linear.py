@@ -1,38 +1,19 @@
-"""The linear prediction in closed form: under the network, and alone as a family.
+"""The linear prediction in closed form: under the network, or without one.
 
-The network learns only what this leaves; each is used only as far as it helps. Alone, without
-network and without alarm:
-
-    correction = near * (mean + scale * linear prediction)      near: 1 in the envelope, then fading
+The network learns only what this leaves; each is used only as far as it helps.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
 from typing import Protocol as Interface
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..data.channels import CHANNELS, N_PHASES
-from ..data.envelope import BEYOND, linear_share
+from ..data.envelope import BEYOND
 from ..data.flights import ResidualFlight
 from ..data.scaling import Scaling, fit_scaling, in_spans
-from ..data.sequences import LAGS, SpanSequence, n_regressors, sequences
+from ..data.sequences import LAGS, SpanSequence, sequences
 from ..preset import Normalise, Protocol
-from .baselines import by_phase
-from .family import (
-    Corrected,
-    Family,
-    ModelInfo,
-    Progress,
-    Tensors,
-    TrainingTask,
-    between,
-    describe_training,
-    no_alarm,
-)
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -45,6 +26,8 @@ MOST_FOLDS = 8
 """Parts of the data, each said by the fit without it."""
 BLOCK_S = 1.0
 """Residuals a second apart count as independent evidence."""
+MOST_BLOCKS = 1_000_000
+"""Of one flight."""
 EVIDENCE = 1.5
 """Gain per block over its standard error, below which it is taken for chance."""
 
@@ -64,7 +47,8 @@ def fit_base(
     last, or so far on average), or that the sensor reads what it reads on average (in `track`: what
     it read last, or so far on average), whatever the twin says. Which of all these, and the
     strength of the ridge, is chosen, and its worth judged, on parts of the data that had no share
-    in the fit: flight by flight, or by stretches of time where there is one flight.
+    in the fit: flight by flight, or by stretches of time where there is one flight. Readings of a
+    twin that follows count as much as those of one that flies alone, whose residual is larger.
 
     Args:
         spans: All training flights.
@@ -81,9 +65,20 @@ def fit_base(
         x = np.concatenate([regressors(s, protocol, c) for s in spans])
         target = np.concatenate([s.d[:, c] for s in spans])
         counts = np.concatenate([m[:, c] for m in scored])
+        weight = _equalised(target, counts, np.concatenate([s.alone for s in spans]))
+        x, target = x * weight[:, None], target * weight
         tried = _tried(protocol, x.shape[1])
         weights.append(_channel(x, target, counts, folds, blocks, tried))
     return np.array(weights)
+
+
+def _equalised(target: Array, scored: BoolArray, alone: BoolArray) -> Array:
+    """Weight of each sample, by which following and alone have the same mean square, (n,)."""
+    if not alone.any():
+        return np.ones(len(target))
+    modes = [scored & mode for mode in (alone, ~alone)]
+    sizes = [float(np.sqrt(np.mean(target[m] ** 2))) if m.any() else 0.0 for m in modes]
+    return np.asarray(1 / np.where(alone, *[s if s > 0 else 1.0 for s in sizes]))
 
 
 def predict_base(span: SpanSequence, weights: Array, protocol: Protocol, largest: Array) -> Array:
@@ -153,6 +148,9 @@ def time_blocks(spans: Sequence[SpanSequence], rate_hz: float) -> IntArray:
     numbers, first = [], 0
     for span in spans:
         number = (np.arange(len(span.d)) / (BLOCK_S * rate_hz)).astype(np.intp)
+        if span.alone.any():  # several passes over the same time
+            numbers.append(MOST_BLOCKS * (1 + span.flight) + number)
+            continue
         numbers.append(first + number)
         first += int(number[-1]) + 1
     return np.concatenate(numbers)
@@ -178,6 +176,9 @@ def _folds(spans: Sequence[SpanSequence]) -> IntArray:
     flights = np.concatenate([np.full(len(s.d), s.flight) for s in spans])
     if flights.min() < flights.max():
         return np.asarray(flights % MOST_FOLDS, dtype=np.intp)
+    if any(s.alone.any() for s in spans):  # several passes over the same time
+        parts = [np.arange(len(s.d)) * MOST_FOLDS // len(s.d) for s in spans]
+        return np.concatenate(parts).astype(np.intp)
     return np.arange(len(flights), dtype=np.intp) * MOST_FOLDS // len(flights)
 
 
@@ -259,10 +260,26 @@ def _chosen(
             weights = _ridge(gram - grams[k], moment - moments[k], others, ridge)
             prediction[here] += x[here] @ weights
     gains = (target - plain) ** 2 - (target - said) ** 2  # (ridges, n)
-    best = int(np.argmax(gains[:, scored].sum(1)))
+    best = _strongest(gains[:, scored], blocks[scored])
     if evidence(gains[best, scored], blocks[scored]) < EVIDENCE:
         return np.zeros(x.shape[1]), 0.0
     return _ridge(gram, moment, count, RIDGES[best]), float(gains[best, scored].sum())
+
+
+def _strongest(gains: Array, blocks: IntArray) -> int:
+    """The strongest ridge that does as well as the best to within the standard error of that.
+
+    Args:
+        gains: Decrease of the square error, by ridge, shape (ridges, n).
+        blocks: To which each sample belongs, shape (n,).
+
+    Source: the one-standard-error rule, Breiman et al., Classification and Regression Trees, 1984,
+    sec. 3.4.3.
+    """
+    best = int(np.argmax(gains.sum(1)))
+    worse = gains[best] - gains
+    within = [i for i, w in enumerate(worse) if i == best or evidence(w, blocks) < 1]
+    return max(within)
 
 
 def _ridge(gram: Array, moment: Array, count: int, ridge: float) -> Array:
@@ -315,118 +332,3 @@ def left_out_errors(
             error = left * theirs.scale[span.phase] / scaling.scale[span.phase]
             errors.append(np.where(span.inside[:, None], error, np.nan))
     return errors
-
-
-@dataclass(frozen=True, slots=True)
-class LinearPreset:
-    """Hyper-parameters.
-
-    Attributes:
-        name: As printed.
-        normalise: As in `learning.preset.Preset`.
-    """
-
-    name: str = "linear"
-    normalise: Normalise = "centred"
-
-
-@dataclass(frozen=True, slots=True)
-class LinearModel:
-    """Weights and scaling.
-
-    Attributes:
-        info: What it is.
-        scaling: Of residuals and features, and the envelope.
-        weights: Of the linear prediction, shape (15, regressors).
-        expected: Rms of what is to be expected of it, by phase, shape (phases, 15), units of the
-            channels: of what the prediction of the other flights leaves of each, where there are
-            several.
-    """
-
-    info: ModelInfo[LinearPreset]
-    scaling: Scaling
-    weights: Array
-    expected: Array
-
-    @property
-    def family(self) -> str:
-        """Its row in the registry."""
-        return "linear"
-
-    def run(self, flight: ResidualFlight) -> Corrected:
-        """The whole flight; each span starts at the state zero."""
-        self.info.check_flight(flight)
-        correction = np.zeros(flight.virtual.shape)
-        spread = np.tile(self.scaling.rms, (len(correction), 1))
-        inside = np.zeros(len(correction), dtype=np.bool_)
-        protocol, horizon = self.info.protocol, self.info.horizon
-        for span in sequences([flight], self.scaling, protocol, horizon):
-            phase, near = span.phase, linear_share(span.distance)[:, None]
-            linear = predict_base(span, self.weights, protocol, self.scaling.largest)
-            about = self.scaling.mean[phase] + self.scaling.scale[phase] * linear
-            correction[span.rows] = near * about
-            spread[span.rows] = between(near, self.expected[phase], spread[span.rows])
-            inside[span.rows] = span.inside
-        return Corrected(correction, spread, no_alarm(len(correction)), inside)
-
-    def tensors(self) -> Tensors:
-        """Weights, expected spread and scaling."""
-        return {
-            "weights": self.weights,
-            "expected": self.expected,
-            **{f"scaling.{name}": values for name, values in self.scaling.arrays().items()},
-        }
-
-    def details(self) -> Mapping[str, Any]:
-        """Nothing more."""
-        return {}
-
-
-class Linear(Family[LinearPreset, LinearModel]):
-    """Autoregression straight to the horizon, or ridge regression on the twin's readings."""
-
-    def presets(self) -> Mapping[str, LinearPreset]:
-        """One."""
-        return {"linear": LinearPreset()}
-
-    def protocols(self, preset: LinearPreset) -> Sequence[Protocol]:
-        """Not `reconstruct`: given the answer there is nothing to predict."""
-        return ("track", "free")
-
-    def fit(
-        self,
-        flights: Sequence[ResidualFlight],
-        preset: LinearPreset,
-        task: TrainingTask,
-        folder: Path,
-        progress: Progress,
-    ) -> LinearModel:
-        """Closed form; ridge and worth chosen by folds, as under the network."""
-        info = describe_training("linear", flights, preset, task)
-        usable = [in_spans(f) for f in flights]
-        scaling = fit_scaling(flights, usable, preset.normalise)
-        spans = sequences(flights, scaling, task.protocol, task.horizon)
-        weights = fit_base(spans, [s.fresh for s in spans], task.protocol, info.rate_hz)
-        model = LinearModel(info, scaling, weights, np.zeros((N_PHASES, len(CHANNELS))))
-        left = [f.residual - model.run(f).correction for f in flights]
-        if len(flights) > 1:
-            unseen = left_out_errors(flights, preset, task.protocol, task.horizon, scaling)
-            for span, error in zip(spans, unseen, strict=True):
-                known = np.isfinite(error)
-                rows = left[span.flight][span.rows]
-                rows[known] = (error * scaling.scale[span.phase])[known]
-        return replace(model, expected=np.sqrt(by_phase(flights, [e**2 for e in left])))
-
-    def build(self, info: ModelInfo[LinearPreset], tensors: Tensors) -> LinearModel:
-        """The model of these numbers."""
-        names = Scaling.__dataclass_fields__
-        scaling = Scaling(**{name: tensors[f"scaling.{name}"] for name in names})
-        weights, expected = tensors["weights"], tensors["expected"]
-        wanted = (len(CHANNELS), n_regressors(info.protocol, len(scaling.least)))
-        if weights.shape != wanted or expected.shape != scaling.mean.shape:
-            raise ValueError(f"weights of shape {weights.shape}, not {wanted}")
-        return LinearModel(info, scaling, weights, expected)
-
-    def export(self, model: LinearModel, folder: Path) -> tuple[str, ...]:
-        """None: the ONNX graph is written for the network only."""
-        return ()

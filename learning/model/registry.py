@@ -61,8 +61,8 @@ FAMILIES: tuple[FamilyRow, ...] = (
         name="linear",
         meaning="the linear prediction alone: what the network has to beat",
         presets=("linear",),
-        onnx=False,
-        member="learning.model.linear:Linear",
+        onnx=True,
+        member="learning.training.train:Linear",
     ),
     FamilyRow(
         name="trivial",

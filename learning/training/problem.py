@@ -103,7 +103,8 @@ class TrainingProblem:
 
     @property
     def network(self) -> SvqNetwork:
-        """That which is trained."""
+        """That which is trained, of a preset that has one."""
+        assert self.compensator.network is not None
         return self.compensator.network
 
     def validation_error(self) -> float:
@@ -121,17 +122,23 @@ class TrainingProblem:
         model = self.compensator
         phases = np.concatenate([s.phase for s in self.spans])
         trained = phases[np.concatenate(self.train).any(1)]
-        self.network.fill_unseen([bool(np.any(trained == p)) for p in range(N_PHASES)])
+        if model.network is not None:
+            model.network.fill_unseen([bool(np.any(trained == p)) for p in range(N_PHASES)])
         outs = model.outputs(self.spans)
         y = np.concatenate([self.leftover * o.y.double().numpy() for o in outs])
         left, validate = np.concatenate(self.left), np.concatenate(self.validate)
         gate = self.measured.astype(np.float64)
         if model.info.protocol != "reconstruct":
             gate *= gates(y, left, validate, time_blocks(self.spans, model.info.rate_hz))
+            if model.network is not None and not gate.any():
+                model.drop_network()
+                outs, y = model.outputs(self.spans), np.zeros_like(y)
         model.gate.copy_(torch.from_numpy(gate))
         self.error_without = _mean_square([left], [validate])
         self.error_with = _mean_square([left - gate * y], [validate])
         error, used = self._calibration_errors(left - gate * y, validate)
+        alone = np.concatenate([s.alone for s in self.spans])[:, None]
+        used &= ~alone | alone.all()  # a spread is that of a twin that follows
         log_spread = np.concatenate([o.log_spread.double().numpy() for o in outs])
         error = error * np.exp(-log_spread)
         factor = np.where(used.any(axis=0), np.maximum(_factor(error, used, phases), self.least), 0)

@@ -39,7 +39,7 @@ from ..model.family import (
 from ..model.folder import CURVE, MODEL, load, save, write_json
 from ..model.network import ClusterNetwork, SvqNetwork
 from ..model.registry import FamilyRow, check_preset
-from ..preset import PRESETS, PROTOCOLS, Preset, Protocol
+from ..preset import LINEAR, PRESETS, PROTOCOLS, Preset, Protocol
 from .checkpoint import CHECKPOINT, TrainingState, load_checkpoint, save_checkpoint
 from .losses import Losses, losses
 from .problem import TrainingProblem
@@ -102,10 +102,12 @@ def train(
     with one_thread(), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         piece = TrainingProblem(flights, preset, protocol, horizon, seed)
-        piece.network.to(device)
-        place = checkpoints or folder
-        standing = _fit(piece, training, place, progress or silent, checkpoint_s)
-        piece.network.to(CPU)
+        standing = TrainingState(training)
+        if preset.network:
+            piece.network.to(device)
+            place = checkpoints or folder
+            standing = _fit(piece, training, place, progress or silent, checkpoint_s)
+            piece.network.to(CPU)
         piece.calibrate()
     compensator = piece.compensator
     compensator.info = replace(
@@ -118,9 +120,12 @@ def train(
             "epochs": standing.epoch,
             "best_epoch": standing.best_epoch,
             "validation_mse": piece.validation_mse(),
-        },
+        }
+        if preset.network
+        else {},
     )
-    write_json(folder / CURVE, standing.curve)
+    if preset.network:
+        write_json(folder / CURVE, standing.curve)
     save(compensator, folder)
     if checkpoints is None:
         (folder / CHECKPOINT).unlink(missing_ok=True)
@@ -308,3 +313,15 @@ class Svq(Family[Preset, Compensator]):
 
         export_onnx(model, folder)
         return MODEL_FILE, INT8_FILE, REFERENCE_FILE
+
+
+class Linear(Svq):
+    """Autoregression straight to the horizon, or ridge regression on the twin's readings."""
+
+    def presets(self) -> Mapping[str, Preset]:
+        """One."""
+        return {LINEAR.name: LINEAR}
+
+    def protocols(self, preset: Preset) -> Sequence[Protocol]:
+        """Not `reconstruct`: given the answer there is nothing to predict."""
+        return ("track", "free")

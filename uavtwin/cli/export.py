@@ -49,6 +49,7 @@ _FOR = {
     "mission": (MISSION, FUSED),
     "controller": (FUSED,),
     "position": ("position", FUSED),
+    "observer": (FUSED,),
     "model": (COMPENSATOR, FUSED),
 }
 """Option -> what is made otherwise by it."""
@@ -102,6 +103,14 @@ def export(
     mission: Annotated[str, typer.Option(help="Of mission and corrected-twin.")] = "hover",
     controller: Annotated[str, typer.Option(help="Of corrected-twin: lqr or px4.")] = "lqr",
     position: Annotated[str, typer.Option(help="Position sensor: gnss or mocap.")] = "gnss",
+    observer: Annotated[
+        bool,
+        typer.Option(
+            "--observer",
+            help="Of a corrected-twin that replays a log: what its equations lack while it follows "
+            "acts on when it is left alone. With --model it always does.",
+        ),
+    ] = False,
     int8: Annotated[
         bool,
         typer.Option("--int8", help="The compensator's weights in 8 bits: smaller and faster."),
@@ -152,6 +161,7 @@ def export(
         python_slave,
         arrays,
         outputs,
+        observer,
     )
     plan = export_components(components, choice)
     with results_folder(out, force) as folder, progress("building") as step:
@@ -185,6 +195,7 @@ class Choice:
         python_slave: Whether components are evaluated by Python inside the FMU, for prototypes.
         arrays: Whether what belongs together is one array.
         outputs: "typed", or "real" where every output is to be a real number.
+        observer: Whether a driven twin has its disturbance observer on.
     """
 
     vehicle: str = "copter_default"
@@ -202,6 +213,7 @@ class Choice:
     python_slave: bool = False
     arrays: bool = False
     outputs: str = "typed"
+    observer: bool = False
 
     def recorded(self) -> dict[str, Any]:
         """For `run.json`, which lists files that were read among its inputs."""
@@ -273,6 +285,8 @@ def _check_options(names: Sequence[str], choice: Choice, versions: Sequence[int]
                 f"goes with {' and '.join(_FOR[option])}"
                 + (f" that flies a mission, --drive {MISSION}." if FUSED in names else ".")
             )
+    if choice.observer and DRIVES.get(choice.drive or MISSION) is None:
+        raise TwinError("--observer: a twin that flies a mission has no motion to follow; --drive.")
     if choice.drive not in (None, *DRIVES):
         raise TwinError(f"--drive {choice.drive}: choose {', '.join(DRIVES)}.")
     if choice.drive == MISSION and FUSED not in names:
@@ -303,7 +317,9 @@ def _part(
     if name == FUSED:
         controller = cast("Controller", choice.controller)
         kind = cast("Kind", choice.position)
-        return parts.twin(vehicle, choice.mission, controller, network, drive, force, kind)
+        return parts.twin(
+            vehicle, choice.mission, controller, network, drive, force, kind, choice.observer
+        )
     if name == REPLAY and choice.flight is not None:
         linear = [c.strip() for c in choice.linear.split(",") if c.strip()]
         return parts.replay(read_flight(choice.flight), linear)

@@ -8,7 +8,7 @@ import typer
 from twin.errors import TwinError
 
 from .options import Exit, Force, Json, Out, Prints, Rebuild, TrustVehicle, VehicleName, seconds
-from .printing import STDOUT, print_damage, print_json, print_written, progress
+from .printing import STDOUT, print_damage, print_json, print_sections, print_written, progress
 
 if TYPE_CHECKING:
     from ..learned import TrainResult
@@ -21,7 +21,8 @@ ModelName = Annotated[
     str | None,
     typer.Option(
         help="svq: ours; linear: no network; trivial; from a source checkout also the systems of "
-        "the paper's comparison, such as cvae. Default: that of the preset, or svq."
+        "the paper's comparison, such as cvae. Default: that of the preset, else svq; of free "
+        "without --epochs linear."
     ),
 ]
 PresetName = Annotated[
@@ -50,7 +51,13 @@ def train(
         float | None,
         seconds("Of track, s: how old the residuals are that it sees. Default: one sample."),
     ] = None,
-    rate: Annotated[float, typer.Option(help="Samples per second: 1000 over an integer.")] = 100,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            help="Samples per second: 1000 over an integer. Default: of free that of the IMU, else "
+            "100."
+        ),
+    ] = None,
     epochs: Annotated[int | None, typer.Option(min=1, help="Default: the preset's.")] = None,
     seed: Annotated[
         int | None,
@@ -77,6 +84,8 @@ def train(
     A training that was interrupted is resumed when the same command is given again.
     """
 
+    from learning.data.flights import DEFAULT_RATE_HZ
+
     from ..flights import read_alike
     from ..learned import Wanted, check_extra_learn, run_train
     from ..output import write_run
@@ -93,6 +102,7 @@ def train(
             print_json(trained.record)
         else:
             STDOUT.print(trained.claim, style="bold")
+            print_sections(trained.tables)
         options = {
             "vehicle": Path(vehicle).name,
             "rebuild_commands": rebuild_commands,
@@ -102,7 +112,7 @@ def train(
         }
         write_run(folder, "train", options, inputs, trained.seed)
 
-    samples = 1 if horizon is None else _samples(horizon, rate)
+    samples = 1 if horizon is None else _samples(horizon, rate or DEFAULT_RATE_HZ)
     wanted = Wanted(model, preset, protocol, samples, rate, epochs, seed, device, license)
     with progress("training") as step:
         trained = run_train(read, twin, out, wanted, force, step, alongside)

@@ -1,26 +1,27 @@
 """Evaluation: a compensator and trivial baselines on flights of their own."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from fmus.compensator import FILE
+from fmus.compensator import FILE, read_network
 from learning.data.channels import CHANNELS, UNITS
 from learning.data.flights import ResidualFlight, read_residuals, residual_flight, restart_before_s
 from learning.evaluation import WHOLE, Task, evaluate, pooled
 from learning.model.compensator import LINEAR_PART, Compensator
-from learning.model.family import Corrected, Model, TrainedModel
+from learning.model.family import Corrected, Model, TrainedModel, no_alarm
 from learning.model.folder import load
 from twin.errors import TwinError
 from twin.formatting import counted, number, percent, pretty_unit
 from twin.logs import Flight
-from twin.vehicle import Vehicle
-from twin.vehicle_file import load_vehicle
+from twin.residuals.teacher_forced import choose_drive
+from twin.vehicle import Vehicle as TwinVehicle
 
 from ..display import DisplayMixin, TextTable
 from ..flights import check_names
@@ -31,8 +32,10 @@ from ..report.learning_figures import anomaly_figure, correction_figure
 from ..report.page import Plot, plot, render
 from ..series.files import CORRECTED, EXPLAINED, SPREAD, TWIN, Column, Series, compared
 from ..series.files import MODEL as OF_MODEL
+from ..vehicles import Vehicle, load_vehicle
+from .in_use import InUseRecord, UsedFlight, driven_fmu, record_of
 from .running import compiled_compensator
-from .training import RESIDUALS, VEHICLE_FILE
+from .training import RESIDUALS, VEHICLE_FILE, in_use_of
 
 MODEL = "model"
 """What the compensator is called alongside the baselines."""
@@ -72,6 +75,9 @@ class EvaluationRecord(Record, frozen=True, kw_only=True):
             trivial baselines.
         channels: The same per channel.
         anomaly: Of each flight.
+        in_use: What the correction does in the exported FMU of the driven twin, at every reading,
+            beside the last and the mean reading; null but of `free`. `groups` and `channels` are of
+            prepared rows, along which the twin follows.
     """
 
     family: str
@@ -86,6 +92,7 @@ class EvaluationRecord(Record, frozen=True, kw_only=True):
     groups: tuple[dict[str, Any], ...]
     channels: tuple[dict[str, Any], ...]
     anomaly: tuple[AnomalyRecord, ...]
+    in_use: InUseRecord | None
 
 
 @dataclass(frozen=True, repr=False)
@@ -100,6 +107,7 @@ class Evaluation(DisplayMixin):
         explained: What another vehicle's sensors read on the same grid, by flight; or None.
         corrected: By flight.
         runs: What was run: "fmu", or "python" of a family that has none.
+        in_use: What the correction does in the exported twin; None but of `free`.
     """
 
     model: TrainedModel
@@ -108,6 +116,7 @@ class Evaluation(DisplayMixin):
     explained: tuple[ResidualFlight, ...] | None
     corrected: tuple[Corrected, ...]
     runs: str
+    in_use: InUseRecord | None = None
 
     @property
     def claim(self) -> str:
@@ -143,6 +152,7 @@ class Evaluation(DisplayMixin):
                 AnomalyRecord(flight=f.name, **_anomaly(f, c))
                 for f, c in zip(self.flights, self.corrected, strict=True)
             ),
+            in_use=self.in_use,
         )
 
     def json(self) -> dict[str, Any]:
@@ -156,9 +166,9 @@ class Evaluation(DisplayMixin):
         return Path(path)
 
     def findings(self) -> Iterable[str | TextTable]:
-        """The claim, and the rms that each model leaves."""
+        """The claim, and what is left in use, or by each model of prepared rows."""
         yield self.claim
-        yield evaluation_table(self)
+        yield evaluation_table(self) if self.in_use is None else self.in_use.table()
 
     def brief(self) -> str:
         """Protocol and flights."""
@@ -190,7 +200,7 @@ def _series(found: Evaluation, i: int) -> Series:
 
 
 def evaluate_model(
-    folder: Path, given: Sequence[Flight], explained: Vehicle | None, progress: Progress
+    folder: Path, given: Sequence[Flight], explained: TwinVehicle | None, progress: Progress
 ) -> Evaluation:
     """Compare, correct and score; what corrects is the exported FMU, where the family has one.
 
@@ -231,10 +241,11 @@ def evaluate_model(
     compiled = (folder / FILE).is_file()
     if compiled:
         with compiled_compensator(folder) as fmu:
-            said = _StoredCorrections({f.name: fmu.run(f) for f in flights})
+            said = _StoredCorrections({f.name: _said(fmu.run(f), model) for f in flights})
     else:
         said = _StoredCorrections({f.name: model.run(f) for f in flights})
     task = Task(model.info.protocol, model.info.horizon)
+    in_use = _in_use(folder, vehicle, given) if compiled and task.protocol == "free" else None
     return Evaluation(
         model=model,
         table=evaluate(_own(model) | {MODEL: said}, train, flights, task),
@@ -242,7 +253,25 @@ def evaluate_model(
         explained=tuple(residuals[1]) if len(residuals) > 1 else None,
         corrected=tuple(said.corrected.values()),
         runs="fmu" if compiled else "python",
+        in_use=in_use,
     )
+
+
+def _said(of_fmu: Corrected, model: TrainedModel) -> Corrected:
+    """What an FMU said; its anomaly is 0 where the model gives no alarm."""
+    if not isinstance(model, Compensator) or model.alarms:
+        return of_fmu
+    return replace(of_fmu, anomaly=no_alarm(len(of_fmu.anomaly)))
+
+
+def _in_use(folder: Path, vehicle: Vehicle, given: Sequence[Flight]) -> InUseRecord:
+    """Flights through the exported twin."""
+    trained, network = in_use_of(folder), read_network(folder)
+    found = []
+    for drive, flights in groupby(given, lambda f: choose_drive(f, vehicle)):
+        with driven_fmu(vehicle, drive, network) as fmu:
+            found += [UsedFlight(f, vehicle).corrections(fmu) for f in flights]
+    return record_of(found, "other", () if trained is None else trained.shut)
 
 
 def _own(model: TrainedModel) -> dict[str, Model]:
@@ -282,6 +311,8 @@ def by_group(found: Evaluation) -> pd.DataFrame:
 def evaluation_claim(found: Evaluation) -> str:
     """One sentence: where the model beats the best baseline, and where it does not."""
     what = _task(found.model)
+    if found.in_use is not None:
+        return f"{what}: {found.in_use.claim}."
     if found.model.info.protocol == "reconstruct":
         return (
             f"{what}: the model sees the measurement it repeats; holding that measurement itself "
@@ -360,6 +391,7 @@ def _page(found: Evaluation, budget: Budget) -> str:
         "evaluation.html.j2",
         {"number": number, "percent": percent, "unit": pretty_unit},
         claim=evaluation_claim(found),
+        in_use=found.in_use,
         info=found.model.info,
         task=_task(found.model),
         explained=found.explained is not None,

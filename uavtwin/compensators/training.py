@@ -2,33 +2,43 @@
 
 import hashlib
 import json
+import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
+from fmus.compensator import read_network
 from learning.compute import device_named
 from learning.data.channels import CHANNELS, UNITS
 from learning.data.flights import ResidualFlight, residual_flight, restart_before_s, write_residuals
-from learning.model.family import TrainingTask
-from learning.model.folder import CURVE, MODEL, WEIGHTS
-from learning.model.registry import FamilyRow, check_preset, chosen, family_row
+from learning.model.compensator import Compensator
+from learning.model.family import TrainedModel, TrainingTask
+from learning.model.folder import CURVE, MODEL, WEIGHTS, save
+from learning.model.registry import FamilyRow, check_preset, chosen, family_row, preset_named
 from learning.preset import SEEDS, Protocol
 from learning.training.checkpoint import CHECKPOINT
 from learning.training.train import fit_model
 from twin.errors import TwinError
 from twin.formatting import number, percent, pretty_unit
 from twin.logs import Flight
+from twin.physics.rotors import Drive
+from twin.representation import short_repr
+from twin.residuals.teacher_forced import choose_drive
 
 from ..flights import check_names
 from ..output import check_folder
 from ..report.learning_figures import curve_figure
 from ..report.page import Plot, plot, render
 from ..vehicles import Vehicle
+from .in_use import Corrections, InUseRecord, UsedFlight, driven_fmu, harmful, record_of
 
 RESIDUALS, REPORT = "training.parquet", "report.html"  # files in the folder of a training
+IN_USE = "in_use.json"
+"""In the same folder: what the corrections do in the exported twin."""
 VEHICLE_FILE = "vehicle.toml"
 """In the folder of a trained model: the vehicle whose twin it corrects."""
 Progress = Callable[[float], None]
@@ -57,7 +67,12 @@ class Plan:
     @property
     def epochs(self) -> int | None:
         """Of the training; None where it is in closed form."""
-        return getattr(self.preset, "epochs", None)
+        return _epochs(self.preset)
+
+
+def _epochs(preset: Any) -> int | None:
+    """Of a preset that has a network."""
+    return getattr(preset, "epochs", None) if getattr(preset, "network", True) else None
 
 
 def plan_training(
@@ -77,10 +92,12 @@ def plan_training(
         TwinError: An unknown model, preset or device, one that does not go with the protocol or
             has no epochs, or a folder that holds something else than an interrupted training.
     """
+    if model is None and preset is None and epochs is None and protocol == "free":
+        model = "linear"  # no network has said more of a flight that was not its own
     family, made = chosen(model, preset)
     check_preset(family, made, protocol)
     if epochs is not None:
-        if "epochs" not in {f.name for f in fields(made)}:
+        if _epochs(made) is None:
             raise TwinError(f"preset {made.name} is in closed form and has no epochs; give none")
         made = replace(made, epochs=epochs)
     found = device_named(device)
@@ -89,13 +106,48 @@ def plan_training(
     return Plan(family, made, protocol, horizon if protocol == "track" else 0, drawn, found.type)
 
 
+IMU_RATES_HZ = (50.0, 1000.0)
+"""Lowest and highest rate of an IMU that a compensator is called with where nobody says a rate."""
+MOST_FOLDS = 3
+"""Groups of flights that are left out in turn."""
+
+
+def imu_rate_hz(flights: Sequence[Flight]) -> float:
+    """Rate of a compensator where nobody says: that of the slowest gyroscope, 1000 Hz over a whole
+    number; 100 Hz where none was logged."""
+    times = [f.signal(["gyro_x"])[0] for f in flights if f.has("gyro_x")]
+    slowest = min((1 / float(np.median(np.diff(t))) for t in times if len(t) > 1), default=100.0)
+    return 1000 / round(1000 / float(np.clip(slowest, *IMU_RATES_HZ)))
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """Flights ready for a training.
+
+    Attributes:
+        residuals: What is trained on.
+        compared: What baselines are made of; of `free`, the twin follows there.
+        used: Along which the exported twin is used; () but of `free`, and of what makes no FMU.
+        vehicle: Whose twin is corrected.
+        drive: Of the exported twin.
+    """
+
+    residuals: tuple[ResidualFlight, ...]
+    compared: tuple[ResidualFlight, ...]
+    used: tuple[UsedFlight, ...]
+    vehicle: Vehicle
+    drive: Drive
+
+    __repr__ = short_repr
+
+
 def prepare(
     plan: Plan,
     flights: Sequence[Flight],
     vehicle: Vehicle,
     rate_hz: float,
     progress: Progress,
-) -> list[ResidualFlight]:
+) -> Prepared:
     """Residuals of flights against the vehicle, its twin run as the protocol says.
 
     Raises:
@@ -110,23 +162,27 @@ def prepare(
             progress((i + done) / len(flights))
 
         residuals.append(residual_flight(flight, vehicle, rate_hz, before_s, share))
-    return residuals
+    compared, drive = tuple(residuals), choose_drive(flights[0], vehicle)
+    if plan.protocol != "free" or not plan.family.onnx:
+        return Prepared(compared, compared, (), vehicle, drive)
+    used = tuple(UsedFlight(flight, vehicle) for flight in flights)
+    with driven_fmu(vehicle, drive) as fmu:
+        in_use = tuple(one.residuals(fmu, rate_hz) for one in used)
+    return Prepared(in_use, compared, used, vehicle, drive)
 
 
 def run_training(
     plan: Plan,
-    residuals: Sequence[ResidualFlight],
-    vehicle: Vehicle,
+    prepared: Prepared,
     out: Path,
     checkpoints: Path,
     progress: Progress,
 ) -> list[str]:
-    """Train, export and write the page.
+    """Train, export, use the exported twin and write the page.
 
     Args:
         plan: What is trained.
-        residuals: Of the flights.
-        vehicle: Whose twin is corrected.
+        prepared: The flights.
         out: Folder of the results.
         checkpoints: Folder of the checkpoint, from which the training is resumed.
         progress: Called with the share done.
@@ -134,7 +190,7 @@ def run_training(
     Returns:
         Names of the files, the page first.
     """
-    text = vehicle.toml()
+    vehicle, text = prepared.vehicle, prepared.vehicle.toml()
     task = TrainingTask(
         protocol=plan.protocol,
         horizon=plan.horizon,
@@ -145,19 +201,74 @@ def run_training(
         checkpoints=checkpoints,
     )
     model = fit_model(
-        residuals, plan.family, plan.preset, task, out, lambda done, _: progress(done)
+        prepared.residuals, plan.family, plan.preset, task, out, lambda done, _: progress(done)
     )
+    in_use = None
+    if prepared.used and isinstance(model, Compensator):
+        in_use = _gated(model, prepared, task, out)
+        save(model, out)
+        (out / IN_USE).write_text(json.dumps(in_use.json(), indent=1) + "\n", "utf-8")
     exported = plan.family.load().export(model, out)
     (out / VEHICLE_FILE).write_text(text, "utf-8")
-    write_residuals(residuals, out / RESIDUALS)
-    _write_page(out, residuals)
-    names = (REPORT, *exported, WEIGHTS, MODEL, CURVE, VEHICLE_FILE, RESIDUALS)
+    write_residuals(prepared.compared, out / RESIDUALS)
+    _write_page(out, prepared.compared)
+    names = (REPORT, *exported, WEIGHTS, MODEL, CURVE, VEHICLE_FILE, RESIDUALS, IN_USE)
     return [n for n in names if (out / n).is_file()]
+
+
+def _gated(model: Compensator, prepared: Prepared, task: TrainingTask, out: Path) -> InUseRecord:
+    """Shut the channels that a correction does not help in the exported twin.
+
+    Flights are left out in turn, and corrected by the linear prediction of the others; a single
+    flight by the model itself.
+
+    Args:
+        model: Trained; it is changed.
+        prepared: The flights.
+        task: Of the training.
+        out: For files in between.
+
+    Returns:
+        What the corrections that are on do.
+    """
+    flights, n = prepared.used, len(prepared.used)
+    found = []
+    for k in range(min(n, MOST_FOLDS)) if n > 1 else ():
+        others = [r for i, r in enumerate(prepared.residuals) if i % MOST_FOLDS != k]
+        left_out = [f for i, f in enumerate(flights) if i % MOST_FOLDS == k]
+        with tempfile.TemporaryDirectory(dir=out) as place:
+            row, preset = preset_named("linear")
+            taught = fit_model(others, row, preset, replace(task, checkpoints=None), Path(place))
+            found += _used(taught, left_out, prepared, Path(place))
+    if n == 1:
+        with tempfile.TemporaryDirectory(dir=out) as place:
+            found = _used(model, flights, prepared, Path(place))
+    shut = harmful([record_of([f], "left out") for f in found])
+    model.shut([CHANNELS.index(c) for c in shut])
+    return record_of(found, "left out" if n > 1 else "same", shut)
+
+
+def _used(
+    model: TrainedModel, flights: Sequence[UsedFlight], prepared: Prepared, folder: Path
+) -> list[Corrections]:
+    """Flights through the exported twin that a model corrects."""
+    family_row(model.family).load().export(model, folder)
+    with driven_fmu(prepared.vehicle, prepared.drive, read_network(folder)) as fmu:
+        return [flight.corrections(fmu) for flight in flights]
+
+
+def in_use_of(out: Path) -> InUseRecord | None:
+    """What the corrections of a trained model do in use; None where it was not used."""
+    if not (out / IN_USE).is_file():
+        return None
+    return msgspec.json.decode((out / IN_USE).read_bytes(), type=InUseRecord)
 
 
 def training_claim(out: Path) -> str:
     """One sentence on a trained model, from its description."""
     about = json.loads((out / MODEL).read_text("utf-8"))
+    if in_use := in_use_of(out):
+        return f"{_task(about)}: {in_use.claim}."
     rows = _validation(about)
     helped = [r for r in rows if r["removed"] > 0]
     task = _task(about)
@@ -227,6 +338,7 @@ def _write_page(out: Path, residuals: Sequence[ResidualFlight]) -> None:
         claim=training_claim(out),
         about=about,
         task=_task(about),
+        in_use=in_use_of(out),
         channels=_validation(about),
         flights=[
             {

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from learning.force.model import ForceModel
 
 Controller = Literal["lqr", "px4"]
+OBSERVER = "airframe.disturbance.enabled"
+"""Parameter that switches the disturbance observer of a driven twin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +72,7 @@ def twin(
     drive: Drive | None = None,
     force: "LearnedForce | None" = None,
     position: Kind = "gnss",
+    observer: bool = False,
 ) -> Twin:
     """The whole twin of a vehicle, all effects built in and those of the vehicle on.
 
@@ -83,6 +86,8 @@ def twin(
         force: Of `learned_force`, learned for this vehicle; its observer is in the driven twin
             alone, which has a motion to follow.
         position: Kind of position sensor.
+        observer: Whether a driven twin has its disturbance observer on; with anything learned it
+            has.
 
     Raises:
         TwinError: An unknown mission, controller, drive or position sensor, or a compensator or
@@ -104,6 +109,8 @@ def twin(
         assembly = driven_twin(model, drive, law=law, position=position)
         if force is not None:
             assembly = assembly.with_starts(force.model.observer_starts)
+        elif observer or compensator is not None:
+            assembly = assembly.with_starts({OBSERVER: 1.0})
     return Twin(model.name, assembly, compensator, model.grounded)
 
 

@@ -28,7 +28,7 @@ _DEFAULTS = {
     "model": None,
     "preset": None,
     "horizon": 1,
-    "rate": 100.0,
+    "rate": None,
     "epochs": None,
     "device": "cpu",
 }
@@ -41,7 +41,7 @@ def check_force_options(
     model: str | None,
     preset: str | None,
     horizon: int,
-    rate: float,
+    rate: float | None,
     epochs: int | None,
     device: str,
 ) -> None:
