@@ -10,7 +10,9 @@ of the heading it is
 
     (cos(roll) sin(pitch), -sin(roll), cos(roll) cos(pitch)).
 
-What such an angle cannot show is what it was made from. `Flight.derived_angles` names them, and the
+Without an acceleration a missing angle is 0: in a flight without aerobatics its mean rate of change
+is, too, which is what the balance of moments takes. What such an angle cannot show is what it was
+made from. `Flight.derived_angles` names them, and the
 model leaves out the axes that they are of.
 """
 
@@ -85,13 +87,15 @@ def with_quaternion(name: str, table: Columns) -> Completed:
     missing = tuple(c for c in EULER if c not in given)
     findings = _partial(angles[:, [c in given for c in EULER]])
     if missing and not {*QUAT} <= {*table}:
-        if shown is None:
+        if of_imu:
             text = f"not used, the Euler angles lack {', '.join(missing)}"
-            text += "" if of_imu else "; acc_ned, vel or pos would tell roll and pitch"
             return Completed({}, (), [Finding("warning", "attitude", text)])
-        signal, t_s, acceleration = shown
-        angles = _by_force(time_s, angles, t_s, acceleration)
-        findings.append(Finding("warning", "attitude", _what_is_lost(missing, signal)))
+        if shown is None:
+            angles[:, [c in missing for c in EULER]] = 0.0
+        else:
+            angles = _by_force(time_s, angles, *shown[1:])
+        text = _what_is_lost(missing, "" if shown is None else shown[0])
+        findings.append(Finding("warning", "attitude", text))
     whole = np.isfinite(angles).all(axis=1)
     q_euler = np.full((len(angles), 4), np.nan)
     q_euler[whole] = from_euler(*angles[whole].T).T
@@ -162,14 +166,22 @@ def _by_force(time_s: Array, angles: Array, t_s: Array, acceleration_n: Array) -
 
 
 def _what_is_lost(missing: tuple[str, ...], signal: str) -> str:
-    """What was derived, and what these flights do not tell for it."""
-    tilts = [c for c in missing if c != "yaw_rad"]
-    how = [f"{' and '.join(tilts)} from {signal}: thrust points along the specific force"] * bool(
-        tilts
+    """What was derived, and what these flights do not tell for it.
+
+    Args:
+        missing: Angles.
+        signal: That the acceleration comes from; "": there is none.
+    """
+    tilts = [c for c in missing if signal and c != "yaw_rad"]
+    how = []
+    if tilts:
+        how.append(f"{' and '.join(tilts)} from {signal}: thrust points along the specific force")
+    how += [f"{c} as 0" for c in missing if c not in tilts]
+    lost = [_LOST[c] for c in missing] + ["any force: no acc_ned, vel or pos"] * (not signal)
+    return (
+        f"{', '.join(missing)} not logged; taken: {', '.join(how)}; not told without it: "
+        f"{'; '.join(lost)}"
     )
-    how += ["yaw_rad as 0"] * ("yaw_rad" in missing)
-    lost = "; ".join(_LOST[c] for c in missing)
-    return f"{', '.join(missing)} not logged; taken: {', '.join(how)}; not told without it: {lost}"
 
 
 # -- checks -------------------------------------------------------------------------------------

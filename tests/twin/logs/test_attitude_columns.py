@@ -131,6 +131,15 @@ def test_without_any_angle_the_nose_points_north(tmp_path: Path) -> None:
     assert apart < 2e-3
 
 
+def test_without_an_acceleration_a_missing_angle_is_level(tmp_path: Path) -> None:
+    euler, _ = swaying()
+    kept = {c: euler[c] for c in ("roll_rad", "yaw_rad")}
+    flight, apart = told(tmp_path, {**euler, "pitch_rad": 0 * T}, **kept)
+    assert flight.derived_angles == ("pitch_rad",)
+    assert apart < 1e-9
+    assert any("any force" in f.message for f in flight.findings)
+
+
 def test_an_imu_needs_no_angle_that_is_made_up(tmp_path: Path) -> None:
     euler, moved = swaying()
     pd.DataFrame(

@@ -282,6 +282,15 @@ def test_an_angle_that_is_missing_takes_its_axes_alone(
 
 
 @pytest.mark.slow
+def test_without_pitch_and_motion_the_moments_are_told(same: Flight, tmp_path: Path) -> None:
+    model = modelled(logged(tmp_path, without(same, "pos_", "vel_"), "pitch_rad"))
+    assert names(model) == ["motion_rate_x", "motion_rate_y", "motion_rate_z"]
+    assert trim_of(model, slopes=False) is not None
+    for channel in model.channels([])[0]:
+        assert abs(np.mean(channel.residual)) < 0.2, channel.name
+
+
+@pytest.mark.slow
 def test_without_pitch_a_weak_rotor_is_told_by_the_means(tmp_path: Path) -> None:
     losses = {f"loss_{i}": 0.1 * (i == 2) for i in range(1, 5)}
     flight = flown(COPTER.with_effects({"rotor_efficiency_loss": losses}))
