@@ -19,7 +19,7 @@ from scipy.stats import norm
 from ..formatting import number
 from ..vehicle.layouts import Layout
 from .findings import Findings
-from .flight import FlightFrame, moment_signs
+from .flight import FlightFrame, moment_signs, rotations
 from .records import Amount, Candidate, Event, NotVisible, Severity
 
 Array = NDArray[np.float64]
@@ -46,13 +46,16 @@ LOSS_SD, MASS_SD, MOVED_SD, ALL_SD = 0.10, 0.04, 0.02, 0.05
 moved, and of all rotors alike. In the logarithm of the command. By judgement."""
 PRIOR = {"nothing": 0.4, "rotor": 0.25, "rotors": 0.05, "load": 0.15, "centre": 0.05, "all": 0.1}
 """Of who asks: something is as probable as nothing."""
-NAMED, ALONE = 0.5, 0.9
+NAMED, ALONE = 0.5, 0.95
 """Probability from which on something is named, and from which on one cause is named alone; below,
 the two that lead, of different kinds: only yaw parts a rotor from a load at its arm. Chosen on
 CrazyPAD's E9."""
 LEAN_RAD, LEAN_SD_RAD = np.radians(4.0), np.radians(1.5)
 """Lean of the specific force in calm hover from which on the board, or the rotors, are tilted, and
 how sharp that is. By judgement; no clean flight reaches it."""
+BOARD_RAD, WIND_RAD = np.radians(3.0), np.radians(5.0)
+"""Priors: tilt of a board that is mounted by hand; lean by a wind of 3 m/s on an aircraft that
+brakes by 0.3 m/s2 for each m/s. Without a turn of the aircraft a wind hides a tilt of the board."""
 CALM_M_S, CALM_TILT_RAD = 1.5, np.radians(8.0)
 """Speed and tilt of a hover: faster, drag leans the specific force."""
 FIELD, FIELD_SD = 0.25, 0.05
@@ -314,27 +317,45 @@ def _by_symmetry(now: Balance, layout: Layout) -> Findings:
 
 
 def _lean(flight: FlightFrame) -> Findings:
-    """Angle of the mean specific force in hover from the z axis of the board."""
+    """Angle of the mean specific force in hover from the z axis of the board.
+
+    Wind leans it as well, towards one side of the earth: only by turns is that told from a board
+    that is tilted. The lean is the sum of one of the board and one of the earth, each with a prior.
+    """
     if "acc" not in flight.grid or "vel" not in flight.grid or flight.tilt_rad is None:
         return Findings()
     slow = np.linalg.norm(flight.grid["vel"], axis=1) < CALM_M_S
     calm = _calm(flight) & slow & (flight.tilt_rad < CALM_TILT_RAD)
     if calm.sum() * flight.dt_s < 2 * LEAST_S:
         return Findings()
-    x, y, z = flight.grid["acc"][calm].mean(axis=0)
-    lean = float(np.hypot(x, y) / max(-z, 1e-9))
-    where = "forward" if abs(x) > abs(y) and x > 0 else "back" if abs(x) > abs(y) else ""
-    where = where or ("right" if y > 0 else "left")
+    lean, sd = _board(flight.grid["acc"][calm], rotations(flight.grid["q"][calm]), flight.dt_s)
+    size = float(np.hypot(*lean))
+    side = int(np.argmax(np.abs(lean)))
+    where = (("forward", "back"), ("right", "left"))[side][int(lean[side] < 0)]
     return _beyond(
         "imu_tilt",
-        lean,
+        size,
         LEAN_RAD,
-        LEAN_SD_RAD,
+        float(np.hypot(LEAN_SD_RAD, sd)),
         ("angle", "rad"),
-        f"In hover the thrust leans {number(float(np.degrees(lean)))} degrees {where} in the axes "
+        f"In hover the thrust leans {number(float(np.degrees(size)))} degrees {where} in the axes "
         "of the board: the board, or the rotors, are tilted",
         "Put a level on the frame and compare with the attitude that the ground station shows.",
     )
+
+
+def _board(force: Array, R_nb: Array, dt_s: float) -> tuple[Array, float]:
+    """Lean that turns with the board, forward and right, rad, and its standard deviation."""
+    leans = force[:, :2] / np.maximum(-force[:, 2].mean(), 1e-9)
+    yaw = np.arctan2(R_nb[:, 1, 0], R_nb[:, 0, 0])
+    c, s, one = np.cos(yaw), np.sin(yaw), np.ones(len(yaw))
+    rows = np.stack([[one, 0 * one, c, s], [0 * one, one, -s, c]]).transpose(2, 0, 1)
+    worth = dt_s / CALM_S / float(np.var(leans - leans.mean(axis=0)) + 1e-6)
+    precision = worth * np.einsum("nij,nik->jk", rows, rows)
+    precision += np.diag(np.array([BOARD_RAD, BOARD_RAD, WIND_RAD, WIND_RAD]) ** -2.0)
+    found = np.linalg.solve(precision, worth * np.einsum("nij,ni->j", rows, leans))
+    covariance = np.linalg.inv(precision)
+    return found[:2], float(np.sqrt(covariance[:2, :2].trace() / 2))
 
 
 def _compass(flight: FlightFrame) -> Findings:
