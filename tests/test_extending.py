@@ -14,7 +14,7 @@ from places import ROOT
 
 COPIED = ("twin", "learning", "fmus", "cosim", "uavtwin", "docs", "tests", "pyproject.toml")
 PAGES = {p.stem: read_page(p) for p in sorted((ROOT / "docs" / "dev" / "extending").glob("*.md"))}
-GOALS = {"effect": 1, "sensor": 5, "log_format": 3, "compensator_model": 2}
+GOALS = {"effect": 1, "cause": 1, "sensor": 5, "log_format": 3, "compensator_model": 2}
 """Files that each kind of extension may touch."""
 STEPS = [
     pytest.param(page, step, id=f"{name}-{step.title}")

@@ -32,4 +32,5 @@ def sound(seconds: float = 45.0, seed: int = 0) -> Table:
         table |= dict(zip(names, noisy.T, strict=True))
     table["baro_pa"] = 101325.0 * np.exp(pos[:, 2] / 8434.0) + 2.0 * rng.standard_normal(len(t))
     table["vbat_v"] = 16.0 - 0.01 * t + 0.01 * rng.standard_normal(len(t))
+    table["ibat_a"] = 20.0 + 0.2 * rng.standard_normal(len(t))
     return table

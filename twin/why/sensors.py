@@ -153,7 +153,7 @@ def sensors(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Find
     for part in flight.airborne:
         start = float(flight.t_s[part.start]) + CLEAR_S
         end = float(flight.t_s[part.flown - 1]) - (LANDING_S if part.lost is None else 0.0)
-        signals = _within(flight.flight, start, end)
+        signals = within(flight.flight, start, end)
         residuals = [r for make in RESIDUALS for r in make(signals)]
         budget = Budget(FALSE_IN_10_H, max(len(residuals), 1))
         found = [c for r in residuals if (c := changed_at(r, budget)) is not None]
@@ -217,11 +217,13 @@ def _hidden(residuals: Sequence[Residual], budget: Budget) -> dict[str, NotVisib
     return found
 
 
-def _within(flight: Flight, start_s: float, end_s: float) -> dict[str, Signal]:
+def within(flight: Flight, start_s: float, end_s: float) -> dict[str, Signal]:
     """Signals as logged within a span; derived ones would agree with what they are derived of."""
     found: dict[str, Signal] = {}
-    named = {"acc": ACC, "gyro": GYRO, "mag": MAG, "pos": POS, "vel": VEL, "q": QUAT}
-    for name, columns in (named | {"baro": ("baro_pa",), "vbat": ("vbat_v",)}).items():
+    named: dict[str, tuple[str, ...]] = {"acc": ACC, "gyro": GYRO, "mag": MAG, "q": QUAT}
+    named |= {"pos": POS, "vel": VEL}
+    named |= {"baro": ("baro_pa",), "vbat": ("vbat_v",)}
+    for name, columns in named.items():
         if flight.has(*columns):
             t, values = flight.signal(columns)
             inside = (t >= start_s) & (t <= end_s)

@@ -1,6 +1,6 @@
 """Sensors and state estimate: faults put into a sound flight are named, and a sound one is not."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pandas as pd
@@ -10,10 +10,11 @@ from why_rig import ONSET_S, RATE_HZ, Table, sound
 from twin.frames import from_euler
 from twin.logs import Flight
 from twin.logs.columns import ACC, MAG, POS, QUAT, VEL
+from twin.why import sensors as instruments
 from twin.why.consistency import FALSE_IN_10_H, Budget, Residual, changed_at, smallest_detectable
 from twin.why.flight import FlightFrame
 from twin.why.records import Event
-from twin.why.sensors import SENSOR_CAUSES, grouped, sensors
+from twin.why.sensors import SENSOR_CAUSES, grouped, sensors, within
 
 
 def after(table: Table) -> np.ndarray:
@@ -186,6 +187,29 @@ def test_what_begins_first_explains_what_follows() -> None:
     causes = [e.cause for e in marked if not e.consequence]
     assert causes == ["stuck_sensor", "baro_bias"]
     assert {e.cause for e in marked if e.consequence} == {"gyro_bias", "velocity_estimate"}
+
+
+def _made(maker: Callable[..., Iterator[Residual]]) -> list[Residual]:
+    frame = FlightFrame.of(Flight("sound", pd.DataFrame(sound())))
+    return list(maker(within(frame.flight, 1.0, 44.0)))
+
+
+def test_every_residual_is_asked_and_has_its_signals() -> None:
+    makers = {
+        name: f
+        for name, f in vars(instruments).items()
+        if callable(f) and getattr(f, "__annotations__", {}).get("return") == Iterator[Residual]
+    }
+    for name, maker in makers.items():
+        assert maker in instruments.RESIDUALS, f"{name} is not in RESIDUALS"
+        assert _made(maker), f"{name} finds no signal in a flight that has all"
+
+
+def test_every_cause_of_a_residual_has_words() -> None:
+    for maker in instruments.RESIDUALS:
+        for r in _made(maker):
+            for cause in {r.lasting, r.passing, r.scaled} - {""}:
+                assert cause in SENSOR_CAUSES, f"{cause} has no words"
 
 
 def test_every_cause_fills_its_sentence() -> None:
