@@ -53,8 +53,8 @@ LIVELY = 4.0
 SATURATED = 0.97
 """Share of the largest body rate that counts as the end of the gyroscope's range, if it is
 reached often."""
-AT_STOP, AT_STOP_S = 0.985, 1.0
-"""Command that is at its upper stop, and for how long that matters."""
+AT_STOP, AT_STOP_S = 0.95, 1.0
+"""Command that is nearly at its upper stop, and for how long that matters."""
 FAST_HZ = 40.0
 """Rate of commands from which on their jitter does not hide the gain."""
 FINE_S = 0.01

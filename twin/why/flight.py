@@ -352,9 +352,9 @@ def _motors(flight: Flight, stem: str) -> Signal | None:
 
 
 def _interval_s(signals: Mapping[str, Signal]) -> float:
-    """Interval of the grid: half the rate of the gyroscope and the rate of what drives it."""
+    """Interval of the grid: half the rate of the gyroscope, twice the rate of what drives it."""
     drive = signals.get("command", signals.get("rotor_speed"))
-    rates = [drive.rate_hz] if drive is not None else []
+    rates = [2 * drive.rate_hz] if drive is not None else []
     rates += [signals["gyro"].rate_hz / 2] if "gyro" in signals else []
     known = [r for r in rates if r > 0]
     return float(np.clip(1 / min(known), FINEST_S, COARSEST_S)) if known else COARSEST_S
