@@ -2,7 +2,7 @@
 
 | channels | measured | predicted by |
 |---|---|---|
-| acc_* | accelerometer | airframe and IMU at the measured motion |
+| acc_* | accelerometer | airframe and IMU at the measured motion, turning as the gyroscope says |
 | gyro_rate_* | rate of change of the gyroscope | the same |
 | pose_acc_* | accelerometer | acceleration of the measured pose, and IMU |
 | pose_gyro_* | gyroscope | turning of the measured attitude, and IMU |
@@ -27,8 +27,16 @@ from ...frames import to_body, to_ned
 from ...logs import Flight
 from ...physics.airframe import airframe
 from ...representation import short_repr
-from ...residuals.aligned import align_flight
-from ...residuals.channels import GRID_HZ, OF_IMU, ChannelData, mean_over_step, shifted
+from ...residuals.aligned import AlignedFlight, align_flight
+from ...residuals.channels import (
+    GRID_HZ,
+    OF_IMU,
+    ChannelData,
+    mean_over_step,
+    on_grid,
+    shifted,
+)
+from ...residuals.measured import Signal
 from ...residuals.teacher_forced import choose_drive
 from ...vehicle import Vehicle
 from .factors import FlightContext, imu_factors, motion_factors, other_factors, pose_factors
@@ -82,6 +90,17 @@ def channel_names(flight: Flight, vehicle: Vehicle) -> list[str]:
     return [name for factor in factors for name in factor.readings.names]
 
 
+def measured_turning(flight: Flight, aligned: AlignedFlight) -> Array | None:
+    """Angular acceleration by the gyroscope on the grid, rad/s^2, shape (n, 3), 0 where it is not
+    known; None without one."""
+    _, gyroscope = OF_IMU
+    if not flight.has(*gyroscope.columns):
+        return None
+    t = aligned.inputs.t_s
+    rates = on_grid(Signal(*flight.signal(gyroscope.columns)), t)
+    return np.nan_to_num(np.gradient(rates, t, axis=0))
+
+
 class FlightModel:
     """One flight on a grid of `GRID_HZ`.
 
@@ -118,6 +137,7 @@ class FlightModel:
         self.aligned = self._trajectory.aligned
         self._now = values_of(numbers, {})
         context = FlightContext(flight, vehicle, self.aligned, effects, self.numbers)
+        self._turning = measured_turning(flight, self.aligned)
         force = physics.value(self._now, self.aligned.states, self.aligned.inputs.u)[:, :3]
         self.factors = imu_factors(context) + pose_factors(context, force) + other_factors(context)
         self.factors += motion_factors(
@@ -208,16 +228,28 @@ class FlightModel:
         """Prediction of airframe and IMU, or of the `bare` airframe, and its slopes."""
         theta, (states, inputs) = values_of(self.numbers, change), self._trajectory.at(change)
         physics = self._physics.bare if bare else self._physics
-        value = physics.value(theta, states, inputs)
+        value = self._value(bare, theta, states, inputs)
         slopes = physics.slopes(columns, theta, states, inputs)
+        felt = None if bare else self._physics.felt
+        if felt is not None and self._turning is not None:
+            slopes[:, :3] = felt.slopes(columns, theta, states, inputs, self._turning)
         for k, i in enumerate(columns):
             step = self._difference_step(i, change)
             if step is not None:
                 more, ahead = {**change, self.numbers[i].full: theta[i] + step}, theta.copy()
                 ahead[i] += step
-                moved = physics.value(ahead, *self._trajectory.at(more))
+                moved = self._value(bare, ahead, *self._trajectory.at(more))
                 slopes[:, :, k] = (moved - value) / step
         return value, slopes
+
+    def _value(self, bare: bool, theta: Array, states: Array, inputs: Array) -> Array:
+        """Prediction of airframe and IMU, or of the `bare` airframe."""
+        if bare:
+            return self._physics.bare.value(theta, states, inputs)
+        value = self._physics.value(theta, states, inputs)
+        if self._turning is not None and self._physics.felt is not None:
+            value[:, :3] = self._physics.felt.value(theta, states, inputs, self._turning)
+        return value
 
     def _difference_step(self, i: int, change: Mapping[str, float]) -> float | None:
         """Step of a number whose answer is no derivative of the equations at given states."""

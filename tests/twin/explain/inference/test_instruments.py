@@ -286,3 +286,24 @@ def test_no_scale_answers_to_a_constant() -> None:
     }
     assert means["gyro_rate_x"][1] == pytest.approx(1.5 * means["gyro_rate_x"][0])
     assert means["gyro_rate_y"][1] == pytest.approx(means["gyro_rate_y"][0])
+
+
+@pytest.mark.slow
+def test_an_accelerometer_beside_the_centre_of_mass_tells_nothing_of_inertia() -> None:
+    """It feels the turning that the gyroscope shows, not the one that the model predicts."""
+    vehicle = replace(load_vehicle("copter_default"), imu_position_m=np.array([0.1, -0.05, 0.1]))
+    flown = fly(vehicle, vehicle, 3)
+    effects = [EFFECTS[e] for e in ("inertia_error", "motor_lag", "imu_lever_arm")]
+    model = model_of([flown], vehicle, effects)
+    names = [n.full for n in model.numbers]
+    for c in model.channels(range(len(names)))[0]:
+        scale, arm = (c.slopes[:, names.index(n)] for n in NUMBERS_OF_TURNING)
+        if c.name in ("acc_x", "acc_y"):
+            assert not scale.any()
+            assert np.std(arm) > 0.1
+            assert np.std(c.residual) < 0.2
+        if c.name == "gyro_rate_x":
+            assert scale.any()
+
+
+NUMBERS_OF_TURNING = "inertia_error.scale_x", "imu_lever_arm.z_m"
