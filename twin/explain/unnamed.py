@@ -136,7 +136,7 @@ def find_equations(
     left = [[_about_its_day(c) for c in flight] for flight in days]
     keys = list(blocks_of(left, whitened.noise, whitened.settings))
     search = _Search(fold_of(keys, seed, settings), settings, whitened.settings)
-    known = _shared([quantities(f) for f in whitened.model.flights], left)
+    known = _shared([quantities(f) for f in whitened.model.flights])
     tones = _tones(left, settings)
     equations, gains, noises = [], dict.fromkeys(keys, 0.0), {}
     for i, first in enumerate(left[0]):
@@ -245,9 +245,7 @@ def _sum_of(made: Sequence[tuple[str, float, str]], unit: str) -> str:
 # -- regressors -------------------------------------------------------------------------------
 
 
-def _shared(
-    each: Sequence[dict[str, Quantity]], left: Sequence[Sequence[ChannelData]]
-) -> list[dict[str, Quantity]]:
+def _shared(each: Sequence[dict[str, Quantity]]) -> list[dict[str, Quantity]]:
     """Quantities that every flight has, known wherever a residual is, and not at rest in all."""
     names = [k for k in each[0] if all(k in e for e in each)]
     retained = []

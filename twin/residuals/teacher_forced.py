@@ -243,12 +243,13 @@ def choose_drive(flight: AnyFlight, vehicle: Vehicle) -> Drive:
 
 
 def drive_warnings(flight: AnyFlight, vehicle: Vehicle) -> list[str]:
-    """What the reader of a flight doubts or has changed about the speeds that drive its twin, and
-    what its log says otherwise than the vehicle file."""
+    """What the reader of a flight doubts or has changed about the speeds that drive its twin and
+    the angles that it follows, and what its log says otherwise than the vehicle file."""
+    signals = ("rotor", "attitude") if flight.derived_angles else ("rotor",)
     read = [
         f"{f.where}: {f.message}"
         for f in flight.findings
-        if f.where == "rotor" and f.severity == "warning"
+        if f.where in signals and f.severity == "warning"
     ]
     return [f"{flight.name}: {t}" for t in (*read, *consistency(flight, vehicle).warnings)]
 

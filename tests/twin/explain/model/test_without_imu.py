@@ -20,6 +20,7 @@ from twin.explain.model.numbers import lacking
 from twin.frames import to_euler
 from twin.logs import Flight, read_flight
 from twin.logs.columns import ACC_NED, EULER, POS, QUAT, VEL
+from twin.residuals.teacher_forced import drive_warnings
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
@@ -283,7 +284,10 @@ def test_an_angle_that_is_missing_takes_its_axes_alone(
 
 @pytest.mark.slow
 def test_without_pitch_and_motion_the_moments_are_told(same: Flight, tmp_path: Path) -> None:
-    model = modelled(logged(tmp_path, without(same, "pos_", "vel_"), "pitch_rad"))
+    flight = logged(tmp_path, without(same, "pos_", "vel_"), "pitch_rad")
+    (said,) = [t for t in drive_warnings(flight, COPTER) if "attitude" in t]
+    assert "not told without it: force along x" in said
+    model = modelled(flight)
     assert names(model) == ["motion_rate_x", "motion_rate_y", "motion_rate_z"]
     assert trim_of(model, slopes=False) is not None
     for channel in model.channels([])[0]:
