@@ -299,6 +299,11 @@ def limits(about: Mapping[str, Any], result: Result | None) -> list[str]:
         gone = about["closed_loop"]["withdrawn"]
         if gone:
             found.append(f"Withdrawn, as missions were lost with it: {', '.join(gone)}.")
+        if held := about["acceptance"]["withdrawn"]:
+            found.append(
+                f"Withdrawn, as the untrained observer or the last motion needs no law for it: "
+                f"{', '.join(held)}."
+            )
         none = [n for n, o in about["outputs"].items() if o["law"] == LAWS[0]]
         if none:
             found.append(f"No law for {', '.join(none)}.")

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.real_flights.details import figure, section, table
-from uavtwin.force.evaluate import CLAIMED_S, SHIPPED, over_explained
+from uavtwin.force.evaluate import CLAIMED_S, SHIPPED, over
 from uavtwin.force.open_loop import HORIZONS_S, QUANTITIES
 
 from .closed_loop import STILL
@@ -80,7 +80,7 @@ def _summary(cases: Sequence[dict[str, Any]]) -> list[str]:
     rows = []
     for group, members in groupby(cases, lambda c: c["group"]):
         own = list(members)
-        ratios = np.concatenate([over_explained(cells(c), SHIPPED) for c in own])
+        ratios = np.concatenate([over(cells(c), SHIPPED) for c in own])
         inside = [share for c in own for share in _inside(c).values()]
         missions = [r["inside"] for c in own for r in c["closed_loop"] if r["law"] == STILL]
         six = np.array([_off(c, SHIPPED, "position") for c in own])

@@ -173,7 +173,8 @@ def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
     given.CopyFrom(model)
     wide = set(_wide_products(model))
     numbers = {t.name: t for t in given.graph.initializer}
-    numbers[_FLAT] = numpy_helper.from_array(np.array([0, 1, -1], np.int64), _FLAT)
+    if wide:
+        numbers[_FLAT] = numpy_helper.from_array(np.array([0, 1, -1], np.int64), _FLAT)
     nodes: list[NodeProto] = []
     for node in given.graph.node:
         if node.name not in wide:

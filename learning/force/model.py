@@ -15,7 +15,7 @@ from twin.representation import short_repr
 from .forecast import Observer
 
 FILE, VEHICLE_FILE = "force.json", "vehicle.toml"  # in the folder of a law
-FORMAT = 3
+FORMAT = 4
 """Version of the file's layout."""
 _OUTPUTS = tuple(f"{kind}_{a}" for kind, a in OUTPUTS)  # names in the file
 
@@ -88,6 +88,23 @@ class MissionCheck:
 
 
 @dataclass(frozen=True, slots=True)
+class Acceptance:
+    """The chosen laws with their observers on flights left out, against what needs no law.
+
+    Attributes:
+        over_observer: Error over that of the explained twin with the untrained observer, median
+            over flights, quantities and horizons; None where no law was chosen.
+        over_last_motion: Position and velocity over those of the last motion, 0.5 s after the twin
+            was left alone, geometric mean over flights; None where no law was chosen.
+        withdrawn: Laws that are not used, as they do not beat both.
+    """
+
+    over_observer: float | None = None
+    over_last_motion: float | None = None
+    withdrawn: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Rival:
     """Every output by one law.
 
@@ -142,6 +159,7 @@ class ForceFile:
         inputs: Names of what the law sees.
         features: Names of what its linear part is linear in.
         outputs: Of each of the six, by name.
+        acceptance: What they were held against before, on flights left out.
         closed_loop: Missions in random air, flown before the laws were shipped.
         taken_1_s: Largest rate at which the linear part would have fed energy in; taken out.
         law: Arrays of the law that is used, by name.
@@ -157,6 +175,7 @@ class ForceFile:
     inputs: tuple[str, ...]
     features: tuple[str, ...]
     outputs: dict[str, Output]
+    acceptance: Acceptance
     closed_loop: MissionCheck
     taken_1_s: float
     law: dict[str, StoredArray]
@@ -177,6 +196,7 @@ class ForceModel:
         vehicle: Name of the vehicle.
         vehicle_sha256: Of its file.
         seed: Of the air of the missions that it had to fly.
+        acceptance: What the chosen laws were held against.
     """
 
     law: ForceLaw
@@ -188,6 +208,7 @@ class ForceModel:
     vehicle: str
     vehicle_sha256: str
     seed: int
+    acceptance: Acceptance = Acceptance()
 
     __repr__ = short_repr
 
@@ -218,6 +239,7 @@ def save_force(model: ForceModel, folder: Path) -> None:
         inputs=tuple(name for name, _ in INPUTS),
         features=tuple(FEATURES),
         outputs=dict(zip(_OUTPUTS, model.outputs, strict=True)),
+        acceptance=model.acceptance,
         closed_loop=model.closed_loop,
         taken_1_s=model.taken,
         law=_plain(model.law),
@@ -272,6 +294,7 @@ def _model(content: ForceFile) -> ForceModel:
         law=_law(content.law),
         rivals={n: Rival(_law(r.law), r.observers) for n, r in content.rivals.items()},
         outputs=tuple(content.outputs.values()),
+        acceptance=content.acceptance,
         closed_loop=content.closed_loop,
         taken=content.taken_1_s,
         flights=content.flights,

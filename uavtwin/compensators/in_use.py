@@ -66,8 +66,8 @@ class ChannelInUse(Record, frozen=True, kw_only=True):
         channel: Column of the flight table.
         mode: `following` the measured motion, or `alone` for up to 0.5 s.
         n: Readings.
-        uncorrected: The twin.
-        corrected: The twin with its correction.
+        uncorrected: The twin, its untrained disturbance observer on.
+        corrected: The same with its correction.
         last_reading: The reading before; alone: the last one before the twin was left alone.
         mean_reading: Mean of the flight.
     """

@@ -35,6 +35,7 @@ from .learn import in_force
 from .open_loop import DISTANCE, HORIZONS_S, QUANTITIES, OpenLoop, Replay
 
 PHYSICS, EXPLAINED, OBSERVED, SHIPPED = "physics", "explained", "explained + observer", "corrected"
+UNTRAINED = "explained + untrained observer"
 """Names of twins."""
 LAST_MOTION, LAST_READING = "last motion", "last reading"
 """Names of the twins, and of what needs no twin, in tables and JSON."""
@@ -100,15 +101,21 @@ class ForceEvaluation(DisplayMixin):
 
     @property
     def claim(self) -> str:
-        """How much farther or less far off the corrected twin is than the explained one."""
-        ratios = over_explained(self.table, SHIPPED)
-        at, worst = ratios.idxmax(), float(ratios.max())
-        flight, quantity, axis = at
+        """What physics, observer and law bring, and where the last motion is better."""
+        ratios = over(self.table, SHIPPED, UNTRAINED)
+        flight, quantity, axis = ratios.idxmax()
+        observer = float(over(self.table, UNTRAINED).median())
         share = float(np.mean([i[HORIZONS_S.index(CLAIMED_S)] for i in self.inside.values()]))
+        law = "" if any(o.law != LAWS[0] for o in self.model.outputs) else ", which has no law,"
+        rows = summary(self.table)
+        at = rows[rows["horizon_s"] == CLAIMED_S].set_index("model")
+        lost = [q for q, _ in QUANTITIES if at.loc[LAST_MOTION, q] < at.loc[SHIPPED, q]]
+        last = f"; the last motion is closer in {', '.join(lost)}" if lost else ""
         return (
-            f"{CLAIMED_S:g} s after it was left alone, the corrected twin is off by "
-            f"{float(ratios.median()):.2f} of what the explained one is (median of "
-            f"{len(ratios)} cells; at most {worst:.2f}, {quantity} {axis} of {flight}); "
+            f"{CLAIMED_S:g} s after it was left alone, the untrained observer leaves "
+            f"{observer:.2f} of what the explained twin is off, and the corrected twin{law} "
+            f"{float(ratios.median()):.2f} of that (medians of {len(ratios)} cells; at most "
+            f"{float(ratios.max()):.2f}, {quantity} {axis} of {flight}){last}; "
             f"{percent(share)} of these times inside the envelope."
         )
 
@@ -226,7 +233,7 @@ class _Fleet:
     def __init__(
         self, force: LearnedForce, vehicle: Vehicle, physics: Vehicle | None, place: Path
     ) -> None:
-        self._forces: dict[str, LearnedForce | None] = {EXPLAINED: None}
+        self._forces: dict[str, LearnedForce | None] = {EXPLAINED: None, UNTRAINED: None}
         self._starts: dict[str, Mapping[str, float]] = {}
         self._files: dict[str, str] = {}
         for name, rival in force.model.rivals.items():
@@ -256,7 +263,8 @@ class _Fleet:
         file = self._files.get(name, name)
         path = self._place / f"{file.replace(' ', '_')}_{drive}.fmu"
         if not path.exists():
-            export(twin(self._vehicles[name], drive=drive, force=self._forces[name]), path)
+            own, force = self._vehicles[name], self._forces[name]
+            export(twin(own, drive=drive, force=force, observer=name == UNTRAINED), path)
         return path, self._starts.get(name, {})
 
 
@@ -291,12 +299,14 @@ def _rows(model: str, flight: str, flown: OpenLoop) -> list[dict[str, Any]]:
     ]
 
 
-def over_explained(table: pd.DataFrame, model: str, horizon_s: float = CLAIMED_S) -> "pd.Series":
-    """Rms of a twin over that of the explained one, by flight, quantity and axis; none where the
-    explained one is exact."""
+def over(
+    table: pd.DataFrame, model: str, other: str = EXPLAINED, horizon_s: float = CLAIMED_S
+) -> "pd.Series":
+    """Rms of a twin over that of another, by flight, quantity and axis; none where that is
+    exact."""
     at = table[table["horizon_s"] == horizon_s]
     rms = at.pivot(index=["flight", "quantity", "axis"], columns="model", values="rms")
-    return rms[model] / rms[EXPLAINED].where(rms[EXPLAINED] > 0)
+    return rms[model] / rms[other].where(rms[other] > 0)
 
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:
@@ -305,7 +315,7 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for (model, horizon_s), part in table.groupby(["model", "horizon_s"], sort=False):
         square = (part["rms"] ** 2).groupby(part["quantity"]).mean()
-        ratios = over_explained(table, str(model), float(horizon_s))
+        ratios = over(table, str(model), horizon_s=float(horizon_s))
         rows.append(
             {
                 "model": model,

@@ -5,7 +5,8 @@ its choice, and the envelope grows to where the twin goes by itself (`running`).
 `learning.force.laws` by which flights left out are more probable than without are put into the FMU
 of the driven twin, one after the other alongside what was chosen before, and flights that took no
 part in their fit are replayed through it. A law is taken where the twin is then less far off,
-together with its observer, and in no quantity farther. Last, missions in random air withdraw what
+together with its observer, and in no quantity farther. All of them together are then held against
+what needs no law (`accepted`). Last, missions in random air withdraw what
 makes the controller lose the vehicle (`closed_loop`). These flights choose; what the law is worth,
 others say.
 """
@@ -14,6 +15,7 @@ import hashlib
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +24,11 @@ from numpy.typing import NDArray
 from cosim.whole_twin import fused_model
 from fmus import build
 from learning.data.envelope import INSIDE
-from learning.force.forecast import AHEAD_S, NO_OBSERVER
+from learning.force.forecast import AHEAD_S, NO_OBSERVER, Observer
 from learning.force.instants import Instants, instants
 from learning.force.laws import LAWS, LEAST_GAIN, Candidate, Prepared, prepare
 from learning.force.model import (
+    Acceptance,
     ForceModel,
     LawScore,
     MissionCheck,
@@ -37,6 +40,7 @@ from learning.force.model import (
 from twin.errors import TwinError
 from twin.flight.assembly import driven_twin
 from twin.logs import Flight
+from twin.physics.airframe import FADE_S, LAG_S
 from twin.physics.residual_force import OUTPUTS, ForceLaw, parameter_values
 from twin.physics.rotors import Drive
 from twin.representation import short_repr
@@ -343,6 +347,50 @@ def left_out(folds: Sequence[Fold], laws: Sequence[str]) -> Array:
     return np.stack([f.squares_of(laws) for f in folds])
 
 
+UNTRAINED = (Observer(LAG_S, FADE_S),) * len(OUTPUTS)
+"""Observers as the airframe has them, of no flight."""
+ACCEPTED = 0.9
+"""Share of the error of the explained twin with the untrained observer that laws with their
+observers may leave, in the median of cells: what an observer does is none of theirs."""
+
+
+def accepted(folds: Sequence[Fold], choice: Choice) -> tuple[Choice, Acceptance]:
+    """The chosen laws, or none: flights left out have to be flown better than by the explained twin
+    with the untrained observer, and position and velocity better than by the last motion.
+
+    Args:
+        folds: One per flight.
+        choice: Laws that each improve on what was chosen before them.
+    """
+    used = _names(choice.laws)
+    if not used:
+        return choice, Acceptance()
+    own = left_out(folds, choice.laws).sum(-1)  # (flights, horizons, 4)
+    observed, nothing = [], [LAWS[0]] * len(OUTPUTS)
+    for fold in folds:
+        starts = fold.lesson.starts(nothing) | observer_starts(UNTRAINED)
+        place = fold.lesson.place.stem
+        observed.append(
+            fold.memory.array(
+                f"untrained observer {place}", partial(fold.squares, fold.lesson.fmu, starts)
+            ).sum(-1)
+        )
+    last = [np.mean(fold.replay.last_motion().off ** 2, axis=0).sum(-1) for fold in folds]
+    over_observer = float(np.median(np.sqrt((own + _TINY) / (np.stack(observed) + _TINY))))
+    at = AHEAD_S.index(ALONE_S)
+    ratios = (own[:, at, :2] + _TINY) / (np.stack(last)[:, at, :2] + _TINY)
+    over_motion = float(np.exp(np.mean(np.log(ratios)) / 2))
+    good = over_observer <= ACCEPTED and over_motion < 1
+    laws = choice.laws if good else Choice.nothing().laws
+    return Choice(laws, choice.tried), Acceptance(over_observer, over_motion, () if good else used)
+
+
+def _names(laws: Sequence[str]) -> tuple[str, ...]:
+    """Of the laws that are used."""
+    both = zip(OUTPUTS, laws, strict=True)
+    return tuple(f"{kind} {a} {law}" for (kind, a), law in both if law != LAWS[0])
+
+
 Progress = Callable[[float], None]
 _READING, _OBSERVERS, _LAWS = 0.1, 0.3, 0.8
 """Shares of the work that are done after each part, about."""
@@ -376,7 +424,7 @@ def learn_force(
         progress(_READING * len(instants_of_flights) / len(flights))
     with tempfile.TemporaryDirectory() as name:
         lesson = Lesson.of(instants_of_flights, vehicle, drive, Path(name, "all.fmu"))
-        choice = Choice.nothing()
+        choice, acceptance = Choice.nothing(), Acceptance()
         if len(flights) > 1:
             folds = []
             for k, flight in enumerate(flights):
@@ -387,6 +435,7 @@ def learn_force(
             folds, lesson, observers = chosen_observers(folds, lesson, part)
             folds, lesson = running(folds, lesson, memory)
             choice = chosen_laws(folds, lesson, _part(progress, _OBSERVERS, _LAWS))
+            choice, acceptance = accepted(folds, choice)
             choice = choice.tried_too(observers)
     rivals = {name: _rival(lesson, name) for name in LAWS}
 
@@ -401,6 +450,7 @@ def learn_force(
                 Output(c.law, c.observer, tried)
                 for c, tried in zip(chosen, choice.tried, strict=True)
             ),
+            acceptance=acceptance,
             closed_loop=MissionCheck.nothing(),
             taken=taken,
             flights=tuple(TrainingFlight(f.name, f.fingerprint) for f in flights),

@@ -20,7 +20,7 @@ from twin.physics.residual_force import OUTPUTS
 from ..flights import check_names
 from ..report.page import render
 from ..vehicles import Vehicle
-from .learn import BETTER, OBSERVER, WORSE, Progress, learn_force
+from .learn import ACCEPTED, BETTER, OBSERVER, WORSE, Progress, learn_force
 from .memory import Memory
 
 REPORT = "report.html"  # in the folder of a law
@@ -117,8 +117,16 @@ def _claim(model: ForceModel) -> str:
     law = (
         f"laws that fly better on flights left out: {', '.join(used)}"
         if used
-        else "no law flies better on flights left out than none"
+        else "no law: none flies better on flights left out than none"
     )
+    held = model.acceptance
+    if held.withdrawn:
+        law = (
+            f"no law: {', '.join(held.withdrawn)} fly better than none, but on flights left out "
+            f"{held.over_observer:.2f} of the explained twin with the untrained observer "
+            f"(at most {ACCEPTED:g} is asked), {held.over_last_motion:.2f} of the last motion "
+            f"in position and velocity (below 1)"
+        )
     gone = model.closed_loop.withdrawn
     lost = f"; withdrawn, as missions were lost with it: {', '.join(gone)}" if gone else ""
     observed = [n for n, o in zip(NAMES, model.outputs, strict=True) if o.observer.lag_s < NEVER_S]

@@ -163,6 +163,7 @@ def test_a_learned_force_has_one_too(tmp_path: Path) -> None:
     about = {
         **{"protocol": "force", "vehicle": "copter", "vehicle_sha256": "c3", "seed": 0},
         **{"flights": [{"name": "one", "sha256": "b2"}], "outputs": outputs},
+        "acceptance": {"withdrawn": ["force x linear"]},
         "closed_loop": {"flights": 4, "lost": 1, "withdrawn": ["moment y linear"]},
     }
     (tmp_path / "force.json").write_text(json.dumps(about))
@@ -182,6 +183,7 @@ def test_a_learned_force_has_one_too(tmp_path: Path) -> None:
     assert [m["value"] for m in result["metrics"]] == [*quantities.values(), *over.values()]
     limits = text.split("## Limits")[1]
     assert "Withdrawn, as missions were lost with it: moment y linear." in limits
+    assert "needs no law for it: force x linear." in limits
     assert "No law for force_y." in limits
     assert "rates: last motion is off by 0.3, it by 0.4" in limits
     assert "nobody has said" in text and head(text)["license"] == "unknown"

@@ -20,7 +20,7 @@ from twin.vehicle_file import load_vehicle
 from uavtwin.cli import main
 from uavtwin.demo.flights import fly
 from uavtwin.force import closed_loop, open_loop
-from uavtwin.force.evaluate import EXPLAINED, LAST_READING, OBSERVED, SHIPPED, over_explained
+from uavtwin.force.evaluate import EXPLAINED, LAST_READING, OBSERVED, SHIPPED, over
 from uavtwin.force.memory import CHECKPOINT, Memory
 
 COPTER = load_vehicle("copter_default")
@@ -249,5 +249,5 @@ def test_ratios_are_of_the_explained_twin(found: tuple[dict[str, object], Path])
     import pandas as pd
 
     table = pd.DataFrame(found[0]["cells"])
-    ratios = over_explained(table, EXPLAINED)
+    ratios = over(table, EXPLAINED)
     assert (ratios == 1).all() and len(ratios) == 12

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -15,7 +17,16 @@ from twin.residuals.teacher_forced import choose_drive
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
-from uavtwin.force.learn import ALONE_S, OBSERVER, WIDER, Fold, Lesson, chosen_observers
+from uavtwin.force.learn import (
+    ALONE_S,
+    OBSERVER,
+    WIDER,
+    Choice,
+    Fold,
+    Lesson,
+    accepted,
+    chosen_observers,
+)
 from uavtwin.force.memory import Memory
 from uavtwin.force.open_loop import DISTANCE, Replay
 
@@ -106,3 +117,28 @@ def test_a_law_says_at_most_so_many_times_what_it_said_in_its_flights() -> None:
     speed = np.abs(inputs_of(seen)[:, FEATURES.index("air_x") - 1]).max()
     assert law.most[0] == pytest.approx(BEYOND * drag_1_s * speed, rel=0.05)  # low-passed
     assert not law.most[1:].any()
+
+
+@pytest.mark.parametrize(
+    ("law", "observer", "motion", "kept"),
+    [(0.8, 1.0, 1.0, True), (0.95, 1.0, 1.0, False), (0.8, 1.0, 0.7, False)],
+)
+def test_a_law_has_to_beat_observer_and_last_motion(
+    law: float, observer: float, motion: float, kept: bool
+) -> None:
+    """Errors of every cell: with the law, with the untrained observer, of the last motion."""
+    cells = (len(AHEAD_S), 4, 3)
+    flown = SimpleNamespace(off=np.full((2, *cells), motion))
+    fold = SimpleNamespace(
+        squares_of=lambda _: np.full(cells, law**2),
+        squares=lambda *_: np.full(cells, observer**2),
+        lesson=SimpleNamespace(place=Path("a"), fmu=Path("a"), starts=lambda _: {}),
+        memory=SimpleNamespace(array=lambda _, make: make()),
+        replay=SimpleNamespace(last_motion=lambda: flown),
+    )
+    choice = Choice(("linear", *["none"] * 5), ((),) * 6)
+    found, acceptance = accepted(cast(list[Fold], [fold, fold]), choice)
+    assert found.laws == (choice.laws if kept else Choice.nothing().laws)
+    assert acceptance.over_observer == pytest.approx(law / observer)
+    assert acceptance.over_last_motion == pytest.approx(law / motion)
+    assert acceptance.withdrawn == (() if kept else ("force x linear",))
