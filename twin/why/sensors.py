@@ -211,7 +211,8 @@ def _hidden(residuals: Sequence[Residual], budget: Budget) -> dict[str, NotVisib
     found: dict[str, NotVisible] = {}
     for (cause, _), (size, unit) in sorted(least.items(), key=lambda x: x[1][0]):
         if np.isfinite(size) and cause not in OF_ESTIMATE:
-            amount = Amount(value=size, unit=unit)
+            share = np.expm1(size) if cause == "sensor_noise_level" else size
+            amount = Amount(value=float(share), unit=unit)
             reason = "a smaller change is within what the instruments differ by anyhow"
             found[cause] = NotVisible(cause=cause, smallest_detectable=amount, reason=reason)
     return found
@@ -237,19 +238,22 @@ def within(flight: Flight, start_s: float, end_s: float) -> dict[str, Signal]:
 
 def _of_change(change: Change) -> Event:
     r = change.residual
-    scaled = change.cause == r.scaled
-    quantity = "scale_change" if scaled else r.quantity
+    quantity = "scale_change" if change.cause == r.scaled else r.quantity
+    value, low, high = (_plain(r, v) for v in (change.size, change.low, change.high))
     return _event(
         change.cause,
         r.sensor,
         change.onset_s,
-        Severity(
-            quantity=quantity, value=change.size, low=change.low, high=change.high, unit=change.unit
-        ),
+        Severity(quantity=quantity, value=value, low=low, high=high, unit=change.unit),
         change.probability,
         tuple(Candidate(cause=c, rotor=None, probability=p) for c, p in change.others),
         _drawn(change),
     )
+
+
+def _plain(r: Residual, size: float) -> float:
+    """A size as people read it: noise is a ratio, of which the residual is the logarithm."""
+    return float(np.exp(size)) if r.quantity == "noise_ratio" else size
 
 
 def _event(
@@ -279,7 +283,7 @@ def _size(severity: Severity) -> str:
     """A size in a sentence."""
     value = severity.value
     if severity.quantity == "noise_ratio":
-        return f"{np.exp(value):.1f} times"
+        return f"{value:.1f} times"
     if severity.unit == "1":
         return f"{100 * value:.0f} %"
     return f"{number(value)} {severity.unit}"

@@ -28,6 +28,8 @@ MOST_SIGNALS = 3
 """Of a card: what convinces is seen at a glance."""
 BEFORE_S, AFTER_S = 6.0, 4.0
 """Drawn about an event, of signals that its finder gives nothing of."""
+APART = 0.06
+"""Share of the flight that lies between two marks through all panels; diamonds show every event."""
 QUOTED_S = 2.0
 """Before and after an onset, within which the autopilot is quoted on its card."""
 LANES = ("autopilot", "motors", "ground", "consequence", "cause")
@@ -106,8 +108,10 @@ def _line(record: WhyRecord, frame: FlightFrame | None, budget: Budget) -> Plot 
     first = min([m[1] for m in marks], default=0.0) if frame is None else float(frame.edges_s[0])
     last = max([m[1] for m in marks], default=1.0) if frame is None else float(frame.edges_s[-1])
     panels.look(first, max(last, first + 1.0), _airborne(frame))
-    for lane, t_s, text in marks:
-        if lane == "cause":
+    marked = -np.inf
+    for lane, t_s, text in sorted(marks, key=lambda m: m[1]):
+        if lane == "cause" and t_s - marked > APART * (last - first):
+            marked = t_s
             panels.mark(t_s, text)
     return plot("why-line", "Event line of the flight", panels.figure)
 
@@ -228,8 +232,18 @@ def _given(series: EvidenceSeries) -> tuple[str, list[Curve]]:
     curves: list[Curve] = [("measured", BLACK, t, np.array(series.measured))]
     if series.expected is not None:
         curves.append(("expected", BLUE, t, np.array(series.expected)))
-    title = f"{series.name}, {unit}"
-    return title if len(title) <= LONGEST_TITLE else f"{title[: LONGEST_TITLE - 1]}…", curves
+    return next(t for t in _titles(series.name, unit) if len(t) <= LONGEST_TITLE), curves
+
+
+def _titles(name: str, unit: str) -> Iterator[str]:
+    """A title, and shorter ones that still differ from panel to panel."""
+    short = name
+    yield f"{name}, {unit}"
+    for word, abbreviated in (("angular acceleration", "ang. acc."), ("specific force", "force")):
+        short = short.replace(word, abbreviated)
+    yield f"{short}, {unit}"
+    yield short
+    yield f"…{short[1 - LONGEST_TITLE :]}"
 
 
 def _around(frame: FlightFrame, start: float, end: float) -> Iterator[tuple[str, list[Curve]]]:

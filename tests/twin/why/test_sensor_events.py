@@ -82,7 +82,7 @@ FAULTS: dict[str, tuple[Callable[[Table], None], str, str | None, float]] = {
     "velocity jump": (_add("vel_y", 4.0), "velocity_estimate", None, np.nan),
     "stuck": (_stuck, "stuck_sensor", "acc_y", np.nan),
     "missing": (_missing, "sensor_dropout", "compass", np.nan),
-    "noise": (_shakes, "sensor_noise_level", "accelerometer", np.nan),
+    "noise": (_shakes, "sensor_noise_level", "accelerometer", np.hypot(0.5, 0.03) / 0.03),
     "battery": (_sag, "battery_sag", "battery", -0.2),
 }
 

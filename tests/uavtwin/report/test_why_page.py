@@ -9,12 +9,21 @@ import numpy as np
 import pandas as pd
 import pytest
 from cli_rig import run
-from page_rigs.browser import SOME_VIEWS, Browser, View, browser, faults, needs_browser, pictures
+from page_rigs.browser import (
+    SOME_VIEWS,
+    VIEWS,
+    Browser,
+    View,
+    browser,
+    faults,
+    needs_browser,
+    pictures,
+)
 from why_rig import ONSET_S, sound
 
 from twin.logs import Flight, write_flight
 from twin.logs.autopilot import Autopilot, Message, Mode, Stretch
-from twin.why.records import Candidate, Event, Severity
+from twin.why.records import Candidate, Event, Kind, Severity, TimelineItem
 from uavtwin.diagnosis import WhyResult, why
 from uavtwin.diagnostic import diagnostics
 from uavtwin.report.drawing import PAGE_BYTES
@@ -77,6 +86,24 @@ def test_the_page_is_fine_to_look_at(
     page = result.report(tmp_path / "why.html")
     assert faults(opened, page, view, pictures(tmp_path) / f"why_{view}.png") == []
     assert page.stat().st_size < PAGE_BYTES
+
+
+@needs_browser
+def test_a_crash_soon_after_its_cause_is_fine_to_look_at(
+    opened: Browser, result: WhyResult, tmp_path: Path
+) -> None:
+    """Marks of two instants that are close do not lie on each other."""
+    from msgspec.structs import replace as changed
+
+    items = [TimelineItem(kind=k, t_s=ONSET_S + d, text=k) for k, d in _CRASH]
+    timeline = (*result.record.timeline, *items)
+    record = changed(result.record, timeline=timeline, loss_of_control_s=ONSET_S + 0.2)
+    page = replace(result, record=record).report(tmp_path / "why.html")
+    assert faults(opened, page, VIEWS[3], None) == []
+    assert "control lost" in page.read_text("utf-8")
+
+
+_CRASH: tuple[tuple[Kind, float], ...] = (("loss_of_control", 0.2), ("crash", 1.5))
 
 
 def test_diagnostic_records_have_the_keys_and_the_clock_of_flight_review(
