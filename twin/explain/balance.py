@@ -36,7 +36,7 @@ from ..effects import EFFECTS
 from ..logs.columns import ACC, ACC_NED
 from ..representation import short_repr
 from ..residuals.channels import ChannelData
-from ..vehicle import Calibration, Vehicle
+from ..vehicle import Vehicle
 from .inference.fit import INTERVAL
 from .inference.selection import POWER_95, Detectable
 from .model.model import FlightModel, Model
@@ -277,22 +277,69 @@ class Balance:
         return self.probability_of(NOTHING)
 
 
-def balance_of(trim: Trim, vehicle: Vehicle, indoors: bool, sure: float) -> Balance:
-    """What has changed between the calibration of a vehicle and some flights.
+@dataclass(frozen=True, slots=True)
+class Normal:
+    """Flights before the change, and the aircraft that flew them.
+
+    Attributes:
+        flights: Number of them.
+        means: By channel of the balance, and of `VIBRATION`.
+        scatter: Sample standard deviation of these between the flights.
+        mass_kg: Of the aircraft; 1 where masses are shares of it.
+        arm_m: Its longest arm; 1 where lengths are shares of it.
+        hubs_m: Places of the rotors, in the unit of the arm, shape (n, 3).
+        disturbed: Covariance of what else may change the means, shape (channels, channels).
+    """
+
+    flights: int
+    means: Mapping[str, float]
+    scatter: Mapping[str, float]
+    mass_kg: float
+    arm_m: float
+    hubs_m: Array
+    disturbed: Array
+
+    @classmethod
+    def of(cls, trim: Trim, vehicle: Vehicle, indoors: bool) -> "Normal":
+        """The flights of a calibration; under a roof no wind blows."""
+        known = vehicle.calibration
+        assert known is not None
+        return cls(
+            max(len(known.flights), 1),
+            known.means,
+            known.scatter,
+            vehicle.mass_kg,
+            vehicle.arm_m,
+            vehicle.rotors.position_m,
+            _blown(trim, indoors),
+        )
+
+
+def _blown(trim: Trim, indoors: bool) -> Array:
+    """Covariance of the means by the change of a steady wind."""
+    wind = EFFECTS["steady_wind"].change
+    assert wind is not None
+    blown = np.zeros((len(trim.channels), len(trim.channels)))
+    for i, name in enumerate(trim.numbers):
+        if name.startswith("steady_wind."):
+            sd = wind.of(name.partition(".")[2], indoors).sd
+            blown += sd**2 * np.outer(trim.slopes[:, i], trim.slopes[:, i])
+    return blown
+
+
+def balance_of(trim: Trim, normal: Normal, sure: float) -> Balance:
+    """What has changed between normal flights and some others.
 
     Args:
         trim: Of the flights.
-        vehicle: Calibrated.
-        indoors: Whether the flights were under a roof: then no wind blows.
+        normal: The flights before.
         sure: Probability from which on a name is given.
     """
-    assert vehicle.calibration is not None
-    known = vehicle.calibration
-    before = np.array([known.means.get(c, 0.0) for c in trim.channels])
-    made = _Competition(trim, vehicle, indoors)
+    before = np.array([normal.means.get(c, 0.0) for c in trim.channels])
+    made = _Competition(trim, normal)
     shaken = None
-    if VIBRATION in known.means and len(trim.vibration):
-        shaken = float(np.mean(trim.vibration)) - known.means[VIBRATION]
+    if VIBRATION in normal.means and len(trim.vibration):
+        shaken = float(np.mean(trim.vibration)) - normal.means[VIBRATION]
     change = trim.means.mean(axis=0) - before
     weighed = made.weigh(change, shaken)
     return Balance(
@@ -324,16 +371,14 @@ Key = tuple[str, tuple[int, ...]]
 
 
 class _Competition:
-    """All causes of a change of the balance of one vehicle."""
+    """All causes of a change of the balance of one aircraft."""
 
-    def __init__(self, trim: Trim, vehicle: Vehicle, indoors: bool) -> None:
-        assert vehicle.calibration is not None
+    def __init__(self, trim: Trim, normal: Normal) -> None:
         self._slopes, self._at = trim.slopes, {n: i for i, n in enumerate(trim.numbers)}
-        self._vehicle, self._rotors = vehicle, vehicle.rotors.count
+        self._normal, self._rotors = normal, len(normal.hubs_m)
         self._rows = rows_of_balance(trim.channels)
         self._unit = self._units()
-        counts = len(trim.means), max(len(vehicle.calibration.flights), 1)
-        self._noises = self._noise(vehicle.calibration, trim.channels, *counts, indoors)
+        self._noises = self._noise(trim.channels, len(trim.means), normal.flights)
         self._components = {key: tuple(parts) for key, parts in self._causes()}
         self._prior: list[Array] = []
         self._gains: list[Array] = []
@@ -343,7 +388,7 @@ class _Competition:
     def _units(self) -> Array:
         """Weight, weight times arm about x and y, and all reaction torque, in the units of the
         channels."""
-        at, v = self._at, self._vehicle
+        at, v = self._at, self._normal
         turn = v.mass_kg * v.arm_m
         sizes = (
             (v.mass_kg, [at[f"{LOAD}.mass_kg"]]),
@@ -362,20 +407,11 @@ class _Competition:
         """Column of each rotor's loss."""
         return tuple(self._at[f"{ROTORS}.loss_{i + 1}"] for i in range(self._rotors))
 
-    def _noise(
-        self, known: Calibration, channels: Sequence[str], n: int, before: int, indoors: bool
-    ) -> list[tuple[float, Array]]:
+    def _noise(self, channels: Sequence[str], n: int, before: int) -> list[tuple[float, Array]]:
         """Log weight and covariance of the noise of a change, by the factor on the days."""
         day, session = DAY[self._rows] * self._unit, SESSION[self._rows] * self._unit
-        spread = np.array([known.scatter.get(c, np.nan) for c in channels])
+        spread = np.array([self._normal.scatter.get(c, np.nan) for c in channels])
         seen = np.isfinite(spread) & (before > 1)
-        wind = EFFECTS["steady_wind"].change
-        assert wind is not None
-        blown = np.zeros((len(channels), len(channels)))
-        for name, i in self._at.items():
-            if name.startswith("steady_wind."):
-                sd = wind.of(name.partition(".")[2], indoors).sd
-                blown += sd**2 * np.outer(self._slopes[:, i], self._slopes[:, i])
         logs = []
         for f in FACTORS:
             ratio = spread[seen] / (f * day[seen])
@@ -385,7 +421,7 @@ class _Competition:
         logs = np.array(logs) - logsumexp(logs)
         share = 1 / n + 1 / before
         return [
-            (float(w), np.diag((f * day) ** 2 * share + session**2) + blown)
+            (float(w), np.diag((f * day) ** 2 * share + session**2) + self._normal.disturbed)
             for f, w in zip(FACTORS, logs, strict=True)
         ]
 
@@ -410,7 +446,7 @@ class _Competition:
     def _loads(self, odds: float) -> Iterator[_Component]:
         """A load in the middle, at a hub, or anywhere, alike probable; at a hub half as heavy as a
         loss of the same share: one rotor carries a fraction of the weight."""
-        v = self._vehicle
+        v = self._normal
         names = ("mass_kg", *(f"moment_{a}_kg_m" for a in "xyz"))
         columns = tuple(self._at[f"{LOAD}.{name}"] for name in names)
         odds -= math.log(3)
@@ -419,7 +455,7 @@ class _Competition:
             for spread in (0.0, away):
                 means, deviations = np.array([mass, 0, 0, 0]), np.array([sd, *[spread] * 3])
                 yield _Component(odds, columns, means, np.diag(deviations**2))
-            hubs = v.rotors.position_m
+            hubs = v.hubs_m
             for x, y, _ in hubs:
                 way = np.array([0.5, 0.5 * x, 0.5 * y, 0.0])
                 spread_at = sd**2 * np.outer(way, way)
@@ -505,7 +541,7 @@ class _Competition:
     def smallest(self, cause: str, sure: float) -> Detectable:
         """The smallest change, at the rotor or the place (a hub or the centre of mass) that shows
         least, of which it would be said in 95 of 100 flights that something has changed."""
-        hubs, v = self._vehicle.rotors.position_m, self._vehicle
+        hubs, v = self._normal.hubs_m, self._normal
         if cause == ROTORS:
             ways = [self._slopes[:, i] for i in self._losses]
             name, unit, most = f"{ROTORS}.loss_1", "1", 1.0

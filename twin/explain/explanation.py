@@ -17,6 +17,7 @@ from ..vehicle import Vehicle
 from .balance import (
     CAUSES,
     Balance,
+    Normal,
     balance_of,
     channels_of_balance,
     effect_of_balance,
@@ -424,7 +425,7 @@ def _with_balance(found: Explanation, naming: Naming) -> Explanation:
     if trim is None:
         return found
     indoors = all(f.flight.indoors for f in model.flights)
-    balance = balance_of(trim, found.vehicle, indoors, naming.settings.sure)
+    balance = balance_of(trim, Normal.of(trim, found.vehicle, indoors), naming.settings.sure)
     named = effect_of_balance(balance, found.vehicle, trim)
     return replace(found, balance=balance, stochastic=() if named is None else (named,))
 

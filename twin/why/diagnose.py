@@ -69,7 +69,13 @@ def diagnose(
     lost = next((i.t_s for i in timeline if i.kind == "loss_of_control"), None)
     crash = next((i.t_s for i in timeline if i.kind == "crash"), None)
     airborne_s = sum(p.end - p.start for p in frame.airborne) * frame.dt_s
-    verdict, probability = _verdict(events, one_of, nothing, lost is not None, airborne_s > 0)
+    verdict, probability = _verdict(
+        events,
+        one_of,
+        nothing,
+        lost=lost is not None,
+        decided=airborne_s > 0 and not any(f.undecided for f in found),
+    )
     return Diagnosis(
         flight=flight.name,
         verdict=verdict,
@@ -103,8 +109,9 @@ def _verdict(
     events: Sequence[Event],
     one_of: Sequence[Candidate],
     nothing: float,
+    *,
     lost: bool,
-    flies: bool,
+    decided: bool,
 ) -> tuple[Verdict, float]:
     """What is found, and how probable that is."""
     causes = [e.probability for e in events if not e.consequence and e.probability >= NAMED]
@@ -112,8 +119,8 @@ def _verdict(
         return "found", sum(c.probability for c in one_of)
     if causes:
         return "found", max(causes)
-    if lost or not flies:
-        return "cannot_tell", 1.0 - nothing if lost else nothing
+    if lost or not decided:
+        return "cannot_tell", 1.0 - nothing
     return "nothing_found", nothing
 
 
@@ -143,6 +150,8 @@ def _clauses(
         yield f"One of two causes: {names}."
     elif first is not None:
         yield f"{first.text} ({100 * first.probability:.0f} %)."
+    elif verdict == "cannot_tell" and lost is None:
+        yield "Something may have changed since the normal flights; this log cannot tell what."
     elif verdict == "nothing_found":
         yield "Nothing went wrong that this log can show."
     if lost is not None:

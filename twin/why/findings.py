@@ -18,6 +18,7 @@ class Findings:
         not_visible: What the log would not have shown.
         nothing: Probability that there is nothing of what it looks for.
         notes: What was assumed, and what the log lacks.
+        undecided: Whether something is probable, but nothing that has a name.
     """
 
     events: Sequence[Event] = ()
@@ -26,6 +27,7 @@ class Findings:
     not_visible: Sequence[NotVisible] = ()
     nothing: float = 1.0
     notes: Sequence[str] = ()
+    undecided: bool = False
 
 
 Finder = Callable[[FlightFrame, Sequence[FlightFrame]], Findings]

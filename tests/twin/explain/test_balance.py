@@ -22,6 +22,7 @@ from twin.explain.balance import (
     SIZES,
     VIBRATION,
     Balance,
+    Normal,
     Trim,
     balance_of,
     channels_of_balance,
@@ -80,7 +81,7 @@ def judged(change: Array, scale: Array | float = 1.0, shaken: float | None = Non
     vibration = np.zeros(0) if shaken is None else np.array([shaken - 1.0])
     scaled = SLOPES * np.reshape(scale, (-1, 1)) if np.ndim(scale) else SLOPES * scale
     trim = Trim(BALANCED, (change * scale)[None], scaled, NAMES, vibration)
-    return balance_of(trim, calibrated(scale, shaken is not None), True, SURE)
+    return balance_of(trim, Normal.of(trim, calibrated(scale, shaken is not None), True), SURE)
 
 
 def of(name: str, value: float) -> Array:
@@ -195,13 +196,13 @@ def test_a_channel_that_is_missing_is_one_of_which_nothing_is_known(
     kept = [k for k in range(4) if k != row]
     channels = tuple(BALANCED[k] for k in kept)
     less = Trim(channels, change[None, kept], SLOPES[kept], NAMES, np.zeros(0))
-    found = balance_of(less, calibrated(), True, SURE)
+    found = balance_of(less, Normal.of(less, calibrated(), True), SURE)
     monkeypatch.setattr(balance, "SESSION", np.where(np.arange(4) == row, 1e4, SESSION))
     known = calibrated().calibration
     assert known is not None
     blind = replace(known, scatter={c: v for c, v in known.scatter.items() if c in channels})
     whole = Trim(BALANCED, change[None], SLOPES, NAMES, np.zeros(0))
-    expected = balance_of(whole, replace(COPTER, calibration=blind), True, SURE)
+    expected = balance_of(whole, Normal.of(whole, replace(COPTER, calibration=blind), True), SURE)
     for cause in (NOTHING, ROTORS, LOAD):
         assert found.probability_of(cause) == pytest.approx(
             expected.probability_of(cause), rel=1e-4
@@ -223,7 +224,7 @@ def test_probabilities_are_true_of_what_is_drawn_from_the_model() -> None:
     """300 changes of causes drawn by their odds: what is given 80 % is right in 80 %."""
     rng = np.random.default_rng(3)
     trim = Trim(BALANCED, np.zeros((1, 4)), SLOPES, NAMES, np.zeros(0))
-    competition = balance._Competition(trim, calibrated(), True)
+    competition = balance._Competition(trim, Normal.of(trim, calibrated(), True))
     p, hit = [], []
     for _ in range(300):
         odds = np.exp([0.0, LOG_ODDS, LOG_ODDS])

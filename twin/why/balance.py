@@ -1,0 +1,202 @@
+"""What has changed in the balance of the rotors since normal flights of the same aircraft.
+
+The causes and their competition are those of `twin.explain.balance`, without a vehicle file: mass
+and arm are 1, and the mean commands say which share of the weight each rotor gives. What a rotor
+gives more than in normal flights, about x, y, z and along the thrust, is the change that a loss of
+that rotor, or a load at a place, explains.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+
+from ..explain.balance import (
+    BALANCED,
+    LOAD,
+    ROTORS,
+    SHAKEN_LEAST_HZ,
+    SHAKES_ABOVE_HZ,
+    VIBRATION,
+    Balance,
+    Hypothesis,
+    Normal,
+    Trim,
+    balance_of,
+)
+from .findings import Findings
+from .flight import Array, FlightFrame
+from .records import Amount, Candidate, Event, NotVisible, Severity
+
+THRUST_BY_LEVEL = 2.0
+"""Relative thrust per relative motor level, command times voltage: thrust goes with the square of
+the speed, speed with the voltage at the motor."""
+SURE = 0.8
+"""Probability from which on a name is given, as in `explain`."""
+SAID = 0.02
+"""Least probability of an alternative that is said."""
+LEAST_S = 3.0
+"""Of calm flight."""
+SEGMENT = 128
+"""Samples of a segment of the spectrum of vibration."""
+
+
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """Of calm flight.
+
+    Attributes:
+        motors: Mean log level of each motor, shape (rotors,).
+        volts: Whether the level includes the voltage.
+        vibration: Log of the rms acceleration above `SHAKES_ABOVE_HZ`; NaN: not known.
+    """
+
+    motors: Array
+    volts: bool
+    vibration: float
+
+
+def levels_of(flight: FlightFrame, calm: NDArray[np.bool_]) -> Levels | None:
+    """Levels of a flight; None without commands, places of the rotors, or calm flight."""
+    if flight.drive is None or flight.layout is None or calm.sum() * flight.dt_s < LEAST_S:
+        return None
+    level = np.log(np.clip(flight.grid[flight.drive][calm], 0.02, None)).mean(axis=0)
+    volts = flight.drive == "command" and "vbat" in flight.grid
+    if volts:
+        level = level + np.log(np.maximum(flight.grid["vbat"][calm, 0], 1e-3)).mean()
+    return Levels(level, volts or flight.drive != "command", _shaking(flight, calm))
+
+
+def _shaking(flight: FlightFrame, calm: NDArray[np.bool_]) -> float:
+    """Log of the rms of the acceleration above the motion of the body, over all axes."""
+    rate = flight.rate_hz("acc")
+    if rate < SHAKEN_LEAST_HZ:
+        return float("nan")
+    signal = flight.signals["acc"]
+    inside = np.interp(signal.t_s, flight.t_s, calm.astype(float)) > 0.5
+    if inside.sum() < SEGMENT:
+        return float("nan")
+    hz, density = welch(signal.values[inside], rate, nperseg=SEGMENT, axis=0)
+    power = float(density[hz >= SHAKES_ABOVE_HZ].sum() * (hz[1] - hz[0]))
+    return 0.5 * float(np.log(max(power, 1e-12)))
+
+
+def changed(flight: FlightFrame, now: Levels, normal: Sequence[Levels]) -> Findings:
+    """What has changed since normal flights."""
+    balance = compared(flight, now, normal)
+    hidden = list(_hidden(balance))
+    named = balance.named
+    if named is not None:
+        return Findings(
+            events=[_event(balance, named)], nothing=balance.nothing, not_visible=hidden
+        )
+    if balance.one_of:
+        rotors = balance.best(ROTORS).rotors
+        both = balance.damaged, balance.probability_of(LOAD)
+        candidates = [
+            Candidate(cause=h.cause, rotor=rotors, probability=p)
+            for h, p in zip(balance.one_of, both, strict=True)
+        ]
+        candidates.sort(key=lambda c: -c.probability)
+        return Findings(one_of_causes=candidates, nothing=balance.nothing, not_visible=hidden)
+    undecided = balance.nothing < SURE
+    return Findings(nothing=balance.nothing, not_visible=hidden, undecided=undecided)
+
+
+def compared(flight: FlightFrame, now: Levels, normal: Sequence[Levels]) -> Balance:
+    """The causes of a change of levels against those of normal flights."""
+    layout = flight.layout
+    assert layout is not None
+    known = all(x.volts for x in (now, *normal))
+    channels = BALANCED if known else BALANCED[1:]
+    usual = np.mean([x.motors for x in normal], axis=0)
+    hubs = layout.sized(1.0, "").position
+    give = np.stack([np.ones(layout.count), hubs[:, 1], -hubs[:, 0], layout.direction])
+    give = give[len(BALANCED) - len(channels) :] / layout.count
+    means = np.array([give @ _more(x.motors - usual) for x in (now, *normal)])
+    names, slopes = _slopes(give, len(channels))
+    shaking = np.array([x.vibration for x in (now, *normal)])
+    shaken = shaking if np.isfinite(shaking).all() else np.zeros(0)
+    trim = Trim(channels, means[:1], slopes, names, shaken[:1])
+    before, scatter = Trim(channels, means[1:], slopes, names, shaken[1:]).by_name()
+    nothing_else = np.zeros((len(channels), len(channels)))
+    return balance_of(
+        trim, Normal(len(normal), before, scatter, 1.0, 1.0, hubs, nothing_else), SURE
+    )
+
+
+def _more(change: Array) -> Array:
+    """What rotors give more, over what each gives usually, by the change of their log levels."""
+    return np.asarray(np.expm1(THRUST_BY_LEVEL * change))
+
+
+def _slopes(give: Array, channels: int) -> tuple[tuple[str, ...], Array]:
+    """Means by the loss of each rotor and by a load, and the names of these numbers."""
+    losses = tuple(f"{ROTORS}.loss_{i + 1}" for i in range(give.shape[1]))
+    load = ("mass_kg", "moment_x_kg_m", "moment_y_kg_m", "moment_z_kg_m")
+    of_load = np.zeros((len(BALANCED), len(load)))
+    of_load[0, 0], of_load[1, 2], of_load[2, 1] = 1.0, 1.0, -1.0
+    slopes = np.hstack([give, of_load[len(BALANCED) - channels :]])
+    return (*losses, *(f"{LOAD}.{n}" for n in load)), slopes
+
+
+def _event(balance: Balance, named: Hypothesis) -> Event:
+    """The cause that is named."""
+    load = named.cause == LOAD
+    chance = balance.probability_of(LOAD) if load else balance.damaged
+    rotors = " and ".join(map(str, named.rotors))
+    text = "It carries a load that the normal flights do not"
+    check = "Weigh the aircraft; look what was added, and where."
+    if not load:
+        plural = "s" if len(named.rotors) > 1 else ""
+        text = f"Rotor{plural} {rotors} gives less thrust than in the normal flights"
+        text = text.replace("gives", "give") if plural else text
+        check = f"Rotor{plural} {rotors}: look for cuts and dirt on the propeller, turn the motor."
+    if named.cause == VIBRATION:
+        text, check = (
+            "A propeller shakes more than in the normal flights",
+            "Balance the propellers.",
+        )
+    return Event(
+        cause=named.cause,
+        rotor=named.rotors or None,
+        severity=_severity(named),
+        probability=chance,
+        alternatives=tuple(_others(balance, named)),
+        text=text,
+        bench_check=check,
+    )
+
+
+def _severity(named: Hypothesis) -> Severity | None:
+    """The largest loss, or the mass, of a cause."""
+    numbers = [n for n in named.values if "moment" not in n]
+    if not numbers:
+        return None
+    name = max(numbers, key=lambda n: named.values[n])
+    value, sd = named.values[name], named.deviations[name]
+    return Severity(
+        quantity="added_mass_share" if named.cause == LOAD else "thrust_lost",
+        value=value,
+        low=value - 1.645 * sd,
+        high=value + 1.645 * sd,
+        unit="1",
+    )
+
+
+def _others(balance: Balance, named: Hypothesis) -> Iterator[Candidate]:
+    for h in balance.hypotheses:
+        if h is not named and h.probability > SAID and h.values:
+            yield Candidate(cause=h.cause, rotor=h.rotors or None, probability=h.probability)
+
+
+def _hidden(balance: Balance) -> Iterator[NotVisible]:
+    """What would have been noticed in 95 of 100 such flights, at the least."""
+    for cause, least in balance.detectable.items():
+        yield NotVisible(
+            cause=cause,
+            smallest_detectable=Amount(value=least.value, unit="1"),
+            reason="flights of one aircraft differ as much",
+        )
