@@ -9,6 +9,8 @@ from .score import Said, Score, is_right, score
 
 BEGIN, END = "<!-- benchmarks.labelled: begin -->", "<!-- benchmarks.labelled: end -->"
 """Marks of the generated part of a page."""
+HEADING = "### "
+"""Of a set."""
 ABOUT = {
     "rflymad_sil": "Rotor 1 stops in flight, in the simulator of RflyMAD (PX4 in the loop; outputs "
     "logged at 10 Hz). Its thresholds of the body were chosen here: it shows what can be said, not "
@@ -38,12 +40,12 @@ def tables(said: Mapping[str, Sequence[Said]], outcomes: Sequence[Outcome] = ())
     sets = list(dict.fromkeys(s.flight.set for rows in said.values() for s in rows))
     lines = [line for name in sets for line in _set(name, said)]
     if outcomes:
-        lines += [f"### Instruments\n\n{INSTRUMENTS}\n", *table(outcomes), ""]
+        lines += [f"{HEADING}Instruments\n\n{INSTRUMENTS}\n", *table(outcomes), ""]
     return "\n".join(lines)
 
 
 def _set(name: str, said: Mapping[str, Sequence[Said]]) -> Iterator[str]:
-    yield f"### {name}\n"
+    yield f"{HEADING}{name}\n"
     yield f"{ABOUT.get(name, '')}\n"
     yield (
         "| method | asked | right | rotors exact | onset, median error s | false names | per h | "
@@ -114,13 +116,20 @@ def _answer(said: Said) -> str:
 
 
 def write_between(page: Path, text: str) -> None:
-    """Put text between the marks of a page.
+    """Put the sections of a text between the marks of a page; those of other sets stay.
 
     Raises:
         ValueError: The page has no marks.
     """
     before, begin, rest = page.read_text("utf-8").partition(BEGIN)
-    _, end, after = rest.partition(END)
+    rest, end, after = rest.partition(END)
     if not begin or not end:
         raise ValueError(f"{page}: has no {BEGIN} with {END} behind it")
-    page.write_text(f"{before}{begin}\n{text}\n{end}{after}", encoding="utf-8")
+    merged = "\n".join((_sections(rest) | _sections(text)).values())
+    page.write_text(f"{before}{begin}\n{merged}\n{end}{after}", encoding="utf-8")
+
+
+def _sections(text: str) -> dict[str, str]:
+    """Sections of a text by their headings, in order."""
+    parts = text.split(HEADING)[1:]
+    return {p.partition("\n")[0]: f"{HEADING}{p.rstrip()}\n" for p in parts}

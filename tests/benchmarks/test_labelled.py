@@ -145,12 +145,14 @@ def test_probabilities_that_hold_have_no_calibration_error() -> None:
 
 def test_the_generated_part_replaces_itself_alone(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", "utf-8")
+    old = "### own\n\nold\n\n### another\n\nstays\n"
+    page.write_text(f"before\n{BEGIN}\n{old}\n{END}\nafter\n", "utf-8")
     said = {"ours": [_said("rotor_failure", Answer("rotor_failure", frozenset([1]), 10.1, 0.9))]}
     text = tables(said, [Outcome("gyro_bias", "large", True, False, 0.1, False)])
     write_between(page, text)
     written = page.read_text("utf-8")
     assert written.startswith("before\n") and written.endswith("after\n") and "old" not in written
+    assert written.count("stays") == 1 and written.count("### own") == 1
     assert "**rotor failure 1, 10.10 s (0.90)**" in written
     assert "| `gyro_bias` | large | 1 | 1 | 0 | 0.10 | 0 |" in written
     with pytest.raises(ValueError, match="has no"):
