@@ -23,7 +23,7 @@ ABOUT = {
     "simulated": "Simulated flights of the built-in vehicles in closed loop, in wind with "
     "turbulence, without a fault, three minutes each; these seeds chose nothing.",
     "crazypad": "Cut propellers and loads of a Crazyflie, against three normal flights. They chose "
-    "the scatter between days and the probability from which on a cause is named alone.",
+    "the numbers of `twin.explain.balance`, as the first part of this page says.",
 }
 """What a set is, and what it chose."""
 INSTRUMENTS = (
@@ -48,10 +48,10 @@ def _set(name: str, said: Mapping[str, Sequence[Said]]) -> Iterator[str]:
     yield f"{HEADING}{name}\n"
     yield f"{ABOUT.get(name, '')}\n"
     yield (
-        "| method | asked | right | rotors exact | onset, median error s | false names | per h | "
-        "other events | sure and wrong | Brier | calibration error |"
+        "| method | asked | answered | right | rotors exact | onset, median error s | false names "
+        "| per h | other events | sure and wrong | Brier | calibration error |"
     )
-    yield "|" + "---|" * 11
+    yield "|" + "---|" * 12
     for method, rows in said.items():
         yield _row(method, score([s for s in rows if s.flight.set == name]))
     yield ""
@@ -64,6 +64,7 @@ def _row(method: str, s: Score) -> str:
     cells = [
         method,
         f"{s.asked} of {s.flights}",
+        f"{s.answered}",
         f"{s.right}",
         f"{exact} of {of}" if of else "-",
         _number(s.onset_s),

@@ -31,9 +31,10 @@ class Score:
 
     Attributes:
         asked: Flights on which it could be asked.
+        answered: Those of them on which it says something.
         flights: All of them.
         right: Label right, "this or that" included.
-        rotors: Rotors exact, and of how many flights that have some in the label.
+        rotors: Rotors exact, and of how many answers to flights that have some in the label.
         onset_s: Median error of the onset; None: none is said.
         false: Classes named in normal flights.
         others: Events of no class in normal flights: of instruments, of the estimate, a force.
@@ -44,6 +45,7 @@ class Score:
     """
 
     asked: int
+    answered: int
     flights: int
     right: int
     rotors: tuple[int, int]
@@ -67,7 +69,7 @@ def is_right(said: Said) -> bool:
 def score(rows: Sequence[Said]) -> Score:
     """All figures."""
     asked = [(r, r.answer) for r in rows if r.answer is not None]
-    with_rotors = [(r, a) for r, a in asked if r.flight.rotors]
+    with_rotors = [(r, a) for r, a in asked if r.flight.rotors and a.label]
     late = [
         abs(a.onset_s - r.flight.onset_s)
         for r, a in asked
@@ -80,6 +82,7 @@ def score(rows: Sequence[Said]) -> Score:
     )
     return Score(
         asked=len(asked),
+        answered=sum(bool(a.label) for _, a in asked),
         flights=len(rows),
         right=sum(is_right(r) for r, _ in asked),
         rotors=(sum(a.rotors == r.flight.rotors for r, a in with_rotors), len(with_rotors)),

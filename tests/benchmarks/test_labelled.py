@@ -130,7 +130,7 @@ def test_figures_are_those_of_the_answers() -> None:
         _said(NORMAL, None),
     ]
     s = score(rows)
-    assert (s.asked, s.flights, s.right, s.rotors) == (6, 7, 4, (1, 2))
+    assert (s.asked, s.answered, s.flights, s.right, s.rotors) == (6, 5, 7, 4, (1, 2))
     assert s.onset_s == pytest.approx(0.3)
     assert (s.false, s.others, s.hours, s.wrong_and_sure) == (1, 2, 1.5, 1)
     assert s.brier == pytest.approx(np.mean([0.01, 0.04, 0.09, 0.04, 0.95**2]))
