@@ -71,9 +71,9 @@ def labelled(index: Path = INDEX) -> list[Labelled]:
 
 
 def _row(r: dict[str, str]) -> Labelled:
-    kept = ("file", "set", "repository", "commit", "path", "sha256", "licence", "label")
+    names = ("file", "set", "repository", "commit", "path", "sha256", "licence", "label")
     return Labelled(
-        **{k: r[k] for k in kept},
+        **{k: r[k] for k in names},
         rotors=frozenset(map(int, r["rotors"].split())),
         onset_s=float(r["onset_s"]) if r["onset_s"] else None,
         references=tuple(r["references"].split()),

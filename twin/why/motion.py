@@ -29,7 +29,7 @@ STRETCH_S = 150.0
 """Longer parts are looked into in stretches of this length, each with what came before."""
 SHOWN_S = (2.0, 1.5)
 """Before and after an onset: what a page shows."""
-TOLD = 0.02
+LISTED = 0.02
 """Least probability of an alternative that is said."""
 REFINED_S, STEP_S, BEND_S = 0.15, 0.004, 0.05
 """An onset is refined within so much, in such steps, by the rate so long before and after it."""
@@ -132,7 +132,7 @@ def _alternatives(onset: Onset) -> tuple[Candidate, ...]:
     return tuple(
         Candidate(cause=n.cause, rotor=(n.rotor,) if n.rotor else None, probability=p)
         for n, p in onset.probabilities[1:]
-        if p > TOLD and n.cause != NOTHING
+        if p > LISTED and n.cause != NOTHING
     )
 
 
