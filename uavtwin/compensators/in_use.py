@@ -46,6 +46,9 @@ SETTLED_S = 0.2
 """So long a twin has followed again before a reading counts."""
 BETTER = 0.01
 """Share by which a correction must lower the rms of readings; as of the learned force."""
+WORST = 1.1
+"""No flight left out may have a larger ratio: a mean over flights hides one that is harmed. Made
+up; it allows for folds that were taught by fewer flights than the model."""
 TINY = 1e-9
 """Ratio below which there is none, so that its logarithm is finite."""
 FOLLOWING, ALONE = "following", "alone"
@@ -349,7 +352,7 @@ def record_of(flights: Sequence[Corrections], taught: str, shut: Sequence[str] =
 
 def harmful(flights: Sequence[InUseRecord]) -> tuple[str, ...]:
     """Which of `CHANNELS` a correction does not bring closer by `BETTER`, following and alone, in
-    the geometric mean over flights.
+    the geometric mean over flights, or harms in one of them (`WORST`).
 
     Args:
         flights: None of which taught the compensator that corrected it.
@@ -359,7 +362,8 @@ def harmful(flights: Sequence[InUseRecord]) -> tuple[str, ...]:
         for mode in (FOLLOWING, ALONE):
             rows = [c for f in flights for c in f.channels]
             ratios = [c.ratio for c in rows if (c.channel, c.mode) == (channel, mode)]
-            if ratios and np.exp(np.mean(np.log(np.maximum(ratios, TINY)))) > 1 - BETTER:
+            mean = np.exp(np.mean(np.log(np.maximum(ratios, TINY)))) if ratios else 0.0
+            if mean > 1 - BETTER or max(ratios, default=0.0) > WORST:
                 found.append(channel)
                 break
     return tuple(found)

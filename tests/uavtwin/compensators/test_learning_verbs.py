@@ -35,12 +35,17 @@ PLANT = replace(
     COPTER,
     drag_linear_n_s_m=COPTER.drag_linear_n_s_m + 0.5 * COPTER.mass_kg * np.array([1.0, 1.0, 0.0]),
 )
-PLACES = {"one": (2.0, 1.0, -1.0), "two": (1.0, -2.0, -1.2), "three": (2.0, -1.0, -1.0)}
+PLACES = {
+    "one": (2.0, 1.0, -1.0),
+    "two": (1.0, -2.0, -1.2),
+    "three": (2.0, -1.0, -1.0),
+    "four": (-2.0, 1.5, -1.2),
+}
 
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Three flights of a vehicle with more drag than its file says."""
+    """Four flights of a vehicle with more drag than its file says."""
     folder = tmp_path_factory.mktemp("flights")
     paths = {}
     for seed, (name, place) in enumerate(PLACES.items(), start=1):
@@ -286,7 +291,7 @@ def test_mistakes_are_found_before_the_work(logs: dict[str, Path], tmp_path: Pat
 def free(logs: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A model of the sensors of a twin that follows or flies by itself."""
     folder = tmp_path_factory.mktemp("free") / "model"
-    _train(logs, folder, "--protocol", "free")
+    _train(logs, folder, "--protocol", "free", logs["four"])
     return folder
 
 
@@ -294,7 +299,7 @@ def free(logs: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Pat
 def test_training_says_what_the_exported_twin_does(free: Path, logs: dict[str, Path]) -> None:
     """Of flights left out; a channel that is off has no correction, and the claim names it."""
     content = json.loads((free / "in_use.json").read_text("utf-8"))
-    assert content["taught"] == "left out" and content["flights"] == ["one", "two"]
+    assert content["taught"] == "left out" and content["flights"] == ["one", "two", "four"]
     page = (free / "report.html").read_text("utf-8")
     assert "In the exported FMU, on flights left out" in page
     model = load(free)
