@@ -311,14 +311,12 @@ class ManoeuvreRecord(Record, frozen=True, kw_only=True):
         description: What a pilot can follow.
         separates: Two lists of effects; an empty one: nothing is missing.
         separation: Expected lead in log likelihood.
-        present: The same in the flights so far.
     """
 
     manoeuvre: str
     description: str
     separates: tuple[tuple[str, ...], tuple[str, ...]]
     separation: float
-    present: float
 
 
 class SettingsRecord(Record, frozen=True, kw_only=True):
