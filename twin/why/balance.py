@@ -35,6 +35,9 @@ THRUST_BY_LEVEL = 2.0
 the speed, speed with the voltage at the motor."""
 SURE = 0.8
 """Probability from which on a name is given, as in `explain`."""
+PLACED = 0.9
+"""Probability, among all sets of rotors, from which on one is said; below it the change has a size
+and no place. Chosen on CrazyPAD's E9."""
 SAID = 0.02
 """Least probability of an alternative that is said."""
 LEAST_S = 3.0
@@ -93,7 +96,7 @@ def changed(flight: FlightFrame, now: Levels, normal: Sequence[Levels]) -> Findi
             events=[_event(balance, named)], nothing=balance.nothing, not_visible=hidden
         )
     if balance.one_of:
-        rotors = balance.best(ROTORS).rotors
+        rotors = _rotors(balance)
         both = balance.damaged, balance.probability_of(LOAD)
         candidates = [
             Candidate(cause=h.cause, rotor=rotors, probability=p)
@@ -103,6 +106,12 @@ def changed(flight: FlightFrame, now: Levels, normal: Sequence[Levels]) -> Findi
         return Findings(one_of_causes=candidates, nothing=balance.nothing, not_visible=hidden)
     undecided = balance.nothing < SURE
     return Findings(nothing=balance.nothing, not_visible=hidden, undecided=undecided)
+
+
+def _rotors(balance: Balance) -> tuple[int, ...] | None:
+    """Rotors that lost thrust, if it is one that did; None: which is not clear."""
+    best, every = balance.best(ROTORS), balance.probability_of(ROTORS)
+    return best.rotors if best.probability >= PLACED * every else None
 
 
 def compared(flight: FlightFrame, now: Levels, normal: Sequence[Levels]) -> Balance:
@@ -145,15 +154,19 @@ def _slopes(give: Array, channels: int) -> tuple[tuple[str, ...], Array]:
 def _event(balance: Balance, named: Hypothesis) -> Event:
     """The cause that is named."""
     load = named.cause == LOAD
+    which = _rotors(balance) if named.cause == ROTORS else None
     chance = balance.probability_of(LOAD) if load else balance.damaged
-    rotors = " and ".join(map(str, named.rotors))
+    rotors = " and ".join(map(str, which or ()))
     text = "It carries a load that the normal flights do not"
     check = "Weigh the aircraft; look what was added, and where."
-    if not load:
-        plural = "s" if len(named.rotors) > 1 else ""
+    if which:
+        plural = "s" if len(which) > 1 else ""
         text = f"Rotor{plural} {rotors} gives less thrust than in the normal flights"
         text = text.replace("gives", "give") if plural else text
         check = f"Rotor{plural} {rotors}: look for cuts and dirt on the propeller, turn the motor."
+    elif named.cause == ROTORS:
+        text = "A rotor gives less thrust than in the normal flights; which one is not clear"
+        check = "All propellers: look for cuts and dirt."
     if named.cause == VIBRATION:
         text, check = (
             "A propeller shakes more than in the normal flights",
@@ -161,7 +174,7 @@ def _event(balance: Balance, named: Hypothesis) -> Event:
         )
     return Event(
         cause=named.cause,
-        rotor=named.rotors or None,
+        rotor=which,
         severity=_severity(named),
         probability=chance,
         alternatives=tuple(_others(balance, named)),

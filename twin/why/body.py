@@ -53,8 +53,9 @@ LIVELY = 4.0
 SATURATED = 0.97
 """Share of the largest body rate that counts as the end of the gyroscope's range, if it is
 reached often."""
-AT_STOP, AT_STOP_S = 0.95, 1.0
-"""Command that is nearly at its upper stop, and for how long that matters."""
+AT_STOP, AT_STOP_S, AT_STOP_WEIGHT = 0.95, 1.0, 0.02
+"""Command that is nearly at its upper stop, for how long that matters, and what an interval then
+weighs."""
 FAST_HZ = 40.0
 """Rate of commands from which on their jitter does not hide the gain."""
 FINE_S = 0.01
@@ -218,7 +219,8 @@ class Body:
         sd = 1.4826 * float(np.median(np.abs(innovation[early]))) + FLOOR[j]
         lively = maximum_filter1d(np.abs(y - np.median(y[early])), 3)
         excess = np.maximum(lively - LIVELY * sd, 0) / CLIP
-        return rho, sd, float(beta[0]), self._seen[:, j] * sd**2 / (sd**2 + excess**2)
+        share = np.where(self.limited, AT_STOP_WEIGHT, 1.0) * self._seen[:, j]
+        return rho, sd, float(beta[0]), share * sd**2 / (sd**2 + excess**2)
 
     @cached_property
     def hover_command(self) -> float:
