@@ -230,9 +230,9 @@ class FlightModel:
         physics = self._physics.bare if bare else self._physics
         value = self._value(bare, theta, states, inputs)
         slopes = physics.slopes(columns, theta, states, inputs)
-        felt = None if bare else self._physics.felt
-        if felt is not None and self._turning is not None:
-            slopes[:, :3] = felt.slopes(columns, theta, states, inputs, self._turning)
+        force = None if bare else self._physics.measured_force
+        if force is not None and self._turning is not None:
+            slopes[:, :3] = force.slopes(columns, theta, states, inputs, self._turning)
         for k, i in enumerate(columns):
             step = self._difference_step(i, change)
             if step is not None:
@@ -247,8 +247,8 @@ class FlightModel:
         if bare:
             return self._physics.bare.value(theta, states, inputs)
         value = self._physics.value(theta, states, inputs)
-        if self._turning is not None and self._physics.felt is not None:
-            value[:, :3] = self._physics.felt.value(theta, states, inputs, self._turning)
+        if self._turning is not None and self._physics.measured_force is not None:
+            value[:, :3] = self._physics.measured_force.value(theta, states, inputs, self._turning)
         return value
 
     def _difference_step(self, i: int, change: Mapping[str, float]) -> float | None:

@@ -252,7 +252,7 @@ class Physics:
         measured = ca.SX(imu_inputs)
         for k, a in enumerate("xyz"):
             measured[sensor.input_names.index(f"angular_acceleration_{a}")] = turning[k]
-        self._felt = [x, u, turning], theta, ca.substitute(shown[:3], sensed, measured)
+        self._measured_force = [x, u, turning], theta, ca.substitute(shown[:3], sensed, measured)
         rows = [x, u, z] if self._states.index else [x, u]
         self._batch = Batch(rows, theta, ca.substitute(readings, sensed, imu_inputs), over)
         moved = [f"{s}_{a}" for s in ("specific_force", "angular_acceleration") for a in "xyz"]
@@ -265,14 +265,14 @@ class Physics:
         return Batch(*self._moved)
 
     @cached_property
-    def felt(self) -> Batch | None:
+    def measured_force(self) -> Batch | None:
         """The accelerometer alone, turning as was measured: `(states, inputs, angular acceleration,
         numbers) -> acc_x..z`. None where states of effects are in the IMU.
 
         Away from the centre of mass it feels angular acceleration: one that the model predicts
         would tell of inertia as the loop has it, past all instruments.
         """
-        return None if self._states.index else Batch(*self._felt)
+        return None if self._states.index else Batch(*self._measured_force)
 
     def value(self, theta: Array, states: Array, inputs: Array) -> Array:
         """Predicted readings, shape (n, 6), of all rows of a flight."""
