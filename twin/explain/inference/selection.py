@@ -408,13 +408,14 @@ def name_effects(
         since_problem(model, settings, apart, silent) if since else usual_problem(model, settings)
     )
     found = climb(problem, lambda done: progress(0.1 + 0.4 * done))
-    problem, found = with_instruments_of_end(
-        problem, found, lambda done: progress(0.5 + 0.1 * done)
-    )
     if len(model.flights) >= DAYS_SHOWN:
-        problem = problem.accustomed(found.state)
+        problem = problem.with_instruments_at(found.state).accustomed(found.state)
         state = problem.settle(found.state.effects, 1.0, found.laplace.spectrum, found.state.best.x)
-        found = search_on(problem, state, lambda done: progress(0.6 + 0.1 * done))
+        found = search_on(problem, state, lambda done: progress(0.5 + 0.2 * done))
+    else:
+        problem, found = with_instruments_of_end(
+            problem, found, lambda done: progress(0.5 + 0.2 * done)
+        )
     posterior = weigh(problem, found, seed, lambda done: progress(0.7 + 0.25 * done))
     return _named(problem, found, posterior, settings)
 
