@@ -608,7 +608,20 @@ def _resemblances(
             found.append(Resemblance(e, at_edge[e]))
         elif believable.get(e, 1.0) < rules.credible:
             found.append(Resemblance(e, "it leaves much of what its law should take"))
+        elif _of_all_rotors(fitted_estimates(conditional, problem.priors, e, 1.0)):
+            found.append(Resemblance(e, "all rotors differ alike: thrust map, mass or voltage"))
     return found
+
+
+def _of_all_rotors(estimates: Sequence[Estimate]) -> bool:
+    """Whether an effect of single rotors is there in all of them, to the same side and in the least
+    by half of the most: then the whole aircraft differs. Heavy tails hold the part that all rotors
+    have in common no longer at nothing, and a scale of all thrust stands beside it."""
+    known = [t for t in estimates if t.number.about.per_rotor and t.no_effect is not None]
+    change = np.array([t.change for t in known])
+    if len(known) < 2 or any(t.may_be_none for t in known):
+        return False
+    return bool(np.all(change * change[0] > 0) and np.ptp(change) <= 0.5 * np.abs(change).max())
 
 
 def shares_of(problem: Problem, state: State) -> dict[str, tuple[float, str]]:
