@@ -323,9 +323,12 @@ def _what_else(found: Explanation, sure: Sequence[str]) -> str:
         return ""
     assert found.naming is not None
     least = found.naming.settings.least
-    every = {e for f in found.naming.fitted for e in f.effects} - set(sure)
+    alike = {r.effect for r in found.naming.resemblances}
+    every = {e for f in found.naming.fitted for e in f.effects} - set(sure) - alike
     chance = {e: probability_of(found, e) for e in sorted(every)}
     likely = sorted((e for e in chance if chance[e] >= least), key=lambda e: -chance[e])
+    if not likely:
+        return ""
     tied = joined([f"{title(e)} ({certainty(chance[e])})" for e in likely], "or")
     return f" Also possible: {tied}."
 
