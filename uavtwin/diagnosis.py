@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from msgspec import structs
 
-from twin.formatting import pretty_unit
+from twin.formatting import joined, pretty_unit
 from twin.logs import Flight, read_flight
 from twin.why.diagnose import diagnose
 from twin.why.records import Candidate, Diagnosis, Event, NotVisible
@@ -123,9 +123,13 @@ def least_in_words(hidden: NotVisible) -> str:
 
 
 def _hidden(found: Diagnosis) -> Iterator[str]:
-    """What the log would not have shown."""
+    """What the log would not have shown, a sentence per reason."""
+    by_reason: dict[str, list[str]] = {}
     for hidden in found.not_visible:
-        yield f"Not visible: {_words(hidden.cause)} {least_in_words(hidden)}: {hidden.reason}."
+        size = f"{_words(hidden.cause)} {least_in_words(hidden)}"
+        by_reason.setdefault(hidden.reason, []).append(size)
+    for reason, sizes in by_reason.items():
+        yield f"Not visible: {joined(sizes, 'or')}: {reason}."
 
 
 def _words(name: str) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from ..formatting import number
+from ..formatting import number, percent
 from .balance import Levels, changed, levels_of
 from .findings import Findings
 from .flight import FlightFrame, rotations
@@ -93,7 +93,7 @@ def _by_symmetry(now: Levels) -> Findings:
     most = int(np.argmax(share))
     turn, twist = FLEET_SD
     note = (
-        f"rotor {most + 1} is asked for {number(100 * float(share[most]))} % more than the mean; "
+        f"rotor {most + 1} is asked for {percent(float(share[most]))} more than the mean; "
         f"between sound aircraft of one type roll and pitch differ by {100 * turn:.0f} %, yaw by "
         f"{100 * twist:.0f} %: without normal flights (--reference) a weak rotor, a load and a "
         "centre of mass are not told apart"
