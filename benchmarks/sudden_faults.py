@@ -24,6 +24,7 @@ from twin.logs.columns import motor_columns
 from twin.vehicle import Vehicle
 from twin.why import Diagnosis, diagnose
 from twin.why.motion import moved
+from twin.why.rules import RuleReading, parted
 from uavtwin.demo.flights import setpoints_along
 
 from .live_alarms import flights as plants
@@ -45,12 +46,10 @@ BEGINS_S, AFTER_S, CLEAN_S = (22.0, 30.0), 8.0, 120.0
 """When a fault begins, what is flown after it, and how long without one."""
 GUST_S = 0.4
 """Standard deviation of the envelope of a gust."""
-PARTED, SETTLED_S, FLIES = 0.15, 6.0, 0.15
-"""The trivial rule: commands that part, time after which, command that flies."""
 SCORED = 1000
 """First seed that is scored."""
-NEAR_S, CLOSE = 0.3, 0.25
-"""What counts as the right onset, and as the right size."""
+CLOSE = 0.25
+"""What counts as the right size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +129,7 @@ class Answer:
         begins_s: Onset of its fault.
         rotor: Of the fault.
         found: By `why`.
-        trivial: Rotor and time of the trivial rule; None: it is silent.
+        trivial: What the trivial rule reads; None: it is silent.
         processor_s: Of the finder.
     """
 
@@ -138,7 +137,7 @@ class Answer:
     begins_s: float
     rotor: int | None
     found: Diagnosis
-    trivial: tuple[int, float] | None
+    trivial: RuleReading | None
     processor_s: float
 
     @classmethod
@@ -171,20 +170,12 @@ class Answer:
         return np.nan if severity is None else severity.value
 
 
-def trivial_rule(flight: Flight) -> tuple[int, float] | None:
-    """Rotor from 1 and time at which the commands part; None: they do not."""
+def trivial_rule(flight: Flight) -> RuleReading | None:
+    """What the commands, or the speeds over the largest, say by `parted`."""
     stem = "cmd" if flight.has("cmd_1") else "rotor"
     count = sum(flight.has(f"{stem}_{i}") for i in range(1, 13))
     t, c = flight.signal(motor_columns(stem, count))
-    c = c / max(float(np.percentile(c, 99.5)), 1.0)
-    flying = np.flatnonzero(c.min(axis=1) > FLIES)
-    if not len(flying):
-        return None
-    apart = (t > t[flying[0]] + SETTLED_S) & (np.ptp(c, axis=1) > PARTED)
-    if not apart.any():
-        return None
-    k = int(np.argmax(apart))
-    return int(np.argmax(c[k])) + 1, float(t[k])
+    return parted(t, c / max(float(np.percentile(c, 99.5)), 1.0))
 
 
 def page(answers: Sequence[Answer]) -> str:
@@ -212,7 +203,7 @@ def _row(rate: float, cause: str, size: float, mine: Sequence[Answer]) -> str:
     close = [a for a in where if abs(a.size / size - 1) <= CLOSE] if size else []
     late = f"{np.median([abs(a.late_s) for a in right]):.2f} s" if cause and right else ""
     if cause == "rotor_failure":
-        simple = f"{sum(a.trivial is not None and a.trivial[0] == a.rotor for a in mine)}"
+        simple = f"{sum(a.trivial is not None and a.trivial.rotor == a.rotor for a in mine)}"
         rotors, sizes = f"{len(where)}", f"{len(close)}"
     else:
         simple = f"{sum(a.trivial is not None for a in mine)} rotors named"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .flight import FlightFrame
+from .flight import Array, FlightFrame
 
 PARTED = 0.15
 """Of the range of a command: 150 us of pulse width."""
@@ -32,24 +32,32 @@ class RuleReading:
     t_s: float | None
 
 
-def parted_outputs(flight: FlightFrame) -> RuleReading | None:
+def parted(t_s: Array, command: Array) -> RuleReading | None:
     """When the outputs part by 150 us after six seconds of flight, the highest is the failed rotor.
 
+    Args:
+        t_s: Times, shape (n,).
+        command: Of each motor over its range, shape (n, rotors).
+
     Returns:
-        None where they do not, or no commands are logged.
+        None where they do not part.
     """
-    if flight.drive != "command":
-        return None
-    command = flight.signals["command"]
-    t, c = command.t_s, command.values
-    flying = np.flatnonzero(c.min(axis=1) > FLIES)
+    flying = np.flatnonzero(command.min(axis=1) > FLIES)
     if not len(flying):
         return None
-    apart = (t > t[flying[0]] + SETTLED_S) & (np.ptp(c, axis=1) > PARTED)
+    apart = (t_s > t_s[flying[0]] + SETTLED_S) & (np.ptp(command, axis=1) > PARTED)
     if not apart.any():
         return None
     k = int(np.argmax(apart))
-    return RuleReading(int(np.argmax(c[k])) + 1, float(t[k]))
+    return RuleReading(int(np.argmax(command[k])) + 1, float(t_s[k]))
+
+
+def parted_outputs(flight: FlightFrame) -> RuleReading | None:
+    """`parted` of the commands as logged; None without them."""
+    if flight.drive != "command":
+        return None
+    command = flight.signals["command"]
+    return parted(command.t_s, command.values)
 
 
 def highest_mean(flight: FlightFrame) -> RuleReading | None:

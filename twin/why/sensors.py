@@ -363,22 +363,9 @@ def _turn(signals: Signals) -> Iterator[Residual]:
         t, r = _binned(middle, apart[:, k])
         _, reading = _binned(middle, (angle / between)[slow, k])
         error = SCALE_ERROR * turning
-        for window_s, least in ((1.0, 0.04), (5.0, 0.015)):
-            yield Residual(
-                lasting="gyro_bias",
-                passing="attitude_estimate",
-                scaled="gyro_scale",
-                sensor=column,
-                quantity="rate",
-                unit="rad/s",
-                t_s=t,
-                reading=reading,
-                difference=r,
-                error=np.nan_to_num(error),
-                window_s=window_s,
-                least=least,
-                usual=0.1,
-            )
+        causes, named = ("gyro_bias", "attitude_estimate", "gyro_scale"), (column, "rate", "rad/s")
+        bins, windows = (t, r, np.nan_to_num(error)), ((1.0, 0.04), (5.0, 0.015))
+        yield from _of_windows(causes, named, bins, reading, windows, usual=0.1)
 
 
 def _force(signals: Signals) -> Iterator[Residual]:
@@ -398,22 +385,42 @@ def _force(signals: Signals) -> Iterator[Residual]:
         t, r = _binned(middle, body[:, k], step)
         _, reading = _binned(middle, np.interp(middle, acc.t_s, acc.values[:, k]), step)
         error = late * size
-        for window_s, least in ((2.0, 0.5), (8.0, 0.2)):
-            yield Residual(
-                lasting="accel_bias",
-                passing="velocity_estimate",
-                scaled="accel_scale",
-                sensor=column,
-                quantity="acceleration",
-                unit="m/s^2",
-                t_s=t,
-                reading=reading,
-                difference=r,
-                error=np.nan_to_num(error),
-                window_s=window_s,
-                least=least,
-                usual=1.0,
-            )
+        causes = "accel_bias", "velocity_estimate", "accel_scale"
+        named, windows = (column, "acceleration", "m/s^2"), ((2.0, 0.5), (8.0, 0.2))
+        yield from _of_windows(
+            causes, named, (t, r, np.nan_to_num(error)), reading, windows, usual=1.0
+        )
+
+
+def _of_windows(
+    causes: tuple[str, str, str],
+    named: tuple[str, str, str],
+    bins: tuple[Array, Array, Array],
+    reading: Array,
+    windows: Sequence[tuple[float, float]],
+    usual: float,
+) -> list[Residual]:
+    """Residuals of one axis, for each window and least change: lasting, passing and scaling cause;
+    sensor, quantity and unit; times, differences and their errors."""
+    (lasting, passing, scaled), (sensor, quantity, unit), (t, r, error) = causes, named, bins
+    return [
+        Residual(
+            lasting=lasting,
+            passing=passing,
+            scaled=scaled,
+            sensor=sensor,
+            quantity=quantity,
+            unit=unit,
+            t_s=t,
+            reading=reading,
+            difference=r,
+            error=error,
+            window_s=window_s,
+            least=least,
+            usual=usual,
+        )
+        for window_s, least in windows
+    ]
 
 
 def _turned(q: Signal, t: Array) -> Array:
@@ -432,21 +439,9 @@ def _single(
     usual: float = 0.0,
 ) -> Residual:
     """A residual that has no axes: lasting and passing cause; sensor, quantity and unit."""
-    (lasting, passing), (sensor, quantity, unit), (t, r) = causes, named, bins
-    return Residual(
-        lasting=lasting,
-        passing=passing,
-        sensor=sensor,
-        quantity=quantity,
-        unit=unit,
-        t_s=t,
-        reading=reading,
-        difference=r,
-        error=np.zeros(len(t)),
-        window_s=window_s,
-        least=least,
-        usual=usual or least,
-    )
+    given = (*bins, np.zeros(len(bins[0])))
+    windows = ((window_s, least),)
+    return _of_windows((*causes, ""), named, given, reading, windows, usual or least)[0]
 
 
 def _field(signals: Signals) -> Iterator[Residual]:

@@ -76,5 +76,5 @@ def test_the_trivial_rule_takes_the_highest_output() -> None:
     t = np.arange(0, 20, 0.1)
     table = {"time": t, **{f"cmd_{i}": np.full(len(t), 0.5) for i in range(1, 5)}}
     table["cmd_3"] = np.where(t > 12, 0.7, 0.5)
-    rotor, t_s = trivial_rule(Flight("f", pd.DataFrame(table))) or (0, 0.0)
-    assert rotor == 3 and t_s == pytest.approx(12.1)
+    read = trivial_rule(Flight("f", pd.DataFrame(table)))
+    assert read is not None and read.rotor == 3 and read.t_s == pytest.approx(12.1)

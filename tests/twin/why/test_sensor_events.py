@@ -126,10 +126,9 @@ def test_a_log_without_attitude_still_shows_a_frozen_reading() -> None:
     assert [e.cause for e in found_in(table)] == ["stuck_sensor"]
 
 
-def test_more_false_alarms_allowed_bring_a_lower_bound() -> None:
-    rng = np.random.default_rng(2)
-    n = 400
-    r = Residual(
+def height_residual(rng: np.random.Generator, n: int, least: float) -> Residual:
+    """White, of one deviation, every 0.1 s."""
+    return Residual(
         lasting="baro_bias",
         passing="baro_disturbance",
         sensor="barometer",
@@ -140,9 +139,14 @@ def test_more_false_alarms_allowed_bring_a_lower_bound() -> None:
         difference=rng.standard_normal(n),
         error=np.zeros(n),
         window_s=1.0,
-        least=0.1,
+        least=least,
         usual=1.0,
     )
+
+
+def test_more_false_alarms_allowed_bring_a_lower_bound() -> None:
+    rng = np.random.default_rng(2)
+    r = height_residual(rng, 400, least=0.1)
     bounds = [smallest_detectable(r, Budget(f, 10)) for f in (0.1, FALSE_IN_10_H, 100.0)]
     assert bounds[0] > bounds[1] > bounds[2]
     assert changed_at(r, Budget(FALSE_IN_10_H, 10)) is None
@@ -154,20 +158,7 @@ def test_by_chance_a_bound_is_exceeded_no_more_often_than_allowed() -> None:
     allowed = 100.0
     hits = 0
     for _ in range(flights):
-        r = Residual(
-            lasting="baro_bias",
-            passing="baro_disturbance",
-            sensor="barometer",
-            quantity="height",
-            unit="m",
-            t_s=np.asarray(0.1 * np.arange(n)),
-            reading=np.zeros(n),
-            difference=rng.standard_normal(n),
-            error=np.zeros(n),
-            window_s=1.0,
-            least=0.01,
-            usual=1.0,
-        )
+        r = height_residual(rng, n, least=0.01)
         hits += changed_at(r, Budget(allowed, 1)) is not None
     assert hits <= allowed / 2
 
