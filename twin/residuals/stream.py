@@ -24,6 +24,7 @@ from ..component.rows import OverRows
 from ..effects import late_actions
 from ..errors import LogError
 from ..logs import Flight
+from ..logs.airframe import Airframe
 from ..logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL, Columns
 from ..logs.flight import Settled, finite_rows, missing_signal
 from ..physics.rotors import Drive
@@ -61,17 +62,24 @@ class Recent(Flight):
     _by: Rows
     _known: frozenset[str]
 
-    def __init__(self, name: str, rows: Rows, settled: Settled | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        rows: Rows,
+        settled: Settled | None = None,
+        airframe: Airframe | None = None,
+    ) -> None:
         """Take rows.
 
         Args:
             name: Of the flight.
             rows: By column.
             settled: Of the flight.
+            airframe: What is known of the aircraft.
         """
         known = frozenset(c for c in rows if c == "phase" or not np.isnan(rows[c]).all())
         of_flight: dict[str, Any] = {"name": name, "findings": (), "facts": {}, "settled": settled}
-        of_flight |= dict.fromkeys(("source", "site", "airframe", "autopilot"))
+        of_flight |= dict.fromkeys(("source", "site", "autopilot")) | {"airframe": airframe}
         for key, value in {**of_flight, "_by": rows, "_known": known}.items():
             object.__setattr__(self, key, value)
 
@@ -117,11 +125,13 @@ class LastRows:
         name: Of the flight.
         settled: Of the flight; None: not yet.
         last_s: Time of the newest row; NaN: there is none.
+        airframe: What is known of the aircraft.
     """
 
     name: str
     settled: Settled | None = None
     last_s: float = np.nan
+    airframe: Airframe | None = None
     _portions: list[Rows] = field(default_factory=list)
 
     def __len__(self) -> int:
@@ -166,7 +176,7 @@ class LastRows:
 
     def flight(self) -> Recent:
         """What there is, as a flight."""
-        return Recent(self.name, self.rows(), self.settled)
+        return Recent(self.name, self.rows(), self.settled, self.airframe)
 
     def time_before_newest(self, columns: tuple[str, ...], samples: int) -> float:
         """Time of a sample so many before the newest one of a signal; infinite where the signal

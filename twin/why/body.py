@@ -15,6 +15,7 @@ an onset.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,8 @@ LIKELY = 12.0
 """Nats by which a curvature and a lag may explain the early part worse than the best."""
 LAGS_S = (0.03, 0.08, 0.15)
 """Of thrust behind the command: small to large rotors."""
+CURVES = tuple(product(CURVATURES, LAGS_S))
+"""All of these."""
 TRIED_LAGS_S = (0.0, 0.03, 0.06, 0.1, 0.15)
 """Among which that of the sound part is chosen."""
 SETTLES_S, ENDS_S = 1.5, 1.0
@@ -74,6 +77,7 @@ class Body:
         end: Place behind the last.
         last: Place behind the last possible onset, from `start` on.
         lost: Whether control is lost at `last`.
+        curves: Curvatures of thrust by command, and its lags, s, that are tried.
     """
 
     frame: FlightFrame
@@ -81,6 +85,7 @@ class Body:
     end: int
     last: int
     lost: bool
+    curves: tuple[tuple[float, float], ...] = CURVES
 
     @classmethod
     def of(cls, frame: FlightFrame, part: Airborne) -> "Body":
@@ -241,20 +246,19 @@ class Body:
 
     @cached_property
     def grams(self) -> Mapping[tuple[float, float], tuple[Array, Array]]:
-        """By curvature and lag: cumulated Gram matrices, shape (4, n + 1, k, k), of
-        [S g_1 .. S g_n, their sum - K, damping, products, 1, y], whitened and weighted; and K of
-        each channel, shape (4,)."""
+        """By curvature and lag, the most probable first: cumulated Gram matrices, shape
+        (4, n + 1, k, k), of [S g_1 .. S g_n, their sum - K, damping, products, 1, y], whitened and
+        weighted; and K of each channel, shape (4,)."""
         found: dict[tuple[float, float], tuple[Array, Array]] = {}
         explained: dict[tuple[float, float], float] = {}
-        for curvature in CURVATURES:
-            for lag in LAGS_S:
-                g = self.thrust(curvature, lag)
-                usual = np.median(g[self.learned] @ self.signs.T, axis=0)
-                gram = np.stack([self._gram(g, j, usual[j]) for j in range(4)])
-                found[curvature, lag] = gram, usual
-                explained[curvature, lag] = -self._unexplained(gram[:, self.learned.stop]) / 4
-        best = max(explained.values())
-        return {k: v for k, v in found.items() if explained[k] > best - LIKELY}
+        for curve in self.curves:
+            g = self.thrust(*curve)
+            usual = np.median(g[self.learned] @ self.signs.T, axis=0)
+            gram = np.stack([self._gram(g, j, usual[j]) for j in range(4)])
+            found[curve] = gram, usual
+            explained[curve] = -self._unexplained(gram[:, self.learned.stop]) / 4
+        order = sorted(found, key=lambda curve: -explained[curve])
+        return {k: found[k] for k in order if explained[k] > explained[order[0]] - LIKELY}
 
     def _unexplained(self, gram: Array) -> float:
         """Sum of squares that the regression leaves in the early part."""

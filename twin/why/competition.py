@@ -104,6 +104,8 @@ LEVEL = {
     for cause, (per_h, nats) in TAILS.items()
 }
 """Nats over nothing from which on there is an event, by an exponential tail."""
+SCREENED = 12.0
+"""Nats below its level from which on a name under one curve of thrust is looked at under all."""
 LAST_WORD_NATS = 3.0
 """The same of a rotor in the last seconds before control is lost, since something must have taken
 it: odds of 20 to 1."""
@@ -325,26 +327,39 @@ class Competition:
 
     def _within(self, low: int, high: int, depth: int) -> Iterator[Onset]:
         body = self.body
-        first, last = low + body.places(FIRST_S), min(high - 2, body.last)
-        if last - first < 2 or depth > DEPTH:
-            return
-        tried = self._tried(first, last)
-        if len(tried) < 2:
-            return
-        odds, _ = self.odds(tried, low, high)
-        nothing = maximum_filter1d(odds[0], 2 * round(AFTER_S / COARSE_S) + 1)
-        over = (odds - nothing - self.asked(tried))[1:].max(axis=0)
-        if over.max() < 0:
-            return
-        best = int(tried[np.argmax(over)])
-        near = np.arange(max(best - self._stride, first), min(best + self._stride + 1, last))
-        found = self._onset(near, low, high)
+        found = None if depth > DEPTH else self.strongest(low, high)
         if found is None:
             return
         yield from self._within(low, found.place - body.places(APART_S[0]), depth + 1)
         yield found
         if found.name.cause not in FINAL and body.last - found.place > body.places(AFTER_S):
             yield from self._within(found.place + body.places(APART_S[1]), high, depth + 1)
+
+    def strongest(self, low: int, high: int, since: int = 0) -> Onset | None:
+        """The strongest onset within places, `since` one of them; None: none passes."""
+        body = self.body
+        first, last = max(low + body.places(FIRST_S), since), min(high - 2, body.last)
+        tried = self._tried(first, last)
+        if len(tried) < 2:
+            return None
+        over = self._over(tried, low, high)
+        if over.max() < 0:
+            return None
+        best = int(tried[np.argmax(over)])
+        near = np.arange(max(best - self._stride, first), min(best + self._stride + 1, last))
+        return self._onset(near, low, high)
+
+    def promising(self, low: int, high: int, since: int) -> bool:
+        """Whether a name at an onset `since` a place comes within `SCREENED` of its level."""
+        first = max(low + self.body.places(FIRST_S), since)
+        tried = self._tried(first, min(high - 2, self.body.last))
+        return len(tried) > 1 and bool(self._over(tried, low, high).max() > -SCREENED)
+
+    def _over(self, tried: Places, low: int, high: int) -> Array:
+        """Nats of the best name at each onset over its level, and over nothing near it."""
+        odds, _ = self.odds(tried, low, high)
+        nothing = maximum_filter1d(odds[0], 2 * round(AFTER_S / COARSE_S) + 1)
+        return np.asarray((odds - nothing - self.asked(tried))[1:].max(axis=0))
 
     @property
     def _stride(self) -> int:

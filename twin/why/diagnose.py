@@ -62,7 +62,7 @@ def diagnose(
     frame = FlightFrame.of(flight)
     normal = [FlightFrame.of(r) for r in references]
     found = [find(frame, normal) for find in finders]
-    events = _in_order([e for f in found for e in f.events])
+    events = in_order([e for f in found for e in f.events])
     timeline = sorted((i for f in found for i in f.timeline), key=lambda i: i.t_s)
     one_of = next((tuple(f.one_of_causes) for f in found if f.one_of_causes), ())
     nothing = prod(f.nothing for f in found)
@@ -92,7 +92,7 @@ def diagnose(
     )
 
 
-def _in_order(events: Sequence[Event]) -> tuple[Event, ...]:
+def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
     """By time, those without onset last; what a moved body explains is a consequence."""
     moved = [e.onset_s for e in events if e.cause in BODY_CAUSES and e.onset_s is not None]
 

@@ -172,9 +172,9 @@ class FlightFrame:
             return None
         if airframe is not None:  # PX4 and ArduPilot number the motors of their first frame alike
             return frame(usual[0])
-        return max(map(frame, usual), key=self._turning_explained)
+        return max(map(frame, usual), key=self.turning_explained)
 
-    def _turning_explained(self, layout: Layout) -> float:
+    def turning_explained(self, layout: Layout) -> float:
         """Correlation, over roll, pitch and yaw, of what commands ask with how the body turns; at
         the best of some lags."""
         if self.drive is None or "gyro" not in self.grid:
@@ -208,7 +208,7 @@ class FlightFrame:
         if self.drive is not None:
             raised = lift(self.grid[self.drive]).mean(axis=1)
             raised = uniform_filter1d(raised, max(self.places(0.5), 1))
-            usual = np.median(raised[raised > 0.4 * np.percentile(raised, 90)])
+            usual = np.median(raised[raised >= 0.4 * np.percentile(raised, 90)])
             return np.asarray(raised > 0.5 * usual)
         if "pos" in self.grid:
             height = -self.grid["pos"][:, 2]

@@ -66,7 +66,7 @@ def moved(frame: FlightFrame, references: Sequence[FlightFrame] = ()) -> Finding
         competition = Competition(body)
         for onset in competition.onsets():
             if body.t_s[onset.place] >= first:
-                events.append(_event(body, onset))
+                events.append(event_of(body, onset))
                 nothing *= 1.0 - events[-1].probability
     return Findings(
         events=events,
@@ -97,7 +97,7 @@ def _stretches(frame: FlightFrame, part: Airborne) -> Iterator[tuple[Airborne, f
         yield piece, float(frame.t_s[start]) if k else 0.0
 
 
-def _event(body: Body, onset: Onset) -> Event:
+def event_of(body: Body, onset: Onset) -> Event:
     """An event of the competition as a record."""
     name, (_, probability) = onset.name, onset.probabilities[0]
     rotor = (name.rotor,) if name.rotor else None

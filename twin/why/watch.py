@@ -1,0 +1,337 @@
+"""`why` on the stream: the last minute of a flight, looked at each second, and what began in it.
+
+The finders are those of a log: the body's competition at the onsets of the last seconds,
+instruments and vibration over the window. An event is an alarm when looks in a row name it surely,
+when as much was flown after its onset as counts in a log, or at once when control is lost. Until it
+is settled its name may change; from then on the body is looked at from the event on, as in a log.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from msgspec import Struct, structs
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from ..errors import LogError
+from ..logs.airframe import Airframe
+from ..residuals.stream import LastRows, Rows
+from ..vehicle import Vehicle
+from ..vehicle.layouts import Layout, frame, frames_of
+from .body import AFTER_LOSS_S, Body
+from .competition import AFTER_S, APART_S, BEFORE_S, BLOW, FINAL, Competition
+from .diagnose import NAMED, in_order
+from .findings import Finder
+from .flight import Airborne, FlightFrame
+from .motion import LEAST_S, event_of
+from .records import Event
+from .sensors import LANDING_S, OF_ESTIMATE, sensors
+from .vibration import vibration
+
+LOOK_S = 1.0
+"""Between two looks."""
+WINDOW_S = BEFORE_S + AFTER_S + 4.0
+"""Of the flight that is held: what an onset is weighed on, and some looks."""
+RECENT_S = AFTER_S + 3.0
+"""Before now, in which onsets are tried."""
+CURVE_S = 20.0
+"""After so long the curve of thrust by which onsets are screened is chosen anew."""
+FINDERS: tuple[tuple[Finder, float], ...] = ((sensors, 2.0), (vibration, 10.0))
+"""Of what moves no body, and the time between two of its looks, s."""
+CLEAR, LOOKS = 0.9, 2
+"""Probability from which on, and looks in a row after which, a name is said before it settles."""
+NEAR_S = 1.0
+"""Onsets of two looks that are so near are of one event."""
+IDLE_S = 5.0
+"""After the last moment in the air nothing is looked for."""
+CLIMBS_M, TURNS_RAD_S, AGO_S = 0.4, 0.03, 2.0
+"""Change of height, and mean body rate, that show that an aircraft is in the air; the time over
+which they are taken."""
+PASSING = (BLOW, *OF_ESTIMATE, "mag_disturbance", "baro_disturbance")
+"""Causes that are over by the time that they are settled."""
+FIT_S, FIT_SHARE, FIT_LEAST = 20.0, 0.5, 0.6
+"""In the air, after which the rotors of a vehicle file are judged; share of the correlation of the
+best usual frame that they have to reach, and the least correlation that judges. By judgement."""
+
+
+class Alarm(Struct, frozen=True, kw_only=True):
+    """Something that went wrong while it flies.
+
+    Attributes:
+        event: What, of which rotor or sensor, since when, how much, how probable.
+        raised_s: When it was said, on the clock of the flight.
+        closed_s: When it was over, or withdrawn; null: it stands.
+    """
+
+    event: Event
+    raised_s: float
+    closed_s: float | None = None
+
+
+@dataclass(slots=True)
+class Case:
+    """What is seen of one event, look by look.
+
+    Attributes:
+        event: As it was seen last.
+        looks: How often in a row under this name; 0: not any more.
+        alarm: What was said of it.
+        settled: Whether its name will not change any more.
+        seen_s: When it was seen last.
+    """
+
+    event: Event | None = None
+    looks: int = 0
+    alarm: Alarm | None = None
+    settled: bool = False
+    seen_s: float = -np.inf
+
+    def see(self, event: Event | None, now_s: float) -> None:
+        """Take a look."""
+        if event is None:
+            self.looks = 0
+            return
+        again = self.looks and self.event is not None and _same(event, self.event)
+        self.looks, self.event, self.seen_s = self.looks + 1 if again else 1, event, now_s
+
+    def news(self, now_s: float, settles_s: float, at_once: bool = False) -> Iterator[Alarm]:
+        """What is new about its alarm.
+
+        Args:
+            now_s: Time of the look.
+            settles_s: After its onset.
+            at_once: Whether one look is enough.
+        """
+        event, old = self.event, self.alarm
+        if event is None or self.settled:
+            return
+        old_enough = event.onset_s is None or now_s - event.onset_s >= settles_s
+        if old is not None and (
+            not _same(event, old.event) if self.looks else old_enough
+        ):  # it is something else, or nothing
+            yield structs.replace(old, closed_s=now_s)
+            self.alarm = old = None
+        surely = at_once or (self.looks >= LOOKS and (old_enough or event.probability >= CLEAR))
+        if old is None and self.looks and surely:
+            self.alarm = Alarm(event=event, raised_s=now_s)
+            yield self.alarm
+        self.settled = old_enough and (self.alarm is not None or not self.looks)
+        if self.settled and self.alarm is not None:
+            over_s = now_s if event.cause in PASSING else None
+            self.alarm = structs.replace(self.alarm, event=event, closed_s=over_s)
+            yield self.alarm
+
+
+def _same(a: Event, b: Event) -> bool:
+    """Whether two looks see one event."""
+    if (a.cause, a.rotor, a.sensor) != (b.cause, b.rotor, b.sensor):
+        return False
+    return a.onset_s is None or b.onset_s is None or abs(a.onset_s - b.onset_s) <= NEAR_S
+
+
+class Watch:
+    """Looks at a flight while it goes on.
+
+    Attributes:
+        misfit: Why the rotors of the vehicle file are not those of the aircraft, in which case no
+            event of the body is said; "": they are, or it is not known yet.
+    """
+
+    def __init__(self, vehicle: Vehicle | None = None) -> None:
+        """Nothing has come.
+
+        Args:
+            vehicle: Where its rotors are and how they turn; None: the usual frame that explains
+                the flight best.
+        """
+        layout = None if vehicle is None else layout_of(vehicle)
+        self._rows = LastRows("live", airframe=None if layout is None else Airframe(layout=layout))
+        self._body = _BodyWatch()
+        self._others: dict[Finder, dict[str, Case]] = {find: {} for find, _ in FINDERS}
+        self._looked_s = dict.fromkeys(self._others, -np.inf)
+        self._fit_open = layout is not None
+        self._took_off_s: float | None = None
+        self._until_s = -np.inf
+        self.misfit = ""
+
+    def push(self, rows: Rows) -> None:
+        """Take new rows of the flight table, NaN where a signal has no sample."""
+        self._rows.append(rows)
+
+    def look(self) -> tuple[Alarm, ...]:
+        """Alarms that are new, have changed, or are over, since the last look."""
+        if not len(self._rows):
+            return ()
+        now_s = self._rows.last_s
+        self._rows.forget(now_s - WINDOW_S, {})
+        try:
+            flown = FlightFrame.of(self._rows.flight())
+        except LogError:  # too short, or no motion yet
+            return ()
+        part = self._part(flown, now_s)
+        if part is None:
+            return ()
+        self._judge_rotors(flown, part)
+        body = () if self.misfit else tuple(self._body.look(flown, part, now_s))
+        return (*body, *self._look_at_others(flown, now_s))
+
+    def _part(self, flown: FlightFrame, now_s: float) -> Airborne | None:
+        """The part of the flight that goes on, from where it left the ground; None: it rests.
+
+        A motor that idles on the ground is not told from one that hovers by its command while
+        nothing else was flown: it takes off where height and attitude move.
+        """
+        parts = flown.airborne
+        if not parts or now_s - flown.t_s[parts[-1].end - 1] > IDLE_S:
+            self._took_off_s = None
+            return None
+        part = parts[-1]
+        begins_s = float(flown.t_s[part.start])
+        if part.start > 0 and self._took_off_s is not None and begins_s > self._until_s:
+            self._took_off_s = None
+        self._until_s = float(flown.t_s[part.end - 1])
+        if self._took_off_s is None:
+            self._body = _BodyWatch()
+            off = np.flatnonzero(_moves(flown, part))
+            if not len(off):
+                return None
+            self._took_off_s = float(flown.t_s[part.start + off[0]])
+        start = max(part.start, int(np.searchsorted(flown.t_s, self._took_off_s)))
+        return replace(part, start=start)
+
+    def _look_at_others(self, flown: FlightFrame, now_s: float) -> Iterator[Alarm]:
+        """Instruments and vibration, each once in a flight of `WINDOW_S`."""
+        for find, every_s in FINDERS:
+            if now_s - self._looked_s[find] < every_s - LOOK_S / 2:
+                continue
+            self._looked_s[find] = now_s
+            cases = self._others[find]
+            seen = {e.sensor or e.cause: e for e in self._causes(find(flown, ()).events)}
+            for key in dict.fromkeys([*cases, *seen]):
+                case = cases.setdefault(key, Case())
+                case.see(seen.get(key), now_s)
+                yield from case.news(now_s, AFTER_S + LANDING_S)
+                if now_s - case.seen_s > WINDOW_S or (case.settled and case.alarm is None):
+                    del cases[key]
+
+    def _causes(self, events: Sequence[Event]) -> list[Event]:
+        """Those that are probable, and that nothing in the motion of the body explains."""
+        return [
+            e
+            for e in in_order([*self._body.seen, *events])
+            if e.probability >= NAMED and not e.consequence and e not in self._body.seen
+        ]
+
+    def _judge_rotors(self, flown: FlightFrame, part: Airborne) -> None:
+        """Whether the body turns as the rotors of the vehicle file would turn it."""
+        if not self._fit_open or (part.flown - part.start) * flown.dt_s < FIT_S:
+            return
+        self._fit_open = False
+        layout = flown.layout
+        if layout is None:
+            return
+        usual = max(
+            map(frame, frames_of(layout.count)), key=flown.turning_explained, default=layout
+        )
+        best, own = flown.turning_explained(usual), flown.turning_explained(layout)
+        if best > FIT_LEAST and own < FIT_SHARE * best:
+            self.misfit = (
+                "this vehicle file does not fit: the aircraft turns as if its rotors were in the "
+                "order of another frame. Correct [rotors], or draft a file: uavtwin vehicle draft."
+            )
+
+
+def layout_of(vehicle: Vehicle) -> Layout:
+    """Places and senses of a vehicle's rotors."""
+    rotors = vehicle.rotors
+    return Layout(rotors.position_m, rotors.direction, True, 0.0, "the vehicle file")
+
+
+def _moves(flown: FlightFrame, part: Airborne) -> NDArray[np.bool_]:
+    """Where a part is in the air for sure: it climbs, or is higher than before and turns."""
+    rows, back = slice(part.start, part.end), flown.places(AGO_S)
+    turns = np.zeros(part.end - part.start, dtype=np.bool_)
+    if "gyro" in flown.grid:
+        turning = np.linalg.norm(flown.grid["gyro"], axis=1)
+        turns = uniform_filter1d(turning, max(back, 1))[rows] > TURNS_RAD_S
+    if "pos" not in flown.grid:
+        return turns
+    height = flown.grid["pos"][rows, 2]
+    before = height[np.maximum(np.arange(len(height)) - back, 0)]
+    climbs = np.abs(height - before) > CLIMBS_M
+    return np.asarray(climbs | (turns & (np.abs(height - height[0]) > CLIMBS_M)))
+
+
+@dataclass(slots=True)
+class _BodyWatch:
+    """What moved the body, from a take-off on.
+
+    Attributes:
+        case: Of the newest event.
+        said: Events before it.
+        from_s: From where on the flight counts: behind the last event, s.
+        over: Whether the body is another one by now, or control was lost.
+        curve: Of thrust, by which onsets are screened, and when it was chosen, s.
+    """
+
+    case: Case = field(default_factory=Case)
+    said: list[Event] = field(default_factory=list)
+    from_s: float = -np.inf
+    over: bool = False
+    curve: tuple[tuple[float, float], float] | None = None
+
+    @property
+    def seen(self) -> list[Event]:
+        """Events that were said, and the newest."""
+        return self.said + ([] if self.case.event is None else [self.case.event])
+
+    def look(self, flown: FlightFrame, part: Airborne, now_s: float) -> Iterator[Alarm]:
+        """What is new."""
+        missing = {"gyro", "acc"} - flown.grid.keys()
+        short = (part.flown - part.start) * flown.dt_s < LEAST_S
+        if self.over or missing or flown.drive is None or flown.layout is None or short:
+            return
+        self.case.see(self._event(flown, part, now_s), now_s)
+        lost = part.lost is not None
+        ended = lost and _has_tumbled(flown, part)
+        yield from self.case.news(now_s, 0.0 if ended else AFTER_S, at_once=lost)
+        if self.case.settled:
+            self._settle(self.case)
+            self.case = Case()
+        self.over |= ended
+
+    def _settle(self, case: Case) -> None:
+        """From an event on the body is another one, or is looked at from there on."""
+        if case.alarm is None or case.event is None or case.event.onset_s is None:
+            return
+        self.said.append(case.event)
+        self.from_s = case.event.onset_s + APART_S[1]
+        self.over |= case.event.cause in FINAL
+
+    def _event(self, flown: FlightFrame, part: Airborne, now_s: float) -> Event | None:
+        """The strongest onset of the last seconds."""
+        body = _body_of(flown, part)
+        low, since = (int(np.searchsorted(body.t_s, t)) for t in (self.from_s, now_s - RECENT_S))
+        if self.curve is None or now_s - self.curve[1] > CURVE_S:
+            self.curve = next(iter(body.grams)), now_s
+        screened = Competition(replace(body, curves=(self.curve[0],)))
+        if part.lost is None and not screened.promising(low, len(body), since):
+            return None
+        onset = Competition(body).strongest(low, len(body), since)
+        return None if onset is None else event_of(body, onset)
+
+
+def _has_tumbled(flown: FlightFrame, part: Airborne) -> bool:
+    """Whether all that the body can show of a loss of control is there."""
+    assert part.lost is not None
+    return part.crash is not None or len(flown.t_s) - part.lost > flown.places(AFTER_LOSS_S)
+
+
+def _body_of(flown: FlightFrame, part: Airborne) -> Body:
+    """As `Body.of`, but that a part does not end where the window does."""
+    body = Body.of(flown, part)
+    start = part.start if part.start == 0 else body.start
+    end = part.end if part.end == len(flown.t_s) and part.lost is None else body.end
+    last = end - start if part.lost is None else body.last + body.start - start
+    return Body(flown, start, end, last, body.lost)
