@@ -366,7 +366,7 @@ def _verbs(group: TyperGroup, before: str = "") -> Iterator[tuple[str, TyperComm
     for name, command in group.commands.items():
         if isinstance(command, TyperGroup):
             yield from _verbs(command, f"{before}{name} ")
-        elif isinstance(command, TyperCommand):
+        elif isinstance(command, TyperCommand) and not command.hidden:
             yield f"{before}{name}", command
 
 

@@ -1,4 +1,4 @@
-"""`uavtwin bench`: the speed figures of the README, measured here and now.
+"""`uavtwin bench`: the speed figures, measured here and now.
 
 Every figure is the best of several runs, but that of the worker process, a quotient of medians;
 what is compared runs side by side. libcosim and ecos, two other co-simulation masters, are timed

@@ -1,4 +1,4 @@
-"""`uavtwin bench`: the speed figures of the README; time and memory against length of flight."""
+"""`uavtwin bench`: the speed figures; time and memory against length of flight."""
 
 from typing import TYPE_CHECKING, Annotated
 
@@ -34,7 +34,7 @@ def bench(
         ),
     ] = False,
 ) -> None:
-    """Measure the speed figures of the README, here and now."""
+    """Measure the speed figures, here and now."""
     from ..display import TextTable
 
     if scale:

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from twin.errors import TwinError
+
 from .options import (
     VEHICLE_VARIABLE,
     Engine,
@@ -22,6 +24,7 @@ from .options import (
     vehicle_named,
 )
 from .printing import STDERR, STDOUT, print_json, progress
+from .query import ROWS, SQL, AsCsv, print_answer
 
 if TYPE_CHECKING:
     from ..fleets.dataset import JobRows
@@ -60,15 +63,27 @@ def fleet(
     ] = 4.0,
     out: Out = Path("fleet"),
     force: Force = False,
+    sql: Annotated[
+        str | None,
+        typer.Option(
+            "--sql", help=f"Ask the tables of the folder that an earlier call wrote. {SQL}."
+        ),
+    ] = None,
     as_json: Annotated[
-        Json, Prints("uavtwin.fleets.result:FleetRecord", file="fleet.json")
+        Json, Prints("uavtwin.fleets.result:FleetRecord", file="fleet.json", about=ROWS)
     ] = False,
+    as_csv: AsCsv = False,
 ) -> None:
     """Check, compare and explain many logs: which aircraft differs, what drifts, which log is bad.
 
-    One that was interrupted goes on where it was when the same command is given again. Ask the
-    tables that it leaves with `uavtwin query`.
+    One that was interrupted goes on where it was when the same command is given again. `uavtwin
+    fleet FOLDER --sql "SELECT ..."` asks the tables that it leaves; nothing else is read.
     """
+    if sql is not None:
+        print_answer(_one_folder(logs), sql, time_limit, as_json, as_csv)
+        return
+    if as_csv:
+        raise TwinError("fleet: --csv prints the rows of --sql. Give both, or neither.")
     from ..fleets.fleet import FleetRequest, Work, run_fleet
     from ..jobs.process import Allowed
 
@@ -91,6 +106,13 @@ def fleet(
         )
     if result.bad or result.misfits or result.differing or result.drifting or result.spreads:
         raise typer.Exit(Exit.FINDINGS)
+
+
+def _one_folder(given: list[str]) -> Path:
+    """The folder that `--sql` asks."""
+    if len(given) != 1:
+        raise TwinError(f"fleet --sql: asks one folder that fleet wrote; {len(given)} are given.")
+    return Path(given[0])
 
 
 def _found(found: "JobRows") -> None:

@@ -12,6 +12,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -60,34 +61,40 @@ def _print_version(wanted: bool) -> None:
 _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """Read where numpy and scipy are imported, which the verbs do. Of several threads the sums come in
 another order and end in other bits; one is as fast for matrices of this size."""
-VERBS = (
-    *(
-        check,
-        why,
-        convert,
-        gap,
-        calibrate,
-        explain,
-        demo,
-        show,
-        export,
-        simulate,
-        sweep,
-        fleet,
-        query,
-    ),
-    *(live, replay, hil, train, evaluate, bench, version),
+PANELS = {
+    "Your flights": (check, why, gap, explain, convert),
+    "Your aircraft": (vehicle, calibrate, show),
+    "Simulate and export": (simulate, sweep, export),
+    "Fleet and live": (fleet, live, replay, hil),
+    "Learn": (train, evaluate),
+    "Try and measure": (demo, bench),
+}
+"""The verbs in the order of the help, by what somebody has at hand. A verb is a function in a file
+of its name, or a Typer application of further verbs, and a name here."""
+HIDDEN = (query, version)
+"""What the help does not list: the former name of `fleet --sql`, kept for one release, and what
+`--version` prints."""
+
+VERBS = tuple(
+    verb
+    for verb in (*chain.from_iterable(PANELS.values()), *HIDDEN)
+    if not isinstance(verb, typer.Typer)
 )
-"""In the order of the help: a verb is a function in a file of its name, and a name here."""
+"""All that are functions, for the reference."""
 
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Hybrid digital twin of a multirotor, as FMI co-simulation components.",
 )
-for verb in VERBS:
-    app.command()(verb)
-app.add_typer(vehicle, name="vehicle")
+for _panel, _verbs in PANELS.items():
+    for _verb in _verbs:
+        if isinstance(_verb, typer.Typer):
+            app.add_typer(_verb, name=_verb.info.name, rich_help_panel=_panel)
+        else:
+            app.command(rich_help_panel=_panel)(_verb)
+for _verb in HIDDEN:
+    app.command(hidden=True)(_verb)
 
 
 @app.callback()

@@ -12,25 +12,32 @@ from twin.errors import TwinError
 from .options import Json, Prints, seconds
 from .printing import print_rows, print_table
 
+SQL = "One SELECT over flights, channels, effects, findings, in the SQL of DuckDB"
+"""Meaning of the argument."""
+AsCsv = Annotated[bool, typer.Option("--csv", help="Print the rows of --sql as CSV.")]
+ROWS = "A list of rows by the columns of the `SELECT`, where it is asked by `--sql`."
+"""What `--json` of `--sql` prints."""
+
 
 def query(
     folder: Annotated[Path, typer.Argument(help="Folder that `uavtwin fleet` wrote.")],
-    sql: Annotated[
-        str, typer.Argument(help="One SELECT over flights, channels, effects, findings.")
-    ],
+    sql: Annotated[str, typer.Argument(help=f"{SQL}.")],
     time_limit: Annotated[float, seconds("Of the query, s.")] = 300.0,
-    as_json: Annotated[
-        Json, Prints(about="A list of rows, by the columns of the `SELECT`.")
-    ] = False,
-    as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV instead of a table.")] = False,
+    as_json: Annotated[Json, Prints(about=ROWS)] = False,
+    as_csv: AsCsv = False,
 ) -> None:
-    """Ask the tables of a fleet, in the SQL of DuckDB; nothing else is read, nothing is written."""
+    """Former name of `uavtwin fleet FOLDER --sql SELECT`."""
+    print_answer(folder, sql, time_limit, as_json, as_csv)
+
+
+def print_answer(folder: Path, sql: str, time_limit_s: float, as_json: bool, as_csv: bool) -> None:
+    """Ask the tables of a fleet, and print the rows as a table, JSON or CSV."""
     from ..display import TextTable
     from ..fleets.query import query as run_query
 
     if as_json and as_csv:
-        raise TwinError("query: --json and --csv are both given. Choose one.")
-    answer = run_query(folder, sql, time_limit)
+        raise TwinError("--json and --csv are both given. Choose one.")
+    answer = run_query(folder, sql, time_limit_s)
     if as_json:
         print_rows(answer.records())
     elif as_csv:

@@ -11,7 +11,7 @@ from twin.errors import TwinError
 from .options import Exit, Force, Json, Prints, Rebuild, quantity
 from .printing import STDERR, STDOUT, print_damage, print_json, print_sections
 
-vehicle = typer.Typer(no_args_is_help=True, help="Make a vehicle file.")
+vehicle = typer.Typer(name="vehicle", no_args_is_help=True, help="Make a vehicle file.")
 
 
 @vehicle.command()

@@ -181,9 +181,9 @@ def test_a_query_joins_tables(folder: Path, capsys: pytest.CaptureFixture[str]) 
     code, out, _ = run(capsys, "query", folder, sql, "--json")
     assert code == 0
     assert json.loads(out) == [{"aircraft": HEAVY, "n": FLIGHTS, "c": carried}]
-    code, out, _ = run(capsys, "query", folder, sql, "--csv")
+    code, out, _ = run(capsys, "fleet", folder, "--sql", sql, "--csv")
     assert out.splitlines() == ["aircraft,n,c", f"{HEAVY},{FLIGHTS},{carried}"]
-    code, out, _ = run(capsys, "query", folder, sql)
+    code, out, _ = run(capsys, "fleet", folder, "--sql", sql)
     assert HEAVY in out
 
 
@@ -236,8 +236,14 @@ def test_a_folder_without_tables_is_named(
     code, _, err = run(capsys, "query", tmp_path, "select 1")
     assert code == 2
     assert "lacks flights.parquet" in err
-    code, _, err = run(capsys, "query", tmp_path / "none", "select 1")
+    code, _, err = run(capsys, "fleet", tmp_path / "none", "--sql", "select 1")
     assert "is no folder" in err
+    code, _, err = run(capsys, "fleet", tmp_path, tmp_path, "--sql", "select 1")
+    assert code == 2
+    assert "asks one folder" in err
+    code, _, err = run(capsys, "fleet", tmp_path, "--csv")
+    assert code == 2
+    assert "--sql" in err
 
 
 @needs_browser
