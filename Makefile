@@ -55,10 +55,10 @@ audit: $(AUDIT_STAMP)  ## known vulnerabilities of the pinned set, as PyPI's ser
 	$(BIN)/pip-audit --strict --no-deps --disable-pip --progress-spinner off --requirement constraints.txt \
 	  || { echo 'audit: not passed. After "could not be audited" or a failed connection nothing was judged: the service cannot be reached from here.' >&2; exit 1; }
 
-bench: setup  ## the speed figures of the README
+bench: setup  ## the speed figures
 	$(BIN)/uavtwin bench
 
-figures: setup  ## the same, written into docs/results and the README
+figures: setup  ## the same, written into docs/results
 	$(BIN)/python docs/_generate/figures.py --bench
 
 DOCS_STAMP := $(VENV)/.docs-installed
@@ -75,7 +75,7 @@ tables: setup  ## tables of the documents, from the definitions in code
 tutorial: setup  ## outputs and pictures of the tutorial; needs chromium
 	$(BIN)/python docs/_generate/tutorial.py
 
-pictures: setup  ## drawings, and the picture of the README; needs chromium
+pictures: setup  ## drawings, and the pictures of pages; needs chromium
 	$(BIN)/python docs/_generate/drawings.py
 	$(BIN)/python docs/_generate/pictures.py
 

@@ -1,9 +1,9 @@
-"""Write results/figures.md and the figures of the README from results/figures.toml.
+"""Write results/figures.md from results/figures.toml.
 
     python docs/_generate/figures.py [--bench [FILE] | --check]
 
 `--bench` measures speed anew first (`uavtwin bench`, two minutes on a quiet machine), or takes
-what `uavtwin bench --json` wrote into a file. `--check` changes nothing and exits 1 if a page is
+what `uavtwin bench --json` wrote into a file. `--check` changes nothing and exits 1 if the page is
 out of date.
 """
 
@@ -20,13 +20,7 @@ import tomlkit
 from tables import rows
 
 DOCS = Path(__file__).parents[1]
-STORE, PAGE, README = (
-    DOCS / "results" / "figures.toml",
-    DOCS / "results" / "figures.md",
-    DOCS.parent / "README.md",
-)
-BEGIN = "<!-- figures: do not edit, run docs/_generate/figures.py -->"
-END = "<!-- end of figures -->"
+STORE, PAGE = DOCS / "results" / "figures.toml", DOCS / "results" / "figures.md"
 HEAD = ("figure", "value", "goal", "command")
 INTRODUCTION = """\
 # Figures
@@ -70,20 +64,10 @@ def update(figures: Sequence[Figure], bench: dict[str, float | None]) -> list[st
 
 def page(figures: Sequence[Figure]) -> str:
     """The whole page."""
-    return INTRODUCTION + "\n".join(_table(figures)) + "\n"
-
-
-def readme(text: str, figures: Sequence[Figure]) -> str:
-    """The README with its figures between the marks."""
-    head, rest = text.split(BEGIN)
-    _, tail = rest.split(END)
-    few = _table([f for f in figures if f.get("readme")])
-    return "\n".join([head + BEGIN, *few, END + tail])
-
-
-def _table(figures: Sequence[Figure]) -> list[str]:
-    lines = [(*(str(f[k]) for k in HEAD[1:3]), f"`{f['command']}`") for f in figures]
-    return rows(HEAD, [(str(f["what"]), *line) for f, line in zip(figures, lines, strict=True)])
+    lines = [
+        (str(f["what"]), *(str(f[k]) for k in HEAD[1:3]), f"`{f['command']}`") for f in figures
+    ]
+    return INTRODUCTION + "\n".join(rows(HEAD, lines)) + "\n"
 
 
 def main() -> int:
@@ -105,12 +89,12 @@ def main() -> int:
         for i, figure in enumerate(figures):
             store["figure"][i]["value"] = figure["value"]
         STORE.write_text(tomlkit.dumps(store), "utf-8")
-    wanted = {PAGE: page(figures), README: readme(README.read_text("utf-8"), figures)}
-    stale = [p for p, text in wanted.items() if not p.is_file() or p.read_text("utf-8") != text]
-    for path in stale:
-        print(f"{path.name} is out of date")
+    wanted = page(figures)
+    stale = not PAGE.is_file() or PAGE.read_text("utf-8") != wanted
+    if stale:
+        print(f"{PAGE.name} is out of date")
         if not given.check:
-            path.write_text(wanted[path], "utf-8")
+            PAGE.write_text(wanted, "utf-8")
     return 1 if stale and given.check else 0
 
 

@@ -2,8 +2,8 @@
 
     python docs/_generate/pictures.py [--work FOLDER]
 
-writes the picture of the README, the report of `uavtwin demo`, and that of docs/guide/live.md, the
-page of `uavtwin live --demo` after its alarm.
+writes the picture of the README, of the report of `uavtwin demo`, and that of docs/guide/live.md,
+the page of `uavtwin live --demo` after its alarm.
 """
 
 import argparse
@@ -19,8 +19,10 @@ sys.path.insert(0, str(DOCS.parent / "tests" / "rigs"))
 
 from page_rigs.browser import View, browser  # noqa: E402
 
-REPORT = (1000, 806)
+REPORT = (1000, 520)
 """Size of the picture of the README."""
+CONVINCES = "#before-after + details"
+"""Its part of the report: measured, model before and after, and what both leave."""
 LIVE = (1000, 1150)
 """Size of the picture of a flight under way."""
 SERVES, LISTENS = "127.0.0.1:8079", "udpin:127.0.0.1:14579"
@@ -32,7 +34,10 @@ ALONE = """
 (() => {
   const page = document.querySelector("main"), part = document.querySelector(%s);
   if (part === null) return false;
-  if (part !== page) page.replaceChildren(part);
+  if (part !== page) {
+    page.replaceChildren(part);
+    document.querySelector("nav")?.remove();
+  }
   for (const bar of document.querySelectorAll(".modebar")) bar.style.display = "none";
   window.scrollTo(0, 0);
   return true;
@@ -99,7 +104,7 @@ def main() -> None:
         if not (work / "report.html").is_file():
             uavtwin = Path(sys.executable).parent / "uavtwin"
             subprocess.run([uavtwin, "demo", "--seed", SEED, "--out", work], check=True)
-        photograph(work / "report.html", DOCS / "pictures" / "report.png", REPORT)
+        photograph(work / "report.html", DOCS / "pictures" / "report.png", REPORT, CONVINCES)
     photograph_live(DOCS / "pictures" / "live.png", LIVE)
 
 

@@ -93,8 +93,8 @@ for _panel, _verbs in PANELS.items():
             app.add_typer(_verb, name=_verb.info.name, rich_help_panel=_panel)
         else:
             app.command(rich_help_panel=_panel)(_verb)
-for _verb in HIDDEN:
-    app.command(hidden=True)(_verb)
+for _hidden in HIDDEN:
+    app.command(hidden=True)(_hidden)
 
 
 @app.callback()

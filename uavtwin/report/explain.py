@@ -144,14 +144,16 @@ def _evidence(
 
 
 def _before_after(result: ExplainResult, budget: Budget) -> list[Plot]:
-    """Figures over time of the most affected channels."""
+    """Figures over time of the most affected channels, that whose residual shrinks most first."""
     found = result.details
     compared = found.comparison
     if compared is None or not found.values:
         return []
     names = list(dict.fromkeys(c for a in found.attributions for c in a.channels[:MOST_AFFECTED]))
+    gap = result.record.gap
+    shrunk = {n: gap[n].before / gap[n].after for n in names if n in gap and gap[n].after > 0}
     figures = []
-    for name in names[: 2 * MOST_AFFECTED]:
+    for name in sorted(names[: 2 * MOST_AFFECTED], key=lambda n: -shrunk.get(n, 0.0)):
         for i, flight in enumerate(compared.model.flights):
             before, after = (
                 next(c for c in channels[i] if c.name == name)

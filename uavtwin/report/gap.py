@@ -5,7 +5,7 @@ they come into view, so a page with many flights opens at once.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -154,6 +154,7 @@ class _Scored:
         """Figures and tables of one flight, as the template reads them."""
         gap, shown, summed = self.gaps[index], self.overviews[index], self.summed[index]
         name, phases = f"flight{index}", gap.phases
+        places = rank({s.name: s for s in summed})
         ends = [c for c in gap.channels if c.name in POS and c.horizon_s > 0]
         track: list[Plot] = []
         logged = view = None
@@ -169,15 +170,23 @@ class _Scored:
             "vehicle": gap.vehicle,
             "duration_s": gap.duration_s,
             "phases": phases,
-            "claim": claim(rank({s.name: s for s in summed})),
+            "claim": claim(places),
             "figures": [
                 _figure(name, kind, members, phases, budget)
-                for kind, members in grouped(gap.channels)
+                for kind, members in _furthest_first(grouped(gap.channels), places)
             ],
             "rows": _rows(summed),
             "facts": gap.facts,
             "warnings": gap.warnings,
         }
+
+
+def _furthest_first(
+    groups: Iterable[tuple[Kind, Sequence[Channel]]], places: Sequence[Ranked]
+) -> list[tuple[Kind, Sequence[Channel]]]:
+    """Groups of channels, that in which the twin is furthest off first."""
+    worst = {(p.channel, p.horizon_s) for p in places[:1]}
+    return sorted(groups, key=lambda g: not worst & {(c.name, c.horizon_s) for c in g[1]})
 
 
 def _hover(gap: FlightGap, before: str = "") -> str:
