@@ -1,7 +1,6 @@
 """Platforms of an FMU: the folder of each binary and the compiler that makes it."""
 
 import importlib.metadata
-import importlib.util
 import os
 import shutil
 import struct
@@ -12,7 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from twin.component import unknown_name
-from twin.errors import FmuError, install_command
+from twin.errors import FmuError
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,21 +83,17 @@ def select_platforms(names: Iterable[str]) -> tuple[Platform, ...]:
 
 
 def compilers(platforms: tuple[Platform, ...]) -> dict[str, Compiler]:
-    """Compiler of each platform: the machine's own for linux64 alone, else zig for all of them.
+    """Compiler of each platform: the machine's own for linux64 alone where there is one, else zig
+    for all of them.
 
     So all binaries of one FMU come from one compiler.
 
     Raises:
-        FmuError: The compiler is not installed.
+        FmuError: `CC` names a compiler that is not on the path.
     """
-    if tuple(p.name for p in platforms) == DEFAULT:
-        return {DEFAULT[0]: _machine_compiler()}
-    if importlib.util.find_spec("ziglang") is None:
-        names = ", ".join(p.name for p in platforms)
-        raise FmuError(
-            f"Building for {names} needs the zig compiler, which is not installed: "
-            f"{install_command('cross')}. Without it: linux64 alone, with the machine's compiler."
-        )
+    own = _machine_compiler() if tuple(p.name for p in platforms) == DEFAULT else None
+    if own is not None:
+        return {DEFAULT[0]: own}
     version = importlib.metadata.version("ziglang")
     zig = (sys.executable, "-m", "ziglang", "cc", "-target")
     return {p.name: Compiler((*zig, p.target), f"zig {version} {p.target}") for p in platforms}
@@ -131,15 +126,18 @@ def without_link_time(dll: bytes) -> bytes:
     return dll[:at] + bytes(4) + dll[at + 4 :]
 
 
-def _machine_compiler() -> Compiler:
+def _machine_compiler() -> Compiler | None:
+    """That of `CC`, else `cc`; None where the machine has none."""
     name = os.environ.get("CC", "cc")
     found = shutil.which(name)
-    if found is None:
+    if found is not None:
+        return Compiler((found,), _compiler_version(found))
+    if "CC" in os.environ:
         raise FmuError(
-            f"No C compiler: {name!r} is not on the path. Install one (Debian: apt install gcc) "
-            f"or set CC."
+            f"No C compiler: CC is {name!r}, which is not on the path. Correct CC, or unset it: "
+            f"without a C compiler zig is used, which uavtwin brings."
         )
-    return Compiler((found,), _compiler_version(found))
+    return None
 
 
 @lru_cache

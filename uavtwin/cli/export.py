@@ -64,7 +64,7 @@ Platforms = Annotated[
     str,
     typer.Option(
         help="linux64, aarch64-linux, win64, darwin64, darwin-arm64, separated by commas, or all. "
-        "Anything but linux64 alone is built by zig, the extra `cross`."
+        "linux64 alone is built by the C compiler of the machine if it has one, all else by zig."
     ),
 ]
 Starts = Annotated[

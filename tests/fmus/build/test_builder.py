@@ -112,7 +112,7 @@ def test_refusals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         build(model("battery"), tmp_path / "b.fmu", 1)
     monkeypatch.setenv("UAVTWIN_CACHE", str(tmp_path / "empty"))
     monkeypatch.setenv("CC", "no-such-compiler")
-    with pytest.raises(FmuError, match="No C compiler: 'no-such-compiler' is not on the path"):
+    with pytest.raises(FmuError, match="No C compiler: CC is 'no-such-compiler', which is not"):
         build(model("battery"), tmp_path / "b.fmu", 2)
     monkeypatch.setenv("CC", "false")
     with pytest.raises(FmuError, match=r"battery: the C compiler failed: .*false"):
