@@ -182,18 +182,7 @@ def _from_archive(blob: bytes) -> Unpacked:
     """The one log in a ZIP archive."""
     try:
         with zipfile.ZipFile(io.BytesIO(blob)) as archive:
-            names = set(archive.namelist())
-            for member, what in _OF_SYSTEMS.items():
-                if member in names:
-                    raise LogError(what)
-            files = [
-                m
-                for m in archive.infolist()
-                if not m.is_dir() and not any(n in m.filename for n in _NO_MEMBERS)
-            ]
-            if any(m.flag_bits & 1 for m in files):
-                raise LogError("a ZIP archive with a password. Unpack it first.")
-            logs = [m for m in files if _is_log(archive, m)]
+            files, logs = _members(archive)
             if len(logs) != 1:
                 raise LogError(_which(files, logs))
             (log,) = logs
@@ -209,6 +198,37 @@ def _from_archive(blob: bytes) -> Unpacked:
     others = f"; files in it that are no logs: {len(files) - 1}" if len(files) > 1 else ""
     message = f"{log.filename[:80]}, out of a ZIP archive{others}"
     return Unpacked(content, (Finding("info", "file", message),))
+
+
+def _members(
+    archive: zipfile.ZipFile,
+) -> tuple[list[zipfile.ZipInfo], list[zipfile.ZipInfo]]:
+    """Files in an archive, and those of them that are logs.
+
+    Raises:
+        LogError: It is no container of logs, or has a password.
+    """
+    names = set(archive.namelist())
+    for member, what in _OF_SYSTEMS.items():
+        if member in names:
+            raise LogError(what)
+    files = [
+        m
+        for m in archive.infolist()
+        if not m.is_dir() and not any(n in m.filename for n in _NO_MEMBERS)
+    ]
+    if any(m.flag_bits & 1 for m in files):
+        raise LogError("a ZIP archive with a password. Unpack it first.")
+    return files, [m for m in files if _is_log(archive, m)]
+
+
+def logs_in_archive(path: Path) -> list[str]:
+    """Names of the logs in a ZIP archive; none where the file is no archive of logs."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return [m.filename for m in _members(archive)[1]]
+    except (LogError, zipfile.BadZipFile, zlib.error, OSError, ValueError, NotImplementedError):
+        return []
 
 
 def _is_log(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bool:

@@ -36,6 +36,7 @@ from .options import Exit
 from .printing import STDERR, STDOUT, print_error
 from .query import query
 from .replay import replay
+from .serve import serve
 from .show import show
 from .simulate import simulate
 from .sweep import sweep
@@ -65,7 +66,7 @@ PANELS = {
     "Your flights": (check, why, gap, explain, convert),
     "Your aircraft": (vehicle, calibrate, show),
     "Simulate and export": (simulate, sweep, export),
-    "Fleet and live": (fleet, live, replay, hil),
+    "Fleet and live": (serve, fleet, live, replay, hil),
     "Learn": (train, evaluate),
     "Try and measure": (demo, bench),
 }

@@ -25,7 +25,7 @@ from twin.vehicle_file import parse_vehicle
 from ..file_check import check_flight
 from ..flights import open_alike, reported_aircraft
 from ..gaps import gap
-from ..jobs.process import Allowed, ProcessWorker
+from ..jobs.process import Allowed, ProcessWorker, Progress
 from ..vehicles import Vehicle
 from .dataset import MOTORS, JobRows, Row
 
@@ -104,7 +104,7 @@ class LogAnalysis:
             found.add("flights", log=job.names[0], bytes=job.bytes, status="failed", error=why)
         return found
 
-    def do(self, job: LogJob) -> dict[str, Any]:
+    def do(self, job: LogJob, progress: Progress = lambda _: None) -> dict[str, Any]:
         """What is found, as a line of the journal."""
         return self.analyse(job).json()
 

@@ -11,11 +11,15 @@ import queue
 import resource
 import sys
 import threading
+import time
 from multiprocessing.connection import Connection
 from typing import Any
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """Of libraries of linear algebra: of several threads the sums end in other bits."""
+
+_EVERY_S = 0.25
+"""Between two messages on how much of a job is done."""
 
 
 def main(requests: int, answers: int, memory_bytes: int) -> None:
@@ -43,7 +47,17 @@ def main(requests: int, answers: int, memory_bytes: int) -> None:
     doer = coming.get()
     answered.send_bytes(b"")
     while True:
-        answered.send_bytes(json.dumps(doer.do(coming.get()), allow_nan=False).encode())
+        said_s = time.monotonic()
+
+        def progress(done: float) -> None:
+            """Say the share done, now and then."""
+            nonlocal said_s
+            if (now_s := time.monotonic()) - said_s >= _EVERY_S:
+                said_s = now_s
+                answered.send_bytes(json.dumps({"done": done}).encode())
+
+        answer = {"answer": doer.do(coming.get(), progress)}
+        answered.send_bytes(json.dumps(answer, allow_nan=False).encode())
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
@@ -22,11 +23,15 @@ _START_S = 120.0
 """For Python to start, on a machine that is busy."""
 
 
+Progress = Callable[[float], None]
+"""Takes the share of a job that is done, 0..1."""
+
+
 class Doer(Protocol[J_contra]):
     """What is sent to the process."""
 
-    def do(self, job: J_contra, /) -> Any:
-        """What comes of a job, as JSON has it: that alone comes back."""
+    def do(self, job: J_contra, progress: Progress, /) -> Any:
+        """What comes of a job, as JSON has it: that and the share done alone come back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,18 +76,38 @@ class ProcessWorker(Generic[J, D]):
         self._child: _Child | None = None
         self._done = 0
 
-    def do(self, job: J) -> D:
-        """What comes of a job."""
+    def do(self, job: J, progress: Progress = lambda _: None, time_s: float | None = None) -> D:
+        """What comes of a job.
+
+        Args:
+            job: To do.
+            progress: Called with the share done, 0..1.
+            time_s: That it may take; None: as long as all may.
+        """
         if self._done >= FRESH:
             self.close()
-        if self._child is None:
-            self._child, self._done = _Child(self._doer, self._allowed), 0
         self._done += 1
         try:
-            return self._read(self._child.ask(job, self._allowed.time_s))
+            child = self.start()
+            return self._read(child.ask(job, time_s or self._allowed.time_s, progress))
         except _EndedError as error:
             self.close()
             return self._lost(job, str(error))
+
+    def start(self) -> "_Child":
+        """The process, started where there is none.
+
+        Raises:
+            _EndedError: It does not start.
+        """
+        if self._child is None:
+            self._child, self._done = _Child(self._doer, self._allowed), 0
+        return self._child
+
+    def kill(self) -> None:
+        """End the process in the middle of its job, which is lost then; from any thread."""
+        if (child := self._child) is not None:
+            child.kill()
 
     def close(self) -> None:
         """End the process."""
@@ -124,20 +149,25 @@ class _Child:
                 os.close(file)
         self._ask, self._answers = Connection(ask), Connection(answers)
         self._send(doer)
-        self._receive(_START_S)
+        self._receive(_START_S, _START_S)
 
-    def ask(self, job: Any, time_s: float) -> Any:
+    def ask(self, job: Any, time_s: float, progress: Progress) -> Any:
         """What comes of a job.
 
         Raises:
-            _EndedError: The process is no more, took too long, or what it answers is no JSON.
+            _EndedError: The process is no more, took too long, or what it answers is none.
         """
         self._send(job)
-        answer = self._receive(time_s)
-        try:
-            return json.loads(answer)
-        except ValueError as error:
-            raise _EndedError(f"its process answered what is no JSON: {error}") from error
+        until = time.monotonic() + time_s
+        while True:
+            answer = self._receive(max(0.0, until - time.monotonic()), time_s)
+            try:
+                content = json.loads(answer)
+                if "answer" in content:
+                    return content["answer"]
+                progress(float(content["done"]))
+            except (ValueError, KeyError, TypeError) as error:
+                raise _EndedError(f"its process answered what is no answer: {error}") from error
 
     def _send(self, content: Any) -> None:
         try:
@@ -145,9 +175,9 @@ class _Child:
         except OSError as error:
             raise _EndedError(self._how()) from error
 
-    def _receive(self, time_s: float) -> bytes:
+    def _receive(self, left_s: float, time_s: float) -> bytes:
         try:
-            if not self._answers.poll(time_s):
+            if not self._answers.poll(left_s):
                 raise _EndedError(f"took longer than {time_s:g} s, the limit (--time-limit)")
             return self._answers.recv_bytes()
         except (EOFError, OSError) as error:
@@ -168,10 +198,15 @@ class _Child:
             f"(--memory-limit)"
         )
 
+    def kill(self) -> None:
+        """End it at once, and what it has started."""
+        if self._process.poll() is None:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+
     def end(self) -> None:
-        """Kill it."""
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self._process.pid, signal.SIGKILL)
+        """Kill it and close what leads to it."""
+        self.kill()
         self._process.wait()
         self._ask.close()
         self._answers.close()

@@ -83,6 +83,8 @@
     if (seen) Object.keys(layout).filter(function (k) { return /^xaxis/.test(k); }).forEach(function (k) {
       layout[k].range = seen.slice(); layout[k].autorange = false;
     });
+    if (moment !== null && covers(f, moment)) (layout.shapes = layout.shapes || []).push({ type: "line", xref: "x", yref: "paper",
+      x0: moment, x1: moment, y0: 0, y1: 1, line: { width: 2, color: colour("--accent") } });
     var strip = strips[(f.layout.meta || {}).time], power = (f.layout.meta || {}).spectrogram;
     if (strip) stripped(copy, strip, dark, div.clientWidth - layout.margin.l - layout.margin.r);
     if (power) layout.images = [{ source: painted(power, dark), xref: "x", yref: "y", x: power.start, y: power.top,
@@ -189,6 +191,11 @@
     keys(div, f);
     var group = (f.layout.meta || {}).time;
     if (!group) return;
+    div.on("plotly_click", function (event) {
+      moment = event.points[0].x;
+      history.replaceState(null, "", "#t=" + moment.toFixed(2));
+      figures.forEach(function (other, there) { if (other.drawn && !other.scene && covers(given(there), moment)) draw(there); });
+    });
     div.on("plotly_relayout", function (event) {
       var range = null, found = false;
       Object.keys(event).forEach(function (k) {
@@ -203,6 +210,30 @@
         draw(there);
       });
     });
+  }
+
+  // ---- a moment of the flight: #t=12.3 in the address, and the address of a moment that is clicked
+
+  var moment = null, MOMENT_S = 5; // shown before and after it
+
+  function covers(f, t) { // whether a figure shows time, and this one
+    var range = f.layout.xaxis && f.layout.xaxis.range;
+    return Boolean((f.layout.meta || {}).time && range && range[0] <= t && t <= range[1]);
+  }
+
+  function goToMoment() {
+    var asked = /^#t=(\d+(?:\.\d+)?)$/.exec(location.hash), first = null;
+    if (!asked) return;
+    moment = Number(asked[1]);
+    figures.forEach(function (figure, div) {
+      if (figure.scene || !covers(given(div), moment)) return;
+      first = first || div;
+      look(div, [moment - MOMENT_S, moment + MOMENT_S]);
+    });
+    if (!first) return;
+    draw(first);
+    first.focus({ preventScroll: true });
+    first.scrollIntoView({ block: "center" });
   }
 
   function look(div, range) { // at a span of time; null: at all of it
@@ -457,6 +488,8 @@
       entries.forEach(function (e) { if (e.isIntersecting) { seen.unobserve(e.target); draw(e.target); } });
     }, { rootMargin: "900px 0px" });
     figures.forEach(function (_, div) { seen.observe(div); });
+    window.addEventListener("hashchange", goToMoment);
+    goToMoment();
     document.documentElement.dataset.ready = "yes";
   }
 

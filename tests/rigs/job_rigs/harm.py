@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from uavtwin.jobs.process import Allowed, ProcessWorker
+from uavtwin.jobs.process import Allowed, ProcessWorker, Progress
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,12 @@ class Harm:
     def lost(self, job: str, why: str) -> str:
         return f"{job}: lost, {why}"
 
-    def do(self, job: str) -> str | float:
+    def do(self, job: str, progress: Progress) -> str | float:
         what = job.partition(" ")[0]
+        if what == "count":
+            for k in range(5):
+                time.sleep(0.3)
+                progress(k / 5)
         if what == "crash":
             os.kill(os.getpid(), signal.SIGSEGV)
         if what == "hang":

@@ -1,5 +1,6 @@
 """A headless Chromium, spoken to over its debugging pipe: one process looks at many pages."""
 
+import contextlib
 import json
 import os
 import select
@@ -94,10 +95,7 @@ class Browser:
         self.requests: list[str] = []
         targets = self._ask("Target.getTargets")["targetInfos"]
         page = next(t["targetId"] for t in targets if t["type"] == "page")
-        attached = self._ask("Target.attachToTarget", targetId=page, flatten=True)
-        self._session = str(attached["sessionId"])
-        for domain in ("Page", "Runtime", "Log", "Network"):
-            self._ask(f"{domain}.enable")
+        self._attach(page)
 
     def __enter__(self) -> Self:
         return self
@@ -132,7 +130,8 @@ class Browser:
         feature = [{"name": "prefers-color-scheme", "value": scheme}]
         self._ask("Emulation.setEmulatedMedia", features=feature)
         self._loaded = False
-        self._ask("Page.navigate", url=address)
+        if "loaderId" not in self._ask("Page.navigate", url=address):
+            return  # another place of the same page
         deadline = time.monotonic() + _PATIENCE_S
         while not self._loaded:
             self._note(self._next(deadline))
@@ -145,6 +144,65 @@ class Browser:
         if "exceptionDetails" in answer:
             raise RuntimeError(f"in the page: {answer['exceptionDetails']}")
         return answer["result"].get("value")
+
+    def choose(self, selector: str, *files: Path) -> None:
+        """Choose files in an input of the page."""
+        root = self._ask("DOM.getDocument")["root"]["nodeId"]
+        found = self._ask("DOM.querySelector", nodeId=root, selector=selector)["nodeId"]
+        paths = [str(f.resolve()) for f in files]
+        self._ask("DOM.setFileInputFiles", nodeId=found, files=paths)
+
+    def drop(self, selector: str, *files: Path) -> None:
+        """Drop files on an element of the page, as a mouse does."""
+        box = f"(e => e.getBoundingClientRect())(document.querySelector({selector!r}))"
+        x, y = (float(self.run(f"{box}.{a} + 20")) for a in ("left", "top"))
+        data = {
+            "items": [],
+            "files": [str(f.resolve()) for f in files],
+            "dragOperationsMask": 1,
+        }
+        for kind in ("dragEnter", "dragOver", "drop"):
+            self._ask("Input.dispatchDragEvent", type=kind, x=x, y=y, data=data)
+
+    def press(self, key: str, text: str = "") -> None:
+        """Press a key and let it go."""
+        codes = {"Tab": 9, "Enter": 13, " ": 32}
+        about = {"key": key, "code": key, "windowsVirtualKeyCode": codes.get(key, 0)}
+        text = text or {"Enter": "\r", " ": " "}.get(key, "")
+        self._ask("Input.dispatchKeyEvent", type="keyDown", text=text, **about)
+        self._ask("Input.dispatchKeyEvent", type="keyUp", **about)
+
+    def wait(self, condition: str, within_s: float = 30.0) -> None:
+        """Until an expression is true in the page, whichever is open by then."""
+        deadline = time.monotonic() + within_s
+        while True:
+            with contextlib.suppress(RuntimeError):  # between two pages there is none
+                if self.run(f"Boolean({condition})"):
+                    return
+            if time.monotonic() > deadline:
+                text = self.run("document.body.innerText.slice(0, 2000)")
+                raise TimeoutError(f"not within {within_s:g} s: {condition}\n{text}")
+            time.sleep(0.05)
+
+    @contextmanager
+    def tab(self) -> Iterator[None]:
+        """Another page of the same browser; the first one stays open meanwhile."""
+        first, self._session = self._session, None
+        target = str(self._ask("Target.createTarget", url="about:blank")["targetId"])
+        try:
+            self._attach(target)
+            yield
+        finally:
+            self._session = None
+            self._ask("Target.closeTarget", targetId=target)
+            self._session = first
+
+    def _attach(self, target: str) -> None:
+        """Speak to a page."""
+        attached = self._ask("Target.attachToTarget", targetId=target, flatten=True)
+        self._session = str(attached["sessionId"])
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self._ask(f"{domain}.enable")
 
     def picture(self, file: Path, most_px: int = 12_000, top_px: int = 0) -> None:
         """The page from a height on as a PNG, cut below so many pixels."""

@@ -1,6 +1,8 @@
 """Jobs in processes of their own: what one does to its process costs that one alone."""
 
+import contextlib
 import os
+import threading
 import time
 
 import pytest
@@ -46,6 +48,24 @@ def test_a_process_is_kept_from_job_to_job_and_ends_with_its_worker() -> None:
             return
         time.sleep(0.05)
     raise AssertionError("the process is still there")
+
+
+def test_a_job_says_how_much_of_it_is_done() -> None:
+    with contextlib.closing(Harm().worker()) as worker:
+        shares: list[float] = []
+        assert worker.do("count", shares.append).startswith("count: ")
+        assert shares == [0.0, 0.2, 0.4, 0.6, 0.8]
+
+
+def test_a_job_can_be_killed_from_another_thread_and_has_a_time_limit_of_its_own() -> None:
+    with contextlib.closing(Harm().worker()) as worker:
+        worker.start()
+        threading.Timer(0.5, worker.kill).start()
+        assert worker.do("hang").startswith("hang: lost, its process ended with signal SIGKILL")
+        assert worker.do("fine").partition(": ")[2].isdigit()
+        assert worker.do("hang", time_s=0.5) == (
+            "hang: lost, took longer than 0.5 s, the limit (--time-limit)"
+        )
 
 
 @pytest.mark.parametrize(

@@ -1,18 +1,9 @@
-"""The small server of the page, one page and one WebSocket in a thread of its own, and its doors.
-
-A browser shows pages of other origins as well, which may try to read this one: a foreign name that
-resolves to this machine (DNS rebinding) is recognised by the host of the request, a foreign script
-that opens the WebSocket by its origin.
-"""
+"""The small server of the page, one page and one WebSocket in a thread of its own."""
 
 import asyncio
 import contextlib
-import ipaddress
-import re
 import threading
 import time
-from dataclasses import dataclass
-from hmac import compare_digest
 from typing import Self
 
 import msgspec
@@ -28,16 +19,13 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from twin.errors import TwinError
 
+from ...doors import Doors, host_and_port, is_loopback
 from ..datagrams import Address, listening
 from .document import Document
 from .feed import Hub, Viewer
 
-_FORM = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+):([0-9]{1,5})")  # host and port
-_HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+)(:[0-9]{1,5})?")
-"""Host, and port if it is named."""
 SHORTEST_TOKEN = 8
 """Characters of a token, at least. Made up."""
-TOKEN_HEADER = "x-uavtwin-token"  # HTTP header of a viewer's token
 
 
 def page_address(text: str, token: str | None) -> Address:
@@ -46,66 +34,15 @@ def page_address(text: str, token: str | None) -> Address:
     Raises:
         TwinError: It is none, or others can reach it and there is no token to keep them out.
     """
-    match = _FORM.fullmatch(text)
-    if match is None or not 0 < int(match.group(2)) < 65536:
-        raise TwinError(f"--serve {text}: write HOST:PORT, 127.0.0.1:8080.")
-    where = Address(match.group(1).strip("[]"), int(match.group(2)))
+    where = Address(*host_and_port(text, "--serve"))
     if token is not None and len(token) < SHORTEST_TOKEN:
         raise TwinError(f"--token: {len(token)} characters, at least {SHORTEST_TOKEN} are needed.")
-    if token is None and not _is_loopback(where.host):
+    if token is None and not is_loopback(where.host):
         raise TwinError(
             f"--serve {text}: others can reach that address. Give --token TEXT, which they then "
             f"need, or serve at 127.0.0.1:{where.port}."
         )
     return where
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
-@dataclass(frozen=True, slots=True)
-class Doors:
-    """Lets in or refuses.
-
-    Attributes:
-        host: Name or address that is served at.
-        token: What a viewer must know; None: nothing.
-    """
-
-    host: str
-    token: str | None = None
-
-    def refusal(self, headers: Headers, query: QueryParams) -> str:
-        """Why a request is refused; "": it is not."""
-        requested_host = headers.get("host", "")
-        match = _HOST.fullmatch(requested_host)
-        if match is None or not self._is_ours(match.group(1)):
-            return "This page is served under its address alone."
-        origin = headers.get("origin")
-        if origin is not None and origin not in (
-            f"http://{requested_host}",
-            f"https://{requested_host}",
-        ):
-            return "Pages of others may not read this one."
-        if self.token is not None:
-            given = headers.get(TOKEN_HEADER) or query.get("token") or ""
-            if not compare_digest(given.encode(), self.token.encode()):
-                return "This page needs its token: add ?token=TEXT to the address."
-        return ""
-
-    def _is_ours(self, host: str) -> bool:
-        """A literal address cannot be made to resolve to another; a name of others can."""
-        if host in ("localhost", self.host):
-            return True
-        try:
-            ipaddress.ip_address(host.strip("[]"))
-        except ValueError:
-            return False
-        return True
 
 
 _LONGEST = 1024

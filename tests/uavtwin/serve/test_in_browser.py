@@ -1,0 +1,123 @@
+"""The page as a real browser shows it: dropped, read, cancelled, killed, started again."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from page_rigs.browser import Browser, View, browser, needs_browser, pictures
+from serve_rigs.sites import Process, sound_log
+
+pytestmark = [pytest.mark.slow, needs_browser]
+WIDE, PHONE, DARK = View(1300, False), View(412, False), View(1300, True)
+HOSTILE = "<img src=x onerror=document.title=0>.ulg"
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Process]:
+    with Process(tmp_path_factory.mktemp("store") / "new") as process:
+        yield process
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with browser(tmp_path_factory.mktemp("browser")) as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def flight(served: Process, opened: Browser, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Address of the page of a flight that was dropped with a hostile one, and is read."""
+    logs = tmp_path_factory.mktemp("logs")
+    hostile = logs / HOSTILE
+    hostile.write_bytes(b"ULog\x01\x12\x35\x01 no log at all")
+    opened.visit(served.address, WIDE)
+    opened.drop("#drop", sound_log(logs), hostile)
+    opened.wait("document.querySelectorAll('#rows tr').length === 2")
+    opened.wait("document.querySelector('.verdict.unreadable')")
+    opened.wait("document.querySelector('#rows').innerText.includes('Nothing went wrong')", 90)
+    assert opened.complaints == []
+    return str(opened.run("[...document.links].find(a => a.text === 'sound.parquet').href"))
+
+
+def test_a_hostile_name_is_text(served: Process, opened: Browser, flight: str) -> None:
+    opened.visit(served.address, WIDE)
+    assert opened.run("document.title") == "Flights"
+    assert opened.run("document.querySelectorAll('#rows img').length") == 0
+
+
+@pytest.mark.parametrize("view", [WIDE, PHONE, DARK], ids=str)
+def test_pages_fit_and_complain_of_nothing(
+    served: Process, opened: Browser, flight: str, view: View, tmp_path: Path
+) -> None:
+    for name, address in {"list": served.address, "flight": flight, "why": f"{flight}/why"}.items():
+        opened.visit(address, view)
+        opened.wait("document.documentElement.dataset.connected || window.drawAll")
+        assert opened.run("document.documentElement.scrollWidth") <= view.width
+        dark = opened.run("getComputedStyle(document.body).backgroundColor") == "rgb(20, 23, 27)"
+        assert dark == view.dark
+        assert opened.complaints == []
+        assert [r for r in opened.requests if not r.startswith(served.address)] == []
+        opened.picture(pictures(tmp_path) / f"serve-{name}-{view}.png", 2000)
+
+
+def test_a_link_leads_to_a_moment(opened: Browser, flight: str) -> None:
+    opened.visit(flight, WIDE)
+    opened.visit(f"{flight}/why#t=7.5", WIDE)
+    opened.wait("document.querySelector('.plot svg')")
+    look = "document.getElementById('why-line')._fullLayout.xaxis.range.join()"
+    assert opened.run(look) == "2.5,12.5"
+    opened.run("location.hash = 't=12'")
+    opened.wait(f"{look} === '7,17'")
+    assert opened.complaints == []
+
+
+def test_two_tabs_show_the_same(served: Process, opened: Browser, flight: str) -> None:
+    opened.visit(served.address, WIDE)
+    opened.wait("document.documentElement.dataset.connected")
+    with opened.tab():
+        opened.visit(flight, PHONE)
+        opened.run("document.getElementById('words').value = 'second tab'")
+        opened.run("document.querySelector('form[action$=tags] button').click()")
+        opened.wait("document.getElementById('words').defaultValue === 'second tab'")
+    opened.wait("document.querySelector('#rows').innerText.includes('second tab')")
+
+
+def test_the_keyboard_alone_reaches_everything(
+    served: Process, opened: Browser, flight: str
+) -> None:
+    opened.visit(served.address, WIDE)
+    opened.run("document.activeElement.blur()")
+    reached = []
+    for _ in range(8):
+        opened.press("Tab")
+        reached.append(opened.run("document.activeElement.id || document.activeElement.outerHTML"))
+    assert reached[1:3] == ["files", "q"] and "compare-button" in reached
+    opened.run("[...document.links].find(a => a.text === 'sound.parquet').focus()")
+    opened.press("Enter")
+    opened.wait("document.getElementById('begin-mcap')")
+    opened.run("document.getElementById('begin-mcap').focus()")
+    opened.press(" ")
+    opened.wait("document.getElementById('open-mcap')", 90)
+
+
+def test_a_job_is_cancelled_killed_with_its_server_and_goes_on_with_the_next(
+    served: Process, opened: Browser, flight: str
+) -> None:
+    opened.visit(flight, WIDE)
+    opened.run("document.getElementById('choice').value = 'copter_default'")
+    opened.run("document.querySelector('form[action$=vehicle] button').click()")
+    opened.wait("document.getElementById('open-gap')", 90)
+    opened.run("document.getElementById('begin-explain').click()")
+    opened.wait("document.querySelector('#cancel-explain') && document.querySelector('progress')")
+    opened.run("document.getElementById('cancel-explain').click()")
+    opened.wait("document.body.innerText.includes('Cancelled.')")
+    opened.run("document.getElementById('begin-explain').click()")
+    opened.wait("document.querySelector('progress')")
+    served.kill()
+    opened.wait("document.body.innerText.includes('The server does not answer')")
+    served.start()
+    opened.wait("!document.body.innerText.includes('The server does not answer')")
+    opened.wait("document.querySelector('#cancel-explain')")
+    opened.wait("document.querySelector('progress')")
+    opened.run("document.getElementById('cancel-explain').click()")
+    opened.wait("document.body.innerText.includes('Cancelled.')")

@@ -1,0 +1,188 @@
+"""The folder of the page: what is queued is done, whatever ends meanwhile."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twin.errors import TwinError
+from uavtwin.serve.store import MOST_TRIES, SHOWN, Store, safe_name
+
+pytestmark = pytest.mark.slow
+ALL = ("check", "why", "gap", "explain")
+
+
+def added(store: Store, content: bytes = b"log", name: str = "a.ulg") -> str:
+    with store.upload(1000) as coming:
+        coming.write(content)
+        return store.add(name, coming.path, coming.sha256, coming.size)[0]
+
+
+def test_a_log_becomes_a_row_with_its_first_job(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    flight = added(store, b"content", "../../flight 1.ulg")
+    row = store.flight(flight)
+    assert row is not None and row.name == "flight_1.ulg" and row.bytes == 7
+    assert store.log(row).read_bytes() == b"content"
+    assert [(j.kind, j.state) for j in store.jobs(flight)] == [("check", "queued")]
+    assert not list((tmp_path / "incoming").iterdir())
+
+
+def test_the_same_log_is_one_row(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    assert added(store, b"one") == added(store, b"one", "b.ulg")
+    assert store.flights()[1] == 1
+
+
+def test_what_was_running_is_queued_again_after_a_kill(tmp_path: Path) -> None:
+    script = (
+        "import os, sys; from pathlib import Path; from uavtwin.serve.store import Store\n"
+        "store = Store(Path(sys.argv[1]))\n"
+        "with store.upload(9) as c:\n"
+        "    c.write(b'log'); store.add('a.ulg', c.path, c.sha256, c.size)\n"
+        "assert store.take(['check']).state == 'queued'\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=False)
+    store = Store(tmp_path)
+    ((flight,), count) = store.flights()
+    (job,) = store.jobs(flight.id)
+    assert count == 1 and job.state == "queued" and job.tries == 1
+
+
+def test_a_job_that_ends_the_server_is_not_begun_for_ever(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    flight = added(store)
+    for _ in range(MOST_TRIES):
+        assert store.take(ALL) is not None
+        store._tables.close()  # without a word: as a kill leaves it
+        store = Store(tmp_path)
+    (job,) = store.jobs(flight)
+    assert job.state == "failed" and "the server ended 3 times" in str(job.text)
+    assert store.take(ALL) is None
+
+
+def test_an_end_that_was_asked_for_is_no_failure_of_a_job(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    flight = added(store)
+    for _ in range(MOST_TRIES + 1):
+        assert store.take(ALL) is not None
+        store.close()
+        store = Store(tmp_path)
+    assert store.jobs(flight)[0].state == "queued"
+
+
+def test_the_most_urgent_job_comes_first_and_only_kinds_that_are_asked_for(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    first = added(store, b"1")
+    store.queue(first, "explain")
+    second = added(store, b"2")
+    taken = [store.take(ALL) for _ in range(3)]
+    assert [(j.flight, j.kind) for j in taken if j] == [
+        (first, "check"),
+        (second, "check"),
+        (first, "explain"),
+    ]
+    store.queue(first, "gap")
+    assert store.take(["check", "why"]) is None
+
+
+def test_a_job_is_open_once_and_can_be_asked_for_again_when_it_has_ended(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    flight = added(store)
+    assert not store.queue(flight, "check")
+    job = store.take(ALL)
+    assert job is not None and not store.queue(flight, "check")
+    assert store.end(job, "cancelled") and not store.end(job, "done")
+    assert store.queue(flight, "check")
+    assert len(store.jobs(flight)) == 1
+
+
+def test_a_search_finds_all_words_in_any_case(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    hexa, quad = added(store, b"1", "Hexa_maiden.ulg"), added(store, b"2", "quad.ulg")
+    store.note(quad, tags="windy maiden", why_text="Rotor 3 failed", nonsense="x")
+    assert [f.id for f in store.flights("MAIDEN")[0]] == [quad, hexa]
+    assert [f.id for f in store.flights("maiden rotor")[0]] == [quad]
+    assert store.flights("%")[1] == 0 and store.flights("' OR 1=1 --")[1] == 0
+
+
+def test_a_long_list_shows_the_newest_and_counts_all(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store._write(
+        "INSERT INTO flights (id, name, added_s, tags) SELECT 'f' || i, 'x', i, '' "
+        "FROM range(?) t(i)",
+        (SHOWN + 5,),
+    )
+    rows, count = store.flights()
+    assert (len(rows), count, rows[0].id) == (SHOWN, SHOWN + 5, f"f{SHOWN + 4}")
+
+
+def test_deleting_a_flight_leaves_nothing_of_it(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    flight = store.flight(added(store))
+    assert flight is not None
+    (store.results(flight.id) / "why.html").write_text("x")
+    store.delete(flight)
+    assert store.flight(flight.id) is None and store.jobs(flight.id) == []
+    assert not [p for p in tmp_path.rglob("*") if flight.id in str(p)]
+
+
+def test_too_much_is_refused_while_it_comes(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    with pytest.raises(TwinError, match="--size-limit"), store.upload(10) as coming:
+        coming.write(b"12345678")
+        coming.write(b"90123")
+    assert not list((tmp_path / "incoming").iterdir())
+
+
+def test_a_store_is_of_one_server(tmp_path: Path) -> None:
+    opened = Store(tmp_path)
+    script = "import sys; from pathlib import Path; from uavtwin.serve.store import Store\n"
+    script += "Store(Path(sys.argv[1]))"
+    told = subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=False
+    )
+    assert "another server has it open" in told.stderr
+    opened.close()
+
+
+def test_a_file_in_the_place_of_the_store_is_said(tmp_path: Path) -> None:
+    (tmp_path / "x").write_text("")
+    with pytest.raises(TwinError, match="--store"):
+        Store(tmp_path / "x")
+    (tmp_path / "store.duckdb").write_text("no database, but long enough to be looked at " * 200)
+    with pytest.raises(TwinError, match="is no table of flights"):
+        Store(tmp_path)
+
+
+def test_the_token_is_of_the_store_and_for_its_owner(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    token = store.token()
+    assert len(token) >= 32 and store.token() == token
+    assert (tmp_path / "token").stat().st_mode & 0o077 == 0
+
+
+@settings(max_examples=50)
+@given(st.text())
+def test_names_of_others_stay_in_their_folder(name: str) -> None:
+    made = safe_name(name)
+    assert made and len(made) <= 80 and made[0] not in "._-"
+    assert Path(made).name == made and made.isascii()
+
+
+@pytest.mark.parametrize(
+    ("name", "made"),
+    [
+        ("a.ulg", "a.ulg"),
+        ("C:\\logs\\b.bin", "b.bin"),
+        ("..", "log"),
+        ("", "log"),
+        (f"{'x' * 300}.parquet", f"{'x' * 70}.parquet"),
+    ],
+)
+def test_names(name: str, made: str) -> None:
+    assert safe_name(name) == made

@@ -1,0 +1,133 @@
+"""Logs that are dropped, and what comes of them: real jobs in real processes."""
+
+import io
+import json
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from serve_rigs.sites import Asked, site, sound_log
+
+from uavtwin.serve.schedule import QUICK_SHARE, Limits
+from uavtwin.serve.work import KINDS, LONG, MOST_LOGS, OF_VEHICLE, QUICK, LogWork
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def asked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Asked]:
+    with site(tmp_path_factory.mktemp("store"), workers=1) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def flight(asked: Asked, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A flight that is read and compared."""
+    log = sound_log(tmp_path_factory.mktemp("logs"))
+    found = uploaded(asked, log)
+    asked.wait(f"/flights/{found}", "open-why")
+    return found
+
+
+def uploaded(asked: Asked, log: Path) -> str:
+    status, text, _ = asked.ask(f"/upload/{log.name}", "PUT", log.read_bytes())
+    assert status in (200, 201)
+    return str(json.loads(text)["flight"])
+
+
+def test_check_then_why_need_no_further_word(asked: Asked, flight: str) -> None:
+    page = asked.ask(f"/flights/{flight}")[1]
+    assert "multirotor" in page or "4 rotors" in page
+    assert "20 s, " in asked.ask("/")[1]
+    report = asked.ask(f"/flights/{flight}/why")[1]
+    assert "What this log could not have shown" in report
+    assert f'<a href="/flights/{flight}">sound.parquet</a>' in report
+    assert asked.ask(f"/flights/{flight}/files/flight.parquet")[0] == 200
+    assert json.loads(asked.ask(f"/flights/{flight}/files/why.json")[1])["flight"] == "sound"
+
+
+def test_a_hostile_log_is_a_row_that_says_why(asked: Asked, tmp_path: Path) -> None:
+    log = tmp_path / "hostile.ulg"
+    log.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(range(256)) * 20)
+    found = uploaded(asked, log)
+    page = asked.wait(f"/flights/{found}", 'class="verdict unreadable"')
+    assert "cannot be read as a flight" in page
+
+
+def test_a_zip_of_logs_becomes_a_row_each(asked: Asked, flight: str, tmp_path: Path) -> None:
+    packed = tmp_path / "day.zip"
+    with zipfile.ZipFile(packed, "w") as archive:
+        for name in ("one.csv", "other.csv"):
+            archive.write(sound_log(tmp_path, name, 3.0), f"../../{name}")
+        archive.writestr("readme.txt", "no log")
+    found = uploaded(asked, packed)
+    asked.wait("/", r"one\.csv.*other\.csv|other\.csv.*one\.csv")
+    assert asked.ask(f"/flights/{found}")[0] == 404
+    assert "day.zip" not in asked.ask("/")[1]
+
+
+def test_a_vehicle_file_that_is_dropped_can_be_chosen(
+    asked: Asked, flight: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text((Path("twin/vehicle/built_in/copter_default.toml")).read_text())
+    found = uploaded(asked, file)
+    asked.wait(f"/flights/{flight}", r"<option>mine</option>")
+    assert asked.ask(f"/flights/{found}")[0] == 404
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text("mass = 'heavy'")
+    assert "wrong.toml" in asked.wait(f"/flights/{uploaded(asked, wrong)}", "unreadable")
+
+
+def test_gap_with_a_chosen_vehicle_and_two_flights_over_each_other(
+    asked: Asked, flight: str, tmp_path: Path
+) -> None:
+    asked.ask(f"/flights/{flight}/vehicle", "POST", b"vehicle=copter_default")
+    asked.wait(f"/flights/{flight}", "open-gap")
+    assert "acc_z" in asked.ask(f"/flights/{flight}/gap")[1]
+    other = uploaded(asked, sound_log(tmp_path, "short.csv", 8.0))
+    page = asked.wait(f"/flights/{flight}/compare/{other}", "Two flights over each other")
+    assert "Body rates" in page and "Neither log says which parameters differ" in page
+
+
+def test_a_draft_that_lacks_something_says_what(asked: Asked, flight: str) -> None:
+    asked.ask(f"/flights/{flight}/draft", "POST", b"mass_kg=1.3")
+    assert "wheelbase" in asked.wait(f"/flights/{flight}", r"<b>Failed:</b>.*Try again")
+
+
+def test_mcap_is_made_when_asked_for(asked: Asked, flight: str) -> None:
+    assert asked.ask(f"/flights/{flight}/files/flight.mcap")[0] == 404
+    asked.ask(f"/flights/{flight}/jobs/mcap", "POST")
+    asked.wait(f"/flights/{flight}", "open-mcap")
+    assert asked.ask(f"/flights/{flight}/files/flight.mcap")[1].startswith(
+        "\N{REPLACEMENT CHARACTER}MCAP"
+    )
+
+
+def test_a_log_in_an_archive_has_the_limit_of_any(tmp_path: Path) -> None:
+    packed = tmp_path / "bomb.zip"
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for k in range(2):
+            archive.writestr(f"{k}.csv", "time,acc_z\n" + "0.0,0.0\n" * 300_000)
+    job = {"kind": "check", "log": str(packed), "folder": str(tmp_path), "incoming": str(tmp_path)}
+    assert "--size-limit" in LogWork(1_000_000).do(job)["error"]
+
+
+def test_an_archive_of_too_many_logs_is_refused(tmp_path: Path) -> None:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        for k in range(MOST_LOGS + 1):
+            archive.writestr(f"{k}.csv", "time\n0\n")
+    (tmp_path / "many.zip").write_bytes(packed.getvalue())
+    job = {"kind": "check", "log": str(tmp_path / "many.zip"), "folder": "", "incoming": ""}
+    assert "Split it" in LogWork(1_000_000).do(job)["error"]
+
+
+def test_a_mistake_of_ours_is_an_answer_too() -> None:
+    assert "mistake of uavtwin" in LogWork(1).do({"kind": "why"})["error"]
+
+
+def test_every_kind_has_a_worker() -> None:
+    assert {*QUICK, *LONG, "warm"} == set(KINDS) and set(OF_VEHICLE) < set(KINDS)
+    assert 0 < QUICK_SHARE < 1 and Limits().workers >= 2

@@ -1,0 +1,66 @@
+"""`uavtwin serve`: a page where one drops flight logs."""
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin.errors import TwinError, install_command
+
+from .options import of_unit, seconds
+from .printing import STDERR, STDOUT
+
+_NEEDED = ("duckdb", "starlette", "uvicorn")
+"""Packages of the page."""
+
+
+def serve(
+    listen: Annotated[
+        str,
+        typer.Option(
+            help="Address of the page, HOST:PORT; beyond loopback a token is needed, which is "
+            "printed."
+        ),
+    ] = "127.0.0.1:8080",
+    store: Annotated[
+        Path, typer.Option(help="Folder of logs, results and the list of flights; made if needed.")
+    ] = Path("uavtwin-store"),
+    workers: Annotated[int, typer.Option(min=1, max=64, help="Processes that look at logs.")] = 2,
+    size_limit: Annotated[float, of_unit("MiB", "MIB", help="Of one log, MiB.")] = 1024.0,
+    time_limit: Annotated[
+        float,
+        seconds("Of explain or FMUs of one flight, s; a tenth of it for everything else."),
+    ] = 1800.0,
+    memory_limit: Annotated[
+        float, of_unit("GiB", "GIB", help="Address space of a process that looks at a log, GiB.")
+    ] = 3.0,
+) -> None:
+    """Serve a page where one drops flight logs and reads what check, why, gap and explain say.
+
+    Nothing leaves this machine. Ends with Ctrl-C; what was being done goes on when it is started
+    again.
+    """
+    if missing := [n for n in _NEEDED if find_spec(n) is None]:
+        raise TwinError(f"serve needs {', '.join(missing)}: {install_command('serve')}.")
+    from ..doors import Doors, host_and_port, is_loopback
+    from ..jobs.process import Allowed
+    from ..serve.schedule import Limits
+    from ..serve.server import COOKIE, Site, listening, made_server
+    from ..serve.store import Store
+
+    if not 0 < size_limit < float("inf"):
+        raise TwinError(f"--size-limit {size_limit:g}: needs a positive number.")
+    host, port = host_and_port(listen, "--listen")
+    limits = Limits(Allowed(time_limit, memory_limit), int(size_limit * 2**20), workers)
+    with listening(host, port) as socket:
+        opened = Store(store)
+        token = None if is_loopback(host) else opened.token()
+        site = Site(opened, limits, Doors(host, token, COOKIE if token else ""))
+        try:
+            shown = f"[{host}]" if ":" in host else host
+            STDOUT.print(f"http://{shown}:{port}/{f'?token={token}' if token else ''}")
+            STDERR.print(f"store: {opened.folder}; end with Ctrl-C")
+            made_server(site.app).run(sockets=[socket])
+        finally:
+            site.close()

@@ -1,0 +1,95 @@
+"""Who may ask a server of ours: hosts, origins, tokens.
+
+A browser shows pages of other origins as well, which may try to read ours: a foreign name that
+resolves to this machine (DNS rebinding) is recognised by the host of the request, a foreign script
+by its origin.
+"""
+
+import ipaddress
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from hmac import compare_digest
+
+from twin.errors import TwinError
+
+_FORM = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+):([0-9]{1,5})")  # host and port
+_HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+)(:[0-9]{1,5})?")
+"""Host, and port if it is named."""
+TOKEN_HEADER = "x-uavtwin-token"  # HTTP header of a viewer's token
+
+
+def host_and_port(text: str, option: str) -> tuple[str, int]:
+    """The address of an option.
+
+    Raises:
+        TwinError: It is none.
+    """
+    match = _FORM.fullmatch(text)
+    if match is None or not 0 < int(match.group(2)) < 65536:
+        raise TwinError(f"{option} {text}: write HOST:PORT, 127.0.0.1:8080.")
+    return match.group(1).strip("[]"), int(match.group(2))
+
+
+def is_loopback(host: str) -> bool:
+    """Whether this machine alone can reach an address."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+@dataclass(frozen=True, slots=True)
+class Doors:
+    """Lets in or refuses.
+
+    Attributes:
+        host: Name or address that is served at.
+        token: What a viewer must know; None: nothing.
+        cookie: That may hold the token, by its name; "": none.
+    """
+
+    host: str
+    token: str | None = None
+    cookie: str = ""
+
+    def refusal(
+        self,
+        headers: Mapping[str, str],
+        query: Mapping[str, str],
+        cookies: Mapping[str, str] | None = None,
+    ) -> str:
+        """Why a request is refused; "": it is not.
+
+        Args:
+            headers: By name in small letters.
+            query: Of its address.
+            cookies: That it brings.
+        """
+        requested_host = headers.get("host", "")
+        match = _HOST.fullmatch(requested_host)
+        if match is None or not self._is_ours(match.group(1)):
+            return "This page is served under its address alone."
+        origin = headers.get("origin")
+        if origin is not None and origin not in (
+            f"http://{requested_host}",
+            f"https://{requested_host}",
+        ):
+            return "Pages of others may not read this one."
+        if self.token is not None:
+            cookie = (cookies or {}).get(self.cookie)
+            given = headers.get(TOKEN_HEADER) or query.get("token") or cookie or ""
+            if not compare_digest(given.encode(), self.token.encode()):
+                return "This page needs its token: add ?token=TEXT to the address."
+        return ""
+
+    def _is_ours(self, host: str) -> bool:
+        """A literal address cannot be made to resolve to another; a name of others can, but has no
+        cookie of ours."""
+        if host in ("localhost", self.host) or self.cookie:
+            return True
+        try:
+            ipaddress.ip_address(host.strip("[]"))
+        except ValueError:
+            return False
+        return True

@@ -1,0 +1,307 @@
+"""What the server answers with: the list, a flight, reports with the site's bar on top."""
+
+import gzip
+import json
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from time import localtime, strftime
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+from ..report.page import HERE as REPORT
+from .store import FlightRow, JobRow, Store
+from .work import LONG, OF_VEHICLE, TABLE
+
+HERE = Path(__file__).parent
+"""Folder of templates, style and script."""
+WORDS = {
+    "check": "Check",
+    "why": "Why",
+    "gap": "Gap",
+    "explain": "Explain",
+    "draft": "Vehicle draft",
+    "mcap": "MCAP",
+    "fmu": "FMU",
+}
+"""Kinds of jobs that a flight's page lists, in words."""
+OFFERED = {
+    "explain": "names the physical effect that the vehicle lacks; takes minutes",
+    "mcap": "the flight for Foxglove and PlotJuggler",
+    "fmu": "the twin of the vehicle for Simulink, OpenModelica, FMPy; needs a C compiler",
+}
+"""What a job is for that was never asked for."""
+REPORTS = {"why": "why.html", "gap": "gap.html", "explain": "explain/report.html"}
+"""Reports of a flight, by kind of job."""
+FILES = {
+    TABLE: "series, SI, NED (Parquet)",
+    "flight.mcap": "series for Foxglove and PlotJuggler (MCAP)",
+    "twin.fmu": "the twin of the vehicle (FMU)",
+    "check.json": "what check says (JSON)",
+    "why.json": "what why says (JSON)",
+    "gap.json": "what gap says (JSON)",
+    "explain/explain.json": "what explain says (JSON)",
+}
+"""Files of a flight that can be downloaded, besides its log and its vehicle file."""
+MOST_MOMENTS = 40
+"""Of a flight, with a link each."""
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("uavtwin.serve", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"size": _size, "when": _when, "seconds": _seconds}
+    environment.globals |= {
+        "style": Markup((REPORT / "page.css").read_text("utf-8") + _style()),
+        "script": Markup(_script()),
+        "words": WORDS,
+        "of_vehicle": OF_VEHICLE,
+    }
+    return environment
+
+
+@cache
+def _style() -> str:
+    return (HERE / "serve.css").read_text("utf-8")
+
+
+@cache
+def _script() -> str:
+    return (HERE / "serve.js").read_text("utf-8")
+
+
+def _size(count: int) -> str:
+    return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.1f} kB"
+
+
+def _when(at_s: float) -> str:
+    return strftime("%Y-%m-%d %H:%M", localtime(at_s))
+
+
+def _seconds(span_s: float) -> str:
+    whole = round(span_s)
+    return f"{span_s:.0f} s" if whole < 120 else f"{whole // 60} min {whole % 60} s"
+
+
+@cache
+def scripts() -> tuple[str, ...]:
+    """Hashes of the scripts of this version: of the site, of reports, of what draws figures."""
+    bundle = gzip.decompress((REPORT / "vendor" / "plotly-basic.min.js.gz").read_bytes())
+    report = (REPORT / "page.js").read_text("utf-8")
+    return tuple(map(_hash, (f"\n{_script()}\n", f"\n{report}\n", bundle.decode())))
+
+
+def headers(hashes: Sequence[str] = ()) -> dict[str, str]:
+    """Of an answer: what a log smuggles into a page does not run, nothing is loaded from elsewhere.
+
+    Args:
+        hashes: Of the scripts that run.
+    """
+    allowed = " ".join(f"'sha256-{h}'" for h in hashes) or "'none'"
+    policy = (
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; "
+        "img-src data: blob:; connect-src 'self'; base-uri 'none'; form-action 'self'; "
+        "frame-ancestors 'none'"
+    )
+    return {
+        "Content-Security-Policy": policy,
+        "X-Content-Type-Options": "nosniff",
+        "Referrer-Policy": "same-origin",
+        "Cross-Origin-Resource-Policy": "same-origin",
+        "Cross-Origin-Opener-Policy": "same-origin",
+        "Cache-Control": "no-store",
+    }
+
+
+def _hash(script: str) -> str:
+    return b64encode(sha256(script.encode()).digest()).decode()
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """A kind of job of a flight, as its page lists it.
+
+    Attributes:
+        kind: Of the job.
+        state: How far it is; "": it was never asked for.
+        done: Share done, 0..1; None: not known.
+        text: What came of it, or why it failed.
+        link: Address of what came of it, "" where there is none.
+        offered: Word of the button that begins it, "" where there is none.
+    """
+
+    kind: str
+    state: str
+    done: float | None
+    text: str
+    link: str
+    offered: str
+
+
+class Pages:
+    """Draws what is in a store.
+
+    Attributes:
+        headers: Of the pages; scripts of reports that earlier versions wrote run too.
+    """
+
+    def __init__(
+        self, store: Store, done: Mapping[tuple[str, str, str], float], vehicles: Sequence[str]
+    ) -> None:
+        """Keep what it draws.
+
+        Args:
+            store: Flights, jobs and results.
+            done: Share done of what is running.
+            vehicles: Names of the built-in vehicles.
+        """
+        self._store, self._done, self._vehicles = store, done, tuple(vehicles)
+        self.headers = headers(store.known_scripts(scripts()))
+
+    def _text(self, template: str, **content: Any) -> str:
+        page = _environment().get_template(template).render(**content)
+        return page.encode("utf-8", "backslashreplace").decode("utf-8")
+
+    def listed(self, search: str) -> str:
+        """The page with the drop zone and the list of flights."""
+        flights, count = self._store.flights(search)
+        rows = Markup("").join(Markup(self.row(f)) for f in flights)
+        return self._text("list.html.j2", rows=rows, count=count, shown=len(flights), search=search)
+
+    def row(self, flight: FlightRow) -> str:
+        """A flight in the list."""
+        jobs = [j for j in self._store.jobs(flight.id) if j.state in ("queued", "running")]
+        return self._text("row.html.j2", flight=flight, jobs=jobs, share=self._share(jobs))
+
+    def _share(self, jobs: Sequence[JobRow]) -> float | None:
+        """Share done of what is running; None: not known."""
+        running = [j for j in jobs if j.state == "running"]
+        return (
+            self._done.get((running[0].flight, running[0].kind, running[0].other))
+            if running
+            else None
+        )
+
+    def flight(self, flight: FlightRow) -> str:
+        """The page of a flight."""
+        return self._text(
+            "flight.html.j2",
+            flight=flight,
+            parts=list(map(Markup, self.parts(flight).values())),
+            built_in=self._vehicles,
+            own=self._store.vehicles(),
+            bar=self.bar(flight),
+        )
+
+    def parts(self, flight: FlightRow) -> dict[str, str]:
+        """What changes of the page of a flight while jobs are done, by identifier."""
+        check = self._result(flight, "check.json")
+        said = 0 if check is None else len(check["problems"]) + len(check["warnings"])
+        return {
+            f"flight-{flight.id}": self._text(
+                "status.html.j2",
+                flight=flight,
+                actions=self._actions(flight),
+                more=max(0, said - 1),
+                moments=self._moments(flight),
+            ),
+            f"more-{flight.id}": self._text(
+                "more.html.j2", flight=flight, check=check, files=self._files(flight)
+            ),
+        }
+
+    def _result(self, flight: FlightRow, name: str) -> dict[str, Any] | None:
+        """A result in JSON; None: it is not there."""
+        try:
+            content = json.loads((self._store.results(flight.id) / name).read_text("utf-8"))
+        except (OSError, ValueError):
+            return None
+        return content if isinstance(content, dict) else None
+
+    def _actions(self, flight: FlightRow) -> list[Action]:
+        jobs = {j.kind: j for j in self._store.jobs(flight.id) if not j.other}
+        return [
+            self._action(flight, kind, jobs.get(kind))
+            for kind in WORDS
+            if kind in jobs or (kind != "draft" and flight.verdict not in (None, "unreadable"))
+        ]
+
+    def _action(self, flight: FlightRow, kind: str, job: JobRow | None) -> Action:
+        state = "" if job is None else job.state
+        text = {
+            "check": flight.check_text,
+            "why": flight.why_text,
+            "gap": flight.gap_text,
+            "explain": flight.explain_text,
+            "draft": flight.vehicle,
+        }.get(kind)
+        file = {"mcap": "flight.mcap", "fmu": "twin.fmu"}.get(kind)
+        link = ""
+        if state == "done" and kind in REPORTS:
+            link = f"/flights/{flight.id}/{kind}"
+        elif state == "done" and file:
+            link = f"/flights/{flight.id}/files/{file}"
+        if job is not None and job.state == "failed":
+            text = job.text
+        offered = {"failed": "Try again", "cancelled": "Do it again"}.get(state, "")
+        if not state:
+            text, offered = OFFERED.get(kind, ""), "Explain" if kind == "explain" else "Make"
+        if state == "done" and kind in (*LONG, "gap"):
+            offered = "Do it again"
+        if kind in OF_VEHICLE and not flight.vehicle:
+            offered, text = "", "needs a vehicle: choose or draft one below"
+        key = (flight.id, kind, "")
+        return Action(kind, state, self._done.get(key), text or "", link, offered)
+
+    def _moments(self, flight: FlightRow) -> list[tuple[float, str, str]]:
+        """Time, kind and words of what happened, in order of time."""
+        why = self._result(flight, "why.json") or {}
+        events = [
+            (e["onset_s"], "consequence" if e["consequence"] else "cause", e["text"])
+            for e in why.get("events", ())
+            if e.get("onset_s") is not None
+        ]
+        others = [(i["t_s"], i["kind"], i["text"]) for i in why.get("timeline", ())]
+        return sorted([*events, *others])[:MOST_MOMENTS]
+
+    def _files(self, flight: FlightRow) -> list[tuple[str, str]]:
+        """Name and words of what can be downloaded."""
+        place = self._store.results(flight.id)
+        found = [("log", f"the log as it came ({flight.name})")]
+        found += [(name, about) for name, about in FILES.items() if (place / name).is_file()]
+        if self._store.vehicle_file(flight.vehicle or "") is not None:
+            found.append(("vehicle.toml", f"vehicle file ({flight.vehicle})"))
+        return found
+
+    def bar(self, flight: FlightRow) -> Markup:
+        """The links between the pages of a flight."""
+        jobs = {j.kind: j.state for j in self._store.jobs(flight.id)}
+        there = [k for k in REPORTS if jobs.get(k) == "done"]
+        return Markup(self._text("bar.html.j2", flight=flight, there=there))
+
+    def report(self, flight: FlightRow, file: Path) -> str:
+        """A report with the bar on top."""
+        page = file.read_text("utf-8")
+        own = f"<body>\n<style>\n{_style()}\n</style>\n{self.bar(flight)}"
+        return page.replace("<body>", own, 1)
+
+    def said(self, title: str, text: str, again_s: int | None = None) -> str:
+        """A page of a sentence.
+
+        Args:
+            title: Of the page.
+            text: The sentence.
+            again_s: After which the browser asks again; None: it does not.
+        """
+        return self._text("said.html.j2", title=title, text=text, again_s=again_s)

@@ -1,0 +1,439 @@
+"""The small server of the page: what may be asked, by whom, and what happens then."""
+
+import asyncio
+import contextlib
+import math
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
+from urllib.parse import parse_qsl, quote
+
+import msgspec
+import uvicorn
+from starlette.applications import Starlette
+from starlette.datastructures import Headers, QueryParams
+from starlette.requests import ClientDisconnect, Request, cookie_parser
+from starlette.responses import (
+    FileResponse,
+    JSONResponse,
+    RedirectResponse,
+    Response,
+    StreamingResponse,
+)
+from starlette.routing import Route
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from twin.errors import TwinError
+from twin.vehicle_file import builtin_vehicles
+
+from ..doors import Doors
+from ..output import write_json
+from .pages import FILES, REPORTS, Pages, headers
+from .schedule import Limits, Scheduler
+from .store import LONGEST_TAGS, FlightRow, Store
+from .work import OF_VEHICLE
+
+COOKIE = "uavtwin"
+"""Name of the cookie that holds the token."""
+MOST_LISTENERS = 64
+"""Pages that are open at once and hear what is new."""
+_FORM_BYTES = 16_384
+"""Of the content of a form."""
+_PAUSE_S, _SILENT_S = 0.2, 15.0
+"""Between two messages to a page, and after which an empty one says that we are there, s."""
+_GRACE_S = 1
+"""For which answers may end by themselves when the server ends, s."""
+_MOST_CONNECTIONS = 256
+"""At once; more are refused."""
+_COOKIE_S = 365 * 86400
+"""Life of the cookie, s."""
+
+
+class Listener:
+    """A page that hears of which flights something is new."""
+
+    def __init__(self, only: str) -> None:
+        """Nothing is new yet.
+
+        Args:
+            only: The flight that it shows; "": all of them.
+        """
+        self.only = only
+        self._flights: dict[str, None] = {}
+        self._loop, self._bell = asyncio.get_running_loop(), asyncio.Event()
+
+    def put(self, flight: str) -> None:
+        """Something is new; from any thread."""
+        if not self.only or flight == self.only:
+            with contextlib.suppress(RuntimeError):  # the server has ended
+                self._loop.call_soon_threadsafe(self._add, flight)
+
+    def _add(self, flight: str) -> None:
+        self._flights[flight] = None
+        self._bell.set()
+
+    async def news(self) -> list[str]:
+        """Flights of which something is new, waited for; none after a while of silence."""
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._bell.wait(), _SILENT_S)
+        self._bell.clear()
+        found, self._flights = list(self._flights), {}
+        return found
+
+
+class Site:
+    """The pages over a store, and the jobs behind them.
+
+    Attributes:
+        app: For an ASGI server.
+    """
+
+    def __init__(self, store: Store, limits: Limits, doors: Doors) -> None:
+        """Begin with the jobs that wait.
+
+        Args:
+            store: Open.
+            limits: What a log and a job may use.
+            doors: Who may ask.
+        """
+        self._store, self._limits = store, limits
+        self._listeners: set[Listener] = set()
+        self._jobs = Scheduler(store, limits, self.changed)
+        self._pages = Pages(store, self._jobs.done, builtin_vehicles())
+        of_flight: list[tuple[str, str, Callable[[Request, FlightRow], Awaitable[Response]]]] = [
+            ("GET", "", self._flight),
+            ("GET", "/{kind}", self._report),
+            ("GET", "/compare/{other}", self._compared),
+            ("GET", "/files/{name:path}", self._file),
+            ("POST", "/jobs/{kind}", self._begin),
+            ("POST", "/jobs/{kind}/cancel", self._cancel),
+            ("POST", "/tags", self._tags),
+            ("POST", "/vehicle", self._vehicle),
+            ("POST", "/draft", self._draft),
+            ("POST", "/delete", self._delete),
+        ]
+        routes = [
+            Route("/", self._list),
+            Route("/events", self._events),
+            Route("/compare", self._compare),
+            Route("/upload/{name:path}", self._upload, methods=["PUT", "POST"]),
+            *(
+                Route(f"/flights/{{flight}}{path}", self._with_flight(answer), methods=[method])
+                for method, path, answer in of_flight
+            ),
+        ]
+        self.app: ASGIApp = Guarded(Starlette(routes=routes), doors)
+        self._jobs.start()
+
+    def close(self) -> None:
+        """End what is being done; the next server goes on with it."""
+        self._jobs.close()
+        self._store.close()
+
+    def changed(self, flight: str) -> None:
+        """Something is new of a flight; from any thread."""
+        for listener in list(self._listeners):
+            listener.put(flight)
+
+    def _page(self, text: str, status: int = 200) -> Response:
+        return Response(text, status, self._pages.headers, "text/html")
+
+    def _queue(self, flight: str, kind: str, other: str = "") -> None:
+        """Queue a job."""
+        if self._store.queue(flight, kind, other):
+            self.changed(flight)
+            self._jobs.wake()
+
+    # -- the list -------------------------------------------------------------------------------
+
+    async def _list(self, request: Request) -> Response:
+        return self._page(self._pages.listed(request.query_params.get("q", "")[:LONGEST_TAGS]))
+
+    async def _upload(self, request: Request) -> Response:
+        """Take a file, block by block to the disk."""
+        most = self._limits.most_bytes
+        name = str(request.path_params["name"]) or "log"
+        try:
+            if int(request.headers.get("content-length") or 0) > most:
+                raise TwinError(f"over {most / 2**20:.0f} MiB, the limit (--size-limit)")
+            with self._store.upload(most) as coming:
+                async for part in request.stream():
+                    coming.write(part)
+                flight, created = self._store.add(name, coming.path, coming.sha256, coming.size)
+        except (TwinError, ValueError) as error:
+            return JSONResponse({"error": str(error)}, 413, _closing())
+        except ClientDisconnect:
+            return Response(status_code=400)
+        self.changed(flight)
+        self._jobs.wake()
+        content = {"flight": flight, "address": f"/flights/{flight}", "created": created}
+        return JSONResponse(content, 201 if created else 200)
+
+    async def _events(self, request: Request) -> Response:
+        """What is new, as long as the page is open."""
+        only = request.query_params.get("flight", "")
+        if len(self._listeners) >= MOST_LISTENERS:
+            return self._page(self._pages.said("Too many pages", "Close one of the others."), 503)
+        return StreamingResponse(
+            self._messages(Listener(only)), media_type="text/event-stream", headers=headers()
+        )
+
+    async def _messages(self, listener: Listener) -> AsyncIterator[bytes]:
+        self._listeners.add(listener)
+        try:
+            yield b"retry: 1000\n\n"
+            flights = [listener.only] if listener.only else self._newest()
+            while True:
+                for flight in flights:
+                    yield self._message(flight, bool(listener.only))
+                    await asyncio.sleep(0)
+                await asyncio.sleep(_PAUSE_S)
+                flights = await listener.news()
+                if not flights:
+                    yield b": still there\n\n"
+        finally:
+            self._listeners.discard(listener)
+
+    def _newest(self) -> list[str]:
+        """Those of the list, the oldest first, as a page puts each on top."""
+        return [f.id for f in reversed(self._store.flights()[0])]
+
+    def _message(self, flight: str, whole: bool) -> bytes:
+        """A flight as a page shows it, by identifier; null where it is gone."""
+        found = self._store.flight(flight)
+        parts: dict[str, str | None] = {f"flight-{flight}": None}
+        if found is not None:
+            row = {f"flight-{flight}": self._pages.row(found)}
+            parts |= self._pages.parts(found) if whole else row
+        return b"data: " + msgspec.json.encode(parts) + b"\n\n"
+
+    async def _compare(self, request: Request) -> Response:
+        chosen = list(dict.fromkeys(request.query_params.getlist("f")))
+        if len(chosen) != 2:
+            text = "Tick two flights of the list, then compare."
+            return self._page(self._pages.said("Which two?", text), 400)
+        return RedirectResponse(f"/flights/{quote(chosen[0])}/compare/{quote(chosen[1])}", 303)
+
+    # -- a flight -------------------------------------------------------------------------------
+
+    def _with_flight(
+        self, answer: Callable[[Request, FlightRow], Awaitable[Response]]
+    ) -> Callable[[Request], Awaitable[Response]]:
+        """A route of a flight that is there."""
+
+        async def found(request: Request) -> Response:
+            """Answer, or say what is wrong."""
+            flight = self._store.flight(str(request.path_params["flight"]))
+            if flight is None:
+                return self._missing("no such flight")
+            try:
+                return await answer(request, flight)
+            except TwinError as error:
+                return self._page(self._pages.said("That does not work", str(error)), 400)
+
+        return found
+
+    def _missing(self, text: str) -> Response:
+        return self._page(self._pages.said("Not found", f"{text}."), 404)
+
+    def _back(self, flight: FlightRow) -> Response:
+        """To the page of a flight, after a form."""
+        self.changed(flight.id)
+        return RedirectResponse(f"/flights/{flight.id}", 303)
+
+    async def _flight(self, _: Request, flight: FlightRow) -> Response:
+        return self._page(self._pages.flight(flight))
+
+    async def _report(self, request: Request, flight: FlightRow) -> Response:
+        name = REPORTS.get(str(request.path_params["kind"]), "")
+        file = self._store.results(flight.id) / name
+        return (
+            self._page(self._pages.report(flight, file))
+            if name and file.is_file()
+            else (self._missing("this report is not made yet"))
+        )
+
+    async def _compared(self, request: Request, flight: FlightRow) -> Response:
+        """Two flights over each other, drawn when first asked for."""
+        other = self._store.flight(str(request.path_params["other"]))
+        if other is None or other.id == flight.id:
+            return self._missing("no such other flight")
+        file = self._store.results(flight.id) / f"compare-{other.id}.html"
+        job = self._store.job(flight.id, "compare", other.id)
+        if job is not None and job.state == "done" and file.is_file():
+            return self._page(self._pages.report(flight, file))
+        for each in (flight, other):
+            if each.verdict in (None, "unreadable"):
+                text = f"{each.name}: {each.check_text or 'is being read'}"
+                again_s = 2 if each.verdict is None else None
+                return self._page(self._pages.said("Not yet to compare", text, again_s))
+        if job is not None and job.state == "failed":
+            self._queue(flight.id, "compare", other.id)
+            return self._page(self._pages.said("That does not work", job.text or "it failed"), 400)
+        self._queue(flight.id, "compare", other.id)
+        text = f"{flight.name} and {other.name} are drawn over each other."
+        return self._page(self._pages.said("One moment", text, 1))
+
+    async def _file(self, request: Request, flight: FlightRow) -> Response:
+        name = str(request.path_params["name"])
+        stem = Path(flight.name).stem
+        if name == "log":
+            return _download(self._store.log(flight), flight.name)
+        vehicle = self._store.vehicle_file(flight.vehicle or "")
+        if name == "vehicle.toml" and vehicle is not None:
+            return _download(vehicle, vehicle.name)
+        file = self._store.results(flight.id) / name
+        if name in FILES and file.is_file():
+            return _download(file, f"{stem}.{file.name}")
+        return self._missing("no such file")
+
+    async def _begin(self, request: Request, flight: FlightRow) -> Response:
+        kind = str(request.path_params["kind"])
+        if kind not in ("check", "why", "mcap", *OF_VEHICLE):
+            return self._missing("no such job")
+        if kind in OF_VEHICLE and not flight.vehicle:
+            raise TwinError(f"{kind}: choose or draft a vehicle first.")
+        self._queue(flight.id, kind)
+        return self._back(flight)
+
+    async def _cancel(self, request: Request, flight: FlightRow) -> Response:
+        await asyncio.to_thread(self._jobs.cancel, flight.id, str(request.path_params["kind"]))
+        return self._back(flight)
+
+    async def _tags(self, request: Request, flight: FlightRow) -> Response:
+        words = (await _form(request)).get("tags", "").split()
+        self._store.note(flight.id, tags=" ".join(words)[:LONGEST_TAGS])
+        return self._back(flight)
+
+    async def _vehicle(self, request: Request, flight: FlightRow) -> Response:
+        name = (await _form(request)).get("vehicle", "")
+        if name not in (*builtin_vehicles(), *self._store.vehicles()):
+            raise TwinError(f"vehicle {name}: there is none of this name.")
+        self._store.note(flight.id, vehicle=name, gap_text=None, explain_text=None)
+        self._queue(flight.id, "gap")
+        return self._back(flight)
+
+    async def _draft(self, request: Request, flight: FlightRow) -> Response:
+        form = await _form(request)
+        wheelbase_mm = _positive(form, "wheelbase_mm")
+        known = {
+            "mass_kg": _positive(form, "mass_kg"),
+            "wheelbase_m": None if wheelbase_mm is None else wheelbase_mm / 1e3,
+            "propeller": form.get("propeller") or None,
+        }
+        if known["mass_kg"] is None:
+            raise TwinError("mass: a log tells force over mass alone. Weigh the aircraft.")
+        write_json(self._store.results(flight.id) / "draft.json", known)
+        self._queue(flight.id, "draft")
+        return self._back(flight)
+
+    async def _delete(self, _: Request, flight: FlightRow) -> Response:
+        for job in self._store.jobs(flight.id):
+            self._jobs.cancel(job.flight, job.kind, job.other)
+        self._store.delete(flight)
+        self.changed(flight.id)
+        return RedirectResponse("/", 303)
+
+
+def _closing() -> dict[str, str]:
+    """Of an answer before all of the request was read."""
+    return {"Connection": "close"}
+
+
+def _download(file: Path, name: str) -> Response:
+    return FileResponse(file, 200, headers(), "application/octet-stream", filename=name)
+
+
+async def _form(request: Request) -> dict[str, str]:
+    """Fields of a form.
+
+    Raises:
+        TwinError: It is too long.
+    """
+    content = b""
+    async for part in request.stream():
+        content += part
+        if len(content) > _FORM_BYTES:
+            raise TwinError(f"a form of over {_FORM_BYTES} bytes.")
+    return dict(parse_qsl(content.decode("utf-8", "replace")))
+
+
+def _positive(form: dict[str, str], name: str) -> float | None:
+    """A number of a form; None where it is left out.
+
+    Raises:
+        TwinError: It is none, or not positive.
+    """
+    text = form.get(name, "")
+    if not text:
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise TwinError(f"{name} = {text}: needs a positive number.")
+    return value
+
+
+class Guarded:
+    """An application behind doors; a token that fits is stored in a cookie."""
+
+    def __init__(self, app: ASGIApp, doors: Doors) -> None:
+        """Keep both."""
+        self._app, self._doors = app, doors
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """As ASGI has it."""
+        if scope["type"] != "http":
+            return
+        sent, query = Headers(scope=scope), QueryParams(scope.get("query_string", b""))
+        why = self._doors.refusal(sent, query, cookie_parser(sent.get("cookie", "")))
+        if why:
+            await Response(why, 403, headers(), "text/plain")(scope, receive, send)
+        elif self._doors.token is not None and "token" in query and scope["method"] == "GET":
+            rest = [(k, v) for k, v in query.multi_items() if k != "token"]
+            asked = f"?{QueryParams(rest)}" if rest else ""
+            answer = RedirectResponse(f"{quote(scope['path'])}{asked}", 303, headers())
+            answer.set_cookie(
+                COOKIE, self._doors.token, max_age=_COOKIE_S, httponly=True, samesite="lax"
+            )
+            await answer(scope, receive, send)
+        else:
+            await self._app(scope, receive, send)
+
+
+def listening(host: str, port: int) -> socket.socket:
+    """A socket that takes connections.
+
+    Args:
+        host: Name or address of this machine.
+        port: 0: any that is free.
+
+    Raises:
+        TwinError: Another program listens there, or the address is none of this machine.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family, backlog=128)
+    except OSError as error:
+        raise TwinError(f"--listen {host}:{port}: {error.strerror or error}.") from error
+
+
+def made_server(app: ASGIApp) -> uvicorn.Server:
+    """A server that runs until it is told to end."""
+    return uvicorn.Server(
+        uvicorn.Config(
+            app,
+            loop="asyncio",
+            http="h11",
+            ws="none",
+            lifespan="off",
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            proxy_headers=False,
+            limit_concurrency=_MOST_CONNECTIONS,
+            timeout_graceful_shutdown=_GRACE_S,
+        )
+    )

@@ -1,0 +1,430 @@
+"""The folder of the page: logs by their hash, results as files, a table of flights and of jobs.
+
+The table of jobs is the journal: a job is queued in it before anything is done, and one that was
+running when the server ended is queued again by the next.
+"""
+
+import contextlib
+import hashlib
+import os
+import re
+import secrets
+import shutil
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from twin.errors import TwinError, install_command
+
+State = Literal["queued", "running", "done", "failed", "cancelled"]
+OPEN: tuple[State, ...] = ("queued", "running")
+"""States of a job that something will still come of."""
+MOST_TRIES = 3
+"""Times that a job is begun: one during which the server ended so often is not begun again."""
+SHOWN = 200
+"""Flights of a list: more are found by searching."""
+LONGEST_NAME = 80
+"""Characters of the name of a file."""
+LONGEST_TAGS = 200
+"""Characters of the tags of a flight."""
+FORMAT = 1
+"""Of the tables; a store of another one is not opened."""
+_TABLES = f"""
+CREATE TABLE IF NOT EXISTS format AS SELECT {FORMAT} AS number;
+CREATE TABLE IF NOT EXISTS flights (
+    id TEXT, sha256 TEXT, name TEXT, bytes BIGINT, added_s DOUBLE, format TEXT, aircraft TEXT,
+    airframe TEXT, date_year DOUBLE, duration_s DOUBLE, verdict TEXT, check_text TEXT,
+    why_verdict TEXT, why_text TEXT, gap_text TEXT, explain_text TEXT, tags TEXT, vehicle TEXT
+);
+CREATE TABLE IF NOT EXISTS scripts (hash TEXT);
+CREATE TABLE IF NOT EXISTS jobs (
+    flight TEXT, kind TEXT, other TEXT, state TEXT, queued_s DOUBLE, began_s DOUBLE, ended_s DOUBLE,
+    tries INTEGER, text TEXT
+);
+"""
+_SETTINGS = {
+    "memory_limit": "256MB",
+    "threads": "1",
+    "python_enable_replacements": "false",
+    "autoinstall_known_extensions": "false",
+    "autoload_known_extensions": "false",
+}
+"""Of DuckDB: a small share of the memory, no extensions."""
+_SEARCHED = ("name", "tags", "verdict", "check_text", "why_text", "airframe", "format", "vehicle")
+"""Columns in which a search looks."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlightRow:
+    """A flight in the list.
+
+    Attributes:
+        id: First characters of the hash of its log.
+        sha256: That hash.
+        name: Of the file as it came.
+        bytes: Of the log.
+        added_s: When it came, s since 1970.
+        format: Of the log.
+        aircraft: Identifier in the log, "" where it has none.
+        airframe: Kind of aircraft.
+        date_year: Date by the satellites, decimal year.
+        duration_s: Of the flight table.
+        verdict: Of check: fine, warnings, problems, unreadable; None: not known yet.
+        check_text: First of what check says.
+        why_verdict: Of why.
+        why_text: Its sentence.
+        gap_text: Of gap.
+        explain_text: Of explain.
+        tags: Words of the reader.
+        vehicle: Name of the vehicle file, or of a built-in vehicle, that it is compared with.
+    """
+
+    id: str
+    sha256: str
+    name: str
+    bytes: int
+    added_s: float
+    format: str | None
+    aircraft: str | None
+    airframe: str | None
+    date_year: float | None
+    duration_s: float | None
+    verdict: str | None
+    check_text: str | None
+    why_verdict: str | None
+    why_text: str | None
+    gap_text: str | None
+    explain_text: str | None
+    tags: str
+    vehicle: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class JobRow:
+    """A job.
+
+    Attributes:
+        flight: Of which flight.
+        kind: What is done.
+        other: Of two flights, the second; else "".
+        state: How far it is.
+        queued_s: Since when it waits, s since 1970.
+        began_s: When it began last.
+        ended_s: When it ended.
+        tries: How often it was begun.
+        text: Why it failed.
+    """
+
+    flight: str
+    kind: str
+    other: str
+    state: State
+    queued_s: float
+    began_s: float | None
+    ended_s: float | None
+    tries: int
+    text: str | None
+
+
+_FLIGHT = ", ".join(FlightRow.__slots__)
+_JOB = ", ".join(JobRow.__slots__)
+
+
+def safe_name(given: str) -> str:
+    """A name that may be one of a file: letters, digits, `_`, `-` and `.`, none of these in front.
+
+    Args:
+        given: By anybody.
+    """
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "_", given.replace("\\", "/").rpartition("/")[2])
+    stem, dot, end = name.strip("._-").rpartition(".")
+    return f"{stem[: LONGEST_NAME - 10]}{dot}{end[:9]}" if stem else end[:LONGEST_NAME] or "log"
+
+
+@dataclass(slots=True)
+class Upload:
+    """A file that is coming in.
+
+    Attributes:
+        path: Where it is written.
+        most: Bytes that it may have.
+        size: Bytes that have come.
+    """
+
+    path: Path
+    most: int
+    size: int = 0
+    _hash: Any = field(default_factory=hashlib.sha256)
+
+    def __post_init__(self) -> None:
+        self.path.touch()
+
+    def write(self, part: bytes) -> None:
+        """Take the next bytes.
+
+        Raises:
+            TwinError: There are too many, or the disk is full.
+        """
+        self.size += len(part)
+        if self.size > self.most:
+            raise TwinError(f"over {self.most / 2**20:.0f} MiB, the limit (--size-limit)")
+        self._hash.update(part)
+        try:
+            with self.path.open("ab") as file:
+                file.write(part)
+        except OSError as error:
+            raise TwinError(f"cannot be stored: {error.strerror}. Make room.") from error
+
+    @property
+    def sha256(self) -> str:
+        """Hash of what has come."""
+        return str(self._hash.hexdigest())
+
+
+class Store:
+    """The folder, open; one process has it."""
+
+    def __init__(self, folder: Path) -> None:
+        """Open it, or make it; what was being uploaded is gone, what was running is queued.
+
+        Raises:
+            TwinError: The package is missing, another server has it, or it is no such folder.
+        """
+        try:
+            import duckdb
+        except ImportError as error:
+            raise TwinError(
+                f"serve needs the package duckdb: {install_command('serve')}."
+            ) from error
+        self.folder = folder.absolute()
+        self._lock = threading.RLock()
+        try:
+            for name in ("logs", "flights", "vehicles", "incoming"):
+                (self.folder / name).mkdir(parents=True, exist_ok=True)
+            self._tables = self._opened(duckdb)
+        except OSError as error:
+            raise TwinError(f"--store {folder}: {error.strerror or error}.") from error
+        for left in (self.folder / "incoming").iterdir():
+            left.unlink()
+        self._write("UPDATE jobs SET state = 'queued' WHERE state = 'running'")
+        text = f"the server ended {MOST_TRIES} times while this was done"
+        self._write(
+            "UPDATE jobs SET state = 'failed', text = ? WHERE state = 'queued' AND tries >= ?",
+            (text, MOST_TRIES),
+        )
+
+    def _opened(self, duckdb: Any) -> Any:
+        file = self.folder / "store.duckdb"
+        try:
+            tables: Any = duckdb.connect(str(file), config=dict(_SETTINGS))
+            tables.execute(_TABLES)
+            number = tables.execute("SELECT number FROM format").fetchone()
+        except duckdb.Error as error:
+            if "lock" in str(error):
+                raise TwinError(
+                    f"--store {self.folder}: another server has it open. End it, or choose another "
+                    f"--store."
+                ) from error
+            raise TwinError(f"{file}: is no table of flights: {error}") from error
+        if number != (FORMAT,):
+            raise TwinError(f"{file}: of another version of uavtwin. Choose another --store.")
+        return tables
+
+    def close(self) -> None:
+        """Another process may open it; an end that was asked for is no failure of a job."""
+        with self._lock:
+            self._write(
+                "UPDATE jobs SET state = 'queued', tries = tries - 1 WHERE state = 'running'"
+            )
+            self._tables.close()
+
+    def _rows(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
+        with self._lock:
+            return self._tables.execute(sql, list(values)).fetchall()
+
+    def _write(self, sql: str, values: Sequence[Any] = ()) -> int:
+        """Rows that were changed."""
+        found = self._rows(sql, values)
+        return int(found[0][0]) if found else 0
+
+    def token(self) -> str:
+        """What viewers beyond this machine must know: of the store, so that a link stays valid."""
+        file = self.folder / "token"
+        if not file.exists():
+            with open(os.open(file, os.O_WRONLY | os.O_CREAT, 0o600), "w", encoding="utf-8") as new:
+                new.write(secrets.token_urlsafe(24))
+        return file.read_text("utf-8").strip()
+
+    def known_scripts(self, new: Sequence[str]) -> tuple[str, ...]:
+        """Hashes of the scripts of all versions that wrote pages here, with those of this one."""
+        for name in new:
+            self._write(
+                "INSERT INTO scripts SELECT ? WHERE ? NOT IN (SELECT hash FROM scripts)",
+                (name, name),
+            )
+        return tuple(str(row[0]) for row in self._rows("SELECT hash FROM scripts ORDER BY hash"))
+
+    # -- logs -----------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def upload(self, most: int) -> Iterator[Upload]:
+        """A file that is coming in; gone at the end unless it was added.
+
+        Args:
+            most: Bytes that it may have.
+        """
+        coming = Upload(self.folder / "incoming" / secrets.token_hex(8), most)
+        try:
+            yield coming
+        finally:
+            coming.path.unlink(missing_ok=True)
+
+    def add(self, name: str, file: Path, sha256: str, size: int) -> tuple[str, bool]:
+        """Take a file as a log: identifier of its flight, and whether it is new.
+
+        Args:
+            name: As its owner calls it.
+            file: Moved to its place.
+            sha256: Its hash.
+            size: Its bytes.
+        """
+        flight, name = sha256[:16], safe_name(name)
+        with self._lock:
+            if self.flight(flight) is not None:
+                return flight, False
+            place = self.folder / "logs" / sha256
+            place.mkdir(exist_ok=True)
+            file.replace(place / name)
+            self._write(
+                "INSERT INTO flights (id, sha256, name, bytes, added_s, tags) "
+                "VALUES (?, ?, ?, ?, ?, '')",
+                (flight, sha256, name, size, time.time()),
+            )
+            self.queue(flight, "check")
+        return flight, True
+
+    def log(self, flight: FlightRow) -> Path:
+        """The log of a flight."""
+        return self.folder / "logs" / flight.sha256 / flight.name
+
+    def results(self, flight: str) -> Path:
+        """Folder of what came of a flight."""
+        place = self.folder / "flights" / flight
+        place.mkdir(exist_ok=True)
+        return place
+
+    def delete(self, flight: FlightRow) -> None:
+        """Forget a flight, its log and its results."""
+        with self._lock:
+            self._write("DELETE FROM jobs WHERE flight = ? OR other = ?", (flight.id, flight.id))
+            self._write("DELETE FROM flights WHERE id = ?", (flight.id,))
+        shutil.rmtree(self.folder / "logs" / flight.sha256, ignore_errors=True)
+        shutil.rmtree(self.folder / "flights" / flight.id, ignore_errors=True)
+
+    # -- flights --------------------------------------------------------------------------------
+
+    def flight(self, flight: str) -> FlightRow | None:
+        """A flight; None: there is none."""
+        found = self._rows(f"SELECT {_FLIGHT} FROM flights WHERE id = ?", (flight,))
+        return FlightRow(*found[0]) if found else None
+
+    def flights(self, search: str = "") -> tuple[list[FlightRow], int]:
+        """Flights that hold all words of a search, the newest first, and how many there are."""
+        words = search.split()[:10]
+        text = " || ' ' || ".join(f"coalesce({c}, '')" for c in _SEARCHED)
+        where = " AND ".join([f"contains(lower({text}), lower(?))"] * len(words)) or "true"
+        found = self._rows(
+            f"SELECT {_FLIGHT} FROM flights WHERE {where} ORDER BY added_s DESC LIMIT {SHOWN}",
+            words,
+        )
+        ((count,),) = self._rows(f"SELECT count(*) FROM flights WHERE {where}", words)
+        return [FlightRow(*row) for row in found], int(count)
+
+    def note(self, flight: str, **values: str | float | None) -> None:
+        """Write down what is known of a flight, by column of `FlightRow`."""
+        columns = [c for c in values if c in FlightRow.__slots__[5:]]
+        if columns:
+            which = ", ".join(f"{c} = ?" for c in columns)
+            given = (*(values[c] for c in columns), flight)
+            self._write(f"UPDATE flights SET {which} WHERE id = ?", given)
+
+    def vehicle_of_aircraft(self, aircraft: str) -> str | None:
+        """The vehicle that was chosen last for a flight of this aircraft."""
+        found = self._rows(
+            "SELECT vehicle FROM flights WHERE aircraft = ? AND vehicle IS NOT NULL "
+            "ORDER BY added_s DESC LIMIT 1",
+            (aircraft,),
+        )
+        return str(found[0][0]) if found else None
+
+    def vehicles(self) -> list[str]:
+        """Names of the vehicle files."""
+        return sorted(p.stem for p in (self.folder / "vehicles").glob("*.toml"))
+
+    def vehicle_file(self, name: str) -> Path | None:
+        """A vehicle file; None: there is none of this name."""
+        return self.folder / "vehicles" / f"{name}.toml" if name in self.vehicles() else None
+
+    # -- jobs -----------------------------------------------------------------------------------
+
+    def queue(self, flight: str, kind: str, other: str = "") -> bool:
+        """Queue a job; whether it was not open already. One that has ended is done again."""
+        with self._lock:
+            found = self.job(flight, kind, other)
+            if found is not None and found.state in OPEN:
+                return False
+            key = (flight, kind, other)
+            self._write("DELETE FROM jobs WHERE flight = ? AND kind = ? AND other = ?", key)
+            self._write(
+                "INSERT INTO jobs VALUES (?, ?, ?, 'queued', ?, NULL, NULL, 0, NULL)",
+                (*key, time.time()),
+            )
+            return True
+
+    def job(self, flight: str, kind: str, other: str = "") -> JobRow | None:
+        """A job; None: there is none."""
+        found = self._rows(
+            f"SELECT {_JOB} FROM jobs WHERE flight = ? AND kind = ? AND other = ?",
+            (flight, kind, other),
+        )
+        return JobRow(*found[0]) if found else None
+
+    def jobs(self, flight: str) -> list[JobRow]:
+        """All jobs of a flight."""
+        found = self._rows(f"SELECT {_JOB} FROM jobs WHERE flight = ? ORDER BY queued_s", (flight,))
+        return [JobRow(*row) for row in found]
+
+    def take(self, kinds: Sequence[str]) -> JobRow | None:
+        """The next job that waits, running from now on; None: none does.
+
+        Args:
+            kinds: That are taken, the most urgent first.
+        """
+        with self._lock:
+            rows = self._rows(
+                f"SELECT {_JOB} FROM jobs WHERE state = 'queued' AND list_contains(?, kind) "
+                "ORDER BY list_position(?, kind), queued_s LIMIT 1",
+                (list(kinds), list(kinds)),
+            )
+            if not rows:
+                return None
+            job = JobRow(*rows[0])
+            self._write(
+                "UPDATE jobs SET state = 'running', began_s = ?, tries = tries + 1 "
+                "WHERE flight = ? AND kind = ? AND other = ?",
+                (time.time(), job.flight, job.kind, job.other),
+            )
+            return job
+
+    def end(self, job: JobRow, state: State, text: str | None = None) -> bool:
+        """Write down how an open job ended; whether it was still open."""
+        return bool(
+            self._write(
+                "UPDATE jobs SET state = ?, ended_s = ?, text = ? WHERE flight = ? AND kind = ? "
+                "AND other = ? AND state IN ('queued', 'running')",
+                (state, time.time(), text, job.flight, job.kind, job.other),
+            )
+        )

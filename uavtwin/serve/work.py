@@ -1,0 +1,267 @@
+"""What is done with a log, in a process of its own: each kind of job writes its files.
+
+Nothing heavy is imported before a job asks for it: the server imports this module too.
+"""
+
+import hashlib
+import json
+import shutil
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from twin.errors import LogError, TwinError
+
+from ..jobs.process import Progress
+
+if TYPE_CHECKING:
+    from twin.logs import Flight
+
+    from ..file_check import CheckReport
+
+Job = Mapping[str, Any]
+"""Kind, log, folder of the results, vehicle; what a kind needs besides."""
+Answer = dict[str, Any]
+"""`error`, or any of `note` (columns of the flight), `queue` (kinds of jobs), `logs` (of an
+archive), `vehicle` (a file for the store)."""
+TABLE = "flight.parquet"
+"""The flight table that check leaves for everything else."""
+MOST_LOGS = 500
+"""Of one archive."""
+_BLOCK = 1 << 20
+"""Bytes that are unpacked at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogWork:
+    """Does the jobs of the page.
+
+    Attributes:
+        most_bytes: That a log out of an archive may have.
+    """
+
+    most_bytes: int
+
+    def do(self, job: Job, progress: Progress = lambda _: None) -> Answer:
+        """What comes of a job; an error is an answer too."""
+        try:
+            return KINDS[job["kind"]](self, job, progress)
+        except TwinError as error:
+            return {"error": str(error)}
+        except MemoryError:
+            return {"error": "needs more memory than a job may use (--memory-limit)."}
+        except Exception as error:
+            said = " ".join(str(error).split())[:300]
+            return {"error": f"{type(error).__name__}: {said} This is a mistake of uavtwin."}
+
+
+def _warm(_: LogWork, __: Job, ___: Progress) -> Answer:
+    """Import what the first log needs."""
+    from .. import diagnosis, file_check, gaps  # noqa: F401
+    from ..report import gap, why  # noqa: F401
+
+    return {}
+
+
+def _check(work: LogWork, job: Job, _: Progress) -> Answer:
+    """What the file is and is good for; the flight table; the logs of an archive."""
+    from twin.logs import Flight, open_flight
+    from twin.logs.read import logs_in_archive
+
+    from ..file_check import check_file, check_flight
+    from ..flights import reported_aircraft
+    from ..output import write_json
+
+    log, folder = Path(job["log"]), Path(job["folder"])
+    if log.suffix == ".toml":
+        check_file(log)
+        return {"vehicle": str(log)}
+    if len(members := logs_in_archive(log)) > 1:
+        return {"logs": _unpack(log, members, Path(job["incoming"]), work.most_bytes)}
+    flight = open_flight(log)
+    report = check_flight(flight, log.name)
+    write_json(folder / "check.json", report.json())
+    if isinstance(flight, Flight):
+        _write_table(flight, folder)
+    else:
+        shutil.copyfile(log, folder / TABLE)
+    airframe = flight.airframe
+    place = None if airframe is None else airframe.place
+    time_s = flight.time_s
+    aircraft = ", ".join(t for t in reported_aircraft(flight) if t)
+    note = {
+        "format": flight.facts.get("format"),
+        "aircraft": aircraft if "aircraft" in flight.facts else "",
+        "airframe": report.facts.get("kind"),
+        "date_year": None if place is None else place.value.year,
+        "duration_s": float(time_s[-1] - time_s[0]),
+        **_verdict(report),
+    }
+    return {"note": note, "queue": ["why"]}
+
+
+def _verdict(report: "CheckReport") -> dict[str, str]:
+    """The verdict in a word, and the first line that says why."""
+    if report.problems:
+        return {"verdict": "problems", "check_text": report.problems[0]}
+    if report.warnings:
+        return {"verdict": "warnings", "check_text": report.warnings[0]}
+    uses = f"good for {', '.join(report.good_for)}" if report.good_for else "nothing wrong with it"
+    return {"verdict": "fine", "check_text": uses}
+
+
+def _write_table(flight: "Flight", folder: Path) -> None:
+    from twin.logs import write_flight
+
+    from ..output import output_file
+
+    with output_file(folder / TABLE) as file:
+        write_flight(flight, file)
+
+
+def _unpack(archive: Path, members: list[str], folder: Path, most: int) -> list[Answer]:
+    """Name, file, hash and size of each log of an archive.
+
+    Raises:
+        LogError: There are too many, or one is too large.
+    """
+    if len(members) > MOST_LOGS:
+        raise LogError(f"a ZIP archive of {len(members)} logs, over {MOST_LOGS}. Split it.")
+    found: list[Answer] = []
+    with zipfile.ZipFile(archive) as opened:
+        for number, name in enumerate(members):
+            digest, size = hashlib.sha256(), 0
+            file = folder / f"{archive.parent.name[:16]}-{number}"
+            with opened.open(name) as source, file.open("wb") as out:
+                while part := source.read(_BLOCK):
+                    size += len(part)
+                    if size > most:
+                        raise LogError(
+                            f"{name[:80]}: over {most / 2**20:.0f} MiB, the limit (--size-limit)."
+                        )
+                    digest.update(part)
+                    out.write(part)
+            found.append(
+                {"name": name, "file": str(file), "sha256": digest.hexdigest(), "bytes": size}
+            )
+    return found
+
+
+def _why(_: LogWork, job: Job, __: Progress) -> Answer:
+    """What went wrong, from the log alone."""
+    from ..diagnosis import why
+    from ..output import write_json
+
+    found = why(job["log"])
+    folder = Path(job["folder"])
+    write_json(folder / "why.json", found.record.json())
+    found.report(folder / "why.html")
+    return {"note": {"why_verdict": found.record.verdict, "why_text": found.record.text}}
+
+
+def _gap(_: LogWork, job: Job, progress: Progress) -> Answer:
+    """Flight against the twin of its vehicle."""
+    from ..flights import open_alike
+    from ..gaps import gap
+    from ..output import write_json
+    from ..vehicles import load_vehicle
+
+    found = gap(open_alike([Path(job["log"])]), load_vehicle(job["vehicle"]), progress=progress)
+    folder = Path(job["folder"])
+    write_json(folder / "gap.json", found.record.json())
+    found.report(folder / "gap.html")
+    return {"note": {"gap_text": found.claim}}
+
+
+def _draft(_: LogWork, job: Job, __: Progress) -> Answer:
+    """A first vehicle file from the log and what the reader knows of the aircraft."""
+    from twin.logs import read_flight
+
+    from ..vehicle_draft import draft_vehicle
+
+    log, folder = Path(job["log"]), Path(job["folder"])
+    known = json.loads((folder / "draft.json").read_text("utf-8"))
+    found = draft_vehicle(read_flight(log), **known, name=f"draft_{job['flight'][:6]}")
+    file = found.vehicle.save(folder / f"{found.vehicle.name}.toml")
+    return {
+        "vehicle": str(file),
+        "note": {"vehicle": found.vehicle.name, "gap_text": None, "explain_text": None},
+        "queue": ["gap"],
+    }
+
+
+def _explain(_: LogWork, job: Job, progress: Progress) -> Answer:
+    """Which effect the vehicle lacks."""
+    from ..explanation import explain, write_explanation
+    from ..flights import open_alike
+    from ..vehicles import load_vehicle
+
+    folder = Path(job["folder"])
+    flights = open_alike([Path(job["log"])])
+    found = explain(flights, [], load_vehicle(job["vehicle"]), progress=progress)
+    place = folder / "explain"
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir()
+    answer: Answer = {"note": {"explain_text": found.sentence}}
+    if "vehicle.toml" in write_explanation(found.details, place):
+        file = place / f"explained_{job['flight'][:6]}.toml"
+        (place / "vehicle.toml").rename(file)
+        answer["vehicle"] = str(file)
+    return answer
+
+
+def _mcap(_: LogWork, job: Job, __: Progress) -> Answer:
+    """The flight for Foxglove and PlotJuggler."""
+    from twin.logs import read_flight
+
+    from ..output import output_file
+    from ..series.mcap import write_flight_mcap
+
+    with output_file(Path(job["folder"]) / "flight.mcap") as file:
+        write_flight_mcap(read_flight(job["log"]), file)
+    return {}
+
+
+def _fmu(_: LogWork, job: Job, progress: Progress) -> Answer:
+    """The whole twin of the vehicle."""
+    from ..exports.parts import twin
+    from ..exports.write import export
+    from ..vehicles import load_vehicle
+
+    export(twin(load_vehicle(job["vehicle"])), Path(job["folder"]) / "twin.fmu", progress=progress)
+    return {}
+
+
+def _compare(_: LogWork, job: Job, __: Progress) -> Answer:
+    """Two flights over each other."""
+    from twin.logs import open_flight
+
+    from ..output import output_file
+    from .comparison import comparison_page
+
+    first, second = (open_flight(Path(f) / TABLE) for f in (job["folder"], job["other_folder"]))
+    with output_file(Path(job["folder"]) / f"compare-{job['other']}.html") as file:
+        file.write_text(comparison_page(first, second, job["name"], job["other_name"]), "utf-8")
+    return {}
+
+
+KINDS: Mapping[str, Callable[[LogWork, Job, Progress], Answer]] = {
+    "warm": _warm,
+    "check": _check,
+    "compare": _compare,
+    "why": _why,
+    "draft": _draft,
+    "gap": _gap,
+    "mcap": _mcap,
+    "fmu": _fmu,
+    "explain": _explain,
+}
+"""Kinds of jobs, the most urgent first."""
+LONG = ("fmu", "explain")
+"""Kinds that take minutes: one worker never does them, so that new logs do not wait."""
+QUICK = tuple(k for k in KINDS if k not in ("warm", *LONG))
+"""The others."""
+OF_VEHICLE = ("gap", "fmu", "explain")
+"""Kinds that need a vehicle."""
