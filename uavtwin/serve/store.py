@@ -243,7 +243,7 @@ class Store:
 
     def _rows(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
         with self._lock:
-            return self._tables.execute(sql, list(values)).fetchall()
+            return list(self._tables.execute(sql, list(values)).fetchall())
 
     def _write(self, sql: str, values: Sequence[Any] = ()) -> int:
         """Rows that were changed."""
