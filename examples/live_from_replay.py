@@ -2,7 +2,7 @@
 
 You will see what the twin says while it flies, and which rotor it finds damaged, seconds after:
     python examples/live_from_replay.py [LOG VEHICLE]
-Without a log, a built-in flight in which a rotor loses a tenth of its thrust at 16 s.
+Without a log, a built-in flight in which a rotor loses a fifth of its thrust at 16 s.
 """
 
 import socket
@@ -10,10 +10,10 @@ import sys
 import threading
 from pathlib import Path
 
-from twin.explain.running.evidence import RunningEvidence
 from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
+from twin.why.watch import Watch
 from uavtwin.demo.in_flight import damaged_flight
 from uavtwin.live.datagrams import Address
 from uavtwin.live.replay import MAX_SPEED, Replay
@@ -30,7 +30,7 @@ def free_address() -> Address:
 def main(flight: Flight, vehicle: Vehicle) -> None:
     """Send, listen, print what is said."""
     options = LiveOptions(free_address(), until_silent_s=2.0)
-    session = LiveSession(vehicle, options, lambda: RunningEvidence(vehicle))
+    session = LiveSession(vehicle, options, lambda: Watch(vehicle))
     aircraft = Replay(options.listen, MAX_SPEED)  # in step with who listens; 1.0: in real time
     sender = threading.Thread(target=aircraft.play, args=(flight,))
     sender.start()

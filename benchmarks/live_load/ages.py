@@ -32,7 +32,7 @@ def ages(seconds: float, alarms: bool, vehicle_name: str = "copter_default") -> 
 
     Args:
         seconds: Of the flight.
-        alarms: Whether evidence is kept.
+        alarms: Whether it is looked at.
         vehicle_name: Which.
 
     Returns:

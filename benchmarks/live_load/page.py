@@ -35,7 +35,7 @@ the twin published.
 ## Several aircraft in one process
 
 Each with a 200 Hz IMU, in real time, over the loopback, with its twin and its residuals; with and
-without running evidence for alarms.
+without alarms.
 
 - *Wall*: in which 25 s of flight were sent; where that is more than a few seconds longer, the
   sender did not get the processor that it needed, and what is behind says little.

@@ -15,11 +15,11 @@ import numpy as np
 import pandas as pd
 import psutil
 
-from twin.explain.running.evidence import RunningEvidence
 from twin.logs import Flight, write_flight
 from twin.logs.read import read_flight
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
+from twin.why.watch import Watch
 from uavtwin.demo.in_flight import damaged_flight
 from uavtwin.live.datagrams import Address
 from uavtwin.live.replay import Replay
@@ -62,7 +62,7 @@ MIB = 2.0**20
 
 
 def growth(seconds: float, speed: float, vehicle_name: str = "copter_default") -> dict[str, Any]:
-    """Fly so long, recorded, with evidence, and watch the memory of this process.
+    """Fly so long, recorded, with alarms, and watch the memory of this process.
 
     Args:
         seconds: Of flight, at least.
@@ -76,7 +76,7 @@ def growth(seconds: float, speed: float, vehicle_name: str = "copter_default") -
         times_s = flight.time_s
         del flight
         options = LiveOptions(free_address(), record=Path(folder, "rec"), until_silent_s=20.0)
-        session = LiveSession(vehicle, options, lambda: RunningEvidence(vehicle))
+        session = LiveSession(vehicle, options, lambda: Watch(vehicle))
         context = multiprocessing.get_context("spawn")
         arguments = (Path(folder, "long.parquet"), options.listen, speed)
         sender = context.Process(target=_play, args=arguments, daemon=True)
@@ -141,7 +141,7 @@ def aircraft_at_once(
     Args:
         count: How many.
         seconds: So long.
-        alarms: Whether evidence is kept of each.
+        alarms: Whether each is looked at.
         vehicle_name: Which.
 
     Returns:
@@ -152,9 +152,9 @@ def aircraft_at_once(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "flight.parquet")
         write_flight(long_flight(vehicle, seconds).between(0.0, seconds), path)
-        evidence = (lambda: RunningEvidence(vehicle)) if alarms else (lambda: None)
+        watch = (lambda: Watch(vehicle)) if alarms else (lambda: None)
         where = [free_address() for _ in range(count)]
-        sessions = [LiveSession(vehicle, LiveOptions(a, system=1), evidence) for a in where]
+        sessions = [LiveSession(vehicle, LiveOptions(a, system=1), watch) for a in where]
         status: dict[int, LiveStatus] = {}
         over = threading.Event()
 

@@ -337,23 +337,27 @@ class Competition:
 
     def strongest(self, low: int, high: int, since: int = 0) -> Onset | None:
         """The strongest onset within places, `since` one of them; None: none passes."""
-        body = self.body
-        first, last = max(low + body.places(FIRST_S), since), min(high - 2, body.last)
-        tried = self._tried(first, last)
+        place = self.best(low, high, since)
+        return None if place is None else self.onset_at(place, low, high, since)
+
+    def best(self, low: int, high: int, since: int = 0, short: float = 0.0) -> int | None:
+        """Place of the strongest onset; None: none comes within `short` nats of its level."""
+        tried = self._tried(max(low + self.body.places(FIRST_S), since), self._end(high))
         if len(tried) < 2:
             return None
         over = self._over(tried, low, high)
-        if over.max() < 0:
-            return None
-        best = int(tried[np.argmax(over)])
-        near = np.arange(max(best - self._stride, first), min(best + self._stride + 1, last))
-        return self._onset(near, low, high)
+        return int(tried[np.argmax(over)]) if over.max() >= -short else None
 
-    def promising(self, low: int, high: int, since: int) -> bool:
-        """Whether a name at an onset `since` a place comes within `SCREENED` of its level."""
-        first = max(low + self.body.places(FIRST_S), since)
-        tried = self._tried(first, min(high - 2, self.body.last))
-        return len(tried) > 1 and bool(self._over(tried, low, high).max() > -SCREENED)
+    def onset_at(self, place: int, low: int, high: int, since: int = 0) -> Onset | None:
+        """The best onset near a place; None: at a closer look none passes."""
+        first = max(low + self.body.places(FIRST_S), since, place - self._stride)
+        return self._onset(
+            np.arange(first, min(place + self._stride + 1, self._end(high))), low, high
+        )
+
+    def _end(self, high: int) -> int:
+        """Place behind the last possible onset."""
+        return min(high - 2, self.body.last)
 
     def _over(self, tried: Places, low: int, high: int) -> Array:
         """Nats of the best name at each onset over its level, and over nothing near it."""

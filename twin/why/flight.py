@@ -116,7 +116,9 @@ class FlightFrame:
                 f"{flight.name}: the log lasts {end - start:.1f} s; at least {SHORTEST_S:g} s are "
                 f"needed to know what is usual in it."
             )
-        edges = np.arange(start, end + dt, dt)
+        # No sample lies on an edge, where rounding decides to which interval it belongs.
+        half = 0.5 / max(s.rate_hz for s in signals.values())
+        edges = np.arange(start - half, end + dt, dt)
         grid = {name: binned(s, edges) for name, s in signals.items()}
         if "q" in grid:
             grid["q"] /= np.linalg.norm(grid["q"], axis=1, keepdims=True)

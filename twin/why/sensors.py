@@ -29,7 +29,7 @@ from .consistency import (
     trailing_median,
 )
 from .findings import Findings
-from .flight import FlightFrame, rotations
+from .flight import Airborne, FlightFrame, rotations
 from .records import Amount, Candidate, Event, EvidenceSeries, NotVisible, Severity
 
 Array = NDArray[np.float64]
@@ -151,17 +151,27 @@ def sensors(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Find
     events: list[Event] = []
     hidden: dict[str, NotVisible] = {}
     for part in flight.airborne:
-        start = float(flight.t_s[part.start]) + CLEAR_S
-        end = float(flight.t_s[part.flown - 1]) - (LANDING_S if part.lost is None else 0.0)
-        signals = within(flight.flight, start, end)
-        residuals = [r for make in RESIDUALS for r in make(signals)]
-        budget = Budget(FALSE_IN_10_H, max(len(residuals), 1))
-        found = [c for r in residuals if (c := changed_at(r, budget)) is not None]
-        standing = [*frozen(signals, budget), *missing(signals, end)]
-        events += grouped([*map(_of_change, found), *standing])
-        hidden |= _hidden(residuals, budget)
+        residuals, found = part_events(flight, part)
+        events += found
+        hidden |= _hidden(residuals, _budget(residuals))
     sound = np.prod([1.0 - e.probability for e in events if not e.consequence])
     return Findings(events=events, not_visible=tuple(hidden.values()), nothing=float(sound))
+
+
+def part_events(flight: FlightFrame, part: Airborne) -> tuple[list[Residual], list[Event]]:
+    """Residuals of a part in the air, and its events."""
+    start = float(flight.t_s[part.start]) + CLEAR_S
+    end = float(flight.t_s[part.flown - 1]) - (LANDING_S if part.lost is None else 0.0)
+    signals = within(flight.flight, start, end)
+    residuals = [r for make in RESIDUALS for r in make(signals)]
+    budget = _budget(residuals)
+    found = [c for r in residuals if (c := changed_at(r, budget)) is not None]
+    standing = [*frozen(signals, budget), *missing(signals, end)]
+    return residuals, grouped([*map(_of_change, found), *standing])
+
+
+def _budget(residuals: Sequence[Residual]) -> Budget:
+    return Budget(FALSE_IN_10_H, max(len(residuals), 1))
 
 
 def grouped(events: Sequence[Event]) -> list[Event]:

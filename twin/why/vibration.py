@@ -191,10 +191,14 @@ def _tracks(t: Array, hz: Array, flight: FlightFrame) -> Iterator[tuple[str, int
 def _even(signal: Signal, start: float, end: float) -> tuple[float, float, Array] | None:
     """Begin, rate and samples of a signal on an even grid; None where there are too few."""
     step = 1.0 / signal.rate_hz
-    t = np.arange(start, end, step)
+    samples = signal.t_s[signal.t_s >= start]  # between them interpolation dampens
+    if not len(samples):
+        return None
+    first = float(samples[0])
+    t = np.arange(first, end, step)
     if len(t) * step < 4 * SEGMENT_S:
         return None
-    return start, 1.0 / step, np.stack([np.interp(t, signal.t_s, c) for c in signal.values.T], 1)
+    return first, 1.0 / step, np.stack([np.interp(t, signal.t_s, c) for c in signal.values.T], 1)
 
 
 def _spectra(shaken: tuple[float, float, Array]) -> tuple[Array, Array, Array]:

@@ -6,7 +6,7 @@ when as much was flown after its onset as counts in a log, or at once when contr
 is settled its name may change; from then on the body is looked at from the event on, as in a log.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,14 +19,13 @@ from ..logs.airframe import Airframe
 from ..residuals.stream import LastRows, Rows
 from ..vehicle import Vehicle
 from ..vehicle.layouts import Layout, frame, frames_of
-from .body import AFTER_LOSS_S, Body
-from .competition import AFTER_S, APART_S, BEFORE_S, BLOW, FINAL, Competition
+from .body import AFTER_LOSS_S, CURVES, Body
+from .competition import AFTER_S, APART_S, BEFORE_S, BLOW, FINAL, SCREENED, Competition
 from .diagnose import NAMED, in_order
-from .findings import Finder
 from .flight import Airborne, FlightFrame
 from .motion import LEAST_S, event_of
 from .records import Event
-from .sensors import LANDING_S, OF_ESTIMATE, sensors
+from .sensors import LANDING_S, OF_ESTIMATE, part_events
 from .vibration import vibration
 
 LOOK_S = 1.0
@@ -36,9 +35,14 @@ WINDOW_S = BEFORE_S + AFTER_S + 4.0
 RECENT_S = AFTER_S + 3.0
 """Before now, in which onsets are tried."""
 CURVE_S = 20.0
-"""After so long the curve of thrust by which onsets are screened is chosen anew."""
-FINDERS: tuple[tuple[Finder, float], ...] = ((sensors, 2.0), (vibration, 10.0))
-"""Of what moves no body, and the time between two of its looks, s."""
+"""After so long the likely curves of thrust are chosen anew."""
+Find = Callable[[FlightFrame, Airborne], Sequence[Event]]
+"""Events of the part of a flight that goes on."""
+FINDERS: tuple[tuple[Find, float], ...] = (
+    (lambda flown, part: part_events(flown, part)[1], 2.0),
+    (lambda flown, _: vibration(flown).events, 10.0),
+)
+"""Of instruments and of vibration, and the time between two of their looks, s."""
 CLEAR, LOOKS = 0.9, 2
 """Probability from which on, and looks in a row after which, a name is said before it settles."""
 NEAR_S = 1.0
@@ -148,7 +152,7 @@ class Watch:
         layout = None if vehicle is None else layout_of(vehicle)
         self._rows = LastRows("live", airframe=None if layout is None else Airframe(layout=layout))
         self._body = _BodyWatch()
-        self._others: dict[Finder, dict[str, Case]] = {find: {} for find, _ in FINDERS}
+        self._others: dict[Find, dict[str, Case]] = {find: {} for find, _ in FINDERS}
         self._looked_s = dict.fromkeys(self._others, -np.inf)
         self._fit_open = layout is not None
         self._took_off_s: float | None = None
@@ -174,7 +178,7 @@ class Watch:
             return ()
         self._judge_rotors(flown, part)
         body = () if self.misfit else tuple(self._body.look(flown, part, now_s))
-        return (*body, *self._look_at_others(flown, now_s))
+        return (*body, *self._look_at_others(flown, part, now_s))
 
     def _part(self, flown: FlightFrame, now_s: float) -> Airborne | None:
         """The part of the flight that goes on, from where it left the ground; None: it rests.
@@ -200,14 +204,15 @@ class Watch:
         start = max(part.start, int(np.searchsorted(flown.t_s, self._took_off_s)))
         return replace(part, start=start)
 
-    def _look_at_others(self, flown: FlightFrame, now_s: float) -> Iterator[Alarm]:
+    def _look_at_others(self, flown: FlightFrame, part: Airborne, now_s: float) -> Iterator[Alarm]:
         """Instruments and vibration, each once in a flight of `WINDOW_S`."""
         for find, every_s in FINDERS:
             if now_s - self._looked_s[find] < every_s - LOOK_S / 2:
                 continue
             self._looked_s[find] = now_s
             cases = self._others[find]
-            seen = {e.sensor or e.cause: e for e in self._causes(find(flown, ()).events)}
+            events = self._causes(find(flown, part))
+            seen = {e.sensor or e.cause: e for e in events}
             for key in dict.fromkeys([*cases, *seen]):
                 case = cases.setdefault(key, Case())
                 case.see(seen.get(key), now_s)
@@ -272,14 +277,16 @@ class _BodyWatch:
         said: Events before it.
         from_s: From where on the flight counts: behind the last event, s.
         over: Whether the body is another one by now, or control was lost.
-        curve: Of thrust, by which onsets are screened, and when it was chosen, s.
+        curves: Of thrust, the most probable first: by the first one onsets are screened.
+        chosen_s: When they were chosen, s.
     """
 
     case: Case = field(default_factory=Case)
     said: list[Event] = field(default_factory=list)
     from_s: float = -np.inf
     over: bool = False
-    curve: tuple[tuple[float, float], float] | None = None
+    curves: tuple[tuple[float, float], ...] = CURVES
+    chosen_s: float = -np.inf
 
     @property
     def seen(self) -> list[Event]:
@@ -313,12 +320,17 @@ class _BodyWatch:
         """The strongest onset of the last seconds."""
         body = _body_of(flown, part)
         low, since = (int(np.searchsorted(body.t_s, t)) for t in (self.from_s, now_s - RECENT_S))
-        if self.curve is None or now_s - self.curve[1] > CURVE_S:
-            self.curve = next(iter(body.grams)), now_s
-        screened = Competition(replace(body, curves=(self.curve[0],)))
-        if part.lost is None and not screened.promising(low, len(body), since):
-            return None
-        onset = Competition(body).strongest(low, len(body), since)
+        if now_s - self.chosen_s > CURVE_S:
+            self.curves, self.chosen_s = tuple(body.grams), now_s
+        body = replace(body, curves=self.curves)
+        if part.lost is not None:
+            onset = Competition(body).strongest(low, len(body), since)
+        else:
+            screened = Competition(replace(body, curves=self.curves[:1]))
+            place = screened.best(low, len(body), since, short=SCREENED)
+            if place is None:
+                return None
+            onset = Competition(body).onset_at(place, low, len(body), since)
         return None if onset is None else event_of(body, onset)
 
 

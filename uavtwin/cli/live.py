@@ -92,7 +92,10 @@ Model = Annotated[
     ),
 ]
 Alarms = Annotated[
-    bool, typer.Option(help="Say which effect begins in flight; costs some 2 % of a core.")
+    bool,
+    typer.Option(
+        help="Say what goes wrong in flight, as `why` does of a log; costs some 15 % of a core."
+    ),
 ]
 
 
@@ -191,7 +194,7 @@ def _fly(
     model: Path | None,
 ) -> "LiveStatus":
     """Open the page where one is wanted, and listen."""
-    from twin.explain.running.evidence import RunningEvidence
+    from twin.why.watch import Watch
 
     from ..demo.in_flight import damaged_flight, sent_meanwhile
     from ..live.page.opened import open_page
@@ -210,7 +213,7 @@ def _fly(
         session = LiveSession(
             twin,
             options,
-            (lambda: RunningEvidence(twin)) if alarms else lambda: None,
+            (lambda: Watch(twin)) if alarms else lambda: None,
             None if shown is None else shown.feed,
             None if model is None else opened.enter_context(_compensator(model, twin)),
         )
@@ -255,10 +258,13 @@ def _run(session: "LiveSession", shown: "OpenPage | None") -> "LiveStatus":
         """A line, and alarms that are new or over."""
         STDERR.print(status.line())
         for alarm in status.alarms:
-            key = alarm["section"], alarm["effect"], alarm["raised_s"], alarm["closed_s"]
+            key = alarm["section"], alarm["cause"], alarm["raised_s"], alarm["closed_s"]
             if key not in said:
                 said.add(key)
                 STDERR.print(f"ALARM: {alarm['text']}", style="bold red")
+        if status.misfit and status.misfit not in failed:
+            failed.add(status.misfit)
+            STDERR.print(f"{status.misfit} Nothing is said of rotors.", style="bold red")
         for error in status.errors:
             if error not in failed:
                 failed.add(error)
@@ -285,6 +291,8 @@ def _print(status: "LiveStatus", out: Path | None) -> None:
         STDOUT.print(f"  {name}: rms {value:.4g} {status.units[name]}")
     for alarm in status.alarms:
         STDOUT.print(f"alarm: {alarm['text']}")
+    if status.misfit:
+        STDOUT.print(status.misfit)
     if status.model is not None and status.model.rms:
         _print_model(status.model, status.units)
     for error in status.errors:

@@ -30,8 +30,8 @@ from .flights import (
 
 BEGINS_S = 20.0
 """After the start of the flight: what listens has by then learned what is usual."""
-LOSS, ROTOR = 0.1, 3
-"""Share of its thrust that a rotor loses, and which. Made up: a chipped blade."""
+LOSS, ROTOR = 0.2, 3
+"""Share of its thrust that a rotor loses, and which. Made up: a broken tip."""
 SECONDS = 60.0
 """Length of the flight, s."""
 _BATTERY_S, _BATTERY_NOISE = 0.1, 1e-3

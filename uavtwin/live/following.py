@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from twin.component.along import BUILDING, EachRow
 from twin.errors import TwinError
-from twin.explain.running.alarms import Alarm
 from twin.frames import AXES
 from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL
 from twin.logs.mavlink.decoder import Sample, columns_of
@@ -28,6 +27,7 @@ from twin.logs.mavlink.encode import attitude, heartbeat, imu, local_position
 from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, packed, parser
 from twin.residuals.stream import Equations
 from twin.residuals.teacher_forced import GRID_S
+from twin.why.watch import Alarm
 
 from .datagrams import Address, sending
 from .status import sentence
@@ -291,7 +291,7 @@ class Publisher:
         number = self.sent % 65535 + 1 if len(pieces) > 1 else 0
         for k, piece in enumerate(pieces):
             self._send(dialect.MAVLink_statustext_message(severity, piece, number, k))
-        self._number(alarm.effect, 0.0 if over else alarm.probability)
+        self._number(alarm.event.cause, 0.0 if over else alarm.event.probability)
 
     def _number(self, name: str, value: float) -> None:
         """NAMED_VALUE_FLOAT."""

@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 from twin.component.along import BUILDING
 from twin.errors import TwinError
-from twin.explain.running.alarms import Alarm
 from twin.logs.flight import Finding
 from twin.logs.mavlink.decoder import MavlinkDecoder, Sample, Stamp
 from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, packed, parser
 from twin.residuals.flight_gap import DEFAULT_HORIZON_S
 from twin.vehicle import Vehicle
+from twin.why.watch import Alarm
 
 from .datagrams import Address, Arrivals, ClockWatch, Datagram, Received, Receiver, listening
 from .following import DEFAULT_SYSTEM, Following, FollowingTwin, Publisher
 from .page.feed import PageFeed
 from .recording import HOLD_S, Recording, RowBuffer
-from .status import RATES_HZ, Evidence, LinkStatus, LiveStatus, alarm_json, missing
+from .status import RATES_HZ, LinkStatus, LiveStatus, Looking, alarm_json, missing
 from .worker import Batch, Part, Parts, Worker
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ class LiveSession:
         self,
         vehicle: Vehicle,
         options: LiveOptions,
-        evidence: Callable[[], Evidence | None] = lambda: None,
+        watch: Callable[[], Looking | None] = lambda: None,
         page: PageFeed | None = None,
         compensator: "RunningCompensator | None" = None,
     ) -> None:
@@ -118,7 +118,7 @@ class LiveSession:
         Args:
             vehicle: The twin.
             options: How.
-            evidence: Makes evidence for a flight section; None: no alarms.
+            watch: Makes what looks at a flight section; None: no alarms.
             page: Gets what the page shows; None: no page.
             compensator: Of the sensors; None: there is none.
 
@@ -156,7 +156,7 @@ class LiveSession:
             vehicle,
             self._recording,
             options.horizon_s,
-            evidence,
+            watch,
             on_block,
             self._alarm,
             compensator,
@@ -218,7 +218,7 @@ class LiveSession:
     def _alarm(self, alarm: Alarm) -> None:
         """Report an alarm that was raised or has ended, in the thread of the twin."""
         entry = alarm_json(alarm, self.worker.sections)
-        self._alarms[entry["section"], alarm.effect, alarm.raised_s] = entry
+        self._alarms[entry["section"], alarm.event.cause, alarm.raised_s] = entry
         if self._publisher is not None:
             self._publisher.alarm(alarm)
         if self._page is not None:
@@ -450,5 +450,6 @@ class LiveSession:
             math.nan if self._publisher is None else self._publisher.age_p99_s,
             tuple(list(self._alarms.values())),
             worker.model,
+            worker.misfit,
             tuple(f"{f.where} {f.message}" for f in self._parts.findings),
         )

@@ -1,7 +1,6 @@
 """The status of a live flight, as numbers and in words, and its alarms.
 
-`Evidence` is the interface of `twin.explain.running.RunningEvidence`; a flight without evidence
-raises no alarms.
+`Looking` is the interface of `twin.why.watch.Watch`; a flight that nothing looks at has no alarms.
 """
 
 import math
@@ -9,62 +8,52 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from twin.effects import EFFECTS
-from twin.explain.running.alarms import Alarm, Verdict
+from msgspec import structs, to_builtins
+
 from twin.logs.mavlink.frames import dialect
 from twin.physics.sensors.table import SENSORS
-from twin.residuals.stream import Stream
+from twin.residuals.stream import Rows
+from twin.why.watch import Alarm
 
-from ..wording import clause
+from ..diagnosis import cause_in_words, size_in_words
 from .datagrams import ClockEstimate
 
 
-class Evidence(Protocol):
-    """Evidence that grows while a flight goes on; a new flight has new evidence."""
+class Looking(Protocol):
+    """Looks at a flight while it goes on; a new flight has a new one."""
 
     @property
-    def effects(self) -> Sequence[str]:
-        """To be built into the airframe of the stream."""
+    def misfit(self) -> str:
+        """Why the vehicle file does not fit; "": it does, or it is not known."""
         ...
 
-    def follow(self, stream: Stream) -> Verdict:
-        """Take what has come onto the grid since the last call."""
+    def push(self, rows: Rows) -> None:
+        """Take new rows of the flight table."""
+        ...
+
+    def look(self) -> Sequence[Alarm]:
+        """Alarms that are new, have changed, or are over."""
         ...
 
 
 def sentence(alarm: Alarm) -> str:
-    """What an alarm says to people: what has changed, since when, and how sure that is."""
-    name = _words(alarm.effect)
-    change = {n.name: n.value for n in alarm.numbers}
-    if said := clause(alarm.effect, change, since=True):
-        details = [name]
-    else:
-        said, details = f"{name}, {EFFECTS[alarm.effect].meaning}", []
-    details += [f"{alarm.probability:.0%}", *map(str, alarm.numbers)]
-    text = f"since {alarm.since_s:.1f} s: {said} ({', '.join(details)})"
-    if alarm.others:
-        known = " or ".join(f"{_words(e)} ({p:.0%})" for e, p in alarm.others.items())
-        text += f"; indistinguishable from {known}"
+    """What an alarm says to people: what has happened, how much, and how sure that is."""
+    event = alarm.event
+    details = [d for d in (size_in_words(event), f"{event.probability:.0%}") if d]
+    text = f"{event.text} ({', '.join(details)})"
+    if event.alternatives:
+        known = (f"{cause_in_words(c)} ({c.probability:.0%})" for c in event.alternatives)
+        text += f"; or {' or '.join(known)}"
     if alarm.closed_s is not None:
         text += f"; over since {alarm.closed_s:.1f} s"
     return text
 
 
-def _words(effect: str) -> str:
-    return effect.replace("_", " ")
-
-
 def alarm_json(alarm: Alarm, section: int) -> dict[str, Any]:
-    """A line of `alarms.jsonl`."""
-    return {
-        "section": section,
-        "effect": alarm.effect,
-        "since_s": alarm.since_s,
-        "raised_s": alarm.raised_s,
-        "closed_s": alarm.closed_s,
-        "probability": alarm.probability,
-        "text": sentence(alarm),
-    }
+    """A line of `alarms.jsonl`: the event as `why` has it, without the signals that show it."""
+    event = to_builtins(structs.replace(alarm.event, evidence=()))
+    told = {"raised_s": alarm.raised_s, "closed_s": alarm.closed_s, "text": sentence(alarm)}
+    return {"section": section, **event, **told}
 
 
 NEEDED_BY: dict[str, tuple[str, str]] = {
@@ -183,6 +172,8 @@ class LiveStatus:
             it was made of; NaN: nothing was published.
         alarms: The latest `alarm_json` of each.
         model: The compensator; None: there is none.
+        misfit: Why the vehicle file does not fit, in which case nothing is said of the body; "": it
+            does, or it is not known.
         errors: What failed while the flight was recorded, once each.
     """
 
@@ -199,6 +190,7 @@ class LiveStatus:
     published_age_p99_s: float = math.nan
     alarms: tuple[Mapping[str, Any], ...] = ()
     model: ModelStatus | None = None
+    misfit: str = ""
     errors: tuple[str, ...] = ()
 
     def line(self) -> str:

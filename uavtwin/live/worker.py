@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from twin.component.along import BUILDING
 from twin.errors import TwinError
-from twin.explain.running.alarms import Alarm
 from twin.logs.flight import Finding
 from twin.residuals.stream import Equations, Stream
 from twin.residuals.stream_residuals import ResidualBlock, StreamResiduals
 from twin.vehicle import Vehicle
+from twin.why.watch import LOOK_S, Alarm
 
 from .recording import Columns, Recording
-from .status import Evidence, alarm_json
+from .status import Looking, alarm_json
 
 if TYPE_CHECKING:
     from ..compensators.running import RunningCompensator
@@ -123,8 +123,6 @@ class Parts:
 
 EVERY_S = 1.0
 """Of flight, between two blocks of residuals, s."""
-ALARMS_EVERY_S = 0.5
-"""Of flight, between two verdicts on what is wrong, s: a frame of `twin.explain.running`."""
 _MOST_BEHIND_S = 3.0
 """Of flight after which residuals are computed although rows wait, s. Made up."""
 _WAITING = 10
@@ -164,7 +162,7 @@ class Worker:
         vehicle: Vehicle,
         recording: Recording | None,
         horizon_s: float,
-        evidence: Callable[[], Evidence | None] = lambda: None,
+        watch: Callable[[], Looking | None] = lambda: None,
         on_block: Callable[[ResidualBlock], None] = lambda _: None,
         on_alarm: Callable[[Alarm], None] = lambda _: None,
         compensator: "RunningCompensator | None" = None,
@@ -173,7 +171,7 @@ class Worker:
     ) -> None:
         self._vehicle, self._recording, self._horizon_s = vehicle, recording, horizon_s
         self._parts = parts or Parts()
-        self._new_evidence, self._on_block, self._on_alarm = evidence, on_block, on_alarm
+        self._new_watch, self._on_block, self._on_alarm = watch, on_block, on_alarm
         self._compensator, self._on_anomaly = compensator, on_anomaly
         self._queue: Queue[Batch | _NewSection | _End] = Queue(_WAITING)
         self._thread = threading.Thread(target=self._work, name="twin", daemon=True)
@@ -183,7 +181,6 @@ class Worker:
         with BUILDING:
             self.equations = Equations(vehicle, vehicle.drive)
             self.equations.build()
-        self._with_effects = self.equations
         self._begin()
         self._thread.start()
 
@@ -206,6 +203,11 @@ class Worker:
         return self._stream.waits_for
 
     @property
+    def misfit(self) -> str:
+        """Why the vehicle file does not fit; "": it does, or it is not known."""
+        return "" if self._watch is None else self._watch.misfit
+
+    @property
     def rms(self) -> dict[str, float]:
         """Of the residuals of this section so far, by channel."""
         return {name: math.sqrt(s / n) for name, (n, s) in dict(self._sums).items() if n}
@@ -216,22 +218,14 @@ class Worker:
         return None if self._compensator is None else self._compensator.status
 
     def _begin(self) -> None:
-        self._evidence = self._parts.run(Part.ALARMS, self._built_evidence)
-        effects = () if self._evidence is None else tuple(self._evidence.effects)
-        if effects != self._with_effects.effects:
-            with BUILDING:
-                self._with_effects = Equations(self._vehicle, self.equations.drive, effects)
-        self._stream = Stream(self._vehicle, effects, self._with_effects)
+        self._watch = self._parts.run(Part.ALARMS, self._new_watch)
+        self._stream = Stream(self._vehicle, equations=self.equations)
         self._residuals = StreamResiduals(self._stream, self._horizon_s, self.equations)
         self._sums = {}
         if self._compensator is not None:
             self._parts.run(Part.COMPENSATOR, self._compensator.begin)
         self._updated_s: float | None = None
-        self._judged_s = 0.0
-
-    def _built_evidence(self) -> Evidence | None:
-        with BUILDING:
-            return self._new_evidence()
+        self._looked_s = 0.0
 
     def _work(self) -> None:
         while True:
@@ -257,27 +251,30 @@ class Worker:
             self._parts.run(Part.TABLES, add, rows, batch.facts, found, settled)
         self.flight_s = float(rows["time"][-1])
         if self._updated_s is None:
-            self._updated_s = self._judged_s = float(rows["time"][0])
-        if self._evidence is not None and self.flight_s - self._judged_s >= ALARMS_EVERY_S:
-            self._judged_s = self.flight_s
-            self._parts.run(Part.GRID, self._stream.advance)
-            self._parts.run(Part.ALARMS, self._update_alarms, self._evidence)
+            self._updated_s = self._looked_s = float(rows["time"][0])
+        if self._watch is not None:
+            self._parts.run(Part.ALARMS, self._watch.push, rows)
+        if self.flight_s - self._looked_s >= LOOK_S:
+            self._look()
         # What waits is recorded before anything is computed, up to a point.
         behind_s = self.flight_s - self._updated_s
         if behind_s >= (EVERY_S if self._queue.empty() else _MOST_BEHIND_S):
             self._updated_s = self.flight_s
             self._publish(self._parts.run(Part.TWIN, self._residuals.update))
 
-    def _update_alarms(self, evidence: Evidence) -> None:
+    def _look(self) -> None:
         """Ask for alarms: here and nowhere else."""
-        verdict = evidence.follow(self._stream)
-        for alarm in (*verdict.opened, *verdict.closed):
+        self._looked_s = self.flight_s
+        if self._watch is None:
+            return
+        for alarm in self._parts.run(Part.ALARMS, self._watch.look) or ():
             if self._recording is not None:
                 self._recording.add_alarm(alarm_json(alarm, self.sections))
             self._on_alarm(alarm)
 
     def _finish(self) -> None:
         """Report what the section leaves, and note what was settled in it."""
+        self._look()
         self._publish(self._parts.run(Part.TWIN, self._residuals.update, final=True))
 
     def _restart(self) -> None:

@@ -10,7 +10,6 @@ import pytest
 from places import DATA, needs
 from sample_logs import flown_table
 
-from twin.explain.running.hypotheses import MONITORED_EFFECTS
 from twin.logs import Flight, read_flight
 from twin.logs.columns import ACC, GYRO, POS, QUAT
 from twin.logs.flight import Settled
@@ -79,12 +78,6 @@ def test_the_same_numbers_whenever_it_is_asked(copter: Vehicle, every_s: float) 
 def test_one_push_of_everything(copter: Vehicle) -> None:
     """A batch is a stream of one portion."""
     check_same(flown_table().iloc[:5000], copter, 1000.0)
-
-
-@pytest.mark.slow
-def test_the_same_numbers_on_the_grid_of_the_alarms(copter: Vehicle) -> None:
-    """Effects that are built in, switched off, change nothing."""
-    check_same(flown_table().iloc[:1500], copter, 1.0, MONITORED_EFFECTS)
 
 
 @pytest.mark.slow

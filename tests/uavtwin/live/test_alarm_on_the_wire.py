@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.live_alarms.flights import Case, aircraft, flown
+from benchmarks.sudden_faults import Planted
 from twin.logs import write_flight
 from uavtwin.vehicles import Vehicle
 
@@ -19,10 +19,10 @@ ADDRESS = "127.0.0.1:14781"
 
 @pytest.mark.long
 def test_a_rotor_that_gets_weak_is_named_within_seconds(tmp_path: Path) -> None:
-    case = Case("rotor_efficiency_loss", "medium", 0)
-    flight, begins_s = flown(case)
+    planted = Planted("rotor_failure", 0.3, 3)
+    flight, begins_s, rotor = planted.flown()
     write_flight(flight, tmp_path / "flight.parquet")
-    Vehicle.of(aircraft(case.aircraft)).save(tmp_path / "vehicle.toml")
+    Vehicle.of(planted.vehicle).save(tmp_path / "vehicle.toml")
     listening = subprocess.Popen(
         [
             *(*UAVTWIN, "live", "--vehicle", tmp_path / "vehicle.toml", "--out", tmp_path / "r"),
@@ -48,8 +48,8 @@ def test_a_rotor_that_gets_weak_is_named_within_seconds(tmp_path: Path) -> None:
     finally:
         listening.kill()
     (alarm,) = json.loads(out)["alarms"]
-    assert alarm["effect"] == "rotor_efficiency_loss"
+    assert alarm["cause"] == "rotor_failure" and alarm["rotor"] == [rotor]
     assert begins_s < alarm["raised_s"] < begins_s + LATEST_S
-    assert alarm["since_s"] == pytest.approx(begins_s, abs=1.0)
-    (line,) = (tmp_path / "r" / "alarms.jsonl").read_text("utf-8").splitlines()
-    assert json.loads(line)["effect"] == alarm["effect"]
+    assert alarm["onset_s"] == pytest.approx(begins_s, abs=0.1)
+    line, *_ = (tmp_path / "r" / "alarms.jsonl").read_text("utf-8").splitlines()
+    assert json.loads(line)["cause"] == alarm["cause"]

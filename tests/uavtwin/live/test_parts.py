@@ -10,14 +10,13 @@ import pytest
 from sample_logs import flown_table
 
 from twin.errors import LogError
-from twin.explain.running.alarms import Verdict
-from twin.explain.running.evidence import RunningEvidence
 from twin.logs import Flight, read_flight
 from twin.logs.mavlink.encode import heartbeat
 from twin.logs.mavlink.frames import AUTOPILOT, dialect, parser
 from twin.residuals.stream import Stream
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
+from twin.why.watch import Alarm, Watch
 from uavtwin.live.datagrams import MORE_OTHERS, Address, Datagram, Receiver
 from uavtwin.live.replay import played
 from uavtwin.live.session import LiveOptions, LiveSession
@@ -54,19 +53,16 @@ def heard(
     return status, read_flight(folder / "flight.parquet")
 
 
-class Failing:
-    """Evidence that fails at its fifth call."""
+class Failing(Watch):
+    """Fails at its second look."""
 
-    effects = ()
+    looks = 0
 
-    def __init__(self) -> None:
-        self.calls = 0
-
-    def follow(self, stream: Stream) -> Verdict:
-        self.calls += 1
-        if self.calls == 5:
+    def look(self) -> tuple[Alarm, ...]:
+        self.looks += 1
+        if self.looks == 2:
             raise ZeroDivisionError("as planted")
-        return Verdict(0.0, False, True, (), (), (), 1.0, {})
+        return ()
 
 
 class FailingPage:
@@ -81,14 +77,14 @@ class FailingPage:
 
 @pytest.mark.slow
 def test_an_error_of_alarms_or_page_ends_no_recording(copter: Vehicle, tmp_path: Path) -> None:
-    evidence = Failing()
+    watch = Failing()
     status, flight = heard(
-        copter, tmp_path / "r", datagrams(), evidence=lambda: evidence, page=FailingPage()
+        copter, tmp_path / "r", datagrams(), watch=lambda: watch, page=FailingPage()
     )
     assert len(flight.table) == 600 and status.waits_for == ""
     assert "alarms failed: ZeroDivisionError: as planted" in status.errors
     assert "the page failed: RuntimeError: as planted" in status.errors
-    assert evidence.calls == 5 and len(status.errors) == 2
+    assert watch.looks == 2 and len(status.errors) == 2
     assert "ZeroDivisionError" in (tmp_path / "r" / ERRORS).read_text("utf-8")
     (noted,) = [f for f in flight.findings if f.where == "alarms"]
     assert noted.severity == "error" and noted.count == 1
@@ -164,7 +160,7 @@ def test_a_frozen_axis_ends_no_session(copter: Vehicle, tmp_path: Path, axis: st
         for message in messages:
             sent.append(bytes(message.pack(packer)))
             packer.seq = (packer.seq + 1) % 256
-    status, flight = heard(copter, tmp_path / "r", sent, evidence=lambda: RunningEvidence(copter))
+    status, flight = heard(copter, tmp_path / "r", sent, watch=lambda: Watch(copter))
     assert not status.errors and len(flight.table) == 3000
 
 

@@ -19,13 +19,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.explain.running.alarms import Alarm
 from twin.frames import to_euler
 from twin.logs.autopilot import LEVELS
 from twin.logs.columns import ACC, EULER, GYRO, POS, QUAT, VEL
 from twin.logs.mavlink.decoder import Sample, columns_of
 from twin.residuals.gap import Channel
 from twin.residuals.stream_residuals import ResidualBlock
+from twin.why.watch import Alarm
 
 from ...record import plain
 from ..following import Following, Reading
@@ -289,7 +289,7 @@ class PageFeed:
 
     def alarm(self, alarm: Alarm, section: int) -> None:
         """An alarm that was raised, or has ended."""
-        key = f"alarm {section} {alarm.effect} {alarm.raised_s:.3f}"
+        key = f"alarm {section} {alarm.event.cause} {alarm.raised_s:.3f}"
         content = {**alarm_json(alarm, section), "at": _ms(), "id": key}
         self._hub.send("alarm", content, key=key)
 

@@ -106,7 +106,7 @@
     id("alarms").replaceChildren.apply(id("alarms"), all.length ? all.slice(0, 30).map(function (a) {
       var words = a.text + "; raised at " + a.raised_s.toFixed(1) + " s.";
       var e = element("p", words, isOver(a) ? "alarm over" : "alarm");
-      e.dataset.effect = a.effect;
+      e.dataset.cause = a.cause;
       return e;
     }) : [element("p", "No alarm.", "dim")]);
     id("claim").dataset.open = String(open.length);
@@ -137,7 +137,7 @@
     if (m.model) rows.splice(7, 0, ["compensator", "anomaly " + number(m.model.anomaly, 2) + " (above 1 is unusual), " + number(100 * m.model.unusual, 1) + " % of the flight above; " +
       number(100 * m.model.inside, 0) + " % where training has been; sees residuals of " + number(m.model.horizon_s, 2) + " s ago"]);
     id("health").replaceChildren.apply(id("health"), rows.flatMap(function (r) { return [element("dt", r[0]), element("dd", r[1])]; }));
-    id("missing").replaceChildren.apply(id("missing"), Object.values(m.missing).map(function (text) { return element("p", text, "warn"); }));
+    id("missing").replaceChildren.apply(id("missing"), Object.values(m.missing).concat(m.misfit || []).map(function (text) { return element("p", text, "warn"); }));
     id("claim").dataset.heard = link.system === null ? "" : "yes";
   }
 
@@ -202,8 +202,8 @@
       if (band) { s.y0 = band[0]; s.y1 = band[1]; }
     });
     alarms.forEach(function (a) {
-      if (isOver(a) || a.since_s < end - span) return;
-      layout.shapes.push({ name: "alarm", type: "line", xref: "x", yref: "paper", x0: a.since_s, x1: a.since_s, y0: 0, y1: 1,
+      if (isOver(a) || a.onset_s === null || a.onset_s < end - span) return;
+      layout.shapes.push({ name: "alarm", type: "line", xref: "x", yref: "paper", x0: a.onset_s, x1: a.onset_s, y0: 0, y1: 1,
         line: { width: 1, dash: "dot", color: "#c23b66" }, layer: "below" });
     });
   }

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 from page_rigs.browser import (
     SOME_VIEWS,
     Browser,
@@ -22,12 +23,13 @@ from page_rigs.browser import (
 )
 from sample_logs import flown_table
 
-from twin.explain.running.alarms import Alarm, EstimatedChange
 from twin.logs import Flight
 from twin.logs.mavlink.decoder import Sample
 from twin.logs.mavlink.frames import dialect
 from twin.residuals.gap import Channel
 from twin.vehicle_file import load_vehicle
+from twin.why.records import Event
+from twin.why.watch import Alarm
 from uavtwin.live.datagrams import Address
 from uavtwin.live.following import Following, Reading
 from uavtwin.live.page.document import document
@@ -55,13 +57,14 @@ TWIN = Reading(
     omega_b=(0.0, 0.0, 0.0),
 )
 WEAK = Alarm(
-    "rotor_efficiency_loss",
-    (EstimatedChange("loss_3", 0.1, 0.004, "1"),),
-    12.0,
-    14.5,
-    0.97,
-    0.01,
-    {},
+    event=Event(
+        cause="rotor_failure",
+        rotor=(3,),
+        onset_s=12.0,
+        probability=0.97,
+        text="Rotor 3 loses 20 % of its thrust at 12.00 s",
+    ),
+    raised_s=14.5,
 )
 
 
@@ -172,9 +175,9 @@ def test_alarms_are_told_in_words_and_end(opened: Browser) -> None:
         feed.alarm(WEAK, 1)
         until(opened, "document.querySelector('#alarms .alarm') !== null")
         assert text(opened, "#alarms") == f"{sentence(WEAK)}; raised at 14.5 s."
-        feed.alarm(replace(WEAK, closed_s=20.0), 1)
+        feed.alarm(structs.replace(WEAK, closed_s=20.0), 1)
         until(opened, "document.querySelector('#alarms .over') !== null")
-        over = sentence(replace(WEAK, closed_s=20.0))
+        over = sentence(structs.replace(WEAK, closed_s=20.0))
         assert "over since 20.0 s" in over
         assert text(opened, "#alarms") == f"{over}; raised at 14.5 s."
         opened.visit(server.url, WIDE)  # one who comes later
