@@ -96,9 +96,14 @@ def site(store: Path, workers: int = 0, most_bytes: int = 10_000_000) -> Iterato
 
 
 class Process(Asked):
-    """`uavtwin serve` as a process."""
+    """`uavtwin serve` as a process.
 
-    def __init__(self, store: Path) -> None:
+    Attributes:
+        said: First line that it printed.
+    """
+
+    def __init__(self, store: Path, host: str = "127.0.0.1") -> None:
+        self._host, self.said = host, ""
         with socket.create_server(("127.0.0.1", 0)) as free:
             super().__init__(int(free.getsockname()[1]), store)
         self.start()
@@ -106,32 +111,41 @@ class Process(Asked):
     def start(self) -> None:
         """Start it, and wait until it answers."""
         command = "from uavtwin.cli.main import main; main()"
-        listen = f"--listen=127.0.0.1:{self.port}"
+        listen = f"--listen={self._host}:{self.port}"
         self._process = subprocess.Popen(
             [sys.executable, "-c", command, "serve", listen, f"--store={self.store}"],
             env={**os.environ, "PYTHONPATH": IMPORT_PATH},
-            stdout=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
+            text=True,
         )
+        assert self._process.stdout is not None
+        self.said = self._process.stdout.readline().strip()
         deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
             with contextlib.suppress(OSError):
-                if self.ask("/")[0] == 200:
+                if self.ask("/")[0] in (200, 403):
                     return
             time.sleep(0.1)
         raise TimeoutError("uavtwin serve does not answer")
+
+    @property
+    def pid(self) -> int:
+        """Of the server."""
+        return self._process.pid
 
     def kill(self) -> None:
         """End it as a machine does that loses its power."""
         self._process.kill()
         self._process.wait()
+        assert self._process.stdout is not None
+        self._process.stdout.close()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._process.send_signal(signal.SIGINT)
-        try:
+        with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(20)
-        except subprocess.TimeoutExpired:
-            self.kill()
+        self.kill()

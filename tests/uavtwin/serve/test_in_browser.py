@@ -1,8 +1,11 @@
 """The page as a real browser shows it: dropped, read, cancelled, killed, started again."""
 
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 from page_rigs.browser import Browser, View, browser, needs_browser, pictures
 from serve_rigs.sites import Process, sound_log
@@ -121,3 +124,62 @@ def test_a_job_is_cancelled_killed_with_its_server_and_goes_on_with_the_next(
     opened.wait("document.querySelector('progress')")
     opened.run("document.getElementById('cancel-explain').click()")
     opened.wait("document.body.innerText.includes('Cancelled.')")
+
+
+def test_beyond_this_machine_the_printed_address_lets_in(opened: Browser, tmp_path: Path) -> None:
+    with Process(tmp_path / "store", "0.0.0.0") as served:
+        assert served.said.startswith(f"http://0.0.0.0:{served.port}/?token=")
+        opened.visit(served.address, WIDE)
+        assert "needs its token" in opened.run("document.body.innerText")
+        opened.visit(served.said.replace("0.0.0.0", "127.0.0.1"), WIDE)
+        opened.wait("document.documentElement.dataset.connected")
+        assert opened.run("location.href") == f"{served.address}/"
+        opened.visit(served.address, WIDE)
+        opened.wait("document.querySelector('#drop')")
+
+
+LARGE_S = 2400.0
+"""Of a flight table of over 100 MB."""
+MOST_BYTES = 2 << 30
+"""Of memory, of the server and its workers."""
+
+
+@pytest.mark.long
+def test_twenty_logs_at_once_and_a_kill_lose_nothing(tmp_path: Path) -> None:
+    logs = [sound_log(tmp_path, f"flight{'x' * k}.parquet", 15.0) for k in range(18)]
+    logs.append(sound_log(tmp_path, "large.csv", LARGE_S))
+    assert logs[-1].stat().st_size > 100e6
+    (tmp_path / "hostile.ulg").write_bytes(b"ULog\x01\x12\x35\x01" + bytes(range(256)) * 99)
+    logs.append(tmp_path / "hostile.ulg")
+    most, ended = 0, threading.Event()
+
+    def watch(served: Process) -> None:
+        nonlocal most
+        while not ended.wait(0.2):
+            try:
+                server = psutil.Process(served.pid)
+                all_of_it = [server, *server.children(recursive=True)]
+                most = max(most, sum(p.memory_info().rss for p in all_of_it))
+            except psutil.Error:  # it is being killed
+                time.sleep(0.1)
+
+    rows = "document.querySelectorAll('#rows tr').length"
+    verdicts = "document.querySelectorAll('#rows .verdict').length"
+    with Process(tmp_path / "store") as served:
+        threading.Thread(target=watch, args=(served,), daemon=True).start()
+        with browser(tmp_path) as opened:
+            opened.visit(served.address, WIDE)
+            opened.wait("document.documentElement.dataset.connected")
+            opened.choose("#files", *logs)
+            opened.wait(f"{rows} === 20", 120)
+            opened.wait(f"{verdicts} >= 3", 120)
+        served.kill()
+        served.start()
+        with browser(tmp_path) as opened:
+            opened.visit(served.address, WIDE)
+            opened.wait(f"{verdicts} === 20", 300)
+            opened.wait("document.querySelectorAll('#rows .tag').length === 0", 300)
+            assert opened.run("document.querySelectorAll('.verdict.unreadable').length") == 1
+            assert opened.run("document.body.innerText.match(/Nothing went wrong/g).length") == 19
+        ended.set()
+    assert 0 < most < MOST_BYTES, f"{most / 2**20:.0f} MiB"
