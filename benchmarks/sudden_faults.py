@@ -16,6 +16,7 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.flight.closed_loop import STEP_S
 from twin.flight.simulate_flight import Later, Recorder, simulate_flight
@@ -25,9 +26,11 @@ from twin.vehicle import Vehicle
 from twin.why import Diagnosis, diagnose
 from twin.why.motion import moved
 from twin.why.rules import RuleReading, parted
-from uavtwin.demo.flights import setpoints_along
+from uavtwin.demo.flights import Waypoints, setpoints_along
 
 from .live_alarms import flights as plants
+
+Array = NDArray[np.float64]
 
 LOSSES = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
 """Shares of the thrust of one rotor."""
@@ -69,6 +72,11 @@ class Planted:
     rate_hz: float = 200.0
 
     @property
+    def lively(self) -> bool:
+        """Whether nothing fails, but much happens."""
+        return not self.cause and self.size > 0
+
+    @property
     def vehicle(self) -> Vehicle:
         """Which flies."""
         return plants.aircraft(plants.AIRCRAFT[self.seed % len(plants.AIRCRAFT)])
@@ -79,8 +87,11 @@ class Planted:
         v = self.vehicle
         begins_s = float(rng.uniform(*BEGINS_S)) if self.cause else np.inf
         seconds = begins_s + AFTER_S if self.cause else CLEAN_S
-        setpoints, phases = setpoints_along(v, plants.waypoints(v, seconds, rng))
+        legs = plants.waypoints(v, seconds, rng)
+        setpoints, phases = setpoints_along(v, lively(v, legs, rng) if self.lively else legs)
         courses = plants.air(len(setpoints), rng)
+        if self.lively:
+            _make_gusty(courses, rng)
         courses["vbat_v"] = plants.voltage(v, len(setpoints), np.inf)
         later, rotor = self._later(v, begins_s, rng)
         if self.cause == "gust":
@@ -118,6 +129,36 @@ class Planted:
         ]
         others = [s for s in made.streams if s.columns != drives]
         return replace(made, streams=(*slower, *others))
+
+
+def lively(v: Vehicle, legs: Waypoints, rng: np.random.Generator) -> Waypoints:
+    """Waypoints with throttle punches and landings between some of them."""
+    out, top = [], 1.0 if v.arm_m < 0.06 else 3.0
+    for k, (phase, seconds, (x, y, z)) in enumerate(legs):
+        out.append((phase, seconds, (x, y, z)))
+        what = rng.uniform() if k > 3 else 1.0
+        if what < 0.15:
+            quick = 2.0 * float(np.sqrt(top / 4.0)) * float(rng.uniform(0.9, 1.4))
+            out += [("forward", quick, (x, y, z - top)), ("forward", 1.3 * quick, (x, y, z))]
+        elif what < 0.22:
+            out += [("land", 3.0, (x, y, 0.0)), ("ground", 2.0, (x, y, 0.0))]
+            out += [("takeoff", 3.0, (x, y, z))]
+    return tuple(out)
+
+
+def _make_gusty(courses: dict[str, Array], rng: np.random.Generator) -> None:
+    """Wind of up to 6 m/s more, three times the turbulence, and a gust every ten seconds."""
+    t, angle = STEP_S * np.arange(len(courses["wind_x"])), float(rng.uniform(0, 2 * np.pi))
+    extra = float(rng.uniform(0.0, 6.0)) * np.array([np.cos(angle), np.sin(angle), 0.0])
+    for k, axis in enumerate("xyz"):
+        w = courses[f"wind_{axis}"]
+        w[:] = w.mean() + 3.0 * (w - w.mean()) + extra[k]
+    for begins_s in np.arange(5.0, t[-1], 10.0) + rng.uniform(-4.0, 4.0):
+        toward = rng.standard_normal(3) * (1.0, 1.0, 0.4)
+        size, long_s = float(rng.uniform(1.0, 4.0)), float(rng.uniform(0.3, 2.0))
+        blow = size * np.exp(-0.5 * ((t - begins_s) / long_s) ** 2)
+        for k, axis in enumerate("xyz"):
+            courses[f"wind_{axis}"] += toward[k] / np.linalg.norm(toward) * blow
 
 
 @dataclass(frozen=True, slots=True)

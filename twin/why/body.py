@@ -2,17 +2,16 @@
 
 Channels j are the specific force along z and the angular accelerations about x, y, z:
 
-    y_j = s_j (sum_i S_ji eta_i g(c_i) - K_j) + d_j w_j + k_j x_j + b_j + e_j,    e_j AR(1)
+    y_j = s_j (sum_i S_ji eta_i g(c_i) - K_j) + d_j w_j + k_j x_j + b_j + e_j
 
 S: signs of the frame. g: thrust by command, of several curvatures and lags, over which is
 marginalised. eta: share of its thrust that a rotor has left, 1 while it is sound. s_j absorbs mass,
 inertia, arm, voltage and thrust map; K_j is the usual sum, so that the offset b_j does not depend
-on s_j; d_j damping, k_j gyroscopic products (wx^2 + wy^2 for z). Errors of the model grow with what
-happens, for all hypotheses alike: a lively interval weighs little, so that a crash cannot outvote
-an onset.
+on s_j; d_j damping, k_j gyroscopic products (wx^2 + wy^2 for z); e_j is of `noise`. Errors of the
+model grow with what happens, for all hypotheses alike: a lively interval weighs little, so that a
+crash cannot outvote an onset.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -23,7 +22,9 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal import lfilter
 
 from ..residuals.measured import Signal
+from ..vehicle import GRAVITY_M_S2
 from .flight import Airborne, Array, FlightFrame, binned, lift, moment_signs
+from .noise import Law, Whitened
 
 CURVATURES = (0.0, 0.35, 0.7, 1.0, 1.25)
 """Of thrust by command: linear, square, square above a dead band."""
@@ -45,8 +46,6 @@ SEEN_EARLY_S = 0.1
 """By which a loss of control may be seen too early, since rates are smoothed."""
 AFTER_LOSS_S = 1.0
 """The physics of the body holds for a while as it tumbles."""
-RHO_MOST = 0.98
-"""Of the AR(1) of a residual."""
 FLOOR = np.array([0.02, 0.02, 0.02, 0.01])
 """Least deviation of an innovation, m/s^2 and rad/s^2."""
 CLIP = 5.0
@@ -63,6 +62,8 @@ FAST_HZ = 40.0
 """Rate of commands from which on their jitter does not hide the gain."""
 FINE_S = 0.01
 """Interval on which commands pass their lag."""
+LIFT_SPREAD, GAIN_SD = 0.1, 1e3
+"""Of the gain along z over what the weight asks for; of a gain of which nothing is known."""
 SETTLED_GAIN = np.sqrt(0.5)
 """Arm of a rotor of an X about roll and pitch, over its distance."""
 
@@ -204,34 +205,36 @@ class Body:
     def noise(self) -> "Noise":
         """Of each channel, by the early part."""
         g = self.thrust(USUAL_CURVATURE, self.lag_s)
-        fits = [self._noise_of(g, j) for j in range(4)]
-        rho, sd, gain, weight = (np.array(v) for v in zip(*fits, strict=True))
-        return Noise(rho, sd, gain, weight)
+        share = np.where(self.limited, AT_STOP_WEIGHT, 1.0)[:, None] * self._seen
+        laws, gain, weight = zip(
+            *(
+                self.noise_of(self._regressors(g, j), self.measured[:, j], FLOOR[j], share[:, j])
+                for j in range(4)
+            ),
+            strict=True,
+        )
+        return Noise(laws, np.array(gain), np.array(weight))
 
-    def _noise_of(self, thrust: Array, j: int) -> tuple[float, float, float, Array]:
-        """AR(1), deviation of the innovations, gain, and weight of each interval."""
-        X, y, early, rho = self._regressors(thrust, j), self.measured[:, j], self.learned, 0.8
+    def noise_of(
+        self, regressors: Array, y: Array, floor: float, share: Array
+    ) -> tuple[Law, float, Array]:
+        """Law of what the early part leaves, first number of the regression, and weight of each
+        interval.
+
+        Args:
+            regressors: Shape (n, k).
+            y: What is measured, shape (n,).
+            floor: Least deviation of an innovation.
+            share: Most that each interval weighs, shape (n,).
+        """
+        early, law = self.learned, Law(0.8, 0.0, 1.0)
         for _ in range(3):
-            white_X, white_y = X[1:] - rho * X[:-1], y[1:] - rho * y[:-1]
-            beta = robust_fit(white_X[early], white_y[early])
-            left = (y - X @ beta)[early]
-            left -= np.median(left)
-            low, high = np.percentile(left, [2, 98])
-            left = np.clip(left, low, high)
-            power = max(float(left @ left), 1e-12)
-            rho = float(np.clip(left[1:] @ left[:-1] / power, 0.0, RHO_MOST))
-        innovation = np.concatenate([[0.0], white_y - white_X @ beta])
-        sd = 1.4826 * float(np.median(np.abs(innovation[early]))) + FLOOR[j]
+            beta = robust_fit(law.filtered(regressors[early]), law.filtered(y[early]))
+            left = (y - regressors @ beta)[early]
+            law = Law.of(left - np.median(left), floor)
         lively = maximum_filter1d(np.abs(y - np.median(y[early])), 3)
-        excess = np.maximum(lively - LIVELY * sd, 0) / CLIP
-        share = np.where(self.limited, AT_STOP_WEIGHT, 1.0) * self._seen[:, j]
-        return rho, sd, float(beta[0]), share * sd**2 / (sd**2 + excess**2)
-
-    @cached_property
-    def hover_command(self) -> float:
-        """Median command of the early part."""
-        grid = self.frame.grid[self.frame.drive or ""]
-        return float(np.median(grid[self.start : self.start + self.learned.stop]))
+        excess = np.maximum(lively - LIVELY * law.sd, 0) / CLIP
+        return law, float(beta[0]), share * law.sd**2 / (law.sd**2 + excess**2)
 
     @property
     def fast(self) -> bool:
@@ -245,40 +248,90 @@ class Body:
         return np.asarray(np.abs(self.noise.gain) * np.median(g.sum(axis=1)) * SETTLED_GAIN)
 
     @cached_property
-    def grams(self) -> Mapping[tuple[float, float], tuple[Array, Array]]:
-        """By curvature and lag, the most probable first: cumulated Gram matrices, shape
-        (4, n + 1, k, k), of [S g_1 .. S g_n, their sum - K, damping, products, 1, y], whitened and
-        weighted; and K of each channel, shape (4,)."""
-        found: dict[tuple[float, float], tuple[Array, Array]] = {}
-        explained: dict[tuple[float, float], float] = {}
-        for curve in self.curves:
-            g = self.thrust(*curve)
-            usual = np.median(g[self.learned] @ self.signs.T, axis=0)
-            gram = np.stack([self._gram(g, j, usual[j]) for j in range(4)])
-            found[curve] = gram, usual
-            explained[curve] = -self._unexplained(gram[:, self.learned.stop]) / 4
-        order = sorted(found, key=lambda curve: -explained[curve])
-        return {k: found[k] for k in order if explained[k] > explained[order[0]] - LIKELY}
+    def laws(self) -> "list[ThrustLaw]":
+        """Thrust by command as the early part allows it, the most probable first."""
+        thrust = [self.thrust(*curve) for curve in self.curves]
+        usual = [np.median(g[self.learned] @ self.signs.T, axis=0) for g in thrust]
+        columns = [
+            np.stack(
+                [self._columns(g, j, u[j]) for g, u in zip(thrust, usual, strict=True)], axis=1
+            )
+            for j in range(4)
+        ]
+        lifts = np.array([self.lift_gain(u) for u in usual])
+        left, gain, sd = np.array(
+            [self._early_fit(c, j, lifts) for j, c in enumerate(columns)]
+        ).transpose(1, 2, 0)
+        explained = -left.sum(axis=1) / 4
+        order = np.argsort(-explained)
+        likely = order[explained[order] > explained.max() - LIKELY]
+        found = [
+            Whitened.each(law, weight, c[:, likely])
+            for law, weight, c in zip(self.noise.laws, self.noise.weight, columns, strict=True)
+        ]
+        return [
+            ThrustLaw(self.curves[i], channels, usual[i], gain[i], sd[i])
+            for i, channels in zip(likely, zip(*found, strict=True), strict=True)
+        ]
 
-    def _unexplained(self, gram: Array) -> float:
-        """Sum of squares that the regression leaves in the early part."""
-        n, total = self.rotors, 0.0
-        for g in gram[:, n:, n:]:
-            inside = g[:4, :4] + 1e-6 * np.diag(np.diag(g[:4, :4]) + 1e-9)
-            total += float(g[4, 4] - g[:4, 4] @ np.linalg.solve(inside, g[:4, 4]))
-        return total
-
-    def _gram(self, thrust: Array, j: int, usual: float) -> Array:
-        each, (damping, products), noise = thrust * self.signs[j], self._rates, self.noise
+    def _columns(self, thrust: Array, j: int, usual: float) -> Array:
+        each, (damping, products) = thrust * self.signs[j], self._rates
         ones, y = np.ones(len(self)), self.measured[:, j]
-        rows = np.column_stack(
+        return np.column_stack(
             [each, each.sum(axis=1) - usual, damping[:, j], products[:, j], ones, y]
         )
-        rows[1:] = rows[1:] - noise.rho[j] * rows[:-1]
-        rows[0] = 0.0
-        rows *= np.sqrt(noise.weight[j])[:, None] / noise.sd[j]
-        products_of = np.cumsum(rows[:, :, None] * rows[:, None], axis=0)
-        return np.concatenate([np.zeros((1, *products_of.shape[1:])), products_of])
+
+    def lift_gain(self, usual: Array) -> tuple[float, float]:
+        """Gain along z, since all thrust carries the weight, and its deviation: a curvature that
+        needs another one is less probable. Where commands are logged slowly, jitter that is not
+        logged attenuates it, and it tells nothing."""
+        gain = GRAVITY_M_S2 / abs(usual[0])
+        return gain, LIFT_SPREAD * gain if self.fast else GAIN_SD
+
+    def _early_fit(self, columns: Array, j: int, lifts: Array) -> Array:
+        """Sum of squares that the regression of a channel leaves in the early part, gain, and its
+        deviation, by law of thrust, shape (3, laws)."""
+        law, early = self.noise.laws[j], self.learned
+        rows = law.filtered(columns[early, :, self.rotors :]) / law.sd
+        rows *= np.sqrt(self.noise.weight[j][early])[:, None, None]
+        gram = np.einsum("tia,tib->iab", rows, rows)
+        if j == 0:
+            gram = expecting(gram, 0, *lifts.T)
+        inside = gram[:, :4, :4] + 1e-6 * np.eye(4) * (gram[:, :4, :4] + 1e-9)
+        cross, inverse = gram[:, :4, 4:], np.linalg.inv(inside)
+        fit = (inverse @ cross)[:, :, 0]
+        left = gram[:, 4, 4] - np.sum(cross[:, :, 0] * fit, axis=1)
+        return np.stack([left, fit[:, 0], np.sqrt(inverse[:, 0, 0])])
+
+
+@dataclass(frozen=True, eq=False)
+class ThrustLaw:
+    """Thrust by command of one curvature and lag, and what it does in the early part.
+
+    Attributes:
+        curve: Curvature, as in `lift`, and lag of thrust behind the command, s.
+        channels: Of each, [S g_1 .. S g_n, their sum - K, damping, products, 1, y], whitened.
+        usual: K of each channel, shape (4,).
+        gain: By which all thrust acts, shape (4,).
+        gain_sd: Deviation of that, shape (4,).
+    """
+
+    curve: tuple[float, float]
+    channels: tuple[Whitened, ...]
+    usual: Array
+    gain: Array
+    gain_sd: Array
+
+
+def expecting(gram: Array, column: int, mean: Array | float, sd: Array | float) -> Array:
+    """Gram matrices, shape (n, k, k), y last, with a normal prior of the number of a column."""
+    out, last = gram.copy(), gram.shape[1] - 1
+    precision = 1 / np.square(sd)
+    out[:, column, column] += precision
+    out[:, column, last] += precision * mean
+    out[:, last, column] += precision * mean
+    out[:, last, last] += precision * np.square(mean)
+    return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,14 +339,12 @@ class Noise:
     """Noise of the channels.
 
     Attributes:
-        rho: Of the AR(1), shape (4,).
-        sd: Of the innovations, shape (4,).
+        laws: Of each channel.
         gain: By which all thrust acts in the early part, shape (4,).
         weight: Of each interval, 0..1, shape (4, n).
     """
 
-    rho: Array
-    sd: Array
+    laws: tuple[Law, ...]
     gain: Array
     weight: Array
 

@@ -1,7 +1,7 @@
 """What moved the body, and when: all hypotheses compete in one marginal likelihood at each onset.
 
 Up to an onset the regression of `body` holds. From it on a hypothesis changes the share of thrust
-that rotors have left, adds a constant force or moment, or leaves out a short blow. Gain before,
+that rotors have left, adds a constant force or moment, or a blow that passes. Gain before,
 damping, products and offset are marginalised as Gaussian, the gain after the onset over a grid of
 its logarithm, sizes over their prior. A share of the log evidence is believed (`TEMPER`): intervals
 are neither Gaussian nor free of model error.
@@ -11,26 +11,24 @@ what came after it. No onset is tried after a loss of control; in the seconds be
 word is spoken, at a lower level.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.special import log_ndtr, logsumexp
 
 from ..vehicle import GRAVITY_M_S2
-from .body import USUAL_CURVATURE, Body
+from .body import GAIN_SD, LIFT_SPREAD, Body, ThrustLaw, expecting
 from .flight import Array
+from .noise import TEMPER, Places
+from .sideways import Sideways, alongside
 
-Places = NDArray[np.int64]
-"""Onsets as places of the grid of a `Body`."""
-
-TEMPER = 0.5
-"""Share of the log evidence that is believed."""
-BEFORE_S, AFTER_S, BLOW_S = 60.0, 6.0, 0.15
-"""What an onset is weighed on: before it and after it. Length of a blow."""
+BEFORE_S, AFTER_S = 60.0, 6.0
+"""What an onset is weighed on: before it and after it."""
+BLOWS_S = (0.1, 0.3, 1.0)
+"""Lengths of a blow, alike probable."""
 FIRST_S = 3.0
 """No onset is tried before so much of a part."""
 APART_S = (0.3, 1.0)
@@ -43,8 +41,10 @@ DEPTH = 4
 """Of the recursion."""
 LOSSES = np.linspace(0.1, 1.0, 37)
 """Of the thrust of one rotor, alike probable: up to the full stop."""
+COARSE_LOSSES = LOSSES[::4]
+"""The same while an onset is looked for."""
 LOSSES_OF_ALL = np.array([0.08, 0.15, 0.25, 0.4, 0.6, 0.8, 1.0])
-"""Of the thrust of all rotors; along z alone, since the gains of the moments are free anyhow."""
+"""Of the thrust of all rotors."""
 MASSES = np.array([-0.5, -0.3, -0.2, -0.12, -0.06, 0.06, 0.12, 0.2, 0.3])
 """Change of the mass over the mass."""
 GAINS = (
@@ -57,11 +57,13 @@ GAINS = (
 it, 1/m: arm times mass over inertia for roll and pitch, torque per thrust for yaw. Means of a
 mixture of normal distributions, whose deviations are `GAIN_SPREAD` of them. That of z is known:
 all thrust carries the weight; `LIFT_SPREAD` is for the battery."""
-GAIN_SPREAD, LIFT_SPREAD = 0.5, 0.1
+GAIN_SPREAD = 0.5
+SURELY_POSITIVE = 5.0
+"""Deviations from zero from which on a gain is positive."""
 TIED = ((0.5, 0.7, 1.0, 1.4, 2.0), (0.25, 0.3, 0.3, 0.3, 0.3))
 """Means and deviations of the gain after an onset over that before it, where commands are logged
 fast; the middle weighs most."""
-FLOORED = ((0.8, 1.0, 1.6, 2.5, 4.0, 6.5, 10.0, 16.0), 0.3)
+FLOORED = np.array([[1.0], [0.3]]) * (0.8, 1.0, 1.6, 2.5, 4.0, 6.5, 10.0, 16.0)
 """The same where they are logged slowly: jitter that is not logged lets the gain before the onset
 come out too small, so that it is a floor."""
 LEAST_STEP = np.array([0.15 * GRAVITY_M_S2, 2.0, 2.0, 0.5])
@@ -76,11 +78,8 @@ OFFSET_SD = np.array([3.0 * GRAVITY_M_S2, 30.0, 30.0, 30.0])
 """Of an offset of a channel, m/s^2 and rad/s^2."""
 PRODUCT_SD = np.array([0.1, 1.0, 1.0, 1.0])
 """Of the gyroscopic products: 1 for bodies, the lever of the accelerometer for z, m."""
-DAMPING_SD, GAIN_SD = 30.0, 1e3
-"""Of damping, 1/s, and of the gain before an onset."""
-SPIKE = np.log(6.0)
-"""Cost of each reading that a blow leaves out, nats: it may be anything within its range."""
-
+DAMPING_SD = 30.0
+"""Of damping, 1/s."""
 ROTOR, ALL, MASS, PUSH, BLOW = (
     "rotor_failure",
     "thrust_loss_all_rotors",
@@ -91,14 +90,21 @@ ROTOR, ALL, MASS, PUSH, BLOW = (
 NOTHING = "nothing"
 FINAL = (ROTOR, ALL)
 """Causes after which the body is another one: what follows is no event of its own."""
-PRIOR = {NOTHING: 0.0, ROTOR: -1.5, ALL: -3.0, MASS: -3.0, PUSH: -3.0, BLOW: -2.0}
+AIR = (PUSH, BLOW)
+"""Causes that act across the thrust as well."""
+PRIOR = {NOTHING: 0.0, ROTOR: -1.5, ALL: -3.0, MASS: -3.0, PUSH: -5.0, BLOW: -2.0}
 """Log odds of a cause at an onset against nothing."""
+STEADY_VOLTAGE, UNSEEN_NATS = 0.02, 3.0
+"""All rotors lose thrust together where the voltage falls: where it is logged and falls by less
+within `SAGS_S`, that is less probable by so much."""
+SAGS_S = 2.0
+"""In which a voltage that falls is seen."""
 FALSE_NAMES_10_H = 1.0
 """Expected number of false names of all causes together in ten hours of normal flight."""
-TAILS = {ROTOR: (2.7, 6.4), ALL: (2.7, 6.4), MASS: (5.3, 8.0), PUSH: (5.3, 8.0), BLOW: (13.4, 10.5)}
+TAILS = {**dict.fromkeys((ROTOR, ALL, MASS, PUSH), (4.0, 6.5)), BLOW: (10.0, 18.0)}
 """Of the largest log odds over nothing in a normal flight: how often they pass zero, 1/h, and their
-mean excess over it, nats; the larger of what grids of 0.05 and 0.1 s show. 0.37 h recorded (clean
-flights of four aircraft, PX4's withdrawn failures, CrazyPAD); in 1.6 h simulated none passes."""
+mean excess over it, nats. 0.8 h simulated with gusts, landings and throttle punches, 0.25 h
+recorded (CrazyPAD, the excitations of crazyflie_motor_delay); none is scored for sudden events."""
 LEVEL = {
     cause: nats * np.log(per_h * 10 * len(TAILS) / FALSE_NAMES_10_H)
     for cause, (per_h, nats) in TAILS.items()
@@ -146,90 +152,130 @@ class Onset:
         return float(np.interp(share, (np.cumsum(p) - p / 2) / p.sum(), sizes))
 
 
+@dataclass(frozen=True, slots=True)
+class Odds:
+    """Of all names at onsets; those that are not of the air are judged on thrust and moments alone,
+    so that a gust is not evidence of a rotor.
+
+    Attributes:
+        odds: Log odds against no change at all, shape (names, onsets).
+        nothing: The same of nothing, on what each name is judged on, shape (names, onsets).
+        beside: What the axes across the thrust say more for a name than for nothing, where it is
+            not judged on them, shape (names, onsets).
+        sizes: Log evidence of the sizes of each name, shape (onsets, sizes).
+    """
+
+    odds: Array
+    nothing: Array
+    beside: Array
+    sizes: Mapping[Name, Array]
+
+
 class Competition:
     """All hypotheses about one part of a flight."""
 
     def __init__(self, body: Body) -> None:
-        self.body = body
-        n = body.rotors
-        whole = np.ones(n)
-        self._losses = [(i, d) for i in range(n) for d in LOSSES]
-        self._left = np.array([whole, *(whole - d * np.eye(n)[i] for i, d in self._losses)])
+        self.body, self._sideways = body, Sideways(body)
         self.names = (
             Name(NOTHING),
-            *(Name(ROTOR, i + 1) for i in range(n)),
+            *(Name(ROTOR, i + 1) for i in range(body.rotors)),
             *map(Name, (ALL, MASS, PUSH, BLOW)),
         )
 
     # -- evidence ---------------------------------------------------------------------------
 
-    def evidence(self, onsets: Places, low: int, high: int) -> dict[Name, Array]:
-        """Log evidence of every size of every name, shape (onsets, sizes), within intervals."""
-        by_curve = [
-            self._of_curve(curvature, gram, usual, onsets, low, high)
-            for (curvature, _), (gram, usual) in self.body.grams.items()
-        ]
-        return {n: logsumexp([found[n] for found in by_curve], axis=0) for n in self.names}
-
-    def _of_curve(
-        self, curvature: float, gram: Array, usual: Array, onsets: Places, low: int, high: int
+    def evidence(
+        self, onsets: Places, start: Places, end: Places, losses: Array
     ) -> dict[Name, Array]:
-        """The same for one curvature and lag."""
-        body, one = self.body, self._left[:1]
-        before = np.maximum(onsets - body.places(BEFORE_S), low), onsets
-        after = onsets, np.minimum(onsets + body.places(AFTER_S), high)
-        later = np.minimum(onsets + max(body.places(BLOW_S), 2), high)
-        skipping = later, np.maximum(after[1], later)
+        """Log evidence of every size of every name by thrust and moments, shape (onsets, sizes),
+        within windows; of rotors by some losses."""
+        over = self._blow_ends(onsets, end)
+        by_curve = [self._of_law(law, (start, onsets, end), over, losses) for law in self.body.laws]
+        return {n: logsumexp([x[n] for x in by_curve], axis=0) for n in self.names}
 
-        def channel(j: int, left: Array, step: bool = False, blow: bool = False) -> Array:
-            reduced = self._reduced(j, gram[j], before, skipping if blow else after, step)
-            shares = np.column_stack([left, np.full(len(left), -usual[j])])
-            return _over_gains(*reduced, shares, *self._gains(j, abs(usual[0]), curvature))
+    def _blow_ends(self, onsets: Places, end: Places) -> list[Places]:
+        """Where blows of each length are over."""
+        lengths = (max(self.body.places(s), 1) for s in BLOWS_S)
+        return [np.minimum(onsets + m, end) for m in lengths]
 
-        scaled = [channel(j, self._left) for j in range(4)]
-        pushed = [channel(j, one, step=True) for j in range(4)]
+    def _of_law(
+        self,
+        law: ThrustLaw,
+        window: tuple[Places, Places, Places],
+        over: Sequence[Places],
+        losses: Array,
+    ) -> dict[Name, Array]:
+        """The same for one law of thrust."""
+        (start, onsets, end), rotors, n = window, self.body.rotors, len(losses)
+        one, constant = np.ones((1, rotors)), rotors + 3
+        each_loss = (np.ones(rotors) - d * np.eye(rotors)[i] for i in range(rotors) for d in losses)
+        left_over = np.array([one[0], *each_loss])
+        joined = [c.joined(start, onsets, end) for c in law.channels]
+        blown = [
+            [
+                c.passing(g, constant, onsets, places, end)
+                for c, g in zip(law.channels, joined, strict=True)
+            ]
+            for places in over
+        ]
+
+        def channel(j: int, gram: Array, left: Array, step: bool = False) -> Array:
+            shares = np.column_stack([left, np.full(len(left), -law.usual[j])])
+            before = self.body.lift_gain(law.usual) if j == 0 else (0.0, GAIN_SD)
+            return _over_gains(*self._reduced(j, gram, step, before), shares, *self._gains(j, law))
+
+        scaled = [channel(j, joined[j], left_over) for j in range(4)]
+        pushed = [channel(j, joined[j], one, step=True) for j in range(4)]
         base = [s[:, :1] for s in scaled]
         each = np.sum(scaled, axis=0)
-        n = len(LOSSES)
         found = {Name(NOTHING): each[:, :1]}
-        for i in range(body.rotors):
+        for i in range(rotors):
             found[Name(ROTOR, i + 1)] = each[:, 1 + i * n : 1 + (i + 1) * n]
-        weak = channel(0, (1 - LOSSES_OF_ALL)[:, None] * one)
-        found[Name(ALL)] = weak + base[1] + base[2] + base[3]
-        heavy = channel(0, one / (1 + MASSES)[:, None])
+        weak = [channel(j, joined[j], (1 - LOSSES_OF_ALL)[:, None] * one) for j in range(4)]
+        found[Name(ALL)] = np.sum(weak, axis=0)
+        heavy = channel(0, joined[0], one / (1 + MASSES)[:, None])
         found[Name(MASS)] = heavy + pushed[1] + pushed[2] + base[3]
         found[Name(PUSH)] = np.sum(pushed, axis=0)
-        spikes = ((later - onsets) * 4 * SPIKE)[:, None]
-        blown = [channel(j, one, blow=True) for j in range(4)]
-        found[Name(BLOW)] = np.sum(blown, axis=0) - spikes
+        found[Name(BLOW)] = np.column_stack(
+            [np.sum([channel(j, b[j], one) for j in range(4)], axis=0)[:, 0] for b in blown]
+        )
         return found
 
+    def _window(self, onsets: Places, low: int, high: int) -> tuple[Places, Places]:
+        """First interval of what each onset is weighed on, and that behind the last."""
+        start = np.maximum(onsets - self.body.places(BEFORE_S), low)
+        return start, np.minimum(onsets + self.body.places(AFTER_S), high)
+
     def _reduced(
-        self,
-        j: int,
-        gram: Array,
-        before: tuple[Places, Places],
-        after: tuple[Places, Places],
-        step: bool,
+        self, j: int, gram: Array, step: bool, before: tuple[float, float]
     ) -> tuple[Array, Array]:
         """Per onset the Gram matrix of [S g after, 1 after, y] with gain before, damping, products,
-        offset and its change, large where there is a step, marginalised; and the log of what that
-        costs.
+        offset and its change, large where there is a step, and a blow marginalised; and the log of
+        what that costs.
 
-        Columns of the cumulated Gram matrix: n rotors, sum, damping, products, 1, y.
+        Columns of the Gram matrix: n rotors, sum, damping, products, 1, y; all of them from the
+        onset on; a blow.
+
+        Args:
+            j: Number of the channel.
+            gram: Shape (onsets, k, k).
+            step: Whether a force or a moment begins.
+            before: Mean and deviation of the gain before.
         """
         n = self.body.rotors
-        prior, following = (TEMPER * (gram[b] - gram[a]) for a, b in (before, after))
-        sd = [GAIN_SD, DAMPING_SD, PRODUCT_SD[j], OFFSET_SD[j]]
+        k = n + 5
+        sd = [before[1], DAMPING_SD, PRODUCT_SD[j], OFFSET_SD[j]]
         sd += [self._steps[j] if step else self._trims[j]]
+        sd += [self._steps[j]] * (gram.shape[1] - 2 * k)
         inner = len(sd)
-        size = inner + n + 2
-        joined = np.zeros((len(prior), size, size))
-        _add(joined, prior, [0, 1, 2, 3, size - 1], [n, n + 1, n + 2, n + 3, n + 4])
-        columns = [n + 1, n + 2, n + 3, n + 3, *range(n), n + 3, n + 4]
-        _add(joined, following, list(range(1, size)), columns)
-        inside = joined[:, :inner, :inner] + np.diag(1 / np.square(sd))
-        cross, outer = joined[:, :inner, inner:], joined[:, inner:, inner:]
+        picked = np.zeros((gram.shape[1], inner + n + 2))
+        picked[[n, n + 1, n + 2, n + 3], [0, 1, 2, 3]] = 1.0
+        picked[[k + n, k + n + 3], [0, 4]] = -1.0, 1.0
+        picked[2 * k :, 5:inner] = 1.0
+        picked[[*range(k, k + n), k + n + 3, n + 4], range(inner, inner + n + 2)] = 1.0
+        kept = expecting(TEMPER * (picked.T @ gram @ picked), 0, *before)
+        inside = kept[:, :inner, :inner] + np.diag([0.0, *(1 / np.square(sd[1:]))])
+        cross, outer = kept[:, :inner, inner:], kept[:, inner:, inner:]
         left = outer - cross.transpose(0, 2, 1) @ np.linalg.solve(inside, cross)
         return left, -0.5 * np.linalg.slogdet(inside)[1] - np.log(sd).sum()
 
@@ -248,65 +294,101 @@ class Competition:
     def _authority(self) -> Array:
         return np.array([GRAVITY_M_S2, *self.body.authority[1:]])
 
-    def _gains(self, j: int, total: float, curvature: float) -> tuple[Array, Array, Array]:
+    def _gains(self, j: int, law: ThrustLaw) -> tuple[Array, Array, Array]:
         """Prior of the gain after an onset as a mixture of normal distributions: log weights,
         means, deviations."""
-        body = self.body
-        usual, now = (1 + e * (2 * body.hover_command - 1) for e in (USUAL_CURVATURE, curvature))
-        fit = body.noise.gain[j] * usual / now  # the same change of thrust at the usual command
-        if j == 0 or fit <= 0:
-            means = GRAVITY_M_S2 / total * GAINS[j]
-            spread = LIFT_SPREAD * GRAVITY_M_S2 / total if j == 0 else GAIN_SPREAD * means
+        fit, lift = law.gain[j], GRAVITY_M_S2 / abs(law.usual[0])
+        if j == 0 or fit < 2 * law.gain_sd[j]:
+            means = lift * GAINS[j]
+            spread = LIFT_SPREAD * lift if j == 0 else GAIN_SPREAD * means
             return _evenly(means), means, np.broadcast_to(spread, means.shape)
-        if not body.fast:
-            means = fit * np.array(FLOORED[0])
-            return _evenly(means), means, FLOORED[1] * means
-        means, spreads = fit * np.array(TIED)
-        weights = -0.5 * (np.log(means / fit) / 0.5) ** 2
+        means, spreads = fit * (np.array(TIED) if self.body.fast else FLOORED)
+        spreads = np.hypot(spreads, law.gain_sd[j])
+        weights = -0.5 * (np.log(means / fit) / 0.5) ** 2 * self.body.fast
         return weights - logsumexp(weights), means, spreads
 
-    def unchanged(self, onsets: Places, low: int, high: int) -> Array:
-        """Log evidence that nothing changes at all, not even gain and offset, in the window of
-        each onset: what different onsets are measured by, since it does not depend on them."""
-        body = self.body
-        start = np.maximum(onsets - body.places(BEFORE_S), low)
-        end = np.minimum(onsets + body.places(AFTER_S), high)
+    def unchanged(self, start: Places, end: Places) -> Array:
+        """Log evidence that nothing changes at all, not even gain and offset, in windows: what
+        different onsets are measured by, since it does not depend on them."""
         return np.asarray(
             logsumexp(
                 [
                     sum(
-                        self._regression(j, TEMPER * (g[end] - g[start]))
-                        for j, g in enumerate(gram)
+                        self._regression(j, TEMPER * (c.gram[end] - c.gram[start]), law.usual)
+                        for j, c in enumerate(law.channels)
                     )
-                    for gram, _ in self.body.grams.values()
+                    for law in self.body.laws
                 ],
                 axis=0,
             )
         )
 
-    def _regression(self, j: int, gram: Array) -> Array:
+    def _regression(self, j: int, gram: Array, usual: Array) -> Array:
         """Log evidence of one gain, damping, products and offset."""
-        n = self.body.rotors
-        sd = np.array([GAIN_SD, DAMPING_SD, PRODUCT_SD[j], OFFSET_SD[j]])
-        inside = gram[:, n : n + 4, n : n + 4] + np.diag(1 / sd**2)
-        cross = gram[:, n : n + 4, -1:]
+        lifted = self.body.lift_gain(usual) if j == 0 else (0.0, GAIN_SD)
+        gram = expecting(gram[:, self.body.rotors :, self.body.rotors :], 0, *lifted)
+        sd = np.array([lifted[1], DAMPING_SD, PRODUCT_SD[j], OFFSET_SD[j]])
+        inside = gram[:, :4, :4] + np.diag([0.0, *(1 / sd[1:] ** 2)])
+        cross = gram[:, :4, -1:]
         left = gram[:, -1, -1] - np.sum(cross * np.linalg.solve(inside, cross), axis=(1, 2))
         return np.asarray(-0.5 * left - 0.5 * np.linalg.slogdet(inside)[1] - np.log(sd).sum())
 
     # -- decision ---------------------------------------------------------------------------
 
-    def odds(self, onsets: Places, low: int, high: int) -> tuple[Array, dict[Name, Array]]:
-        """Log odds of each name against no change at all, shape (names, onsets), and the evidence
-        of its sizes."""
-        evidence = self.evidence(onsets, low, high)
+    def odds(
+        self,
+        onsets: Places,
+        low: int,
+        high: int,
+        window: tuple[int, int] | None = None,
+        losses: Array = COARSE_LOSSES,
+    ) -> "Odds":
+        """Of all names at onsets.
+
+        Args:
+            onsets: Which are tried.
+            low: First interval that counts.
+            high: Behind the last.
+            window: One for all of these onsets, so that they compare; None: each has its own.
+            losses: Of rotors that are tried.
+        """
+        own = self._window(onsets, low, high)
+        start, end = own if window is None else (np.full_like(onsets, w) for w in window)
+        sizes, over = self.evidence(onsets, start, end, losses), self._blow_ends(onsets, end)
+        still, lasting, passing = self._sideways.evidence(start, onsets, end, over)
+        sizes[Name(BLOW)] = sizes[Name(BLOW)] + passing - still[:, None]
+        sizes[Name(PUSH)] = sizes[Name(PUSH)] + (lasting - still)[:, None]
         count = {c: sum(n.cause == c for n in self.names) for c in PRIOR}
-        each = [
-            logsumexp(evidence[n], axis=1)
-            - np.log(evidence[n].shape[1] * count[n.cause])
-            + PRIOR[n.cause]
-            for n in self.names
-        ]
-        return np.array(each) - self.unchanged(onsets, low, high), evidence
+        each = np.array(
+            [
+                logsumexp(sizes[n], axis=1)
+                - np.log(sizes[n].shape[1] * count[n.cause])
+                + PRIOR[n.cause]
+                for n in self.names
+            ]
+        )
+        each[self.names.index(Name(ALL))] -= UNSEEN_NATS * self._steady_voltage[onsets]
+        body, air = self.unchanged(start, end), self._sideways.unchanged(start, end)
+        of_air = np.array([n.cause in AIR for n in self.names])[:, None]
+        either = alongside(still, lasting, passing) - still
+        return Odds(
+            odds=each - body + of_air * (still - air),
+            nothing=each[0] - body + of_air * (still - air),
+            beside=np.where(of_air | (np.arange(len(each)) == 0)[:, None], 0.0, either),
+            sizes=sizes,
+        )
+
+    @cached_property
+    def _steady_voltage(self) -> Array:
+        """1 where a voltage is logged and does not fall at an interval, else 0, shape (n,)."""
+        body, grid = self.body, self.body.frame.grid
+        if "vbat" not in grid:
+            return np.zeros(len(body))
+        volts, back = grid["vbat"][:, 0], body.places(SAGS_S)
+        mean = uniform_filter1d(volts, back)
+        before, after = (np.roll(mean, k * back // 2) for k in (1, -1))
+        fallen = (before - after)[body.start : body.end] / max(float(np.median(volts)), 1e-9)
+        return np.asarray((fallen < STEADY_VOLTAGE).astype(float))
 
     @cached_property
     def levels(self) -> Array:
@@ -327,13 +409,32 @@ class Competition:
 
     def _within(self, low: int, high: int, depth: int) -> Iterator[Onset]:
         body = self.body
-        found = None if depth > DEPTH else self.strongest(low, high)
-        if found is None:
+        event = None if depth > DEPTH else self.strongest(low, high)
+        if event is None:
             return
-        yield from self._within(low, found.place - body.places(APART_S[0]), depth + 1)
-        yield found
-        if found.name.cause not in FINAL and body.last - found.place > body.places(AFTER_S):
-            yield from self._within(found.place + body.places(APART_S[1]), high, depth + 1)
+        yield from self._within(low, event.place - body.places(APART_S[0]), depth + 1)
+        yield event
+        if event.name.cause not in FINAL and body.last - event.place > body.places(AFTER_S):
+            yield from self._within(event.place + body.places(APART_S[1]), high, depth + 1)
+
+    def _earliest(self, tried: Places, best: int, low: int, high: int) -> int:
+        """The best of the onsets about one, all on one window: of two onsets that each explain what
+        follows, the window of the later one shows more of it."""
+        reach = self.body.places(AFTER_S)
+        near = tried[np.abs(tried - best) < reach]
+        over, _ = self._compared(near, low, high)
+        return int(near[np.argmax(over[1:].max(axis=0))])
+
+    def _compared(
+        self, near: Places, low: int, high: int, losses: Array = COARSE_LOSSES
+    ) -> tuple[Array, Odds]:
+        """Nats over what each name needs at onsets near each other."""
+        found = self.odds(near, low, high, self._about(near, low, high), losses)
+        return found.odds - found.nothing.max(axis=1)[:, None] - self.asked(near), found
+
+    def _about(self, near: Places, low: int, high: int) -> tuple[int, int]:
+        start, end = self._window(near, low, high)
+        return int(start.min()), int(end.max())
 
     def strongest(self, low: int, high: int, since: int = 0) -> Onset | None:
         """The strongest onset within places, `since` one of them; None: none passes."""
@@ -346,7 +447,9 @@ class Competition:
         if len(tried) < 2:
             return None
         over = self._over(tried, low, high)
-        return int(tried[np.argmax(over)]) if over.max() >= -short else None
+        if over.max() < -short:
+            return None
+        return self._earliest(tried, int(tried[np.argmax(over)]), low, high)
 
     def onset_at(self, place: int, low: int, high: int, since: int = 0) -> Onset | None:
         """The best onset near a place; None: at a closer look none passes."""
@@ -361,9 +464,9 @@ class Competition:
 
     def _over(self, tried: Places, low: int, high: int) -> Array:
         """Nats of the best name at each onset over its level, and over nothing near it."""
-        odds, _ = self.odds(tried, low, high)
-        nothing = maximum_filter1d(odds[0], 2 * round(AFTER_S / COARSE_S) + 1)
-        return np.asarray((odds - nothing - self.asked(tried))[1:].max(axis=0))
+        found = self.odds(tried, low, high)
+        nothing = maximum_filter1d(found.nothing, 2 * round(AFTER_S / COARSE_S) + 1, axis=1)
+        return np.asarray((found.odds - nothing - self.asked(tried))[1:].max(axis=0))
 
     @property
     def _stride(self) -> int:
@@ -379,26 +482,22 @@ class Competition:
 
     def _onset(self, near: Places, low: int, high: int) -> Onset | None:
         """The best of some onsets; None: at a closer look none passes."""
-        odds, evidence = self.odds(near, low, high)
-        over = odds - odds[0].max() - self.asked(near)
+        over, found = self._compared(near, low, high, LOSSES)
         m = int(np.argmax(over[1:].max(axis=0)))
         if over[1:, m].max() < 0:
             return None
-        over[0] = 0.0  # nothing: names are weighed by what they have over their levels
-        p = np.exp(over[:, m] - logsumexp(over[:, m]))
+        nats = found.odds[:, m] - found.nothing.max(axis=1)
+        weighed = np.where(over[:, m] >= 0, over[:, m] + found.beside[:, m], over[:, m])
+        weighed[0] = 0.0  # nothing: names are weighed by what they have over their levels
+        p = np.exp(weighed - logsumexp(weighed))
         order = np.argsort(-p, kind="stable")
         name = self.names[order[0]]
         return Onset(
             int(near[m]),
             tuple((self.names[i], float(p[i])) for i in order),
-            float(odds[order[0], m] - odds[0].max()),
-            _sizes(name, evidence[name][m]),
+            float(nats[order[0]]),
+            _sizes(name, found.sizes[name][m]),
         )
-
-
-def _add(to: Array, gram: Array, at: list[int], columns: list[int]) -> None:
-    """Add columns of Gram matrices, shape (onsets, k, k), at places."""
-    to[:, np.array(at)[:, None], at] += gram[:, np.array(columns)[:, None], columns]
 
 
 def _evenly(means: Array) -> Array:
@@ -412,17 +511,15 @@ def _over_gains(
     shares): the integral of exp(-(yy - 2 s py + s^2 pp) / 2) N(s; m, v), s positive."""
     yy, py = left[:, -1, -1], left[:, :-1, -1] @ shares.T
     pp = np.sum((left[:, :-1, :-1] @ shares.T) * shares.T, axis=1)
-    parts = []
-    for weight, m, sd in zip(weights, means, spreads, strict=True):
+    parts = np.empty((len(means), *py.shape))
+    for part, weight, m, sd in zip(parts, weights, means, spreads, strict=True):
         precision = pp + 1 / sd**2
-        mean = (py + m / sd**2) / precision
-        parts.append(
-            weight
-            + 0.5 * (mean**2 * precision - (m / sd) ** 2)
-            - 0.5 * np.log(sd**2 * precision)
-            + log_ndtr(mean * np.sqrt(precision))
-        )
-    return np.asarray(logsumexp(parts, axis=0) + (cost - 0.5 * yy)[:, None])
+        mean, root = (py + m / sd**2) / precision, np.sqrt(precision)
+        part[:] = weight + 0.5 * ((mean * root) ** 2 - (m / sd) ** 2) - np.log(sd * root)
+        near = mean * root < SURELY_POSITIVE
+        part[near] += log_ndtr((mean * root)[near])
+    top = parts.max(axis=0)
+    return top + np.log(np.exp(parts - top).sum(axis=0)) + (cost - 0.5 * yy)[:, None]
 
 
 def _sizes(name: Name, evidence: Array) -> tuple[tuple[float, float], ...]:

@@ -321,7 +321,7 @@ class _BodyWatch:
         body = _body_of(flown, part)
         low, since = (int(np.searchsorted(body.t_s, t)) for t in (self.from_s, now_s - RECENT_S))
         if now_s - self.chosen_s > CURVE_S:
-            self.curves, self.chosen_s = tuple(body.grams), now_s
+            self.curves, self.chosen_s = tuple(law.curve for law in body.laws), now_s
         body = replace(body, curves=self.curves)
         if part.lost is not None:
             onset = Competition(body).strongest(low, len(body), since)

@@ -58,10 +58,27 @@ def test_evidence_against_no_change_is_largest_at_the_onset() -> None:
     at = int(np.searchsorted(body.t_s, begins_s))
     tried = np.arange(at - 10, at + 10)
     competition = Competition(body)
-    odds, _ = competition.odds(tried, 0, len(body))
-    best = odds[competition.names.index(Name(ROTOR, rotor or 0))]
-    assert abs(int(tried[np.argmax(best)]) - at) <= 1
-    assert best.max() > odds[0].max() + 100
+    found = competition.odds(tried, 0, len(body), (0, len(body)))
+    row = competition.names.index(Name(ROTOR, rotor or 0))
+    assert abs(int(tried[np.argmax(found.odds[row])]) - at) <= 1
+    assert found.odds[row].max() > found.nothing[row].max() + 100
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("size", "seed", "rate_hz"), [(-0.3, 0, 200.0), (-0.3, 1, 10.0)])
+def test_a_mass_that_drops(size: float, seed: int, rate_hz: float) -> None:
+    """A step along z lasts: the slow part of the noise does not take it."""
+    flight, begins_s, _ = Planted("mass_change", size, seed, rate_hz).flown()
+    first = found_in(flight).events[0]
+    assert first.cause == "mass_change" and first.severity is not None
+    assert first.onset_s == pytest.approx(begins_s, abs=0.1)
+    assert first.severity.value == pytest.approx(size, rel=0.25)
+
+
+@pytest.mark.slow
+def test_gusts_landings_and_punches_are_no_events() -> None:
+    found = found_in(Planted("", 1.0, 301, 50.0).flown()[0])
+    assert found.events == []
 
 
 def test_a_log_without_commands_says_what_it_cannot_show() -> None:

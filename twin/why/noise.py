@@ -1,0 +1,162 @@
+"""Noise of the channels of the body: what is white, what is slow, and what a step leaves in it.
+
+    e_t = l_t + v_t,    l_t+1 = phi l_t + g_t v_t,    v_t ~ N(0, s^2 / weight_t)
+
+the innovations form of an ARMA(1,1): g = phi - theta. Where theta is zero it is an AR(1); a slow
+level under white noise has theta near phi, and a step then persists against it. Theta above phi,
+which noisy rates that are differentiated would ask for, is not among the laws: it adds up what a
+gain that is off by a tenth leaves. In a lively interval the level follows less, by the weight, so
+that an outlier is not carried on.
+
+A column that begins at an onset is the whole column less what it was before. The filter is linear,
+so that its innovations are those of the whole column and a transient, the level at the onset times
+the products of theta since: sums over time and one sum from the end give all onsets at once.
+
+Source: Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, 1989, ch. 3 and 4.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+Array = NDArray[np.float64]
+Places = NDArray[np.int64]
+"""Numbers of intervals."""
+
+TEMPER = 0.5
+"""Share of the log evidence that is believed: intervals are neither Gaussian nor free of error."""
+PHI = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.99)
+"""Of the level, among which is chosen."""
+THETA = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.97)
+"""Of the moving average, among which is chosen."""
+OUTLIER = 3.0
+"""Robust deviations at which an innovation is clipped when scales are compared."""
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """Noise of one channel.
+
+    Attributes:
+        phi: See the module.
+        theta: See the module.
+        sd: Of an innovation.
+    """
+
+    phi: float
+    theta: float
+    sd: float
+
+    @classmethod
+    def of(cls, left: Array, floor: float) -> "Law":
+        """The law that leaves the least innovations.
+
+        Args:
+            left: What a regression leaves of a channel, shape (n,).
+            floor: Added to the deviation.
+        """
+        laws = ((p, t) for p in PHI for t in THETA if t <= p)
+        scale = {law: _scale(cls(*law, 1.0).filtered(left)) for law in laws}
+        phi, theta = min(scale, key=lambda law: scale[law])
+        return cls(phi, theta, scale[phi, theta] + floor)
+
+    def filtered(self, values: Array) -> Array:
+        """Innovations with no interval lively, along the first axis."""
+        whole = lfilter([1.0, -self.phi], [1.0, -self.theta], values, axis=0)
+        return np.asarray(whole)
+
+
+def _scale(innovations: Array) -> float:
+    """Root of the mean square of clipped innovations."""
+    most = OUTLIER * 1.4826 * float(np.median(np.abs(innovations)))
+    return float(np.sqrt(np.mean(np.clip(innovations, -most, most) ** 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """Columns of one channel as innovations in units of their deviation, and what truncates them.
+
+    Attributes:
+        rows: Innovations, shape (n, k).
+        level: Of each column before each interval, shape (n + 1, k).
+        by_rows: Sum from each interval on of the transient that begins there times the rows,
+            shape (n + 1, k).
+        by_itself: The same times the transient, shape (n + 1,).
+        survives: Log of the product of the decays until each interval, shape (n + 1,).
+    """
+
+    rows: Array
+    level: Array
+    by_rows: Array
+    by_itself: Array
+    survives: Array
+
+    @classmethod
+    def each(cls, law: Law, weight: Array, columns: Array) -> list["Whitened"]:
+        """Filter sets of columns.
+
+        Args:
+            law: Of the noise.
+            weight: Of each interval, 0..1, shape (n,).
+            columns: Shape (n, sets, k).
+        """
+        follow = (law.phi - law.theta) * weight
+        decay, scale = law.phi - follow, np.sqrt(weight) / law.sd
+        level = np.zeros((len(columns) + 1, *columns.shape[1:]))
+        for t, (keep, take) in enumerate(zip(decay.tolist(), follow.tolist(), strict=True)):
+            level[t + 1] = keep * level[t] + take * columns[t]
+        rows = (columns - level[:-1]) * scale[:, None, None]
+        by_rows, by_itself = np.zeros_like(level), np.zeros(len(level))
+        given, square = rows * scale[:, None, None], scale**2
+        for t in range(len(rows) - 1, -1, -1):
+            by_rows[t] = given[t] + decay[t] * by_rows[t + 1]
+            by_itself[t] = square[t] + decay[t] ** 2 * by_itself[t + 1]
+        lost = np.log(np.maximum(np.abs(decay), 1e-9))
+        survives = np.concatenate([[0.0], np.cumsum(lost)])
+        return [
+            cls(rows[:, i], level[:, i], by_rows[:, i], by_itself, survives)
+            for i in range(columns.shape[1])
+        ]
+
+    @cached_property
+    def gram(self) -> Array:
+        """Products of the rows, cumulated, shape (n + 1, k, k)."""
+        total = np.cumsum(self.rows[:, :, None] * self.rows[:, None], axis=0)
+        return np.concatenate([np.zeros((1, *total.shape[1:])), total])
+
+    def joined(self, start: Places, onset: Places, end: Places) -> Array:
+        """Gram matrices of [whole columns, columns from the onset on] between start and end, shape
+        (onsets, 2 k, 2 k)."""
+        whole, after = self.gram[end] - self.gram[start], self.gram[end] - self.gram[onset]
+        level, (by_rows, by_itself) = self.level[onset], self._transient(onset, end)
+        mixed = after + by_rows[:, :, None] * level[:, None]
+        own = by_rows + by_itself[:, None] * level
+        ending = mixed + level[:, :, None] * own[:, None]
+        return np.block([[whole, mixed], [mixed.transpose(0, 2, 1), ending]])
+
+    def passing(
+        self, joined: Array, column: int, onset: Places, over: Places, end: Places
+    ) -> Array:
+        """Gram matrices with one column more: one that is there from the onset on until it is
+        over, shape (onsets, 2 k + 1, 2 k + 1)."""
+        k, level = self.rows.shape[1], self.level[over, column]
+        by_rows, by_itself = self._transient(over, end)
+        whole = (self.gram[end] - self.gram[over])[:, :, column] + by_rows * level[:, None]
+        own = by_rows[:, column] + by_itself * level
+        left = np.exp(self.survives[over] - self.survives[onset])
+        after = whole + (left * own)[:, None] * self.level[onset]
+        pulse = joined[:, :, k + column] - np.concatenate([whole, after], axis=1)
+        itself = pulse[:, k + column] - after[:, column] + whole[:, column] + level * own
+        out = np.empty((len(joined), 2 * k + 1, 2 * k + 1))
+        out[:, :-1, :-1], out[:, -1, :-1], out[:, :-1, -1] = joined, pulse, pulse
+        out[:, -1, -1] = itself
+        return out
+
+    def _transient(self, onset: Places, end: Places) -> tuple[Array, Array]:
+        """Sums over the transients that begin at onsets, until the end."""
+        left = np.exp(self.survives[end] - self.survives[onset])
+        by_rows = self.by_rows[onset] - left[:, None] * self.by_rows[end]
+        return by_rows, self.by_itself[onset] - left**2 * self.by_itself[end]

@@ -1,0 +1,108 @@
+"""Specific force across the thrust: it knows of air and ropes, not of rotors.
+
+    y_a = -k v_a + R_a^T w + b + e_a,    a = x, y of the body
+
+k: drag per mass; v: velocity; w: wind times drag, constant in the world; e: `noise`. Where velocity
+or attitude is not logged, offset and noise alone. A force or a gust that begins at an onset adds a
+constant; a rotor that fails does not.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import logsumexp
+
+from ..vehicle import GRAVITY_M_S2
+from .body import Body
+from .flight import Array, rotations
+from .noise import TEMPER, Places, Whitened
+
+FLOOR_M_S2 = 0.02
+"""Least deviation of an innovation."""
+MOVING_SD = (1.0, 3.0, 3.0)
+"""Of drag per mass, 1/s, and of what the wind does north and east, m/s^2."""
+OFFSET_SD_M_S2, TRIM_SD_M_S2 = 1.0, 0.007 * GRAVITY_M_S2
+"""Of the offset, and of its change at any onset, as along z."""
+STEP_SD_M_S2 = 0.15 * GRAVITY_M_S2
+"""Of a sudden force per mass, as along z."""
+ALONGSIDE = np.log((0.8, 0.1, 0.1))
+"""A rotor or a mass may come with nothing, a force or a gust across the thrust: what takes a rotor
+may push as well, and a body that tumbles meets the air in another way."""
+
+
+@dataclass(frozen=True)
+class Sideways:
+    """The two axes across the thrust of one part of a flight."""
+
+    body: Body
+
+    @cached_property
+    def _axes(self) -> tuple[Whitened, Whitened]:
+        frame, part = self.body.frame, slice(self.body.start, self.body.end)
+        ones, force = np.ones(len(self.body)), frame.grid["acc"][part]
+        x, y = (self._whitened(self._moving(a), ones, force[:, a]) for a in range(2))
+        return x, y
+
+    def _moving(self, axis: int) -> Array:
+        """Velocity, north and east along an axis of the body, shape (n, 3 or 0)."""
+        grid, part = self.body.frame.grid, slice(self.body.start, self.body.end)
+        if "vel" not in grid or "q" not in grid:
+            return np.empty((len(self.body), 0))
+        world = rotations(grid["q"][part])[:, :, axis]
+        along = np.einsum("ti,ti->t", world, grid["vel"][part])
+        return np.column_stack([along, world[:, :2]])
+
+    def _whitened(self, moving: Array, ones: Array, force: Array) -> Whitened:
+        columns = np.column_stack([moving, ones, force])
+        law, _, weight = self.body.noise_of(columns[:, :-1], force, FLOOR_M_S2, ones)
+        return Whitened.each(law, weight, columns[:, None])[0]
+
+    def evidence(
+        self, start: Places, onset: Places, end: Places, over: Sequence[Places]
+    ) -> tuple[Array, Array, Array]:
+        """Log evidence of nothing, of a force that lasts, and of blows that are over, shape
+        (onsets,), (onsets,), (onsets, blows)."""
+        still, lasting, passing = 0.0, 0.0, [0.0] * len(over)
+        for axis in self._axes:
+            joined, one = axis.joined(start, onset, end), axis.rows.shape[1] - 2
+            still = still + _marginal(joined, one, [TRIM_SD_M_S2])
+            lasting = lasting + _marginal(joined, one, [STEP_SD_M_S2])
+            for i, places in enumerate(over):
+                blown = axis.passing(joined, one, onset, places, end)
+                passing[i] = passing[i] + _marginal(blown, one, [TRIM_SD_M_S2, STEP_SD_M_S2])
+        return np.asarray(still), np.asarray(lasting), np.stack(passing, axis=1)  # type: ignore[arg-type]
+
+    def unchanged(self, start: Places, end: Places) -> Array:
+        """Log evidence that not even the offset changes, shape (onsets,)."""
+        return np.asarray(
+            sum(
+                _marginal(axis.gram[end] - axis.gram[start], axis.rows.shape[1] - 2, [])
+                for axis in self._axes
+            )
+        )
+
+
+def alongside(still: Array, lasting: Array, passing: Array) -> Array:
+    """Log evidence of the axes where something else happens to the body, shape (onsets,)."""
+    blown = logsumexp(passing, axis=1) - np.log(passing.shape[1])
+    return np.asarray(logsumexp(np.stack([still, lasting, blown]) + ALONGSIDE[:, None], axis=0))
+
+
+def _marginal(gram: Array, one: int, changes: Sequence[float]) -> Array:
+    """Log evidence with drag, wind, offset and its changes marginalised.
+
+    Args:
+        gram: Of the columns as in `Whitened.joined` or `passing`, shape (onsets, m, m).
+        one: Place of the constant.
+        changes: Deviation of what begins at the onset, and of a blow.
+    """
+    k = one + 2
+    sd = np.array([*MOVING_SD[:one], OFFSET_SD_M_S2, *changes])
+    picked = [*range(one + 1), *(k + one, 2 * k)[: len(changes)]]
+    kept = TEMPER * gram
+    inside = kept[:, np.array(picked)[:, None], picked] + np.diag(1 / sd**2)
+    cross, left = kept[:, picked, one + 1, None], kept[:, one + 1, one + 1]
+    left = left - np.sum(cross * np.linalg.solve(inside, cross), axis=(1, 2))
+    return np.asarray(-0.5 * left - 0.5 * np.linalg.slogdet(inside)[1] - np.log(sd).sum())
