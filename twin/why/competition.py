@@ -519,7 +519,8 @@ def _over_gains(
         near = mean * root < SURELY_POSITIVE
         part[near] += log_ndtr((mean * root)[near])
     top = parts.max(axis=0)
-    return top + np.log(np.exp(parts - top).sum(axis=0)) + (cost - 0.5 * yy)[:, None]
+    total: Array = top + np.log(np.exp(parts - top).sum(axis=0)) + (cost - 0.5 * yy)[:, None]
+    return total
 
 
 def _sizes(name: Name, evidence: Array) -> tuple[tuple[float, float], ...]:

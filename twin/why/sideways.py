@@ -64,15 +64,16 @@ class Sideways:
     ) -> tuple[Array, Array, Array]:
         """Log evidence of nothing, of a force that lasts, and of blows that are over, shape
         (onsets,), (onsets,), (onsets, blows)."""
-        still, lasting, passing = 0.0, 0.0, [0.0] * len(over)
+        still, lasting = np.zeros(len(onset)), np.zeros(len(onset))
+        passing = np.zeros((len(onset), len(over)))
         for axis in self._axes:
             joined, one = axis.joined(start, onset, end), axis.rows.shape[1] - 2
-            still = still + _marginal(joined, one, [TRIM_SD_M_S2])
-            lasting = lasting + _marginal(joined, one, [STEP_SD_M_S2])
+            still += _marginal(joined, one, [TRIM_SD_M_S2])
+            lasting += _marginal(joined, one, [STEP_SD_M_S2])
             for i, places in enumerate(over):
                 blown = axis.passing(joined, one, onset, places, end)
-                passing[i] = passing[i] + _marginal(blown, one, [TRIM_SD_M_S2, STEP_SD_M_S2])
-        return np.asarray(still), np.asarray(lasting), np.stack(passing, axis=1)  # type: ignore[arg-type]
+                passing[:, i] += _marginal(blown, one, [TRIM_SD_M_S2, STEP_SD_M_S2])
+        return still, lasting, passing
 
     def unchanged(self, start: Places, end: Places) -> Array:
         """Log evidence that not even the offset changes, shape (onsets,)."""
