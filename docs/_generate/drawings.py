@@ -34,7 +34,6 @@ WORDS = {
     "twin.explain.stochastic": "no mean: gust, noise",
     "twin.explain.unnamed": "equations",
     "twin.explain.design": "what to fly next",
-    "twin.explain.running": "while it flies",
     "twin.explain.inference": "likelihood, fit, selection, adequacy",
     "twin.explain.settings": "the numbers that decide a verdict, with their origin",
     "twin.explain.setting_group": "unit, meaning, origin of a setting",

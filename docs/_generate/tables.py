@@ -20,7 +20,7 @@ from typer.main import get_command
 from learning.force.model import ForceFile
 from learning.model.registry import FAMILIES
 from twin.component import Component, Enumeration, Variable
-from twin.effects import BEGINNINGS, EFFECTS, Effect, EffectParameter, effects_for, prior_of
+from twin.effects import EFFECTS, Effect, EffectParameter, effects_for, prior_of
 from twin.effects.parameters import (
     COMMON,
     LAST,
@@ -31,7 +31,6 @@ from twin.effects.parameters import (
     always_said,
 )
 from twin.explain.model.model import has_mean
-from twin.explain.running.hypotheses import RUNNING
 from twin.explain.setting_group import Setting, numbers
 from twin.explain.settings import DEFAULT
 from twin.flight.assembly import COMPONENTS, Choices
@@ -251,7 +250,6 @@ def effects() -> str:
 DECLINED = {
     "prior": "rare, and anywhere in its range; or it changes no mean",
     "change": "it does not change from one flight to the next",
-    "alarm": "live flights neither watch it nor let the model be off by it",
     "wording": "a report gives its numbers alone",
     "advice": "there is nothing in particular to fly for it",
 }
@@ -295,10 +293,6 @@ def priors() -> str:
             f"Nothing else changes. Only more, never less: {only_more}.",
             "",
             *_priors(changes),
-            "",
-            "## Of a beginning in flight",
-            "",
-            *_priors({name: p for name, p in BEGINNINGS.items() if has_mean(EFFECTS[name])}),
         ]
     )
 
@@ -335,9 +329,9 @@ def _expected(normal: Normal, parameter: EffectParameter, model: Vehicle) -> tup
 
 
 def settings() -> str:
-    """Numbers that decide what `explain` and running alarms say, a table per group."""
+    """Numbers that decide what `explain` says, a table per group."""
     groups: dict[str, list[Setting]] = {}
-    for s in (*DEFAULT.every(), *RUNNING.every("running.")):
+    for s in DEFAULT.every():
         groups.setdefault(s.name.rpartition(".")[0], []).append(s)
     head = ("setting", "value", "unit", "meaning", "origin")
     return "\n\n".join(

@@ -4,7 +4,6 @@ from ..vehicle import Vehicle
 from . import air, mass, propulsion, sensors, timing
 from .definition import (
     Average,
-    Begins,
     Block,
     Blocks,
     ComponentName,
@@ -18,36 +17,15 @@ from .definition import (
     RandomForce,
     Repeats,
     Shift,
-    Stands,
     prior_of,
 )
-from .parameters import EffectParameter, Prior
+from .parameters import EffectParameter
 from .wording import Advice
 
 _MODULES = (air, propulsion, mass, sensors, timing)
 """Where effects are defined, by what they act on."""
 EFFECTS: dict[str, Effect] = {e.name: e for module in _MODULES for e in module.EFFECTS}
 """All effects by identifier."""
-
-
-def _beginnings() -> dict[str, Prior]:
-    placed = []
-    for e in EFFECTS.values():
-        if isinstance(e.alarm, Begins) and e.beginning is not None:
-            placed.append((e.alarm.place, e.name, e.beginning))
-    return {name: prior for _, name, prior in sorted(placed, key=lambda row: row[0])}
-
-
-BEGINNINGS = _beginnings()
-"""What may begin within a second in flight: priors of the changes of its numbers, by effect."""
-STANDING = tuple(
-    name
-    for _, name in sorted(
-        (e.alarm.place, e.name) for e in EFFECTS.values() if isinstance(e.alarm, Stands)
-    )
-)
-"""Effects by which a calibrated model may be a little off all the time; they do not begin in
-flight."""
 
 
 def advice_of(number: str) -> Advice | None:
@@ -102,11 +80,8 @@ def _shifts(vehicle: Vehicle, acts: bool) -> dict[str, float]:
 
 
 __all__ = [
-    "BEGINNINGS",
     "EFFECTS",
-    "STANDING",
     "Average",
-    "Begins",
     "Block",
     "Blocks",
     "ComponentName",
@@ -121,7 +96,6 @@ __all__ = [
     "RandomForce",
     "Repeats",
     "Shift",
-    "Stands",
     "acting_late",
     "advice_of",
     "ages",

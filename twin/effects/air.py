@@ -25,7 +25,7 @@ from ..component.portable import decay
 from ..errors import ModelError
 from ..frames import cross
 from ..vehicle import Vehicle
-from .definition import Begins, Block, Effect, Limit, RandomForce, Stands
+from .definition import Block, Effect, Limit, RandomForce
 from .parameters import COMMON, RARE, EffectParameter, Normal, Prior
 from .stages import Air, Thrust, Wrench
 from .wording import FLY_FOR_DRAG, Undetected, Wording, drag_clause, wind_clause
@@ -162,7 +162,6 @@ GUST = Effect(
     of_weather=True,
     prior=None,
     change=None,
-    alarm=None,
     wording=None,
     advice=None,
 )
@@ -296,7 +295,6 @@ ROTOR_DRAG = Effect(
         },
     ),
     change=None,
-    alarm=Stands(5),
     wording=Wording(
         drag_clause, undetected=Undetected(8, "rotor drag below {}"), secondary=("height_m",)
     ),
@@ -322,7 +320,6 @@ PARASITIC_DRAG = Effect(
     _slowing,
     prior=Prior(RARE, "0.5 rho Cd A / m", {"": Normal(0.0, 0.03)}),
     change=None,
-    alarm=Stands(6),
     wording=None,
     advice=None,
 )
@@ -338,7 +335,6 @@ INDUCED_INFLOW = Effect(
     _induced_inflow,
     prior=Prior(RARE, "momentum theory: 1 / (2 v_i) to 1 / v_i", {"": Normal(0.05, 0.04)}),
     change=None,
-    alarm=None,
     wording=None,
     advice=None,
 )
@@ -359,7 +355,6 @@ TRANSLATIONAL_LIFT = Effect(
     _translational_lift,
     prior=Prior(RARE, "Glauert", {"gain": Normal(0.0, 0.3), "induced_m_s": Normal(4.0, 2.0)}),
     change=None,
-    alarm=None,
     wording=None,
     advice=None,
 )
@@ -384,7 +379,6 @@ BLADE_FLAPPING = Effect(
         {"k_rad_s_m": Normal(0.005, 0.01), "height_m": Normal(0.03, 0.03)},
     ),
     change=None,
-    alarm=None,
     wording=None,
     advice=None,
 )
@@ -411,7 +405,6 @@ FLAPPING_MOMENT = Effect(
     _flapping_moment,
     prior=Prior(RARE, "hub moment of stiff rotors", {"": Normal(0.0, 0.01)}),
     change=None,
-    alarm=None,
     wording=None,
     advice=None,
 )
@@ -442,7 +435,6 @@ STEADY_WIND = Effect(
         {"": Normal(0.0, 4.0), "down_m_s": Normal(0.0, 0.3)},
         indoors={"": Normal(0.0, 0.3), "down_m_s": Normal(0.0, 0.05)},
     ),
-    alarm=Begins(4),
     wording=Wording(wind_clause, undetected=Undetected(9, "a steady wind below {}")),
     advice=None,
 )
@@ -473,7 +465,6 @@ GROUND_EFFECT = Effect(
         {"gain": Normal(0.3, 0.2), "height_m": Normal(2.0, 1.0)},
     ),
     change=None,
-    alarm=None,
     wording=None,
     advice=None,
 )

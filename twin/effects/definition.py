@@ -6,7 +6,7 @@ tunable parameters, `<effect>.enabled` first, off by default. What is off is lef
 the quantities are those of the component without the effect, to the last bit.
 
 An effect also declares what everybody beyond its equation needs: prior, change since a calibration,
-alarm, wording, advice. Each is given, or declined by None; one that is forgotten does not import.
+wording, advice. Each is given, or declined by None; one that is forgotten does not import.
 
 How an effect is observable, which is what a search uses to find it:
 
@@ -205,34 +205,6 @@ def _no_limits(_: Vehicle) -> tuple[Limit, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Begins:
-    """An alarm: it may begin within a second in mid-flight.
-
-    Attributes:
-        place: In the list of what is monitored, 1 first: what a pilot has to act on soonest.
-        prior: Of the change of its numbers, whatever the weather; None: `Effect.change`.
-        quiet_share: Share of its usual spread by which the calibrated model may be off by it before
-            it begins: 1 but for effects that show only once something else has changed, such as the
-            voltage; what a quiet start does not show counts as begun by then.
-    """
-
-    place: int
-    prior: Prior | None = None
-    quiet_share: float = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class Stands:
-    """No alarm: a calibrated model may be a little off by it all the time.
-
-    Attributes:
-        place: In the list of those, 1 first.
-    """
-
-    place: int
-
-
-@dataclass(frozen=True, slots=True)
 class Effect:
     """A physical cause that a model may lack.
 
@@ -250,7 +222,6 @@ class Effect:
         prior: What is expected of it; None: that it is rare and anywhere in its range.
         change: What is expected of a change since a calibration; None: it does not change from one
             flight to the next.
-        alarm: What a live flight makes of it; None: nothing.
         wording: Its clauses in a report; None: its numbers alone are given.
         advice: What to fly where its numbers are undetermined, by number or by the beginning of its
             name, "" for all others; None: nothing in particular.
@@ -272,7 +243,6 @@ class Effect:
     _: KW_ONLY
     prior: Prior | None
     change: Prior | None
-    alarm: Begins | Stands | None
     wording: Wording | None
     advice: Mapping[str, Advice] | None
     observable_as: Observability = field(default_factory=Equation)
@@ -300,11 +270,6 @@ class Effect:
         """See `Equation.mistaken_for`."""
         return self.observable_as.mistaken_for if isinstance(self.observable_as, Equation) else ()
 
-    @property
-    def beginning(self) -> Prior | None:
-        """Prior of a beginning in mid-flight; None: it is not monitored."""
-        return self.alarm.prior or self.change if isinstance(self.alarm, Begins) else None
-
     def starts(self, vehicle: Vehicle) -> dict[str, float]:
         """Its numbers by name, each at its start value."""
         sized = [p.sized(vehicle) for p in self.parameters]
@@ -321,7 +286,6 @@ def effect_of_records(
     *,
     prior: Prior | None,
     change: Prior | None,
-    alarm: Begins | Stands | None,
     wording: Wording | None,
     advice: Mapping[str, Advice] | None,
 ) -> Effect:
@@ -337,7 +301,6 @@ def effect_of_records(
         lambda stage, _: stage,
         prior=prior,
         change=change,
-        alarm=alarm,
         wording=wording,
         advice=advice,
         observable_as=observable_as,

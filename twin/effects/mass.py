@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from ..component.along import accumulated
 from ..frames import to_body
 from ..vehicle import Vehicle
-from .definition import Begins, Block, Effect, Equation, Limit, Observer, Stands
+from .definition import Block, Effect, Equation, Limit, Observer
 from .parameters import COMMON, RARE, UNMEASURED, EffectParameter, Normal, Prior
 from .stages import Body, Wrench
 from .wording import (
@@ -279,7 +279,6 @@ MASS_OFFSET = Effect(
         COMMON, "battery, payload of up to 30 %", {"": Normal(0.0, 0.12)}, corrects="body.mass"
     ),
     change=None,
-    alarm=Begins(2, Prior(COMMON, "payload of 5 to 25 %", {"": Normal(0.1, 0.1)}, one_sided=True)),
     wording=Wording(mass_clause, undetected=Undetected(3, "a mass that is off by less than {}")),
     advice={"": FLY_FOR_THRUST},
 )
@@ -326,7 +325,6 @@ COG_OFFSET = Effect(
         corrects="rotors.position",
     ),
     change=Prior(RARE, "a battery that sits elsewhere, of the same mass", {"": Normal(0.0, 0.05)}),
-    alarm=Begins(3, Prior(COMMON, "where a load is strapped on", {"": Normal(0.0, 0.15)})),
     wording=Wording(
         place_clause, undetected=Undetected(5, "a centre of mass that is off by less than {}")
     ),
@@ -357,7 +355,6 @@ INERTIA_ERROR = Effect(
         corrects="body.inertia",
     ),
     change=None,
-    alarm=Stands(4),
     wording=Wording(
         inertia_clause, undetected=Undetected(6, "inertia that is off by less than {}")
     ),
@@ -404,7 +401,6 @@ PAYLOAD_CG = Effect(
         {"mass": Normal(0.0, 0.1), "moment_z": Normal(0.0, 0.03), "moment": Normal(0.0, 0.07)},
         one_sided=True,
     ),
-    alarm=None,
     wording=Wording(payload_clause, undetected=Undetected(4, "a load below {}")),
     advice={"mass": FLY_FOR_THRUST, "": FLY_FOR_CENTRE_OF_MASS},
 )
@@ -438,7 +434,6 @@ SLUNG_LOAD = Effect(
         {"mass_kg": Normal(0.1, 0.1), "length_m": Normal(0.7, 0.7)},
         one_sided=True,
     ),
-    alarm=None,
     wording=Wording(load_clause, undetected=Undetected(7, "a slung load below {}")),
     advice=None,
 )

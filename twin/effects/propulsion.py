@@ -6,7 +6,7 @@ import casadi as ca
 
 from ..frames import cross
 from ..vehicle import Vehicle
-from .definition import Begins, Block, Effect, Equation, Stands
+from .definition import Block, Effect, Equation
 from .parameters import COMMON, RARE, UNMEASURED, EffectParameter, Normal, Prior
 from .stages import Motors, Thrust, Wrench
 from .wording import (
@@ -143,7 +143,6 @@ THRUST_SCALE = Effect(
         corrects="rotors.thrust",
     ),
     change=None,
-    alarm=Stands(1),
     wording=Wording(
         factor_clause("its rotors give", "thrust"),
         undetected=Undetected(2, "thrust that is off by less than {}"),
@@ -166,7 +165,6 @@ THRUST_CURVE = Effect(
     _thrust_curve,
     prior=Prior(RARE, "the shape of a map is better known than its size", {"": Normal(0.0, 0.15)}),
     change=None,
-    alarm=Stands(2),
     wording=None,
     advice=None,
 )
@@ -199,15 +197,6 @@ BATTERY_SAG = Effect(
         unsaid=lambda v: not v.states_voltage,
     ),
     change=None,
-    alarm=Begins(
-        7,
-        Prior(
-            COMMON,
-            "a cell that fails or freezes: slope as of motor controllers without compensation",
-            {"slope": Normal(1.3, 0.6), "reference_v": Normal(1.0, 0.05)},
-        ),
-        quiet_share=0.1,
-    ),
     wording=Wording(sag_clause),
     advice={"": FLY_FOR_BATTERY_SAG},
 )
@@ -241,7 +230,6 @@ MOTOR_LAG = Effect(
         least=lambda v: None if v.rotors.follows else QUICKEST_LAG_S,
     ),
     change=None,
-    alarm=Begins(8, Prior(RARE, "a bearing, a controller that is hot", {"": Normal(0.0, 0.03)})),
     wording=Wording(delay_clause("its rotors follow")),
     advice={"": FLY_FOR_INERTIA},
 )
@@ -282,7 +270,6 @@ ROTOR_EFFICIENCY_LOSS = Effect(
         {"loss": Normal(0.1, 0.1), "torque_share": Normal(1.0, 0.3)},
         one_sided=True,
     ),
-    alarm=Begins(1),
     wording=Wording(
         rotor_clause, undetected=Undetected(1, "a loss below {} of the thrust of one rotor")
     ),
@@ -307,7 +294,6 @@ ROTOR_INERTIA_TORQUE = Effect(
         unsaid=lambda v: not v.rotors.follows,
     ),
     change=None,
-    alarm=None,
     wording=None,
     advice={"": FLY_FOR_YAW_TORQUE},
 )
@@ -328,7 +314,6 @@ GYROSCOPIC_TORQUE = Effect(
         corrects="rotors.spin_inertia",
     ),
     change=None,
-    alarm=None,
     wording=None,
     advice=None,
 )
@@ -350,7 +335,6 @@ YAW_TORQUE_SCALE = Effect(
         corrects="rotors.torque",
     ),
     change=None,
-    alarm=Stands(3),
     wording=Wording(factor_clause("its rotors give", "yaw torque")),
     advice={"": FLY_FOR_YAW_TORQUE},
 )
@@ -369,7 +353,6 @@ THRUST_TILT = Effect(
     _thrust_tilt,
     prior=Prior(COMMON, "1 to 2 degrees of frame and board", {"": Normal(0.0, 0.03)}),
     change=None,
-    alarm=None,
     wording=None,
     advice=None,
 )
@@ -400,7 +383,6 @@ ROTOR_CANT = Effect(
         {"": Normal(0.0, 0.02)},
     ),
     change=None,
-    alarm=None,
     wording=Wording(cant_clause),
     advice={"": FLY_FOR_YAW_TORQUE},
 )

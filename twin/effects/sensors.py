@@ -10,7 +10,7 @@ from ..component.portable import cosine, sine
 from ..frames import to_body
 from ..vehicle import Vehicle
 from ..vehicle.vehicle import hover_level
-from .definition import Begins, Block, Effect, Equation, Lines, NoiseFloor, Repeats, Stands
+from .definition import Block, Effect, Equation, Lines, NoiseFloor, Repeats
 from .parameters import COMMON, RARE, UNMEASURED, EffectParameter, Normal, Prior
 from .stages import (
     BaroReading,
@@ -124,7 +124,6 @@ IMU_LEVER_ARM = Effect(
         corrects="imu.position",
     ),
     change=None,
-    alarm=Stands(7),
     wording=None,
     advice=None,
 )
@@ -158,7 +157,6 @@ VIBRATION = Effect(
     observable_as=Lines("frequency_hz", {"acc": "accel_m_s2", "gyro": "gyro_rad_s"}),
     prior=None,
     change=None,
-    alarm=Begins(12, Prior(COMMON, "a blade that is nicked or loose", {"": Normal(0.0, 1.0)})),
     wording=None,
     advice=None,
 )
@@ -177,7 +175,6 @@ ACCEL_SCALE = Effect(
     _accel_scale,
     prior=Prior(COMMON, "MEMS, data sheets 0.5 to 3 %", {"": Normal(1.0, 0.01)}),
     change=None,
-    alarm=Stands(8),
     wording=None,
     advice=None,
 )
@@ -196,7 +193,6 @@ GYRO_SCALE = Effect(
     _gyro_scale,
     prior=Prior(COMMON, "MEMS, data sheets 0.5 to 3 %", {"": Normal(1.0, 0.01)}),
     change=None,
-    alarm=Stands(9),
     wording=None,
     advice=None,
 )
@@ -215,7 +211,6 @@ ACCEL_MISALIGNMENT = Effect(
     _accel_misalignment,
     prior=Prior(COMMON, "mounting of the board", {"": Normal(0.0, 0.02)}),
     change=None,
-    alarm=None,
     wording=None,
     advice=None,
 )
@@ -234,7 +229,6 @@ ACCEL_BIAS = Effect(
     _accel_bias,
     prior=Prior(COMMON, "zero-g offset of 20 to 60 mg, warmth", {"": Normal(0.0, 0.15, 0.1)}),
     change=Prior(COMMON, "a sensor that was hit or warm", {"": Normal(0.0, 0.5)}),
-    alarm=Begins(5),
     wording=Wording(reading_clause("accelerometer", "m/s2")),
     advice=None,
 )
@@ -253,7 +247,6 @@ GYRO_BIAS = Effect(
     _gyro_bias,
     prior=Prior(COMMON, "1 deg/s", {"": Normal(0.0, 0.015)}),
     change=Prior(COMMON, "a sensor that was hit or warm", {"": Normal(0.0, 0.05)}),
-    alarm=Begins(6),
     wording=Wording(reading_clause("gyroscope", "rad/s")),
     advice=None,
 )
@@ -274,7 +267,6 @@ SENSOR_NOISE_LEVEL = Effect(
     observable_as=NoiseFloor("scale", {"acc": "accel_m_s2", "gyro": "gyro_rad_s"}),
     prior=None,
     change=None,
-    alarm=Begins(13, Prior(RARE, "a sensor that fails", {"": Normal(0.0, 1.0)})),
     wording=None,
     advice=None,
 )
@@ -301,7 +293,6 @@ STUCK_SENSOR = Effect(
     observable_as=Repeats("channel", "time_s", IMU_CHANNELS),
     prior=None,
     change=None,
-    alarm=Begins(11, Prior(COMMON, "a sensor that hangs", {"": Normal(0.0, 1.0)})),
     wording=None,
     advice=None,
 )
@@ -374,7 +365,6 @@ HEADING_OFFSET = Effect(
         {"yaw_rad": Normal(0.0, 0.2, 0.15), "pose_rad": Normal(0.0, 0.2, 0.1)},
     ),
     change=Prior(COMMON, "steel nearby, a compass that was moved", {"": Normal(0.0, 0.3)}),
-    alarm=Stands(10),
     wording=Wording(heading_clause, largest_alone=True),
     advice={"": FLY_FOR_COMPASS},
 )
@@ -406,7 +396,6 @@ MAG_SOFT_IRON = Effect(
         {**{2 * a: Normal(1.0, 0.05) for a in "xyz"}, "": Normal(0.0, 0.05)},
     ),
     change=None,
-    alarm=None,
     wording=None,
     advice={"": FLY_FOR_COMPASS},
 )
@@ -430,12 +419,6 @@ MAG_HARD_IRON = Effect(
         UNMEASURED, "up to the field itself where nobody calibrated", {"": Normal(0.0, 4e-5)}
     ),
     change=None,
-    alarm=Begins(
-        9,
-        Prior(
-            COMMON, "a tenth to half of the earth's field: a magnet, steel", {"": Normal(0.0, 1e-5)}
-        ),
-    ),
     wording=None,
     advice={"": FLY_FOR_COMPASS},
 )
@@ -455,7 +438,6 @@ MAG_CURRENT_COUPLING = Effect(
     _mag_current_coupling,
     prior=Prior(RARE, "ArduPilot's compassmot", {"": Normal(0.0, 3e-7)}),
     change=None,
-    alarm=None,
     wording=None,
     advice=None,
 )
@@ -476,7 +458,6 @@ BARO_BIAS = Effect(
         {"": Normal(0.0, 1500.0, 20.0)},
     ),
     change=None,
-    alarm=Begins(10, Prior(COMMON, "a draught, a blocked port", {"": Normal(0.0, 100.0)})),
     wording=None,
     advice=None,
 )
@@ -493,7 +474,6 @@ BARO_DYNAMIC_PRESSURE = Effect(
     _baro_dynamic_pressure,
     prior=Prior(RARE, "static port", {"": Normal(0.0, 0.3)}),
     change=None,
-    alarm=None,
     wording=None,
     advice=None,
 )

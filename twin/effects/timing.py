@@ -51,7 +51,6 @@ IMU_DELAY = Effect(
     observable_as=Shift({"delay_s": ("acc", "gyro")}),
     prior=Prior(COMMON, "filters, bus", {"": Normal(0.0, 0.008)}),
     change=Prior(RARE, "another filter", {"": Normal(0.0, 0.02)}),
-    alarm=None,
     wording=Wording(delay_clause("its IMU reads")),
     advice=None,
 )
@@ -78,7 +77,6 @@ POSITION_DELAY = Effect(
     ),
     prior=Prior(COMMON, "motion capture 36 to 100 ms, GNSS 100 to 200 ms", {"": Normal(0.0, 0.05)}),
     change=Prior(RARE, "another receiver", {"": Normal(0.0, 0.05)}),
-    alarm=None,
     wording=Wording(delay_clause("its position arrives"), largest_alone=True),
     advice=None,
 )
@@ -105,7 +103,6 @@ COMMAND_DELAY = Effect(
         start=True,
     ),
     change=Prior(RARE, "another firmware", {"": Normal(0.0, 0.02)}),
-    alarm=None,
     wording=Wording(delay_clause("its motors get their commands")),
     advice={"": FLY_FOR_INERTIA},
 )
@@ -147,7 +144,6 @@ CLOCK_OFFSET = effect_of_records(
         },
     ),
     change=None,
-    alarm=None,
     wording=None,
     advice=None,
 )
@@ -173,7 +169,6 @@ POSE_SMOOTHING = effect_of_records(
         start=True,
     ),
     change=None,
-    alarm=None,
     wording=None,
     advice=None,
 )

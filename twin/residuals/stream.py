@@ -10,7 +10,7 @@ the whole flight, by the same functions over a window that moves along, because
 `LastRows` holds the last seconds of the flight table, and some older samples of each signal.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -247,15 +247,14 @@ class Equations:
 
     Attributes:
         drive: What drives its rotors.
-        effects: Built into the airframe, switched off.
         airframe: As of `AlignedFlight`.
         imu: As of `AlignedFlight`.
     """
 
-    def __init__(self, vehicle: Vehicle, drive: Drive, effects: Iterable[str] = ()) -> None:
+    def __init__(self, vehicle: Vehicle, drive: Drive) -> None:
         """Those of a vehicle."""
-        self._vehicle, self.drive, self.effects = vehicle, drive, tuple(effects)
-        self.airframe, self.imu = components_of(vehicle, drive, self.effects)
+        self._vehicle, self.drive = vehicle, drive
+        self.airframe, self.imu = components_of(vehicle, drive)
 
     @cached_property
     def imu_predictor(self) -> OverRows:
@@ -451,7 +450,6 @@ class Stream:
     def __init__(
         self,
         vehicle: Vehicle,
-        effects: Iterable[str] = (),
         equations: Equations | None = None,
         name: str = "live",
     ) -> None:
@@ -459,11 +457,10 @@ class Stream:
 
         Args:
             vehicle: The twin.
-            effects: Effects to build into the airframe, switched off.
-            equations: Of the vehicle with these effects, where they are at hand.
+            equations: Of the vehicle, where they are at hand.
             name: Of the flight.
         """
-        self.vehicle, self._effects = vehicle, tuple(effects)
+        self.vehicle = vehicle
         self.equations: Equations | None = None
         self._prepared = equations
         self.waits_for = "the first seconds of flight"
@@ -486,11 +483,6 @@ class Stream:
     def last_s(self) -> float:
         """Time of the newest row; NaN: there is none."""
         return self._last.last_s
-
-    @property
-    def waited_s(self) -> float:
-        """From the first row to the newest one, while the twin waits for what it needs."""
-        return 0.0 if self.equations is not None else self.last_s - self._begins_s
 
     @property
     def resting_m(self) -> float | None:
@@ -574,7 +566,7 @@ class Stream:
         measured_motion(flight)  # says where there is none
         equations = self._prepared
         if equations is None or equations.drive != drive:
-            equations = Equations(self.vehicle, drive, self._effects)
+            equations = Equations(self.vehicle, drive)
         self.starts_s = float(flight.time_s[0])
         self.grid = RunningGrid(self.vehicle, equations, 1 / GRID_HZ)
         self.equations = equations

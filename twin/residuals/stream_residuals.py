@@ -53,23 +53,16 @@ class ResidualBlock:
 class StreamResiduals:
     """Residuals of one flight against one vehicle, while it is flown."""
 
-    def __init__(
-        self,
-        stream: Stream,
-        horizon_s: float = DEFAULT_HORIZON_S,
-        equations: Equations | None = None,
-    ) -> None:
+    def __init__(self, stream: Stream, horizon_s: float = DEFAULT_HORIZON_S) -> None:
         """Nothing has been compared.
 
         Args:
             stream: Rows of the flight.
             horizon_s: Of the short horizon, a multiple of 1 ms.
-            equations: Of the vehicle without further effects, where they are at hand.
         """
         self.stream = stream
         stream.needed_s = -np.inf
         self._horizon_s, self._steps = horizon_s, round(horizon_s / GRID_S)
-        self._prepared = equations
         self._equations: Equations | None = None
         self._reported_s, self._reported_row = np.nan, 0
         self._window_next = 0
@@ -111,22 +104,13 @@ class StreamResiduals:
         )
 
     def _start(self) -> None:
-        """Equations of the short horizon, without effects that are switched off."""
+        """Equations of the short horizon."""
         stream = self.stream
         assert stream.equations is not None
-        drive = stream.equations.drive
         with BUILDING:
-            found = next(
-                (
-                    e
-                    for e in (self._prepared, stream.equations)
-                    if e is not None and e.drive == drive and not e.effects
-                ),
-                None,
-            )
-            self._equations = found or Equations(stream.vehicle, drive)
+            self._equations = stream.equations
             self._fine = RunningGrid(stream.vehicle, self._equations, GRID_S)
-            self._windows, self._predictor = self._equations.windows, stream.equations.imu_predictor
+            self._windows, self._predictor = self._equations.windows, self._equations.imu_predictor
         self._reported_s = stream.starts_s
         self._reported_row = round(stream.starts_s * GRID_HZ) - 1
 

@@ -220,7 +220,7 @@ class Worker:
     def _begin(self) -> None:
         self._watch = self._parts.run(Part.ALARMS, self._new_watch)
         self._stream = Stream(self._vehicle, equations=self.equations)
-        self._residuals = StreamResiduals(self._stream, self._horizon_s, self.equations)
+        self._residuals = StreamResiduals(self._stream, self._horizon_s)
         self._sums = {}
         if self._compensator is not None:
             self._parts.run(Part.COMPENSATOR, self._compensator.begin)

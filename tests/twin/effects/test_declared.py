@@ -1,4 +1,4 @@
-"""Each effect gives prior, change, alarm, wording and advice, or declines it by None."""
+"""Each effect gives prior, change, wording and advice, or declines it by None."""
 
 import re
 from dataclasses import MISSING, fields
@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 from places import ROOT
 
-from twin.effects import BEGINNINGS, EFFECTS, STANDING, Begins, Effect, Stands, advice_of
+from twin.effects import EFFECTS, Effect, advice_of
 from twin.effects.wording import ADVICE
 
-DECLARED = ("prior", "change", "alarm", "wording", "advice")
+DECLARED = ("prior", "change", "wording", "advice")
 
 
 @pytest.mark.parametrize("what", DECLARED)
@@ -35,21 +35,13 @@ def test_the_list_says_which_effects_decline_what(what: str) -> None:
 @pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 def test_what_is_declared_fits_the_numbers(effect: Effect) -> None:
     names = [p.name for p in (*effect.parameters, *effect.of_logs)]
-    for prior in (effect.prior, effect.change, effect.beginning):
+    for prior in (effect.prior, effect.change):
         for indoors in (False, True):
             assert prior is None or all(prior.of(n, indoors).sd > 0 for n in names)
     for stem in effect.advice or {}:
         assert any(n.startswith(stem) for n in names)
     if effect.wording is not None:
         assert {*effect.wording.secondary} <= {*names}
-    assert not isinstance(effect.alarm, Begins) or effect.beginning is not None
-
-
-@pytest.mark.parametrize("kind", [Begins, Stands])
-def test_places_are_counted_from_one(kind: type[Begins | Stands]) -> None:
-    places = [e.alarm.place for e in EFFECTS.values() if isinstance(e.alarm, kind)]
-    assert sorted(places) == [*range(1, len(places) + 1)]
-    assert len(places) == len(BEGINNINGS if kind is Begins else STANDING)
 
 
 def test_clauses_about_what_would_not_show_have_an_order() -> None:

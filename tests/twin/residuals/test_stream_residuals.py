@@ -1,6 +1,5 @@
 """Residuals of a flight that goes on are those of the whole flight afterwards."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -25,10 +24,10 @@ ByChannel = dict[tuple[str, float], list[Channel]]
 
 
 def residuals_in_flight(
-    table: pd.DataFrame, vehicle: Vehicle, every_s: float, effects: Sequence[str] = ()
+    table: pd.DataFrame, vehicle: Vehicle, every_s: float
 ) -> tuple[Stream, ByChannel, list[ResidualBlock]]:
     """All residuals of rows that come in pieces of some length."""
-    stream, found, blocks = Stream(vehicle, effects), ByChannel(), []
+    stream, found, blocks = Stream(vehicle), ByChannel(), []
     residuals = StreamResiduals(stream)
     time = table["time"].to_numpy()
     edges = np.searchsorted(time, np.arange(time[0], time[-1] + every_s, every_s)).tolist()
@@ -44,10 +43,8 @@ def residuals_in_flight(
     return stream, found, kept
 
 
-def check_same(
-    table: pd.DataFrame, vehicle: Vehicle, every_s: float, effects: Sequence[str] = ()
-) -> list[ResidualBlock]:
-    stream, found, blocks = residuals_in_flight(table, vehicle, every_s, effects)
+def check_same(table: pd.DataFrame, vehicle: Vehicle, every_s: float) -> list[ResidualBlock]:
+    stream, found, blocks = residuals_in_flight(table, vehicle, every_s)
     gap = flight_gap(Flight("flown", table, settled=stream.settled), vehicle)
     assert {(c.name, c.horizon_s) for c in gap.channels} == set(found)
     for channel in gap.channels:

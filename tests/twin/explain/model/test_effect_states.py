@@ -62,7 +62,6 @@ HEAT_DROOP = Effect(
     _heat_droop,
     prior=None,
     change=None,
-    alarm=None,
     wording=None,
     advice=None,
 )
@@ -80,7 +79,6 @@ WARMING_GYRO = Effect(
     _warming_gyro,
     prior=None,
     change=None,
-    alarm=None,
     wording=None,
     advice=None,
 )

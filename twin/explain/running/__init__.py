@@ -1,1 +1,0 @@
-"""What is wrong, while it flies: evidence that grows second by second, and alarms with a name."""
