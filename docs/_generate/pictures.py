@@ -1,9 +1,11 @@
 """Pictures of report pages, taken by a headless Chromium (`apt-get install chromium`).
 
     python docs/_generate/pictures.py [--work FOLDER]
+    python docs/_generate/pictures.py --logs LOG...
 
 writes the picture of the README, of the report of `uavtwin demo`, and that of docs/guide/live.md,
-the page of `uavtwin live --demo` after its alarm.
+the page of `uavtwin live --demo` after its alarm; with logs that of docs/guide/serve.md alone, the
+list of them.
 """
 
 import argparse
@@ -18,6 +20,7 @@ DOCS = Path(__file__).parents[1]
 sys.path.insert(0, str(DOCS.parent / "tests" / "rigs"))
 
 from page_rigs.browser import View, browser  # noqa: E402
+from serve_rigs.sites import Process  # noqa: E402
 
 REPORT = (1000, 520)
 """Size of the picture of the README."""
@@ -25,6 +28,8 @@ CONVINCES = "#before-after + details"
 """Its part of the report: measured, model before and after, and what both leave."""
 LIVE = (1000, 1150)
 """Size of the picture of a flight under way."""
+SERVED = (1000, 830)
+"""Size of the picture of the list of flights."""
 SERVES, LISTENS = "127.0.0.1:8079", "udpin:127.0.0.1:14579"
 SEEN_S = 6.0
 """After the alarm, for what differs to be seen."""
@@ -94,11 +99,35 @@ def photograph_live(picture: Path, size: tuple[int, int]) -> None:
         live.terminate()
 
 
+def photograph_served(logs: list[Path], picture: Path, size: tuple[int, int]) -> None:
+    """The list of `uavtwin serve` with logs that were dropped, as PNG.
+
+    Args:
+        logs: To drop.
+        picture: PNG file to write.
+        size: Width and height of the picture, pixels; what is below is cut.
+    """
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Process(Path(folder) / "store") as served,
+        browser(Path(folder)) as opened,
+    ):
+        opened.visit(served.address, View(size[0], dark=False))
+        opened.choose("#files", *logs)
+        every = f"document.querySelectorAll('#rows .verdict').length === {len(logs)}"
+        opened.wait(f"{every} && !document.querySelector('#rows .tag, #uploads li')", 600)
+        opened.picture(picture, size[1])
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--work", type=Path, help="folder to work in; default: a temporary one")
+    parser.add_argument("--logs", type=Path, nargs="+", help="logs of the picture of serve")
     given = parser.parse_args()
+    if given.logs:
+        photograph_served(given.logs, DOCS / "pictures" / "serve.png", SERVED)
+        return
     with tempfile.TemporaryDirectory() as temporary:
         work = (given.work or Path(temporary)) / "demo"
         if not (work / "report.html").is_file():

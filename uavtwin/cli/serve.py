@@ -30,7 +30,7 @@ def serve(
     size_limit: Annotated[float, of_unit("MiB", "MIB", help="Of one log, MiB.")] = 1024.0,
     time_limit: Annotated[
         float,
-        seconds("Of explain or FMUs of one flight, s; a tenth of it for everything else."),
+        seconds("Of explain or FMUs of one flight, s; a third of it for everything else."),
     ] = 1800.0,
     memory_limit: Annotated[
         float, of_unit("GiB", "GIB", help="Address space of a process that looks at a log, GiB.")

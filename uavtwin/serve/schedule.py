@@ -14,8 +14,9 @@ from .work import LONG, OF_VEHICLE, QUICK, Answer, Job, LogWork
 
 Key = tuple[str, str, str]
 """Of a job: flight, kind, the other flight."""
-QUICK_SHARE = 0.1
-"""Of the time limit, for a job that is not long: a hostile log holds a worker no longer."""
+QUICK_SHARE = 1 / 3
+"""Of the time limit, for a job that is not long: a hostile log holds a worker no longer. `why` of
+40 min of flight took 3 min on a core that it shared."""
 LARGE_BYTES = 30_000_000
 """Of a log after which a worker process is replaced: what it took of the memory goes back."""
 _IDLE_S = 5.0

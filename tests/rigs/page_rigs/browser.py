@@ -172,7 +172,7 @@ class Browser:
         self._ask("Input.dispatchKeyEvent", type="keyDown", text=text, **about)
         self._ask("Input.dispatchKeyEvent", type="keyUp", **about)
 
-    def wait(self, condition: str, within_s: float = 30.0) -> None:
+    def wait(self, condition: str, within_s: float = _PATIENCE_S) -> None:
         """Until an expression is true in the page, whichever is open by then."""
         deadline = time.monotonic() + within_s
         while True:
