@@ -97,7 +97,7 @@ def vehicle(name: str) -> Vehicle:
 def convert_vehicle(path: str | Path, name: str | None = None) -> Vehicle:
     """The vehicle that a file of another simulator describes: Gazebo, drone-models, PyFlyt, JSBSim.
 
-    `docs/guide/vehicle_from_simulators.md` says which of their numbers goes where. `text` begins
+    `docs/reference/simulators.md` says which of their numbers goes where. `text` begins
     with what was left out.
 
     Args:

@@ -112,7 +112,7 @@ def fleet() -> str:
     parts = []
     for table, columns in TABLES.items():
         lines = [(f"`{c.name}`", c.unit or "-", c.meaning) for c in columns]
-        parts.append("\n".join([f"### {table}", "", *rows(("column", "unit", "holds"), lines)]))
+        parts.append("\n".join([f"## {table}", "", *rows(("column", "unit", "holds"), lines)]))
     return "\n\n".join(parts)
 
 
@@ -447,7 +447,7 @@ def _keys_table(record: type) -> str:
 
 
 DOCUMENTS = {
-    "guide/flight_table.md": flight_table,
+    "reference/flight_table.md": flight_table,
     "reference/vehicle_fields.md": vehicle,
     "reference/fmu_variables.md": fmus,
     "reference/effects.md": effects,
@@ -455,10 +455,10 @@ DOCUMENTS = {
     "reference/settings.md": settings,
     "reference/cli.md": command_line,
     "reference/json.md": json_keys,
-    "guide/log_formats.md": log_formats,
-    "guide/series.md": series,
+    "reference/log_formats.md": log_formats,
+    "reference/series.md": series,
     "guide/compensator.md": compensator,
-    "guide/fleet.md": fleet,
+    "reference/tables.md": fleet,
 }
 
 

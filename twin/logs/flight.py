@@ -1,4 +1,4 @@
-"""A flight in memory: the table of `docs/guide/flight_table.md` plus what its reader doubts."""
+"""A flight in memory: the table of `docs/reference/flight_table.md` plus what its reader doubts."""
 
 import hashlib
 from collections.abc import Sequence

@@ -8,7 +8,7 @@ percentile bootstrap over runs. A Saltelli design gives Sobol' indices instead.
 Sources: Kelley, Proc. Nat. Acad. Sci. 21 (1935) 554-559 for epsilon²; Saltelli et al., Computer
 Physics Communications 181 (2010) 259-270, by `scipy.stats.sobol_indices`; Spearman, Am. J.
 Psychology 15 (1904). Coverage and false positives were measured on simulated factors,
-docs/guide/sweep.md.
+docs/method/sweep.md.
 """
 
 import warnings

@@ -22,7 +22,7 @@ from twin.vehicle.vehicle import hover_level
 from twin.vehicle_file import load_vehicle, parse_vehicle, vehicle_text
 
 Array = np.ndarray
-PAGE = Path(__file__).parents[3] / "docs" / "guide" / "vehicle_from_simulators.md"
+PAGE = Path(__file__).parents[3] / "docs" / "reference" / "simulators.md"
 (HUMMINGBIRD,) = re.findall(r"```toml\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
 FLIP = np.array([1.0, -1.0, -1.0])
 """FRD to FLU, NED to north-west-up, and back."""

@@ -159,7 +159,7 @@ def test_an_effect_of_most_is_of_the_type_and_one_of_one_its_own(
 
 
 def test_tables_say_units_and_are_as_documented(folder: Path) -> None:
-    page = (Path(__file__).parents[3] / "docs" / "guide" / "fleet.md").read_text("utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "reference" / "tables.md").read_text("utf-8")
     for table, columns in TABLES.items():
         schema = pq.read_schema(folder / f"{table}.parquet")
         assert schema.names == [c.name for c in columns]

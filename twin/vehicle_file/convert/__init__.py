@@ -1,6 +1,6 @@
 """Vehicles of other simulators as vehicle files: TOML with unit and source for every number.
 
-`docs/guide/vehicle_from_simulators.md` says which of their numbers goes where, and by which law.
+`docs/reference/simulators.md` says which of their numbers goes where, and by which law.
 """
 
 from pathlib import Path

@@ -1,7 +1,7 @@
 """Parameters of drone-models (`data/params.toml`, PyPI drone-models) as a vehicle file.
 
 What its first-principles model uses is carried over; the law of each number is in
-`docs/guide/vehicle_from_simulators.md`.
+`docs/reference/simulators.md`.
 """
 
 from collections.abc import Mapping

@@ -1,6 +1,6 @@
 """A multirotor of Gazebo (SDF with MulticopterMotorModel plugins) as a vehicle file.
 
-The laws are those of the plugin; which they are is in `docs/guide/vehicle_from_simulators.md`. The
+The laws are those of the plugin; which they are is in `docs/reference/simulators.md`. The
 plugin of Gazebo classic in PX4's repository (`libgazebo_motor_model.so`) has another one: thrust
 falls with forward speed. It is refused.
 

@@ -1,7 +1,7 @@
 """A multirotor of JSBSim (aircraft XML with propellers) as a vehicle file.
 
 The laws are those of its FGPropeller and of its aerodynamic functions; which they are is in
-`docs/guide/vehicle_from_simulators.md`. Its electric motors have no law in continuous time, so the
+`docs/reference/simulators.md`. Its electric motors have no law in continuous time, so the
 vehicle is one known by rotor speed.
 """
 

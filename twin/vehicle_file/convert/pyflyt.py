@@ -1,6 +1,6 @@
 """A quadrotor of PyFlyt (`NAME.yaml` and `NAME.urdf` next to it) as a vehicle file.
 
-The laws are those of its class QuadX; which they are is in `docs/guide/vehicle_from_simulators.md`.
+The laws are those of its class QuadX; which they are is in `docs/reference/simulators.md`.
 """
 
 import re
