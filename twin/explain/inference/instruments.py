@@ -14,14 +14,17 @@ orthonormal basis of z in the n rows of each flight, and T how far it is trusted
     T = 1 / max(1, J);  0 where such a J is improbable, and where the first stage is weak
 
 J is computed against the model as it stands, and once more with the effects of the end of a search:
-what the model lacks is no disturbance.
+what the model lacks is no disturbance. Of a mission it leaves a moment in proportion to the flown
+speed open as well, one number more: the air turns every aircraft that moves through it, below the
+loop it is nearly all that the rotors answer to, and hardly a file knows it.
 
 A weak setpoint is flat: the prior stands, the numbers are not told. One that follows disturbances,
 as an attitude setpoint in hover does, cannot fit all bands with one gain and lag, and J drops it
 (Sargan, Econometrica 26 (1958); Hansen, Econometrica 50 (1982)). In order of trust: the velocity
 that a mission or a stick asks for; the attitude setpoint; the prediction of other flights of the
-same mission, aligned in time. The rate setpoint is none. Constants do not feel the loop. Noise is
-what is left across the instruments, and laws are inexact by a share of what is along them.
+same mission, aligned in time; below 0.3 Hz, of a flight that went somewhere, the flown speed, which
+tells the moment of the air and no gain. The rate setpoint is none. Constants do not feel the loop.
+Noise is what is left across the instruments, and laws are inexact by a share of what is along them.
 
 Bands of angular acceleration vote in no other way; those of specific force vote as they are.
 """
@@ -39,24 +42,32 @@ from ...representation import short_repr
 from ...residuals.channels import CHANNEL_HZ, ChannelData
 from ...residuals.measured import signal_of
 from .noise import BandLikelihood, BandNoise, Term
-from .setpoints import SOURCES, turns
+from .setpoints import SOURCES, flown_across, turns
 from .spectrum import BANDS_HZ, Flights, transformed
 
 Array = NDArray[np.float64]
-F_LEAST = {"mission": 3.0, "attitude setpoint": 15.0, "other flights": 10.0}
+F_LEAST = {"mission": 3.0, "attitude setpoint": 15.0, "other flights": 10.0, "flown speed": 0.0}
 """Of the first stage. Staiger & Stock, Econometrica 65 (1997), ask for 10, where intervals are
 those of a normal distribution; these are not. That of an attitude setpoint in hover, which J does
 not always drop, was 7 to 11 in simulation and 5 to 14 on an aircraft of 18 kg; on the way 20 to 70.
 """
-SLOWEST, LOOP_HZ = 2, 10.0
-"""Bands of setpoints: from 0.3 Hz, below which wind moves them, to where loops end. Made up."""
+SLOWEST = 2
+"""First band in which what is asked turns the aircraft: from 0.3 Hz. Below, that takes a thousandth
+of the moment of the air, and wind moves all but a mission."""
+IN_STEP = "flown speed"
+"""What asks in the band below alone, as the speed of a mission does: for a moment in step with it.
+The turning that a disturbance and the speed that it makes have in common is in quadrature."""
+MOVED = frozenset({"mission", IN_STEP})
+"""Whose last column is a speed; their test leaves a moment in proportion to the flown one open."""
+LOOP_HZ = 10.0
+"""Where loops end. Made up."""
 GAINS = np.exp(np.linspace(np.log(0.3), np.log(4.0), 41))
 DELAYS_S = np.arange(-0.1, 0.061, 0.01)
 LAGS_S = 0.0, -0.06, -0.03, -0.015, 0.015, 0.03, 0.06
 """What a prediction may be off by before anything is fitted. Made up."""
-CHANCE = {"mission": 0.005, "attitude setpoint": 0.05, "other flights": 0.05}
+CHANCE = {"mission": 0.005, "attitude setpoint": 0.05, "other flights": 0.05, "flown speed": 0.005}
 """Least probability of the overidentification test."""
-TESTED = {"mission": 1, "attitude setpoint": 4, "other flights": 4}
+TESTED = {"mission": 1, "attitude setpoint": 4, "other flights": 4, "flown speed": 0}
 """Degrees of freedom of the overidentification test of all flights together, below which it cannot
 refuse: an attitude setpoint in two bands of one flight fits a gain and a delay whatever it follows.
 On an aircraft of 18 kg that made half of the inertia, 0.37 +- 0.03 of the file's; with two more
@@ -64,7 +75,9 @@ flights of it the test refuses."""
 ALIKE = 1.25
 """Factor by which two trusts may differ to be one: J is known no better. Made up."""
 INEXACT = 0.1
-"""Share of an amplitude by which laws are inexact before anything is fitted. Made up."""
+"""Share of an amplitude by which laws are inexact before anything is fitted: of what was measured,
+or of the larger one of measured and predicted where a speed is asked for, as rotors answer to the
+air more than to the turning. Made up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,25 +125,34 @@ def instruments_of(
         for source, asked in SOURCES.items():
             left = [f for f in range(len(own)) if (c, f) not in found or not found[c, f].trust]
             wanted = {f: asked(flights, own, f) for f in left}
-            bases = {f: _bases(flights[f], own[f], z) for f, z in wanted.items() if z is not None}
-            found |= {(c, f): i for f, i in _judged(source, own, bases).items()}
+            bases = {
+                f: _bases(flights[f], own[f], z, source) for f, z in wanted.items() if z is not None
+            }
+            moved = {f: flown_across(flights[f], own[f]) for f in bases if source in MOVED}
+            found |= {(c, f): i for f, i in _judged(source, own, bases, moved).items()}
     return found
 
 
 def _judged(
-    source: str, own: Sequence[ChannelData], bases: Mapping[int, dict[int, Array]]
+    source: str,
+    own: Sequence[ChannelData],
+    bases: Mapping[int, dict[int, Array]],
+    moved: Mapping[int, Array | None],
 ) -> dict[int, Instrument]:
     """Instruments of the flights in which something may ask, by their numbers."""
-    tests = {f: _test(own[f], b) for f, b in bases.items() if b}
+    tests = {f: _test(own[f], b, moved.get(f)) for f, b in bases.items() if b}
     found = {f: Instrument(source, {}, {}, 0.0, 1.0, 0.0) for f in bases}
     if not tests:
         return found
     ranks = {f: sum(q.shape[1] for q in bases[f].values()) for f in tests}
-    fitted = max(_fitted(bases[f]) for f in tests)
+    free = {
+        f: max(min(_fitted(bases[f]), ranks[f] - 2), 0) + (moved.get(f) is not None) for f in tests
+    }
+    fitted = max(free.values())
     degrees = sum(ranks.values()) - fitted
     together = _misfit(np.sum([t[0] for t in tests.values()], axis=0), degrees)
     for f, (misfit, power, strength) in tests.items():
-        alone = _misfit(misfit, ranks[f] - _fitted(bases[f]))
+        alone = _misfit(misfit, ranks[f] - free[f])
         chance, j = min(alone, together)
         chance = chance if degrees >= TESTED[source] else 0.0
         found[f] = Instrument(source, bases[f], power, j, chance, strength)
@@ -151,8 +173,9 @@ def _misfit(likelihood: Array, degrees: int) -> tuple[float, float]:
 # -- tests of an instrument ----------------------------------------------------------------------
 
 
-def _bases(flight: Flight, channel: ChannelData, asked: Array) -> dict[int, Array]:
-    """Of each band that counts, an orthonormal basis of what is asked and its quadrature."""
+def _bases(flight: Flight, channel: ChannelData, asked: Array, source: str) -> dict[int, Array]:
+    """Of each band that counts, an orthonormal basis of what is asked and its quadrature; below
+    `SLOWEST` of a speed alone."""
     asked = asked[:, np.std(asked, axis=0) > 1e-6]
     if not asked.size:
         return {}
@@ -160,41 +183,80 @@ def _bases(flight: Flight, channel: ChannelData, asked: Array) -> dict[int, Arra
     commands = signal_of(flight, ("cmd_1" if flight.has("cmd_1") else "rotor_1",))
     fastest = min(LOOP_HZ, 1.05 * commands.rate_hz / 5)
     last = int(np.searchsorted(BANDS_HZ, fastest, side="right")) - 1
-    wide = [b for b in range(SLOWEST, last + 1) if np.sum(band == b) > 2 * rows.shape[1]]
-    return {b: np.linalg.qr(rows[band == b]).Q for b in wide}
+    bands = range(SLOWEST, last + 1) if source != IN_STEP else range(0)
+    parts = {b: rows[band == b] for b in bands}
+    if source in MOVED:
+        speed = asked.shape[1] - 1
+        parts[SLOWEST - 1] = rows[band == SLOWEST - 1, speed : speed + 1]
+    return {b: np.linalg.qr(p).Q for b, p in sorted(parts.items()) if len(p) > 2 * p.shape[1]}
 
 
 def _test(
-    channel: ChannelData, bases: Mapping[int, Array]
+    channel: ChannelData, bases: Mapping[int, Array], moved: Array | None
 ) -> tuple[Array, dict[int, float], float]:
-    """-2 log L by lag and gain of the prediction, shape (lags, gains); what was measured along the
-    instrument, see `Instrument`; F of the first stage."""
+    """-2 log L by lag and gain of the prediction, shape (lags, gains), at a moment in proportion to
+    the speed `moved` that leaves least along the instrument; what was measured along it, see
+    `Instrument`; F of the first stage."""
     t_s, predicted = channel.t_s, channel.measured - channel.residual
     lags = LAGS_S if _fitted(bases) > 2 else LAGS_S[:1]
     late = [_lagged(predicted, v) for v in lags]
     late = [np.interp(t_s - delay, t_s, v) for v in late for delay in DELAYS_S]
-    rows, band = transformed(channel, np.column_stack([channel.measured, *late]))
-    still = 1 + int(np.argmin(np.abs(DELAYS_S)))
-    misfit, power = np.zeros((len(late), len(GAINS))), {}
-    taken = left = n = ranks = 0.0
+    speed = np.zeros(len(t_s)) if moved is None else moved
+    rows, band = transformed(channel, np.column_stack([channel.measured, speed, *late]))
+    still = 2 + int(np.argmin(np.abs(DELAYS_S)))
+    power, forms = {}, []
+    taken = left = n = ranks = weighed = 0.0
+    moment = np.zeros((len(late), len(GAINS)))
     for b, q in bases.items():
         inside = rows[band == b]
         part = q.T @ inside
-        along, total = _power(part), _power(inside)
+        along, across = _Left.of(part), _Left.of(inside).less(_Left.of(part))
         power[b] = float(np.mean(part[:, 0] ** 2))
-        across = total - along + len(inside) * INEXACT**2 * power[b]
-        misfit += len(inside) * np.log1p(along / np.maximum(across, 1e-12 * total))
+        known = [0] if moved is None else [0, still]
+        larger = float(np.mean(part[:, known] ** 2, axis=0).max())
+        floor = len(inside) * INEXACT**2 * larger + 1e-12 * float(np.sum(inside[:, 0] ** 2))
+        weight = len(inside) / (across.square + floor)
+        moment, weighed = moment + weight * along.step, weighed + weight * along.speed
+        forms.append((len(inside), along, across, floor))
         share = np.sum(part[:, still] ** 2) / max(np.sum(inside[:, still] ** 2), 1e-300)
         taken, left = taken + len(inside) * share, left + len(inside) * (1 - share)
         n, ranks = n + len(inside), ranks + len(part)
-    return misfit, power, float(taken / ranks / max(left / (n - ranks), 1e-300))
+    moment = moment / np.maximum(weighed, 1e-300)
+    misfit = sum(
+        size * np.log1p(along.at(moment) / (across.at(moment) + floor))
+        for size, along, across, floor in forms
+    )
+    return np.asarray(misfit), power, float(taken / ranks / max(left / (n - ranks), 1e-300))
 
 
-def _power(rows: Array) -> Array:
-    """Sum of squares of the first column less gains times each other one, (columns, gains)."""
-    y, x = rows[:, 0], rows[:, 1:]
-    square = np.sum(x * x, axis=0)
-    return np.asarray(y @ y - 2 * np.outer(y @ x, GAINS) + np.outer(square, GAINS**2))
+@dataclass(frozen=True, slots=True)
+class _Left:
+    """Sums of squares of what a gain times a prediction and a number times a speed leave.
+
+    Attributes:
+        square: Without a moment of the speed, (predictions, gains).
+        step: Product of that remainder and the speed, (predictions, gains).
+        speed: Square of the speed.
+    """
+
+    square: Array
+    step: Array
+    speed: float
+
+    @classmethod
+    def of(cls, rows: Array) -> "_Left":
+        """Of rows: first column measured, second the speed, each other one a prediction."""
+        y, v, x = rows[:, 0], rows[:, 1], rows[:, 2:]
+        square = y @ y - 2 * np.outer(y @ x, GAINS) + np.outer(np.sum(x * x, axis=0), GAINS**2)
+        return cls(square, y @ v - np.outer(v @ x, GAINS), float(v @ v))
+
+    def less(self, other: "_Left") -> "_Left":
+        """Of the rows that are not among the others, which these hold."""
+        return _Left(self.square - other.square, self.step - other.step, self.speed - other.speed)
+
+    def at(self, moment: Array) -> Array:
+        """With a number of the speed for each prediction and gain."""
+        return np.maximum(self.square - 2 * moment * self.step + moment**2 * self.speed, 0.0)
 
 
 def _lagged(values: Array, lag_s: float) -> Array:

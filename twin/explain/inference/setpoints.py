@@ -1,5 +1,5 @@
 """What is asked of an aircraft, as an acceleration: of a mission or a stick, of an attitude
-controller, of other flights of the same mission.
+controller, of other flights of the same mission; and the speed that was flown.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,6 +19,9 @@ FEWEST = 50
 """Samples of a setpoint at least."""
 ALIKE = 0.8
 """Correlation of velocities from which on two flights are of one mission. Made up."""
+SLOW_HZ, SLOWEST_WAY_M_S = 0.8, 0.25
+"""Speeds below this frequency, with a deviation from this on, are those of a way: in hover pushes
+move a Crazyflie by 0.05 m/s, an aircraft of 18 kg in 4 m/s of wind by 0.1 to 0.3."""
 SHARPEST = 0.3, 6.0
 """Low-pass of a setpoint before it is differentiated: share of its rate, and Hz at most."""
 
@@ -40,13 +43,37 @@ def _mission(flights: Sequence[Flight], own: Sequence[ChannelData], f: int) -> A
     if course is None or not flight.has(*QUAT):
         return None
     known, more = np.isfinite(course.values[:, :2]).all(axis=1), int(course.columns == POS)
-    t_s, (north, east) = course.t_s[known], course.values[known, :2].T
-    attitude = signal_of(flight, QUAT)
-    yaw = np.interp(t_s, attitude.t_s, np.unwrap(to_euler(attitude.values.T)[2]))
-    yaw += 0.0 if name.endswith("y") else np.pi / 2  # ahead for pitch, to the right for roll
-    way = np.cos(yaw) * north + np.sin(yaw) * east
+    t_s = course.t_s[known]
+    way = _across(flight, t_s, course.values[known, :2], name)
     turned, speed = (_derived(t_s, way, own[f].t_s, k + more) for k in (3, 0))
     return None if turned is None or speed is None else np.column_stack([turned, speed])
+
+
+def _across(flight: Flight, t_s: Array, level: Array, name: str) -> Array:
+    """What is level, north and east, (n, 2), ahead for a channel of pitch, else to the right."""
+    attitude = signal_of(flight, QUAT)
+    yaw = np.interp(t_s, attitude.t_s, np.unwrap(to_euler(attitude.values.T)[2]))
+    yaw += 0.0 if name.endswith("y") else np.pi / 2
+    return np.asarray(np.cos(yaw) * level[:, 0] + np.sin(yaw) * level[:, 1])
+
+
+def flown_across(flight: Flight, channel: ChannelData) -> Array | None:
+    """The speed that was flown across an axis, m/s, at the samples of its channel; None about z,
+    and where the flight doesn't tell it."""
+    if channel.name.endswith("z") or not flight.has(*VEL, *QUAT):
+        return None
+    flown = signal_of(flight, VEL)
+    way = _across(flight, flown.t_s, flown.values[:, :2], channel.name)
+    return np.asarray(np.interp(channel.t_s, flown.t_s, way))
+
+
+def _flown(flights: Sequence[Flight], own: Sequence[ChannelData], f: int) -> Array | None:
+    """The flown speed itself, shape (n, 1), of a flight that went somewhere."""
+    speed = flown_across(flights[f], own[f])
+    if speed is None or len(speed) < FEWEST:
+        return None
+    low = sosfiltfilt(butter(2, SLOW_HZ / (CHANNEL_HZ / 2), output="sos"), speed)
+    return speed[:, None] if float(np.std(low)) >= SLOWEST_WAY_M_S else None
 
 
 def _attitude(flights: Sequence[Flight], own: Sequence[ChannelData], f: int) -> Array | None:
@@ -75,6 +102,7 @@ SOURCES: dict[str, Callable[[Sequence[Flight], Sequence[ChannelData], int], Arra
     "mission": _mission,
     "attitude setpoint": _attitude,
     "other flights": _others,
+    "flown speed": _flown,
 }
 """What may ask, in the order of trust: flights, the channel of each, number of the flight."""
 

@@ -30,6 +30,8 @@ from uavtwin.demo.flights import fly
 Array = NDArray[np.float64]
 GAIN = 1.5
 """Of the plant over that of the model: its inertia is smaller."""
+TWIST = -8.0
+"""Angular acceleration by the air per speed, 1/(m s): a third of a Crazyflie's."""
 T_S = np.arange(0, 60, 1 / CHANNEL_HZ)
 ZERO = np.zeros_like(T_S)
 
@@ -225,7 +227,58 @@ def test_another_flight_of_the_same_mission_stands_in_for_setpoints() -> None:
         flights[0],
         replace(flights[1], table=flights[1].table.assign(vel_y=slow_noise(12, 1))),
     ]
-    assert not law_of(other, channels).instruments
+    assert all(i.source != "other flights" for i in law_of(other, channels).instruments.values())
+
+
+def moved(seed: int, push: float, asked: float = 0.1) -> tuple[Array, Array, Array]:
+    """Angular acceleration, command and speed of an aircraft that is asked to go to and fro, which
+    the air turns by `TWIST` as it does."""
+    way = 10.0 * asked * slow_noise(seed, 0.3)
+    step, lag = 1 / CHANNEL_HZ, 0.0
+    turned = rate = speed = 0.0
+    found = np.zeros((3, len(T_S)))
+    for k, (want, d) in enumerate(zip(way, pushes(100 + seed, push), strict=True)):
+        lag += 0.5 * (40.0 * (0.15 * (want - speed) - turned) - 9.0 * rate - lag)
+        found[:, k] = GAIN * lag + TWIST * speed + d, lag, speed
+        rate += step * found[0, k]
+        turned += step * rate
+        speed += step * 9.8 * turned
+    return found[0], found[1], found[2]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_flown_speed_tells_the_moment_of_the_air(seed: int) -> None:
+    """Below the loop rotors answer to nothing else, whatever the gain of the plant."""
+    y, u, speed = moved(seed, 1.0)
+    c = channel(y, u)
+    law = law_of([flight(None, speed)], [c])
+    assert law.instruments[0, 0].source == "flown speed"
+    assert law.instruments[0, 0].trust > 0.3
+    rows, band = transformed(c, np.column_stack([y - GAIN * u, speed]))
+    terms = law.terms(0, rows, np.where(band == 0, -1, band), np.zeros(len(band), dtype=np.intp))
+    log = law.likelihood(terms).log
+    twists = np.linspace(-20, 20, 401)
+    logs = [log(np.array([np.array([1, -t]) @ x.gram @ [1, -t] for x in terms])) for t in twists]
+    assert twists[np.argmax(logs)] == pytest.approx(TWIST, abs=1.5)
+
+
+def test_a_hover_tells_no_moment_of_the_air() -> None:
+    """What pushes it moves it, too: the controller would be read backwards."""
+    y, u, speed = moved(1, 1.0, asked=0.0)
+    assert np.std(speed) > 0.02
+    assert not law_of([flight(None, speed)], [channel(y, u)]).instruments
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_mission_is_trusted_though_the_file_lacks_the_moment_of_the_air(seed: int) -> None:
+    y, u, speed = moved(seed, 1.0)
+    asked = Setpoint(VEL, T_S, np.column_stack([ZERO, slow_noise(seed, 0.3), ZERO]))
+    both = replace(flight(None, speed), autopilot=Autopilot(setpoints=(asked,)))
+    law = law_of([both], [channel(y, u)])
+    assert law.instruments[0, 0].source == "mission"
+    assert law.instruments[0, 0].trust > 0.3
+    assert 1 in law.instruments[0, 0].bases
+    assert best_gain(law, [channel(y - TWIST * speed, u)]) == pytest.approx(GAIN, abs=0.3)
 
 
 @pytest.mark.slow
