@@ -116,7 +116,7 @@ def scores(flight: Flight, vehicle: Vehicle, values: Values) -> Iterator[tuple[s
         known = aligned.airborne & np.isfinite(aligned.states).all(axis=1)
         first = int(np.flatnonzero(known)[0]) + round(TRIM_S / GRID_S)
         rows = np.arange(first, len(known) - steps, round(EVERY_S / GRID_S), dtype=np.intp)
-        rows = np.array([r for r in rows if known[r : r + steps + 1].all()], dtype=np.intp)
+        rows = rows[np.array([bool(known[r : r + steps + 1].all()) for r in rows])]
         start, end = measured_at(aligned, rows), measured_at(aligned, rows + steps)
         if change:
             yield "last reading", rms(off(start, end))

@@ -205,8 +205,8 @@ def _test(
     rows, band = transformed(channel, np.column_stack([channel.measured, speed, *late]))
     still = 2 + int(np.argmin(np.abs(DELAYS_S)))
     power, forms = {}, []
-    taken = left = n = ranks = weighed = 0.0
-    moment = np.zeros((len(late), len(GAINS)))
+    taken = left = n = ranks = 0.0
+    moment, weighed = np.zeros((2, len(late), len(GAINS)))
     for b, q in bases.items():
         inside = rows[band == b]
         part = q.T @ inside
