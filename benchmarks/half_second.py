@@ -96,7 +96,7 @@ def measured_at(aligned: AlignedFlight, rows: NDArray[np.intp]) -> Array:
     """`READ` as it was measured."""
     names = [s.name for s in aligned.airframe.states]
     like = [n.replace("gyro_", "omega_") for n in READ]
-    return aligned.states[np.ix_(rows, [names.index(n) for n in like])]
+    return aligned.states[rows][:, [names.index(n) for n in like]]
 
 
 def last_motion(start: Array) -> Array:
