@@ -1,12 +1,15 @@
 """Sudden faults planted in simulated flights, and what `why` says of them without a vehicle file.
 
-    python -m benchmarks.sudden_faults [--seeds N] [--page docs/results/why.md]
+    python -m benchmarks.sudden_faults [--seeds N] [--journal answers.jsonl]
+    SCIPY_ARRAY_API=1 python -m benchmarks.sudden_faults --plant drone_models
 
 The built-in vehicles fly random waypoints in wind and turbulence, as in `live_alarms`; a rotor
 loses 10 to 100 % of its thrust, the mass changes, a gust comes, a gyroscope gets a bias, or nothing
 happens. Commands are logged at 200 Hz, or at 10 Hz as PX4 logs them. Seeds below 1000 chose the
-levels of `twin.why`, those from 1000 on are scored. Beside it stands the trivial rule: when the
-outputs part by 150 us after six seconds of flight, the highest is the failed rotor.
+levels of `twin.why`, those from 1000 on are scored. `drone_models` is somebody else's simulator
+(`sudden_elsewhere`). A journal keeps each answer, so that a run goes on where it ended. Beside it
+stands the trivial rule: when the outputs part by 150 us after six seconds of flight, the highest is
+the failed rotor.
 """
 
 import argparse
@@ -16,6 +19,7 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
+from msgspec import Struct, json
 from numpy.typing import NDArray
 
 from twin.flight.closed_loop import STEP_S
@@ -23,14 +27,20 @@ from twin.flight.simulate_flight import Later, Recorder, simulate_flight
 from twin.logs import Flight
 from twin.logs.columns import motor_columns
 from twin.vehicle import Vehicle
-from twin.why import Diagnosis, diagnose
+from twin.why import diagnose
 from twin.why.motion import moved
 from twin.why.rules import RuleReading, parted
 from uavtwin.demo.flights import Waypoints, setpoints_along
 
+from . import sudden_elsewhere
 from .live_alarms import flights as plants
+from .sudden_elsewhere import Flown
 
 Array = NDArray[np.float64]
+Key = tuple[str, float, int, float]
+"""Cause, size, seed, rate of the commands, Hz."""
+OWN = "own"
+"""The project's own plants."""
 
 LOSSES = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
 """Shares of the thrust of one rotor."""
@@ -43,6 +53,15 @@ FAULTS = (
     ("", 0.0),
 )
 """Cause and size: share of thrust, share of mass, m/s, rad/s; "": nothing."""
+FAULTS_ELSEWHERE = (
+    *(("rotor_failure", s) for s in (0.2, 0.3, 0.5, 0.7, 1.0)),
+    ("mass_change", -0.3),
+    ("mass_change", 0.3),
+    ("", 0.0),
+)
+"""The same in flights of somebody else's simulator."""
+LIVELY_HZ = (50.0, 10.0)
+"""Rates of commands of flights in which nothing fails, but much happens."""
 RATES_HZ = (200.0, 10.0)
 """Of the logged commands."""
 BEGINS_S, AFTER_S, CLEAN_S = (22.0, 30.0), 8.0, 120.0
@@ -161,54 +180,60 @@ def _make_gusty(courses: dict[str, Array], rng: np.random.Generator) -> None:
             courses[f"wind_{axis}"] += toward[k] / np.linalg.norm(toward) * blow
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
+class Answer(Struct, frozen=True, kw_only=True):
     """What was said of one flight.
 
     Attributes:
-        planted: The flight.
-        begins_s: Onset of its fault.
+        plant: Which simulator flew it.
+        planted: Cause, size, seed, and rate of the commands, Hz.
+        begins_s: Onset of its fault; null: it has none.
         rotor: Of the fault.
-        found: By `why`.
-        trivial: What the trivial rule reads; None: it is silent.
+        cause: The first that is named; "": none.
+        named_rotor: Its rotor.
+        onset_s: Its onset.
+        size: As it is said.
+        trivial: Rotor that the trivial rule names; null: it is silent.
         processor_s: Of the finder.
+        flown_s: How long the flight is.
     """
 
-    planted: Planted
-    begins_s: float
+    plant: str
+    planted: tuple[str, float, int, float]
+    begins_s: float | None
     rotor: int | None
-    found: Diagnosis
-    trivial: RuleReading | None
+    cause: str
+    named_rotor: int | None
+    onset_s: float | None
+    size: float | None
+    trivial: int | None
     processor_s: float
+    flown_s: float
 
     @classmethod
-    def of(cls, planted: Planted) -> "Answer":
-        """Fly it and ask."""
-        flight, begins_s, rotor = planted.flown()
-        began = process_time()
+    def of(cls, plant: str, planted: Key, flown: Flown) -> "Answer":
+        """Ask of a flight."""
+        flight, began = flown.flight, process_time()
         found = diagnose(flight, finders=[moved])
-        spent = process_time() - began
-        return cls(planted, begins_s, rotor, found, trivial_rule(flight), spent)
-
-    @property
-    def first(self) -> tuple[str, int | None]:
-        """The first cause that is named, and its rotor."""
-        if not self.found.events:
-            return "", None
-        event = self.found.events[0]
-        return event.cause, event.rotor[0] if event.rotor else None
+        spent, read = process_time() - began, trivial_rule(flight)
+        first = found.events[0] if found.events else None
+        return cls(
+            plant=plant,
+            planted=planted,
+            begins_s=flown.begins_s if np.isfinite(flown.begins_s) else None,
+            rotor=flown.rotor,
+            cause="" if first is None else first.cause,
+            named_rotor=first.rotor[0] if first and first.rotor else None,
+            onset_s=None if first is None else first.onset_s,
+            size=first.severity.value if first and first.severity else None,
+            trivial=None if read is None else read.rotor,
+            processor_s=spent,
+            flown_s=float(flight.time_s[-1] - flight.time_s[0]),
+        )
 
     @property
     def late_s(self) -> float:
         """Of the onset."""
-        onset_s = self.found.events[0].onset_s if self.found.events else None
-        return np.inf if onset_s is None else onset_s - self.begins_s
-
-    @property
-    def size(self) -> float:
-        """As it is said; NaN: it is not."""
-        severity = self.found.events[0].severity if self.found.events else None
-        return np.nan if severity is None else severity.value
+        return np.inf if self.onset_s is None else self.onset_s - (self.begins_s or 0.0)
 
 
 def trivial_rule(flight: Flight) -> RuleReading | None:
@@ -225,35 +250,40 @@ def page(answers: Sequence[Answer]) -> str:
 
 
 def _lines(answers: Sequence[Answer]) -> Iterator[str]:
-    header = ("commands", "planted", "flights", "named", "rotor", "size within 25 %")
-    yield "| " + " | ".join((*header, "onset, median", "trivial rule")) + " |"
-    yield "|---" * (len(header) + 2) + "|"
-    groups = dict.fromkeys((a.planted.rate_hz, a.planted.cause, a.planted.size) for a in answers)
-    for rate, cause, size in groups:
-        mine = [
-            a
-            for a in answers
-            if (a.planted.rate_hz, a.planted.cause, a.planted.size) == (rate, cause, size)
-        ]
-        yield _row(rate, cause, size, mine)
+    header = ("plant, commands", "planted", "flights", "named", "its rotor", "size within 25 %")
+    yield "| " + " | ".join((*header, "another cause or rotor", "onset, median", "trivial")) + " |"
+    yield "|---" * (len(header) + 3) + "|"
+    groups: dict[tuple[str, float, str, float], list[Answer]] = {}
+    for a in answers:
+        cause, size, _, rate = a.planted
+        groups.setdefault((a.plant, rate, cause, size), []).append(a)
+    for group, mine in groups.items():
+        yield _row(*group, mine)
 
 
-def _row(rate: float, cause: str, size: float, mine: Sequence[Answer]) -> str:
-    right = [a for a in mine if a.first[0] == cause]
-    where = [a for a in right if a.first[1] == a.rotor]
-    close = [a for a in where if abs(a.size / size - 1) <= CLOSE] if size else []
-    late = f"{np.median([abs(a.late_s) for a in right]):.2f} s" if cause and right else ""
-    if cause == "rotor_failure":
-        simple = f"{sum(a.trivial is not None and a.trivial.rotor == a.rotor for a in mine)}"
-        rotors, sizes = f"{len(where)}", f"{len(close)}"
-    else:
-        simple = f"{sum(a.trivial is not None for a in mine)} rotors named"
-        rotors, sizes = "", f"{len(close)}" if cause == "mass_change" else ""
-    what = f"{cause.replace('_', ' ')} {size:g}" if cause else "nothing"
-    named = f"{len(right)}" if cause else f"{sum(a.first[0] != '' for a in mine)} false"
-    return (
-        f"| {rate:g} Hz | {what} | {len(mine)} | {named} | {rotors} | {sizes} | {late} | {simple} |"
+def _row(plant: str, rate: float, cause: str, size: float, mine: Sequence[Answer]) -> str:
+    right = [a for a in mine if a.cause == cause] if cause else []
+    where = [a for a in right if a.named_rotor == a.rotor]
+    close = [a for a in where if a.size is not None and size and abs(a.size / size - 1) <= CLOSE]
+    late = f"{np.median([abs(a.late_s) for a in right]):.2f} s" if right else ""
+    of_rotor = cause == "rotor_failure"
+    rule = [a for a in mine if a.trivial is not None and (a.trivial == a.rotor or not of_rotor)]
+    cells = (
+        f"{plant}, {rate:g} Hz",
+        f"{cause.replace('_', ' ')} {size:g}"
+        if cause
+        else "nothing, lively"
+        if size
+        else "nothing",
+        f"{len(mine)}",
+        f"{len(right)}" if cause else "",
+        f"{len(where)}" if of_rotor else "",
+        f"{len(close)}" if cause in ("rotor_failure", "mass_change") else "",
+        f"{sum(a.cause != '' for a in mine) - len(where)}",
+        late,
+        f"{len(rule)}" if of_rotor else f"{len(rule)} named",
     )
+    return "| " + " | ".join(cells) + " |"
 
 
 def main() -> None:
@@ -261,19 +291,43 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=SCORED)
-    parser.add_argument("--page", type=Path)
+    parser.add_argument("--plant", choices=(OWN, sudden_elsewhere.PLANT), default=OWN)
+    parser.add_argument("--lively", action="store_true", help="flights without a fault alone")
+    parser.add_argument("--journal", type=Path)
     given = parser.parse_args()
-    answers = []
-    for rate in RATES_HZ:
-        for cause, size in FAULTS:
-            for seed in range(given.first, given.first + given.seeds):
-                answers.append(a := Answer.of(Planted(cause, size, seed, rate)))
-                said = [(e.cause, e.rotor, e.onset_s) for e in a.found.events]
-                print(a.planted, round(a.begins_s, 2), a.rotor, said, f"{a.processor_s:.1f} s")
+    seeds = range(given.first, given.first + given.seeds)
+    if given.lively:
+        keys = [("", 1.0, seed, LIVELY_HZ[seed // 3 % 2]) for seed in seeds]
+    else:
+        faults = FAULTS if given.plant == OWN else FAULTS_ELSEWHERE
+        keys = [(*fault, seed, rate) for rate in RATES_HZ for fault in faults for seed in seeds]
+    answers = list(answered(given.plant, keys, given.journal))
     print(page(answers))
-    if given.page is not None:
-        before = given.page.read_text("utf-8").split("<!-- table -->")[0]
-        given.page.write_text(f"{before}<!-- table -->\n\n{page(answers)}\n", "utf-8")
+    spent, flown = (sum(getattr(a, n) for a in answers) for n in ("processor_s", "flown_s"))
+    print(f"\n{flown / 3600:.2f} h flown; processor for 60 s of them: {60 * spent / flown:.1f} s")
+
+
+def answered(plant: str, keys: Sequence[Key], journal: Path | None) -> Iterator[Answer]:
+    """Answers to all flights, those of the journal first."""
+    lines = journal.read_text("utf-8").splitlines() if journal and journal.exists() else []
+    known = {(a.plant, a.planted): a for a in (json.decode(x, type=Answer) for x in lines)}
+    open_keys = [k for k in keys if (plant, k) not in known]
+    yield from (known[plant, k] for k in keys if (plant, k) in known)
+    for key, flown in zip(open_keys, _flights(plant, open_keys), strict=True):
+        answer = Answer.of(plant, key, flown)
+        if journal is not None:
+            with journal.open("ab") as file:
+                file.write(json.encode(answer) + b"\n")
+        yield answer
+
+
+def _flights(plant: str, keys: Sequence[Key]) -> Iterator[Flown]:
+    """Flights one after the other; of another simulator those of one rate together."""
+    if plant == OWN:
+        yield from (Flown(*Planted(*key).flown()) for key in keys)
+        return
+    for rate in dict.fromkeys(k[3] for k in keys):
+        yield from sudden_elsewhere.flown([k[:3] for k in keys if k[3] == rate], rate)
 
 
 if __name__ == "__main__":
