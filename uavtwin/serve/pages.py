@@ -15,8 +15,8 @@ import jinja2
 from markupsafe import Markup
 
 from ..report.page import HERE as REPORT
-from .store import FlightRow, JobRow, Store
-from .work import LONG, OF_VEHICLE, TABLE
+from .store import OF_VEHICLE, FlightRow, JobRow, Store
+from .work import LONG, TABLE, explained_name
 
 HERE = Path(__file__).parent
 """Folder of templates, style and script."""
@@ -66,7 +66,6 @@ def _environment() -> jinja2.Environment:
         "style": Markup((REPORT / "page.css").read_text("utf-8") + _style()),
         "script": Markup(_script()),
         "words": WORDS,
-        "of_vehicle": OF_VEHICLE,
     }
     return environment
 
@@ -284,6 +283,8 @@ class Pages:
         found += [(name, about) for name, about in FILES.items() if (place / name).is_file()]
         if self._store.vehicle_file(flight.vehicle or "") is not None:
             found.append(("vehicle.toml", f"vehicle file ({flight.vehicle})"))
+        if self._store.vehicle_file(explained_name(flight.id)) is not None:
+            found.append(("explained.toml", "vehicle file with the effects that explain named"))
         return found
 
     def bar(self, flight: FlightRow) -> Markup:

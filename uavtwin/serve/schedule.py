@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from ..jobs.process import Allowed, ProcessWorker
-from .store import FlightRow, JobRow, Store, safe_name
-from .work import LONG, OF_VEHICLE, QUICK, Answer, Job, LogWork
+from .store import OF_VEHICLE, FlightRow, JobRow, Store, safe_name
+from .work import LONG, QUICK, Answer, Job, LogWork
 
 Key = tuple[str, str, str]
 """Of a job: flight, kind, the other flight."""
@@ -97,6 +97,13 @@ class Scheduler:
                 worker.kill()
         self._changed(flight)
         return True
+
+    def choose(self, flight: str, vehicle: str) -> None:
+        """Compare a flight with a vehicle; what is being done with the former one ends."""
+        for kind in OF_VEHICLE:
+            self.cancel(flight, kind)
+        self._store.choose(flight, vehicle)
+        self.wake()
 
     # -- in the thread of a worker --------------------------------------------------------------
 
@@ -199,6 +206,8 @@ class Scheduler:
         store.note(flight.id, **answer.get("note", {}))
         for kind in answer.get("queue", ()):
             store.queue(flight.id, kind)
+        if "chosen" in answer:
+            self.choose(flight.id, answer["chosen"])
         if job.kind == "check":
             self._known_vehicle(flight.id)
         store.end(job, "done")  # last: a kill before it has all of this done again
@@ -210,8 +219,7 @@ class Scheduler:
         if found is None or found.vehicle or not found.aircraft:
             return
         if vehicle := self._store.vehicle_of_aircraft(found.aircraft):
-            self._store.note(flight, vehicle=vehicle)
-            self._store.queue(flight, "gap")
+            self._store.choose(flight, vehicle)
 
 
 def _lost(job: Job, why: str) -> Answer:

@@ -30,8 +30,8 @@ from ..doors import Doors
 from ..output import write_json
 from .pages import FILES, REPORTS, Pages, headers
 from .schedule import Limits, Scheduler
-from .store import LONGEST_TAGS, FlightRow, Store
-from .work import OF_VEHICLE
+from .store import LONGEST_TAGS, OF_VEHICLE, FlightRow, Store
+from .work import explained_name
 
 COOKIE = "uavtwin"
 """Name of the cookie that holds the token."""
@@ -279,8 +279,9 @@ class Site:
         stem = Path(flight.name).stem
         if name == "log":
             return _download(self._store.log(flight), flight.name)
-        vehicle = self._store.vehicle_file(flight.vehicle or "")
-        if name == "vehicle.toml" and vehicle is not None:
+        vehicles = {"vehicle.toml": flight.vehicle, "explained.toml": explained_name(flight.id)}
+        vehicle = self._store.vehicle_file(vehicles.get(name) or "")
+        if vehicle is not None:
             return _download(vehicle, vehicle.name)
         file = self._store.results(flight.id) / name
         if name in FILES and file.is_file():
@@ -309,8 +310,7 @@ class Site:
         name = (await _form(request)).get("vehicle", "")
         if name not in (*builtin_vehicles(), *self._store.vehicles()):
             raise TwinError(f"vehicle {name}: there is none of this name.")
-        self._store.note(flight.id, vehicle=name, gap_text=None, explain_text=None)
-        self._queue(flight.id, "gap")
+        await asyncio.to_thread(self._jobs.choose, flight.id, name)
         return self._back(flight)
 
     async def _draft(self, request: Request, flight: FlightRow) -> Response:

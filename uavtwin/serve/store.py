@@ -22,6 +22,8 @@ from twin.errors import TwinError, install_command
 State = Literal["queued", "running", "done", "failed", "cancelled"]
 OPEN: tuple[State, ...] = ("queued", "running")
 """States of a job that something will still come of."""
+OF_VEHICLE = ("gap", "fmu", "explain")
+"""Kinds of jobs that need a vehicle."""
 MOST_TRIES = 3
 """Times that a job is begun: one during which the server ended so often is not begun again."""
 SHOWN = 200
@@ -350,6 +352,16 @@ class Store:
             which = ", ".join(f"{c} = ?" for c in columns)
             given = (*(values[c] for c in columns), flight)
             self._write(f"UPDATE flights SET {which} WHERE id = ?", given)
+
+    def choose(self, flight: str, vehicle: str) -> None:
+        """Compare a flight with another vehicle: what came of the former one is forgotten."""
+        with self._lock:
+            self.note(flight, vehicle=vehicle, gap_text=None, explain_text=None)
+            self._write(
+                "DELETE FROM jobs WHERE flight = ? AND list_contains(?, kind)",
+                (flight, list(OF_VEHICLE)),
+            )
+            self.queue(flight, "gap")
 
     def vehicle_of_aircraft(self, aircraft: str) -> str | None:
         """The vehicle that was chosen last for a flight of this aircraft."""

@@ -25,7 +25,7 @@ Job = Mapping[str, Any]
 """Kind, log, folder of the results, vehicle; what a kind needs besides."""
 Answer = dict[str, Any]
 """`error`, or any of `note` (columns of the flight), `queue` (kinds of jobs), `logs` (of an
-archive), `vehicle` (a file for the store)."""
+archive), `vehicle` (a file for the store), `chosen` (the vehicle of the flight from now on)."""
 TABLE = "flight.parquet"
 """The flight table that check leaves for everything else."""
 MOST_LOGS = 500
@@ -185,11 +185,12 @@ def _draft(_: LogWork, job: Job, __: Progress) -> Answer:
     known = json.loads((folder / "draft.json").read_text("utf-8"))
     found = draft_vehicle(read_flight(log), **known, name=f"draft_{job['flight'][:6]}")
     file = found.vehicle.save(folder / f"{found.vehicle.name}.toml")
-    return {
-        "vehicle": str(file),
-        "note": {"vehicle": found.vehicle.name, "gap_text": None, "explain_text": None},
-        "queue": ["gap"],
-    }
+    return {"vehicle": str(file), "chosen": found.vehicle.name}
+
+
+def explained_name(flight: str) -> str:
+    """Name of the vehicle with the effects that explain named in a flight."""
+    return f"explained_{flight[:6]}"
 
 
 def _explain(_: LogWork, job: Job, progress: Progress) -> Answer:
@@ -206,7 +207,7 @@ def _explain(_: LogWork, job: Job, progress: Progress) -> Answer:
     place.mkdir()
     answer: Answer = {"note": {"explain_text": found.sentence}}
     if "vehicle.toml" in write_explanation(found.details, place):
-        file = place / f"explained_{job['flight'][:6]}.toml"
+        file = place / f"{explained_name(job['flight'])}.toml"
         (place / "vehicle.toml").rename(file)
         answer["vehicle"] = str(file)
     return answer
@@ -263,5 +264,3 @@ LONG = ("fmu", "explain")
 """Kinds that take minutes: one worker never does them, so that new logs do not wait."""
 QUICK = tuple(k for k in KINDS if k not in ("warm", *LONG))
 """The others."""
-OF_VEHICLE = ("gap", "fmu", "explain")
-"""Kinds that need a vehicle."""

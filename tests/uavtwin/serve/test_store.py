@@ -110,6 +110,21 @@ def test_a_search_finds_all_words_in_any_case(tmp_path: Path) -> None:
     assert store.flights("%")[1] == 0 and store.flights("' OR 1=1 --")[1] == 0
 
 
+def test_another_vehicle_forgets_what_came_of_the_former(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    flight = added(store)
+    store.choose(flight, "first")
+    store.note(flight, gap_text="a gap of the first")
+    store.queue(flight, "explain")
+    store.choose(flight, "second")
+    row = store.flight(flight)
+    assert row is not None and (row.vehicle, row.gap_text) == ("second", None)
+    assert [(j.kind, j.state) for j in store.jobs(flight)] == [
+        ("check", "queued"),
+        ("gap", "queued"),
+    ]
+
+
 def test_a_long_list_shows_the_newest_and_counts_all(tmp_path: Path) -> None:
     store = Store(tmp_path)
     store._write(

@@ -10,7 +10,8 @@ import pytest
 from serve_rigs.sites import Asked, site, sound_log
 
 from uavtwin.serve.schedule import QUICK_SHARE, Limits
-from uavtwin.serve.work import KINDS, LONG, MOST_LOGS, OF_VEHICLE, QUICK, LogWork
+from uavtwin.serve.store import OF_VEHICLE
+from uavtwin.serve.work import KINDS, LONG, MOST_LOGS, QUICK, LogWork
 
 pytestmark = pytest.mark.slow
 
