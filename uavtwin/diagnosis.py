@@ -7,8 +7,10 @@ from typing import Any, ClassVar
 
 from msgspec import structs
 
+from twin.errors import TwinError
 from twin.formatting import joined, pretty_unit
 from twin.logs import Flight, read_flight
+from twin.vehicle import Vehicle
 from twin.why.diagnose import diagnose
 from twin.why.records import Candidate, Diagnosis, Event, NotVisible
 
@@ -60,18 +62,22 @@ class WhyResult(PageMixin):
             yield "\n".join(self.record.notes)
 
 
-def why(flight: Any, references: Any = ()) -> WhyResult:
+def why(flight: Any, references: Any = (), since: Vehicle | None = None) -> WhyResult:
     """Say why a flight went wrong, from its log alone.
 
     Args:
         flight: A flight, or the path of a log.
         references: Normal flights of the same aircraft, or the paths of their logs.
+        since: Vehicle of an earlier time instead, whose calibration says what was usual: sizes are
+            in newtons and kilograms.
 
     Raises:
-        TwinError: A log cannot be read, or is too short.
+        TwinError: A log cannot be read, or is too short; or there are references and a vehicle.
     """
+    if since is not None and len(references):
+        raise TwinError("why: give normal flights, or since=VEHICLE, whose calibration holds them.")
     (asked,) = _read([flight])
-    found = diagnose(asked, _read(references))
+    found = diagnose(asked, _read(references), since=since)
     return WhyResult(WhyRecord(**structs.asdict(found)), asked)
 
 

@@ -88,13 +88,22 @@ def _shaking(flight: FlightFrame, calm: NDArray[np.bool_]) -> float:
 
 def changed(flight: FlightFrame, now: Levels, normal: Sequence[Levels]) -> Findings:
     """What has changed since normal flights."""
-    balance = compared(flight, now, normal)
-    hidden = list(_hidden(balance))
+    return findings_of(compared(flight, now, normal), "in the normal flights", "1")
+
+
+def findings_of(balance: Balance, usually: str, mass_unit: str) -> Findings:
+    """What has changed in a balance.
+
+    Args:
+        balance: The causes.
+        usually: When the balance was as usual, in words.
+        mass_unit: Of the masses in it: "kg", or "1" where they are shares of that of the aircraft.
+    """
+    hidden = list(_hidden(balance, mass_unit))
     named = balance.named
     if named is not None:
-        return Findings(
-            events=[_event(balance, named)], nothing=balance.nothing, not_visible=hidden
-        )
+        event = _event(balance, named, usually, mass_unit)
+        return Findings(events=[event], nothing=balance.nothing, not_visible=hidden)
     if balance.one_of:
         rotors = _rotors(balance)
         both = balance.damaged, balance.probability_of(LOAD)
@@ -151,31 +160,31 @@ def _slopes(give: Array, channels: int) -> tuple[tuple[str, ...], Array]:
     return (*losses, *(f"{LOAD}.{n}" for n in load)), slopes
 
 
-def _event(balance: Balance, named: Hypothesis) -> Event:
+def _event(balance: Balance, named: Hypothesis, usually: str, mass_unit: str) -> Event:
     """The cause that is named."""
     load = named.cause == LOAD
     which = _rotors(balance) if named.cause == ROTORS else None
     chance = balance.probability_of(LOAD) if load else balance.damaged
     rotors = " and ".join(map(str, which or ()))
-    text = "It carries a load that the normal flights do not"
+    text = f"It carries a load that it did not carry {usually}"
     check = "Weigh the aircraft; look what was added, and where."
     if which:
         plural = "s" if len(which) > 1 else ""
-        text = f"Rotor{plural} {rotors} gives less thrust than in the normal flights"
+        text = f"Rotor{plural} {rotors} gives less thrust than {usually}"
         text = text.replace("gives", "give") if plural else text
         check = f"Rotor{plural} {rotors}: look for cuts and dirt on the propeller, turn the motor."
     elif named.cause == ROTORS:
-        text = "A rotor gives less thrust than in the normal flights; which one is not clear"
+        text = f"A rotor gives less thrust than {usually}; which one is not clear"
         check = "All propellers: look for cuts and dirt."
     if named.cause == VIBRATION:
         text, check = (
-            "A propeller shakes more than in the normal flights",
+            f"A propeller shakes more than {usually}",
             "Balance the propellers.",
         )
     return Event(
         cause=named.cause,
         rotor=which,
-        severity=_severity(named),
+        severity=_severity(named, mass_unit),
         probability=chance,
         alternatives=tuple(_others(balance, named)),
         text=text,
@@ -183,20 +192,18 @@ def _event(balance: Balance, named: Hypothesis) -> Event:
     )
 
 
-def _severity(named: Hypothesis) -> Severity | None:
+def _severity(named: Hypothesis, mass_unit: str) -> Severity | None:
     """The largest loss, or the mass, of a cause."""
     numbers = [n for n in named.values if "moment" not in n]
     if not numbers:
         return None
     name = max(numbers, key=lambda n: named.values[n])
     value, sd = named.values[name], named.deviations[name]
-    return Severity(
-        quantity="added_mass_share" if named.cause == LOAD else "thrust_lost",
-        value=value,
-        low=value - 1.645 * sd,
-        high=value + 1.645 * sd,
-        unit="1",
-    )
+    quantity, unit = "thrust_lost", "1"
+    if named.cause == LOAD:
+        quantity, unit = "added_mass" if mass_unit == "kg" else "added_mass_share", mass_unit
+    wide = 1.645 * sd
+    return Severity(quantity=quantity, value=value, low=value - wide, high=value + wide, unit=unit)
 
 
 def _others(balance: Balance, named: Hypothesis) -> Iterator[Candidate]:
@@ -205,11 +212,11 @@ def _others(balance: Balance, named: Hypothesis) -> Iterator[Candidate]:
             yield Candidate(cause=h.cause, rotor=h.rotors or None, probability=h.probability)
 
 
-def _hidden(balance: Balance) -> Iterator[NotVisible]:
+def _hidden(balance: Balance, mass_unit: str) -> Iterator[NotVisible]:
     """What would have been noticed in 95 of 100 such flights, at the least."""
     for cause, least in balance.detectable.items():
         yield NotVisible(
             cause=cause,
-            smallest_detectable=Amount(value=least.value, unit="1"),
+            smallest_detectable=Amount(value=least.value, unit=mass_unit if cause == LOAD else "1"),
             reason="flights of one aircraft differ as much",
         )

@@ -3,15 +3,18 @@
 from collections.abc import Iterator, Sequence
 from math import prod
 
+import numpy as np
 from msgspec.structs import replace
 
 from ..logs import Flight
+from ..vehicle import Vehicle
 from .findings import Finder, Findings
 from .flight import FlightFrame
 from .motion import moved
 from .records import Candidate, Diagnosis, Event, TimelineItem, Verdict
 from .sensors import sensors
-from .steady import steady
+from .since import Since, of_vehicle
+from .steady import lasting, steady
 from .timeline import timeline
 from .vibration import vibration
 
@@ -47,7 +50,10 @@ FINDERS: tuple[Finder, ...] = (control, moved, sensors, timeline, steady, vibrat
 
 
 def diagnose(
-    flight: Flight, references: Sequence[Flight] = (), finders: Sequence[Finder] = FINDERS
+    flight: Flight,
+    references: Sequence[Flight] = (),
+    finders: Sequence[Finder] = FINDERS,
+    since: Vehicle | None = None,
 ) -> Diagnosis:
     """Why a flight went wrong.
 
@@ -55,14 +61,25 @@ def diagnose(
         flight: Of any log.
         references: Normal flights of the same aircraft.
         finders: What is looked for.
+        since: Vehicle file of an earlier time, whose calibration says what was usual, instead of
+            normal flights; None: there is none.
 
     Raises:
         LogError: The log is too short, or has no motion.
     """
+    compared = None if since is None else Since(since)
+    if compared is not None:
+        flight = of_vehicle(flight, compared.vehicle)
+        finders = [lasting if find is steady else find for find in finders]
     frame = FlightFrame.of(flight)
     normal = [FlightFrame.of(r) for r in references]
     found = [find(frame, normal) for find in finders]
+    if compared is not None:
+        sudden = [e.onset_s for f in found for e in f.events if e.onset_s is not None]
+        found.append(compared.changed(frame, min(sudden, default=np.inf)))
     events = in_order([e for f in found for e in f.events])
+    if compared is not None:
+        events = compared.sized(events)
     timeline = sorted((i for f in found for i in f.timeline), key=lambda i: i.t_s)
     one_of = next((tuple(f.one_of_causes) for f in found if f.one_of_causes), ())
     nothing = prod(f.nothing for f in found)

@@ -50,10 +50,19 @@ that is; clean flights: 6 % at most."""
 
 def steady(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
     """Findings without an onset."""
-    found = [_balance(flight, references), _lean(flight), _compass(flight), _battery(flight)]
+    return joined_findings([_balance(flight, references), lasting(flight)])
+
+
+def lasting(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
+    """Findings without an onset, but for the balance of the rotors."""
+    return joined_findings([_lean(flight), _compass(flight), _battery(flight)])
+
+
+def joined_findings(found: Sequence[Findings]) -> Findings:
+    """What several finders say, as one."""
     return Findings(
         events=[e for f in found for e in f.events],
-        one_of_causes=found[0].one_of_causes,
+        one_of_causes=next((f.one_of_causes for f in found if f.one_of_causes), ()),
         not_visible=[v for f in found for v in f.not_visible],
         nothing=float(np.prod([f.nothing for f in found])),
         notes=[n for f in found for n in f.notes],

@@ -18,7 +18,6 @@ from ..errors import LogError
 from ..logs.airframe import Airframe
 from ..residuals.stream import LastRows, Rows
 from ..vehicle import Vehicle
-from ..vehicle.layouts import Layout, frame, frames_of
 from .body import AFTER_LOSS_S, CURVES, Body
 from .competition import AFTER_S, APART_S, BEFORE_S, BLOW, FINAL, SCREENED, Competition
 from .diagnose import NAMED, in_order
@@ -26,6 +25,7 @@ from .flight import Airborne, FlightFrame
 from .motion import LEAST_S, event_of
 from .records import Event
 from .sensors import LANDING_S, OF_ESTIMATE, part_events
+from .since import layout_of, misfit
 from .vibration import vibration
 
 LOOK_S = 1.0
@@ -54,9 +54,8 @@ CLIMBS_M, TURNS_RAD_S, AGO_S = 0.4, 0.03, 2.0
 which they are taken."""
 PASSING = (BLOW, *OF_ESTIMATE, "mag_disturbance", "baro_disturbance")
 """Causes that are over by the time that they are settled."""
-FIT_S, FIT_SHARE, FIT_LEAST = 20.0, 0.5, 0.6
-"""In the air, after which the rotors of a vehicle file are judged; share of the correlation of the
-best usual frame that they have to reach, and the least correlation that judges. By judgement."""
+FIT_S = 20.0
+"""In the air, after which the rotors of a vehicle file are judged."""
 
 
 class Alarm(Struct, frozen=True, kw_only=True):
@@ -229,28 +228,9 @@ class Watch:
         ]
 
     def _judge_rotors(self, flown: FlightFrame, part: Airborne) -> None:
-        """Whether the body turns as the rotors of the vehicle file would turn it."""
-        if not self._fit_open or (part.flown - part.start) * flown.dt_s < FIT_S:
-            return
-        self._fit_open = False
-        layout = flown.layout
-        if layout is None:
-            return
-        usual = max(
-            map(frame, frames_of(layout.count)), key=flown.turning_explained, default=layout
-        )
-        best, own = flown.turning_explained(usual), flown.turning_explained(layout)
-        if best > FIT_LEAST and own < FIT_SHARE * best:
-            self.misfit = (
-                "this vehicle file does not fit: the aircraft turns as if its rotors were in the "
-                "order of another frame. Correct [rotors], or draft a file: uavtwin vehicle draft."
-            )
-
-
-def layout_of(vehicle: Vehicle) -> Layout:
-    """Places and senses of a vehicle's rotors."""
-    rotors = vehicle.rotors
-    return Layout(rotors.position_m, rotors.direction, True, 0.0, "the vehicle file")
+        """Once, whether the body turns as the rotors of the vehicle file would turn it."""
+        if self._fit_open and (part.flown - part.start) * flown.dt_s >= FIT_S:
+            self._fit_open, self.misfit = False, misfit(flown)
 
 
 def _moves(flown: FlightFrame, part: Airborne) -> NDArray[np.bool_]:

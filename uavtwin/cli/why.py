@@ -14,6 +14,13 @@ def why(
         list[Path] | None,
         typer.Option(help="Normal flights of the same aircraft: one or several."),
     ] = None,
+    since: Annotated[
+        str | None,
+        typer.Option(
+            help="Vehicle file of `uavtwin calibrate`, instead of --reference: what has changed "
+            "since then, in newtons and kilograms."
+        ),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Page to write, .html: opens offline.")
     ] = None,
@@ -34,6 +41,7 @@ def why(
     from ..diagnosis import why as ask_why
     from ..diagnostic import write_diagnostics
     from ..output import check_file
+    from ..vehicles import load_vehicle
     from .results import print_result
 
     for file, suffix in ((out, ".html"), (diagnostic, ".json")):
@@ -41,7 +49,8 @@ def why(
             if file.suffix != suffix:
                 raise typer.BadParameter(f"{file.name}: name a file that ends in {suffix}.")
             check_file(file, force)
-    found = ask_why(log, reference or [])
+    vehicle = None if since is None else load_vehicle(since)
+    found = ask_why(log, reference or [], vehicle)
     print_result(found, as_json)
     if out is not None:
         found.report(out)
