@@ -15,6 +15,7 @@ import time
 import traceback
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from datetime import date
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,8 @@ from benchmarks.hidden_effects.files import write_json
 from benchmarks.hidden_effects.run import failure, twin_state
 
 from .measure import measure
-from .page import page
+from .page import details, state
+from .rows import read_rows, rows, short_page, write_rows
 from .scenarios import SCENARIOS, Scenario, sources
 
 HERE = Path(__file__).parent
@@ -37,13 +39,20 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="docs/_generate/real_flights.py", description=(__doc__ or "").splitlines()[0]
     )
-    parser.add_argument("--data", type=Path, required=True, help="folder of the recordings")
+    parser.add_argument("--data", type=Path, help="folder of the recordings")
     parser.add_argument("--out", type=Path, required=True, help="Markdown file to write")
+    parser.add_argument("--stored", action="store_true", help="from the rows beside the page")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--cache", type=Path, default=CACHE, help="folder of what was found")
     names = [s.name for s in SCENARIOS]
     parser.add_argument("--only", choices=names, action="append", help="these scenarios")
     options = parser.parse_args(arguments)
+    data = options.out.with_suffix(".jsonl")
+    if options.stored:
+        options.out.write_text(short_page(read_rows(data), data.name), "utf-8")
+        return 0
+    if options.data is None:
+        parser.error("give the folder of the recordings by --data, or --stored")
     chosen = [s for s in SCENARIOS if options.only is None or s.name in options.only]
     absent = [f for s in chosen for f in s.flights if not (options.data / f).is_file()]
     if absent:
@@ -51,7 +60,9 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     cases = run(options.data, chosen, options.cache, options.jobs)
     found = [(s, [cases[s.name, f] for f in s.flights]) for s in chosen]
-    options.out.write_text(page(found), "utf-8")
+    facts = {"measured": f"{date.today():%d %B %Y}", "note": "", "state": state(found)}
+    write_rows(data, [facts, *rows(details(found))])
+    options.out.write_text(short_page(read_rows(data), data.name), "utf-8")
     return 1 if any(c["said"]["verdict"] == "error" for c in cases.values()) else 0
 
 

@@ -1,10 +1,7 @@
-"""The page: protocol, what was named, gaps of the held-out flights, what to believe."""
+"""All tables of the rotations: what was named, gaps of the held-out flights, what to believe."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
-
-from twin.residuals.channels import CHANNEL_HZ
 
 from .agreement import Case, agreements, alike_of, effects_of, judge, numbers_of
 from .details import (
@@ -21,9 +18,6 @@ from .details import (
 )
 from .scenarios import Scenario
 
-HEAD = Path(__file__).with_name("protocol.md").read_text("utf-8")
-LABELLED = Path(__file__).parents[2] / "docs" / "results" / "labelled_flights.md"
-"""Flights of which it is known what was done to the aircraft."""
 COLUMNS = {
     "none": "none",
     "effects": "effects",
@@ -35,9 +29,9 @@ COLUMNS = {
 }
 
 
-def page(found: Sequence[tuple[Scenario, Sequence[Case]]]) -> str:
-    """The whole document, from the rotations of each scenario."""
-    parts = [HEAD.format(rate=CHANNEL_HZ, labelled=labelled()), *overview(found)]
+def details(found: Sequence[tuple[Scenario, Sequence[Case]]]) -> str:
+    """Every table, in Markdown, from the rotations of each scenario."""
+    parts = overview(found)
     for scenario, cases in found:
         parts += ["", f"## {scenario.title}", "", scenario.about, *rotations(cases)]
         parts += agree(scenario, cases)
@@ -46,25 +40,20 @@ def page(found: Sequence[tuple[Scenario, Sequence[Case]]]) -> str:
         parts += against_prototype(scenario, cases)
         for case in cases:
             parts += [*gap(case), *by_band(case), *constants(case)]
+    return "\n".join(parts) + "\n"
+
+
+def state(found: Sequence[tuple[Scenario, Sequence[Case]]]) -> str:
+    """Versions and time of a run, in a sentence."""
     every = [c for _, cases in found for c in cases]
     states = ", ".join(sorted({c["twin"] for c in every}))
     chosen = ", ".join(sorted({c["said"].get("settings", {}).get("hash", "-") for c in every}))
     seconds = [c["seconds"] for c in every]
-    parts += [
-        "",
+    return (
         f"State of `twin/`: {states}; of the settings: {chosen}. Time spent: "
         f"{sum(seconds) / 60:.0f} minutes of one core, {min(seconds):.0f} to {max(seconds):.0f} s "
-        f"a rotation.",
-    ]
-    return "\n".join(parts) + "\n"
-
-
-def labelled() -> str:
-    """What is said of labelled flights, the trivial rule beside: the first table of their page."""
-    lines = LABELLED.read_text("utf-8").splitlines()
-    rows = [bool(line.startswith("|")) for line in lines]
-    first = rows.index(True)
-    return "\n".join(lines[first : rows.index(False, first)])
+        f"a rotation."
+    )
 
 
 def overview(found: Sequence[tuple[Scenario, Sequence[Case]]]) -> list[str]:

@@ -3,6 +3,7 @@
     python docs/_generate/real_flights.py --data ../shared/data \\
         --out docs/results/real_flights.md --jobs 2
 
+All tables go into `real_flights.jsonl` beside the page, and `--stored` makes the page from it.
 A run that was cut short goes on where it stopped; `--help` tells of the other options.
 """
 

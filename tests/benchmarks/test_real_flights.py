@@ -13,7 +13,8 @@ from benchmarks.real_flights import __main__ as command
 from benchmarks.real_flights.agreement import Agreement, Number, agreements, judge
 from benchmarks.real_flights.details import drag_1_s, passing
 from benchmarks.real_flights.measure import about_mean, above, band_rms, baselines, held, spectra
-from benchmarks.real_flights.page import page
+from benchmarks.real_flights.page import details, state
+from benchmarks.real_flights.rows import read_rows, rows, short_page, write_rows
 from benchmarks.real_flights.scenarios import SCENARIOS, Change, read
 from twin.physics.airframe import airframe
 from twin.residuals.channels import ChannelData
@@ -303,11 +304,11 @@ def test_a_constant_is_in_the_first_band_alone_and_a_mean_takes_it() -> None:
 # -- the page -------------------------------------------------------------------------------
 
 
-def test_page_holds_every_figure_and_no_path() -> None:
+def test_details_hold_every_figure_and_no_path() -> None:
     real = next(s for s in SCENARIOS if s.name == "real")
     heavy = next(s for s in SCENARIOS if s.name == "simulated_heavy")
     shape = {"value": 4.8, "edge": [2.6, 4.8], "neutral": None}
-    text = page(
+    text = details(
         [
             (real, [case("a", {"motor_lag": GOOD, "battery_sag": shape}), case("b", {})]),
             (heavy, [case("sim", {})]),
@@ -322,9 +323,6 @@ def test_page_holds_every_figure_and_no_path() -> None:
     nowhere = "| - | - | - | no | no | never given |"
     assert f"| `mass_offset.mass_kg` | - | -0.28 {nowhere}" in text
     assert "| `mass_offset` | 0 of 1 | made wrong on purpose, and missed |" in text
-    assert "0123456789ab" in text
-    first = text.index("| class right, of those answered |")
-    assert first < text.index("| scenario |"), "labelled flights come first"
     assert not re.search(r"(^|[\s(`\"])/\w+/", text)
     for line in text.splitlines():
         assert not line.startswith("|") or line.endswith("|")
@@ -337,7 +335,7 @@ def test_page_tells_how_near_a_number_is_that_was_made_wrong() -> None:
     for c in cases:
         c["numbers"] = {f"{k[:-1]}tau_s": n for k, n in c["numbers"].items()}
     said = "given by 2 of 3 rotations, off by 20 % at most, inside the interval in 1."
-    assert f"- `motor_lag.tau_s` was to be 0.075: {said}" in page([(quick, cases)])
+    assert f"- `motor_lag.tau_s` was to be 0.075: {said}" in details([(quick, cases)])
 
 
 def test_page_shows_bands_beside_the_prototype() -> None:
@@ -345,7 +343,7 @@ def test_page_shows_bands_beside_the_prototype() -> None:
     for c in cases:
         row = c["channels"][0]
         c["channels"].append(row | {"name": "gyro_rate_z", "unit": "rad/s²"})
-    text = page([(SCENARIOS[0], cases)])
+    text = details([(SCENARIOS[0], cases)])
     assert "| `gyro_rate_z` | 0.8-4.5 Hz | 0.3 | 0.3 | 0.3 | 0.3 | 0.3 |" in text
     assert "| `gyro_rate_z` | **> 0.8 Hz** | 0.51 | 0.51 | 0.51 | 0.51 | 0.51 |" in text
     assert "| `acc_z` | m/s² | 1* / 0.781 | 1* / 0.319 | 1* / 0.279 |" in text
@@ -355,7 +353,7 @@ def test_page_shows_bands_beside_the_prototype() -> None:
 
 
 def test_page_tells_what_something_acts_like() -> None:
-    text = page([(SCENARIOS[0], [case("a", {}, verdict="unnamed", acts_like=["gyro_scale"])])])
+    text = details([(SCENARIOS[0], [case("a", {}, verdict="unnamed", acts_like=["gyro_scale"])])])
     assert "| a | unnamed | - | `gyro_scale` | 0.01 | - |" in text
     assert "- a held out: something acts like `gyro_scale`: too far" in text
 
@@ -370,7 +368,7 @@ def test_drag_is_that_of_either_effect_in_1_s() -> None:
         found["channels"].append(
             row | {"name": f"gyro_rate_{axis}", "mean": row["mean"] | {"effects": mean}}
         )
-    assert "| circle | 0.296 | - | - | 4.36 | 10* | 6 |" in page([(nano, [found])])
+    assert "| circle | 0.296 | - | - | 4.36 | 10* | 6 |" in details([(nano, [found])])
 
 
 def test_drag_is_told_at_the_rotor_speed_that_was_flown() -> None:
@@ -396,10 +394,54 @@ def test_page_tells_of_what_failed_or_could_not_be_used() -> None:
     assert failed["said"]["verdict"] == "error"
     lying = case("real_2", {}, verdict="unusable") | {"channels": []}
     lying["said"]["reasons"] = ["real_1: upside down at 3.0 s"]
-    text = page([(real, [failed | {"twin": ""}, lying])])
+    text = details([(real, [failed | {"twin": ""}, lying])])
     assert "- real_1 held out: LogError" in text
     assert "- real_2 held out: real_1: upside down at 3.0 s" in text
     assert "No gap could be shown." in text
+
+
+def short(found: list[Any], folder: Path) -> str:
+    """The page of these rotations, by way of the stored rows."""
+    facts = {"measured": "1 May 2026", "note": "", "state": state(found)}
+    write_rows(folder / "rows.jsonl", [facts, *rows(details(found))])
+    return short_page(read_rows(folder / "rows.jsonl"), "rows.jsonl")
+
+
+def test_the_page_begins_with_labelled_flights_and_states_its_run(tmp_path: Path) -> None:
+    text = short([(SCENARIOS[0], [case("a", {"motor_lag": GOOD})])], tmp_path)
+    first = text.index("| class right, of those answered |")
+    assert first < text.index("| scenario |")
+    assert "Measured on 1 May 2026." in text and "0123456789ab" in text
+    assert "[rows.jsonl](rows.jsonl)" in text
+    assert f"- **{SCENARIOS[0].title}**: {SCENARIOS[0].about}" in text
+    assert "{" not in text
+
+
+def test_the_page_shows_numbers_that_agree_and_no_others(tmp_path: Path) -> None:
+    apart = GOOD | {"value": 0.3, "ci95": [0.2, 0.4]}
+    vague = GOOD | {"prior_share": 0.9}
+    effects = {"motor_lag": GOOD, "gust": GOOD, "cog_offset": vague}
+    other = {"motor_lag": GOOD | {"value": 0.055}, "gust": apart, "cog_offset": vague}
+    text = short([(SCENARIOS[0], [case("a", effects), case("b", other)])], tmp_path)
+    assert f"| {SCENARIOS[0].title} | `motor_lag.n`, s | 0.05 to 0.055 | 2 |" in text
+    assert "`gust.n`" not in text and "`cog_offset.n`" not in text
+
+
+def test_rms_of_a_page_is_that_over_all_samples(tmp_path: Path) -> None:
+    """900 samples with 1 and 300 with 3: the root of (900 * 1 + 300 * 9) / 1200."""
+    one, other = case("a", {}), case("b", {}, n=300, shrink_ci95=[-0.8, -0.2])
+    other["channels"][0]["effects"] = 3.0
+    text = short([(SCENARIOS[0], [one, other])], tmp_path)
+    assert f"| {SCENARIOS[0].title} | `acc_z`, m/s² | 2 | 1.73 | 1.5 | 0.9 | 1 | 1 |" in text
+
+
+def test_the_stored_rows_make_the_page_of_the_documentation(tmp_path: Path) -> None:
+    results = ROOT / "docs" / "results"
+    (tmp_path / "real_flights.jsonl").write_bytes((results / "real_flights.jsonl").read_bytes())
+    assert command.main(["--stored", "--out", str(tmp_path / "real_flights.md")]) == 0
+    page = (tmp_path / "real_flights.md").read_text("utf-8")
+    assert page == (results / "real_flights.md").read_text("utf-8")
+    assert len(page.split()) <= 3000
 
 
 # -- the command ----------------------------------------------------------------------------
@@ -434,7 +476,7 @@ def test_a_run_goes_on_where_it_stopped(
     ]
     assert command.main(options) == 0
     assert "3 rotations, 3 there already" in capsys.readouterr().err
-    assert "nothing speaks against it" in out.read_text()
+    assert "nothing speaks against it" in out.with_suffix(".jsonl").read_text("utf-8")
     before = files()
     (tmp_path / "data" / real.flights[2]).write_text("another flight")
     assert not set(before.values()) & set(files().values())  # it is in every rotation
@@ -455,4 +497,4 @@ def test_without_recordings_the_command_says_what_is_missing(
 def test_the_page_in_the_repository_names_every_scenario() -> None:
     text = (ROOT / "docs" / "results" / "real_flights.md").read_text("utf-8")
     assert text.startswith((ROOT / "benchmarks/real_flights/protocol.md").read_text()[:60])
-    assert all(f"## {s.title}\n" in text for s in SCENARIOS)
+    assert all(f"| {s.title} | " in text for s in SCENARIOS)
