@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from ..vehicles import Vehicle as OwnVehicle
 
 _DEMO_VEHICLE, _DEMO_PAGE, _DEMO_SILENT_S = "copter_default", "127.0.0.1:8080", 5.0
-"""Vehicle and page of `--demo`, and the time without messages after which it ends, s."""
+"""Vehicle and page of `--demo`, and the time without messages after which that and `--replay`
+end, s."""
 
 Vehicle = Annotated[
     str | None,
@@ -39,6 +40,14 @@ Demo = Annotated[
         "--demo",
         help="Without an aircraft: a simulated one is sent to --listen in real time, a rotor of "
         "which is damaged in mid-flight; with the page.",
+    ),
+]
+Replayed = Annotated[
+    Path | None,
+    typer.Option(
+        "--replay",
+        help="Without an aircraft: this log is sent to --listen in real time. `uavtwin replay` "
+        "sends it elsewhere, or with faults of a radio link.",
     ),
 ]
 Listen = Annotated[str, typer.Option(help="Where the aircraft sends to: udpin:HOST:PORT.")]
@@ -103,6 +112,7 @@ def live(
     vehicle: Vehicle = None,
     model: Model = None,
     demo: Demo = False,
+    replay: Replayed = None,
     listen: Listen = "udpin:127.0.0.1:14550",
     system: System = None,
     out: Record = None,
@@ -129,6 +139,8 @@ def live(
 
     if vehicle is None and not demo:
         raise TwinError("--vehicle: which aircraft is it? Give its vehicle file, or --demo.")
+    if replay is not None and demo:
+        raise TwinError(f"--replay {replay}: --demo simulates a flight instead. Choose one.")
     options = LiveOptions(
         address(listen, "udpin", "--listen"),
         system,
@@ -136,7 +148,7 @@ def live(
         horizon,
         hold,
         duration,
-        _DEMO_SILENT_S if demo and until_silent is None else until_silent,
+        _DEMO_SILENT_S if (demo or replay) and until_silent is None else until_silent,
         request_rates,
         None if publish is None else address(publish, "udpout", "--publish"),
         publish_system,
@@ -144,7 +156,7 @@ def live(
     )
     if demo and serve is None:
         serve = _demo_page()
-    status = _fly(vehicle or _DEMO_VEHICLE, options, serve, token, alarms, demo, model)
+    status = _fly(vehicle or _DEMO_VEHICLE, options, serve, token, alarms, demo, replay, model)
     if as_json:
         print_json(status)
     else:
@@ -191,9 +203,11 @@ def _fly(
     token: str | None,
     alarms: bool,
     demo: bool,
+    replay: Path | None,
     model: Path | None,
 ) -> "LiveStatus":
     """Open the page where one is wanted, and listen."""
+    from twin.logs import read_flight
     from twin.why.watch import Watch
 
     from ..demo.in_flight import damaged_flight, sent_meanwhile
@@ -203,7 +217,7 @@ def _fly(
 
     twin = load_vehicle(name)
     with ExitStack() as opened:
-        flight = None
+        flight = None if replay is None else read_flight(replay)
         if demo:
             STDERR.print(f"simulating a flight of {twin.name}, some seconds")
             flight = damaged_flight(twin)

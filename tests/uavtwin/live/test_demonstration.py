@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 from urllib.request import urlopen
 
 import numpy as np
@@ -15,6 +16,7 @@ import pytest
 from cli_rig import run
 
 from twin.logs import Flight
+from twin.logs.table import write_flight
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.in_flight import BEGINS_S, LOSS, ROTOR, damaged_flight, sent_meanwhile, waypoints
 from uavtwin.live.datagrams import Address
@@ -65,6 +67,26 @@ def test_a_newcomer_sees_an_alarm_within_a_minute() -> None:
     assert BEGINS_S < alarm["raised_s"] < BEGINS_S + 3
     assert status["link"]["lost"] == 0 and not status["missing"]
     assert f"in this flight rotor {ROTOR} lost 20 % of its thrust at 20 s" in err
+
+
+@pytest.mark.slow
+def test_a_log_is_replayed_by_the_same_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No second program has to send it; `live` ends when the log has ended."""
+    log = tmp_path / "flight.parquet"
+    flight = damaged_flight(load_vehicle("crazyflie"), 60.0, 0.0, 4.0)
+    write_flight(flight, log)
+    listen = f"udpin:127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
+    given = ("live", "--vehicle", "crazyflie", "--replay", log, "--listen", listen)
+    code, out, err = run(capsys, *given, "--json")
+    assert code == 0, err
+    status = json.loads(out)
+    assert status["flight_s"] == pytest.approx(flight.time_s[-1] - flight.time_s[0], abs=0.1)
+    assert status["alarms"] == []
+    code, _, err = run(capsys, *given, "--demo")
+    assert code == 2
+    assert "Choose one" in err
 
 
 @pytest.mark.slow
