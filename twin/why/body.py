@@ -12,6 +12,7 @@ model grow with what happens, for all hypotheses alike: a lively interval weighs
 crash cannot outvote an onset.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -24,7 +25,7 @@ from scipy.signal import lfilter
 from ..residuals.measured import Signal
 from ..vehicle import GRAVITY_M_S2
 from .flight import Airborne, Array, FlightFrame, binned, lift, moment_signs
-from .noise import Law, Whitened
+from .noise import PHI, Law, Whitened
 
 CURVATURES = (0.0, 0.35, 0.7, 1.0, 1.25)
 """Of thrust by command: linear, square, square above a dead band."""
@@ -216,7 +217,12 @@ class Body:
         return Noise(laws, np.array(gain), np.array(weight))
 
     def noise_of(
-        self, regressors: Array, y: Array, floor: float, share: Array
+        self,
+        regressors: Array,
+        y: Array,
+        floor: float,
+        share: Array,
+        phis: Sequence[float] = PHI,
     ) -> tuple[Law, float, Array]:
         """Law of what the early part leaves, first number of the regression, and weight of each
         interval.
@@ -226,12 +232,13 @@ class Body:
             y: What is measured, shape (n,).
             floor: Least deviation of an innovation.
             share: Most that each interval weighs, shape (n,).
+            phis: Of the law.
         """
         early, law = self.learned, Law(0.8, 0.0, 1.0)
         for _ in range(3):
             beta = robust_fit(law.filtered(regressors[early]), law.filtered(y[early]))
             left = (y - regressors @ beta)[early]
-            law = Law.of(left - np.median(left), floor)
+            law = Law.of(left - np.median(left), floor, phis)
         lively = maximum_filter1d(np.abs(y - np.median(y[early])), 3)
         excess = np.maximum(lively - LIVELY * law.sd, 0) / CLIP
         return law, float(beta[0]), share * law.sd**2 / (law.sd**2 + excess**2)

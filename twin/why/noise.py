@@ -15,6 +15,7 @@ the products of theta since: sums over time and one sum from the end give all on
 Source: Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, 1989, ch. 3 and 4.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -51,14 +52,15 @@ class Law:
     sd: float
 
     @classmethod
-    def of(cls, left: Array, floor: float) -> "Law":
+    def of(cls, left: Array, floor: float, phis: Sequence[float] = PHI) -> "Law":
         """The law that leaves the least innovations.
 
         Args:
             left: What a regression leaves of a channel, shape (n,).
             floor: Added to the deviation.
+            phis: Of the level, among which is chosen.
         """
-        laws = ((p, t) for p in PHI for t in THETA if t <= p)
+        laws = ((p, t) for p in phis for t in THETA if t <= p)
         scale = {law: _scale(cls(*law, 1.0).filtered(left)) for law in laws}
         phi, theta = min(scale, key=lambda law: scale[law])
         return cls(phi, theta, scale[phi, theta] + floor)

@@ -17,10 +17,12 @@ from scipy.special import logsumexp
 from ..vehicle import GRAVITY_M_S2
 from .body import Body
 from .flight import Array, rotations
-from .noise import TEMPER, Places, Whitened
+from .noise import PHI, TEMPER, Places, Whitened
 
 FLOOR_M_S2 = 0.02
 """Least deviation of an innovation."""
+SLOW_PHI = (*PHI, 0.998)
+"""Of the level, among which is chosen: wind changes over tens of seconds."""
 MOVING_SD = (1.0, 3.0, 3.0)
 """Of drag per mass, 1/s, and of what the wind does north and east, m/s^2."""
 OFFSET_SD_M_S2, TRIM_SD_M_S2 = 1.0, 0.007 * GRAVITY_M_S2
@@ -56,7 +58,7 @@ class Sideways:
 
     def _whitened(self, moving: Array, ones: Array, force: Array) -> Whitened:
         columns = np.column_stack([moving, ones, force])
-        law, _, weight = self.body.noise_of(columns[:, :-1], force, FLOOR_M_S2, ones)
+        law, _, weight = self.body.noise_of(columns[:, :-1], force, FLOOR_M_S2, ones, SLOW_PHI)
         return Whitened.each(law, weight, columns[:, None])[0]
 
     def evidence(
