@@ -45,7 +45,7 @@ COARSE_LOSSES = LOSSES[::4]
 """The same while an onset is looked for."""
 LOSSES_OF_ALL = np.array([0.08, 0.15, 0.25, 0.4, 0.6, 0.8, 1.0])
 """Of the thrust of all rotors."""
-MASSES = np.array([-0.5, -0.3, -0.2, -0.12, -0.06, 0.06, 0.12, 0.2, 0.3])
+MASSES = np.array([-0.5, *np.linspace(-0.4, -0.1, 7), -0.06, 0.06, *np.linspace(0.1, 0.4, 7), 0.5])
 """Change of the mass over the mass."""
 GAINS = (
     np.array([1.0]),
