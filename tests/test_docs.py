@@ -191,6 +191,19 @@ def test_every_path_that_the_documents_name_is_there() -> None:
     assert [name for name in sorted(named) if not (ROOT / name).exists()] == []
 
 
+def test_every_page_that_the_code_names_is_there() -> None:
+    """In messages, docstrings and comments, of vehicle files too."""
+    sources = [
+        f
+        for folder in ("twin", "learning", "fmus", "cosim", "uavtwin", "benchmarks", "examples")
+        for f in (ROOT / folder).rglob("*")
+        if f.suffix in {".py", ".toml", ".ipynb", ".j2"}
+    ]
+    named = {m for f in sources for m in re.findall(r"docs/[\w/]+\.md", f.read_text("utf-8"))}
+    assert len(named) > 10
+    assert [name for name in sorted(named) if not (ROOT / name).exists()] == []
+
+
 def test_pictures_are_small() -> None:
     """They travel with every clone."""
     tutorial = [p.stat().st_size for p in (ROOT / "docs/tutorial/pictures").iterdir()]

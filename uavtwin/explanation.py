@@ -400,7 +400,7 @@ def explain(
         payloads: Known mass aboard by the name of a flight, kg.
         seed: Of every bootstrap.
         missions: To fly with the new model at the end; default: all.
-        settings: The numbers that decide what is said, `docs/settings.md`.
+        settings: The numbers that decide what is said, `docs/reference/settings.md`.
         indoors: Whether all flights were within walls; default: as each flight says, outdoors
             where it does not.
         progress: Called with the share done, 0..1.
