@@ -23,7 +23,7 @@ from twin.why import diagnose
 from twin.why.flight import FlightFrame
 from twin.why.records import Event
 from twin.why.rules import parted_outputs
-from twin.why.watch import LOOK_S, Alarm, Watch
+from twin.why.watch import LOOK_S, PASSING, Alarm, Watch
 
 INDEX = Path(__file__).parents[1] / "labelled" / "index.csv"
 """Of recorded flights."""
@@ -61,8 +61,9 @@ class Said:
 
     @property
     def same(self) -> bool:
-        """Whether the first alarm that stood is the first event of the log."""
-        first = next((a.event for a in self.alarms if a.closed_s is None), None)
+        """Whether the first alarm that was not withdrawn is the first event of the log."""
+        stood = (a.event for a in self.alarms if a.closed_s is None or a.event.cause in PASSING)
+        first = next(stood, None)
         if first is None or self.event is None:
             return first is self.event
         key = ("cause", "rotor", "sensor")
@@ -133,7 +134,7 @@ def lines(rows: list[Said]) -> Iterator[str]:
     false = sum(len(r.alarms) for r in rows if not r.truth)
     busy = np.array([r.busy for r in rows])
     yield ""
-    yield f"First alarm that stood and first event of the log alike: {same} of {len(rows)}. "
+    yield f"First alarm, and first event of the log alike: {same} of {len(rows)}. "
     yield f"Alarms where nothing is known to begin: {false} in {hours:.2f} h. Processor per second "
     yield f"of flight: {np.mean(busy):.2f} s in the mean, {busy.max():.2f} s at the most."
 

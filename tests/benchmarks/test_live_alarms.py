@@ -21,7 +21,7 @@ def said(truth: str, alarm: Alarm | None, event: Event | None) -> Said:
     return Said("flight", "planted", truth, alarms, event, "-", 1800.0, 0.2)
 
 
-def test_an_alarm_that_is_over_is_not_the_first_event() -> None:
+def test_an_alarm_that_was_withdrawn_is_not_the_first_event() -> None:
     event = Event(cause="rotor_failure", rotor=(2,), onset_s=20.0, probability=0.99)
     alarm = Alarm(event=event, raised_s=21.0)
     over = Alarm(event=event, raised_s=21.0, closed_s=25.0)

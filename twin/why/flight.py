@@ -117,8 +117,8 @@ class FlightFrame:
                 f"needed to know what is usual in it."
             )
         # No sample lies on an edge, where rounding decides to which interval it belongs.
-        half = 0.5 / max(s.rate_hz for s in signals.values())
-        edges = np.arange(start - half, end + dt, dt)
+        quarter = 0.25 / max(s.rate_hz for s in signals.values())
+        edges = np.arange(start - quarter, end + dt, dt)
         grid = {name: binned(s, edges) for name, s in signals.items()}
         if "q" in grid:
             grid["q"] /= np.linalg.norm(grid["q"], axis=1, keepdims=True)

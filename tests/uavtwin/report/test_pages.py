@@ -1,6 +1,5 @@
 """Pages as people see them: wide and narrow, light and dark, in a browser that is watched."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,6 @@ from page_rigs.browser import (
     VIEWS,
     Browser,
     View,
-    browser,
     faults,
     needs_browser,
     pictures,
@@ -26,12 +24,6 @@ from uavtwin.report.overview import overview
 from uavtwin.report.simulation import write_simulation_report
 
 pytestmark = needs_browser
-
-
-@pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with browser(tmp_path_factory.mktemp("browser")) as one:
-        yield one
 
 
 @pytest.fixture(scope="module")

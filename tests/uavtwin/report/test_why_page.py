@@ -1,7 +1,6 @@
 """The page of `uavtwin why`, and its events as Diagnostic records."""
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from page_rigs.browser import (
     VIEWS,
     Browser,
     View,
-    browser,
     faults,
     needs_browser,
     pictures,
@@ -45,12 +43,6 @@ def faulty() -> Flight:
 @pytest.fixture(scope="module")
 def result() -> WhyResult:
     return why(faulty())
-
-
-@pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with browser(tmp_path_factory.mktemp("browser")) as one:
-        yield one
 
 
 def test_the_page_says_what_when_what_to_check_and_quotes(

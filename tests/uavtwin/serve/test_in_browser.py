@@ -26,12 +26,6 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Process]:
 
 
 @pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with browser(tmp_path_factory.mktemp("browser")) as one:
-        yield one
-
-
-@pytest.fixture(scope="module")
 def flight(served: Process, opened: Browser, tmp_path_factory: pytest.TempPathFactory) -> str:
     """Address of the page of a flight that was dropped with a hostile one, and is read."""
     logs = tmp_path_factory.mktemp("logs")

@@ -4,7 +4,6 @@ import math
 import socket
 import threading
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from page_rigs.browser import (
     SOME_VIEWS,
     Browser,
     View,
-    browser,
     faults_shown,
     needs_browser,
     pictures,
@@ -66,12 +64,6 @@ WEAK = Alarm(
     ),
     raised_s=14.5,
 )
-
-
-@pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with browser(tmp_path_factory.mktemp("browser")) as there:
-        yield there
 
 
 def feed_of(hub: Hub) -> PageFeed:
