@@ -42,6 +42,9 @@ _FAR = 5.0
 """Windows that are farther from the median, over the usual distance, are falls and resets."""
 _TURNING_RAD = 0.002
 """Turn in a window, from the median, from which on an axis of the gyroscope is judged by itself."""
+_MOUNTED_RAD = np.radians(15.0)
+"""Angle about body down from which on an IMU is mounted at it: of all recorded logs at hand it is 6
+degrees at most."""
 _PUSHED_M_S2 = 0.1
 """The same of the accelerometer; below, levelling and wind decide across the thrust."""
 _HEADINGS = 0.3
@@ -221,6 +224,22 @@ def turns(table: Columns, there: Signals | None = None) -> Turns | None:
     return Turns(turned[good], integrated[good], np.diff(edges)[good])
 
 
+def mounted_at(turned: Turns) -> float:
+    """Angle about body down by which a gyroscope is turned against the attitude, rad, -pi to pi; 0
+    where no such turn makes them one motion about each of the level axes."""
+    shown, real = turned.by_gyro, turned.by_attitude
+    (gx, gy, gz), (ax, ay, az) = shown.T, real.T
+    angle = float(np.arctan2(gx @ ay - gy @ ax, gx @ ax + gy @ ay))
+    c, s = np.cos(angle), np.sin(angle)
+    back = (c * gx - s * gy, ax), (s * gx + c * gy, ay)
+    sizes = [(float(np.linalg.norm(g)), float(np.linalg.norm(a))) for g, a in back]
+    alike = all(
+        g @ a > _SAME * n * m > 0.0 and _SCALES[0] < n / m < _SCALES[1]
+        for (g, a), (n, m) in zip(back, sizes, strict=True)
+    )
+    return angle if alike and gz @ az >= 0.0 else 0.0
+
+
 def doubt_turning(table: Columns, there: Signals) -> list[Finding]:
     """Body rates and attitude that do not turn together."""
     found = turns(table, there)
@@ -232,6 +251,13 @@ def doubt_turning(table: Columns, there: Signals) -> list[Finding]:
     every = np.ones(len(steady.lasting_s), dtype=np.bool_)
     together, ratio, n = _compared(steady.by_attitude, steady.by_gyro, every)
     little = max(moving, still) < _TURNED_RAD and min(moving, still) < _BOTH_TURNED_RAD
+    angle = 0.0 if little else mounted_at(steady)
+    if abs(angle) > _MOUNTED_RAD:
+        message = (
+            f"turned by {np.degrees(angle):.0f} degrees about body down against the turning of the "
+            "attitude: is the IMU mounted at this angle? Turn gyro and acc back by it."
+        )
+        return [Finding("error", "gyro", message)]
     if n < _FEWEST or little or (together > 0.5 and 0.5 < ratio < 2.0):
         return [
             Finding("error", "gyro", f"against the turning of the attitude, gyro{fault}")

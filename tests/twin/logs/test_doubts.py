@@ -166,6 +166,28 @@ def test_a_change_is_told(name: str, tmp_path: Path) -> None:
     assert [f for f in told if f.where == where and text in f.message], told
 
 
+@pytest.mark.parametrize("degrees", [45, 90, -90, 180, -35])
+def test_an_imu_mounted_at_an_angle_is_named_with_it(degrees: float, tmp_path: Path) -> None:
+    table, angle = flown_table(), np.radians(degrees)
+    for kind in ("gyro", "acc"):
+        x, y = table[f"{kind}_x"].copy(), table[f"{kind}_y"].copy()
+        table[f"{kind}_x"] = np.cos(angle) * x + np.sin(angle) * y
+        table[f"{kind}_y"] = np.cos(angle) * y - np.sin(angle) * x
+    (message,) = [f.message for f in found(table, tmp_path) if f.where == "gyro"]
+    told = float(message.removeprefix("turned by ").partition(" ")[0])
+    assert abs((told - degrees + 180) % 360 - 180) <= 1.0
+
+
+@pytest.mark.parametrize("change", [{"gyro_y": -1.0}, {"gyro_y": -1.0, "gyro_z": -1.0}])
+def test_axes_that_are_mirrored_are_no_mounting(change: dict[str, float], tmp_path: Path) -> None:
+    """The second: forward, left, up."""
+    table = flown_table()
+    for column, sign in change.items():
+        table[column] *= sign
+    told = found(table, tmp_path)
+    assert told and not [f for f in told if "mounted" in f.message]
+
+
 def hovering(turn: float, sign: float = 1.0, bias: float = 0.0) -> pd.DataFrame:
     """A flight of half a minute that yaws and drifts by a little; `turn` in rad."""
     t = 0.01 * np.arange(3000)
