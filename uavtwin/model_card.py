@@ -18,7 +18,7 @@ from typing import Any
 import jinja2
 import yaml
 
-from learning.force.laws import LAWS
+from learning.force.model import LINEAR, NONE
 from learning.model.registry import family_row
 from twin.errors import TwinError
 from twin.formatting import number, percent
@@ -242,8 +242,10 @@ def facts(about: Mapping[str, Any]) -> list[list[str]]:
     """What the model is, name and value."""
     found = {"protocol": about["protocol"], "seed": str(about["seed"])}
     if about["protocol"] == "force":
-        used = [f"{n} {o['law']}" for n, o in about["outputs"].items()]
-        found |= {"laws": ", ".join(used)}
+        laws = {n: o["ridge"] for n, o in about["outputs"].items()}
+        used = [f"{n} linear, ridge {r:g}" for n, r in laws.items() if r is not None]
+        others = {o["law"] for o in about["outputs"].values()} - {LINEAR}
+        found |= {"law": ", ".join([*used, *sorted(others)])}
     else:
         row = family_row(about["family"])
         ahead = f"{about['horizon']} samples, {1e3 * about['horizon'] / about['rate_hz']:g} ms"
@@ -296,17 +298,12 @@ def limits(about: Mapping[str, Any], result: Result | None) -> list[str]:
     flights, vehicle = about["flights"], about["vehicle"]
     found = [f"It has seen {len(flights)} flight{'s' * (len(flights) != 1)} of {vehicle}."]
     if about["protocol"] == "force":
-        gone = about["closed_loop"]["withdrawn"]
-        if gone:
-            found.append(f"Withdrawn, as missions were lost with it: {', '.join(gone)}.")
-        if held := about["acceptance"]["withdrawn"]:
-            found.append(
-                f"Withdrawn, as the untrained observer or the last motion needs no law for it: "
-                f"{', '.join(held)}."
-            )
-        none = [n for n, o in about["outputs"].items() if o["law"] == LAWS[0]]
-        if none:
-            found.append(f"No law for {', '.join(none)}.")
+        if gone := about["closed_loop"]["withdrawn"]:
+            found.append(f"Missions were lost with {gone} laws under weaker ridges: withdrawn.")
+        if about["acceptance"]["refused"]:
+            found.append("Refused: the untrained observer or the last motion needs no law for it.")
+        if all(o["law"] == NONE for o in about["outputs"].values()):
+            found.append("It has no law: what is shipped is the twin with its observer.")
     shut = [c for c, e in _validation(about).items() if e["with_network"] >= e["linear"]]
     if shut:
         found.append(

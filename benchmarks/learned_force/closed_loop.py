@@ -1,7 +1,6 @@
 """Laws in closed loop: missions in random air, on exported FMUs, each with its law and without."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +16,11 @@ STILL = f"{SHIPPED}, still air"
 
 
 def closed_loop(folder: Path, count: int, seed: int) -> list[dict[str, Any]]:
-    """Fly what is shipped and each law that was tried, and the twin without, through the same air.
+    """Fly what is shipped, and the twin without, through the same air.
 
     Args:
         folder: That `train --protocol force` wrote.
-        count: Flights of each law.
+        count: Flights in wind, and as many in still air.
         seed: Of missions, air, noise and where they begin.
 
     Returns:
@@ -54,7 +53,3 @@ def _laws(folder: Path) -> Iterator[tuple[str, LearnedForce, float]]:
     shipped = learned_force(folder)
     yield SHIPPED, shipped, WIND_M_S
     yield STILL, shipped, 0.0
-    for name, rival in shipped.model.rivals.items():
-        if rival.law.linear.any():
-            model = replace(shipped.model, law=rival.law)
-            yield name, LearnedForce(model), WIND_M_S

@@ -24,7 +24,7 @@ from .rotations import Places, Rotation
 
 SEED = 0
 FLIGHTS = 13
-"""In closed loop, of each law of a rotation; over 200 of all rotations."""
+"""In closed loop, in wind and in still air, of a rotation."""
 
 
 def measure(rotation: Rotation, places: Places) -> dict[str, Any]:
@@ -49,7 +49,7 @@ def measure(rotation: Rotation, places: Places) -> dict[str, Any]:
         "named": named,
         "taught": [f.name for f in taught],
         "claim": force_claim(folder),
-        "outputs": [o.law for o in load_force(folder).outputs],
+        "ridges": load_force(folder).ridges,
         "evaluation": said,
         "closed_loop": closed_loop(folder, FLIGHTS, zlib.crc32(rotation.name.encode())),
         "seconds": {

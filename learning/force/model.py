@@ -1,8 +1,8 @@
 """A learned force and moment as a folder: one JSON file, and the vehicle it was learned for."""
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import msgspec
@@ -12,46 +12,45 @@ from twin.errors import ModelError, TwinError
 from twin.physics.residual_force import FEATURES, INPUTS, OUTPUTS, ForceLaw
 from twin.representation import short_repr
 
-from .forecast import Observer
-
 FILE, VEHICLE_FILE = "force.json", "vehicle.toml"  # in the folder of a law
-FORMAT = 4
+MODULE_FILE = "force.onnx"
+"""In the same folder: the module, of a law that has one."""
+NONE, LINEAR, MODULE = "none", "linear", "module"
+"""Laws of an output."""
+FORMAT = 5
 """Version of the file's layout."""
 _OUTPUTS = tuple(f"{kind}_{a}" for kind, a in OUTPUTS)  # names in the file
 
 
 @dataclass(frozen=True, slots=True)
-class LawScore:
-    """One law of one output, or its observer, over flights that took no part in its fit.
+class RidgeScore:
+    """Three outputs of a law under one ridge, over flights that took no part in its fit.
 
     Attributes:
-        law: Of `learning.force.laws.LAWS`, or `observer`.
-        gain: Nats by which the flights are more probable than without it; 0 of an observer, which
-            flying alone decides on.
-        ratio: Error over that without it, geometric mean over flights, quantities and horizons;
-            None of one that was not flown, as nothing speaks for it.
+        part: `moment`, chosen first, or `force`.
+        ridge: Its strength.
+        ratio: Error over that without these outputs, geometric mean over flights, quantities and
+            horizons.
         worst: The largest ratio of a quantity, flights and horizons together.
     """
 
-    law: str
-    gain: float
-    ratio: float | None = None
-    worst: float | None = None
+    part: str
+    ridge: float
+    ratio: float
+    worst: float
 
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """What was learned of one output.
+    """One of the six.
 
     Attributes:
-        law: That is used.
-        observer: Of what it leaves.
-        tried: Every law, as flown; empty where a single flight was given.
+        law: `linear`, `module`, or `none`.
+        ridge: Under which it was fitted; None of a module, and where there is no law.
     """
 
     law: str
-    observer: Observer
-    tried: tuple[LawScore, ...] = ()
+    ridge: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,54 +68,36 @@ class TrainingFlight:
 
 @dataclass(frozen=True, slots=True)
 class MissionCheck:
-    """Missions in random air that the chosen laws had to fly.
+    """Missions in random air that a law had to fly.
 
     Attributes:
         flights: How many; 0 where no law was chosen.
-        lost: With all chosen laws, of those that are flown without.
-        withdrawn: What is not used for that.
+        lost: With the law that was chosen first, of those that are flown without.
+        withdrawn: Laws with which missions were lost, each under stronger ridges than the last.
     """
 
-    flights: int
-    lost: int
-    withdrawn: tuple[str, ...]
-
-    @classmethod
-    def nothing(cls) -> "MissionCheck":
-        """No law, and none flown."""
-        return cls(0, 0, ())
+    flights: int = 0
+    lost: int = 0
+    withdrawn: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Acceptance:
-    """The chosen laws with their observers on flights left out, against what needs no law.
+    """The chosen law on flights left out, against what needs no law; None where none was chosen.
 
     Attributes:
         over_observer: Error over that of the explained twin with the untrained observer, median
-            over flights, quantities and horizons; None where no law was chosen.
+            over flights, quantities and horizons.
         over_last_motion: Position and velocity over those of the last motion, 0.5 s after the twin
-            was left alone, geometric mean over flights; None where no law was chosen.
-        withdrawn: Laws that are not used, as they do not beat both.
+            was left alone, geometric mean over flights.
+        fast: The same of flights that are fast; None: there is none.
+        refused: Whether the law is not used for it.
     """
 
     over_observer: float | None = None
     over_last_motion: float | None = None
-    withdrawn: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Rival:
-    """Every output by one law.
-
-    Attributes:
-        law: Of all outputs.
-        observers: Of what it leaves, one per output.
-    """
-
-    law: ForceLaw
-    observers: tuple[Observer, ...]
-
-    __repr__ = short_repr
+    fast: float | None = None
+    refused: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,19 +114,6 @@ class StoredArray:
 
 
 @dataclass(frozen=True, slots=True)
-class StoredRival:
-    """Every output by one law.
-
-    Attributes:
-        law: Its arrays, by name.
-        observers: Of what it leaves, one per output.
-    """
-
-    law: dict[str, StoredArray]
-    observers: tuple[Observer, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class ForceFile:
     """What `uavtwin train --protocol force` writes beside `vehicle.toml`.
 
@@ -159,11 +127,10 @@ class ForceFile:
         inputs: Names of what the law sees.
         features: Names of what its linear part is linear in.
         outputs: Of each of the six, by name.
-        acceptance: What they were held against before, on flights left out.
-        closed_loop: Missions in random air, flown before the laws were shipped.
-        taken_1_s: Largest rate at which the linear part would have fed energy in; taken out.
-        law: Arrays of the law that is used, by name.
-        rivals: Every output by one law, by its name.
+        tried: Ridges, as flown over flights left out; empty where a single flight was given.
+        acceptance: What the law was held against, on flights left out.
+        closed_loop: Missions in random air, flown before the law was shipped.
+        law: Its arrays, by name.
     """
 
     format: int
@@ -175,56 +142,52 @@ class ForceFile:
     inputs: tuple[str, ...]
     features: tuple[str, ...]
     outputs: dict[str, Output]
+    tried: tuple[RidgeScore, ...]
     acceptance: Acceptance
     closed_loop: MissionCheck
-    taken_1_s: float
     law: dict[str, StoredArray]
-    rivals: dict[str, StoredRival]
 
 
 @dataclass(frozen=True, slots=True)
 class ForceModel:
-    """A law, the observer alongside it, and how both were come by.
+    """A law, and how it was come by; a driven twin has the untrained observer alongside it.
 
     Attributes:
         law: As it is used.
-        rivals: The same with every output by one law, by its name.
-        outputs: Of `OUTPUTS`, in order.
-        closed_loop: What was withdrawn before, because it lost missions.
-        taken: Largest rate at which the linear part would have fed energy in, 1/s; taken out.
         flights: That taught it.
         vehicle: Name of the vehicle.
         vehicle_sha256: Of its file.
         seed: Of the air of the missions that it had to fly.
-        acceptance: What the chosen laws were held against.
+        ridges: Under which force and moment were fitted; None: of that there is none.
+        tried: Every ridge, as flown.
+        acceptance: What it was held against.
+        closed_loop: Missions that it had to fly.
     """
 
     law: ForceLaw
-    rivals: Mapping[str, Rival]
-    outputs: tuple[Output, ...]
-    closed_loop: MissionCheck
-    taken: float
     flights: tuple[TrainingFlight, ...]
     vehicle: str
     vehicle_sha256: str
     seed: int
+    ridges: tuple[float | None, float | None] = (None, None)
+    tried: tuple[RidgeScore, ...] = ()
     acceptance: Acceptance = Acceptance()
+    closed_loop: MissionCheck = MissionCheck()
 
     __repr__ = short_repr
 
     @property
-    def observer_starts(self) -> dict[str, float]:
-        """Parameters of a driven twin by which its observer is that of the law."""
-        return observer_starts([o.observer for o in self.outputs])
+    def says(self) -> bool:
+        """Whether there is a law."""
+        return self.ridges != (None, None) or self.law.module is not None
 
-
-def observer_starts(observers: Sequence[Observer]) -> dict[str, float]:
-    """Parameters of a driven twin by which its observer has these numbers, one per output."""
-    starts = {"airframe.disturbance.enabled": 1.0}
-    for name, observer in zip(_OUTPUTS, observers, strict=True):
-        starts[f"airframe.disturbance.lag.{name}"] = observer.lag_s
-        starts[f"airframe.disturbance.fade.{name}"] = observer.fade_s
-    return starts
+    @property
+    def outputs(self) -> dict[str, Output]:
+        """Of each of the six, by name."""
+        ridges = np.repeat(np.array(self.ridges, dtype=object), len(OUTPUTS) // 2)
+        other = NONE if self.law.module is None else MODULE
+        laws = [Output(other if r is None else LINEAR, r) for r in ridges]
+        return dict(zip(_OUTPUTS, laws, strict=True))
 
 
 def save_force(model: ForceModel, folder: Path) -> None:
@@ -238,15 +201,11 @@ def save_force(model: ForceModel, folder: Path) -> None:
         flights=model.flights,
         inputs=tuple(name for name, _ in INPUTS),
         features=tuple(FEATURES),
-        outputs=dict(zip(_OUTPUTS, model.outputs, strict=True)),
+        outputs=model.outputs,
+        tried=model.tried,
         acceptance=model.acceptance,
         closed_loop=model.closed_loop,
-        taken_1_s=model.taken,
         law=_plain(model.law),
-        rivals={
-            name: StoredRival(_plain(rival.law), rival.observers)
-            for name, rival in model.rivals.items()
-        },
     )
     text = json.dumps(asdict(content), indent=1, allow_nan=False)
     (folder / FILE).write_text(text + "\n", "utf-8")
@@ -266,12 +225,22 @@ def load_force(folder: Path) -> ForceModel:
         file = msgspec.convert(content, ForceFile)
         if msgspec.json.decode(msgspec.json.encode(file)) != content:
             raise ModelError("it has keys that are none of its own")
-        return _model(file)
+        return _with_module(_model(file), folder)
     except (msgspec.MsgspecError, KeyError, TypeError, ValueError, TwinError) as error:
         raise ModelError(
             f"{path}: is of another layout than this version's, or damaged ({error}). Train the "
             f"model again."
         ) from error
+
+
+def _with_module(model: ForceModel, folder: Path) -> ForceModel:
+    """The same with the module of its folder, where it has one."""
+    if not (folder / MODULE_FILE).is_file():
+        return model
+    from .module import law_function
+
+    module = law_function((folder / MODULE_FILE).read_bytes())
+    return replace(model, law=replace(model.law, module=module))
 
 
 def is_force(folder: Path) -> bool:
@@ -292,11 +261,10 @@ def _model(content: ForceFile) -> ForceModel:
         raise ModelError(f"outputs are {list(content.outputs)}, not {list(_OUTPUTS)}")
     return ForceModel(
         law=_law(content.law),
-        rivals={n: Rival(_law(r.law), r.observers) for n, r in content.rivals.items()},
-        outputs=tuple(content.outputs.values()),
+        ridges=(content.outputs[_OUTPUTS[0]].ridge, content.outputs[_OUTPUTS[-1]].ridge),
+        tried=content.tried,
         acceptance=content.acceptance,
         closed_loop=content.closed_loop,
-        taken=content.taken_1_s,
         flights=content.flights,
         vehicle=content.vehicle,
         vehicle_sha256=content.vehicle_sha256,

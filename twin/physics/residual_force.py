@@ -1,6 +1,6 @@
 """What the equations leave of force and moment, as a law of the motion that flights have taught.
 
-    [force, moment] = units * bound(near(d) * linear @ features(x))
+    [force, moment] = units * bound(near(d) * (linear @ features(x) + module(x)))
     z = (x - centre) / scale           d = |whitening @ z| / sqrt(len(z)) / reach
 
 x is the motion as the air and the rotors know it (`INPUTS`): no gravity, heading or position is in
@@ -68,6 +68,7 @@ class ForceLaw:
         most: Of specific force, m/s2, and angular acceleration, rad/s2, that is said either way, at
             least 0, shape (6,).
         units: Force, N, and moment, N m, per specific force and angular acceleration, shape (6, 6).
+        module: What is added to the linear part, as a function of `INPUTS`; None: nothing.
     """
 
     linear: Array
@@ -77,6 +78,7 @@ class ForceLaw:
     reach: float
     most: Array
     units: Array
+    module: ca.Function | None = None
 
     __repr__ = short_repr
 
@@ -104,7 +106,7 @@ class ForceLaw:
 
     def arrays(self) -> dict[str, Array]:
         """All its numbers by name."""
-        return {f.name: np.asarray(getattr(self, f.name), dtype=np.float64) for f in fields(self)}
+        return {n: np.asarray(getattr(self, n), dtype=np.float64) for n in _ARRAYS}
 
     @classmethod
     def of(cls, arrays: Mapping[str, Array]) -> "ForceLaw":
@@ -113,10 +115,12 @@ class ForceLaw:
         Raises:
             ModelError: Some are missing, of another shape or not finite.
         """
-        names = {f.name for f in fields(cls)}
-        if set(arrays) != names:
-            raise ModelError(f"force law: has {sorted(arrays)}, not {sorted(names)}.")
+        if set(arrays) != set(_ARRAYS):
+            raise ModelError(f"force law: has {sorted(arrays)}, not {sorted(_ARRAYS)}.")
         return cls(**{k: v if k != "reach" else float(v) for k, v in arrays.items()})  # type: ignore[arg-type]
+
+
+_ARRAYS = tuple(f.name for f in fields(ForceLaw) if f.name != "module")
 
 
 def motion_inputs(
@@ -181,7 +185,10 @@ def accelerations(law: ForceLaw, x: ca.SX, linear: ca.SX, most: ca.SX) -> ca.SX:
         most: In the place of the law's, shape (6, 1).
     """
     d = distance(law, x)
-    said = _fade(d, LINEAR_BEGIN, LINEAR_END) * ca.mtimes(linear, features(x))
+    said = ca.mtimes(linear, features(x))
+    if law.module is not None:
+        said = said + law.module(x)
+    said = _fade(d, LINEAR_BEGIN, LINEAR_END) * said
     return ca.fmin(ca.fmax(said, -most), most)
 
 
@@ -242,16 +249,6 @@ def residual_force(vehicle: Vehicle, law: ForceLaw) -> Component:
 def _unit(kind: str) -> str:
     """Of what the equations lack, per mass or inertia."""
     return "m/s2" if kind == "force" else "rad/s2"
-
-
-def power(law: ForceLaw) -> Array:
-    """What a law feeds in about hover, W, as a quadratic form, shape (6, 6).
-
-    power = y @ form @ y of y = [air velocity, body rates]; without an eigenvalue above 0 it takes
-    energy, however the vehicle moves there.
-    """
-    per_motion = law.units @ law.linear[:, 1:7]
-    return np.asarray((per_motion + per_motion.T) / 2)
 
 
 def _weights(m: ComponentBuilder, names: list[list[str]], values: Array) -> ca.SX:

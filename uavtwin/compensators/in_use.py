@@ -19,6 +19,7 @@ from cosim.slave import Slave
 from fmus.compensator import NetworkFile
 from learning.data.channels import CHANNELS
 from learning.data.flights import ResidualFlight, residuals_in_use
+from learning.force.windows import clear, true_motion
 from twin.errors import LogError
 from twin.formatting import number, percent
 from twin.logs import Flight
@@ -32,7 +33,7 @@ from twin.vehicle import Vehicle as TwinVehicle
 from ..display import TextTable
 from ..exports.parts import OBSERVER, twin
 from ..exports.write import export
-from ..force.open_loop import PREFIX, clear, driving_inputs, true_motion
+from ..force.open_loop import PREFIX, driving_inputs
 from ..record import Record
 from ..vehicles import Vehicle
 

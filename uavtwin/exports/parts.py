@@ -54,7 +54,7 @@ class LearnedForce:
     """Force and moment that a vehicle's equations lack, as flights have taught.
 
     Attributes:
-        model: Law and observer.
+        model: The law.
         folder: That it was read from, for messages.
     """
 
@@ -83,8 +83,7 @@ def twin(
         compensator: Of `uavtwin.compensator`, trained for this vehicle.
         drive: Who replays a log gives commands or rotor speeds, and no mission and no controller
             are in it; None: it flies the mission.
-        force: Of `learned_force`, learned for this vehicle; its observer is in the driven twin
-            alone, which has a motion to follow.
+        force: Of `learned_force`, learned for this vehicle.
         position: Kind of position sensor.
         observer: Whether a driven twin has its disturbance observer on; with anything learned it
             has.
@@ -107,9 +106,7 @@ def twin(
     else:
         _check_drive("twin", drive)
         assembly = driven_twin(model, drive, law=law, position=position)
-        if force is not None:
-            assembly = assembly.with_starts(force.model.observer_starts)
-        elif observer or compensator is not None:
+        if observer or force is not None or compensator is not None:
             assembly = assembly.with_starts({OBSERVER: 1.0})
     return Twin(model.name, assembly, compensator, model.grounded)
 

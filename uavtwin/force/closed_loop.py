@@ -18,15 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.slave import Slave
-from learning.force.laws import LAWS
-from learning.force.model import ForceModel, MissionCheck, Output
+from learning.force.model import ForceModel, MissionCheck
+from learning.force.windows import true_motion
 from twin.errors import FmuError
 from twin.flight.assembly import SENSED, gust_switches
 from twin.flight.mission import PHASES, mission_duration_s
 from twin.frames import AXES, to_ned
 from twin.logs import Flight
 from twin.logs.columns import motor_columns
-from twin.physics.residual_force import OUTPUTS
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.measured import Signal
 from twin.residuals.teacher_forced import GRID_S, RIGID
@@ -35,7 +34,7 @@ from twin.vehicle import Vehicle
 from ..exports.parts import LearnedForce, twin
 from ..exports.write import export
 from .memory import Memory
-from .open_loop import DISTANCE, true_motion
+from .open_loop import DISTANCE
 
 Array = NDArray[np.float64]
 MISSIONS = ("hover", "forward", "tour")
@@ -85,8 +84,8 @@ class MissionPair:
     """The same mission in the same air.
 
     Attributes:
-        learned: LawScore with the learned force.
-        alone: LawScore without it.
+        learned: With the learned force.
+        alone: Without it.
     """
 
     learned: MissionTrack
@@ -187,73 +186,60 @@ def _tracked(fmu: Path, duration_s: float, starts: Mapping[str, float]) -> Missi
     return MissionTrack(float(np.sqrt(np.mean(away**2))), float(away.max()), inside)
 
 
+def lost_by(
+    vehicle: Vehicle, force: LearnedForce, mission: str, airs: Sequence[Mapping[str, float]]
+) -> Array:
+    """Whether a law loses a mission that is flown without it, in every air, shape (airs,).
+
+    Args:
+        vehicle: Whose twin.
+        force: Learned for it.
+        mission: Name of the mission.
+        airs: Start values of each flight.
+    """
+    with tempfile.TemporaryDirectory() as place:
+        fmu = Path(place, "twin.fmu")
+        export(twin(vehicle, mission, force=force), fmu)
+        duration_s = mission_duration_s(mission)
+        found = [
+            _tracked(fmu, duration_s, air).lost
+            and not _tracked(fmu, duration_s, {**air, ENABLED: 0.0}).lost
+            for air in airs
+        ]
+    return np.array(found, dtype=np.float64)
+
+
 def flyable(
-    chosen: ForceModel,
-    model: Callable[[Sequence[str]], ForceModel],
+    laws: Sequence[ForceModel],
+    nothing: ForceModel,
     vehicle: Vehicle,
     memory: Memory,
     progress: Callable[[float], None],
 ) -> ForceModel:
-    """The learned force with which no mission is lost that is flown without it.
-
-    One after the other is withdrawn until that is so, first the law by which flights left out gain
-    least.
+    """The first law with which no mission is lost that is flown without it.
 
     Args:
-        chosen: As flights have chosen it.
-        model: The same of these laws.
+        laws: The one that flights have chosen, then those under stronger ridges.
+        nothing: What is left where each of them loses some.
         vehicle: Whose twin.
         memory: Of the steps that were taken before.
         progress: Called with the share done.
     """
-    airs = random_air(FLIGHTS, chosen.seed)
+    airs = random_air(FLIGHTS, nothing.seed)
     missions = [(m, airs[i :: len(MISSIONS)]) for i, m in enumerate(MISSIONS)]
-    withdrawn: list[str] = []
-    lost: list[int] = []
-    left, most = chosen, len(_used(chosen))
-    while _used(left):
-        force = LearnedForce(left)
-
-        def flown(mission: str, own: Sequence[Mapping[str, float]], force: LearnedForce) -> Array:
-            """Whether the law loses each flight of a mission, shape (flights,)."""
-            return np.array([b.lost for b in fly_both(vehicle, force, mission, own)], dtype=float)
-
-        where = f"without {withdrawn}"
-        losses = [
-            memory.array(f"mission {m} {where}", partial(flown, m, own, force))
+    left, lost = nothing, []
+    for k, law in enumerate(laws):
+        each = [
+            memory.array(f"mission {m} {k}", partial(lost_by, vehicle, LearnedForce(law), m, own))
             for m, own in missions
         ]
-        lost.append(int(sum(np.sum(one) for one in losses)))
-        progress(len(lost) / (most + 1))
+        lost.append(int(sum(np.sum(one) for one in each)))
+        progress((k + 1) / len(laws))
         if not lost[-1]:
+            left = law
             break
-        laws, name = _without_weakest(left.outputs)
-        withdrawn.append(name)
-        left = model(laws)
-    flights = len(airs) if lost else 0
-    return replace(left, closed_loop=MissionCheck(flights, sum(lost[:1]), tuple(withdrawn)))
-
-
-def _used(model: ForceModel) -> list[str]:
-    """Laws that a model uses."""
-    return [o.law for o in model.outputs if o.law != LAWS[0]]
-
-
-def _without_weakest(outputs: Sequence[Output]) -> tuple[list[str], str]:
-    """Laws with one less, and the name of what went."""
-    laws = [o.law for o in outputs]
-    used = [i for i, law in enumerate(laws) if law != LAWS[0]]
-    i = max(used, key=lambda i: _weakness(outputs[i]))
-    kind, axis = OUTPUTS[i]
-    name = f"{kind} {axis} {laws[i]}"
-    laws[i] = LAWS[0]
-    return laws, name
-
-
-def _weakness(output: Output) -> tuple[float, float]:
-    """Larger of a law that does less on flights left out."""
-    flown = next(f for f in output.tried if f.law == output.law)
-    return (1.0 if flown.ratio is None else flown.ratio, -flown.gain)
+    check = MissionCheck(len(airs), lost[0], len([n for n in lost if n]))
+    return replace(left, closed_loop=check)
 
 
 HOVER = "hover"

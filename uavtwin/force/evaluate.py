@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from learning.force.laws import LAWS
-from learning.force.model import VEHICLE_FILE, ForceModel, observer_starts
+from learning.force.model import VEHICLE_FILE, ForceModel
 from twin.errors import TwinError
 from twin.formatting import counted, number, percent, pretty_unit
 from twin.frames import AXES
@@ -31,10 +30,9 @@ from ..series.files import CORRECTED, TWIN, Column, Series, residual_of
 from ..series.files import EXPLAINED as EXPLAINED_SIDE
 from ..vehicles import Vehicle, load_vehicle
 from .closed_loop import Steadiness, hovers
-from .learn import in_force
 from .open_loop import DISTANCE, HORIZONS_S, QUANTITIES, OpenLoop, Replay
 
-PHYSICS, EXPLAINED, OBSERVED, SHIPPED = "physics", "explained", "explained + observer", "corrected"
+PHYSICS, EXPLAINED, SHIPPED = "physics", "explained", "corrected"
 UNTRAINED = "explained + untrained observer"
 """Names of twins."""
 LAST_MOTION, LAST_READING = "last motion", "last reading"
@@ -106,7 +104,7 @@ class ForceEvaluation(DisplayMixin):
         flight, quantity, axis = ratios.idxmax()
         observer = float(over(self.table, UNTRAINED).median())
         share = float(np.mean([i[HORIZONS_S.index(CLAIMED_S)] for i in self.inside.values()]))
-        law = "" if any(o.law != LAWS[0] for o in self.model.outputs) else ", which has no law,"
+        law = ", which has no law," if not self.model.says else ""
         rows = summary(self.table)
         at = rows[rows["horizon_s"] == CLAIMED_S].set_index("model")
         lost = [q for q, _ in QUANTITIES if at.loc[LAST_MOTION, q] < at.loc[SHIPPED, q]]
@@ -206,10 +204,10 @@ def evaluate_force(
             flown = {LAST_READING: replay.last_reading(), LAST_MOTION: replay.last_motion()}
             for name in fleet.names:
                 own = fleet.vehicle(name)
-                path, starts = fleet.twin(name, choose_drive(flight, own))
+                path = fleet.twin(name, choose_drive(flight, own))
                 watch = (DISTANCE,) if name == SHIPPED else ()
                 driven = replay if own is vehicle else replay.driven_as(flight, own)
-                flown[name] = driven.through(path, starts, watch)
+                flown[name] = driven.through(path, watch=watch)
                 done += 1
                 progress(done / total)
             rows += [row for name, off in flown.items() for row in _rows(name, flight.name, off)]
@@ -234,14 +232,6 @@ class _Fleet:
         self, force: LearnedForce, vehicle: Vehicle, physics: Vehicle | None, place: Path
     ) -> None:
         self._forces: dict[str, LearnedForce | None] = {EXPLAINED: None, UNTRAINED: None}
-        self._starts: dict[str, Mapping[str, float]] = {}
-        self._files: dict[str, str] = {}
-        for name, rival in force.model.rivals.items():
-            law = "" if name == LAWS[0] else f" + {name}"
-            own = f"{OBSERVED}{law}"
-            self._forces[own] = LearnedForce(replace(force.model, law=rival.law))
-            self._starts[own] = in_force(rival.law) | observer_starts(rival.observers)
-            self._files[own] = OBSERVED  # what tells them apart are start values
         self._forces[SHIPPED] = force
         self._vehicles = dict.fromkeys(self._forces, vehicle)
         if physics is not None:
@@ -258,14 +248,13 @@ class _Fleet:
         """Whose twin it is."""
         return self._vehicles[name]
 
-    def twin(self, name: str, drive: Drive) -> tuple[Path, Mapping[str, float]]:
-        """Its FMU, and start values."""
-        file = self._files.get(name, name)
-        path = self._place / f"{file.replace(' ', '_')}_{drive}.fmu"
+    def twin(self, name: str, drive: Drive) -> Path:
+        """Its FMU."""
+        path = self._place / f"{name.replace(' ', '_')}_{drive}.fmu"
         if not path.exists():
             own, force = self._vehicles[name], self._forces[name]
             export(twin(own, drive=drive, force=force, observer=name == UNTRAINED), path)
-        return path, self._starts.get(name, {})
+        return path
 
 
 def _check_new(flights: Sequence[Flight], folder: Path, model: ForceModel) -> None:

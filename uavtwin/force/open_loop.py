@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from cosim.slave import Slave
 from learning.data.channels import phase_codes
+from learning.force.windows import WARM_S, apart, clear, left_alone, true_motion
 from twin.errors import LogError
-from twin.frames import AXES, multiply, rotation_vector
+from twin.frames import AXES, multiply
 from twin.logs import Flight
 from twin.representation import short_repr
 from twin.residuals.aligned import AlignedFlight, align_flight
-from twin.residuals.channels import in_step
 from twin.residuals.measured import Signal
 from twin.residuals.teacher_forced import GRID_S, RIGID, SPIN_RATE
 from twin.vehicle import Vehicle
@@ -36,10 +36,6 @@ HORIZONS_S = (0.05, 0.2, 0.5, 1.0, 2.0)
 """For how long a twin flies alone, s."""
 EVERY_S = 0.25
 """Between two starts, s: half of the horizon of the claim. Made up."""
-CLEAR_S = 0.5
-"""So long it has been in the air before it is followed. Not chosen on flights."""
-WARM_S = 1.0
-"""So long it has followed before it is left alone."""
 DISTANCE = "residual_force.distance"
 """Output of a twin with a learned force: 1 where the training ends."""
 QUANTITIES = (("position", "m"), ("velocity", "m/s"), ("attitude", "rad"), ("rates", "rad/s"))
@@ -70,7 +66,11 @@ class OpenLoop:
 
 
 class Replay:
-    """A flight, ready to be replayed through driven twins."""
+    """A flight, ready to be replayed through driven twins.
+
+    Attributes:
+        speed_m_s: Median of it in the air, m/s.
+    """
 
     def __init__(
         self, flight: Flight, vehicle: Vehicle, horizons_s: Sequence[float] = HORIZONS_S
@@ -84,7 +84,8 @@ class Replay:
         self._measured = true_motion(vehicle, aligned)
         self._steps = [round(h / GRID_S) for h in horizons_s]
         known = clear(aligned) & np.isfinite(self._measured).all(axis=1)
-        self._left = _left_alone(known, self._steps[-1])
+        self._left = left_alone(known, self._steps[-1], EVERY_S)
+        self.speed_m_s = _median_speed(self._measured[known])
         if not len(self._left):
             raise LogError(
                 f"{flight.name}: nowhere {WARM_S + horizons_s[-1]:g} s in the air without a gap, "
@@ -174,7 +175,7 @@ class Replay:
         measured = np.stack([self._measured[self._left + k] for k in self._steps], axis=1)
         nothing = np.zeros((*motion.shape[:2], 0))
         left_s = np.asarray(GRID_S * self._left, dtype=np.float64)
-        return OpenLoop(left_s, _off(motion, measured), nothing if watched is None else watched)
+        return OpenLoop(left_s, apart(motion, measured), nothing if watched is None else watched)
 
     def _alone(self, slave: Slave, row: int) -> list[Array]:
         """Outputs at the horizons after a row; from one change of an input to the next at once."""
@@ -245,38 +246,13 @@ def driving_inputs(
     return table
 
 
-def true_motion(vehicle: Vehicle, aligned: AlignedFlight) -> Array:
-    """`RIGID` of a flight as the twin has it, known ages taken out; NaN where unknown, (n, 13)."""
-    names = [s.name for s in aligned.airframe.states]
-    return in_step(aligned, vehicle)[:, [names.index(s) for s in RIGID]]
-
-
-def clear(aligned: AlignedFlight) -> NDArray[np.bool_]:
-    """Where an aircraft has been in the air for `CLEAR_S`, shape (n,)."""
-    grounded = np.where(aligned.airborne, 0, np.arange(1, len(aligned.airborne) + 1))
-    since = np.arange(len(grounded)) - np.maximum.accumulate(grounded)
-    return np.asarray(aligned.airborne & (since >= round(CLEAR_S / GRID_S)))
-
-
 def _changes(names: Sequence[str], given: Array) -> NDArray[np.intp]:
     """Rows at which an input changes that matters to a twin that is left alone."""
     columns = [i for i, n in enumerate(names) if not n.startswith(f"{PREFIX}restart")]
     return np.flatnonzero(np.any(np.diff(given[:, columns], axis=0) != 0, axis=1)) + 1
 
 
-def _left_alone(known: NDArray[np.bool_], steps: int) -> NDArray[np.intp]:
-    """Rows from which a twin flies alone: it has followed before, and can be compared after."""
-    warm = round(WARM_S / GRID_S)
-    missing = np.concatenate([[0], np.cumsum(~known)])
-    rows = np.arange(warm, len(known) - steps, round(EVERY_S / GRID_S))
-    return np.asarray(rows[missing[rows + steps + 1] == missing[rows - warm]], dtype=np.intp)
-
-
-def _off(twin: Array, aircraft: Array) -> Array:
-    """Twin less aircraft, shapes (w, h, 13) to (w, h, 4, 3)."""
-    at = {stem: [RIGID.index(f"{stem}_{a}") for a in AXES] for stem in ("pos", "vel", "omega")}
-    q = [RIGID.index(f"q_{a}") for a in "wxyz"]
-    pos, vel, omega = (twin[..., i] - aircraft[..., i] for i in at.values())
-    flat = (np.reshape(values[..., q], (-1, 4)) for values in (twin, aircraft))
-    turned = np.reshape(rotation_vector(*flat), pos.shape)
-    return np.stack([pos, vel, turned, omega], axis=-2)
+def _median_speed(motion: Array) -> float:
+    """Of rows of `RIGID`, m/s; 0 of none."""
+    velocity = motion[:, [RIGID.index(f"vel_{a}") for a in AXES]]
+    return float(np.median(np.linalg.norm(velocity, axis=1))) if len(motion) else 0.0

@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from learning.force.forecast import NEVER_S
-from learning.force.laws import LAWS
 from learning.force.model import (
     FILE,
     VEHICLE_FILE,
@@ -15,14 +13,15 @@ from learning.force.model import (
 from twin.errors import TwinError
 from twin.formatting import number, percent
 from twin.logs import Flight
-from twin.physics.residual_force import OUTPUTS
 
 from ..flights import check_names
 from ..report.page import render
 from ..vehicles import Vehicle
-from .learn import ACCEPTED, BETTER, OBSERVER, WORSE, Progress, learn_force
+from .learn import ACCEPTED, ALONE_S, BETTER, WORSE, Progress, learn_force
 from .memory import Memory
 
+PARTS = ("force", "moment")
+"""Of a law."""
 REPORT = "report.html"  # in the folder of a law
 _DEFAULTS = {
     "model": None,
@@ -33,8 +32,6 @@ _DEFAULTS = {
     "device": "cpu",
 }
 """Options of `train` that a learned force has not."""
-NAMES = tuple(f"{kind} {a}" for kind, a in OUTPUTS)
-"""Of the outputs, for a reader."""
 
 
 def check_force_options(
@@ -61,8 +58,8 @@ def check_force_options(
     for name, value in given.items():
         if value != _DEFAULTS[name]:
             raise TwinError(
-                f"{name} {value}: protocol force has no such choice, its laws are chosen by flying "
-                f"them. Leave it out."
+                f"{name} {value}: protocol force has no such choice, its law is chosen by flying "
+                f"it. Leave it out."
             )
 
 
@@ -104,36 +101,27 @@ def force_claim(out: Path) -> str:
 
 
 def _claim(model: ForceModel) -> str:
-    used = [
-        f"{name} {output.law}"
-        for name, output in zip(NAMES, model.outputs, strict=True)
-        if output.law != LAWS[0]
-    ]
     if len(model.flights) == 1:
         return (
-            "force: one flight tells no law from an accident; a disturbance observer alone. Give "
-            "two flights or more."
+            "force: no law: one flight tells none from an accident; the untrained disturbance "
+            "observer alone. Give two flights or more."
         )
-    law = (
-        f"laws that fly better on flights left out: {', '.join(used)}"
-        if used
-        else "no law: none flies better on flights left out than none"
-    )
-    held = model.acceptance
-    if held.withdrawn:
+    held, gone = model.acceptance, model.closed_loop
+    if held.over_observer is None:
+        law = "no law: under no ridge does one fly better on flights left out than none"
+    else:
+        fast = "" if held.fast is None else f", {held.fast:.2f} on fast ones (below 1 is asked)"
         law = (
-            f"no law: {', '.join(held.withdrawn)} fly better than none, but on flights left out "
-            f"{held.over_observer:.2f} of the explained twin with the untrained observer "
-            f"(at most {ACCEPTED:g} is asked), {held.over_last_motion:.2f} of the last motion "
-            f"in position and velocity (below 1)"
+            f"on flights left out {held.over_observer:.2f} of what the explained twin with the "
+            f"untrained observer is off (at most {ACCEPTED:g} is asked; median), and "
+            f"{held.over_last_motion:.2f} of the last motion in position and velocity after "
+            f"{ALONE_S:g} s{fast}"
         )
-    gone = model.closed_loop.withdrawn
-    lost = f"; withdrawn, as missions were lost with it: {', '.join(gone)}" if gone else ""
-    observed = [n for n, o in zip(NAMES, model.outputs, strict=True) if o.observer.lag_s < NEVER_S]
-    observer = "an observer of what is left"
-    if len(observed) < len(NAMES):
-        observer = f"{observer} of {', '.join(observed)}" if observed else "no observer"
-    return f"force: {law}{lost}; alongside it {observer}."
+        ridges = [f"{p}, ridge {r:g}" for p, r in zip(PARTS, model.ridges, strict=True) if r]
+        law = f"{'a law of ' + ' and '.join(ridges) if ridges else 'no law'}: {law}"
+    if gone.withdrawn:
+        law += f"; missions were lost under {gone.withdrawn} weaker or equal ridges"
+    return f"force: {law}; alongside it the untrained observer."
 
 
 def _page(model: ForceModel) -> str:
@@ -144,15 +132,4 @@ def _page(model: ForceModel) -> str:
         worse=WORSE,
         claim=_claim(model),
         model=model,
-        laws=(OBSERVER, *LAWS[1:]),
-        outputs=[
-            {
-                "name": name,
-                "law": output.law,
-                "learns": output.observer.lag_s < NEVER_S,
-                "observer": output.observer,
-                "tried": {f.law: f for f in output.tried},
-            }
-            for name, output in zip(NAMES, model.outputs, strict=True)
-        ],
     )

@@ -8,14 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from learning.force.forecast import NO_OBSERVER, Observer
 from learning.force.model import (
     FILE,
+    Acceptance,
     ForceModel,
-    LawScore,
     MissionCheck,
-    Output,
-    Rival,
+    RidgeScore,
     TrainingFlight,
     load_force,
     save_force,
@@ -41,23 +39,14 @@ def _law(n: int) -> ForceLaw:
 
 MODEL = ForceModel(
     law=_law(0),
-    rivals={
-        name: Rival(_law(n), (NO_OBSERVER,) * 6) for name, n in (("constant", 3), ("linear", 0))
-    },
-    outputs=(
-        Output(
-            "linear",
-            Observer(0.2, 1.0),
-            (LawScore("constant", -3.0), LawScore("linear", 12.0, 0.9, 1.01)),
-        ),
-        *(Output("none", NO_OBSERVER) for _ in range(5)),
-    ),
-    closed_loop=MissionCheck(12, 1, ("moment y linear",)),
-    taken=0.1,
     flights=(TrainingFlight("one", "00"),),
     vehicle="x",
     vehicle_sha256="11",
     seed=3,
+    ridges=(0.1, None),
+    tried=(RidgeScore("force", 1.0, 0.95, 1.1), RidgeScore("force", 0.1, 0.9, 1.01)),
+    acceptance=Acceptance(0.5, 0.9, 0.8),
+    closed_loop=MissionCheck(12, 1, 1),
 )
 
 
@@ -70,9 +59,7 @@ def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
     save_force(MODEL, tmp_path)
     found = load_force(tmp_path)
     assert _same(found.law, MODEL.law)
-    assert all(_same(found.rivals[k].law, MODEL.rivals[k].law) for k in MODEL.rivals)
-    assert all(found.rivals[k].observers == MODEL.rivals[k].observers for k in MODEL.rivals)
-    assert replace(found, law=MODEL.law, rivals=MODEL.rivals) == MODEL
+    assert replace(found, law=MODEL.law) == MODEL
 
 
 def test_the_same_model_gives_the_same_bytes(tmp_path: Path) -> None:
@@ -90,7 +77,7 @@ def test_the_same_model_gives_the_same_bytes(tmp_path: Path) -> None:
         lambda c: c["law"].pop("reach"),
         lambda c: c["law"]["linear"].update(shape=[5, 5]),
         lambda c: c["law"]["scale"]["values"].__setitem__(0, -1.0),
-        lambda c: c["outputs"]["force_x"]["observer"].update(lag="fast"),
+        lambda c: c["tried"][0].update(ratio="fast"),
         lambda c: c.update(inputs=["airspeed"]),
     ],
 )

@@ -25,7 +25,6 @@ from twin.physics.residual_force import (
     LINEAR_END,
     OUTPUTS,
     ForceLaw,
-    power,
     residual_force,
 )
 from twin.vehicle import Vehicle
@@ -153,20 +152,6 @@ def test_wind_is_no_ground_speed() -> None:
     blown = rig.outputs(np.zeros(0), rig.inputs(motion(wind_x=-2.0)))
     assert still["force_x"] == pytest.approx(-1.0 * VEHICLE.mass_kg)
     assert blown["force_x"] == still["force_x"]
-
-
-def test_power_is_what_force_and_moment_do_per_second() -> None:
-    """About hover: force times velocity and moment times rate, by the component itself."""
-    rng = np.random.default_rng(2)
-    one = replace(law(), linear=np.zeros((6, len(FEATURES))))
-    linear = one.linear.copy()
-    linear[:, 1:7] = rng.normal(size=(6, 6))
-    one = replace(one, linear=linear)
-    rig, y = Rig(residual_force(VEHICLE, one)), 0.1 * rng.normal(size=6)
-    now = motion(**vec("vel", y[:3]), **vec("omega", y[3:]))
-    found = rig.outputs(np.zeros(0), rig.inputs(now))
-    work = sum(found[n] * v for n, v in zip(NAMES, y, strict=True))
-    assert work == pytest.approx(float(y @ power(one) @ y), rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from rig import plain
 
+from learning.force.windows import true_motion
 from twin.logs import Flight
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.measured import Signal
 from twin.residuals.teacher_forced import GRID_S, RIGID
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import fly
-from uavtwin.force.open_loop import driving_inputs, true_motion
+from uavtwin.force.open_loop import driving_inputs
 
 LEGS = (("ground", 0.5, (0.0, 0.0, 0.0)), ("takeoff", 2.0, (0.5, 0.0, -1.0)))
 DELAYED = plain().with_effects({"command_delay": {"delay_s": 0.02}})

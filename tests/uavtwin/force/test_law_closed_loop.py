@@ -1,15 +1,14 @@
 """Laws that have to fly before they are shipped, by exported FMUs in random air."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 
-from learning.force.forecast import NO_OBSERVER
-from learning.force.instants import instants
-from learning.force.laws import prepare
-from learning.force.model import ForceModel, LawScore, MissionCheck, Output
+from learning.force.equations import Equations
+from learning.force.laws import Taught
+from learning.force.model import ForceModel
+from learning.force.windows import FlightWindows
 from twin.physics.residual_force import FEATURES, OUTPUTS, ForceLaw
+from twin.residuals.aligned import components_of
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import fly
 from uavtwin.exports.parts import LearnedForce
@@ -31,64 +30,32 @@ def empty() -> ForceLaw:
         ("takeoff", 2.5, (0.0, 0.0, -2.0)),
         ("tour", 4.0, (4.0, 2.0, -2.0)),
     )
-    return prepare([instants(fly(COPTER, COPTER, 1, "one", legs), COPTER)], COPTER).empty
+    equations = Equations(COPTER, components_of(COPTER, "command")[0])
+    windows = FlightWindows.of(fly(COPTER, COPTER, 1, "one", legs), COPTER, equations)
+    return Taught.by([windows], equations).empty
 
 
-def _model(empty: ForceLaw, *weights: tuple[str, str, float]) -> ForceModel:
+def _model(
+    empty: ForceLaw, *weights: tuple[str, str, float], ridge: float | None = None
+) -> ForceModel:
     """Linear laws of `(output, feature, weight)`, SI units."""
-    linear, laws = np.zeros_like(empty.linear), ["none"] * len(OUTPUTS)
+    linear = np.zeros_like(empty.linear)
     names = [f"{kind}_{a}" for kind, a in OUTPUTS]
     for output, feature, weight in weights:
         linear[names.index(output), FEATURES.index(feature)] = weight
-        laws[names.index(output)] = "linear"
     arrays = {**empty.arrays(), "linear": linear, "most": np.full(len(OUTPUTS), 1e3)}
-    return ForceModel(
-        law=ForceLaw.of(arrays),
-        rivals={},
-        outputs=tuple(
-            Output(law, NO_OBSERVER, (LawScore(law, 1.0, 0.8 + 0.01 * i, 1.0),))
-            for i, law in enumerate(laws)
-        ),
-        closed_loop=MissionCheck.nothing(),
-        taken=0.0,
-        flights=(),
-        vehicle=COPTER.name,
-        vehicle_sha256="",
-        seed=0,
-    )
+    return ForceModel(ForceLaw.of(arrays), (), COPTER.name, "", 0, (ridge, ridge))
 
 
 @pytest.mark.long
 def test_what_loses_missions_is_withdrawn_and_what_does_not_stays(
     empty: ForceLaw, memory: Memory
 ) -> None:
-    def model(laws: Sequence[str]) -> ForceModel:
-        both = zip((laws[0], laws[4]), (DRAG, TURNS), strict=True)
-        return _model(empty, *(weight for law, weight in both if law == "linear"))
-
-    found = flyable(
-        _model(empty, DRAG, TURNS),
-        model,
-        COPTER,
-        memory,
-        lambda _: None,
-    )
-    assert [o.law for o in found.outputs] == ["linear", *["none"] * 5]
-    assert found.closed_loop.withdrawn == ("moment y linear",)
+    laws = [_model(empty, TURNS, ridge=0.1), _model(empty, DRAG, ridge=1.0)]
+    found = flyable(laws, _model(empty), COPTER, memory, lambda _: None)
+    assert found.ridges == (1.0, 1.0)
+    assert found.closed_loop.withdrawn == 1
     assert 0 < found.closed_loop.lost <= found.closed_loop.flights == FLIGHTS
-
-
-@pytest.mark.slow
-def test_no_law_has_nothing_to_fly(empty: ForceLaw, memory: Memory) -> None:
-    none = _model(empty)
-    found = flyable(
-        none,
-        lambda _: none,
-        COPTER,
-        memory,
-        lambda _: None,
-    )
-    assert found.closed_loop == MissionCheck.nothing()
 
 
 @pytest.mark.slow

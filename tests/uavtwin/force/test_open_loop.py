@@ -8,8 +8,6 @@ import pytest
 
 from cosim.whole_twin import fused_model
 from fmus import build
-from learning.force.forecast import Observer
-from learning.force.model import observer_starts
 from twin.flight.assembly import driven_twin
 from twin.physics.residual_force import OUTPUTS
 from twin.residuals.teacher_forced import choose_drive
@@ -19,7 +17,9 @@ from uavtwin.force.open_loop import QUANTITIES, Replay
 
 COPTER = load_vehicle("copter_default")
 ABOVE_M = 0.3
-SLOW = Observer(lag_s=1.0, fade_s=1.0)
+SLOW = {"airframe.disturbance.enabled": 1.0} | {
+    f"airframe.disturbance.lag.{kind}_{a}": 1.0 for kind, a in OUTPUTS
+}
 
 
 @pytest.mark.slow
@@ -38,7 +38,7 @@ def test_what_carries_an_aircraft_on_the_ground_is_no_disturbance(tmp_path: Path
     replay = Replay(lifted, COPTER, (0.5,))
     rms = {
         name: replay.through(fmu, starts).rms[0]
-        for name, starts in (("alone", {}), ("observed", observer_starts([SLOW] * len(OUTPUTS))))
+        for name, starts in (("alone", {}), ("observed", SLOW))
     }
     velocity = [name for name, _ in QUANTITIES].index("velocity")
     assert rms["observed"][velocity, 2] < rms["alone"][velocity, 2] + 0.02

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from learning_rigs.compensator_rig import compensator, exported, tiny
 
-from learning.force.forecast import NO_OBSERVER
-from learning.force.model import ForceModel, MissionCheck, Output
+from learning.force.model import ForceModel
 from twin.errors import TwinError
 from twin.physics.residual_force import FEATURES, INPUTS, OUTPUTS, ForceLaw
 from twin.vehicle_file import load_vehicle
@@ -64,9 +63,7 @@ def pushed_forward(mass_kg: float) -> ForceModel:
         most=np.full(len(OUTPUTS), 1e3),
         units=mass_kg * np.eye(len(OUTPUTS)),
     )
-    outputs = tuple(Output("linear" if i == 0 else "none", NO_OBSERVER) for i in range(6))
-    nothing = MissionCheck.nothing()
-    return ForceModel(law, {}, outputs, nothing, 0.0, (), VEHICLE, "", 0)
+    return ForceModel(law, (), VEHICLE, "", 0, ridges=(1.0, None))
 
 
 @pytest.mark.slow

@@ -1,0 +1,194 @@
+"""A force law, fitted through the rollout of the airframe's equations.
+
+What a law does half a second after the twin was left alone is what it is for; a law that is right
+about the acceleration of every instant need not be (a controller answers disturbances, and its
+answer is read as their cause). So weights are those of least error at several horizons of windows
+that begin at the measured motion, with the disturbance observer that the driven twin has:
+
+    x' = f(x, u, units (W features(x, u) + d))        d(0) = low-pass of (what f lacks - W features)
+
+d fades. Slopes of the motion by W go along the rollout (forward sensitivities, first order in the
+step), so that a step of Levenberg and Marquardt takes one rollout. A ridge holds W at nothing.
+
+Source: output-error identification, Ljung, System Identification, ch. 7.3 and 10.2; sensitivities,
+Maine & Iliff, NASA RP 1168, 1986; the loss, Charbonnier et al., ICIP 1994.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.frames import AXES
+from twin.physics.airframe import FADE_S
+from twin.physics.residual_force import FEATURES, OUTPUTS
+from twin.residuals.teacher_forced import GRID_S, RIGID
+
+from .equations import STEP_S, STEPS, Equations
+from .windows import HORIZONS_S, FlightWindows, apart, turn_slopes
+
+Array = NDArray[np.float64]
+ROBUST = 3.0
+"""Error, over that without a law, from which on it counts linearly: a window that tumbles counts
+once."""
+ROUNDS, RAISES = 8, 4
+"""Steps of Levenberg and Marquardt at most, and times that the damping is raised for one."""
+DAMPING, SETTLED = 1e-3, 1e-3
+"""At the beginning; and the relative gain below which nothing more is to be had."""
+FARTHEST = 1e4
+"""Of any state: a twin that diverges stays a number."""
+_N, _WEIGHTS = len(RIGID), len(OUTPUTS) * len(FEATURES)
+
+
+def rolled(
+    equations: Equations, flight: FlightWindows, weights: Array, slopes: bool = False
+) -> tuple[Array, Array]:
+    """Errors of windows that are flown with a law.
+
+    Args:
+        equations: Of the airframe.
+        flight: Windows.
+        weights: Specific force and angular acceleration per feature, shape (6, k).
+        slopes: Whether their slopes are wanted.
+
+    Returns:
+        Twin less aircraft at `HORIZONS_S`, (w, h, 12), and its slope by `weights`, (w, h, 12, 6 k);
+        without slopes (w, h, 12, 0).
+    """
+    x, count = flight.start, len(flight.start)
+    ends = [round(h / STEP_S) for h in HORIZONS_S]
+    disturbance = flight.lacks - flight.knows @ weights.T
+    fades = (1 - GRID_S / FADE_S) ** STEPS
+    width = _WEIGHTS if slopes else 0
+    by_weight, of_disturbance = np.zeros((count, _N, width)), -_blocks(flight.knows, width)
+    errors, slopes_of = [], []
+    for k in range(ends[-1]):
+        u, volts = flight.inputs[:, k], flight.volts[:, k]
+        seen = equations.features(x, u, volts)
+        a = seen @ weights.T + disturbance
+        if slopes:
+            step, push, of_features = equations.slopes(x, u, volts, a)
+            of_law = weights @ (of_features @ by_weight) + _blocks(seen, width)
+            by_weight = step @ by_weight + push @ (of_law + of_disturbance)
+            of_disturbance = of_disturbance * fades
+        x = np.clip(np.nan_to_num(equations.step(x, u, a)), -FARTHEST, FARTHEST)
+        disturbance = disturbance * fades
+        if k + 1 in ends:
+            motion = x[:, equations.rigid]
+            off = apart(motion, flight.truth[:, ends.index(k + 1)])
+            errors.append(off.reshape(count, -1))
+            slopes_of.append(_error_slopes(motion, by_weight))
+    return np.stack(errors, axis=1), np.stack(slopes_of, axis=1)
+
+
+def _blocks(values: Array, width: int) -> Array:
+    """Slope of `W @ values` by W, shapes (w, k) to (w, 6, 6 k)."""
+    found = np.zeros((len(values), len(OUTPUTS), len(OUTPUTS), values.shape[1]))
+    for i in range(len(OUTPUTS)):
+        found[:, i, i] = values
+    return found.reshape(len(values), len(OUTPUTS), -1)[..., :width]
+
+
+def _error_slopes(motion: Array, by_weight: Array) -> Array:
+    """Slopes of `apart` where the error is small, from those of `RIGID`; (w, 12, m)."""
+    rows = {stem: [RIGID.index(f"{stem}_{a}") for a in AXES] for stem in ("pos", "vel", "omega")}
+    turned = turn_slopes(motion) @ by_weight[:, [RIGID.index(f"q_{a}") for a in "wxyz"]]
+    pos, vel, omega = (by_weight[:, i] for i in rows.values())
+    return np.concatenate([pos, vel, turned, omega], axis=1)
+
+
+def fitted(
+    equations: Equations,
+    flights: Sequence[FlightWindows],
+    sizes: Array,
+    ridge: float,
+    start: Array | None = None,
+) -> Array:
+    """Weights of least error over windows, flights counting the same.
+
+    Errors count over those without a law, by flight, horizon and quantity; weights over the size of
+    what the equations lack, features over their own.
+
+    Args:
+        equations: Of the airframe.
+        flights: To learn from.
+        sizes: Of the features, shape (k,).
+        ridge: Price of a weight.
+        start: From which it is begun; None: nothing.
+
+    Returns:
+        Specific force, m/s2, and angular acceleration, rad/s2, per feature, shape (6, k).
+    """
+    problem = _Problem(equations, flights, sizes, ridge)
+    weights = np.zeros(_WEIGHTS) if start is None else (start * sizes).ravel()
+    damping, (cost, gradient, curvature) = DAMPING, problem.slopes(weights)
+    for _ in range(ROUNDS):
+        for _ in range(RAISES):
+            damped = curvature + damping * np.diag(np.diag(curvature))
+            tried = weights - np.linalg.solve(damped, gradient)
+            if (less := problem.cost(tried)) < cost:
+                break
+            damping *= 10
+        else:
+            break
+        gain, weights, damping = (cost - less) / cost, tried, damping / 5
+        if gain < SETTLED:
+            break
+        cost, gradient, curvature = problem.slopes(weights)
+    return weights.reshape(len(OUTPUTS), -1) / sizes
+
+
+class _Problem:
+    """Cost of weights, each over the size of its feature, shape (6 k,)."""
+
+    def __init__(
+        self, equations: Equations, flights: Sequence[FlightWindows], sizes: Array, ridge: float
+    ) -> None:
+        self._equations, self._flights, self._sizes = equations, flights, sizes
+        lacks = np.sqrt(np.mean([np.mean(f.left**2, axis=0) for f in flights], axis=0))
+        self._ridge = ridge / np.repeat(np.maximum(lacks, _LEAST) ** 2, len(sizes))
+        nothing = np.zeros((len(OUTPUTS), len(sizes)))
+        self._units = [_cells(rolled(equations, f, nothing)[0]) for f in flights]
+
+    def cost(self, weights: Array) -> float:
+        """Of weights."""
+        losses = [np.mean(_loss(off)) for off, _ in self._errors(weights, False)]
+        return float(np.mean(losses) + weights @ (self._ridge * weights))
+
+    def slopes(self, weights: Array) -> tuple[float, Array, Array]:
+        """Cost, half of its gradient, and half of its curvature after Gauss and Newton."""
+        cost = float(weights @ (self._ridge * weights))
+        gradient, curvature = self._ridge * weights, np.diag(self._ridge)
+        for off, slope in self._errors(weights, True):
+            counts = 1 / (np.sqrt(1 + (off / ROBUST) ** 2) * off.size * len(self._flights))
+            cost += float(np.mean(_loss(off))) / len(self._flights)
+            gradient = gradient + slope.T @ (counts * off)
+            curvature = curvature + (slope * counts[:, None]).T @ slope
+        return cost, gradient, curvature
+
+    def _errors(self, weights: Array, slopes: bool) -> Sequence[tuple[Array, Array]]:
+        """Errors of each flight over `_units`, flat, and their slopes."""
+        per_feature = weights.reshape(len(OUTPUTS), -1) / self._sizes
+        sizes = np.tile(self._sizes, len(OUTPUTS)) if slopes else np.zeros(0)
+        found = []
+        for flight, unit in zip(self._flights, self._units, strict=True):
+            off, slope = rolled(self._equations, flight, per_feature, slopes)
+            scaled = slope / unit[..., None] / sizes
+            found.append(((off / unit).ravel(), scaled.reshape(off.size, -1)))
+        return found
+
+
+_LEAST = 1e-9
+"""Of a size by which something is divided."""
+
+
+def _cells(off: Array) -> Array:
+    """Rms by horizon and quantity, one axis of three; (w, h, 12) to (1, h, 12)."""
+    by_axis = np.mean(off**2, axis=0).reshape(off.shape[1], -1, len(AXES))
+    rms = np.sqrt(by_axis.mean(axis=-1))
+    return np.repeat(np.maximum(rms, _LEAST), len(AXES), axis=1)[None]
+
+
+def _loss(off: Array) -> Array:
+    """Square of small errors, linear in large ones."""
+    return 2 * ROBUST**2 * (np.sqrt(1 + (off / ROBUST) ** 2) - 1)

@@ -1,0 +1,200 @@
+"""Flights as windows in which a twin flies alone: from the measured motion on, compared with it.
+
+The disturbance observer of `twin.physics.airframe` has followed each window's beginning. What it
+knows there is linear in the weights of a force law: a low-pass of what the equations lack, less the
+same low-pass of what the law says.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from twin.errors import LogError
+from twin.frames import AXES, rotation_vector, to_body
+from twin.logs import Flight
+from twin.physics.airframe import LAG_S
+from twin.representation import short_repr
+from twin.residuals.aligned import AlignedFlight, align_flight
+from twin.residuals.channels import in_step
+from twin.residuals.measured import Signal
+from twin.residuals.teacher_forced import GRID_S, RIGID
+from twin.vehicle import Vehicle
+
+from .equations import STEPS, Equations
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.intp]
+CLEAR_S = 0.5
+"""So long it has been in the air before it is followed. Not chosen on flights."""
+WARM_S = 1.0
+"""So long it has followed before it is left alone."""
+HORIZONS_S = (0.1, 0.2, 0.3, 0.5)
+"""At which a law is fitted, s after the twin was left alone. From a second on the cost has other
+minima: begun at nothing, the law of two circles leaves 0.63 of a helix (NanoBench), not 0.31."""
+EVERY_S = 0.25
+"""Between two windows of the fit, s: half of the longest horizon, as neighbours tell the same."""
+_OMEGA, _Q = (
+    [RIGID.index(f"{s}_{a}") for a in names] for s, names in (("omega", AXES), ("q", "wxyz"))
+)
+_POS, _VEL = ([RIGID.index(f"{s}_{a}") for a in AXES] for s in ("pos", "vel"))
+
+
+def true_motion(vehicle: Vehicle, aligned: AlignedFlight) -> Array:
+    """`RIGID` of a flight as the twin has it, known ages taken out; NaN where unknown, (n, 13)."""
+    names = [s.name for s in aligned.airframe.states]
+    return in_step(aligned, vehicle)[:, [names.index(s) for s in RIGID]]
+
+
+def clear(aligned: AlignedFlight) -> BoolArray:
+    """Where an aircraft has been in the air for `CLEAR_S`, shape (n,)."""
+    grounded = np.where(aligned.airborne, 0, np.arange(1, len(aligned.airborne) + 1))
+    since = np.arange(len(grounded)) - np.maximum.accumulate(grounded)
+    return np.asarray(aligned.airborne & (since >= round(CLEAR_S / GRID_S)))
+
+
+def left_alone(known: BoolArray, steps: int, every_s: float) -> IntArray:
+    """Rows from which a twin flies alone: it has followed before, and can be compared after.
+
+    Args:
+        known: Where the motion is, shape (n,).
+        steps: Grid steps that it flies.
+        every_s: Between two of them.
+    """
+    warm = round(WARM_S / GRID_S)
+    missing = np.concatenate([[0], np.cumsum(~known)])
+    rows = np.arange(warm, len(known) - steps, round(every_s / GRID_S))
+    return np.asarray(rows[missing[rows + steps + 1] == missing[rows - warm]], dtype=np.intp)
+
+
+def apart(twin: Array, aircraft: Array) -> Array:
+    """Twin less aircraft, shapes (..., 13) to (..., 4, 3): position, velocity, attitude, rates."""
+    pos, vel, omega = (twin[..., i] - aircraft[..., i] for i in (_POS, _VEL, _OMEGA))
+    flat = (np.reshape(values[..., _Q], (-1, 4)) for values in (twin, aircraft))
+    turned = np.reshape(rotation_vector(*flat), pos.shape)
+    return np.stack([pos, vel, turned, omega], axis=-2)
+
+
+def turn_slopes(motion: Array) -> Array:
+    """Slope of a small turn by the quaternion of a motion, shapes (w, 13) to (w, 3, 4)."""
+    w, x, y, z = motion[:, _Q].T
+    rows = [(-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w)]
+    return np.asarray(2 * np.stack([np.stack(row, axis=-1) for row in rows], axis=1))
+
+
+@dataclass(frozen=True, slots=True)
+class FlightWindows:
+    """Windows of one flight; w of them, n steps of `STEPS` grid steps each.
+
+    Attributes:
+        name: Of the flight.
+        start: States of the airframe at their beginnings, shape (w, n_x).
+        inputs: Of the airframe, mean over each step, shape (w, n, n_u).
+        volts: Battery voltage, mean over each step, V, shape (w, n, 1).
+        truth: `RIGID` at `HORIZONS_S`, shape (w, h, 13).
+        lacks: What the observer knows at the beginnings without a law: specific force, m/s2, and
+            angular acceleration, rad/s2; shape (w, 6).
+        knows: The same low-pass of the features, shape (w, k).
+        features: At all times in the air, shape (m, k).
+        places: Inputs of the law at the same times, shape (m, i).
+        left: What the equations lack at the same times, as `lacks`, shape (m, 6).
+    """
+
+    name: str
+    start: Array
+    inputs: Array
+    volts: Array
+    truth: Array
+    lacks: Array
+    knows: Array
+    features: Array
+    places: Array
+    left: Array
+
+    __repr__ = short_repr
+
+    @classmethod
+    def of(cls, flight: Flight, vehicle: Vehicle, equations: "Equations") -> "FlightWindows":
+        """Windows of a flight.
+
+        Raises:
+            LogError: It is nowhere long enough in the air, its motion known.
+        """
+        aligned = align_flight(flight, vehicle)
+        motion = true_motion(vehicle, aligned)
+        states = aligned.states.copy()
+        states[:, equations.rigid] = motion
+        known = clear(aligned) & np.isfinite(states).all(axis=1)
+        begins = left_alone(known, round(HORIZONS_S[-1] / GRID_S), EVERY_S)
+        if not len(begins):
+            raise LogError(
+                f"{flight.name}: nowhere {WARM_S + HORIZONS_S[-1]:g} s in the air without a gap, "
+                f"position, velocity, attitude and body rates known, which it takes to learn a "
+                f"force. Give a longer flight."
+            )
+        u, volts = aligned.inputs.u, voltage(flight, vehicle, aligned.inputs.t_s)
+        states = np.where(known[:, None], states, states[begins[0]])
+        follows = known & np.append(known[1:], False)
+        features = equations.features(states, u, volts)
+        lacks = _lacks(states, motion, equations.after(states, u))
+        lacks = np.where(follows[:, None], lacks, 0.0)
+        rows = begins[:, None] + STEPS * np.arange(round(HORIZONS_S[-1] / GRID_S) // STEPS)
+        before = begins - 1
+        return cls(
+            name=flight.name,
+            start=states[begins],
+            inputs=_means(u, rows),
+            volts=_means(volts, rows),
+            truth=np.stack([motion[begins + round(h / GRID_S)] for h in HORIZONS_S], axis=1),
+            lacks=_followed(lacks)[before],
+            knows=_followed(np.where(follows[:, None], features, 0.0))[before],
+            features=features[follows],
+            places=equations.places(states, u, volts)[follows],
+            left=lacks[follows],
+        )
+
+
+def voltage(flight: Flight, vehicle: Vehicle, t_s: Array) -> Array:
+    """Battery voltage at the grid, the nominal one where the flight has none; shape (n, 1)."""
+    if not flight.has("vbat_v"):
+        return np.full((len(t_s), 1), vehicle.voltage_v)
+    return Signal(*flight.signal(["vbat_v"])).held(t_s)
+
+
+def _lacks(states: Array, motion: Array, after: Array) -> Array:
+    """Specific force and angular acceleration that a grid step lacks, shape (n, 6).
+
+    Args:
+        states: Of the airframe, shape (n, n_x).
+        motion: Measured, as `RIGID`, shape (n, 13).
+        after: The same a grid step after `states`, by the equations.
+    """
+    away = (np.vstack([motion[1:], motion[-1:]]) - after) / GRID_S
+    q = [motion[:, i] for i in _Q]
+    force = np.stack(to_body(q, [away[:, i] for i in _VEL]), axis=-1)
+    return np.asarray(np.nan_to_num(np.hstack([force, away[:, _OMEGA]])))
+
+
+def _followed(values: Array) -> Array:
+    """What the disturbance observer makes of them."""
+    share = GRID_S / LAG_S
+    return np.asarray(lfilter([share], [1.0, share - 1.0], values, axis=0))
+
+
+def _means(values: Array, rows: IntArray) -> Array:
+    """Over `STEPS` grid steps from each row on, shape (*rows.shape, k)."""
+    sums = np.cumsum(np.vstack([np.zeros((1, values.shape[1])), values]), axis=0)
+    return np.asarray((sums[rows + STEPS] - sums[rows]) / STEPS)
+
+
+def sizes(flights: Sequence[FlightWindows]) -> Array:
+    """Spread of each feature over flights, 1 of one that does not vary, shape (k,)."""
+    spread = np.std(np.vstack([f.features for f in flights]), axis=0)
+    return np.asarray(np.where(spread > _TRIFLE, spread, 1.0))
+
+
+_TRIFLE = 1e-6
+"""A feature that varies by less, in its unit, does not vary."""

@@ -1,0 +1,167 @@
+"""Laws through the rollout: the rows of the fit against exported FMUs, slopes against differences,
+and the choice between laws."""
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from cosim.whole_twin import fused_model
+from fmus import build
+from learning.data.envelope import BEYOND
+from learning.force.equations import Equations
+from learning.force.laws import RIDGES, Taught
+from learning.force.model import RidgeScore
+from learning.force.rollout import fitted, rolled
+from learning.force.windows import HORIZONS_S, FlightWindows, sizes
+from twin.flight.assembly import driven_twin
+from twin.logs import Flight
+from twin.physics.residual_force import FEATURES, OUTPUTS
+from twin.residuals.aligned import components_of
+from twin.vehicle_file import load_vehicle
+from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.force.learn import (
+    AHEAD_S,
+    Fold,
+    accepted,
+    best_ridge,
+    in_force,
+    mean_squares,
+    score,
+    stronger,
+)
+from uavtwin.force.open_loop import Replay
+
+COPTER = load_vehicle("copter_default")
+DRAG_1_S = 0.6
+DRAGGED = replace(
+    COPTER,
+    drag_linear_n_s_m=COPTER.drag_linear_n_s_m
+    + DRAG_1_S * COPTER.mass_kg * np.array([1.0, 1.0, 0.0]),
+)
+ROUND: Waypoints = (
+    ("ground", 0.5, (0.0, 0.0, 0.0)),
+    ("takeoff", 2.5, (0.0, 0.0, -2.0)),
+    ("tour", 3.5, (6.0, 3.0, -2.0)),
+    ("tour", 3.5, (-3.0, -2.0, -2.5)),
+)
+BACK: Waypoints = (("tour", 3.5, (-4.0, 3.0, -2.0)), ("tour", 3.5, (3.0, 3.0, -1.5)))
+AIR_X = FEATURES.index("air_x")
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flight:
+    """Of a vehicle with more drag than its file says."""
+    return fly(COPTER, DRAGGED, 1, "one", ROUND)
+
+
+@pytest.fixture(scope="module")
+def taught(flight: Flight) -> Taught:
+    """By that flight."""
+    equations = Equations(COPTER, components_of(COPTER, "command")[0])
+    return Taught.by([FlightWindows.of(flight, COPTER, equations)], equations)
+
+
+def _turns() -> np.ndarray:
+    """A law that pushes and turns by what it sees."""
+    weights = np.zeros((len(OUTPUTS), len(FEATURES)))
+    weights[0, AIR_X], weights[2, FEATURES.index("thrust")] = -0.3, 0.5
+    weights[4, AIR_X], weights[3, FEATURES.index("omega_x")] = 0.2, -0.5
+    return weights
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("weights", [np.zeros((len(OUTPUTS), len(FEATURES))), _turns()])
+def test_rows_are_flown_as_by_the_exported_fmu(
+    flight: Flight, taught: Taught, weights: np.ndarray, tmp_path: Path
+) -> None:
+    """Observer and law included; the fit takes 4 ms a step, and commands as means over them."""
+    law = replace(taught.of(weights), most=np.full(len(OUTPUTS), 1e3))
+    parts = driven_twin(COPTER, "command", (), taught.empty)
+    fmu = build(fused_model(parts, COPTER.name), tmp_path / "twin.fmu")
+    exported = Replay(flight, COPTER, HORIZONS_S).through(fmu, in_force(law)).off
+    (windows,) = taught.flights
+    off, _ = rolled(taught.equations, windows, weights)
+    assert off.reshape(exported.shape).shape == exported.shape
+    away = np.sqrt(np.mean((off.reshape(exported.shape) - exported) ** 2, axis=0))
+    assert (away < 0.03 * np.sqrt(np.mean(exported**2, axis=(0, 3), keepdims=True))[0] + 1e-4).all()
+
+
+@pytest.mark.slow
+def test_slopes_are_differences(taught: Taught) -> None:
+    (windows,) = taught.flights
+    rng = np.random.default_rng(0)
+    step = 1e-4 * rng.normal(size=(len(OUTPUTS), len(FEATURES)))
+    _, slopes = rolled(taught.equations, windows, _turns(), slopes=True)
+    more, less = (rolled(taught.equations, windows, _turns() + s * step)[0] for s in (1, -1))
+    there = (more - less) / 2
+    along = slopes @ step.ravel()
+    assert np.sqrt(np.mean((along - there) ** 2)) < 0.05 * np.sqrt(np.mean(there**2))
+
+
+@pytest.mark.slow
+def test_the_drag_that_is_missing_is_found_and_bounded(taught: Taught) -> None:
+    """Over all features that move with the airspeed: which of them is told by no flight of 7 s."""
+    other = fly(COPTER, DRAGGED, 2, "two", (*ROUND[:2], *BACK))
+    flights = [*taught.flights, FlightWindows.of(other, COPTER, taught.equations)]
+    weights = fitted(taught.equations, flights, sizes(flights), RIDGES[-1])
+    said = flights[1].features @ weights.T
+    along = flights[1].features[:, AIR_X]
+    assert said[:, 0] @ along / (along @ along) == pytest.approx(-DRAG_1_S, rel=0.15)
+    before, after = (
+        np.mean(rolled(taught.equations, flights[1], w)[0] ** 2) for w in (0 * weights, weights)
+    )
+    assert after < 0.3 * before
+    both = np.abs(np.vstack([f.features for f in flights]) @ weights.T).max(axis=0)
+    law = Taught.by(flights, taught.equations).of(weights)
+    np.testing.assert_allclose(law.most, BEYOND * both)
+
+
+def test_the_strongest_ridge_that_is_as_good_is_taken() -> None:
+    def best(*scores: tuple[float, float, float]) -> float | None:
+        return best_ridge([RidgeScore("force", *s) for s in scores])
+
+    assert best((1.0, 0.805, 1.0), (0.1, 0.8, 1.0)) == 1.0
+    assert best((1.0, 0.9, 1.0), (0.1, 0.8, 1.0)) == 0.1
+    assert best((1.0, 0.9, 1.1), (0.1, 0.995, 1.0)) is None
+    assert stronger((0.1, 1.0)) == [(0.1, 1.0), (0.3, 1.0), (1.0, 1.0)]
+    assert stronger((None, 0.3)) == [(None, 0.3), (None, 1.0)]
+
+
+LAW = (1.0, None)
+
+
+def _fold(law: float, observer: float, motion: float, fast: bool) -> Fold:
+    """Errors of every cell: with the law, with the untrained observer, of the last motion."""
+    cells = (len(AHEAD_S), 4, 3)
+    flown = SimpleNamespace(off=np.full((2, *cells), motion))
+    replay = SimpleNamespace(speed_m_s=1.0 if fast else 0.1, last_motion=lambda: flown)
+    with_law = {(None, None): np.full(cells, observer**2), LAW: np.full(cells, law**2)}
+    fold = SimpleNamespace(squares=with_law.get, last_motion=None, replay=replay, fast=fast)
+    fold.last_motion = Fold.last_motion.fget(fold)  # type: ignore[attr-defined]
+    return cast(Fold, fold)
+
+
+@pytest.mark.parametrize(
+    ("law", "observer", "motion", "fast", "refused"),
+    [
+        (0.8, 1.0, 1.0, True, False),
+        (0.95, 1.0, 1.0, True, True),
+        (0.8, 1.0, 0.7, True, True),
+        (0.8, 1.0, 0.7, False, False),
+    ],
+)
+def test_a_law_has_to_beat_the_observer_and_where_it_is_fast_the_last_motion(
+    law: float, observer: float, motion: float, fast: bool, refused: bool
+) -> None:
+    folds = [_fold(law, observer, motion, fast)] * 2
+    found = accepted(folds, LAW)
+    assert found.over_observer == pytest.approx(law / observer)
+    assert found.over_last_motion == pytest.approx(law / motion)
+    assert found.fast == (pytest.approx(law / motion) if fast else None)
+    assert found.refused == refused
+    squares, without = mean_squares(folds, LAW), mean_squares(folds, (None, None))
+    assert score("force", 1.0, squares, without).ratio == pytest.approx(law / observer)
