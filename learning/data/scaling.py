@@ -1,7 +1,7 @@
 """Standardisation of residuals and features, with the envelope of the training data."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,14 @@ class Scaling:
     def arrays(self) -> dict[str, Array]:
         """Every array by its name."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    def without_offsets(self, channels: BoolArray) -> "Scaling":
+        """The same, the mean of some channels nothing.
+
+        Args:
+            channels: Which, shape (15,).
+        """
+        return replace(self, mean=np.where(channels, 0.0, self.mean))
 
     @property
     def envelope(self) -> Envelope:

@@ -15,13 +15,17 @@ from scipy.signal import lfilter
 from twin.errors import ModelError
 
 from ..preset import Protocol
-from .channels import N_PHASES
+from .channels import CHANNELS, N_PHASES
 from .flights import ResidualFlight, held
 from .scaling import Scaling, features_of, places_of, standardised
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+OF_THE_DAY = np.array([not c.startswith(("pos", "vel")) for c in CHANNELS])
+"""Sensors that have another offset on another day, shape (15,): in `free`, which sees no
+measurement, what flights have in common of it says nothing of the next one, and only what is beyond
+a running mean is corrected."""
 LAGS = 8
 """Past residuals in the linear prediction of `track`."""
 SMOOTHING_S = (0.1, 0.5)
@@ -51,6 +55,8 @@ class SpanSequence:
         own: What the twin reads now, about its mean in the phase, over the scale, shape (n, 15).
         features: Shape (n, F).
         slow: Low-passed features, shape (n, 2 F).
+        beyond: `own`, features and slow less their running means from the first sample on, which
+            count as those of `offset`, shape (n, 15 + 3 F); none but in `free`.
         phase: Codes, shape (n,).
         distance: From where training has been, 1 where that ends, shape (n,).
         alone: Whether the twin flew by itself, shape (n,).
@@ -66,6 +72,7 @@ class SpanSequence:
     own: Array
     features: Array
     slow: Array
+    beyond: Array
     phase: NDArray[np.intp]
     distance: Array
     alone: BoolArray
@@ -149,6 +156,10 @@ def _span(
         then = delayed(held(virtual, fresh, virtual[0]), horizon, virtual[0])
         change = (then - virtual) / scaling.scale[phase]
         offset = _running_means(lags[0], lags[0] + change + own, *running_mean(flight.rate_hz))
+    whole = np.hstack([own, features, *slow])
+    beyond = np.zeros((len(d), 0))
+    if protocol == "free":
+        beyond = whole - _mean_so_far(whole, running_mean(flight.rate_hz)[0])
     return SpanSequence(
         flight=number,
         start=span[0],
@@ -160,6 +171,7 @@ def _span(
         own=own,
         features=features,
         slow=np.hstack(slow),
+        beyond=beyond,
         phase=phase,
         distance=_distance(raw, scaling, protocol),
         alone=flight.alone_rows[rows],
@@ -188,6 +200,12 @@ def _running_means(residual: Array, reading: Array, decay: float, prior: float) 
     values = np.stack([residual, reading * there, there], axis=-1)
     sums = np.asarray(lfilter([1.0], [1.0, -decay], values, axis=0))
     return np.asarray(sums[..., :2] / (sums[..., 2:] + prior))
+
+
+def _mean_so_far(values: Array, decay: float) -> Array:
+    """Of all values up to each, shape (n, k)."""
+    sums = lfilter([1.0], [1.0, -decay], np.hstack([values, np.ones((len(values), 1))]), axis=0)
+    return np.asarray(sums[:, :-1] / sums[:, -1:])
 
 
 def delayed(values: Array, samples: int, before: Array | float = 0.0) -> Array:

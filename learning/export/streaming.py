@@ -27,7 +27,14 @@ from twin.physics.residual_force import LINEAR_BEGIN, LINEAR_END
 
 from ..data.channels import CHANNELS, FEATURE_CHANNELS, N_PHASES, PLACES
 from ..data.envelope import BEYOND, NETWORK_END
-from ..data.sequences import LAGS, SMOOTHING_S, limited, running_mean, smoothing
+from ..data.sequences import (
+    LAGS,
+    OF_THE_DAY,
+    SMOOTHING_S,
+    limited,
+    running_mean,
+    smoothing,
+)
 from ..model.compensator import NO_SPREAD, Compensator
 from ..model.network import LOG_SPREAD_LIMIT, ClusterNetwork, LstmStack, SvqNetwork
 from .graph import Graph
@@ -126,6 +133,7 @@ def _step(g: Graph, model: Compensator) -> None:
             own = g.op("Div", g.op("Sub", sample.virtual, reading), scale)
         if protocol == "free":
             said = g.op("Add", said, g.op("Mul", own, g.floats(base[:, :1].T)))
+            said, mean_so_far = _beyond(g, model, said, mean_so_far)
         if protocol == "track":
             lags = g.reshape(g.columns(past, first, rows * n), 0, -1, n)  # (B, lags, 15)
             then, readings, begun = _read_then(g, model, sample, readings, begun)
@@ -257,6 +265,17 @@ def _offset(
     weights = g.op("Add", weights, g.floats([[prior]]))
     means = g.op("Div", g.reshape(sums, 0, 2, n), g.reshape(weights, 0, 1, n))
     return means, mean_so_far
+
+
+def _beyond(g: Graph, model: Compensator, said: str, mean_so_far: str) -> tuple[str, str]:
+    """Linear predictions, of the sensors of `OF_THE_DAY` less their running means (B, 15), which is
+    the prediction of what is beyond the means; next state of sums and weight."""
+    n, (decay, _) = len(CHANNELS), running_mean(model.info.rate_hz)
+    before = g.op("Mul", mean_so_far, g.floats([[decay]]))
+    sums, weight = g.split(before, [n, 1], axis=1)
+    sums, weight = g.op("Add", sums, said), g.op("Add", weight, g.floats([[1.0]]))
+    mean = g.op("Mul", g.op("Div", sums, weight), g.floats([OF_THE_DAY.astype(np.float64)]))
+    return g.op("Sub", said, mean), g.concat(sums, weight, axis=1)
 
 
 def _innovation_ratio(

@@ -135,8 +135,9 @@ class Compensator(nn.Module):
 
     @property
     def n_offset(self) -> int:
-        """Numbers of the running means: sums of residuals, sums of readings, and weights."""
-        return 3 * len(CHANNELS) if self.info.protocol == "track" else 0
+        """Numbers of the running means: sums of residuals, of readings, and weights; in `free` sums
+        of linear predictions, and their weight."""
+        return {"track": 3 * len(CHANNELS), "free": len(CHANNELS) + 1}.get(self.info.protocol, 0)
 
     @property
     def n_slow(self) -> int:

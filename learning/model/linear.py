@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..data.envelope import BEYOND
 from ..data.flights import ResidualFlight
 from ..data.scaling import Scaling, fit_scaling, in_spans
-from ..data.sequences import LAGS, SpanSequence, sequences
+from ..data.sequences import LAGS, OF_THE_DAY, SpanSequence, sequences
 from ..preset import Normalise, Protocol
 
 Array = NDArray[np.float64]
@@ -42,9 +42,10 @@ def fit_base(
 
     `track`: weights times [`lags` about `offset`, `change`] of each channel, which is
     autoregression straight to the horizon and an observer of its offset, times [`own`, features,
-    slow features], or times both. `free`: times the latter. `reconstruct`: none. The ridge holds
-    the weights at those of a trivial rule: that the residual is nothing (in `track`: what it was
-    last, or so far on average), or that the sensor reads what it reads on average (in `track`: what
+    slow features], or times both. `free`: times the latter, of the sensors of `OF_THE_DAY` beyond
+    their running means. `reconstruct`: none. The ridge holds the weights at those of a trivial
+    rule: that the residual is nothing (in `track`: what it was last, or so far on average), or that
+    the sensor reads what it reads on average (in `track`: what
     it read last, or so far on average), whatever the twin says. Which of all these, and the
     strength of the ridge, is chosen, and its worth judged, on parts of the data that had no share
     in the fit: flight by flight, or by stretches of time where there is one flight. Readings of a
@@ -60,16 +61,43 @@ def fit_base(
         From all data, shape (15, regressors).
     """
     blocks, folds = time_blocks(spans, rate_hz), _folds(spans)
+    targets = to_learn(spans, scored, protocol)
     weights = []
     for c in range(spans[0].d.shape[1]):
         x = np.concatenate([regressors(s, protocol, c) for s in spans])
-        target = np.concatenate([s.d[:, c] for s in spans])
+        target = np.concatenate([d[:, c] for d in targets])
         counts = np.concatenate([m[:, c] for m in scored])
         weight = _equalised(target, counts, np.concatenate([s.alone for s in spans]))
         x, target = x * weight[:, None], target * weight
         tried = _tried(protocol, x.shape[1])
         weights.append(_channel(x, target, counts, folds, blocks, tried))
     return np.array(weights)
+
+
+def to_learn(
+    spans: Sequence[SpanSequence], scored: Sequence[BoolArray], protocol: Protocol
+) -> list[Array]:
+    """What is to be said of each span, shape (n, 15): the residual; in `free` of the sensors of
+    `OF_THE_DAY` that less its mean over the flight, where the twin follows.
+
+    Args:
+        spans: Of flights.
+        scored: Per span the samples that count, shape (n, 15).
+        protocol: As of `fit_base`.
+    """
+    if protocol != "free":
+        return [s.d for s in spans]
+    means = {}
+    for flight in {s.flight for s in spans}:
+        own = [(s, m) for s, m in zip(spans, scored, strict=True) if s.flight == flight]
+        d, counts = (
+            np.concatenate(parts) for parts in zip(*[(s.d, m) for s, m in own], strict=True)
+        )
+        alone = np.concatenate([s.alone for s, _ in own])
+        counts = counts & (~alone | alone.all())[:, None]
+        mean = np.sum(d, axis=0, where=counts) / np.maximum(counts.sum(axis=0), 1)
+        means[flight] = np.where(OF_THE_DAY, mean, 0.0)
+    return [s.d - means[s.flight] for s in spans]
 
 
 def _equalised(target: Array, scored: BoolArray, alone: BoolArray) -> Array:
@@ -114,6 +142,9 @@ def regressors(span: SpanSequence, protocol: Protocol, channel: int) -> Array:
         about = span.lags[:, channel] - offset[:, :1]
         now = (span.change[:, channel, None], span.own[:, channel, None])
         return np.hstack([about, offset, *now, span.features, span.slow])
+    if protocol == "free" and OF_THE_DAY[channel]:
+        n = len(OF_THE_DAY)
+        return np.hstack([span.beyond[:, channel, None], span.beyond[:, n:]])
     if protocol == "free":
         return np.hstack([span.own[:, channel, None], span.features, span.slow])
     return np.zeros((len(span.d), 0))
@@ -298,6 +329,14 @@ class Normalised(Interface):
         ...
 
 
+def scaling_for(
+    flights: Sequence[ResidualFlight], normalise: Normalise, protocol: Protocol
+) -> Scaling:
+    """Scaling of a training under a protocol."""
+    scaling = fit_scaling(flights, [in_spans(f) for f in flights], normalise)
+    return scaling.without_offsets(OF_THE_DAY) if protocol == "free" else scaling
+
+
 def left_out_errors(
     flights: Sequence[ResidualFlight],
     preset: Normalised,
@@ -324,7 +363,7 @@ def left_out_errors(
     errors = []
     for one in flights:
         others = [f for f in flights if f is not one]
-        theirs = fit_scaling(others, [in_spans(f) for f in others], preset.normalise)
+        theirs = scaling_for(others, preset.normalise, protocol)
         seen = sequences(others, theirs, protocol, horizon)
         base = fit_base(seen, [s.fresh for s in seen], protocol, one.rate_hz)
         for span in sequences([one], theirs, protocol, horizon):

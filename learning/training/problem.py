@@ -12,10 +12,18 @@ from ..data.channels import CHANNELS, N_PHASES
 from ..data.clustering import clusters_of
 from ..data.envelope import UNLIMITED
 from ..data.flights import ResidualFlight
-from ..data.scaling import fit_scaling, in_spans
+from ..data.scaling import in_spans
 from ..data.sequences import sequences
 from ..model.compensator import Compensator, ModelInfo
-from ..model.linear import fit_base, gates, left_out_errors, predict_base, time_blocks
+from ..model.linear import (
+    fit_base,
+    gates,
+    left_out_errors,
+    predict_base,
+    scaling_for,
+    time_blocks,
+    to_learn,
+)
 from ..model.network import NetworkOut, SvqNetwork
 from ..preset import Preset, Protocol
 from .windows import MANY_FLIGHTS, TrainingSamples, validation_rows
@@ -73,7 +81,7 @@ class TrainingProblem:
         self.compensator = Compensator(
             ModelInfo(preset, protocol, horizon, rate_hz, n_commands, clusters, seed)
         )
-        scaling = fit_scaling(flights, usable, preset.normalise)
+        scaling = scaling_for(flights, preset.normalise, protocol)
         self.compensator.set_scaling(scaling)
         size = 1 + (np.abs(scaling.mean) + np.abs(scaling.reading)) / scaling.scale
         self.least = ROUNDING * size  # of a spread, (phases, 15)
@@ -86,7 +94,11 @@ class TrainingProblem:
         if preset.linear:
             base = fit_base(self.spans, [s.fresh for s in self.spans], protocol, rate_hz)
         self.compensator.base.copy_(torch.from_numpy(base))
-        self.left = [s.d - predict_base(s, base, protocol, scaling.largest) for s in self.spans]
+        targets = to_learn(self.spans, [s.fresh for s in self.spans], protocol)
+        self.left = [
+            target - predict_base(s, base, protocol, scaling.largest)
+            for s, target in zip(self.spans, targets, strict=True)
+        ]
         self.leftover = np.ones(len(CHANNELS))
         if protocol != "reconstruct":
             square = _mean_square(self.left, self.train)

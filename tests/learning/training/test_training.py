@@ -10,19 +10,21 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from learning_rigs.residual_rig import made_up, tiny
+from learning_rigs.residual_rig import UNITS, made_up, tiny
 from scipy.signal import lfilter
 
 from learning.data.channels import CHANNELS
 from learning.data.flights import ResidualFlight
 from learning.data.scaling import fit_scaling, in_spans
-from learning.data.sequences import LAGS, sequences
+from learning.data.sequences import LAGS, OF_THE_DAY, sequences
 from learning.model.compensator import Compensator
+from learning.model.family import TrainingTask
 from learning.model.folder import CURVE, MODEL, WEIGHTS, load
 from learning.model.linear import fit_base, gates, predict_base, regressors
+from learning.model.registry import preset_named
 from learning.preset import Preset, Protocol
 from learning.training.checkpoint import CHECKPOINT
-from learning.training.train import train
+from learning.training.train import fit_model, train
 from learning.training.windows import validation_rows
 from twin.errors import ModelError
 
@@ -147,7 +149,25 @@ def test_free_finds_what_the_features_tell(tmp_path: Path) -> None:
     told = left(model, away)
     assert np.median(told) < 0.6, told
     silent = train([made_up(s, gain=0.0) for s in range(2)], tiny(), "free", 0, 0, tmp_path / "0")
-    assert np.median(left(silent, made_up(9, gain=0.0))) < 1.15
+    away = made_up(9, gain=0.0)
+    nothing = np.mean(away.residual**2, axis=0) / np.var(away.residual, axis=0)  # with its offset
+    assert np.median(left(silent, away) / nothing) < 1.15
+
+
+def test_free_corrects_no_offset_of_the_day(tmp_path: Path) -> None:
+    """Two flights have one in common; of sensors that says nothing of the third, of motion it does.
+    What moves is corrected all the same."""
+    flights = [made_up(seed, n=900, gain=1.5) for seed in range(2)]
+    lifted = [replace(f, residual=f.residual + 5 * UNITS) for f in flights]
+    model = fit_model(lifted, *preset_named("linear"), TrainingTask("free"), tmp_path)
+    away = made_up(9, n=900, gain=1.5)
+    found = model.run(away)
+    mean = found.correction[found.inside].mean(axis=0) / UNITS
+    assert np.all(np.abs(mean[OF_THE_DAY]) < 0.7) and np.all(mean[~OF_THE_DAY] > 3)
+    rows = away.fresh & found.inside[:, None]
+    about = np.where(rows, away.residual, np.nan)
+    left = np.nanstd(about - found.correction, axis=0) / np.nanstd(about, axis=0)
+    assert np.median(left[OF_THE_DAY]) < 0.7
 
 
 def test_a_channel_without_measurements_stays_uncorrected(tmp_path: Path) -> None:

@@ -181,7 +181,7 @@ def test_a_mission_is_flown_with_the_law(model: Path, tmp_path: Path) -> None:
     moving = np.abs(flown["airframe.vel_x"]) > 0.5
     assert moving.any()
     pushed = flown["residual_force.force_x"][moving] * flown["airframe.vel_x"][moving]
-    assert np.mean(pushed < 0) > 0.95, "drag takes energy"
+    assert np.mean(pushed < 0) > 0.8 and pushed.mean() < -0.2, "drag takes energy, W"
 
 
 @pytest.mark.slow
