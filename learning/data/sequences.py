@@ -55,8 +55,8 @@ class SpanSequence:
         own: What the twin reads now, about its mean in the phase, over the scale, shape (n, 15).
         features: Shape (n, F).
         slow: Low-passed features, shape (n, 2 F).
-        beyond: `own`, features and slow less their running means from the first sample on, which
-            count as those of `offset`, shape (n, 15 + 3 F); none but in `free`.
+        beyond: `own`, features and slow less their running means within the envelope, with the
+            memory of `offset`, shape (n, 15 + 3 F); none but in `free`.
         phase: Codes, shape (n,).
         distance: From where training has been, 1 where that ends, shape (n,).
         alone: Whether the twin flew by itself, shape (n,).
@@ -156,10 +156,10 @@ def _span(
         then = delayed(held(virtual, fresh, virtual[0]), horizon, virtual[0])
         change = (then - virtual) / scaling.scale[phase]
         offset = _running_means(lags[0], lags[0] + change + own, *running_mean(flight.rate_hz))
-    whole = np.hstack([own, features, *slow])
+    whole, distance = np.hstack([own, features, *slow]), _distance(raw, scaling, protocol)
     beyond = np.zeros((len(d), 0))
     if protocol == "free":
-        beyond = whole - _mean_so_far(whole, running_mean(flight.rate_hz)[0])
+        beyond = beyond_mean(whole, distance <= 1, running_mean(flight.rate_hz)[0])
     return SpanSequence(
         flight=number,
         start=span[0],
@@ -173,7 +173,7 @@ def _span(
         slow=np.hstack(slow),
         beyond=beyond,
         phase=phase,
-        distance=_distance(raw, scaling, protocol),
+        distance=distance,
         alone=flight.alone_rows[rows],
     )
 
@@ -202,10 +202,17 @@ def _running_means(residual: Array, reading: Array, decay: float, prior: float) 
     return np.asarray(sums[..., :2] / (sums[..., 2:] + prior))
 
 
-def _mean_so_far(values: Array, decay: float) -> Array:
-    """Of all values up to each, shape (n, k)."""
-    sums = lfilter([1.0], [1.0, -decay], np.hstack([values, np.ones((len(values), 1))]), axis=0)
-    return np.asarray(sums[:, :-1] / sums[:, -1:])
+def beyond_mean(values: Array, counts: BoolArray, decay: float) -> Array:
+    """Values less their mean so far, shape (n, k); nothing before any has counted.
+
+    Args:
+        values: Shape (n, k).
+        counts: Which of them do: on the ground a twin reads other means, shape (n,).
+        decay: Share of its weight that a value keeps per sample.
+    """
+    weights = counts.astype(np.float64)[:, None]
+    sums = lfilter([1.0], [1.0, -decay], np.hstack([weights * values, weights]), axis=0)
+    return np.asarray((values * sums[:, -1:] - sums[:, :-1]) / np.maximum(sums[:, -1:], 1.0))
 
 
 def delayed(values: Array, samples: int, before: Array | float = 0.0) -> Array:

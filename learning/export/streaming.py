@@ -124,6 +124,8 @@ def _step(g: Graph, model: Compensator) -> None:
     if model.network is not None:
         y, log_spread, alarm, cells = network(g, model, known, features, here, cells)
 
+    with g.scope("envelope"):
+        distance = _distance(g, model, raw) if limited(protocol) else ""
     said, today, base = "", "", numbers(model.base)
     with g.scope("linear"):
         if sees_inputs:
@@ -133,7 +135,7 @@ def _step(g: Graph, model: Compensator) -> None:
             own = g.op("Div", g.op("Sub", sample.virtual, reading), scale)
         if protocol == "free":
             said = g.op("Add", said, g.op("Mul", own, g.floats(base[:, :1].T)))
-            said, mean_so_far = _beyond(g, model, said, mean_so_far)
+            said, mean_so_far = _beyond(g, model, said, distance, mean_so_far)
         if protocol == "track":
             lags = g.reshape(g.columns(past, first, rows * n), 0, -1, n)  # (B, lags, 15)
             then, readings, begun = _read_then(g, model, sample, readings, begun)
@@ -155,7 +157,6 @@ def _step(g: Graph, model: Compensator) -> None:
             expected = g.op("Mul", expected, g.op("Exp", log_spread))
         inside, rms = sample.whole, g.floats(_row(model.rms))
         if limited(protocol):
-            distance = _distance(g, model, raw)
             close = _fade(g, distance, 1.0, NETWORK_END)
             linear = g.op("Mul", linear, _fade(g, distance, LINEAR_BEGIN, LINEAR_END))
             more = g.op("Mul", more, close) if more else ""
@@ -267,15 +268,21 @@ def _offset(
     return means, mean_so_far
 
 
-def _beyond(g: Graph, model: Compensator, said: str, mean_so_far: str) -> tuple[str, str]:
-    """Linear predictions, of the sensors of `OF_THE_DAY` less their running means (B, 15), which is
-    the prediction of what is beyond the means; next state of sums and weight."""
+def _beyond(
+    g: Graph, model: Compensator, said: str, distance: str, mean_so_far: str
+) -> tuple[str, str]:
+    """Linear predictions, of the sensors of `OF_THE_DAY` beyond their running means (B, 15), which
+    is the prediction of what is beyond the means; next state of sums and weight."""
     n, (decay, _) = len(CHANNELS), running_mean(model.info.rate_hz)
-    before = g.op("Mul", mean_so_far, g.floats([[decay]]))
-    sums, weight = g.split(before, [n, 1], axis=1)
-    sums, weight = g.op("Add", sums, said), g.op("Add", weight, g.floats([[1.0]]))
-    mean = g.op("Mul", g.op("Div", sums, weight), g.floats([OF_THE_DAY.astype(np.float64)]))
-    return g.op("Sub", said, mean), g.concat(sums, weight, axis=1)
+    counts = g.op("Cast", g.op("LessOrEqual", distance, g.floats([[1.0]])), to=_FLOAT)
+    new = g.concat(g.op("Mul", said, counts), counts, axis=1)
+    mean_so_far = g.op("Add", g.op("Mul", mean_so_far, g.floats([[decay]])), new)
+    sums, weight = g.split(mean_so_far, [n, 1], axis=1)
+    away = g.op("Sub", g.op("Mul", said, weight), sums)
+    away = g.op("Div", away, g.op("Max", weight, g.floats([[1.0]])))
+    of_the_day = g.floats([OF_THE_DAY.astype(np.float64)])
+    others = g.op("Mul", said, g.op("Sub", g.floats([[1.0]]), of_the_day))
+    return g.op("Add", others, g.op("Mul", away, of_the_day)), mean_so_far
 
 
 def _innovation_ratio(
