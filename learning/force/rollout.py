@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 ROBUST = 3.0
 """Error, over that without a law, from which on it counts linearly: a window that tumbles counts
 once."""
-ROUNDS, RAISES = 8, 4
+ROUNDS, RAISES = 8, 8
 """Steps of Levenberg and Marquardt at most, and times that the damping is raised for one."""
 DAMPING, SETTLED = 1e-3, 1e-3
 """At the beginning; and the relative gain below which nothing more is to be had."""

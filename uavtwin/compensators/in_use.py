@@ -9,7 +9,7 @@ of the flight, is what a compensator is worth.
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from cosim.slave import Slave
 from fmus.compensator import NetworkFile
 from learning.data.channels import CHANNELS
 from learning.data.flights import ResidualFlight, residuals_in_use
+from learning.data.sequences import OF_THE_DAY
 from learning.force.windows import clear, true_motion
 from twin.errors import LogError
 from twin.formatting import number, percent
@@ -317,6 +318,15 @@ class Corrections:
     inside: Array
 
     __repr__ = short_repr
+
+    def beyond_offsets(self) -> "Corrections":
+        """The same without the mean error of each sensor of `OF_THE_DAY`: where that is large,
+        whether a correction seems to help is decided by its sign, which is that of the day."""
+        rows = {}
+        for (channel, mode), found in self.rows.items():
+            away = found[:, :1].mean(axis=0) if OF_THE_DAY[CHANNELS.index(channel)] else 0.0
+            rows[channel, mode] = found - away * np.array([1, 1, 1, 0])
+        return replace(self, rows=rows)
 
 
 def record_of(flights: Sequence[Corrections], taught: str, shut: Sequence[str] = ()) -> InUseRecord:

@@ -243,7 +243,7 @@ def _gated(model: Compensator, prepared: Prepared, task: TrainingTask, out: Path
     if n == 1:
         with tempfile.TemporaryDirectory(dir=out) as place:
             found = _used(model, flights, prepared, Path(place))
-    shut = harmful([record_of([f], "left out") for f in found])
+    shut = harmful([record_of([f.beyond_offsets()], "left out") for f in found])
     model.shut([CHANNELS.index(c) for c in shut])
     return record_of(found, "left out" if n > 1 else "same", shut)
 

@@ -157,14 +157,14 @@ def test_the_licence_is_read_off_a_card_that_anybody_may_have_edited(
 
 def test_a_learned_force_has_one_too(tmp_path: Path) -> None:
     outputs = {
-        "force_x": {"law": "linear"},
-        "force_y": {"law": "none"},
+        "force_x": {"law": "none", "ridge": None},
+        "moment_y": {"law": "linear", "ridge": 0.3},
     }
     about = {
         **{"protocol": "force", "vehicle": "copter", "vehicle_sha256": "c3", "seed": 0},
         **{"flights": [{"name": "one", "sha256": "b2"}], "outputs": outputs},
-        "acceptance": {"withdrawn": ["force x linear"]},
-        "closed_loop": {"flights": 4, "lost": 1, "withdrawn": ["moment y linear"]},
+        "acceptance": {"refused": True},
+        "closed_loop": {"flights": 4, "lost": 1, "withdrawn": 2},
     }
     (tmp_path / "force.json").write_text(json.dumps(about))
     quantities = {"position": 0.1, "velocity": 0.2, "attitude": 0.3, "rates": 0.4}
@@ -182,9 +182,9 @@ def test_a_learned_force_has_one_too(tmp_path: Path) -> None:
     (result,) = head(text)["model-index"][0]["results"]
     assert [m["value"] for m in result["metrics"]] == [*quantities.values(), *over.values()]
     limits = text.split("## Limits")[1]
-    assert "Withdrawn, as missions were lost with it: moment y linear." in limits
-    assert "needs no law for it: force x linear." in limits
-    assert "No law for force_y." in limits
+    assert "Missions were lost with 2 laws under weaker ridges: withdrawn." in limits
+    assert "Refused: the untrained observer or the last motion needs no law for it." in limits
+    assert "moment_y linear, ridge 0.3, none" in text
     assert "rates: last motion is off by 0.3, it by 0.4" in limits
     assert "nobody has said" in text and head(text)["license"] == "unknown"
 
