@@ -13,12 +13,13 @@ import fmpy
 import numpy as np
 
 import uavtwin as ut
+from learning.force.windows import true_motion
 from twin.frames import rotation_vector
 from twin.residuals.aligned import align_flight
 from twin.residuals.short_horizon import whole_windows
 from twin.residuals.teacher_forced import GRID_S, RIGID, choose_drive
 from uavtwin.demo.flights import fly, hide
-from uavtwin.force.open_loop import driving_inputs, true_motion
+from uavtwin.force.open_loop import driving_inputs
 
 FOLLOW, ALONE = 1000, 500  # steps of 1 ms, again and again
 
