@@ -22,10 +22,10 @@ from .scaling import Scaling, features_of, places_of, standardised
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-OF_THE_DAY = np.array([not c.startswith(("pos", "vel")) for c in CHANNELS])
+OF_THE_DAY = np.array([c.startswith(("acc", "mag")) for c in CHANNELS])
 """Sensors that have another offset on another day, shape (15,): in `free`, which sees no
 measurement, what flights have in common of it says nothing of the next one, and only what is beyond
-a running mean is corrected."""
+a running mean is corrected. A gyroscope is set to nothing before each flight."""
 LAGS = 8
 """Past residuals in the linear prediction of `track`."""
 SMOOTHING_S = (0.1, 0.5)

@@ -22,7 +22,6 @@ from twin.errors import ModelError
 from twin.physics.residual_force import INPUTS, OUTPUTS
 
 from ..export.graph import Graph
-from .model import MODULE_FILE as FILE
 
 Array = NDArray[np.float64]
 INPUT, OUTPUT = "motion", "accelerations"
@@ -129,7 +128,7 @@ def law_function(content: bytes) -> ca.Function:
         model = onnx.load_from_string(content)
         onnx.checker.check_model(model, full_check=True)
     except Exception as error:  # whatever protobuf and the checker raise
-        raise ModelError(f"{FILE}: is no ONNX model ({error}).") from None
+        raise ModelError(f"force law: the file is no ONNX model ({error}).") from None
     x = ca.SX.sym("x", len(INPUTS))
     (given,), (wanted,) = model.graph.input, model.graph.output
     values = {given.name: x.T}
@@ -140,7 +139,9 @@ def law_function(content: bytes) -> ca.Function:
         values[node.output[0]] = _expression(node, arguments)
     result = values[wanted.name]
     if result.shape != (1, len(OUTPUTS)):
-        raise ModelError(f"{FILE}: gives {result.shape}, not a row of {len(OUTPUTS)}.")
+        raise ModelError(
+            f"force law: the ONNX model gives {result.shape}, not a row of {len(OUTPUTS)}."
+        )
     return ca.Function("module", [x], [ca.densify(result.T)])
 
 
@@ -158,7 +159,7 @@ def _expression(node: onnx.NodeProto, arguments: list[ca.SX]) -> ca.SX:
         return product
     if node.op_type not in _EXPRESSIONS:
         raise ModelError(
-            f"{FILE}: operator {node.op_type} is none that a force law may have: Gemm, "
+            f"force law: ONNX operator {node.op_type} is none that a force law may have: Gemm, "
             f"{', '.join(sorted(_EXPRESSIONS))}."
         )
     result: ca.SX = _EXPRESSIONS[node.op_type](*arguments)
