@@ -39,8 +39,13 @@ def windows_of(flights: Sequence[Flight], vehicle: Vehicle) -> list[FlightWindow
     Raises:
         TwinError: A flight lacks the motion, is too short, or has another drive than the others.
     """
+    return list(_taught(flights, vehicle).flights)
+
+
+def _taught(flights: Sequence[Flight], vehicle: Vehicle) -> Taught:
+    """What flights teach."""
     equations = Equations(vehicle, components_of(vehicle, drive_of(flights, vehicle))[0])
-    return [FlightWindows.of(flight, vehicle, equations) for flight in flights]
+    return Taught.by([FlightWindows.of(f, vehicle, equations) for f in flights], equations)
 
 
 def own_force(
@@ -71,12 +76,9 @@ def own_force(
     check_names(flights)
     content = module if isinstance(module, bytes) else module_onnx(module).SerializeToString()
     function = law_function(content)
-    equations = Equations(vehicle, components_of(vehicle, drive_of(flights, vehicle))[0])
-    windows = [FlightWindows.of(flight, vehicle, equations) for flight in flights]
-    said = OverRows(function, 1)(np.vstack([w.places for w in windows]))
-    law = replace(
-        Taught.by(windows, equations).empty, most=BEYOND * np.abs(said).max(axis=0), module=function
-    )
+    taught = _taught(flights, vehicle)
+    said = OverRows(function, 1)(np.vstack([w.places for w in taught.flights]))
+    law = replace(taught.empty, most=BEYOND * np.abs(said).max(axis=0), module=function)
     with results_folder(folder, force) as out:
         save_force(
             ForceModel(
