@@ -34,6 +34,8 @@ WINDOW_S = BEFORE_S + AFTER_S + 4.0
 """Of the flight that is held: what an onset is weighed on, and some looks."""
 RECENT_S = AFTER_S + 3.0
 """Before now, in which onsets are tried."""
+SCREENED_S = 30.0
+"""Of the flight, by which the onsets are screened: what comes near its level is looked at again."""
 CURVE_S = 20.0
 """After so long the likely curves of thrust are chosen anew."""
 Find = Callable[[FlightFrame, Airborne], Sequence[Event]]
@@ -306,11 +308,14 @@ class _BodyWatch:
         if part.lost is not None:
             onset = Competition(body).strongest(low, len(body), since)
         else:
-            screened = Competition(replace(body, curves=self.curves[:1]))
-            place = screened.best(low, len(body), since, short=SCREENED)
+            late = replace(part, start=max(part.start, part.end - flown.places(SCREENED_S)))
+            short = replace(_body_of(flown, late), curves=self.curves[:1])
+            behind = short.start - body.start
+            first = max(low - behind, 0), len(short), since - behind
+            place = Competition(short).best(*first, short=SCREENED)
             if place is None:
                 return None
-            onset = Competition(body).onset_at(place, low, len(body), since)
+            onset = Competition(body).onset_at(place + behind, low, len(body), since)
         return None if onset is None else event_of(body, onset)
 
 

@@ -103,7 +103,7 @@ Model = Annotated[
 Alarms = Annotated[
     bool,
     typer.Option(
-        help="Say what goes wrong in flight, as `why` does of a log; costs some 15 % of a core."
+        help="Say what goes wrong in flight, as `why` does of a log; costs some 20 % of a core."
     ),
 ]
 
