@@ -20,8 +20,8 @@ from scipy.stats import norm
 from twin.errors import TwinError, install_command
 from twin.explain.estimates import reported_count
 from twin.explain.explanation import Explanation
+from twin.explain.inference.posterior import ScoredModel
 from twin.explain.inference.priors import Priors, effect_of, parameter_of
-from twin.explain.inference.search import ScoredModel
 from twin.explain.inference.selection import Naming
 from twin.explain.model.numbers import Number
 

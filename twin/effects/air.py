@@ -25,7 +25,7 @@ from ..component.portable import decay
 from ..errors import ModelError
 from ..frames import cross
 from ..vehicle import Vehicle
-from .definition import Block, Effect, Limit, RandomForce
+from .definition import Block, Effect, Equation, Limit, RandomForce
 from .parameters import COMMON, RARE, EffectParameter, Normal, Prior
 from .stages import Air, Thrust, Wrench
 from .wording import FLY_FOR_DRAG, Undetected, Wording, drag_clause, wind_clause
@@ -284,6 +284,7 @@ ROTOR_DRAG = Effect(
     "Faessler, Franchi & Scaramuzza, RA-L 3 (2018), eq. 7, with rotor speed as in Foerster, System "
     "Identification of the Crazyflie 2.0, ETH Zurich (2015); 0.38 1/s measured on a Crazyflie",
     _rotor_drag,
+    observable_as=Equation(mistaken_for=("blade_flapping",)),
     prior=Prior(
         COMMON,
         "0.1 to 0.5 1/s published; attacks within the height of motors and propellers; theory has "
@@ -373,6 +374,7 @@ BLADE_FLAPPING = Effect(
     ("acc", "vel", "q", "gyro"),
     "Mahony, Kumar & Corke, IEEE Robotics & Automation Magazine 19 (2012), p. 25",
     _blade_flapping,
+    observable_as=Equation(mistaken_for=("rotor_drag",)),
     prior=Prior(
         RARE,
         "stiff propellers tilt little",

@@ -379,8 +379,8 @@ ROTOR_CANT = Effect(
     prior=Prior(
         UNMEASURED,
         "arms that are turned by 1 degree make 0.017 arm lengths, 10 to 25 % of the reaction "
-        "torque per thrust of usual propellers",
-        {"": Normal(0.0, 0.02)},
+        "torque per thrust of usual propellers; a propeller put on anew changes it",
+        {"": Normal(0.0, 0.02, 0.0005)},
     ),
     change=None,
     wording=Wording(cant_clause),

@@ -112,24 +112,15 @@ def test_a_number_at_its_edge_is_of_something_that_acts_like_its_effect() -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("losses", "alike"),
-    [
-        ((0.66, 0.69, 0.64, 0.62), True),  # as of a thrust map of another aircraft
-        ((0.3, 0.0, 0.0, 0.0), False),
-        ((0.3, 0.25, 0.0, 0.0), False),
-        ((0.3, 0.1, 0.1, 0.1), False),  # one is weaker by far
-    ],
-)
-def test_what_all_rotors_lose_is_no_damage_of_single_ones(
-    losses: tuple[float, ...], alike: bool
-) -> None:
+def test_what_more_than_half_of_the_rotors_have_in_common_is_no_damage_of_single_ones() -> None:
     flight = fly(COPTER, COPTER, seed=3, name="flown", waypoints=LEGS)
-    problem = against(flight, COPTER, "rotor_efficiency_loss")
-    numbers = tuple(n for n in problem.model.numbers if n.effect == "rotor_efficiency_loss")
-    values = {n.full: 1.0 for n in numbers}
-    values |= {f"rotor_efficiency_loss.loss_{i}": v for i, v in enumerate(losses, 1)}
-    fitted = Fit(("rotor_efficiency_loss",), values, numbers, np.full(len(numbers), 0.05), 0.0)
-    found = _resemblances(problem, fitted, fitted, {}, DEFAULT.inference.selection)
-    assert [r.effect for r in found] == ["rotor_efficiency_loss"] * alike
-    assert all("all rotors" in r.why for r in found)
+    problem = against(flight, COPTER, "rotor_efficiency_loss", "thrust_scale")
+    rotors = [f"rotor_efficiency_loss:{i}" for i in range(1, 5)]
+    odds = problem.priors.log_odds
+    for few in (rotors[:1], rotors[:2]):
+        every = sum(problem.priors.odds[c] for c in few)
+        assert odds(few) == pytest.approx(every)
+        assert odds([*few, "thrust_scale"]) == pytest.approx(odds(["thrust_scale"]) + every)
+    for many in (rotors[:3], rotors):
+        assert odds(many) == -np.inf
+        assert problem.laplace(problem.rest).best(many, 1.0).evidence == -np.inf

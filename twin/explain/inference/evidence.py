@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg.lapack import dpotri
 from scipy.optimize import lsq_linear
 
 from ...representation import short_repr
@@ -33,6 +34,8 @@ STEPS, HALVINGS = 15, 5
 """Of the search for the best numbers: steps, of one step's length."""
 SETTLED = 0.02
 """A step that gains less, in nats, is the last."""
+PIVOTS = 12
+"""Exchanges of what is held at ends of ranges at most."""
 LEAST_EIGENVALUE = 1e-12
 """Of a curvature whose diagonal is one: sums over 1e4 samples are rounded to about this."""
 
@@ -46,16 +49,21 @@ class MapEstimate:
         kappa: By how much days differ more than is usual.
         x: Changes of all numbers, then of those of each flight's day, shape (k + flights d,).
         free: Positions in `x` that could move.
-        covariance: Of these, shape (m, m).
+        curvature: Of the log density by these.
     """
 
     evidence: float
     kappa: float
     x: Array
     free: NDArray[np.intp]
-    covariance: Array
+    curvature: "Factored"
 
     __repr__ = short_repr
+
+    @property
+    def covariance(self) -> Array:
+        """Of what could move, shape (m, m)."""
+        return self.curvature.inverse()
 
     def deviations(self) -> Array:
         """Posterior deviation of each entry of `x`; 0 where it could not move."""
@@ -81,6 +89,7 @@ class _Prior:
         free: Positions in `x`, shape (m,).
         mean: Shape (m,).
         precision: At the mean and with weights of one, shape (m, m).
+        log_determinant: Of `precision`.
         deviation: Of the entries with a Student distribution, 0 for those with none, shape (m,).
         odds: Log prior odds of the set.
     """
@@ -88,6 +97,7 @@ class _Prior:
     free: NDArray[np.intp]
     mean: Array
     precision: Array
+    log_determinant: float
     deviation: Array
     odds: float
 
@@ -221,11 +231,13 @@ class LaplaceEvidence:
         days = k + np.arange(self._f * self._d)
         index = np.concatenate([free, days]).astype(np.intp)
         means = np.concatenate([mean[free], np.zeros(len(days))])
-        precision = np.diag(np.concatenate([np.zeros(len(free)), (kappa * self._day) ** -2.0]))
-        precision[: len(free), : len(free)] = Factored.of(inner).inverse()
+        spread, known_to = Factored.of(inner), (kappa * self._day) ** -2.0
+        precision = np.diag(np.concatenate([np.zeros(len(free)), known_to]))
+        precision[: len(free), : len(free)] = spread.inverse()
+        log_determinant = float(np.sum(np.log(known_to))) - spread.log_determinant
         own = np.where(there[free] & ~b.shape[free], b.slab[free], 0.0)
         deviation = np.concatenate([own, np.zeros(len(days))])
-        return _Prior(index, means, precision, deviation, float(sum(b.odds[e] for e in on)))
+        return _Prior(index, means, precision, log_determinant, deviation, b.log_odds(on))
 
     # -- one set -----------------------------------------------------------------------------
 
@@ -291,8 +303,9 @@ class LaplaceEvidence:
         def pull(left: Array, x: Array, precision: Array) -> Array:
             """Right side of the normal equations for the next numbers."""
             slope, weight = self._likelihood.weights(left, kappa)
-            pulled = weight @ q + precision @ mean
-            return pulled if slope is weight else pulled + (slope - weight) @ (q - g @ x)
+            more = np.flatnonzero(slope - weight)
+            turned = (slope - weight)[more] @ (q[more] - g[more] @ x)
+            return np.asarray(weight @ q + precision @ mean + turned)
 
         limited = any(e in self._limited for e in on)
         x = np.clip(start[free], low, high)
@@ -320,15 +333,17 @@ class LaplaceEvidence:
             if done:
                 break
         h = Factored.of(curvature(left, prior.precision_at(x)))
-        laplace = 0.5 * (Factored.of(prior.precision).log_determinant - h.log_determinant)
+        laplace = 0.5 * (prior.log_determinant - h.log_determinant)
         full = np.zeros(len(self._low))
         full[free] = x
-        return MapEstimate(now + laplace + prior.odds, kappa, full, free, h.inverse())
+        return MapEstimate(now + laplace + prior.odds, kappa, full, free, h)
 
     def _allowed(self, x: Array, free: NDArray[np.intp], h: "Factored") -> Array:
         """Numbers with what nature rules out taken back."""
         own = free < self._k
         bounds = self._bounds.part(free[own].tolist())
+        if np.all(bounds.rows @ x[own] >= bounds.least):
+            return x
         y = x.copy()
         y[own] = bounds.inside(x[own], h.inverse()[np.ix_(own, own)])
         return y
@@ -372,7 +387,11 @@ class Factored:
 
     def inverse(self) -> Array:
         """Shape (m, m)."""
-        return self.solve(np.eye(len(self.size)))
+        if not len(self.size):
+            return np.zeros((0, 0))
+        upper = np.triu(dpotri(self.root)[0])
+        both = upper + np.triu(upper, 1).T
+        return np.asarray(both * np.outer(self.size, self.size))
 
     @property
     def log_determinant(self) -> float:
@@ -383,15 +402,33 @@ class Factored:
 def best_inside(h: Factored, pull: Array, low: Array, high: Array) -> Array:
     """Where a quadratic is best inside ranges: the least of x h x / 2 - pull x.
 
+    By block pivoting (Portugal, Judice & Vicente, Math. Comp. 63, 1994); where that does not
+    settle, by bounded least squares.
+
     Args:
         h: Positive definite, of shape (m, m).
         pull: Shape (m,).
         low: Lower ends, below the upper ones. Shape (m,).
         high: Upper ends. Shape (m,).
     """
-    best = h.solve(pull)
-    if np.all((best >= low) & (best <= high)):
-        return best
-    aim = solve_triangular(h.root, pull * h.size, trans="T")
-    inside = lsq_linear(h.root, aim, (low / h.size, high / h.size), method="bvls").x
-    return np.asarray(np.clip(inside * h.size, low, high), dtype=np.float64)
+    square, aim = h.root.T @ h.root, h.size * pull
+    least, most = low / h.size, high / h.size
+    at = h.solve(pull) / h.size
+    below, above = at < least, at > most
+    for _ in range(PIVOTS):
+        if not np.any(below | above):
+            break
+        free = ~(below | above)
+        at = np.where(below, least, np.where(above, most, 0.0))
+        rest = aim[free] - square[np.ix_(free, ~free)] @ at[~free]
+        at[free] = np.linalg.solve(square[np.ix_(free, free)], rest)
+        slope = square @ at - aim
+        held = below & (slope >= 0), above & (slope <= 0)
+        now = held[0] | (free & (at < least)), held[1] | (free & (at > most))
+        if np.array_equal(now[0], below) and np.array_equal(now[1], above):
+            break
+        below, above = now
+    else:
+        aim = solve_triangular(h.root, aim, trans="T")
+        at = lsq_linear(h.root, aim, (least, most), method="bvls").x
+    return np.asarray(np.clip(at * h.size, low, high), dtype=np.float64)

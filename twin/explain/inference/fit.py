@@ -36,7 +36,7 @@ ROUNDS, SHORTEST_STEP = 15, 0.04
 """Of Gauss-Newton at most; a step that has been halved below this share ends it."""
 ARMIJO = 0.1
 """Share of what a step promises that it has to keep: Armijo, Pacific J. Math. 16 (1966)."""
-AHEAD, MARGIN = 3.0, 30.0
+AHEAD, MARGIN = 3.0, 10.0
 """A fit is on its way to a goal that so many rounds like the last reach, and so many nats."""
 FARTHEST_S = 0.005
 """A step moves a delay of commands or a lag by no more: a tenth of a period of the fastest band."""
@@ -52,6 +52,8 @@ STRAIGHT = 0.02
 
 BEFORE = 2.0
 """Days that the table of priors counts for, beside the flights' own."""
+ACQUAINTED = 3
+"""Steps of expectation and maximisation by which the days of a start are learned."""
 
 
 KAPPAS = tuple(float(2.0**k) for k in range(-6, 1))
@@ -197,6 +199,24 @@ class Problem:
         flights = self.channels(state.best.x)
         noise = InstrumentNoise.of(logs, flights, self.noise.bands, self.noise.rough)
         return replace(self, noise=noise)
+
+    def acquainted(self, effects: Sequence[str]) -> "Problem":
+        """The same with days that differ as those of its flights do, as far as they are of some
+        effects, before any other is there.
+
+        A propeller that was changed between two flights changes the yaw moment more than a day
+        does; held at what is usual, any effect that differs between these flights would be taken
+        for it.
+        """
+        problem, state = self, self.start(effects, 1.0)
+        own = np.isin(np.array(self.priors.cause), effects) & (self.priors.day > 0)
+        for _ in range(ACQUAINTED):
+            shown = self.between_days(state)
+            pairs = zip(self.priors.names, self.priors.day, own, strict=True)
+            day = np.array([shown[n] if there else usual for n, usual, there in pairs])
+            problem = replace(self, priors=replace(self.priors, day=day))
+            state = problem.settle(effects, 1.0, state.spectrum, state.best.x)
+        return problem
 
     def accustomed(self, state: State) -> "Problem":
         """The same with days that differ as those of its flights do, number by number.

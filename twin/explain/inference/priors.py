@@ -8,8 +8,10 @@ Spike and slab: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83 (1988); George & Mc
 Stat. Assoc. 88 (1993).
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+import math
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +51,9 @@ class Priors:
         held: Expected change from `now` where no effect is there.
         day: Standard deviation between flights; 0: all flights share it.
         odds: Log prior odds by cause.
+        most: By effect of single rotors, how many of them may differ: half of all. What more have
+            in common is of the whole aircraft; together with the torque that they lose, losses of
+            all would be any scale of thrust and of yaw torque.
     """
 
     columns: tuple[int, ...]
@@ -64,6 +69,7 @@ class Priors:
     held: Array
     day: Array
     odds: Mapping[str, float]
+    most: Mapping[str, int] = field(default_factory=dict)
 
     __repr__ = short_repr
 
@@ -82,6 +88,13 @@ class Priors:
     def days(self) -> NDArray[np.intp]:
         """Columns that differ between flights."""
         return np.flatnonzero(self.day > 0)
+
+    def log_odds(self, causes: Collection[str]) -> float:
+        """Of a set of causes; minus infinity where more rotors differ than may."""
+        several = Counter(effect_of(c) for c in causes if c != effect_of(c))
+        if any(several[e] > n for e, n in self.most.items()):
+            return -math.inf
+        return sum(self.odds[c] for c in causes)
 
     def of(self, causes: Iterable[str]) -> NDArray[np.intp]:
         """Columns of some causes, shapes of their effects among them."""
@@ -238,6 +251,7 @@ def priors_of(model: Model, trusted: bool = True) -> Priors:
         spike[i] = 0.0 if n.shape else _unsure(n, vehicle, trusted)
         if n.about.per_rotor and not n.shape and not trusted:
             spike[i] = max(spike[i], PROPELLERS)
+    single = Counter(n.effect for n in own if n.about.per_rotor and not n.shape)
     return Priors(
         tuple(columns),
         tuple(n.full for n in own),
@@ -252,6 +266,7 @@ def priors_of(model: Model, trusted: bool = True) -> Priors:
         np.zeros(len(own)),
         day,
         {_cause_of(n): of_effect[n.effect].odds_for(vehicle) for n in own},
+        {e: n // 2 for e, n in single.items()},
     )
 
 

@@ -4,33 +4,34 @@ Gains of sets are told by one linearisation; each move is fitted again before it
 adds an effect, drops one or two, or puts one in the place of another; days may turn out to differ
 more or less than is usual. Where several moves in a row promise more, they are tried together
 first.
-
-*Posterior*: all sets that matter about the end of a search, weighed. The chain of Gibbs (George &
-McCulloch, J. Am. Stat. Assoc. 88, 1993), with exchanges of one effect for another (Metropolis),
-only finds the sets; each one that it meets counts by its evidence, so that nothing of the draw is
-left in what is said but which sets were met. Those that differ from the end by one exchange are all
-met. What the linearisation gets wrong about an effect of the end is put right by fitting the set
-without it again.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS, Shift, prior_of
+from ...effects import EFFECTS, prior_of
 from ...effects.parameters import LAST, UNMEASURED
-from ...representation import short_repr
-from .evidence import LaplaceEvidence, MapEstimate
+from .evidence import LaplaceEvidence
 from .fit import Problem, State, gained_by_following
+from .posterior import (
+    SearchResult,
+    Tried,
+    corrected,
+    is_time,
+    log_posterior,
+    log_prior_of_days,
+    met_sets,
+)
 from .priors import Priors, effect_of
 
 Array = NDArray[np.float64]
 
-Tried = dict[tuple[tuple[str, ...], float], float]
-"""Worth of every set that was fitted, by its effects and its days."""
+Exchange = tuple[frozenset[str], frozenset[str], float]
+"""Effects that come in, those that go, and the days."""
 MOVES, TRIED, AHEAD, RIVALS = 60, 4, 8, 4
 """Accepted moves at most; of each state so many are fitted; looked ahead; swapped in."""
 FEW = 8
@@ -59,34 +60,12 @@ class Move:
     gain: float
 
 
-@dataclass(frozen=True, slots=True)
-class SearchResult:
-    """The end of a search.
-
-    Attributes:
-        state: Where it ended.
-        laplace: All sets about it.
-        tried: Evidence of every set that was fitted on the way.
-    """
-
-    state: State
-    laplace: LaplaceEvidence
-    tried: Tried
-
-    __repr__ = short_repr
-
-
-def log_prior_of_days(kappa: float) -> float:
-    """Log of the weight of days that differ more or less than is usual: normal in the logarithm,
-    a factor of e either way."""
-    return -0.5 * float(np.log(kappa)) ** 2
-
-
 def search(
     problem: Problem,
     start: Sequence[str],
     kappa: float = 1.0,
     progress: Callable[[float], None] = lambda _: None,
+    last: bool = True,
 ) -> SearchResult:
     """Climb from a set.
 
@@ -95,32 +74,44 @@ def search(
         start: Effects that are there at first.
         kappa: Of the days at first.
         progress: Called with the share done, roughly.
+        last: Whether its end is what is told: else another search goes on from it, and does what
+            asks each effect of the end by itself.
     """
-    return search_on(problem, problem.start(start, kappa), progress)
+    return search_on(problem, problem.start(start, kappa), progress, last)
 
 
 def search_on(
-    problem: Problem, state: State, progress: Callable[[float], None] = lambda _: None
+    problem: Problem,
+    state: State,
+    progress: Callable[[float], None] = lambda _: None,
+    last: bool = True,
 ) -> SearchResult:
     """The same from a set that is fitted already."""
     tried = {(state.effects, state.kappa): log_posterior(state)}
     begun: set[tuple[str, ...]] = set()
     again: set[tuple[tuple[str, ...], float]] = set()
+    short: dict[Exchange, float] = {}
     laplace = problem.linearised(state)
     for n in range(MOVES):
         progress(1 - 0.9**n)
         better = (
-            _better(problem, laplace, state, tried, again)
+            _better(problem, laplace, state, tried, again, short)
             or _followed(problem, laplace, state, tried, begun, MIN_GAIN)
             or _verified(problem, laplace, state, tried, _without_clocks(state))
             or _verified(problem, laplace, state, tried, _clocks(problem, laplace, state))
-            or _verified(problem, laplace, state, tried, _weak(laplace, state))
-            or _verified(problem, laplace, state, tried, _alone(state))
-            or _verified(problem, laplace, state, tried, _mistaken(problem, state))
-            or _verified(problem, laplace, state, {}, _mounted(problem, laplace, state))
-            or _restarted(problem, state, tried, begun)
-            or _followed(problem, laplace, state, tried, begun, -np.inf)
         )
+        if better is None and last:
+            better = (
+                _verified(problem, laplace, state, tried, _weak(laplace, state))
+                or _verified(problem, laplace, state, tried, _alone(state))
+                or _verified(problem, laplace, state, tried, _mistaken(problem, state))
+                or _verified(problem, laplace, state, {}, _mounted(problem, laplace, state))
+                or _verified(
+                    problem, laplace, state, tried, _likelier(problem, laplace, state, tried)
+                )
+                or _restarted(problem, state, tried, begun)
+                or _followed(problem, laplace, state, tried, begun, -np.inf)
+            )
         if better is None:
             break
         state = better
@@ -148,11 +139,6 @@ def with_instruments_of_end(
     return renewed, search_on(renewed, state, progress)
 
 
-def log_posterior(state: State) -> float:
-    """Log of the probability of a state, that of its days included."""
-    return state.evidence + log_prior_of_days(state.kappa)
-
-
 def score_test_candidates(problem: Problem) -> tuple[str, ...]:
     """Effects that the model as it stands asks for, each the best by its linearisation."""
     laplace = problem.laplace(problem.rest)
@@ -177,26 +163,35 @@ def _better(
     state: State,
     tried: Tried,
     again: set[tuple[tuple[str, ...], float]],
+    short: dict[Exchange, float],
 ) -> State | None:
     """A neighbour that is better once it is fitted; None where there is none.
 
     One that was fitted already, and ended lower than is promised now, is fitted once again: what a
-    fit reaches depends on where it begins.
+    fit reaches depends on where it begins. An exchange of effects that fell short of what it
+    promised, from whatever set, is not tried again where it promises no more than that: `short`.
     """
     candidates = neighbours(problem, laplace, state.effects, state.kappa)
     ahead = _ahead(problem, laplace, state.effects, candidates)
     queue = [*([ahead] if ahead else []), *_different(candidates, state.effects)]
     fitted = 0
+    on = frozenset(state.effects)
     for move in queue:
-        key = move.effects, move.kappa
+        key, there = (move.effects, move.kappa), frozenset(move.effects)
+        exchange = there - on, on - there, move.kappa
+        if move.gain < short.get(exchange, 0.0) + MIN_GAIN:
+            continue
         if key in tried:
             if key in again or tried[key] > log_posterior(state) + move.gain - SHORT:
                 continue
             again.add(key)
-        there = problem.settle(move.effects, move.kappa, laplace.spectrum, state.best.x)
-        tried[key] = max(log_posterior(there), tried.get(key, -np.inf))
-        if log_posterior(there) > log_posterior(state) + MIN_GAIN:
-            return there
+        now = log_posterior(state)
+        found = problem.settle(move.effects, move.kappa, laplace.spectrum, state.best.x, now)
+        tried[key] = max(log_posterior(found), tried.get(key, -np.inf))
+        gained = log_posterior(found) - now
+        if gained > MIN_GAIN:
+            return found
+        short[exchange] = move.gain - gained
         fitted += 1
         if fitted == TRIED:
             break
@@ -352,6 +347,19 @@ def _mounted(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[T
     return sets
 
 
+def _likelier(
+    problem: Problem, laplace: LaplaceEvidence, state: State, tried: Tried
+) -> list[Trial]:
+    """Sets that the posterior about one holds to be more probable, and that nobody has fitted."""
+    found = SearchResult(state, laplace, tried)
+    met = met_sets(problem, found, np.random.default_rng(0))
+    weights = corrected(met, found)[1]
+    least = weights[state.effects] + MIN_GAIN
+    better = [k for k, v in weights.items() if v > least and (k, state.kappa) not in tried]
+    better = sorted(better, key=lambda k: (-weights[k], k))[:TRIED]
+    return [(k, laplace.best(k, state.kappa).x) for k in better]
+
+
 def _verified(
     problem: Problem, laplace: LaplaceEvidence, state: State, tried: Tried, sets: Sequence[Trial]
 ) -> State | None:
@@ -365,12 +373,6 @@ def _verified(
         tried[on, state.kappa] = log_posterior(there)
         best = there if log_posterior(there) > log_posterior(best) + MIN_GAIN else best
     return None if best is state else best
-
-
-def is_time(cause: str) -> bool:
-    """Whether a cause moves signals in time: a delay, a clock, a lag."""
-    effect = effect_of(cause)
-    return isinstance(EFFECTS[effect].observable_as, Shift) or prior_of(EFFECTS[effect]).timed
 
 
 def _with_expected(problem: Problem, x: Array, effect: str) -> Array:
@@ -450,199 +452,3 @@ def _ahead(
             break
         here = Move(then.effects, then.kappa, here.gain + then.gain)
     return None if here is start else here
-
-
-# -- posterior over sets ---------------------------------------------------------------------
-
-
-Set = tuple[str, ...]
-SWEEPS = 12
-"""Of the chain."""
-WINDOW = 12.0
-"""Nats below the best set from which on a set does not matter."""
-PRUNE_BELOW, PRUNE_ABOVE, PRUNE_AFTER = 7.0, 30.0, 2
-"""Nats that an effect costs, or earns, from which on it is asked no more, once it said so twice."""
-EXCHANGED = -0.3
-"""Correlation of two inclusions from which on one stands for the other."""
-
-
-@dataclass(frozen=True, slots=True)
-class ScoredModel:
-    """A set of effects.
-
-    Attributes:
-        effects: Sorted.
-        probability: Among all sets that matter.
-        best: Its numbers in the linearisation.
-    """
-
-    effects: Set
-    probability: float
-    best: MapEstimate
-
-    __repr__ = short_repr
-
-
-@dataclass(frozen=True, slots=True)
-class Posterior:
-    """All sets that matter.
-
-    Attributes:
-        sets: The most probable first; the first without each of its effects, and with each other
-            in its place, is among them, however improbable.
-        inclusion: Probability of each effect of the search.
-        without: Of each effect of the best set, evidence that it adds, nats, fitted again.
-    """
-
-    sets: tuple[ScoredModel, ...]
-    inclusion: Mapping[str, float]
-    without: Mapping[str, float]
-
-    __repr__ = short_repr
-
-    def exchangeable(self, effect: str) -> tuple[str, ...]:
-        """Other effects that are there where this one is not."""
-        p = np.array([s.probability for s in self.sets])
-        own = np.array([effect in s.effects for s in self.sets], dtype=np.float64)
-        found = []
-        for other in self.inclusion:
-            there = np.array([other in s.effects for s in self.sets], dtype=np.float64)
-            if other != effect and _correlation(own, there, p) < EXCHANGED:
-                found.append(other)
-        return tuple(found)
-
-
-def weigh(
-    problem: Problem,
-    found: SearchResult,
-    seed: int = 0,
-    progress: Callable[[float], None] = lambda _: None,
-) -> Posterior:
-    """Probabilities about the end of a search.
-
-    Args:
-        problem: What was fitted.
-        found: The end.
-        seed: Of the chain.
-        progress: Called with the share done.
-    """
-    laplace, kappa = found.laplace, found.state.kappa
-    causes = problem.priors.causes
-    free = [e for e in causes if not laplace.silent(e) and not is_time(e)]
-    met = _VisitedSets(laplace, kappa)
-    _walk(met, found.state.effects, free, np.random.default_rng(seed), progress)
-    gained, weights = _corrected(met, found)
-    first = max(weights, key=lambda k: weights[k])
-    near = {k for k in weights if len({*first} - {*k}) == 1 >= len({*k} - {*first})}
-    matter = near | {k for k, v in weights.items() if v > weights[first] - WINDOW}
-    retained = sorted(matter, key=lambda k: (-weights[k], k))
-    share = np.exp([weights[k] - weights[first] for k in retained])
-    share = share / share.sum()
-    sets = tuple(
-        ScoredModel(k, float(p), laplace.best(k, kappa))
-        for k, p in zip(retained, share, strict=True)
-    )
-    inclusion = {e: float(sum(s.probability for s in sets if e in s.effects)) for e in causes}
-    return Posterior(sets, inclusion, gained)
-
-
-class _VisitedSets:
-    """Sets that were met about one, with their evidence."""
-
-    def __init__(self, laplace: LaplaceEvidence, kappa: float) -> None:
-        self.laplace, self._kappa = laplace, kappa
-        self.sets: dict[Set, float] = {}
-
-    def evidence(self, effects: Sequence[str]) -> float:
-        """Log of the probability of a set, remembered."""
-        key = tuple(sorted(effects))
-        if key not in self.sets:
-            self.sets[key] = self.laplace.best(key, self._kappa).evidence
-        return self.sets[key]
-
-
-def _walk(
-    met: _VisitedSets,
-    start: Set,
-    free: Sequence[str],
-    rng: np.random.Generator,
-    progress: Callable[[float], None],
-) -> None:
-    """Meet the sets that matter: every exchange of one effect first, then the chain's."""
-    on, evidence = list(start), met.evidence
-    evidence(on)
-    for old in on:
-        for new in _rivals(met.laplace, old, on, free):
-            evidence([*(a for a in on if a != old), new])
-    settled: dict[str, int] = {}
-    for sweep in range(SWEEPS):
-        open_ = [e for e in free if settled.get(e, 0) < PRUNE_AFTER]
-        for e in (open_[i] for i in rng.permutation(len(open_))):
-            without = [a for a in on if a != e]
-            lead = evidence([*without, e]) - evidence(without)
-            settled[e] = settled.get(e, 0) + 1 if lead < -PRUNE_BELOW or lead > PRUNE_ABOVE else 0
-            there = rng.random() < 1 / (1 + np.exp(-np.clip(lead, -500, 500)))
-            on = [*without, e] if there else without
-        for old in list(on):
-            rivals = _rivals(met.laplace, old, on, free)
-            if rivals:
-                new = rivals[int(rng.integers(len(rivals)))]
-                other = [*(a for a in on if a != old), new]
-                if np.log(rng.random()) < evidence(other) - evidence(on):
-                    on = other
-        progress((sweep + 1) / (SWEEPS + 2))
-
-
-def _corrected(met: _VisitedSets, found: SearchResult) -> tuple[dict[str, float], dict[Set, float]]:
-    """What each effect of the end adds as fitted, and the evidence of every set with what the
-    linearisation gets wrong about absent effects, but for the share of their lead that others in
-    their place take."""
-    end, evidence = found.state.effects, met.evidence
-    gained, shift = {}, {}
-    for e in end:
-        rest = tuple(a for a in end if a != e)
-        linear = evidence(end) - evidence(rest)
-        fitted = (rest, found.state.kappa) in found.tried
-        gained[e] = _gained(found, e, rest) if fitted else linear
-        shift[e] = linear - gained[e]
-    whole = evidence(end)
-
-    def weight(effects: Set) -> float:
-        """Of one set."""
-        rest = evidence([e for e in effects if e in shift])
-        taken = (evidence(effects) - rest) / (whole - rest) if whole > rest else 0.0
-        wrong = sum(v for e, v in shift.items() if e not in effects)
-        return evidence(effects) + (1 - min(max(taken, 0.0), 1.0)) * wrong
-
-    return gained, {k: weight(k) for k in [*met.sets]}
-
-
-def _gained(found: SearchResult, effect: str, rest: Set) -> float:
-    """Nats that an effect of the end adds to the others, as fitted; of a delay or a lag, to them
-    with any other in its place."""
-    others = [found.tried[rest, found.state.kappa]]
-    if is_time(effect):
-        others += [
-            v
-            for (k, _), v in found.tried.items()
-            if effect not in k and set(rest) <= set(k) and len(k) == len(found.state.effects)
-        ]
-    return log_posterior(found.state) - max(others)
-
-
-def _rivals(
-    laplace: LaplaceEvidence, old: str, on: Sequence[str], free: Sequence[str]
-) -> list[str]:
-    """Effects that may stand in the place of one; of clocks and lags, see `_gained`."""
-    if old not in free:
-        return []
-    return [e for e in free if e not in on and laplace.share_a_channel(old, e)]
-
-
-def _correlation(a: Array, b: Array, p: Array) -> float:
-    """Weighted correlation; 0 where one of them is sure."""
-    ma, mb = p @ a, p @ b
-    va, vb = p @ (a - ma) ** 2, p @ (b - mb) ** 2
-    if min(va, vb) < 0.02 * 0.98:
-        return 0.0
-    return float(p @ ((a - ma) * (b - mb)) / np.sqrt(va * vb))

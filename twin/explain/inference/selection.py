@@ -46,16 +46,13 @@ from ..settings import DEFAULT, AdequacySettings, InferenceSettings, SelectionSe
 from .estimate import Estimate, fitted_estimates
 from .evidence import LaplaceEvidence, MapEstimate
 from .fit import Fit, Problem, State, fit_of, fit_of_best, substantial_effects
+from .posterior import Posterior, SearchResult, log_posterior, weigh
 from .priors import edges, effect_of, priors_of, priors_since
 from .search import (
-    Posterior,
-    SearchResult,
     calibration_start,
-    log_posterior,
     score_test_candidates,
     search,
     search_on,
-    weigh,
     with_instruments_of_end,
 )
 from .spectrum import force_shares
@@ -407,8 +404,11 @@ def name_effects(
     problem = (
         since_problem(model, settings, apart, silent) if since else usual_problem(model, settings)
     )
-    found = climb(problem, lambda done: progress(0.1 + 0.4 * done))
-    if len(model.flights) >= DAYS_SHOWN:
+    days_shown, first = len(model.flights) >= DAYS_SHOWN, problem
+    if days_shown and not since:
+        first = problem.acquainted(calibration_start(problem.priors))
+    found = climb(first, lambda done: progress(0.1 + 0.4 * done), last=not days_shown)
+    if days_shown:
         problem = problem.with_instruments_at(found.state).accustomed(found.state)
         state = problem.settle(found.state.effects, 1.0, found.laplace.spectrum, found.state.best.x)
         found = search_on(problem, state, lambda done: progress(0.5 + 0.2 * done))
@@ -447,8 +447,10 @@ def since_problem(
     return Problem.of(model, priors, settings.evidence, constants=constants)
 
 
-def climb(problem: Problem, progress: Callable[[float], None] = lambda _: None) -> SearchResult:
-    """The end of the search from where it promises most.
+def climb(
+    problem: Problem, progress: Callable[[float], None] = lambda _: None, last: bool = True
+) -> SearchResult:
+    """The end of the search from where it promises most; `last` as of `search`.
 
     A model that lacks little is searched from nothing on. One that asks for many effects at once is
     searched from what nobody measures on every aircraft: from nothing on, each effect would be
@@ -456,11 +458,11 @@ def climb(problem: Problem, progress: Callable[[float], None] = lambda _: None) 
     """
     every = calibration_start(problem.priors)
     if len(score_test_candidates(problem)) > MANY:
-        return search(problem, every, progress=progress)
-    found = search(problem, (), progress=progress)
+        return search(problem, every, progress=progress, last=last)
+    found = search(problem, (), progress=progress, last=last)
     if len(found.state.effects) <= MANY:
         return found
-    other = search(problem, every, progress=progress)
+    other = search(problem, every, progress=progress, last=last)
     return max(found, other, key=lambda f: log_posterior(f.state))
 
 
@@ -608,20 +610,7 @@ def _resemblances(
             found.append(Resemblance(e, at_edge[e]))
         elif believable.get(e, 1.0) < rules.credible:
             found.append(Resemblance(e, "it leaves much of what its law should take"))
-        elif _of_all_rotors(fitted_estimates(conditional, problem.priors, e, 1.0)):
-            found.append(Resemblance(e, "all rotors differ alike: thrust map, mass or voltage"))
     return found
-
-
-def _of_all_rotors(estimates: Sequence[Estimate]) -> bool:
-    """Whether an effect of single rotors is there in all of them, to the same side and in the least
-    by half of the most: then the whole aircraft differs. Heavy tails hold the part that all rotors
-    have in common no longer at nothing, and a scale of all thrust stands beside it."""
-    known = [t for t in estimates if t.number.about.per_rotor and t.no_effect is not None]
-    change = np.array([t.change for t in known])
-    if len(known) < 2 or any(t.may_be_none for t in known):
-        return False
-    return bool(np.all(change * change[0] > 0) and np.ptp(change) <= 0.5 * np.abs(change).max())
 
 
 def shares_of(problem: Problem, state: State) -> dict[str, tuple[float, str]]:

@@ -14,8 +14,9 @@
 The last two stand in where not every flight has an accelerometer, or a gyroscope.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ from .numbers import (
     values_of,
     visible,
 )
-from .prediction import Physics, Trajectory
+from .prediction import Batch, Physics, Trajectory, remembered
 
 Array = NDArray[np.float64]
 AGE_STEP_S = 0.002
@@ -67,6 +68,8 @@ SMALL = 0.01
 """Share of the step of a number in a difference that is to be a derivative."""
 SLOPES_AT_ONCE = 8
 """Slopes that are seen at the samples of a pose at a time."""
+RECENT = 2
+"""Predictions of a flight that are kept: slopes are wanted where a residual was."""
 BEND_S = 0.02
 """Step of differences of what was averaged over time: they leave vibration out, and are those of
 motion to 5 % at the band of the pose."""
@@ -145,6 +148,7 @@ class FlightModel:
         )
         self._resting: dict[int, list[ChannelData]] = {}
         self._predicted: dict[tuple[int, bool], Array] = {}
+        self._values: dict[tuple[Hashable, ...], tuple[Array, tuple[Array, ...]]] = {}
 
     def channels(
         self, columns: Sequence[int], change: Mapping[str, float] | None = None
@@ -226,30 +230,35 @@ class FlightModel:
         self, columns: Sequence[int], change: Mapping[str, float], bare: bool
     ) -> tuple[Array, Array]:
         """Prediction of airframe and IMU, or of the `bare` airframe, and its slopes."""
-        theta, (states, inputs) = values_of(self.numbers, change), self._trajectory.at(change)
-        physics = self._physics.bare if bare else self._physics
-        value = self._value(bare, theta, states, inputs)
-        slopes = physics.slopes(columns, theta, states, inputs)
-        force = None if bare else self._physics.measured_force
-        if force is not None and self._turning is not None:
-            slopes[:, :3] = force.slopes(columns, theta, states, inputs, self._turning)
+        theta = values_of(self.numbers, change)
+        key = bare, *sorted(change.items())
+        made = partial(self._valued, bare, theta, change)
+        value, rows = remembered(self._values, key, made, RECENT)
+        slopes = self._body(bare).slopes(columns, theta, *rows)
         for k, i in enumerate(columns):
             step = self._difference_step(i, change)
             if step is not None:
                 more, ahead = {**change, self.numbers[i].full: theta[i] + step}, theta.copy()
                 ahead[i] += step
-                moved = self._value(bare, ahead, *self._trajectory.at(more))
-                slopes[:, :, k] = (moved - value) / step
+                slopes[:, :, k] = (self._valued(bare, ahead, more)[0] - value) / step
         return value, slopes
 
-    def _value(self, bare: bool, theta: Array, states: Array, inputs: Array) -> Array:
-        """Prediction of airframe and IMU, or of the `bare` airframe."""
+    def _valued(
+        self, bare: bool, theta: Array, change: Mapping[str, float]
+    ) -> tuple[Array, tuple[Array, ...]]:
+        """Prediction of airframe and IMU, or of the `bare` airframe, and the rows it is made of."""
+        rows: tuple[Array, ...] = self._trajectory.at(change)
+        body = self._body(bare)
+        if body is self._physics.as_measured and self._turning is not None:
+            rows = (*rows, self._turning)
+        return body.value(theta, *rows), rows
+
+    def _body(self, bare: bool) -> Physics | Batch:
+        """What predicts airframe and IMU, or the `bare` airframe."""
         if bare:
-            return self._physics.bare.value(theta, states, inputs)
-        value = self._physics.value(theta, states, inputs)
-        if self._turning is not None and self._physics.measured_force is not None:
-            value[:, :3] = self._physics.measured_force.value(theta, states, inputs, self._turning)
-        return value
+            return self._physics.bare
+        measured = None if self._turning is None else self._physics.as_measured
+        return self._physics if measured is None else measured
 
     def _difference_step(self, i: int, change: Mapping[str, float]) -> float | None:
         """Step of a number whose answer is no derivative of the equations at given states."""

@@ -252,7 +252,9 @@ class Physics:
         measured = ca.SX(imu_inputs)
         for k, a in enumerate("xyz"):
             measured[sensor.input_names.index(f"angular_acceleration_{a}")] = turning[k]
-        self._measured_force = [x, u, turning], theta, ca.substitute(shown[:3], sensed, measured)
+        sensed_force = ca.substitute(shown[:3], sensed, measured)
+        turned = ca.substitute(rate, sensed, imu_inputs)
+        self._as_measured = [x, u, turning], theta, ca.vertcat(sensed_force, turned)
         rows = [x, u, z] if self._states.index else [x, u]
         self._batch = Batch(rows, theta, ca.substitute(readings, sensed, imu_inputs), over)
         moved = [f"{s}_{a}" for s in ("specific_force", "angular_acceleration") for a in "xyz"]
@@ -265,14 +267,15 @@ class Physics:
         return Batch(*self._moved)
 
     @cached_property
-    def measured_force(self) -> Batch | None:
-        """The accelerometer alone, turning as was measured: `(states, inputs, angular acceleration,
-        numbers) -> acc_x..z`. None where states of effects are in the IMU.
+    def as_measured(self) -> Batch | None:
+        """The readings, the accelerometer turning as was measured: `(states, inputs, angular
+        acceleration, numbers) -> acc_x..z, rate of gyro_x..z`. None where states of effects are in
+        the IMU.
 
         Away from the centre of mass it feels angular acceleration: one that the model predicts
         would tell of inertia as the loop has it, past all instruments.
         """
-        return None if self._states.index else Batch(*self._measured_force)
+        return None if self._states.index else Batch(*self._as_measured)
 
     def value(self, theta: Array, states: Array, inputs: Array) -> Array:
         """Predicted readings, shape (n, 6), of all rows of a flight."""
@@ -419,7 +422,7 @@ class Trajectory:
         aligned = self.aligned
         if own:
             key = tuple(sorted(own.items()))
-            aligned = _remembered(self._integrated, key, lambda: self._integrated_with(own))
+            aligned = remembered(self._integrated, key, lambda: self._integrated_with(own))
         states, inputs = self._in_step(aligned.states, theta), aligned.inputs.u
         for signal in DRIVES:
             if later := lateness_of(self._numbers, theta, signal):
@@ -509,11 +512,11 @@ class Trajectory:
             without[own] = self._now[own]
             without[sizes] = neutral
             at = effect, without.tobytes()
-            free, excess = _remembered(
+            free, excess = remembered(
                 self._forces, at, partial(self._excess_force, without, states, inputs)
             )
             numbers = {self._numbers[i].name: float(theta[i]) for i in own}
-            course = _remembered(
+            course = remembered(
                 self._courses,
                 (*at, tuple(float(theta[i]) for i in own if i not in sizes)),
                 partial(observer.follow, free, excess, numbers, 1 / GRID_HZ),
@@ -542,10 +545,12 @@ class Trajectory:
         return states, inputs
 
 
-def _remembered(retained: dict[Key, Made], key: Key, make: Callable[[], Made]) -> Made:
+def remembered(
+    retained: dict[Key, Made], key: Key, make: Callable[[], Made], most: int = REMEMBERED
+) -> Made:
     """What was made before, or is made now; the oldest goes where there are many."""
     if key not in retained:
-        while len(retained) >= REMEMBERED:
+        while len(retained) >= most:
             del retained[next(iter(retained))]
         retained[key] = make()
     return retained[key]

@@ -44,6 +44,17 @@ def test_a_model_on_its_days_is_each_flight_with_its_numbers() -> None:
 
 
 @pytest.mark.slow
+def test_days_of_a_start_are_learned_before_any_other_effect_is_there() -> None:
+    usual = problem()
+    b, known = usual.priors, usual.acquainted(("thrust_scale",))
+    np.testing.assert_array_equal(known.priors.day, b.day)  # its numbers have no days
+    learned = usual.acquainted(("accel_bias",)).priors
+    place = b.names.index(X)
+    assert learned.day[place] > 1.3 * b.day[place]
+    assert learned.day[place] < np.std(BIASES) * 1.5
+
+
+@pytest.mark.slow
 def test_flights_teach_by_how_much_their_days_differ_number_by_number() -> None:
     usual = problem()
     state = usual.start((), 1.0)

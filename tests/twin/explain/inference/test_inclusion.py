@@ -1,6 +1,6 @@
 """Sets that matter, weighed: on made-up linear problems, where a refit changes nothing."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,14 +10,19 @@ from numpy.typing import NDArray
 from search_rigs.linear_evidence import Linear
 
 from twin.explain.inference.fit import State
-from twin.explain.inference.search import Posterior, SearchResult, log_posterior, weigh
+from twin.explain.inference.posterior import Posterior, SearchResult, Tried, log_posterior, weigh
 
 Array = NDArray[np.float64]
 NAMES = ("accel_bias", "gyro_bias", "mass_offset", "thrust_scale")
 
 
 def weighed(
-    slopes: Array, residual: Array, on: Sequence[str], seed: int = 0, bent: bool = False
+    slopes: Array,
+    residual: Array,
+    on: Sequence[str],
+    seed: int = 0,
+    bent: bool = False,
+    behind: Mapping[tuple[str, ...], float] | None = None,
 ) -> Posterior:
     """One channel, one number per effect.
 
@@ -27,6 +32,7 @@ def weighed(
         on: Where a search ended.
         seed: Of the chain.
         bent: Whether nothing is found to be as good as the end once it is fitted.
+        behind: Sets that were fitted, and by how many nats each ended behind the end.
     """
     effects = NAMES[: slopes.shape[1]]
     band = np.ones(len(residual), dtype=np.intp)
@@ -37,9 +43,9 @@ def weighed(
 
     end = State(tuple(sorted(on)), laplace.best(on, 1.0), linear.spectrum)
     problem: Any = SimpleNamespace(priors=linear.priors)
-    return weigh(
-        problem, SearchResult(end, laplace, {((), 1.0): log_posterior(end)} if bent else {}), seed
-    )
+    tried: Tried = {((), 1.0): log_posterior(end)} if bent else {}
+    tried |= {(k, 1.0): log_posterior(end) - less for k, less in (behind or {}).items()}
+    return weigh(problem, SearchResult(end, laplace, tried), seed)
 
 
 def noise(n: int = 400, seed: int = 0) -> tuple[np.random.Generator, Array]:
@@ -58,6 +64,17 @@ def test_one_of_two_that_are_the_same_is_there_each_with_half_the_probability() 
     assert found.exchangeable("accel_bias") == ("gyro_bias",)
     assert found.exchangeable("gyro_bias") == ("accel_bias",)
     assert found.exchangeable("mass_offset") == ()
+
+
+def test_an_exchange_that_was_fitted_counts_as_fitted_in_every_set_that_makes_it() -> None:
+    rng, e = noise()
+    s = rng.standard_normal(400)
+    other = rng.standard_normal(400)
+    both = np.column_stack([s, s, other])
+    found = weighed(both, 0.5 * s + e, ["accel_bias"], behind={("gyro_bias",): 25.0})
+    assert found.inclusion["accel_bias"] > 0.999
+    assert found.inclusion["gyro_bias"] < 0.1  # beside the other; in its place never
+    assert sum(w.probability for w in found.sets if "accel_bias" not in w.effects) < 1e-9
 
 
 def test_what_explains_much_is_sure_and_what_explains_nothing_is_not_there() -> None:

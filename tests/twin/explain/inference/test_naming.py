@@ -11,8 +11,8 @@ from twin.component.rows import OverRows, noiseless_outputs
 from twin.effects import EFFECTS
 from twin.explain.inference import selection as search
 from twin.explain.inference.fit import Fit, substantial_effects
+from twin.explain.inference.posterior import Posterior, ScoredModel, SearchResult
 from twin.explain.inference.priors import Bounds, edges
-from twin.explain.inference.search import Posterior, ScoredModel, SearchResult
 from twin.explain.inference.search import search as climbed
 from twin.explain.inference.selection import (
     Naming,
