@@ -457,7 +457,7 @@ DOCUMENTS = {
     "reference/json.md": json_keys,
     "reference/log_formats.md": log_formats,
     "reference/series.md": series,
-    "guide/compensator.md": compensator,
+    "method/compensator.md": compensator,
     "reference/tables.md": fleet,
 }
 

@@ -66,7 +66,7 @@ FAMILIES: tuple[FamilyRow, ...] = (
     ),
     FamilyRow(
         name="trivial",
-        meaning="the baselines of every evaluation, kept as models",
+        meaning="the baselines of every evaluation, as models",
         presets=(
             "none",
             "mean",

@@ -29,7 +29,7 @@ PresetName = Annotated[
     str | None,
     typer.Option(
         help="Of svq: best: ours; paper: the paper's text; published: its code. Of trivial: "
-        "mean, last, ...: docs/guide/compensator.md."
+        "mean, last, ...: docs/method/compensator.md."
     ),
 ]
 
