@@ -160,14 +160,14 @@ class Odds:
     Attributes:
         odds: Log odds against no change at all, shape (names, onsets).
         nothing: The same of nothing, on what each name is judged on, shape (names, onsets).
-        beside: What the axes across the thrust say more for a name than for nothing, where it is
+        across: What the axes across the thrust say more for a name than for nothing, where it is
             not judged on them, shape (names, onsets).
         sizes: Log evidence of the sizes of each name, shape (onsets, sizes).
     """
 
     odds: Array
     nothing: Array
-    beside: Array
+    across: Array
     sizes: Mapping[Name, Array]
 
 
@@ -273,9 +273,9 @@ class Competition:
         picked[[k + n, k + n + 3], [0, 4]] = -1.0, 1.0
         picked[2 * k :, 5:inner] = 1.0
         picked[[*range(k, k + n), k + n + 3, n + 4], range(inner, inner + n + 2)] = 1.0
-        kept = expecting(TEMPER * (picked.T @ gram @ picked), 0, *before)
-        inside = kept[:, :inner, :inner] + np.diag([0.0, *(1 / np.square(sd[1:]))])
-        cross, outer = kept[:, :inner, inner:], kept[:, inner:, inner:]
+        tempered = expecting(TEMPER * (picked.T @ gram @ picked), 0, *before)
+        inside = tempered[:, :inner, :inner] + np.diag([0.0, *(1 / np.square(sd[1:]))])
+        cross, outer = tempered[:, :inner, inner:], tempered[:, inner:, inner:]
         left = outer - cross.transpose(0, 2, 1) @ np.linalg.solve(inside, cross)
         return left, -0.5 * np.linalg.slogdet(inside)[1] - np.log(sd).sum()
 
@@ -374,7 +374,7 @@ class Competition:
         return Odds(
             odds=each - body + of_air * (still - air),
             nothing=each[0] - body + of_air * (still - air),
-            beside=np.where(of_air | (np.arange(len(each)) == 0)[:, None], 0.0, either),
+            across=np.where(of_air | (np.arange(len(each)) == 0)[:, None], 0.0, either),
             sizes=sizes,
         )
 
@@ -487,7 +487,7 @@ class Competition:
         if over[1:, m].max() < 0:
             return None
         nats = found.odds[:, m] - found.nothing.max(axis=1)
-        weighed = np.where(over[:, m] >= 0, over[:, m] + found.beside[:, m], over[:, m])
+        weighed = np.where(over[:, m] >= 0, over[:, m] + found.across[:, m], over[:, m])
         weighed[0] = 0.0  # nothing: names are weighed by what they have over their levels
         p = np.exp(weighed - logsumexp(weighed))
         order = np.argsort(-p, kind="stable")

@@ -104,8 +104,8 @@ def _marginal(gram: Array, one: int, changes: Sequence[float]) -> Array:
     k = one + 2
     sd = np.array([*MOVING_SD[:one], OFFSET_SD_M_S2, *changes])
     picked = [*range(one + 1), *(k + one, 2 * k)[: len(changes)]]
-    kept = TEMPER * gram
-    inside = kept[:, np.array(picked)[:, None], picked] + np.diag(1 / sd**2)
-    cross, left = kept[:, picked, one + 1, None], kept[:, one + 1, one + 1]
+    tempered = TEMPER * gram
+    inside = tempered[:, np.array(picked)[:, None], picked] + np.diag(1 / sd**2)
+    cross, left = tempered[:, picked, one + 1, None], tempered[:, one + 1, one + 1]
     left = left - np.sum(cross * np.linalg.solve(inside, cross), axis=(1, 2))
     return np.asarray(-0.5 * left - 0.5 * np.linalg.slogdet(inside)[1] - np.log(sd).sum())
