@@ -23,7 +23,7 @@ from twin.why import diagnose
 from twin.why.flight import FlightFrame
 from twin.why.records import Event
 from twin.why.rules import parted_outputs
-from twin.why.watch import LOOK_S, PASSING, Alarm, Watch
+from twin.why.watch import PASSING, PERIOD_S, Alarm, Watch
 
 INDEX = Path(__file__).parents[1] / "labelled" / "index.csv"
 """Of recorded flights."""
@@ -74,10 +74,10 @@ def watched(flight: Flight, vehicle: Vehicle | None = None) -> tuple[tuple[Alarm
     """Alarms of a flight that is fed look by look, and processor time over time of flight."""
     watch, known, began = Watch(vehicle), dict[tuple[float, str], Alarm](), time.process_time()
     t, columns, first = flight.time_s, flight.columns, 0
-    for end in np.searchsorted(t, np.arange(t[0] + LOOK_S, t[-1] + LOOK_S, LOOK_S)):
+    for end in np.searchsorted(t, np.arange(t[0] + PERIOD_S, t[-1] + PERIOD_S, PERIOD_S)):
         watch.push({c: v[first:end] for c, v in columns.items()})
         first = int(end)
-        known |= {(a.raised_s, a.event.cause): a for a in watch.look()}
+        known |= {(a.raised_s, a.event.cause): a for a in watch.evaluate()}
     return tuple(known.values()), (time.process_time() - began) / float(t[-1] - t[0])
 
 

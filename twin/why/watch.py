@@ -1,9 +1,10 @@
-"""`why` on the stream: the last minute of a flight, looked at each second, and what began in it.
+"""`why` on the stream: the last minute of a flight, evaluated each second, and what began in it.
 
 The finders are those of a log: the body's competition at the onsets of the last seconds,
-instruments and vibration over the window. An event is an alarm when looks in a row name it surely,
-when as much was flown after its onset as counts in a log, or at once when control is lost. Until it
-is settled its name may change; from then on the body is looked at from the event on, as in a log.
+instruments and vibration over the window. An event is an alarm when evaluations in a row name it
+surely, when as much was flown after its onset as counts in a log, or at once when control is lost.
+Until it is settled its name may change; from then on the body is evaluated from the event on, as in
+a log.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -28,14 +29,14 @@ from .sensors import LANDING_S, OF_ESTIMATE, part_events
 from .since import layout_of, misfit
 from .vibration import vibration
 
-LOOK_S = 1.0
-"""Between two looks."""
+PERIOD_S = 1.0
+"""Between two evaluations, s."""
 WINDOW_S = BEFORE_S + AFTER_S + 4.0
-"""Of the flight that is held: what an onset is weighed on, and some looks."""
+"""Of the flight that is held: what an onset is weighed on, and some evaluations."""
 RECENT_S = AFTER_S + 3.0
 """Before now, in which onsets are tried."""
 SCREENED_S = 30.0
-"""Of the flight, by which the onsets are screened: what comes near its level is looked at again."""
+"""Of the flight, by which the onsets are screened: what comes near its level is evaluated again."""
 CURVE_S = 20.0
 """After so long the likely curves of thrust are chosen anew."""
 Find = Callable[[FlightFrame, Airborne], Sequence[Event]]
@@ -44,13 +45,13 @@ FINDERS: tuple[tuple[Find, float], ...] = (
     (lambda flown, part: part_events(flown, part)[1], 2.0),
     (lambda flown, _: vibration(flown).events, 10.0),
 )
-"""Of instruments and of vibration, and the time between two of their looks, s."""
-CLEAR, LOOKS = 0.9, 2
-"""Probability from which on, and looks in a row after which, a name is said before it settles."""
+"""Of instruments and of vibration, and the time between two of their evaluations, s."""
+CLEAR, LEAST_AGREEING = 0.9, 2
+"""Probability, and evaluations in a row, from which on a name is said before it settles."""
 NEAR_S = 1.0
-"""Onsets of two looks that are so near are of one event."""
+"""Onsets of two evaluations that are so near are of one event."""
 IDLE_S = 5.0
-"""After the last moment in the air nothing is looked for."""
+"""After the last moment in the air nothing is sought."""
 CLIMBS_M, TURNS_RAD_S, AGO_S = 0.4, 0.03, 2.0
 """Change of height, and mean body rate, that show that an aircraft is in the air; the time over
 which they are taken."""
@@ -76,52 +77,54 @@ class Alarm(Struct, frozen=True, kw_only=True):
 
 @dataclass(slots=True)
 class Case:
-    """What is seen of one event, look by look.
+    """What is seen of one event, evaluation by evaluation.
 
     Attributes:
         event: As it was seen last.
-        looks: How often in a row under this name; 0: not any more.
+        agreeing: Evaluations in a row under this name; 0: not any more.
         alarm: What was said of it.
         settled: Whether its name will not change any more.
         seen_s: When it was seen last.
     """
 
     event: Event | None = None
-    looks: int = 0
+    agreeing: int = 0
     alarm: Alarm | None = None
     settled: bool = False
     seen_s: float = -np.inf
 
     def see(self, event: Event | None, now_s: float) -> None:
-        """Take a look."""
+        """Take the result of an evaluation."""
         if event is None:
-            self.looks = 0
+            self.agreeing = 0
             return
-        again = self.looks and self.event is not None and _same(event, self.event)
-        self.looks, self.event, self.seen_s = self.looks + 1 if again else 1, event, now_s
+        again = self.agreeing and self.event is not None and _same(event, self.event)
+        self.agreeing, self.event, self.seen_s = self.agreeing + 1 if again else 1, event, now_s
 
     def news(self, now_s: float, settles_s: float, at_once: bool = False) -> Iterator[Alarm]:
         """What is new about its alarm.
 
         Args:
-            now_s: Time of the look.
+            now_s: Of the evaluation.
             settles_s: After its onset.
-            at_once: Whether one look is enough.
+            at_once: Whether one evaluation is enough.
         """
         event, old = self.event, self.alarm
         if event is None or self.settled:
             return
         old_enough = event.onset_s is None or now_s - event.onset_s >= settles_s
         if old is not None and (
-            not _same(event, old.event) if self.looks else old_enough
+            not _same(event, old.event) if self.agreeing else old_enough
         ):  # it is something else, or nothing
             yield structs.replace(old, closed_s=now_s)
             self.alarm = old = None
-        surely = at_once or (self.looks >= LOOKS and (old_enough or event.probability >= CLEAR))
-        if old is None and self.looks and surely:
+        surely = at_once or (
+            self.agreeing >= LEAST_AGREEING and (old_enough or event.probability >= CLEAR)
+        )
+        if old is None and self.agreeing and surely:
             self.alarm = Alarm(event=event, raised_s=now_s)
             yield self.alarm
-        self.settled = old_enough and (self.alarm is not None or not self.looks)
+        self.settled = old_enough and (self.alarm is not None or not self.agreeing)
         if self.settled and self.alarm is not None:
             over_s = now_s if event.cause in PASSING else None
             self.alarm = structs.replace(self.alarm, event=event, closed_s=over_s)
@@ -129,7 +132,7 @@ class Case:
 
 
 def _same(a: Event, b: Event) -> bool:
-    """Whether two looks see one event."""
+    """Whether two evaluations found one event."""
     if (a.cause, a.rotor, a.sensor) != (b.cause, b.rotor, b.sensor):
         return False
     return a.onset_s is None or b.onset_s is None or abs(a.onset_s - b.onset_s) <= NEAR_S
@@ -154,7 +157,7 @@ class Watch:
         self._rows = LastRows("live", airframe=None if layout is None else Airframe(layout=layout))
         self._body = _BodyWatch()
         self._others: dict[Find, dict[str, Case]] = {find: {} for find, _ in FINDERS}
-        self._looked_s = dict.fromkeys(self._others, -np.inf)
+        self._evaluated_s = dict.fromkeys(self._others, -np.inf)
         self._fit_open = layout is not None
         self._took_off_s: float | None = None
         self._until_s = -np.inf
@@ -164,8 +167,8 @@ class Watch:
         """Take new rows of the flight table, NaN where a signal has no sample."""
         self._rows.append(rows)
 
-    def look(self) -> tuple[Alarm, ...]:
-        """Alarms that are new, have changed, or are over, since the last look."""
+    def evaluate(self) -> tuple[Alarm, ...]:
+        """Alarms that are new, have changed, or are over, since the last evaluation."""
         if not len(self._rows):
             return ()
         now_s = self._rows.last_s
@@ -178,8 +181,8 @@ class Watch:
         if part is None:
             return ()
         self._judge_rotors(flown, part)
-        body = () if self.misfit else tuple(self._body.look(flown, part, now_s))
-        return (*body, *self._look_at_others(flown, part, now_s))
+        body = () if self.misfit else tuple(self._body.evaluate(flown, part, now_s))
+        return (*body, *self._evaluate_others(flown, part, now_s))
 
     def _part(self, flown: FlightFrame, now_s: float) -> Airborne | None:
         """The part of the flight that goes on, from where it left the ground; None: it rests.
@@ -205,12 +208,12 @@ class Watch:
         start = max(part.start, int(np.searchsorted(flown.t_s, self._took_off_s)))
         return replace(part, start=start)
 
-    def _look_at_others(self, flown: FlightFrame, part: Airborne, now_s: float) -> Iterator[Alarm]:
+    def _evaluate_others(self, flown: FlightFrame, part: Airborne, now_s: float) -> Iterator[Alarm]:
         """Instruments and vibration, each once in a flight of `WINDOW_S`."""
         for find, every_s in FINDERS:
-            if now_s - self._looked_s[find] < every_s - LOOK_S / 2:
+            if now_s - self._evaluated_s[find] < every_s - PERIOD_S / 2:
                 continue
-            self._looked_s[find] = now_s
+            self._evaluated_s[find] = now_s
             cases = self._others[find]
             events = self._causes(find(flown, part))
             seen = {e.sensor or e.cause: e for e in events}
@@ -275,7 +278,7 @@ class _BodyWatch:
         """Events that were said, and the newest."""
         return self.said + ([] if self.case.event is None else [self.case.event])
 
-    def look(self, flown: FlightFrame, part: Airborne, now_s: float) -> Iterator[Alarm]:
+    def evaluate(self, flown: FlightFrame, part: Airborne, now_s: float) -> Iterator[Alarm]:
         """What is new."""
         missing = {"gyro", "acc"} - flown.grid.keys()
         short = (part.flown - part.start) * flown.dt_s < LEAST_S
@@ -291,7 +294,7 @@ class _BodyWatch:
         self.over |= ended
 
     def _settle(self, case: Case) -> None:
-        """From an event on the body is another one, or is looked at from there on."""
+        """From an event on the body is another one, or is evaluated from there on."""
         if case.alarm is None or case.event is None or case.event.onset_s is None:
             return
         self.said.append(case.event)

@@ -22,7 +22,7 @@ from .datagrams import Address, Arrivals, ClockWatch, Datagram, Received, Receiv
 from .following import DEFAULT_SYSTEM, Following, FollowingTwin, Publisher
 from .page.feed import PageFeed
 from .recording import HOLD_S, Recording, RowBuffer
-from .status import RATES_HZ, LinkStatus, LiveStatus, Looking, alarm_json, missing
+from .status import RATES_HZ, FlightWatch, LinkStatus, LiveStatus, alarm_json, missing
 from .worker import Batch, Part, Parts, Worker
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ class LiveSession:
         self,
         vehicle: Vehicle,
         options: LiveOptions,
-        watch: Callable[[], Looking | None] = lambda: None,
+        watch: Callable[[], FlightWatch | None] = lambda: None,
         page: PageFeed | None = None,
         compensator: "RunningCompensator | None" = None,
     ) -> None:

@@ -1,6 +1,6 @@
 """The status of a live flight, as numbers and in words, and its alarms.
 
-`Looking` is the interface of `twin.why.watch.Watch`; a flight that nothing looks at has no alarms.
+`FlightWatch` is the interface of `twin.why.watch.Watch`; a flight without one has no alarms.
 """
 
 import math
@@ -19,8 +19,8 @@ from ..diagnosis import cause_in_words, size_in_words
 from .datagrams import ClockEstimate
 
 
-class Looking(Protocol):
-    """Looks at a flight while it goes on; a new flight has a new one."""
+class FlightWatch(Protocol):
+    """Finds what goes wrong in a flight while it goes on; a new flight has a new one."""
 
     @property
     def misfit(self) -> str:
@@ -31,7 +31,7 @@ class Looking(Protocol):
         """Take new rows of the flight table."""
         ...
 
-    def look(self) -> Sequence[Alarm]:
+    def evaluate(self) -> Sequence[Alarm]:
         """Alarms that are new, have changed, or are over."""
         ...
 
@@ -52,8 +52,8 @@ def sentence(alarm: Alarm) -> str:
 def alarm_json(alarm: Alarm, section: int) -> dict[str, Any]:
     """A line of `alarms.jsonl`: the event as `why` has it, without the signals that show it."""
     event = to_builtins(structs.replace(alarm.event, evidence=()))
-    told = {"raised_s": alarm.raised_s, "closed_s": alarm.closed_s, "text": sentence(alarm)}
-    return {"section": section, **event, **told}
+    times = {"raised_s": alarm.raised_s, "closed_s": alarm.closed_s}
+    return {"section": section, **event, **times, "text": sentence(alarm)}
 
 
 NEEDED_BY: dict[str, tuple[str, str]] = {

@@ -23,10 +23,10 @@ from twin.logs.flight import Finding
 from twin.residuals.stream import Equations, Stream
 from twin.residuals.stream_residuals import ResidualBlock, StreamResiduals
 from twin.vehicle import Vehicle
-from twin.why.watch import LOOK_S, Alarm
+from twin.why.watch import PERIOD_S, Alarm
 
 from .recording import Columns, Recording
-from .status import Looking, alarm_json
+from .status import FlightWatch, alarm_json
 
 if TYPE_CHECKING:
     from ..compensators.running import RunningCompensator
@@ -162,7 +162,7 @@ class Worker:
         vehicle: Vehicle,
         recording: Recording | None,
         horizon_s: float,
-        watch: Callable[[], Looking | None] = lambda: None,
+        watch: Callable[[], FlightWatch | None] = lambda: None,
         on_block: Callable[[ResidualBlock], None] = lambda _: None,
         on_alarm: Callable[[Alarm], None] = lambda _: None,
         compensator: "RunningCompensator | None" = None,
@@ -225,7 +225,7 @@ class Worker:
         if self._compensator is not None:
             self._parts.run(Part.COMPENSATOR, self._compensator.begin)
         self._updated_s: float | None = None
-        self._looked_s = 0.0
+        self._evaluated_s = 0.0
 
     def _work(self) -> None:
         while True:
@@ -251,10 +251,10 @@ class Worker:
             self._parts.run(Part.TABLES, add, rows, batch.facts, found, settled)
         self.flight_s = float(rows["time"][-1])
         if self._updated_s is None:
-            self._updated_s = self._looked_s = float(rows["time"][0])
+            self._updated_s = self._evaluated_s = float(rows["time"][0])
         if self._watch is not None:
             self._parts.run(Part.ALARMS, self._watch.push, rows)
-        if self.flight_s - self._looked_s >= LOOK_S:
+        if self.flight_s - self._evaluated_s >= PERIOD_S:
             self._look()
         # What waits is recorded before anything is computed, up to a point.
         behind_s = self.flight_s - self._updated_s
@@ -264,10 +264,10 @@ class Worker:
 
     def _look(self) -> None:
         """Ask for alarms: here and nowhere else."""
-        self._looked_s = self.flight_s
+        self._evaluated_s = self.flight_s
         if self._watch is None:
             return
-        for alarm in self._parts.run(Part.ALARMS, self._watch.look) or ():
+        for alarm in self._parts.run(Part.ALARMS, self._watch.evaluate) or ():
             if self._recording is not None:
                 self._recording.add_alarm(alarm_json(alarm, self.sections))
             self._on_alarm(alarm)

@@ -13,7 +13,7 @@ from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
 from twin.why.diagnose import diagnose
 from twin.why.records import Event
-from twin.why.watch import LOOK_S, Alarm, Case, Watch
+from twin.why.watch import PERIOD_S, Alarm, Case, Watch
 from uavtwin.demo.in_flight import damaged_flight
 
 
@@ -22,9 +22,9 @@ def watched(flight: Flight, vehicle: Vehicle | None = None) -> tuple[list[Alarm]
     watch = Watch(vehicle)
     said: list[Alarm] = []
     t, columns, first = flight.time_s, flight.columns, 0
-    for end in np.searchsorted(t, np.arange(t[0] + LOOK_S, t[-1] + LOOK_S, LOOK_S)):
+    for end in np.searchsorted(t, np.arange(t[0] + PERIOD_S, t[-1] + PERIOD_S, PERIOD_S)):
         watch.push({c: v[first:end] for c, v in columns.items()})
-        said += watch.look()
+        said += watch.evaluate()
         first = int(end)
     return said, watch
 

@@ -54,13 +54,13 @@ def heard(
 
 
 class Failing(Watch):
-    """Fails at its second look."""
+    """Fails at its second evaluation."""
 
-    looks = 0
+    calls = 0
 
-    def look(self) -> tuple[Alarm, ...]:
-        self.looks += 1
-        if self.looks == 2:
+    def evaluate(self) -> tuple[Alarm, ...]:
+        self.calls += 1
+        if self.calls == 2:
             raise ZeroDivisionError("as planted")
         return ()
 
@@ -84,7 +84,7 @@ def test_an_error_of_alarms_or_page_ends_no_recording(copter: Vehicle, tmp_path:
     assert len(flight.table) == 600 and status.waits_for == ""
     assert "alarms failed: ZeroDivisionError: as planted" in status.errors
     assert "the page failed: RuntimeError: as planted" in status.errors
-    assert watch.looks == 2 and len(status.errors) == 2
+    assert watch.calls == 2 and len(status.errors) == 2
     assert "ZeroDivisionError" in (tmp_path / "r" / ERRORS).read_text("utf-8")
     (noted,) = [f for f in flight.findings if f.where == "alarms"]
     assert noted.severity == "error" and noted.count == 1

@@ -54,7 +54,7 @@ class Listener:
     def push(self, rows: Rows) -> None:
         self.seen += rows["time"].tolist()
 
-    def look(self) -> tuple[Alarm, ...]:
+    def evaluate(self) -> tuple[Alarm, ...]:
         told, self.said = not self.said and self.seen[-1] > 1.0, True
         return (WEAK,) if told else ()
 
