@@ -25,7 +25,6 @@ LOCAL = {
         "estimates.MOST_RIVALS",
         "holdout.MOST",
         "holdout.BANDS_HZ",
-        "running.evidence.LEAST_SHARE",
     },
     "units": {
         "inference.sparse_regression.RAISED",
@@ -86,13 +85,11 @@ LOCAL = {
         "unnamed.FINER",
         "stochastic.search.RIDGES",
         "stochastic.search.NO_NOISE",
-        "running.detector.RECENT",
     },
     "what is believed before any flight, besides the table of priors": {
         "inference.noise.FAST_RAD_S",
         "inference.fit.KAPPAS",
         "inference.fit.BEFORE",
-        "running.hypotheses.MONITORED_EFFECTS",
     },
     "frequencies in which channels are taken apart": {
         "inference.instruments.LOOP_HZ",
@@ -102,10 +99,6 @@ LOCAL = {
         "inference.setpoints.SLOWEST_WAY_M_S",
         "inference.spectrum.BANDS_HZ",
         "inference.spectrum.SHORTEST",
-        "running.frames.FRAME_ROWS",
-        "running.detector.EDGES",
-        "running.detector.LONG",
-        "running.frames.SUB_BANDS_HZ",
     },
     "reported numbers and sets, once their probability is known": {
         "inference.posterior.EXCHANGED",
@@ -155,15 +148,12 @@ LOCAL = {
     "how many columns are held in memory at a time": {"model.model.SLOPES_AT_ONCE"},
     "how numbers are rounded": {
         "inference.evidence.LEAST_EIGENVALUE",
-        "running.detector._RESOLVED",
-        "running.alarms._LEAST_POWER",
     },
     "mathematics": {
         "inference.fit.INTERVAL",  # 95 % intervals
         "inference.selection.POWER_95",
         "inference.estimate._CREDIBLE",
         "inference.whitening._FAR",
-        "running.alarms.CELL",
         "stochastic.spectral.SURE",
         "stochastic.imu_noise.LOG_MEAN",
         "stochastic.imu_noise.LOG_SD",
@@ -242,7 +232,7 @@ def test_every_other_number_of_the_search_says_why_it_is_no_setting() -> None:
             value = getattr(node, "value", None)
             if names and value is not None and names[0].isupper() and numeric(value):
                 found |= {f"{module}.{n}" for n in names}
-    found -= {"settings.DEFAULT", "running.hypotheses.RUNNING"}
+    found -= {"settings.DEFAULT"}
     allowed = set().union(*LOCAL.values())
     assert found - allowed == set()  # make it a setting, or say here why it is none
     assert allowed - found == set()  # what is no longer there
