@@ -171,6 +171,18 @@ class Odds:
     sizes: Mapping[Name, Array]
 
 
+def drop(values: Array, over: int) -> Array:
+    """Running mean before each instant less that after it, shape (n,); the ends are held.
+
+    Args:
+        values: Shape (n,).
+        over: Samples of a mean.
+    """
+    mean, at = uniform_filter1d(values, over, mode="nearest"), np.arange(len(values))
+    before, after = (mean[np.clip(at + k, 0, len(at) - 1)] for k in (-(over // 2), over // 2))
+    return np.asarray(before - after)
+
+
 class Competition:
     """All hypotheses about one part of a flight."""
 
@@ -385,9 +397,7 @@ class Competition:
         if "vbat" not in grid:
             return np.zeros(len(body))
         volts, back = grid["vbat"][:, 0], body.places(SAGS_S)
-        mean = uniform_filter1d(volts, back)
-        before, after = (np.roll(mean, k * back // 2) for k in (1, -1))
-        fallen = (before - after)[body.start : body.end] / max(float(np.median(volts)), 1e-9)
+        fallen = drop(volts, back)[body.start : body.end] / max(float(np.median(volts)), 1e-9)
         return np.asarray((fallen < STEADY_VOLTAGE).astype(float))
 
     @cached_property

@@ -82,6 +82,7 @@ class Case:
     Attributes:
         event: As it was seen last.
         agreeing: Evaluations in a row under this name; 0: not any more.
+        missed: Evaluations in a row that did not find it.
         alarm: What was said of it.
         settled: Whether its name will not change any more.
         seen_s: When it was seen last.
@@ -89,6 +90,7 @@ class Case:
 
     event: Event | None = None
     agreeing: int = 0
+    missed: int = 0
     alarm: Alarm | None = None
     settled: bool = False
     seen_s: float = -np.inf
@@ -96,8 +98,9 @@ class Case:
     def see(self, event: Event | None, now_s: float) -> None:
         """Take the result of an evaluation."""
         if event is None:
-            self.agreeing = 0
+            self.agreeing, self.missed = 0, self.missed + 1
             return
+        self.missed = 0
         again = self.agreeing and self.event is not None and _same(event, self.event)
         self.agreeing, self.event, self.seen_s = self.agreeing + 1 if again else 1, event, now_s
 
@@ -113,8 +116,9 @@ class Case:
         if event is None or self.settled:
             return
         old_enough = event.onset_s is None or now_s - event.onset_s >= settles_s
+        gone = self.missed >= LEAST_AGREEING and old_enough
         if old is not None and (
-            not _same(event, old.event) if self.agreeing else old_enough
+            not _same(event, old.event) if self.agreeing else gone
         ):  # it is something else, or nothing
             yield structs.replace(old, closed_s=now_s)
             self.alarm = old = None
@@ -124,7 +128,7 @@ class Case:
         if old is None and self.agreeing and surely:
             self.alarm = Alarm(event=event, raised_s=now_s)
             yield self.alarm
-        self.settled = old_enough and (self.alarm is not None or not self.agreeing)
+        self.settled = gone or (old_enough and self.agreeing > 0 and self.alarm is not None)
         if self.settled and self.alarm is not None:
             over_s = now_s if event.cause in PASSING else None
             self.alarm = structs.replace(self.alarm, event=event, closed_s=over_s)

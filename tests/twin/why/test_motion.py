@@ -7,7 +7,7 @@ import pytest
 from benchmarks.sudden_faults import Planted, trivial_rule
 from twin.logs import Flight
 from twin.why.body import Body
-from twin.why.competition import ROTOR, Competition, Name
+from twin.why.competition import ROTOR, Competition, Name, drop
 from twin.why.diagnose import FINDERS, diagnose
 from twin.why.findings import Findings
 from twin.why.flight import FlightFrame
@@ -62,6 +62,14 @@ def test_evidence_against_no_change_is_largest_at_the_onset() -> None:
     row = competition.names.index(Name(ROTOR, rotor or 0))
     assert abs(int(tried[np.argmax(found.odds[row])]) - at) <= 1
     assert found.odds[row].max() > found.nothing[row].max() + 100
+
+
+def test_a_voltage_that_falls_at_the_end_of_a_log_falls() -> None:
+    """What comes after the last sample is not the first one."""
+    volts = np.where(np.arange(1000) < 990, 16.0, 13.0)
+    fallen = drop(volts, 50)
+    assert fallen[989] > 1.5
+    assert fallen[-1] > 0 and np.all(fallen[:930] == 0)
 
 
 @pytest.mark.slow

@@ -127,6 +127,18 @@ def test_another_name_withdraws_the_first_one() -> None:
     assert new.event.rotor == (3,) and new.raised_s == 14.0
 
 
+def test_one_evaluation_that_misses_an_event_withdraws_no_alarm() -> None:
+    case = Case()
+    for now in (11.0, 12.0, 13.0, 14.0, 15.0):
+        case.see(event(1), now)
+        list(case.news(now, 6.0))
+    case.see(None, 16.0)
+    assert list(case.news(16.0, 6.0)) == [] and not case.settled
+    case.see(event(1), 17.0)
+    (settled,) = case.news(17.0, 6.0)
+    assert settled.raised_s == 12.0 and settled.closed_s is None and case.settled
+
+
 def test_what_is_not_seen_again_is_withdrawn_when_it_would_settle() -> None:
     case = Case()
     for now in (11.0, 12.0):
