@@ -336,7 +336,7 @@ class LaplaceEvidence:
         laplace = 0.5 * (prior.log_determinant - h.log_determinant)
         full = np.zeros(len(self._low))
         full[free] = x
-        return MapEstimate(now + laplace + prior.odds, kappa, full, free, h)
+        return MapEstimate(float(now + laplace + prior.odds), kappa, full, free, h)
 
     def _allowed(self, x: Array, free: NDArray[np.intp], h: "Factored") -> Array:
         """Numbers with what nature rules out taken back."""
