@@ -3,6 +3,7 @@
 import bz2
 import gzip
 import io
+import lzma
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -39,6 +40,11 @@ _MOST_RATIO = 100
 """Of the size unpacked over that of the archive: text logs compress by up to 20."""
 _ALWAYS = 16_000_000
 """Bytes that may be unpacked whatever the ratio."""
+DAMAGED = (
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError),
+    *(OSError, EOFError, ValueError, NotImplementedError),
+)
+"""What opening an archive, or a file in it, raises where it is damaged or of an unknown kind."""
 _SHOWN = 6  # files of an archive that an error lists
 _FEWEST = 16
 """Bytes alike from which on a file counts as erased."""
@@ -154,26 +160,27 @@ def unpacked(blob: bytes, deepest: int = _DEEPEST) -> Unpacked:
     for signature, what, opened in _STREAMS:
         if not signature.matches(blob):
             continue
-        most = _most(len(blob))
+        most = most_unpacked(len(blob))
         try:
             with opened(io.BytesIO(blob)) as file:
                 inner = bytes(file.read(most + 1))
         except (OSError, EOFError, zlib.error) as error:
             raise LogError(f"{what}, cut short or damaged ({error}). Copy it again.") from None
         if len(inner) > most:
-            raise LogError(f"{what}; it unpacks to over {most} bytes, {_TOO_LARGE}")
+            raise LogError(f"{what}; it unpacks to over {most} bytes, {TOO_LARGE}")
         found = Finding("info", "file", f"{what}, {len(inner)} bytes unpacked")
         within = unpacked(inner, deepest - 1)
         return Unpacked(within.blob, (found, *within.findings))
     return Unpacked(blob)
 
 
-_TOO_LARGE = (  # end of an error
+TOO_LARGE = (
     f"over {_MOST_RATIO} times its size, as no flight log does. Unpack it first if it is one."
 )
+"""End of an error on what unpacks to more than `most_unpacked`."""
 
 
-def _most(size: int) -> int:
+def most_unpacked(size: int) -> int:
     """Bytes that an archive of some size may unpack to."""
     return max(_ALWAYS, _MOST_RATIO * size)
 
@@ -186,15 +193,15 @@ def _from_archive(blob: bytes) -> Unpacked:
             if len(logs) != 1:
                 raise LogError(_which(files, logs))
             (log,) = logs
-            if log.file_size > (most := _most(len(blob))):
-                raise LogError(f"a ZIP archive: {log.filename} has over {most} bytes, {_TOO_LARGE}")
+            if log.file_size > (most := most_unpacked(len(blob))):
+                raise LogError(f"a ZIP archive: {log.filename} has over {most} bytes, {TOO_LARGE}")
             content = archive.read(log)
-    except (zipfile.BadZipFile, OSError, EOFError, ValueError, zlib.error) as error:
+    except NotImplementedError as error:
+        raise LogError(f"a ZIP archive of an unknown kind ({error}). Unpack it first.") from None
+    except DAMAGED as error:
         raise LogError(
             f"a ZIP archive, cut short or damaged ({error}). Copy or download it again."
         ) from None
-    except NotImplementedError as error:
-        raise LogError(f"a ZIP archive of an unknown kind ({error}). Unpack it first.") from None
     others = f"; files in it that are no logs: {len(files) - 1}" if len(files) > 1 else ""
     message = f"{log.filename[:80]}, out of a ZIP archive{others}"
     return Unpacked(content, (Finding("info", "file", message),))
@@ -227,7 +234,7 @@ def logs_in_archive(path: Path) -> list[str]:
     try:
         with zipfile.ZipFile(path) as archive:
             return [m.filename for m in _members(archive)[1]]
-    except (LogError, zipfile.BadZipFile, zlib.error, OSError, ValueError, NotImplementedError):
+    except (LogError, *DAMAGED):
         return []
 
 

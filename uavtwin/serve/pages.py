@@ -15,8 +15,8 @@ import jinja2
 from markupsafe import Markup
 
 from ..report.page import HERE as REPORT
-from .store import OF_VEHICLE, FlightRow, JobRow, Store
-from .work import LONG, TABLE, explained_name
+from .store import OF_VEHICLE, FlightRow, JobRow, Run, Store
+from .work import LONG, TABLE, explained_file
 
 HERE = Path(__file__).parent
 """Folder of templates, style and script."""
@@ -157,9 +157,7 @@ class Pages:
         headers: Of the pages; scripts of reports that earlier versions wrote run too.
     """
 
-    def __init__(
-        self, store: Store, done: Mapping[tuple[str, str, str], float], vehicles: Sequence[str]
-    ) -> None:
+    def __init__(self, store: Store, done: Mapping[Run, float], vehicles: Sequence[str]) -> None:
         """Keep what it draws.
 
         Args:
@@ -188,11 +186,7 @@ class Pages:
     def _share(self, jobs: Sequence[JobRow]) -> float | None:
         """Share done of what is running; None: not known."""
         running = [j for j in jobs if j.state == "running"]
-        return (
-            self._done.get((running[0].flight, running[0].kind, running[0].other))
-            if running
-            else None
-        )
+        return self._done.get(running[0].run) if running else None
 
     def flight(self, flight: FlightRow) -> str:
         """The page of a flight."""
@@ -262,8 +256,8 @@ class Pages:
             offered = "Do it again"
         if kind in OF_VEHICLE and not flight.vehicle:
             offered, text = "", "needs a vehicle: choose or draft one below"
-        key = (flight.id, kind, "")
-        return Action(kind, state, self._done.get(key), text or "", link, offered)
+        done = None if job is None else self._done.get(job.run)
+        return Action(kind, state, done, text or "", link, offered)
 
     def _moments(self, flight: FlightRow) -> list[tuple[float, str, str]]:
         """Time, kind and words of what happened, in order of time."""
@@ -283,7 +277,7 @@ class Pages:
         found += [(name, about) for name, about in FILES.items() if (place / name).is_file()]
         if self._store.vehicle_file(flight.vehicle or "") is not None:
             found.append(("vehicle.toml", f"vehicle file ({flight.vehicle})"))
-        if self._store.vehicle_file(explained_name(flight.id)) is not None:
+        if explained_file(place, flight.id).is_file():
             found.append(("explained.toml", "vehicle file with the effects that explain named"))
         return found
 

@@ -1,6 +1,8 @@
 """Jobs from the table to worker processes and back: who does what, how far it is, its end."""
 
 import contextlib
+import logging
+import shutil
 import threading
 import traceback
 from collections.abc import Callable
@@ -9,18 +11,18 @@ from pathlib import Path
 from typing import Any
 
 from ..jobs.process import Allowed, ProcessWorker
-from .store import OF_VEHICLE, FlightRow, JobRow, Store, safe_name
+from .store import OF_VEHICLE, FlightRow, JobRow, Run, Store
 from .work import LONG, QUICK, Answer, Job, LogWork
 
-Key = tuple[str, str, str]
-"""Of a job: flight, kind, the other flight."""
 QUICK_SHARE = 1 / 3
 """Of the time limit, for a job that is not long: a hostile log holds a worker no longer. `why` of
 40 min of flight took 3 min on a core that it shared."""
 LARGE_BYTES = 30_000_000
 """Of a log after which a worker process is replaced: what it took of the memory goes back."""
 _IDLE_S = 5.0
-"""After which a thread looks for work without being woken."""
+"""After which a thread looks for work without being woken, or after a failure of the store."""
+_LOG = logging.getLogger(__name__)
+"""Of failures that no job can report."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +44,7 @@ class Scheduler:
     """Threads that take jobs from the store, each with a process that does them.
 
     Attributes:
-        done: Share done of each job that is running, 0..1.
+        done: Share done of each run of a job that goes on, 0..1.
     """
 
     def __init__(self, store: Store, limits: Limits, changed: Callable[[str], None]) -> None:
@@ -60,8 +62,8 @@ class Scheduler:
             ProcessWorker[Job, Answer](LogWork(limits.most_bytes), dict, _lost, limits.allowed)
             for _ in range(limits.workers)
         ]
-        self._running: dict[Key, ProcessWorker[Job, Answer]] = {}
-        self.done: dict[Key, float] = {}
+        self._running: dict[JobRow, ProcessWorker[Job, Answer]] = {}
+        self.done: dict[Run, float] = {}
         self._threads = [
             threading.Thread(target=self._work, args=(k,), name=f"worker {k}", daemon=True)
             for k in range(limits.workers)
@@ -92,32 +94,49 @@ class Scheduler:
         job = self._store.job(flight, kind, other)
         if job is None or not self._store.end(job, "cancelled"):
             return False
-        with self._bell:
-            if worker := self._running.get((flight, kind, other)):
-                worker.kill()
+        self._kill_ended()
         self._changed(flight)
         return True
 
     def choose(self, flight: str, vehicle: str) -> None:
         """Compare a flight with a vehicle; what is being done with the former one ends."""
-        for kind in OF_VEHICLE:
-            self.cancel(flight, kind)
         self._store.choose(flight, vehicle)
+        self._kill_ended()
         self.wake()
+
+    def _kill_ended(self) -> None:
+        """End the processes of runs that have ended in the store."""
+        with self._bell:
+            for job, worker in self._running.items():
+                if not self._store.is_running(job):
+                    worker.kill()
 
     # -- in the thread of a worker --------------------------------------------------------------
 
     def _work(self, number: int) -> None:
         kinds = QUICK if number == 0 and self._limits.workers > 1 else (*QUICK, *LONG)
         with contextlib.closing(self._workers[number]) as worker:
-            worker.do({"kind": "warm"})
-            while (job := self._next(kinds)) is not None:
+            with contextlib.suppress(OSError):  # the first job starts it, or says why not
+                worker.do({"kind": "warm"})
+            while not self._ended:
                 try:
-                    self._do(job, worker)
-                except Exception:  # one that fails here takes none of the others along
-                    said = traceback.format_exc(limit=-1).strip().splitlines()[-1]
-                    self._store.end(job, "failed", f"{said} This is a mistake of uavtwin.")
-                self._changed(job.flight)
+                    self._do_next(kinds, worker)
+                except Exception:  # of the store: a disk that is full may have room later
+                    _LOG.exception("a worker of the page goes on in %g s", _IDLE_S)
+                    with self._bell:
+                        self._bell.wait_for(lambda: self._ended, _IDLE_S)
+
+    def _do_next(self, kinds: tuple[str, ...], worker: ProcessWorker[Job, Answer]) -> None:
+        if (job := self._next(kinds)) is None:
+            return
+        try:
+            self._do(job, worker)
+        except Exception:  # one that fails here takes none of the others along
+            said = traceback.format_exc(limit=-1).strip().splitlines()[-1]
+            self._store.end(job, "failed", f"{said} This is a mistake of uavtwin.")
+        finally:
+            shutil.rmtree(self._store.incoming(job), ignore_errors=True)
+        self._changed(job.flight)
 
     def _next(self, kinds: tuple[str, ...]) -> JobRow | None:
         """The next job, waited for; None: it is over."""
@@ -129,36 +148,37 @@ class Scheduler:
         return None
 
     def _do(self, job: JobRow, worker: ProcessWorker[Job, Answer]) -> None:
-        key = (job.flight, job.kind, job.other)
         flight = self._store.flight(job.flight)
         if flight is None:
             return
         content = self._content(job, flight)
         worker.start()
         with self._bell:
-            self._running[key] = worker
+            self._running[job] = worker
         self._changed(job.flight)
         long_s = self._limits.allowed.time_s
         try:
-            if (now := self._store.job(*key)) is None or now.state != "running":
+            if not self._store.is_running(job):
                 return
             answer = worker.do(
                 content,
-                lambda done: self._share(key, done),
+                lambda done: self._share(job, done),
                 long_s if job.kind in LONG else QUICK_SHARE * long_s,
             )
         finally:
             with self._bell:
-                self._running.pop(key, None)
-                self.done.pop(key, None)
+                self._running.pop(job, None)
+                self.done.pop(job.run, None)
+            if not self._store.is_running(job):
+                worker.close()  # it was killed, perhaps between two jobs
         if not self._ended or "lost" not in answer:  # else the next server does it again
             self._finish(job, flight, answer)
         if flight.bytes > LARGE_BYTES:
             worker.close()
 
-    def _share(self, key: Key, done: float) -> None:
-        self.done[key] = done
-        self._changed(key[0])
+    def _share(self, job: JobRow, done: float) -> None:
+        self.done[job.run] = done
+        self._changed(job.flight)
 
     def _content(self, job: JobRow, flight: FlightRow) -> dict[str, Any]:
         """What the process has to know."""
@@ -169,7 +189,7 @@ class Scheduler:
             "name": flight.name,
             "log": str(store.log(flight)),
             "folder": str(store.results(flight.id)),
-            "incoming": str(store.folder / "incoming"),
+            "incoming": str(store.incoming(job)),
         }
         if job.kind in OF_VEHICLE:
             content["vehicle"] = str(store.vehicle_file(flight.vehicle or "") or flight.vehicle)
@@ -179,39 +199,39 @@ class Scheduler:
         return content
 
     def _finish(self, job: JobRow, flight: FlightRow, answer: Answer) -> None:
-        """Write down what came of a job."""
+        """Write down what came of a run, unless it was cancelled or begun anew."""
+        store = self._store
+        if not store.is_running(job):
+            return
+        for log in answer.get("logs", ()):
+            new, _ = store.add(log["name"], Path(log["file"]), log["sha256"], log["bytes"])
+            self._changed(new)
+        with store.lock:  # nobody cancels it meanwhile
+            if store.is_running(job):
+                self._record(job, flight, answer)
+        self._kill_ended()
+        self.wake()
+
+    def _record(self, job: JobRow, flight: FlightRow, answer: Answer) -> None:
+        """The same, of a run that goes on; ends it last: a kill before has all of it done again."""
         store = self._store
         if error := answer.get("error") or answer.get("lost"):
-            if store.end(job, "failed", error) and job.kind == "check":
+            if job.kind == "check":
                 store.note(flight.id, verdict="unreadable", check_text=error)
+            store.end(job, "failed", error)
             return
-        if "logs" in answer:
-            for log in answer["logs"]:
-                file = Path(log["file"])
-                new, _ = store.add(log["name"], file, log["sha256"], log["bytes"])
-                file.unlink(missing_ok=True)  # the same log was there
-                self._changed(new)
-            store.delete(flight)
-            self.wake()
+        vehicle = store.add_vehicle(Path(answer["vehicle"])) if "vehicle" in answer else ""
+        if "logs" in answer or (vehicle and job.kind == "check"):
+            store.delete(flight)  # it was no flight
             return
-        if "vehicle" in answer:
-            source = Path(answer["vehicle"])
-            source.replace(store.folder / "vehicles" / safe_name(source.name))
-            if job.kind == "check":  # it was no flight
-                store.delete(flight)
-                return
-        now = store.job(job.flight, job.kind, job.other)
-        if now is None or now.state != "running":
-            return  # it was cancelled meanwhile
         store.note(flight.id, **answer.get("note", {}))
         for kind in answer.get("queue", ()):
             store.queue(flight.id, kind)
-        if "chosen" in answer:
-            self.choose(flight.id, answer["chosen"])
+        if answer.get("chosen"):
+            store.choose(flight.id, vehicle)
         if job.kind == "check":
             self._known_vehicle(flight.id)
-        store.end(job, "done")  # last: a kill before it has all of this done again
-        self.wake()
+        store.end(job, "done")
 
     def _known_vehicle(self, flight: str) -> None:
         """Compare a flight with the vehicle that was chosen for another of the same aircraft."""

@@ -31,7 +31,7 @@ from ..output import write_json
 from .pages import FILES, REPORTS, Pages, headers
 from .schedule import Limits, Scheduler
 from .store import LONGEST_TAGS, OF_VEHICLE, FlightRow, Store
-from .work import explained_name
+from .work import explained_file
 
 COOKIE = "uavtwin"
 """Name of the cookie that holds the token."""
@@ -279,11 +279,15 @@ class Site:
         stem = Path(flight.name).stem
         if name == "log":
             return _download(self._store.log(flight), flight.name)
-        vehicles = {"vehicle.toml": flight.vehicle, "explained.toml": explained_name(flight.id)}
-        vehicle = self._store.vehicle_file(vehicles.get(name) or "")
-        if vehicle is not None:
+        place = self._store.results(flight.id)
+        vehicles = {
+            "vehicle.toml": self._store.vehicle_file(flight.vehicle or ""),
+            "explained.toml": explained_file(place, flight.id),
+        }
+        vehicle = vehicles.get(name)
+        if vehicle is not None and vehicle.is_file():
             return _download(vehicle, vehicle.name)
-        file = self._store.results(flight.id) / name
+        file = place / name
         if name in FILES and file.is_file():
             return _download(file, f"{stem}.{file.name}")
         return self._missing("no such file")
@@ -323,6 +327,7 @@ class Site:
         }
         if known["mass_kg"] is None:
             raise TwinError("mass: a log tells force over mass alone. Weigh the aircraft.")
+        await asyncio.to_thread(self._jobs.cancel, flight.id, "draft")  # of other values
         write_json(self._store.results(flight.id) / "draft.json", known)
         self._queue(flight.id, "draft")
         return self._back(flight)

@@ -6,6 +6,7 @@ running when the server ended is queued again by the next.
 
 import contextlib
 import hashlib
+import itertools
 import os
 import re
 import secrets
@@ -18,6 +19,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from twin.errors import TwinError, install_command
+from twin.vehicle_file import builtin_vehicles
+
+from ..output import output_file
 
 State = Literal["queued", "running", "done", "failed", "cancelled"]
 OPEN: tuple[State, ...] = ("queued", "running")
@@ -104,6 +108,10 @@ class FlightRow:
     vehicle: str | None
 
 
+Run = tuple[str, str, str, float]
+"""Of a job: flight, kind, the other flight, when it was queued, s since 1970."""
+
+
 @dataclass(frozen=True, slots=True)
 class JobRow:
     """A job.
@@ -129,6 +137,11 @@ class JobRow:
     ended_s: float | None
     tries: int
     text: str | None
+
+    @property
+    def run(self) -> Run:
+        """Which run of the job: one that is queued again is another."""
+        return self.flight, self.kind, self.other, self.queued_s
 
 
 _FLIGHT = ", ".join(FlightRow.__slots__)
@@ -187,7 +200,11 @@ class Upload:
 
 
 class Store:
-    """The folder, open; one process has it."""
+    """The folder, open; one process has it.
+
+    Attributes:
+        lock: Held by who reads and then writes; no other lock is taken within.
+    """
 
     def __init__(self, folder: Path) -> None:
         """Open it, or make it; what was being uploaded is gone, what was running is queued.
@@ -202,7 +219,7 @@ class Store:
                 f"serve needs the package duckdb: {install_command('serve')}."
             ) from error
         self.folder = folder.absolute()
-        self._lock = threading.RLock()
+        self.lock = threading.RLock()
         try:
             for name in ("logs", "flights", "vehicles", "incoming"):
                 (self.folder / name).mkdir(parents=True, exist_ok=True)
@@ -210,7 +227,7 @@ class Store:
         except OSError as error:
             raise TwinError(f"--store {folder}: {error.strerror or error}.") from error
         for left in (self.folder / "incoming").iterdir():
-            left.unlink()
+            shutil.rmtree(left) if left.is_dir() else left.unlink()
         self._write("UPDATE jobs SET state = 'queued' WHERE state = 'running'")
         text = f"the server ended {MOST_TRIES} times while this was done"
         self._write(
@@ -237,14 +254,14 @@ class Store:
 
     def close(self) -> None:
         """Another process may open it; an end that was asked for is no failure of a job."""
-        with self._lock:
+        with self.lock:
             self._write(
                 "UPDATE jobs SET state = 'queued', tries = tries - 1 WHERE state = 'running'"
             )
             self._tables.close()
 
     def _rows(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
-        with self._lock:
+        with self.lock:
             return list(self._tables.execute(sql, list(values)).fetchall())
 
     def _write(self, sql: str, values: Sequence[Any] = ()) -> int:
@@ -294,7 +311,7 @@ class Store:
             size: Its bytes.
         """
         flight, name = sha256[:16], safe_name(name)
-        with self._lock:
+        with self.lock:
             if self.flight(flight) is not None:
                 return flight, False
             place = self.folder / "logs" / sha256
@@ -318,13 +335,23 @@ class Store:
         place.mkdir(exist_ok=True)
         return place
 
+    def incoming(self, job: JobRow) -> Path:
+        """Folder for what a run unpacks; not made."""
+        return self.folder / "incoming" / "-".join(map(str, job.run))
+
     def delete(self, flight: FlightRow) -> None:
-        """Forget a flight, its log and its results."""
-        with self._lock:
+        """Forget a flight, its log and its results; the same log may come again at once."""
+        gone = [self.folder / "incoming" / secrets.token_hex(8) for _ in range(2)]
+        with self.lock:
             self._write("DELETE FROM jobs WHERE flight = ? OR other = ?", (flight.id, flight.id))
             self._write("DELETE FROM flights WHERE id = ?", (flight.id,))
-        shutil.rmtree(self.folder / "logs" / flight.sha256, ignore_errors=True)
-        shutil.rmtree(self.folder / "flights" / flight.id, ignore_errors=True)
+            for name, place in zip(
+                (f"logs/{flight.sha256}", f"flights/{flight.id}"), gone, strict=True
+            ):
+                with contextlib.suppress(FileNotFoundError):
+                    (self.folder / name).rename(place)
+        for place in gone:
+            shutil.rmtree(place, ignore_errors=True)
 
     # -- flights --------------------------------------------------------------------------------
 
@@ -355,7 +382,7 @@ class Store:
 
     def choose(self, flight: str, vehicle: str) -> None:
         """Compare a flight with another vehicle: what came of the former one is forgotten."""
-        with self._lock:
+        with self.lock:
             self.note(flight, vehicle=vehicle, gap_text=None, explain_text=None)
             self._write(
                 "DELETE FROM jobs WHERE flight = ? AND list_contains(?, kind)",
@@ -380,11 +407,34 @@ class Store:
         """A vehicle file; None: there is none of this name."""
         return self.folder / "vehicles" / f"{name}.toml" if name in self.vehicles() else None
 
+    def add_vehicle(self, file: Path) -> str:
+        """Copy a vehicle file to the others; its name there.
+
+        It has a number behind it where another vehicle is called so: what came of that one stays
+        true.
+
+        Args:
+            file: Stays where it is.
+        """
+        content, stem = file.read_bytes(), Path(safe_name(file.name)).stem
+        taken = builtin_vehicles()
+        with self.lock:
+            for number in itertools.count(1):
+                name = stem if number == 1 else f"{stem}-{number}"
+                place = self.folder / "vehicles" / f"{name}.toml"
+                if name in taken or (place.exists() and place.read_bytes() != content):
+                    continue
+                if not place.exists():
+                    with output_file(place) as new:
+                        new.write_bytes(content)
+                break
+        return name
+
     # -- jobs -----------------------------------------------------------------------------------
 
     def queue(self, flight: str, kind: str, other: str = "") -> bool:
         """Queue a job; whether it was not open already. One that has ended is done again."""
-        with self._lock:
+        with self.lock:
             found = self.job(flight, kind, other)
             if found is not None and found.state in OPEN:
                 return False
@@ -404,6 +454,11 @@ class Store:
         )
         return JobRow(*found[0]) if found else None
 
+    def is_running(self, job: JobRow) -> bool:
+        """Whether this run of a job goes on: not cancelled, not queued again."""
+        now = self.job(job.flight, job.kind, job.other)
+        return now is not None and now.state == "running" and now.run == job.run
+
     def jobs(self, flight: str) -> list[JobRow]:
         """All jobs of a flight."""
         found = self._rows(f"SELECT {_JOB} FROM jobs WHERE flight = ? ORDER BY queued_s", (flight,))
@@ -415,7 +470,7 @@ class Store:
         Args:
             kinds: That are taken, the most urgent first.
         """
-        with self._lock:
+        with self.lock:
             rows = self._rows(
                 f"SELECT {_JOB} FROM jobs WHERE state = 'queued' AND list_contains(?, kind) "
                 "ORDER BY list_position(?, kind), queued_s LIMIT 1",
@@ -432,11 +487,11 @@ class Store:
             return job
 
     def end(self, job: JobRow, state: State, text: str | None = None) -> bool:
-        """Write down how an open job ended; whether it was still open."""
+        """Write down how an open run of a job ended; whether it was still open."""
         return bool(
             self._write(
                 "UPDATE jobs SET state = ?, ended_s = ?, text = ? WHERE flight = ? AND kind = ? "
-                "AND other = ? AND state IN ('queued', 'running')",
-                (state, time.time(), text, job.flight, job.kind, job.other),
+                "AND other = ? AND queued_s = ? AND state IN ('queued', 'running')",
+                (state, time.time(), text, *job.run),
             )
         )

@@ -25,7 +25,7 @@ Job = Mapping[str, Any]
 """Kind, log, folder of the results, vehicle; what a kind needs besides."""
 Answer = dict[str, Any]
 """`error`, or any of `note` (columns of the flight), `queue` (kinds of jobs), `logs` (of an
-archive), `vehicle` (a file for the store), `chosen` (the vehicle of the flight from now on)."""
+archive), `vehicle` (a file for the store), `chosen` (whether the flight has it from now on)."""
 TABLE = "flight.parquet"
 """The flight table that check leaves for everything else."""
 MOST_LOGS = 500
@@ -69,6 +69,7 @@ def _check(work: LogWork, job: Job, _: Progress) -> Answer:
     """What the file is and is good for; the flight table; the logs of an archive."""
     from twin.logs import Flight, open_flight
     from twin.logs.read import logs_in_archive
+    from twin.vehicle_file import builtin_vehicles
 
     from ..file_check import check_file, check_flight
     from ..flights import reported_aircraft
@@ -76,6 +77,8 @@ def _check(work: LogWork, job: Job, _: Progress) -> Answer:
 
     log, folder = Path(job["log"]), Path(job["folder"])
     if log.suffix == ".toml":
+        if log.stem in builtin_vehicles():
+            raise TwinError(f"{log.name}: a built-in vehicle has this name. Rename the file.")
         check_file(log)
         return {"vehicle": str(log)}
     if len(members := logs_in_archive(log)) > 1:
@@ -124,29 +127,50 @@ def _write_table(flight: "Flight", folder: Path) -> None:
 def _unpack(archive: Path, members: list[str], folder: Path, most: int) -> list[Answer]:
     """Name, file, hash and size of each log of an archive.
 
+    Args:
+        archive: ZIP.
+        members: Names of its logs.
+        folder: For what is unpacked; made. Who gave it clears it.
+        most: Bytes of one log.
+
     Raises:
-        LogError: There are too many, or one is too large.
+        LogError: There are too many, one or all of them are too large, or one cannot be unpacked.
     """
+    from twin.logs.read import DAMAGED, TOO_LARGE, most_unpacked
+
     if len(members) > MOST_LOGS:
         raise LogError(f"a ZIP archive of {len(members)} logs, over {MOST_LOGS}. Split it.")
+    most_of_all = left = most_unpacked(archive.stat().st_size)
     found: list[Answer] = []
-    with zipfile.ZipFile(archive) as opened:
-        for number, name in enumerate(members):
-            digest, size = hashlib.sha256(), 0
-            file = folder / f"{archive.parent.name[:16]}-{number}"
-            with opened.open(name) as source, file.open("wb") as out:
-                while part := source.read(_BLOCK):
-                    size += len(part)
-                    if size > most:
-                        raise LogError(
-                            f"{name[:80]}: over {most / 2**20:.0f} MiB, the limit (--size-limit)."
-                        )
-                    digest.update(part)
-                    out.write(part)
-            found.append(
-                {"name": name, "file": str(file), "sha256": digest.hexdigest(), "bytes": size}
-            )
+    for number, name in enumerate(members):
+        try:
+            answer = _unpack_one(archive, name, folder / str(number), min(most, left))
+        except DAMAGED as error:
+            of_disk = isinstance(error, OSError) and error.errno is not None
+            way_out = "Make room in --store" if of_disk else "Copy or download the archive again"
+            raise LogError(
+                f"{archive.name}: {name[:80]} cannot be unpacked ({error}). {way_out}."
+            ) from error
+        if answer["bytes"] > most:
+            limit = f"over {most / 2**20:.0f} MiB, the limit (--size-limit)."
+            raise LogError(f"{archive.name}: {name[:80]}: {limit}")
+        left -= answer["bytes"]
+        if left < 0:
+            raise LogError(f"{archive.name}: unpacks to over {most_of_all} bytes, {TOO_LARGE}")
+        found.append(answer)
     return found
+
+
+def _unpack_one(archive: Path, name: str, file: Path, most: int) -> Answer:
+    """Name, file, hash and size of one log of an archive, which is left off above `most` bytes."""
+    digest, size = hashlib.sha256(), 0
+    file.parent.mkdir(exist_ok=True)
+    with zipfile.ZipFile(archive) as opened, opened.open(name) as source, file.open("wb") as out:
+        while size <= most and (part := source.read(_BLOCK)):
+            size += len(part)
+            digest.update(part)
+            out.write(part)
+    return {"name": name, "file": str(file), "sha256": digest.hexdigest(), "bytes": size}
 
 
 def _why(_: LogWork, job: Job, __: Progress) -> Answer:
@@ -185,12 +209,17 @@ def _draft(_: LogWork, job: Job, __: Progress) -> Answer:
     known = json.loads((folder / "draft.json").read_text("utf-8"))
     found = draft_vehicle(read_flight(log), **known, name=f"draft_{job['flight'][:6]}")
     file = found.vehicle.save(folder / f"{found.vehicle.name}.toml")
-    return {"vehicle": str(file), "chosen": found.vehicle.name}
+    return {"vehicle": str(file), "chosen": True}
 
 
-def explained_name(flight: str) -> str:
-    """Name of the vehicle with the effects that explain named in a flight."""
-    return f"explained_{flight[:6]}"
+def explained_file(folder: Path, flight: str) -> Path:
+    """The vehicle with the effects that explain named in a flight.
+
+    Args:
+        folder: Results of the flight.
+        flight: Its identifier.
+    """
+    return folder / "explain" / f"explained_{flight[:6]}.toml"
 
 
 def _explain(_: LogWork, job: Job, progress: Progress) -> Answer:
@@ -207,7 +236,7 @@ def _explain(_: LogWork, job: Job, progress: Progress) -> Answer:
     place.mkdir()
     answer: Answer = {"note": {"explain_text": found.sentence}}
     if "vehicle.toml" in write_explanation(found.details, place):
-        file = place / f"{explained_name(job['flight'])}.toml"
+        file = explained_file(folder, job["flight"])
         (place / "vehicle.toml").rename(file)
         answer["vehicle"] = str(file)
     return answer

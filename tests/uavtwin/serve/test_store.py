@@ -1,5 +1,6 @@
 """The folder of the page: what is queued is done, whatever ends meanwhile."""
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -144,6 +145,60 @@ def test_deleting_a_flight_leaves_nothing_of_it(tmp_path: Path) -> None:
     store.delete(flight)
     assert store.flight(flight.id) is None and store.jobs(flight.id) == []
     assert not [p for p in tmp_path.rglob("*") if flight.id in str(p)]
+
+
+def test_a_log_that_comes_again_while_it_is_deleted_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path)
+    flight = store.flight(added(store))
+    assert flight is not None
+    remove = shutil.rmtree
+
+    def again(place: Path, ignore_errors: bool) -> None:
+        added(store)
+        remove(place, ignore_errors)
+
+    monkeypatch.setattr(shutil, "rmtree", again)
+    store.delete(flight)
+    assert store.log(flight).read_bytes() == b"log"
+
+
+def test_a_vehicle_of_the_same_name_gets_a_number(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    file = tmp_path / "mine.toml"
+    names = []
+    for content in ("one", "two", "one", "two", "three"):
+        file.write_text(content)
+        names.append(store.add_vehicle(file))
+    assert names == ["mine", "mine-2", "mine", "mine-2", "mine-3"]
+    mine = store.vehicle_file("mine")
+    assert mine is not None and mine.read_text() == "one"
+    built_in = file.rename(tmp_path / "copter_default.toml")
+    assert store.add_vehicle(built_in) == "copter_default-2"
+
+
+def test_an_end_is_of_one_run(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    flight = added(store)
+    first = store.take(ALL)
+    assert first is not None and store.is_running(first) and store.end(first, "cancelled")
+    store.queue(flight, "check")
+    assert not store.is_running(first) and not store.end(first, "failed", "of before")
+    second = store.take(ALL)
+    assert second is not None and store.is_running(second) and not store.is_running(first)
+
+
+def test_what_a_killed_server_unpacked_is_gone(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    added(store)
+    job = store.take(ALL)
+    assert job is not None
+    store.incoming(job).mkdir()
+    (store.incoming(job) / "0").write_text("half")
+    store.close()
+    Store(tmp_path)
+    assert not list((tmp_path / "incoming").iterdir())
 
 
 def test_too_much_is_refused_while_it_comes(tmp_path: Path) -> None:

@@ -115,6 +115,46 @@ def test_a_log_in_an_archive_has_the_limit_of_any(tmp_path: Path) -> None:
     assert "--size-limit" in LogWork(1_000_000).do(job)["error"]
 
 
+def test_an_archive_of_many_small_logs_has_a_limit_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("twin.logs.read._ALWAYS", 1_000_000)
+    packed = tmp_path / "bomb.zip"
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for k in range(5):
+            archive.writestr(f"{k}.csv", "time,acc_z\n" + "0.0,0.0\n" * 100_000)
+    said = LogWork(1_000_000).do(checked(packed))["error"]
+    assert said.startswith("bomb.zip: unpacks to over 1") and "100 times its size" in said
+
+
+def test_a_damaged_log_of_an_archive_is_named(tmp_path: Path) -> None:
+    packed = tmp_path / "day.zip"
+    with zipfile.ZipFile(packed, "w") as archive:
+        for name in ("one.csv", "other.csv"):
+            archive.writestr(name, "time,acc_z\n" + "0.0,0.0\n" * 10_000)
+    content = packed.read_bytes()
+    at = content.index(b"other.csv") + 70_000
+    packed.write_bytes(content[:at] + b"?" + content[at + 1 :])
+    said = LogWork(1_000_000).do(checked(packed))["error"]
+    assert said.startswith("day.zip: other.csv cannot be unpacked (Bad CRC-32")
+    assert said.endswith("Copy or download the archive again.")
+    (tmp_path / "full").mkdir()
+    full = {**checked(packed), "incoming": str(tmp_path / "full" / "not there" / "x")}
+    assert LogWork(1_000_000).do(full)["error"].endswith("Make room in --store.")
+
+
+def test_a_vehicle_file_with_the_name_of_a_built_in_one_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "copter_default.toml"
+    file.write_text((Path("twin/vehicle/built_in/copter_default.toml")).read_text())
+    assert "Rename the file" in LogWork(1).do(checked(file))["error"]
+
+
+def checked(log: Path) -> dict[str, str]:
+    """A job that checks a file."""
+    folder = str(log.parent)
+    return {"kind": "check", "log": str(log), "folder": folder, "incoming": f"{folder}/run"}
+
+
 def test_an_archive_of_too_many_logs_is_refused(tmp_path: Path) -> None:
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w") as archive:
