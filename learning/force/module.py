@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from onnx import helper, numpy_helper
 from torch import nn
+from torch.export import ExportedProgram
 from torch.fx import Node
 
 from twin.errors import ModelError
@@ -59,55 +60,72 @@ def module_onnx(module: nn.Module) -> onnx.ModelProto:
         module: Of linear layers, `torch.cat(..., dim=1)` and the operators of `_ATEN`.
 
     Raises:
-        ModelError: It has another operator, or other shapes.
+        ModelError: It cannot be traced, or has another operator or other shapes.
     """
-    example = torch.zeros(2, len(INPUTS))
-    program = torch.export.export(module.eval(), (example,))
-    with torch.no_grad():
-        shape = tuple(module(example).shape)
-    if shape != (2, len(OUTPUTS)):
-        raise ModelError(
-            f"{type(module).__name__}: makes {shape} of (2, {len(INPUTS)}), not "
-            f"(2, {len(OUTPUTS)}): a row of six accelerations for each row of {len(INPUTS)} inputs."
-        )
+    program = _program(module)
     graph, signature = Graph("force"), program.graph_signature
     stored = {**program.state_dict, **program.constants}
-    names = {**signature.inputs_to_parameters, **signature.inputs_to_buffers}
-    arrays = {n: stored[name].detach().numpy() for n, name in names.items()}
+    names = {
+        **signature.inputs_to_parameters,
+        **signature.inputs_to_buffers,
+        **signature.inputs_to_lifted_tensor_constants,
+    }
     values: dict[str, str] = {}
     for node in program.graph.nodes:
-        if node.op == "placeholder" and node.name not in arrays:
+        if node.op == "call_function":
+            values[node.name] = _operator(graph, node, values)
+        elif node.name in signature.user_inputs:
             values[node.name] = graph.input(INPUT, len(INPUTS))
-        elif node.op == "call_function":
-            values[node.name] = _operator(graph, node, values, arrays)
-        elif node.op == "output":
-            graph.output(OUTPUT, len(OUTPUTS), "Identity", values[node.args[0][0].name])
+        elif node.op == "placeholder" and node.users:
+            array = stored[names[node.name]].detach().float().numpy()
+            values[node.name] = graph.floats(np.atleast_2d(array))
+    graph.output(OUTPUT, len(OUTPUTS), "Identity", values[signature.user_outputs[0]])
     return graph.model("Specific force, m/s2, and angular acceleration, rad/s2, body FRD")
 
 
-def _operator(
-    graph: Graph, node: Node, values: Mapping[str, str], arrays: Mapping[str, NDArray[Any]]
-) -> str:
+def _program(module: nn.Module) -> ExportedProgram:
+    """A module as operators of ATen on two rows.
+
+    Raises:
+        ModelError: It cannot be traced, or makes other shapes.
+    """
+    kind, example = type(module).__name__, torch.zeros(2, len(INPUTS))
+    try:
+        with torch.no_grad():
+            made = module.eval()(example)
+        program = torch.export.export(module, (example,))
+    except Exception as error:  # whatever forward and torch raise
+        why = str(error).strip().partition("\n")[0]
+        raise ModelError(
+            f"{kind}: cannot be traced with float32 rows of shape (2, {len(INPUTS)}) ({why}). A "
+            f"force law takes them on the CPU (`module.cpu().float()`), its first layer is "
+            f"{len(INPUTS)} wide, and it does not branch on their values."
+        ) from error
+    shape = tuple(made.shape) if isinstance(made, torch.Tensor) else f"a {type(made).__name__}"
+    if shape != (2, len(OUTPUTS)):
+        raise ModelError(
+            f"{kind}: makes {shape} of (2, {len(INPUTS)}), not (2, {len(OUTPUTS)}): a row of six "
+            f"accelerations for each row of {len(INPUTS)} inputs."
+        )
+    return program
+
+
+def _operator(graph: Graph, node: Node, values: Mapping[str, str]) -> str:
     """One operator of ATen in ONNX; the name of its result.
 
     Args:
         graph: To which it is added.
         node: The operator.
-        values: Names of results so far.
-        arrays: Parameters of the module.
+        values: Names of parameters, and of results so far.
     """
 
     def given(value: Any) -> str:
         """An argument: a result, a parameter, or a number."""
-        if not isinstance(value, Node):
-            return graph.floats([[float(value)]])
-        return values.get(value.name) or graph.floats(np.atleast_2d(arrays[value.name]))
+        return values[value.name] if isinstance(value, Node) else graph.floats([[float(value)]])
 
     kind, arguments = str(node.target).removeprefix("aten."), list(node.args)
     if kind == "linear.default":
-        x, weight, *bias = arguments
-        product = graph.op("MatMul", given(x), graph.floats(arrays[weight.name].T))  # type: ignore[union-attr, index]
-        return graph.op("Add", product, given(bias[0])) if bias else product
+        return graph.op("Gemm", *(given(v) for v in arguments), transB=1)
     if kind == "cat.default":
         return graph.concat(*(given(v) for v in arguments[0]), axis=1)  # type: ignore[union-attr]
     if kind not in _ATEN or node.kwargs:
@@ -130,14 +148,26 @@ def law_function(content: bytes) -> ca.Function:
     except Exception as error:  # whatever protobuf and the checker raise
         raise ModelError(f"force law: the file is no ONNX model ({error}).") from None
     x = ca.SX.sym("x", len(INPUTS))
-    (given,), (wanted,) = model.graph.input, model.graph.output
-    values = {given.name: x.T}
-    for constant in model.graph.initializer:
-        values[constant.name] = ca.SX(np.atleast_2d(numpy_helper.to_array(constant).astype(float)))
-    for node in model.graph.node:
-        arguments = [values[name] for name in node.input]
-        values[node.output[0]] = _expression(node, arguments)
-    result = values[wanted.name]
+    constants = {c.name: c for c in model.graph.initializer}
+    # Below version 4 of the format, constants are inputs too.
+    inputs = [i.name for i in model.graph.input if i.name not in constants]
+    outputs = [o.name for o in model.graph.output]
+    if len(inputs) != 1 or len(outputs) != 1:
+        raise ModelError(
+            f"force law: the ONNX model has inputs {inputs} and outputs {outputs}, not one of each."
+        )
+    try:
+        arrays = {n: numpy_helper.to_array(c).astype(float) for n, c in constants.items()}
+        values = {inputs[0]: x.T, **{n: ca.SX(np.atleast_2d(a)) for n, a in arrays.items()}}
+        for node in model.graph.node:
+            # An empty name is an optional argument that is left out.
+            arguments = [values[name] for name in node.input if name]
+            values[node.output[0]] = _expression(node, arguments)
+    except RuntimeError as error:
+        raise ModelError(
+            f"force law: the ONNX model cannot be evaluated on a row of {len(INPUTS)} ({error})."
+        ) from error
+    result = values[outputs[0]]
     if result.shape != (1, len(OUTPUTS)):
         raise ModelError(
             f"force law: the ONNX model gives {result.shape}, not a row of {len(OUTPUTS)}."

@@ -18,15 +18,17 @@ PAGE = ROOT / "docs" / "guide" / "own_force.md"
 
 
 class Mixed(nn.Module):
-    """Several operators, a buffer and a number."""
+    """Several operators, a buffer, a plain tensor and a number."""
 
     def __init__(self) -> None:
         super().__init__()
         self.one, self.two = nn.Linear(len(INPUTS), 5), nn.Linear(10, len(OUTPUTS), bias=False)
         self.register_buffer("gain", torch.linspace(0.5, 2.0, len(OUTPUTS)))
+        self.spread = torch.full((len(INPUTS),), 2.0)
 
     def forward(self, x: torch.Tensor) -> Any:
         """Rows to rows."""
+        x = x / self.spread
         hidden = torch.cat([torch.tanh(self.one(x)), torch.relu(self.one(x)) - 0.25], dim=1)
         return self.two(torch.sigmoid(hidden)) * self.gain / 2.0
 
@@ -43,12 +45,23 @@ def test_the_equations_say_what_the_module_says() -> None:
     np.testing.assert_allclose(said, wanted, atol=2e-6)
 
 
+class Two(nn.Module):
+    """Force and moment apart."""
+
+    def forward(self, x: torch.Tensor) -> Any:
+        """Rows to two results."""
+        return x[:, :3], x[:, 3:6]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("module", "message"),
     [
         (nn.Linear(len(INPUTS), 5), r"makes \(2, 5\)"),
         (nn.Sequential(nn.Linear(len(INPUTS), 6), nn.Softmax(dim=1)), "aten.softmax"),
+        (nn.Linear(len(INPUTS), 6).double(), r"Linear: cannot be traced .*float\(\)"),
+        (nn.Linear(len(INPUTS) + 1, 6), r"Linear: cannot be traced .*first layer is 12 wide"),
+        (Two(), "Two: makes a tuple"),
     ],
 )
 def test_a_module_that_cannot_be_a_law_is_refused(module: nn.Module, message: str) -> None:
@@ -56,30 +69,53 @@ def test_a_module_that_cannot_be_a_law_is_refused(module: nn.Module, message: st
         module_onnx(module)
 
 
-def test_a_file_from_elsewhere_may_have_a_gemm_and_no_other_operators() -> None:
-    weights = np.random.default_rng(1).normal(size=(6, 12)).astype(np.float32)
+WEIGHTS = np.random.default_rng(1).normal(size=(6, 12)).astype(np.float32)
 
-    def made(kind: str, **attributes: Any) -> bytes:
-        rows = (("x", 12), ("y", 6))
-        given, wanted = (
-            helper.make_tensor_value_info(n, TensorProto.FLOAT, ["n", k]) for n, k in rows
-        )
-        inputs = ["x", "w"] if kind == "Gemm" else ["x"]
-        node = helper.make_node(kind, inputs, ["y"], **attributes)
-        graph = helper.make_graph(
-            [node], "g", [given], [wanted], [numpy_helper.from_array(weights, "w")]
-        )
-        opset = [helper.make_opsetid("", 17)]
-        model = helper.make_model(graph, opset_imports=opset, ir_version=8)
-        return bytes(model.SerializeToString())
 
+def _file(
+    kind: str, *given: str, inputs: tuple[str, ...] = ("x",), width: int = 12, version: int = 8
+) -> bytes:
+    """Of one operator; x is (n, width), y (n, 6), the constants w (6, 12) and v (6, 13)."""
+    constants = {"w": WEIGHTS, "v": np.ones((6, 13), dtype=np.float32)}
+    shapes: dict[str, Any] = {"x": ["n", width], "w": [6, 12], "b": [1, 6], "y": ["n", 6]}
+    rows = {n: helper.make_tensor_value_info(n, TensorProto.FLOAT, s) for n, s in shapes.items()}
+    attributes: dict[str, Any] = {"transB": 1} if kind == "Gemm" else {}
+    node = helper.make_node(kind, given, ["y"], **attributes)
+    used = [numpy_helper.from_array(v, n) for n, v in constants.items() if n in given]
+    graph = helper.make_graph([node], "g", [rows[n] for n in inputs], [rows["y"]], used)
+    opset = [helper.make_opsetid("", 17)]
+    model = helper.make_model(graph, opset_imports=opset, ir_version=version)
+    return bytes(model.SerializeToString())
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        _file("Gemm", "x", "w"),
+        _file("Gemm", "x", "w", ""),
+        _file("Gemm", "x", "w", inputs=("x", "w"), version=3),
+    ],
+    ids=["gemm", "without bias", "constants are inputs"],
+)
+def test_a_file_from_elsewhere_may_be_a_law(content: bytes) -> None:
     x = np.arange(12.0)
-    said = np.asarray(law_function(made("Gemm", transB=1))(x)).ravel()
-    np.testing.assert_allclose(said, weights.astype(float) @ x)
-    with pytest.raises(ModelError, match="no ONNX model"):
-        law_function(b"nonsense")
-    with pytest.raises(ModelError, match=r"operator LeakyRelu|gives \(1, 12\)|no ONNX model"):
-        law_function(made("LeakyRelu"))
+    said = np.asarray(law_function(content)(x)).ravel()
+    np.testing.assert_allclose(said, WEIGHTS.astype(float) @ x)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"nonsense", "no ONNX model"),
+        (_file("LeakyRelu", "x", width=6), "operator LeakyRelu"),
+        (_file("Tanh", "x", width=6), r"gives \(1, 12\)"),
+        (_file("Gemm", "x", "v", width=13), "cannot be evaluated on a row of 12"),
+        (_file("Gemm", "x", "w", "b", inputs=("x", "b")), r"inputs \['x', 'b'\] .*not one of each"),
+    ],
+)
+def test_a_file_that_cannot_be_a_law_is_refused(content: bytes, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        law_function(content)
 
 
 @pytest.mark.slow
