@@ -1,12 +1,14 @@
 """A learned force and moment as a folder: one JSON file, and the vehicle it was learned for."""
 
+import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
+from msgspec import UNSET, UnsetType
 
 from twin.errors import ModelError, TwinError
 from twin.physics.residual_force import FEATURES, INPUTS, OUTPUTS, ForceLaw
@@ -131,6 +133,7 @@ class ForceFile:
         acceptance: What the law was held against, on flights left out.
         closed_loop: Missions in random air, flown before the law was shipped.
         law: Its arrays, by name.
+        module_sha256: Of `force.onnx`; missing where no output is a module.
     """
 
     format: int
@@ -146,6 +149,7 @@ class ForceFile:
     acceptance: Acceptance
     closed_loop: MissionCheck
     law: dict[str, StoredArray]
+    module_sha256: str | UnsetType = UNSET
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +166,7 @@ class ForceModel:
         tried: Every ridge, as flown.
         acceptance: What it was held against.
         closed_loop: Missions that it had to fly.
+        onnx: File of the law's module; empty where it has none.
     """
 
     law: ForceLaw
@@ -173,6 +178,7 @@ class ForceModel:
     tried: tuple[RidgeScore, ...] = ()
     acceptance: Acceptance = Acceptance()
     closed_loop: MissionCheck = MissionCheck()
+    onnx: bytes = b""
 
     __repr__ = short_repr
 
@@ -191,7 +197,7 @@ class ForceModel:
 
 
 def save_force(model: ForceModel, folder: Path) -> None:
-    """Write `force.json`; the same model gives the same bytes."""
+    """Write `force.json` and, of a module, `force.onnx`; the same model gives the same bytes."""
     content = ForceFile(
         format=FORMAT,
         protocol="force",
@@ -206,8 +212,11 @@ def save_force(model: ForceModel, folder: Path) -> None:
         acceptance=model.acceptance,
         closed_loop=model.closed_loop,
         law=_plain(model.law),
+        module_sha256=_sha256(model.onnx) if model.onnx else UNSET,
     )
-    text = json.dumps(asdict(content), indent=1, allow_nan=False)
+    if model.onnx:
+        (folder / MODULE_FILE).write_bytes(model.onnx)
+    text = json.dumps(msgspec.to_builtins(content), indent=1, allow_nan=False)
     (folder / FILE).write_text(text + "\n", "utf-8")
 
 
@@ -215,7 +224,8 @@ def load_force(folder: Path) -> ForceModel:
     """The model of a folder.
 
     Raises:
-        ModelError: The folder holds none, or one of another layout or version.
+        ModelError: The folder holds none, or one of another layout or version, or it lacks the
+            module of the law.
     """
     path = folder / FILE
     if not path.is_file():
@@ -225,7 +235,7 @@ def load_force(folder: Path) -> ForceModel:
         file = msgspec.convert(content, ForceFile)
         if msgspec.json.decode(msgspec.json.encode(file)) != content:
             raise ModelError("it has keys that are none of its own")
-        return _with_module(_model(file), folder)
+        return _with_module(_model(file), file, folder)
     except (msgspec.MsgspecError, KeyError, TypeError, ValueError, TwinError) as error:
         raise ModelError(
             f"{path}: is of another layout than this version's, or damaged ({error}). Train the "
@@ -233,14 +243,24 @@ def load_force(folder: Path) -> ForceModel:
         ) from error
 
 
-def _with_module(model: ForceModel, folder: Path) -> ForceModel:
-    """The same with the module of its folder, where it has one."""
-    if not (folder / MODULE_FILE).is_file():
+def _with_module(model: ForceModel, content: ForceFile, folder: Path) -> ForceModel:
+    """The same with the module of its folder, where an output is one."""
+    if all(output.law != MODULE for output in content.outputs.values()):
         return model
+    path = folder / MODULE_FILE
+    onnx = path.read_bytes() if path.is_file() else b""
+    if _sha256(onnx) != content.module_sha256:
+        raise ModelError(
+            f"{MODULE_FILE} beside it is {'not the one that was written' if onnx else 'missing'}: "
+            f"copy the whole folder, or write it again with `own_force`"
+        )
     from .module import law_function
 
-    module = law_function((folder / MODULE_FILE).read_bytes())
-    return replace(model, law=replace(model.law, module=module))
+    return replace(model, law=replace(model.law, module=law_function(onnx)), onnx=onnx)
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 def is_force(folder: Path) -> bool:

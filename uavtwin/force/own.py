@@ -12,7 +12,6 @@ from learning.data.envelope import BEYOND
 from learning.force.equations import Equations
 from learning.force.laws import Taught
 from learning.force.model import (
-    MODULE_FILE,
     VEHICLE_FILE,
     ForceModel,
     TrainingFlight,
@@ -87,9 +86,9 @@ def own_force(
                 vehicle=vehicle.name,
                 vehicle_sha256=hashlib.sha256(vehicle.toml().encode()).hexdigest(),
                 seed=0,
+                onnx=content,
             ),
             out,
         )
-        (out / MODULE_FILE).write_bytes(content)
         (out / VEHICLE_FILE).write_text(vehicle.toml(), "utf-8")
     return folder

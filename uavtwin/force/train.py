@@ -101,6 +101,11 @@ def force_claim(out: Path) -> str:
 
 
 def _claim(model: ForceModel) -> str:
+    if model.law.module is not None:
+        return (
+            "force: a module of one's own, which no training has judged; alongside it the "
+            "untrained observer."
+        )
     if len(model.flights) == 1:
         return (
             "force: no law: one flight tells none from an accident; the untrained disturbance "

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from onnx import TensorProto, helper, numpy_helper
 
 from learning.force.model import (
     FILE,
+    MODULE_FILE,
     Acceptance,
     ForceModel,
     MissionCheck,
@@ -18,6 +20,7 @@ from learning.force.model import (
     load_force,
     save_force,
 )
+from learning.force.module import law_function
 from twin.errors import ModelError
 from twin.logs import Flight
 from twin.physics.residual_force import FEATURES, INPUTS, ForceLaw
@@ -87,6 +90,34 @@ def test_a_damaged_file_is_refused_by_name(tmp_path: Path, spoil: object) -> Non
     spoil(content)  # type: ignore[operator]
     (tmp_path / FILE).write_text(json.dumps(content), "utf-8")
     with pytest.raises(ModelError, match=rf"{FILE}.*Train the model again"):
+        load_force(tmp_path)
+
+
+def _module() -> bytes:
+    """ONNX file of a law that is one matrix."""
+    rows = (("x", 12), ("y", 6))
+    given, wanted = (helper.make_tensor_value_info(n, TensorProto.FLOAT, ["n", k]) for n, k in rows)
+    weights = numpy_helper.from_array(np.eye(12, 6, dtype=np.float32), "w")
+    node = helper.make_node("MatMul", ["x", "w"], ["y"])
+    graph = helper.make_graph([node], "g", [given], [wanted], [weights])
+    opset = [helper.make_opsetid("", 17)]
+    return bytes(helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString())
+
+
+def test_a_module_stays_with_its_law(tmp_path: Path) -> None:
+    """The same bytes again; a folder that lost it, or has another, is no folder without a law."""
+    onnx = _module()
+    law = replace(MODEL.law, module=law_function(onnx))
+    save_force(replace(MODEL, law=law, ridges=(None, None), onnx=onnx), tmp_path)
+    found, first = load_force(tmp_path), (tmp_path / FILE).read_bytes()
+    assert found.law.module is not None and found.onnx == onnx
+    save_force(found, tmp_path)
+    assert (tmp_path / FILE).read_bytes() == first
+    (tmp_path / MODULE_FILE).write_bytes(onnx + b"\0")
+    with pytest.raises(ModelError, match=rf"{MODULE_FILE} beside it is not the one"):
+        load_force(tmp_path)
+    (tmp_path / MODULE_FILE).unlink()
+    with pytest.raises(ModelError, match=rf"{MODULE_FILE} beside it is missing"):
         load_force(tmp_path)
 
 

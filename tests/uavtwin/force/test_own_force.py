@@ -13,6 +13,7 @@ from torch import nn
 from learning.force.module import law_function, module_onnx
 from twin.errors import ModelError
 from twin.physics.residual_force import INPUTS, OUTPUTS
+from uavtwin.force.train import force_claim
 
 PAGE = ROOT / "docs" / "guide" / "own_force.md"
 
@@ -120,5 +121,8 @@ def test_a_file_that_cannot_be_a_law_is_refused(content: bytes, message: str) ->
 
 @pytest.mark.slow
 def test_the_page_works() -> None:
+    """And its law is not said to be none, or one of a ridge."""
     (block,) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
-    exec(compile(block, str(PAGE), "exec"), {"__name__": "own_force"})
+    page: dict[str, Any] = {"__name__": "own_force"}
+    exec(compile(block, str(PAGE), "exec"), page)
+    assert "a module of one's own" in force_claim(page["folder"])
