@@ -6,6 +6,7 @@ from math import prod
 import numpy as np
 from msgspec.structs import replace
 
+from ..formatting import certainty
 from ..logs import Flight
 from ..vehicle import Vehicle
 from .findings import Finder, Findings
@@ -97,7 +98,7 @@ def diagnose(
         flight=flight.name,
         verdict=verdict,
         probability=probability,
-        text=_sentence(verdict, events, one_of, lost, airborne_s),
+        text=_sentence(verdict, probability, events, one_of, lost, airborne_s),
         events=events,
         one_of_causes=one_of,
         loss_of_control_s=lost,
@@ -141,19 +142,26 @@ def _verdict(
     return "nothing_found", nothing
 
 
+LIKELY = 0.8
+"""Probability from which on nothing is said to have gone wrong, and not that it probably did not: a
+judgement."""
+
+
 def _sentence(
     verdict: Verdict,
+    probability: float,
     events: Sequence[Event],
     one_of: Sequence[Candidate],
     lost: float | None,
     airborne_s: float,
 ) -> str:
     """The answer on top."""
-    return " ".join(_clauses(verdict, events, one_of, lost, airborne_s))
+    return " ".join(_clauses(verdict, probability, events, one_of, lost, airborne_s))
 
 
 def _clauses(
     verdict: Verdict,
+    probability: float,
     events: Sequence[Event],
     one_of: Sequence[Candidate],
     lost: float | None,
@@ -163,14 +171,15 @@ def _clauses(
     if airborne_s == 0:
         yield "The log holds no flight of five seconds or more."
     elif one_of:
-        names = " or ".join(f"{_named(c)} ({100 * c.probability:.0f} %)" for c in one_of)
+        names = " or ".join(f"{_named(c)} ({certainty(c.probability)})" for c in one_of)
         yield f"One of two causes: {names}."
     elif first is not None:
-        yield f"{first.text} ({100 * first.probability:.0f} %)."
+        yield f"{first.text} ({certainty(first.probability)})."
     elif verdict == "cannot_tell" and lost is None:
         yield "Something may have changed since the normal flights; this log cannot tell what."
     elif verdict == "nothing_found":
-        yield "Nothing went wrong that this log can show."
+        nothing = "Nothing" if probability >= LIKELY else "Probably nothing"
+        yield f"{nothing} went wrong that this log can show ({certainty(probability)})."
     if lost is not None:
         yield f"Control is lost at {lost:.2f} s" + (
             "." if verdict == "found" else ", and this log does not show why."

@@ -21,7 +21,7 @@ from .printing import progress
 
 
 def gap(
-    logs: Annotated[list[Path], typer.Argument(help="PX4 ULogs or flight tables.")],
+    logs: Annotated[list[Path], typer.Argument(help="Logs of any format, or flight tables.")],
     vehicle: VehicleName,
     out: Out = Path("gap"),
     horizon: Horizon = 0.5,

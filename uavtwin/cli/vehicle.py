@@ -47,7 +47,9 @@ def convert(
 
 @vehicle.command()
 def draft(
-    logs: Annotated[list[Path], typer.Argument(help="PX4 ULogs or flight tables of one aircraft.")],
+    logs: Annotated[
+        list[Path], typer.Argument(help="Logs of any format, or flight tables, of one aircraft.")
+    ],
     mass: Annotated[
         str | None,
         typer.Option(help="Mass as it flew, battery included: 1.3, 1.3kg or 1300g. Always needed."),

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.formatting import number, pretty_unit
+from twin.formatting import certainty, number, pretty_unit
 from twin.logs.columns import GYRO
 from twin.why.flight import FlightFrame
 from twin.why.records import Event, EvidenceSeries
@@ -75,7 +75,12 @@ def _page(record: WhyRecord, frame: FlightFrame | None, budget: Budget) -> str:
     causes = [e for e in record.events if not e.consequence]
     return render(
         "why.html.j2",
-        {"number": number, "words": cause_in_words, "least": least_in_words},
+        {
+            "certainty": certainty,
+            "number": number,
+            "words": cause_in_words,
+            "least": least_in_words,
+        },
         record=record,
         line=_line(record, frame, budget),
         cards=[_card(k, e, record, frame, budget) for k, e in enumerate(events)],
