@@ -16,6 +16,8 @@ from twin.errors import TwinError
 _FORM = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+):([0-9]{1,5})")  # host and port
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+)(:[0-9]{1,5})?")
 """Host, and port if it is named."""
+SHORTEST_TOKEN = 8
+"""Characters of a token, at least. Made up."""
 TOKEN_HEADER = "x-uavtwin-token"  # HTTP header of a viewer's token
 
 
@@ -53,6 +55,16 @@ class Doors:
     token: str | None = None
     cookie: str = ""
 
+    def __post_init__(self) -> None:
+        if self.token is not None and len(self.token) < SHORTEST_TOKEN:
+            raise TwinError(
+                f"a token of {len(self.token)} characters: at least {SHORTEST_TOKEN} are needed."
+            )
+
+    def fits(self, given: str) -> bool:
+        """Whether this is the token; never where there is none."""
+        return self.token is not None and compare_digest(given.encode(), self.token.encode())
+
     def refusal(
         self,
         headers: Mapping[str, str],
@@ -79,7 +91,7 @@ class Doors:
         if self.token is not None:
             cookie = (cookies or {}).get(self.cookie)
             given = headers.get(TOKEN_HEADER) or query.get("token") or cookie or ""
-            if not compare_digest(given.encode(), self.token.encode()):
+            if not self.fits(given):
                 return "This page needs its token: add ?token=TEXT to the address."
         return ""
 

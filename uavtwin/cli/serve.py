@@ -46,7 +46,7 @@ def serve(
     from ..doors import Doors, host_and_port, is_loopback
     from ..jobs.process import Allowed
     from ..serve.schedule import Limits
-    from ..serve.server import COOKIE, Site, listening, made_server
+    from ..serve.server import Site, cookie_name, listening, made_server
     from ..serve.store import Store
 
     if not 0 < size_limit < float("inf"):
@@ -56,7 +56,7 @@ def serve(
     with listening(host, port) as socket:
         opened = Store(store)
         token = None if is_loopback(host) else opened.token()
-        site = Site(opened, limits, Doors(host, token, COOKIE if token else ""))
+        site = Site(opened, limits, Doors(host, token, cookie_name(port) if token else ""))
         try:
             shown = f"[{host}]" if ":" in host else host
             STDOUT.print(f"http://{shown}:{port}/{f'?token={token}' if token else ''}")

@@ -26,6 +26,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from twin.errors import TwinError
 from twin.vehicle_file import builtin_vehicles
 
+from ..connections import LimitedConnection
 from ..doors import Doors
 from ..output import write_json
 from .pages import FILES, REPORTS, Pages, headers
@@ -33,8 +34,6 @@ from .schedule import Limits, Scheduler
 from .store import LONGEST_TAGS, OF_VEHICLE, FlightRow, Store
 from .work import explained_file
 
-COOKIE = "uavtwin"
-"""Name of the cookie that holds the token."""
 MOST_LISTENERS = 64
 """Pages that are open at once and hear what is new."""
 _FORM_BYTES = 16_384
@@ -381,6 +380,11 @@ def _positive(form: dict[str, str], name: str) -> float | None:
     return value
 
 
+def cookie_name(port: int) -> str:
+    """Name of the cookie that holds the token: a browser has one jar for all ports of a host."""
+    return f"uavtwin-{port}"
+
+
 class Guarded:
     """An application behind doors; a token that fits is stored in a cookie."""
 
@@ -396,13 +400,13 @@ class Guarded:
         why = self._doors.refusal(sent, query, cookie_parser(sent.get("cookie", "")))
         if why:
             await Response(why, 403, headers(), "text/plain")(scope, receive, send)
-        elif self._doors.token is not None and "token" in query and scope["method"] == "GET":
+        elif scope["method"] == "GET" and self._doors.fits(query.get("token", "")):
             rest = [(k, v) for k, v in query.multi_items() if k != "token"]
             asked = f"?{QueryParams(rest)}" if rest else ""
-            answer = RedirectResponse(f"{quote(scope['path'])}{asked}", 303, headers())
-            answer.set_cookie(
-                COOKIE, self._doors.token, max_age=_COOKIE_S, httponly=True, samesite="lax"
-            )
+            path = "/" + scope["path"].lstrip("/\\")  # `//name` would be another server
+            answer = RedirectResponse(f"{quote(path)}{asked}", 303, headers())
+            cookie = self._doors.cookie, query["token"]
+            answer.set_cookie(*cookie, max_age=_COOKIE_S, httponly=True, samesite="lax")
             await answer(scope, receive, send)
         else:
             await self._app(scope, receive, send)
@@ -431,7 +435,7 @@ def made_server(app: ASGIApp) -> uvicorn.Server:
         uvicorn.Config(
             app,
             loop="asyncio",
-            http="h11",
+            http=LimitedConnection,
             ws="none",
             lifespan="off",
             log_config=None,

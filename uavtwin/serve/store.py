@@ -21,6 +21,7 @@ from typing import Any, Literal
 from twin.errors import TwinError, install_command
 from twin.vehicle_file import builtin_vehicles
 
+from ..doors import SHORTEST_TOKEN
 from ..output import output_file
 
 State = Literal["queued", "running", "done", "failed", "cancelled"]
@@ -271,11 +272,18 @@ class Store:
 
     def token(self) -> str:
         """What viewers beyond this machine must know: of the store, so that a link stays valid."""
-        file = self.folder / "token"
-        if not file.exists():
-            with open(os.open(file, os.O_WRONLY | os.O_CREAT, 0o600), "w", encoding="utf-8") as new:
-                new.write(secrets.token_urlsafe(24))
-        return file.read_text("utf-8").strip()
+        file, new = self.folder / "token", self.folder / "token.new"
+        token = file.read_text("utf-8").strip() if file.exists() else ""
+        if len(token) < SHORTEST_TOKEN:
+            token = secrets.token_urlsafe(24)
+            new.unlink(missing_ok=True)
+            made = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            with open(made, "w", encoding="utf-8") as out:
+                out.write(token)
+                out.flush()
+                os.fsync(made)
+            new.replace(file)  # whole, or not there
+        return token
 
     def known_scripts(self, new: Sequence[str]) -> tuple[str, ...]:
         """Hashes of the scripts of all versions that wrote pages here, with those of this one."""

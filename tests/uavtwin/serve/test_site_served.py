@@ -1,9 +1,11 @@
 """What the site answers, over a real socket; jobs stay in the queue where nothing does them."""
 
 import asyncio
+import contextlib
 import json
 import re
 import socket
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,8 +14,9 @@ from serve_rigs.sites import Asked, site
 from starlette.responses import PlainTextResponse
 from starlette.types import Message
 
+from twin.errors import TwinError
 from uavtwin.doors import Doors
-from uavtwin.serve.server import COOKIE, Guarded
+from uavtwin.serve.server import Guarded, cookie_name
 from uavtwin.serve.store import Store
 
 pytestmark = pytest.mark.slow
@@ -158,7 +161,12 @@ def test_names_and_pages_of_others_are_refused(
     assert (asked.ask("/upload/a", "PUT", b"x", headers)[0] == 403) == (status == 403)
 
 
-def answered(doors: Doors, query: bytes = b"", cookie: str = "") -> tuple[int, dict[str, str]]:
+COOKIE = cookie_name(8080)
+
+
+def answered(
+    doors: Doors, query: bytes = b"", cookie: str = "", path: str = "/a"
+) -> tuple[int, dict[str, str]]:
     """Status and headers of a page behind doors."""
     sent: list[Message] = []
 
@@ -169,7 +177,7 @@ def answered(doors: Doors, query: bytes = b"", cookie: str = "") -> tuple[int, d
         return {"type": "http.request", "body": b"", "more_body": False}
 
     headers = [(b"host", b"twin.example:8080")] + [(b"cookie", cookie.encode())] * bool(cookie)
-    scope = {"type": "http", "method": "GET", "path": "/a", "query_string": query}
+    scope = {"type": "http", "method": "GET", "path": path, "query_string": query}
     scope |= {"headers": headers}
     asyncio.run(Guarded(PlainTextResponse("inside"), doors)(scope, receive, send))
     return sent[0]["status"], {k.decode(): v.decode() for k, v in sent[0]["headers"]}
@@ -187,6 +195,87 @@ def test_beyond_this_machine_the_token_is_needed_once() -> None:
     value = re.match(rf"{COOKIE}=(\"?[^;]*)", cookie)
     assert value is not None
     assert answered(doors, cookie=value[0])[0] == 200
+    assert answered(doors, cookie=value[0].replace("8080", "8081"))[0] == 403
+
+
+def test_a_link_with_the_token_leads_to_no_other_server() -> None:
+    doors = Doors("0.0.0.0", "correct horse", COOKIE)
+    for path in ("//evil.example/x", "/\\evil.example/x", "\\/evil.example/x"):
+        _, headers = answered(doors, b"token=correct+horse", path=path)
+        assert headers["location"] == "/evil.example/x"
+    known = f'{COOKIE}="correct horse"'
+    assert answered(doors, b"token=", known, "//evil.example/x")[0] == 200
+
+
+def test_an_empty_token_opens_nothing() -> None:
+    for token in ("", "short"):
+        with pytest.raises(TwinError, match="at least 8"):
+            Doors("0.0.0.0", token)
+
+
+def opened(asked: Asked, sends: bytes = b"") -> socket.socket:
+    """A connection that has sent something, or nothing."""
+    one = socket.create_connection(("127.0.0.1", asked.port), timeout=20)
+    one.sendall(sends)
+    return one
+
+
+@pytest.mark.parametrize("sends", [b"", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX: "])
+def test_idle_connections_keep_nobody_out(asked: Asked, sends: bytes) -> None:
+    with contextlib.ExitStack() as idle:
+        for _ in range(300):
+            idle.enter_context(opened(asked, sends))
+        assert asked.ask("/")[0] == 200
+
+
+def ended_s(one: socket.socket) -> float:
+    """After which the server closes a connection, s."""
+    began = time.monotonic()
+    with contextlib.suppress(ConnectionError):
+        while one.recv(65536):
+            pass
+    return time.monotonic() - began
+
+
+def test_who_does_nothing_is_closed_and_who_is_slow_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Events without end, an upload and a download last longer than any limit."""
+    for name, value in (("_REQUEST_S", 0.3), ("_ANSWER_S", 0.8), ("_WATCH_S", 0.1)):
+        monkeypatch.setattr(f"uavtwin.connections.{name}", value)
+    content = bytes(range(256)) * 40_000
+    head = b" HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+    with site(tmp_path, most_bytes=20_000_000) as asked:
+        large = uploaded(asked, "large.ulg", content)
+        with contextlib.ExitStack() as all_of_them:
+            connected = [
+                all_of_them.enter_context(opened(asked, sends))
+                for sends in (
+                    b"GET /events" + head + b"\r\n",
+                    b"PUT /upload/slow.ulg" + head + b"Content-Length: 20\r\n\r\n",
+                    b"GET /flights/%b/files/log" % large.encode() + head + b"\r\n",
+                    b"PUT /upload/none.ulg" + head + b"Content-Length: 20\r\n\r\nhalf",
+                    b"GET /flights/%b/files/log" % large.encode() + head + b"\r\n",
+                    b"G",
+                )
+            ]
+            events, slow, download, half, untaken, byte = connected
+            taken = 0
+            for _ in range(20):
+                time.sleep(0.1)
+                slow.sendall(b"x")
+                taken += len(download.recv(400_000))
+            assert b"201 Created" in slow.recv(4096)
+            while taken < len(content) and (part := download.recv(400_000)):
+                taken += len(part)
+            assert taken >= len(content)
+            for one in (half, untaken, byte):
+                assert ended_s(one) < 10.0
+            asked.ask(f"/flights/{large}/tags", "POST", b"tags=fresh")
+            text = b""
+            while b"fresh" not in text and (part := events.recv(65536)):
+                text += part
+            assert b"fresh" in text
 
 
 def test_events_begin_with_all_flights(asked: Asked) -> None:

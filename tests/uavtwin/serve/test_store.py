@@ -234,6 +234,11 @@ def test_the_token_is_of_the_store_and_for_its_owner(tmp_path: Path) -> None:
     token = store.token()
     assert len(token) >= 32 and store.token() == token
     assert (tmp_path / "token").stat().st_mode & 0o077 == 0
+    for cut_short in ("", "\n", token[:5]):
+        (tmp_path / "token").write_text(cut_short)
+        (tmp_path / "token.new").write_text("half")
+        assert len(store.token()) >= 32 and store.token() != token
+    assert (tmp_path / "token").stat().st_mode & 0o077 == 0
 
 
 @settings(max_examples=50)

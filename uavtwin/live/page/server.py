@@ -15,17 +15,14 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from twin.errors import TwinError
 
-from ...doors import Doors, host_and_port, is_loopback
+from ...connections import LimitedConnection
+from ...doors import SHORTEST_TOKEN, Doors, host_and_port, is_loopback
 from ..datagrams import Address, listening
 from .document import Document
 from .feed import Hub, Viewer
-
-SHORTEST_TOKEN = 8
-"""Characters of a token, at least. Made up."""
 
 
 def page_address(text: str, token: str | None) -> Address:
@@ -53,10 +50,6 @@ _GRACE_S = 2
 """For which connections may end by themselves, s. Made up."""
 _TOO_MANY = 1013
 """WebSocket: try again later."""
-_MOST_IDLE = 64
-"""Connections that may be open without a request; of more, the oldest is closed."""
-_REQUEST_S, _ANSWER_S = 5.0, 60.0
-"""Time for a request to be complete, and for its answer to be taken."""
 
 
 class _Question(msgspec.Struct):
@@ -84,63 +77,6 @@ class _Guarded:
             await PlainTextResponse(why, 403)(scope, receive, send)
 
 
-class _Connection(H11Protocol):
-    """A connection until it is a WebSocket, with a time limit.
-
-    Without one, who opens connections and says nothing keeps viewers out.
-    """
-
-    _limit: asyncio.TimerHandle | None = None
-    _waits_since: float | None = None
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """As asyncio has it."""
-        super().connection_made(transport)
-        self._wait()
-        idle = [
-            (c._waits_since, c)
-            for c in self.connections
-            if isinstance(c, _Connection) and c._waits_since is not None
-        ]
-        if len(idle) > _MOST_IDLE:
-            min(idle, key=lambda since: since[0])[1]._abort()
-
-    def data_received(self, data: bytes) -> None:
-        """As asyncio has it."""
-        super().data_received(data)
-        if self not in self.connections:  # it is a WebSocket now, or closed
-            self._end()
-        elif self._waits_since is not None and self.cycle and not self.cycle.response_complete:
-            self._end()
-            self._limit = self.loop.call_later(_ANSWER_S, self._abort)
-
-    def on_response_complete(self) -> None:
-        """As uvicorn has it."""
-        super().on_response_complete()
-        self._wait()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """As asyncio has it."""
-        self._end()
-        super().connection_lost(exc)
-
-    def _wait(self) -> None:
-        """A request is due."""
-        self._end()
-        self._waits_since = self.loop.time()
-        self._limit = self.loop.call_later(_REQUEST_S, self._abort)
-
-    def _end(self) -> None:
-        self._waits_since = None
-        if self._limit is not None:
-            self._limit.cancel()
-            self._limit = None
-
-    def _abort(self) -> None:
-        self._end()
-        self.transport.abort()
-
-
 class PageServer:
     """Serves the page of a live flight until it is closed."""
 
@@ -163,7 +99,7 @@ class PageServer:
         config = uvicorn.Config(
             _Guarded(Starlette(routes=routes), Doors(where.host, token)),
             loop="asyncio",
-            http=_Connection,
+            http=LimitedConnection,
             ws="websockets-sansio",
             ws_max_size=_LONGEST,
             ws_max_queue=4,

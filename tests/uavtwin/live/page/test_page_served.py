@@ -287,8 +287,8 @@ def test_idle_connections_keep_nobody_out(sends: bytes) -> None:
 @pytest.mark.slow
 def test_a_connection_without_a_request_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     """So is one whose answer nobody takes, and one that begins a second request; a viewer stays."""
-    monkeypatch.setattr("uavtwin.live.page.server._REQUEST_S", 0.3)
-    monkeypatch.setattr("uavtwin.live.page.server._ANSWER_S", 0.6)
+    for name, value in (("_REQUEST_S", 0.3), ("_ANSWER_S", 0.6), ("_WATCH_S", 0.1)):
+        monkeypatch.setattr(f"uavtwin.connections.{name}", value)
     whole = b"GET /elsewhere HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
     with served() as (hub, server), looked(server) as viewer:
         for sends in (b"", b"G", whole + b"GET "):
