@@ -497,3 +497,13 @@ def test_every_file_of_the_command_line_is_a_verb() -> None:
     shared = {"__init__", "main", "options", "printing", "results"}
     listed = {str(verb.__name__) for verb in main.VERBS} - {"version"}
     assert files - shared == listed | {"vehicle"}
+
+
+def test_a_file_in_the_place_of_the_verb_is_answered_with_the_verb(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "my log.ulg"
+    log.touch()
+    code, _, err = run(capsys, log)
+    assert code == 2
+    assert "uavtwin why" in err

@@ -18,6 +18,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from twin.errors import TwinError
 from twin.scratch import scratch_folder
 
 from .bench import bench
@@ -115,7 +116,7 @@ def main() -> None:
     os.environ.update(dict.fromkeys(_BLAS_THREADS, "1"))
     try:
         with _temporary_files():
-            app(_spread(sys.argv[1:]))
+            app(_spread(_checked(sys.argv[1:])))
     except KeyboardInterrupt:
         _end_interrupted()
     except Exception as error:
@@ -144,6 +145,18 @@ def _temporary_files() -> Iterator[None]:
 def _end_interrupted() -> NoReturn:
     STDERR.print("interrupted")
     sys.exit(130)
+
+
+def _checked(arguments: list[str]) -> list[str]:
+    """The arguments, refused where a file stands in the place of the verb."""
+    first = arguments[0] if arguments else ""
+    if Path(first).is_file() and first not in {c.__name__ for c in VERBS}:
+        file = shlex.quote(first)
+        raise TwinError(
+            f"{first}: a file stands where a verb is needed. Why a flight went wrong: uavtwin why "
+            f"{file}. What a file holds: uavtwin check {file}. All verbs: uavtwin --help."
+        )
+    return arguments
 
 
 def _spread(arguments: list[str]) -> list[str]:

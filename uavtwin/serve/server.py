@@ -115,7 +115,10 @@ class Site:
             Route("/", self._list),
             Route("/events", self._events),
             Route("/compare", self._compare),
-            Route("/upload/{name:path}", self._upload, methods=["PUT", "POST"]),
+            *(
+                Route(path, self._upload, methods=["PUT", "POST"])
+                for path in ("/upload", "/upload/{name:path}")
+            ),
             *(
                 Route(f"/flights/{{flight}}{path}", self._with_flight(answer), methods=[method])
                 for method, path, answer in of_flight
@@ -151,7 +154,7 @@ class Site:
     async def _upload(self, request: Request) -> Response:
         """Take a file, block by block to the disk."""
         most = self._limits.most_bytes
-        name = str(request.path_params["name"]) or "log"
+        name = str(request.path_params.get("name", "")) or "log"
         try:
             if int(request.headers.get("content-length") or 0) > most:
                 raise TwinError(f"over {most / 2**20:.0f} MiB, the limit (--size-limit)")

@@ -40,6 +40,7 @@ def test_a_log_is_in_the_list_at_once(asked: Asked) -> None:
     flight = uploaded(asked)
     page = asked.ask("/")[1]
     assert f"/flights/{flight}" in page and ">a.ulg<" in page
+    assert asked.ask("/upload", "PUT", b"of no name")[0] == 201
     status, text, _ = asked.ask("/upload/b.ulg", "PUT", b"log")
     assert status == 200 and json.loads(text) == {
         "flight": flight,
