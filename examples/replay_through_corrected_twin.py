@@ -56,5 +56,4 @@ def main(flight: ut.Flight, vehicle: ut.Vehicle, model: str = "") -> None:
 if __name__ == "__main__":
     log, name, *model = sys.argv[1:] or ("", "copter_default")
     vehicle = ut.load_vehicle(name)
-    flight = ut.read_flight(log) if log else fly(vehicle, hide(vehicle, 1).plant, seed=1)
-    main(flight, vehicle, *model)
+    main(ut.read_flight(log) if log else fly(vehicle, hide(vehicle, 1).plant, 1), vehicle, *model)
