@@ -257,9 +257,10 @@ def test_the_page_says_it_first_and_shows_it(named: Run) -> None:
     page = (named.out / "report.html").read_text()
     order = (
         "<h1>Missing from the model: rotor drag",
+        'id="time-acc_',
         'id="evidence',
         "Alternative explanations",
-        'id="time-acc_',
+        '<h2 id="flight">',
         '<h2 id="gap">',
         '<h2 id="where">',
     )

@@ -83,13 +83,14 @@ def parameters() -> dict[str, list[Any]]:
 
 
 def test_an_option_means_the_same_in_every_verb() -> None:
-    """Of one name: one kind of value; a page is served, an aircraft or autopilot listened to."""
+    """Of one name: one kind of value; a flight has a page, what comes from others is heard."""
     options = parameters()
     for name in ("--out", "--listen", "--serve", "--duration", "--horizon", "--start", "--stop"):
         kinds = {(str(o.bare_type), o.metavar) for _, o in options[name]}
         assert len(kinds) == 1, (name, kinds)
     assert [path for path, _ in options["--serve"]] == ["uavtwin live"]
-    assert {path for path, _ in options["--listen"]} == {"uavtwin live", "uavtwin hil"}
+    listen = {"uavtwin live", "uavtwin hil", "uavtwin serve"}
+    assert {path for path, _ in options["--listen"]} == listen
 
 
 def test_numbers_in_seconds_take_units_everywhere() -> None:
