@@ -361,6 +361,8 @@ class Factored:
     size: Array
     root: Array
 
+    __repr__ = short_repr
+
     @classmethod
     def of(cls, h: Array) -> "Factored":
         """Factor a positive definite matrix; one that is not, by rounding, with the eigenvalues of
