@@ -9,7 +9,8 @@ a twin is the quieter one.
 """
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -135,16 +136,8 @@ def fly_both(
         mission: Name of the mission.
         airs: Start values of each flight.
     """
-    with tempfile.TemporaryDirectory() as place:
-        fmu = Path(place, "twin.fmu")
-        export(twin(vehicle, mission, force=force), fmu)
-        duration_s = mission_duration_s(mission)
-        return [
-            MissionPair(
-                _tracked(fmu, duration_s, air), _tracked(fmu, duration_s, {**air, ENABLED: 0.0})
-            )
-            for air in airs
-        ]
+    with _exported(vehicle, force, mission) as tracked:
+        return [MissionPair(tracked(air), tracked({**air, ENABLED: 0.0})) for air in airs]
 
 
 def flown(fmu: Path, duration_s: float, starts: Mapping[str, float], reads: Sequence[str]) -> Array:
@@ -177,6 +170,17 @@ def flown(fmu: Path, duration_s: float, starts: Mapping[str, float], reads: Sequ
     return found
 
 
+@contextmanager
+def _exported(
+    vehicle: Vehicle, force: LearnedForce, mission: str
+) -> Iterator[Callable[[Mapping[str, float]], MissionTrack]]:
+    """How an exported mission with a law goes under some start values."""
+    with tempfile.TemporaryDirectory() as place:
+        fmu = Path(place, "twin.fmu")
+        export(twin(vehicle, mission, force=force), fmu)
+        yield partial(_tracked, fmu, mission_duration_s(mission))
+
+
 def _tracked(fmu: Path, duration_s: float, starts: Mapping[str, float]) -> MissionTrack:
     found = flown(fmu, duration_s, starts, (*_TRACKED, DISTANCE))
     inside = float(np.mean(found[:, 6] <= 1))
@@ -197,15 +201,8 @@ def lost_by(
         mission: Name of the mission.
         airs: Start values of each flight.
     """
-    with tempfile.TemporaryDirectory() as place:
-        fmu = Path(place, "twin.fmu")
-        export(twin(vehicle, mission, force=force), fmu)
-        duration_s = mission_duration_s(mission)
-        found = [
-            _tracked(fmu, duration_s, air).lost
-            and not _tracked(fmu, duration_s, {**air, ENABLED: 0.0}).lost
-            for air in airs
-        ]
+    with _exported(vehicle, force, mission) as tracked:
+        found = [tracked(air).lost and not tracked({**air, ENABLED: 0.0}).lost for air in airs]
     return np.array(found, dtype=np.float64)
 
 
