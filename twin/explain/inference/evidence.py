@@ -25,7 +25,8 @@ from scipy.linalg.lapack import dpotri
 from scipy.optimize import lsq_linear
 
 from ...representation import short_repr
-from .noise import NoiseLaw
+from .instruments import InstrumentNoise
+from .noise import BandNoise
 from .priors import Bounds, Priors
 from .spectrum import Rows, Spectrum
 
@@ -128,7 +129,7 @@ class LaplaceEvidence:
     def __init__(
         self,
         spectrum: Spectrum,
-        noise: NoiseLaw,
+        noise: BandNoise | InstrumentNoise,
         priors: Priors,
         bounds: Bounds,
     ) -> None:
@@ -160,7 +161,7 @@ class LaplaceEvidence:
         """Where the residuals were taken, as `MapEstimate.x`."""
         return np.concatenate([self.spectrum.theta, self.spectrum.days.ravel()])
 
-    def _sum(self, noise: NoiseLaw) -> None:
+    def _sum(self, noise: BandNoise | InstrumentNoise) -> None:
         """Gram matrices of residual and slopes, and the likelihood of what is left of them."""
         size = 1 + self._k + self._f * self._d
         grams, terms = [], []

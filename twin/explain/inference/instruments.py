@@ -277,7 +277,7 @@ class Along(Term):
 
 @dataclass(frozen=True, slots=True)
 class InstrumentNoise:
-    """`BandNoise`, in which bands that feel the loop vote along instruments alone: a `NoiseLaw`.
+    """`BandNoise`, in which bands that feel the loop vote along instruments alone.
 
     Attributes:
         bands: Law of all other rows.
@@ -319,7 +319,7 @@ class InstrumentNoise:
     def terms(
         self, channel: int, rows: Array, band: NDArray[np.intp], flight: NDArray[np.intp]
     ) -> list[Term]:
-        """See `NoiseLaw`."""
+        """See `BandNoise`."""
         if channel not in self.turning:
             return self.bands.terms(channel, rows, band, flight)
         found = self.bands.terms(channel, rows, np.minimum(band, -band), flight)
@@ -341,7 +341,7 @@ class InstrumentNoise:
         return found
 
     def likelihood(self, terms: Sequence[Term]) -> "InstrumentLikelihood":
-        """See `NoiseLaw`."""
+        """See `BandNoise`."""
         along = np.array([i for i, t in enumerate(terms) if isinstance(t, Along)], dtype=np.intp)
         alone = np.setdiff1d(np.arange(len(terms)), [along, along + 1])
         usual, level = self.bands.likelihood([terms[i] for i in alone]), self.bands.level
@@ -352,7 +352,7 @@ class InstrumentNoise:
 
 @dataclass(frozen=True, slots=True)
 class InstrumentLikelihood:
-    """Of terms alone and of pairs along and across instruments: a `Likelihood`.
+    """Of terms alone and of pairs along and across instruments.
 
     Attributes:
         usual: Of the terms alone.
@@ -371,13 +371,13 @@ class InstrumentLikelihood:
     __repr__ = short_repr
 
     def log(self, rss: Array, kappa: float = 1.0) -> float:
-        """See `Likelihood`."""
+        """See `BandLikelihood`."""
         across = self.floor + rss[self.along + 1]
         pairs = self.count * np.log1p(rss[self.along] / across)
         return self.usual.log(rss[self.alone], kappa) - 0.5 * float(np.sum(pairs))
 
     def weights(self, rss: Array, kappa: float = 1.0) -> tuple[Array, Array]:
-        """See `Likelihood`; that numbers may raise the level of the noise is no curvature."""
+        """See `BandLikelihood`; that numbers may raise the level of the noise is no curvature."""
         gradient, weight = np.zeros((2, len(rss)))
         gradient[self.alone], weight[self.alone] = self.usual.weights(rss[self.alone], kappa)
         across = self.floor + rss[self.along + 1]

@@ -9,17 +9,13 @@ constant is a row of known variance, v = (kappa d)^2, one sample per flight. a: 
 counts, as rows are not independent. To each RSS the variance of rounding to the least count of the
 sensor is added: noise-free readings of a simulation are known no better than that.
 
-Search (`evidence.LaplaceEvidence`, all flights at once) and alarms (`running.detector`, frame by
-frame) know the noise by two interfaces alone. A `NoiseLaw` takes the rows of a channel, residual
-and slopes, and makes sums of products of them, its terms. A `Likelihood` gives the log likelihood
-of the sums of squares that numbers leave of these, its gradient, and the weights of Gauss-Newton's
-curvature. Another law is another class with these two: it may make other terms, of each flight, or
-of rows along an instrument and across it, and couple them.
+A law (`BandNoise`; `instruments.InstrumentNoise`) takes the rows of a channel, residual and slopes,
+and makes sums of products of them, its terms. Its likelihood (`BandLikelihood`;
+`instruments.InstrumentLikelihood`) takes the sums of squares that numbers leave of these.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,45 +51,9 @@ class Term:
     __repr__ = short_repr
 
 
-class Likelihood(Protocol):
-    """Log likelihood of terms, as a function of the sum of squares that numbers leave of each."""
-
-    def log(self, rss: Array, kappa: float = 1.0) -> float:
-        """Log likelihood, up to a constant.
-
-        Args:
-            rss: Of each term, shape (t,).
-            kappa: Factor of the deviation of constants.
-        """
-
-    def weights(self, rss: Array, kappa: float = 1.0) -> tuple[Array, Array]:
-        """Gradient of -2 log L by each sum of squares, and the weight of each gram matrix in the
-        curvature of Gauss-Newton, not negative; shapes (t,). The same array where they are equal.
-        """
-
-
-class NoiseLaw(Protocol):
-    """What search and alarms know of the noise."""
-
-    def terms(
-        self, channel: int, rows: Array, band: NDArray[np.intp], flight: NDArray[np.intp]
-    ) -> list[Term]:
-        """Sums of products of the rows of a channel.
-
-        Args:
-            channel: Its number.
-            rows: Residual, then slopes, shape (n, m).
-            band: Of each row, shape (n,); 0: a constant; negative: none, the row does not count.
-            flight: Of each row, shape (n,).
-        """
-
-    def likelihood(self, terms: Sequence[Term]) -> Likelihood:
-        """Of terms of this law."""
-
-
 @dataclass(frozen=True, slots=True)
 class BandNoise:
-    """A level per channel and band, shared by all flights: a `NoiseLaw`.
+    """A level per channel and band, shared by all flights.
 
     Attributes:
         floor: Square of the level by channel and band before a flight is looked at; of a constant,
@@ -101,14 +61,12 @@ class BandNoise:
         own: By channel, how much of its power rows count.
         rounding: By channel and band, variance of a row by rounding to the sensor's least count.
         level: Degrees of freedom with which a level is known.
-        capped: Whether a band that is quieter than its level weighs no more than the level says.
     """
 
     floor: Mapping[tuple[int, int], float]
     own: Array
     rounding: Mapping[tuple[int, int], float]
     level: float = DEFAULT.inference.evidence.level
-    capped: bool = False
 
     __repr__ = short_repr
 
@@ -147,7 +105,14 @@ class BandNoise:
     def terms(
         self, channel: int, rows: Array, band: NDArray[np.intp], flight: NDArray[np.intp]
     ) -> list[Term]:
-        """See `NoiseLaw`."""
+        """Sums of products of the rows of a channel.
+
+        Args:
+            channel: Its number.
+            rows: Residual, then slopes, shape (n, m).
+            band: Of each row, shape (n,); 0: a constant; negative: none, the row does not count.
+            flight: Of each row, shape (n,).
+        """
         found = []
         for b in np.unique(band[band >= 0]).tolist():
             inside = rows[band == b]
@@ -159,38 +124,40 @@ class BandNoise:
         return found
 
     def likelihood(self, terms: Sequence[Term]) -> "BandLikelihood":
-        """See `NoiseLaw`."""
+        """Of terms of this law."""
         return BandLikelihood(
             np.array([t.count for t in terms]),
             np.array([t.floor for t in terms]),
             np.array([t.constant for t in terms], dtype=np.bool_),
             self.level,
-            self.capped,
         )
 
 
 @dataclass(frozen=True, slots=True)
 class BandLikelihood:
-    """Of terms whose levels are integrated out one by one: a `Likelihood`.
+    """Of terms whose levels are integrated out one by one.
 
     Attributes:
         count: Of each term, shape (t,).
         floor: Of each term, shape (t,).
         constant: Of each term, shape (t,).
         level: As of `BandNoise`.
-        capped: As of `BandNoise`.
     """
 
     count: Array
     floor: Array
     constant: NDArray[np.bool_]
     level: float
-    capped: bool
 
     __repr__ = short_repr
 
     def log(self, rss: Array, kappa: float = 1.0) -> float:
-        """See `Likelihood`."""
+        """Log likelihood, up to a constant.
+
+        Args:
+            rss: Sum of squares that numbers leave of each term, shape (t,).
+            kappa: Factor of the deviation of constants.
+        """
         given, free, nu = self.constant, ~self.constant, self.level
         s2 = kappa**2 * self.floor[given]
         known = self.count[given] * np.log(s2) + rss[given] / s2
@@ -198,11 +165,11 @@ class BandLikelihood:
         return float(-0.5 * (known.sum() + unknown.sum()))
 
     def weights(self, rss: Array, kappa: float = 1.0) -> tuple[Array, Array]:
-        """See `Likelihood`."""
+        """Gradient of -2 log L by each sum of squares, and the weight of each gram matrix in the
+        curvature of Gauss-Newton, not negative; shapes (t,). The same array where they are equal.
+        """
         nu = self.level
         unknown = (self.count + nu) / (nu * self.floor + rss)
-        if self.capped:
-            unknown = np.minimum(unknown, 1 / self.floor)
         both = np.where(self.constant, 1 / (kappa**2 * self.floor), unknown)
         return both, both
 
