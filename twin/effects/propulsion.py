@@ -31,6 +31,10 @@ LEAST_LAG_S = 2.5e-3
 """Below it no lag of a file is made shorter: half the longest step that is integrated."""
 
 
+LEAST_SHARE = 1e-3
+"""Thrust over that in hover below which its map keeps its shape: a root has no slope at zero."""
+
+
 def _hover_momentum(vehicle: Vehicle) -> float:
     """Spin momentum of one rotor in hover, N m s, guessed from thrust and arm.
 
@@ -48,7 +52,7 @@ def _thrust_scale(r: Thrust, p: Block) -> Thrust:
 
 
 def _thrust_curve(r: Thrust, p: Block) -> Thrust:
-    return _scaled(r, [ca.fmax(1 + p["slope"] * (t / r.hover - 1), 0.0) for t in r.thrust])
+    return _scaled(r, [ca.fmax(t / r.hover, LEAST_SHARE) ** p["slope"] for t in r.thrust])
 
 
 def _battery_sag(r: Thrust, p: Block) -> Thrust:
@@ -157,11 +161,16 @@ THRUST_CURVE = Effect(
     Thrust,
     (
         EffectParameter(
-            "slope", "1", "relative change of thrust per excess thrust over hover", 0.2, (-0.6, 0.6)
+            "slope",
+            "1",
+            "what is added to the power of thrust over that in hover",
+            0.2,
+            (-0.6, 0.6),
         ),
     ),
     ("acc",),
-    "definition: first-order change of the shape of the map about hover",
+    "definition: a power of thrust over that in hover, so that more command never lifts less, "
+    "however far beyond the commands that were flown",
     _thrust_curve,
     prior=Prior(RARE, "the shape of a map is better known than its size", {"": Normal(0.0, 0.15)}),
     change=None,

@@ -112,7 +112,8 @@ def manoeuvres(vehicle: Vehicle, charged: bool = True) -> tuple[Manoeuvre, ...]:
         charged: Whether the flights so far had a charged battery.
     """
     k = hover_height_m(vehicle) / HOVER_M
-    lift = thrust_inverse(vehicle).full_n / vehicle.hover_thrust_n
+    inverse = thrust_inverse(vehicle)
+    lift = inverse.full_n / inverse.hover_n
     share, fastest = PUSH, FASTEST_M_S2
     climb = min(share * (lift - 1) * GRAVITY_M_S2, fastest)
     push = min(share * float(np.sqrt(max(lift**2 - 1, 0.0))) * GRAVITY_M_S2, fastest)

@@ -176,6 +176,8 @@ def declare_drives(m: ComponentBuilder, drive: str, values: list[ca.SX]) -> None
 Array = NDArray[np.float64]
 FULL_OVER_HOVER = 2.5
 """Largest thrust over hover thrust of a rotor whose speed has no known limit. Made up."""
+FASTEST_RAD_S = 1e5
+"""Rotor speed beyond which no more thrust is sought. Made up."""
 IDLE_OVER_HOVER = 0.05
 """Smallest thrust in flight over hover thrust: no rotor stops in the air. Made up."""
 INVERSE_DEGREE = 5
@@ -189,7 +191,8 @@ class Hover:
     Attributes:
         thrust_n: Thrust of each rotor, shape (n,).
         effect: Upward acceleration (m/s2), then angular acceleration forward, right, down
-            (rad/s2), per newton of each rotor, rotors settled, shape (4, n).
+            (rad/s2), per newton that a rotor like their mean gives at the same input, rotors
+            settled, shape (4, n).
         drag_1_s: Deceleration per speed along forward, right, down, shape (3,).
         gravity_m_s2: Acceleration per radian of tilt.
         lag_s: Time constant of the thrust; 0 without lag.
@@ -231,7 +234,7 @@ def linearise(vehicle: Vehicle) -> Hover:
     output = {n: i for i, n in enumerate(body.output_names)}
     a, b, c, d = _jacobians(body, x0, u0, p0)
     driven = [body.input_names.index(n) for n in drives(body)]
-    level = [i for n, i in rate.items() if n.startswith(("rotor_", "effort_"))]
+    level = _levels(body)
     thrust = [output[f"thrust_{i}"] for i in range(1, len(driven) + 1)]
     rows = [rate["vel_z"]] + [rate[f"omega_{axis}"] for axis in AXES]
     slope, effect = np.diag(d[np.ix_(thrust, driven)]), b[np.ix_(rows, driven)]
@@ -242,7 +245,8 @@ def linearise(vehicle: Vehicle) -> Hover:
         later = np.diag(c[np.ix_(thrust, level)]) * settled
         slope, effect = slope + later, effect + a[np.ix_(rows, level)] * settled
         lag_s = float(np.mean(later / slope * rest_s))
-    effect = effect / slope * np.array([[-1.0], [1.0], [1.0], [1.0]])
+    alike = _steady_thrust_n(body, vehicle, u0[driven].mean(keepdims=True))[0]
+    effect = effect * alike / alike.mean() / slope * np.array([[-1.0], [1.0], [1.0], [1.0]])
     largest = np.maximum(np.abs(effect).max(axis=1, keepdims=True), 1e-12)
     if np.linalg.matrix_rank(effect / largest) < 4:
         raise ModelError(
@@ -258,6 +262,12 @@ def linearise(vehicle: Vehicle) -> Hover:
         gravity_m_s2=float(0.5 * a[rate["vel_y"], rate["q_x"]]),  # q_x is half the angle
         lag_s=lag_s,
     )
+
+
+def _levels(body: Component) -> list[int]:
+    """Positions of the rotors' states, where they follow their input."""
+    names = [s.name for s in body.states]
+    return [i for i, n in enumerate(names) if n.startswith(("rotor_", "effort_"))]
 
 
 def _jacobians(body: Component, x0: Array, u0: Array, p0: Array) -> list[Array]:
@@ -279,39 +289,78 @@ class ThrustInverse:
     Attributes:
         coefficients: Ascending, shape (6,); command 0..1 or rad/s.
         idle_n: Smallest thrust.
+        hover_n: Thrust in hover.
         full_n: Largest thrust.
     """
 
     coefficients: Array
     idle_n: float
+    hover_n: float
     full_n: float
 
     @property
     def bounds(self) -> tuple[float, float]:
         """Smallest and largest rotor input."""
-        ends = np.sqrt([self.idle_n / self.full_n, 1.0])
-        low, high = polynomial.polyval(ends, self.coefficients)
+        low, high = self.input([self.idle_n, self.full_n])
         return float(low), float(high)
+
+    def input(self, thrust_n: Sequence[float] | Array) -> Array:
+        """Rotor inputs that give thrusts, N, of any shape."""
+        root = np.sqrt(np.asarray(thrust_n, dtype=np.float64) / self.full_n)
+        return np.asarray(polynomial.polyval(root, self.coefficients), dtype=np.float64)
 
 
 def thrust_inverse(vehicle: Vehicle) -> ThrustInverse:
-    """The steady maps of a vehicle's rotors, turned round."""
-    rotors, hover_n = vehicle.rotors, vehicle.hover_thrust_n
-    if vehicle.drive == "rotor_speed":
-        limit = 1.0
-        while polynomial.polyval(limit, rotors.thrust_n) < FULL_OVER_HOVER * hover_n:
-            limit *= 1.01
-        driven = level = np.linspace(0.0, limit, 2001)
-    else:
-        driven = np.linspace(0.0, 1.0, 2001)
-        level = driven
-        if rotors.speed_rad_s:
-            level = np.maximum(polynomial.polyval(driven, rotors.speed_rad_s), 0.0)
-    thrust = polynomial.polyval(level, rotors.thrust_n)
+    """The steady thrust of a vehicle's rotors, turned round: their mean, effects included.
+
+    Of thrust that falls again with the input, the part up to the largest.
+
+    Raises:
+        ModelError: The vehicle has no hover trim.
+    """
+    body = airframe(punctual(vehicle))
+    u0, p0 = body.input_values(), body.parameter_values()
+    x0 = np.asarray(body.initial(u0, p0), dtype=np.float64).ravel()
+    hover_n = float(_thrust_n(body, x0[None], u0[None]).mean())
+    limit = 1.0
+    while vehicle.drive == "rotor_speed" and limit < FASTEST_RAD_S:
+        if _steady_thrust_n(body, vehicle, np.array([limit])).mean() >= FULL_OVER_HOVER * hover_n:
+            break
+        limit *= 1.01
+    driven = np.linspace(0.0, limit, 2001)
+    thrust = _steady_thrust_n(body, vehicle, driven).mean(axis=1)
+    last = int(np.argmax(thrust)) + 1
+    driven, thrust = driven[:last], thrust[:last]
     idle_n, full_n = IDLE_OVER_HOVER * hover_n, float(thrust[-1])
     used = thrust >= idle_n
     root = np.sqrt(thrust[used] / full_n)
     # Full thrust is at the end of the range; low thrust matters less.
     weight = np.where(root < 1.0, root, 1e6)
     coefficients = polynomial.polyfit(root, driven[used], INVERSE_DEGREE, w=weight)
-    return ThrustInverse(coefficients, idle_n, full_n)
+    return ThrustInverse(coefficients, idle_n, hover_n, full_n)
+
+
+def _steady_thrust_n(body: Component, vehicle: Vehicle, driven: Array) -> Array:
+    """Thrust of each rotor of a hovering airframe, N, all at the same input, shape (n, n_rotors).
+
+    Args:
+        body: The airframe.
+        vehicle: Which it is of.
+        driven: Inputs, shape (n,).
+    """
+    u0, p0 = body.input_values(), body.parameter_values()
+    x0 = np.asarray(body.initial(u0, p0), dtype=np.float64).ravel()
+    level = driven
+    if vehicle.drive == "command" and vehicle.rotors.speed_rad_s:
+        level = np.maximum(polynomial.polyval(driven, vehicle.rotors.speed_rad_s), 0.0)
+    x, u = np.tile(x0, (len(driven), 1)), np.tile(u0, (len(driven), 1))
+    x[:, _levels(body)] = level[:, None]
+    u[:, [body.input_names.index(n) for n in drives(body)]] = driven[:, None]
+    return _thrust_n(body, x, u)
+
+
+def _thrust_n(body: Component, states: Array, inputs: Array) -> Array:
+    """Thrust of each rotor of an airframe in the air, N, shape (n, n_rotors)."""
+    thrust = [i for i, n in enumerate(body.output_names) if n.startswith("thrust_")]
+    rows = body.outputs_along(states, inputs, {"ground.enabled": 0.0})
+    return np.asarray(rows[:, thrust])

@@ -265,7 +265,7 @@ def controller(vehicle: Vehicle) -> Component:
     gravity = m.parameter(
         "gravity", vehicle.gravity_m_s2, "m/s2", "Acceleration of free fall", minimum=0
     )
-    wanted = _acceleration(m, s, gravity, hover, gains, _limits(hover, inverse.full_n))
+    wanted = _acceleration(m, s, gravity, hover, gains, _limits(inverse))
     up = [wanted[0], wanted[1], wanted[2] - gravity]
     lift = ca.fmax(dot(up, thrust_axis(s.q_nb)), 0.0)
     turn = _angular(m, s, up, gains)
@@ -313,9 +313,9 @@ class _Lag:
             self._m.derivative(name, (then - now) / self._time)
 
 
-def _limits(hover: Hover, full_n: float) -> dict[str, float]:
+def _limits(inverse: ThrustInverse) -> dict[str, float]:
     """Limits that the thrust over weight of the vehicle allows."""
-    most = max(LIFT_RESERVE * full_n / hover.thrust_n.mean(), LEAST_LIFT)
+    most = max(LIFT_RESERVE * inverse.full_n / inverse.hover_n, LEAST_LIFT)
     return {
         "tilt": float(min(TILT_LIMIT_RAD, np.arccos(min(1.0 / most, 1.0)))),
         "climb": min(CLIMB_LIMIT_M_S2, (most - 1.0) * GRAVITY_M_S2),

@@ -266,8 +266,7 @@ def px4_controller_of_log(vehicle: Vehicle, log: Path) -> Component:
 def _hover_thrust(vehicle: Vehicle, factor: float) -> float:
     """Thrust control that hovers: the trim command through PX4's thrust curve."""
     inverse = thrust_inverse(vehicle)
-    root = np.sqrt(vehicle.hover_thrust_n / inverse.full_n)
-    command = float(np.polynomial.polynomial.polyval(root, inverse.coefficients))
+    command = float(inverse.input([inverse.hover_n])[0])
     return factor * command**2 + (1.0 - factor) * command
 
 

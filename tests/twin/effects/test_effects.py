@@ -211,7 +211,17 @@ def test_thrust_scale_and_curve() -> None:
     rig = having(vehicle, "thrust_curve", slope=0.5)
     efforts = {f"effort_{i}": 1.2 * vehicle.hover_thrust_n / 8.0 for i in range(1, 5)}
     rate = rig.rates(rig.state(efforts), rig.inputs())["vel_z"]
-    assert rate == pytest.approx(9.80665 * (1 - 1.2 * 1.1))
+    assert rate == pytest.approx(9.80665 * (1 - 1.2**1.5))
+
+
+def test_more_command_never_lifts_less() -> None:
+    """Where the curve is as flat as it may be, far beyond hover."""
+    rig = having(plain(), "thrust_curve", slope=-0.6)
+    sink = [
+        rig.rates(rig.state({f"effort_{i}": e for i in range(1, 5)}), rig.inputs())["vel_z"]
+        for e in (0.0, 0.3, 0.6, 1.0)
+    ]
+    assert np.all(np.diff(sink) < 0)
 
 
 def test_battery_sag_scales_thrust_and_torque() -> None:

@@ -9,7 +9,15 @@ import pytest
 from rig import BUILTIN
 
 from twin.component import Run
-from twin.flight.closed_loop import SETPOINTS, STEP_S, ClosedLoop, Trajectory, closed_loop, standing
+from twin.flight.closed_loop import (
+    SETPOINTS,
+    STEP_S,
+    ClosedLoop,
+    Trajectory,
+    closed_loop,
+    fly_missions,
+    standing,
+)
 from twin.flight.lqr import controller
 from twin.flight.mission import mission, mission_names
 from twin.frames import AXES
@@ -128,3 +136,18 @@ def test_flies_with_a_heavier_vehicle_than_it_was_designed_for(name: str) -> Non
     assert flight.miss_m[-1] < 0.02
     assert flight.miss_m.max() < 0.5
     assert flight.saturated_s < 0.2
+
+
+@pytest.mark.slow
+def test_a_twin_with_weak_rotors_flies_by_its_own_numbers() -> None:
+    loss = {"loss_1": 0.15, "loss_2": 0.0, "loss_3": 0.0, "loss_4": 0.05, "torque_share": 1.0}
+    weak = load_vehicle("crazyflie").with_effects(
+        {
+            "thrust_scale": {"scale": 0.59},
+            "thrust_curve": {"slope": -0.3},
+            "rotor_efficiency_loss": loss,
+        }
+    )
+    missions = fly_missions(weak, ["hover", "tour"])
+    assert all(m.stable for m in missions)
+    assert max(m.worst_m for m in missions) < 0.1

@@ -245,6 +245,33 @@ def test_inverse_thrust_map(name: str) -> None:
         assert high == pytest.approx(1.0, abs=1e-6)
 
 
+WEAK = {
+    "thrust_scale": {"scale": 0.59},
+    "thrust_curve": {"slope": -0.3},
+    "rotor_efficiency_loss": {
+        "loss_1": 0.15,
+        "loss_2": 0.0,
+        "loss_3": 0.0,
+        "loss_4": 0.05,
+        "torque_share": 1.0,
+    },
+}
+"""As an explanation of flights may have it: well above the weight, far from the file's map."""
+
+
+def test_hover_command_is_that_of_the_rotors_with_their_effects() -> None:
+    """A controller that trusts the file's map commands 0.59 of the weight, and stays down."""
+    weak = load_vehicle("crazyflie").with_effects(WEAK)
+    flown = Rig(controller(weak)), Rig(airframe(weak))
+    settled = flown[0].state({"lift": weak.gravity_m_s2})
+    outputs = flown[0].outputs(settled, flown[0].inputs(armed=1.0, q_w=1.0))
+    given = [outputs[f"cmd_{i}"] for i in range(1, 5)]
+    trim = flown[1].inputs()[
+        [flown[1].component.input_names.index(f"cmd_{i}") for i in range(1, 5)]
+    ]
+    np.testing.assert_allclose(given, trim, rtol=0.01)
+
+
 def test_attitude_error_is_the_rotation_in_body_axes() -> None:
     """Against SciPy for a turn of tilt, then heading; small and large."""
     rng = np.random.default_rng(0)
