@@ -34,6 +34,7 @@ from .hover import (
     drives,
     hover_of,
     phases_at,
+    same_shape,
     turning,
 )
 from .rotors import draft_rotors, rotor_effects
@@ -288,11 +289,24 @@ def draft_body(m: Making) -> Layout:
 
 
 def _layout(m: Making) -> Layout:
-    """Order and sense of the rotors: as given, as the log says, else as it turned."""
+    """Order and sense of the rotors: as given, as the log says, else as it turned.
+
+    A given frame is a shape; where every flight turned like one other frame of that shape, its
+    numbering of the motors is taken and a warning says so.
+    """
     motors, by_log = m.hovers[0].motors, m.airframe.layout
     if m.known.frame is not None:
         name = _frame_name(m.known.frame, motors)
         layout = frame(name, f"given, frame {name}")
+        if (turned_like := same_shape(m.flights, name)) is not None:
+            m.warnings.append(
+                f"{m.flights[0].name}: its commands turn it otherwise than rotors numbered as "
+                f"those of frame {name!r} would ({turning(m.flights[0], layout)}); it turns like "
+                f"frame {turned_like!r} of the same shape, whose numbering is taken"
+            )
+            return frame(
+                turned_like, f"given, frame {name}; the flights turned like {turned_like!r}"
+            )
     elif by_log is not None and by_log.count == motors:
         layout = by_log
     else:

@@ -14,7 +14,7 @@ from ..logs import AnyFlight, Flight
 from ..logs.columns import ACC, GYRO, MIN_MOTORS, POS, QUAT, VEL, motor_columns
 from ..representation import short_repr
 from ..vehicle import GRAVITY_M_S2
-from ..vehicle.layouts import Layout, frame, frames_of
+from ..vehicle.layouts import FRAMES, Layout, frame, frames_of
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
@@ -277,6 +277,26 @@ def best_frame(flight: Flight, motors: int) -> tuple[str, Turning] | None:
     found = [(name, t) for name in frames_of(motors) if (t := turning(flight, frame(name)))]
     clear = [(name, t) for name, t in found if t.worst > CLEAR]
     return max(clear, key=lambda each: each[1].worst + each[1].yaw, default=None)
+
+
+def same_shape(flights: Sequence[Flight], name: str) -> str | None:
+    """The other frame with the hubs of a given one that flights turned like, clearly about all
+    three axes; None: the given one is clear in a flight, or flights tell none or several."""
+    found: set[str] = set()
+    for flight in flights:
+        turned, best = turning(flight, frame(name)), best_frame(flight, frame(name).count)
+        if turned is not None and min(turned.worst, turned.yaw) > CLEAR:
+            return None
+        if best is not None and best[1].yaw > CLEAR:
+            found.add(best[0])
+    if len(found) != 1 or _hubs(other := found.pop()) != _hubs(name):
+        return None
+    return other
+
+
+def _hubs(name: str) -> set[tuple[float, float]]:
+    """Places of a frame's rotors, whatever their order and sense."""
+    return {(x, y) for x, y, _ in FRAMES[name][0]}
 
 
 def _correlation(a: Array, b: Array) -> float:

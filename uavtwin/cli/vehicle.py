@@ -56,7 +56,7 @@ def draft(
     ] = None,
     frame: Annotated[
         str | None,
-        typer.Option(help="x, +, h, wide or betaflight-x. Default: as the log says."),
+        typer.Option(help="Shape: x, +, h, wide or betaflight-x. Default: as the log says."),
     ] = None,
     wheelbase: Annotated[
         str | None, typer.Option(help="Distance of two motors across: 480mm, 48cm, 0.48m.")

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from scipy.signal import lfilter
 
-from twin.draft.hover import best_frame, turning
+from twin.draft.hover import best_frame, same_shape, turning
 from twin.logs import Flight
 from twin.vehicle.layouts import FRAMES, frame
 
@@ -54,3 +54,12 @@ def test_nothing_is_told_without_rates_or_with_other_rotors() -> None:
     columns = ["gyro_x", "gyro_y", "gyro_z"]
     blind = flight.table.assign(**dict(zip(columns, noise.T, strict=True)))
     assert best_frame(Flight("f", blind), 4) is None
+
+
+def test_a_shape_takes_the_numbering_that_the_flights_turned_like() -> None:
+    crazyflie = turned_by("crazyflie x")
+    assert same_shape([crazyflie], "x") == "crazyflie x"
+    assert same_shape([crazyflie], "crazyflie x") is None
+    assert same_shape([crazyflie], "+") is None  # other places: not a numbering
+    assert same_shape([crazyflie, turned_by("betaflight x")], "x") is None  # they disagree
+    assert same_shape([turned_by("hex x")], "hex x") is None

@@ -101,11 +101,14 @@ def test_an_unknown_frame_is_told_by_how_it_turned(copter: ut.Flight) -> None:
     assert "turns like this one" in found.vehicle.sources["rotors.position"]
 
 
-def test_a_frame_that_contradicts_the_flight_is_told(copter: ut.Flight) -> None:
+def test_a_numbering_that_contradicts_the_flight_gives_way(copter: ut.Flight) -> None:
     found = ut.draft_vehicle(copter, 1.4, arm_m=0.225, frame="betaflight x")
     (warning,) = found.warnings
     assert "turn it otherwise" in warning
-    assert "It turns like frame 'x'" in warning
+    assert "it turns like frame 'x' of the same shape, whose numbering is taken" in warning
+    as_given = ut.draft_vehicle(copter, 1.4, arm_m=0.225, frame="x").vehicle.rotors
+    np.testing.assert_array_equal(found.vehicle.rotors.position_m, as_given.position_m)
+    np.testing.assert_array_equal(found.vehicle.rotors.direction, as_given.direction)
 
 
 def test_wheelbase_arm_and_propeller_say_the_size(copter: ut.Flight) -> None:
