@@ -3,6 +3,7 @@
 import signal
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,7 +17,7 @@ from .printing import STDERR, STDOUT, print_json
 
 if TYPE_CHECKING:
     from ..compensators.running import RunningCompensator
-    from ..live.page.opened import OpenPage
+    from ..live.page.feed import PageFeed
     from ..live.session import LiveOptions, LiveSession
     from ..live.status import LiveStatus, ModelStatus
     from ..vehicles import Vehicle as OwnVehicle
@@ -91,7 +92,18 @@ Serve = Annotated[
 ]
 Token = Annotated[
     str | None,
-    typer.Option(help="What viewers of the page must know: ?token=TEXT. Needed beyond loopback."),
+    typer.Option(
+        help="What viewers of the page must know: ?token=TEXT. Default: beyond loopback that of "
+        "the store, else a new one, which is printed."
+    ),
+]
+Flights = Annotated[
+    Path | None,
+    typer.Option(
+        "--store",
+        help="Folder of `uavtwin serve`: its flights are on the same site, and what --out records "
+        "joins them at the end.",
+    ),
 ]
 Model = Annotated[
     Path | None,
@@ -106,6 +118,21 @@ Alarms = Annotated[
         help="Say what goes wrong in flight, as `why` does of a log; costs some 20 % of a core."
     ),
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """Where the page is, and of which site.
+
+    Attributes:
+        serve: HOST:PORT.
+        token: What viewers must know; None: as usual there.
+        store: Folder of the flights of the site; None: it has none.
+    """
+
+    serve: str
+    token: str | None
+    store: Path | None
 
 
 def live(
@@ -126,6 +153,7 @@ def live(
     publish_system: PublishSystem = 2,
     serve: Serve = None,
     token: Token = None,
+    store: Flights = None,
     alarms: Alarms = True,
     as_json: Annotated[Json, Prints("uavtwin.live.status:LiveStatus")] = False,
 ) -> None:
@@ -154,9 +182,10 @@ def live(
         publish_system,
         observer,
     )
-    if demo and serve is None:
-        serve = _demo_page()
-    status = _fly(vehicle or _DEMO_VEHICLE, options, serve, token, alarms, demo, replay, model)
+    if serve is None and (demo or store is not None):
+        serve = _usual_page(store is not None)
+    shown = None if serve is None else Shown(serve, token, store)
+    status = _fly(vehicle or _DEMO_VEHICLE, options, shown, alarms, demo, replay, model)
     if as_json:
         print_json(status)
     else:
@@ -167,12 +196,12 @@ def live(
         raise typer.Exit(Exit.FINDINGS)
 
 
-def _demo_page() -> str | None:
-    """Where the page of a demonstration is served; None, with a word, where it cannot be."""
-    from ..live.page.opened import lacking
+def _usual_page(with_flights: bool) -> str | None:
+    """Where the page is served unless it is named; None, with a word, where it cannot be."""
+    from ..serve.opened import lacking
 
-    if lacking():
-        STDERR.print(f"no page: it needs {install_command('live')}", style="yellow")
+    if lacking(with_flights):
+        STDERR.print(f"no page: it needs {install_command('serve')}", style="yellow")
         return None
     return _DEMO_PAGE
 
@@ -199,8 +228,7 @@ def _print_truth(status: "LiveStatus") -> None:
 def _fly(
     name: str,
     options: "LiveOptions",
-    serve: str | None,
-    token: str | None,
+    shown: "Shown | None",
     alarms: bool,
     demo: bool,
     replay: Path | None,
@@ -211,7 +239,6 @@ def _fly(
     from twin.why.watch import Watch
 
     from ..demo.in_flight import damaged_flight, sent_meanwhile
-    from ..live.page.opened import open_page
     from ..live.session import LiveSession
     from ..vehicles import load_vehicle
 
@@ -221,20 +248,39 @@ def _fly(
         if demo:
             STDERR.print(f"simulating a flight of {twin.name}, some seconds")
             flight = damaged_flight(twin)
-        shown = None
-        if serve is not None:
-            shown = opened.enter_context(open_page(serve, token, twin, options.following))
+        feed = None
+        if shown is not None:
+            feed = opened.enter_context(_page(shown, twin, options))
         session = LiveSession(
             twin,
             options,
             (lambda: Watch(twin)) if alarms else lambda: None,
-            None if shown is None else shown.feed,
+            feed,
             None if model is None else opened.enter_context(_compensator(model, twin)),
         )
         STDERR.print(f"listening at {options.listen}")
         if flight is not None:
             opened.enter_context(sent_meanwhile(flight, options.listen))
-        return _run(session, shown)
+        return _run(session, feed)
+
+
+@contextmanager
+def _page(shown: Shown, twin: "OwnVehicle", options: "LiveOptions") -> "Iterator[PageFeed]":
+    """The site with the page of this flight; at the end the recording joins its flights."""
+    from ..live.page.view import LiveView
+    from ..serve.opened import open_site
+
+    view = LiveView(twin, options.following, shown.store is not None)
+    with open_site(shown.serve, "--serve", shown.store, live=view, token=shown.token) as (
+        server,
+        add,
+    ):
+        STDERR.print(f"page: {server.start().url}")
+        yield view.feed
+        if add is not None and options.record is not None:
+            for file in sorted(options.record.glob("flight*.parquet")):
+                add(file, f"{options.record.name}_{file.name}")
+                STDERR.print(f"{file} joins the flights of {shown.store}")
 
 
 @contextmanager
@@ -256,7 +302,7 @@ def _compensator(folder: Path, vehicle: "OwnVehicle") -> "Iterator[RunningCompen
             yield running
 
 
-def _run(session: "LiveSession", shown: "OpenPage | None") -> "LiveStatus":
+def _run(session: "LiveSession", feed: "PageFeed | None") -> "LiveStatus":
     """Fly until it ends; a line each second."""
     ended = False
 
@@ -283,11 +329,9 @@ def _run(session: "LiveSession", shown: "OpenPage | None") -> "LiveStatus":
             if error not in failed:
                 failed.add(error)
                 STDERR.print(f"{error}. The rest goes on.", style="bold red")
-        if shown is not None:
-            shown.feed.known(status)
+        if feed is not None:
+            feed.known(status)
 
-    if shown is not None:
-        STDERR.print(f"page: {shown.url}")
     before = {name: signal.signal(name, end) for name in (signal.SIGINT, signal.SIGTERM)}
     try:
         return session.run(lambda: ended, say)

@@ -1,18 +1,14 @@
 """`uavtwin serve`: a page where one drops flight logs."""
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from twin.errors import TwinError, install_command
+from twin.errors import TwinError
 
 from .options import of_unit, seconds
 from .printing import STDERR, STDOUT
-
-_NEEDED = ("duckdb", "starlette", "uvicorn")
-"""Packages of the page."""
 
 
 def serve(
@@ -41,26 +37,14 @@ def serve(
     Nothing leaves this machine. Ends with Ctrl-C; what was being done goes on when it is started
     again.
     """
-    if missing := [n for n in _NEEDED if find_spec(n) is None]:
-        raise TwinError(f"serve needs {', '.join(missing)}: {install_command('serve')}.")
-    from ..doors import Doors, host_and_port, is_loopback
     from ..jobs.process import Allowed
+    from ..serve.opened import open_site
     from ..serve.schedule import Limits
-    from ..serve.server import Site, cookie_name, listening, made_server
-    from ..serve.store import Store
 
     if not 0 < size_limit < float("inf"):
         raise TwinError(f"--size-limit {size_limit:g}: needs a positive number.")
-    host, port = host_and_port(listen, "--listen")
     limits = Limits(Allowed(time_limit, memory_limit), int(size_limit * 2**20), workers)
-    with listening(host, port) as socket:
-        opened = Store(store)
-        token = None if is_loopback(host) else opened.token()
-        site = Site(opened, limits, Doors(host, token, cookie_name(port) if token else ""))
-        try:
-            shown = f"[{host}]" if ":" in host else host
-            STDOUT.print(f"http://{shown}:{port}/{f'?token={token}' if token else ''}")
-            STDERR.print(f"store: {opened.folder}; end with Ctrl-C")
-            made_server(site.app).run(sockets=[socket])
-        finally:
-            site.close()
+    with open_site(listen, "--listen", store, limits) as (server, _):
+        STDOUT.print(server.url)
+        STDERR.print(f"store: {store}; end with Ctrl-C")
+        server.run()

@@ -2,11 +2,9 @@
 
 import gzip
 import json
-from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from hashlib import sha256
 from pathlib import Path
 from time import localtime, strftime
 from typing import Any
@@ -15,6 +13,8 @@ import jinja2
 from markupsafe import Markup
 
 from ..report.page import HERE as REPORT
+from ..site.server import hash_of, headers
+from ..site.server import style as style_of_site
 from .store import OF_VEHICLE, FlightRow, JobRow, Run, Store
 from .work import LONG, TABLE, explained_file
 
@@ -72,7 +72,7 @@ def _environment() -> jinja2.Environment:
 
 @cache
 def _style() -> str:
-    return (HERE / "serve.css").read_text("utf-8")
+    return style_of_site() + (HERE / "serve.css").read_text("utf-8")
 
 
 @cache
@@ -100,33 +100,7 @@ def scripts() -> tuple[str, ...]:
     """Hashes of the scripts of this version: of the site, of reports, of what draws figures."""
     bundle = gzip.decompress((REPORT / "vendor" / "plotly-basic.min.js.gz").read_bytes())
     report = (REPORT / "page.js").read_text("utf-8")
-    return tuple(map(_hash, (f"\n{_script()}\n", f"\n{report}\n", bundle.decode())))
-
-
-def headers(hashes: Sequence[str] = ()) -> dict[str, str]:
-    """Of an answer: what a log smuggles into a page does not run, nothing is loaded from elsewhere.
-
-    Args:
-        hashes: Of the scripts that run.
-    """
-    allowed = " ".join(f"'sha256-{h}'" for h in hashes) or "'none'"
-    policy = (
-        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; "
-        "img-src data: blob:; connect-src 'self'; base-uri 'none'; form-action 'self'; "
-        "frame-ancestors 'none'"
-    )
-    return {
-        "Content-Security-Policy": policy,
-        "X-Content-Type-Options": "nosniff",
-        "Referrer-Policy": "same-origin",
-        "Cross-Origin-Resource-Policy": "same-origin",
-        "Cross-Origin-Opener-Policy": "same-origin",
-        "Cache-Control": "no-store",
-    }
-
-
-def _hash(script: str) -> str:
-    return b64encode(sha256(script.encode()).digest()).decode()
+    return tuple(map(hash_of, (f"\n{_script()}\n", f"\n{report}\n", bundle.decode())))
 
 
 @dataclass(frozen=True, slots=True)

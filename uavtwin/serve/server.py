@@ -1,18 +1,14 @@
-"""The small server of the page: what may be asked, by whom, and what happens then."""
+"""The flights of the site: what may be asked of them, and what happens then."""
 
 import asyncio
 import contextlib
 import math
-import socket
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from pathlib import Path
 from urllib.parse import parse_qsl, quote
 
 import msgspec
-import uvicorn
-from starlette.applications import Starlette
-from starlette.datastructures import Headers, QueryParams
-from starlette.requests import ClientDisconnect, Request, cookie_parser
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import (
     FileResponse,
     JSONResponse,
@@ -20,16 +16,16 @@ from starlette.responses import (
     Response,
     StreamingResponse,
 )
-from starlette.routing import Route
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.routing import BaseRoute, Route
+from starlette.types import ASGIApp
 
 from twin.errors import TwinError
 from twin.vehicle_file import builtin_vehicles
 
-from ..connections import LimitedConnection
-from ..doors import Doors
 from ..output import write_json
-from .pages import FILES, REPORTS, Pages, headers
+from ..site.doors import Doors
+from ..site.server import FLIGHTS, LIVE, headers, site_app
+from .pages import FILES, REPORTS, Pages
 from .schedule import Limits, Scheduler
 from .store import LONGEST_TAGS, OF_VEHICLE, FlightRow, Store
 from .work import explained_file
@@ -40,12 +36,8 @@ _FORM_BYTES = 16_384
 """Of the content of a form."""
 _PAUSE_S, _SILENT_S = 0.2, 15.0
 """Between two messages to a page, and after which an empty one says that we are there, s."""
-_GRACE_S = 1
-"""For which answers may end by themselves when the server ends, s."""
-_MOST_CONNECTIONS = 256
-"""At once; more are refused."""
-_COOKIE_S = 365 * 86400
-"""Life of the cookie, s."""
+_BLOCK = 1 << 20
+"""Bytes that are copied at once."""
 
 
 class Listener:
@@ -87,13 +79,16 @@ class Site:
         app: For an ASGI server.
     """
 
-    def __init__(self, store: Store, limits: Limits, doors: Doors) -> None:
+    def __init__(
+        self, store: Store, limits: Limits, doors: Doors, live: Sequence[BaseRoute] = ()
+    ) -> None:
         """Begin with the jobs that wait.
 
         Args:
             store: Open.
             limits: What a log and a job may use.
             doors: Who may ask.
+            live: Routes of the page of a live flight; none: nothing flies.
         """
         self._store, self._limits = store, limits
         self._listeners: set[Listener] = set()
@@ -112,7 +107,9 @@ class Site:
             ("POST", "/delete", self._delete),
         ]
         routes = [
-            Route("/", self._list),
+            *live,  # the first that fits answers
+            Route(FLIGHTS, self._list),
+            Route(LIVE, self._nothing_flies),
             Route("/events", self._events),
             Route("/compare", self._compare),
             *(
@@ -124,7 +121,7 @@ class Site:
                 for method, path, answer in of_flight
             ),
         ]
-        self.app: ASGIApp = Guarded(Starlette(routes=routes), doors)
+        self.app: ASGIApp = site_app(routes, doors)
         self._jobs.start()
 
     def close(self) -> None:
@@ -215,6 +212,32 @@ class Site:
             text = "Tick two flights of the list, then compare."
             return self._page(self._pages.said("Which two?", text), 400)
         return RedirectResponse(f"/flights/{quote(chosen[0])}/compare/{quote(chosen[1])}", 303)
+
+    async def _nothing_flies(self, _: Request) -> Response:
+        text = (
+            "Nothing flies: this server reads logs. End it, and start uavtwin live --vehicle FILE "
+            f"--store {self._store.folder.name}: the same flights, and the aircraft that it hears "
+            "on this page. Without an aircraft: uavtwin live --demo."
+        )
+        return self._page(self._pages.said("Live", text))
+
+    def add(self, file: Path, name: str) -> str:
+        """Copy a file into the store as a log: identifier of its flight.
+
+        Args:
+            file: The log.
+            name: That the list shows.
+
+        Raises:
+            TwinError: It is too large.
+        """
+        with self._store.upload(self._limits.most_bytes) as coming, file.open("rb") as source:
+            while part := source.read(_BLOCK):
+                coming.write(part)
+            flight, _ = self._store.add(name, coming.path, coming.sha256, coming.size)
+        self.changed(flight)
+        self._jobs.wake()
+        return flight
 
     # -- a flight -------------------------------------------------------------------------------
 
@@ -381,71 +404,3 @@ def _positive(form: dict[str, str], name: str) -> float | None:
     if not 0 < value < math.inf:
         raise TwinError(f"{name} = {text}: needs a positive number.")
     return value
-
-
-def cookie_name(port: int) -> str:
-    """Name of the cookie that holds the token: a browser has one jar for all ports of a host."""
-    return f"uavtwin-{port}"
-
-
-class Guarded:
-    """An application behind doors; a token that fits is stored in a cookie."""
-
-    def __init__(self, app: ASGIApp, doors: Doors) -> None:
-        """Keep both."""
-        self._app, self._doors = app, doors
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """As ASGI has it."""
-        if scope["type"] != "http":
-            return
-        sent, query = Headers(scope=scope), QueryParams(scope.get("query_string", b""))
-        why = self._doors.refusal(sent, query, cookie_parser(sent.get("cookie", "")))
-        if why:
-            await Response(why, 403, headers(), "text/plain")(scope, receive, send)
-        elif scope["method"] == "GET" and self._doors.fits(query.get("token", "")):
-            rest = [(k, v) for k, v in query.multi_items() if k != "token"]
-            asked = f"?{QueryParams(rest)}" if rest else ""
-            path = "/" + scope["path"].lstrip("/\\")  # `//name` would be another server
-            answer = RedirectResponse(f"{quote(path)}{asked}", 303, headers())
-            cookie = self._doors.cookie, query["token"]
-            answer.set_cookie(*cookie, max_age=_COOKIE_S, httponly=True, samesite="lax")
-            await answer(scope, receive, send)
-        else:
-            await self._app(scope, receive, send)
-
-
-def listening(host: str, port: int) -> socket.socket:
-    """A socket that takes connections.
-
-    Args:
-        host: Name or address of this machine.
-        port: 0: any that is free.
-
-    Raises:
-        TwinError: Another program listens there, or the address is none of this machine.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        return socket.create_server((host, port), family=family, backlog=128)
-    except OSError as error:
-        raise TwinError(f"--listen {host}:{port}: {error.strerror or error}.") from error
-
-
-def made_server(app: ASGIApp) -> uvicorn.Server:
-    """A server that runs until it is told to end."""
-    return uvicorn.Server(
-        uvicorn.Config(
-            app,
-            loop="asyncio",
-            http=LimitedConnection,
-            ws="none",
-            lifespan="off",
-            log_config=None,
-            access_log=False,
-            server_header=False,
-            proxy_headers=False,
-            limit_concurrency=_MOST_CONNECTIONS,
-            timeout_graceful_shutdown=_GRACE_S,
-        )
-    )

@@ -21,8 +21,8 @@ from typing import Any, Literal
 from twin.errors import TwinError, install_command
 from twin.vehicle_file import builtin_vehicles
 
-from ..doors import SHORTEST_TOKEN
 from ..output import output_file
+from ..site.doors import SHORTEST_TOKEN
 
 State = Literal["queued", "running", "done", "failed", "cancelled"]
 OPEN: tuple[State, ...] = ("queued", "running")

@@ -7,9 +7,8 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from http.client import HTTPConnection
 from pathlib import Path
@@ -17,13 +16,15 @@ from typing import Self
 
 import pandas as pd
 from places import IMPORT_PATH
+from starlette.routing import BaseRoute
 from why_rig import sound
 
-from uavtwin.doors import Doors
 from uavtwin.jobs.process import Allowed
 from uavtwin.serve.schedule import Limits
-from uavtwin.serve.server import Site, listening, made_server
+from uavtwin.serve.server import Site
 from uavtwin.serve.store import Store
+from uavtwin.site.doors import Doors
+from uavtwin.site.server import SiteServer, listening
 
 PATIENCE_S = 120.0
 
@@ -84,20 +85,21 @@ class Asked:
 
 
 @contextlib.contextmanager
-def site(store: Path, workers: int = 0, most_bytes: int = 10_000_000) -> Iterator[Asked]:
+def site(
+    store: Path,
+    workers: int = 0,
+    most_bytes: int = 10_000_000,
+    live: Sequence[BaseRoute] = (),
+) -> Iterator[Asked]:
     """A site in a thread; without workers its jobs stay in the queue."""
     limits = Limits(Allowed(600.0, 3.0), most_bytes, workers)
-    with listening("127.0.0.1", 0) as taken:
-        made = Site(Store(store), limits, Doors("127.0.0.1"))
-        server = made_server(made.app)
-        thread = threading.Thread(target=server.run, args=([taken],), daemon=True)
-        thread.start()
-        try:
-            yield Asked(int(taken.getsockname()[1]), store)
-        finally:
-            server.should_exit = True
-            thread.join(10)
-            made.close()
+    taken, doors = listening("127.0.0.1", 0), Doors("127.0.0.1")
+    made = Site(Store(store), limits, doors, live)
+    try:
+        with SiteServer(taken, made.app, doors) as server:
+            yield Asked(server.start().port, store)
+    finally:
+        made.close()
 
 
 class Process(Asked):

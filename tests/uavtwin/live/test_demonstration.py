@@ -20,6 +20,7 @@ from twin.logs.table import write_flight
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.in_flight import BEGINS_S, LOSS, ROTOR, damaged_flight, sent_meanwhile, waypoints
 from uavtwin.live.datagrams import Address
+from uavtwin.serve.store import Store
 
 NEWCOMER_S = 60.0
 """Within which an alarm is on the screen."""
@@ -32,8 +33,9 @@ def free_port(kind: socket.SocketKind) -> int:
 
 
 @pytest.mark.slow
-def test_a_newcomer_sees_an_alarm_within_a_minute() -> None:
-    """Sent over the loopback, heard, shown on the page, named; ended by the command itself."""
+def test_a_newcomer_sees_an_alarm_within_a_minute(tmp_path: Path) -> None:
+    """Sent over the loopback, heard, shown on the page, named; ended by the command itself, and
+    the recording joins the flights of the site."""
     page = free_port(socket.SOCK_STREAM)
     began = time.monotonic()
     demo = subprocess.Popen(
@@ -41,6 +43,7 @@ def test_a_newcomer_sees_an_alarm_within_a_minute() -> None:
             *(sys.executable, "-c", "from uavtwin.cli.main import main; main()", "live", "--demo"),
             *("--listen", f"udpin:127.0.0.1:{free_port(socket.SOCK_DGRAM)}"),
             *("--serve", f"127.0.0.1:{page}", "--duration", str(BEGINS_S + 20), "--json"),
+            *("--store", str(tmp_path / "store"), "--out", str(tmp_path / "flown")),
         ],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -52,12 +55,14 @@ def test_a_newcomer_sees_an_alarm_within_a_minute() -> None:
             if line.startswith("ALARM"):
                 break
         alarmed_s = time.monotonic() - began
-        with urlopen(f"http://127.0.0.1:{page}/", timeout=10) as answer:
-            assert b"<title>" in answer.read()
+        for path, title in (("", b"<title>Flights"), ("live", b"<title>Live")):
+            with urlopen(f"http://127.0.0.1:{page}/{path}", timeout=10) as answer:
+                assert title in answer.read()
         out, err = demo.communicate(timeout=60)
     finally:
         demo.kill()
     assert demo.returncode == 0
+    assert [f.name for f in Store(tmp_path / "store").flights()[0]] == ["flown_flight.parquet"]
     lost = re.search(rf"Rotor {ROTOR} loses ([0-9.]+) % of its thrust", line)
     assert lost is not None and float(lost[1]) == pytest.approx(100 * LOSS, abs=5.0), line
     assert alarmed_s < NEWCOMER_S

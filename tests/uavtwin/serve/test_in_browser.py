@@ -8,8 +8,11 @@ from pathlib import Path
 import psutil
 import pytest
 from page_rigs.browser import Browser, View, browser, needs_browser, pictures
-from serve_rigs.sites import Process, sound_log
+from serve_rigs.sites import Asked, Process, site, sound_log
 
+from twin.vehicle_file import load_vehicle
+from uavtwin.live.following import Following
+from uavtwin.live.page.view import LiveView
 from uavtwin.serve.store import Store
 
 pytestmark = [pytest.mark.slow, needs_browser]
@@ -38,6 +41,14 @@ def flight(served: Process, opened: Browser, tmp_path_factory: pytest.TempPathFa
     opened.wait(f"{VERDICTS} === 2 && !document.querySelector('#rows .tag')", 90)
     assert opened.complaints == []
     return str(opened.run("[...document.links].find(a => a.text === 'sound.parquet').href"))
+
+
+@pytest.fixture(scope="module")
+def flying(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Asked, LiveView]]:
+    """A site with a live flight."""
+    live = LiveView(load_vehicle("copter_default"), Following(0.5), True)
+    with site(tmp_path_factory.mktemp("live") / "new", live=live.routes) as asked:
+        yield asked, live
 
 
 def test_a_hostile_name_is_text(served: Process, opened: Browser, flight: str) -> None:
@@ -72,6 +83,24 @@ def test_a_link_leads_to_a_moment(opened: Browser, flight: str) -> None:
     assert opened.complaints == []
 
 
+@pytest.mark.parametrize("view", [WIDE, PHONE, DARK], ids=str)
+def test_a_live_flight_is_a_page_of_the_same_site(
+    flying: tuple[Asked, LiveView], opened: Browser, tmp_path: Path, view: View
+) -> None:
+    asked, live = flying
+    opened.visit(f"{asked.address}/", view)
+    opened.wait("document.documentElement.dataset.connected")
+    opened.run("[...document.links].find(a => a.text === 'Live').click()")
+    opened.wait("document.querySelector('#state')")
+    live.feed.said(4, "low battery")
+    opened.wait("document.querySelector('#said').innerText.includes('low battery')")
+    assert opened.run("document.documentElement.scrollWidth") <= view.width
+    assert opened.complaints == []
+    opened.picture(pictures(tmp_path) / f"serve-live-{view}.png", 900)
+    opened.run("[...document.links].find(a => a.text === 'Flights').click()")
+    opened.wait("document.querySelector('#drop')")
+
+
 def test_two_tabs_show_the_same(served: Process, opened: Browser, flight: str) -> None:
     opened.visit(served.address, WIDE)
     opened.wait("document.documentElement.dataset.connected")
@@ -89,10 +118,10 @@ def test_the_keyboard_alone_reaches_everything(
     opened.visit(served.address, WIDE)
     opened.run("document.activeElement.blur()")
     reached = []
-    for _ in range(8):
+    for _ in range(9):
         opened.press("Tab")
         reached.append(opened.run("document.activeElement.id || document.activeElement.outerHTML"))
-    assert reached[1:3] == ["files", "q"] and "compare-button" in reached
+    assert reached[2:4] == ["files", "q"] and "compare-button" in reached
     opened.run("[...document.links].find(a => a.text === 'sound.parquet').focus()")
     opened.press("Enter")
     opened.wait("document.getElementById('begin-mcap')")

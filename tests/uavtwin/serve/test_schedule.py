@@ -10,12 +10,12 @@ from typing import Any, cast
 import pytest
 from starlette.types import Message
 
-from uavtwin.doors import Doors
 from uavtwin.jobs.process import ProcessWorker
 from uavtwin.serve.schedule import Limits, Scheduler
 from uavtwin.serve.server import Site
 from uavtwin.serve.store import Store
 from uavtwin.serve.work import QUICK, Answer, Job
+from uavtwin.site.doors import Doors
 
 pytestmark = pytest.mark.slow
 

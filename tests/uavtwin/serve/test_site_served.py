@@ -15,9 +15,9 @@ from starlette.responses import PlainTextResponse
 from starlette.types import Message
 
 from twin.errors import TwinError
-from uavtwin.doors import Doors
-from uavtwin.serve.server import Guarded, cookie_name
 from uavtwin.serve.store import Store
+from uavtwin.site.doors import Doors
+from uavtwin.site.server import Guarded, doors_of
 
 pytestmark = pytest.mark.slow
 HOSTILE = '"><img src=x onerror=alert(1)><script>alert(1)</script>.ulg'
@@ -56,6 +56,12 @@ def test_every_page_may_run_our_scripts_alone(asked: Asked) -> None:
         assert "default-src 'none'" in policy and "frame-ancestors 'none'" in policy
         allowed = policy.partition("script-src ")[2].partition(";")[0].split()
         assert len(allowed) == 3 and all(s.startswith("'sha256-") for s in allowed)
+
+
+def test_the_page_of_live_says_how_something_flies(asked: Asked) -> None:
+    status, text, _ = asked.ask("/live")
+    assert status == 200 and "uavtwin live --vehicle FILE --store" in text
+    assert '<a href="/live">Live</a>' in asked.ask("/")[1]
 
 
 def test_scripts_of_reports_that_earlier_versions_wrote_still_run(tmp_path: Path) -> None:
@@ -162,7 +168,7 @@ def test_names_and_pages_of_others_are_refused(
     assert (asked.ask("/upload/a", "PUT", b"x", headers)[0] == 403) == (status == 403)
 
 
-COOKIE = cookie_name(8080)
+COOKIE = doors_of("0.0.0.0", 8080).cookie
 
 
 def answered(
@@ -243,7 +249,7 @@ def test_who_does_nothing_is_closed_and_who_is_slow_is_not(
 ) -> None:
     """Events without end, an upload and a download last longer than any limit."""
     for name, value in (("_REQUEST_S", 0.3), ("_ANSWER_S", 0.8), ("_WATCH_S", 0.1)):
-        monkeypatch.setattr(f"uavtwin.connections.{name}", value)
+        monkeypatch.setattr(f"uavtwin.site.connections.{name}", value)
     content = bytes(range(256)) * 40_000
     head = b" HTTP/1.1\r\nHost: 127.0.0.1\r\n"
     with site(tmp_path, most_bytes=20_000_000) as asked:

@@ -2,11 +2,9 @@
 
 import gzip
 import re
-from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +17,7 @@ from twin.logs.columns import ACC, GYRO, POS, VEL, motor_columns
 from ...report.drawing import Panels
 from ...report.page import BLACK, BLUE, GREY, ORANGE, Figure, Plot, plot, render
 from ...report.page import HERE as REPORT
+from ...site.server import hash_of, headers, style
 from .feed import ANGLES
 
 HERE = Path(__file__).parent  # scripts and styles
@@ -57,17 +56,19 @@ class Document:
 
 
 @cache
-def document(motors: int) -> Document:
+def document(motors: int, bar: str = "") -> Document:
     """The page for an aircraft.
 
     Args:
         motors: How many it has.
+        bar: Navigation of the site.
     """
     html = render(
         "live.html.j2",
         {},
         HERE,
-        style_live=Markup((HERE / "live.css").read_text("utf-8")),
+        bar=bar,
+        style_live=Markup(style() + (HERE / "live.css").read_text("utf-8")),
         script_live=Markup((HERE / "live.js").read_text("utf-8")),
         table=TABLE,
         measured=_measured_plots(),
@@ -82,24 +83,7 @@ def document(motors: int) -> Document:
 def _headers(html: str) -> dict[str, str]:
     scripts = re.findall(r"<script>(.*?)</script>", html, re.DOTALL)
     bundle = gzip.decompress((REPORT / "vendor" / "plotly-basic.min.js.gz").read_bytes())
-    hashes = " ".join(f"'sha256-{_hash(s)}'" for s in (*scripts, bundle.decode()))
-    policy = (
-        f"default-src 'none'; script-src {hashes}; style-src 'unsafe-inline'; "
-        "img-src data: blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
-        "frame-ancestors 'none'"
-    )
-    return {
-        "Content-Security-Policy": policy,
-        "X-Content-Type-Options": "nosniff",
-        "Referrer-Policy": "no-referrer",
-        "Cross-Origin-Resource-Policy": "same-origin",
-        "Cross-Origin-Opener-Policy": "same-origin",
-        "Cache-Control": "no-store",
-    }
-
-
-def _hash(script: str) -> str:
-    return b64encode(sha256(script.encode()).digest()).decode()
+    return headers(list(map(hash_of, (*scripts, bundle.decode()))))
 
 
 def _follow(panels: Panels, x: str, y: str) -> None:

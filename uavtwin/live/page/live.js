@@ -372,8 +372,7 @@
   // ---- the connection
 
   function connect() {
-    var query = location.search;
-    socket = new WebSocket(location.href.replace(/^http/, "ws").replace(/[?#].*$/, "").replace(/\/?$/, "/live") + query);
+    socket = new WebSocket(location.href.replace(/^http/, "ws").replace(/[?#].*$/, "").replace(/\/?$/, "/stream"));
     var mine = socket;
     socket.onopen = function () {
       connected = true; wait = FIRST_WAIT_MS; heardAt = Date.now(); leastTrip = Infinity;

@@ -10,29 +10,28 @@ from typing import Any
 
 import numpy as np
 import pytest
+from serve_rigs.live_sites import live_site
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from twin.errors import TwinError
 from twin.residuals.gap import Channel
-from uavtwin.live.datagrams import Address
-from uavtwin.live.page.document import document
 from uavtwin.live.page.feed import LEARNT_S, MOST_VIEWERS, QUEUE, SILENT_S, ExpectedBands, Hub
-from uavtwin.live.page.server import PageServer, page_address
+from uavtwin.site.doors import host_and_port
+from uavtwin.site.server import SiteServer, doors_of
 
 TOKEN = "correct horse"
-ANY_PORT = Address("127.0.0.1", 0)
 
 
 @contextmanager
-def served(token: str | None = None, hub: Hub | None = None) -> Iterator[tuple[Hub, PageServer]]:
+def served(token: str | None = None, hub: Hub | None = None) -> Iterator[tuple[Hub, SiteServer]]:
     hub = hub or Hub()
-    with PageServer(ANY_PORT, hub, document(4), token) as server:
+    with live_site(hub, token) as server:
         yield hub, server
 
 
-def get(server: PageServer, path: str = "/", **headers: str) -> tuple[int, str, dict[str, str]]:
-    connection = HTTPConnection("127.0.0.1", server.where.port, timeout=20)
+def get(server: SiteServer, path: str = "/live", **headers: str) -> tuple[int, str, dict[str, str]]:
+    connection = HTTPConnection("127.0.0.1", server.port, timeout=20)
     connection.request("GET", path, headers=headers)
     answer = connection.getresponse()
     answered = answer.status, answer.read().decode(), {k.lower(): v for k, v in answer.getheaders()}
@@ -40,8 +39,8 @@ def get(server: PageServer, path: str = "/", **headers: str) -> tuple[int, str, 
     return answered
 
 
-def looked(server: PageServer, query: str = "", **more: Any) -> ClientConnection:
-    url = f"ws://127.0.0.1:{server.where.port}/live{query}"
+def looked(server: SiteServer, query: str = "", **more: Any) -> ClientConnection:
+    url = f"ws://127.0.0.1:{server.port}/live/stream{query}"
     viewer: ClientConnection = connect(url, proxy=None, compression=None, open_timeout=20, **more)
     return viewer
 
@@ -79,12 +78,12 @@ def test_the_page_is_one_document_that_may_load_nothing() -> None:
 )
 def test_names_of_others_are_refused(host: str, status: int) -> None:
     with served() as (_, server):
-        assert get(server, Host=host.format(server.where.port))[0] == status
+        assert get(server, Host=host.format(server.port))[0] == status
 
 
 def test_pages_of_others_open_no_socket() -> None:
     with served() as (_, server):
-        own = f"http://127.0.0.1:{server.where.port}"
+        own = f"http://127.0.0.1:{server.port}"
         with looked(server, origin=own):
             pass
         for origin in ("http://evil.example", "null", "http://127.0.0.1", f"{own}.evil.example"):
@@ -95,10 +94,15 @@ def test_pages_of_others_open_no_socket() -> None:
 
 def test_the_token_is_asked_for_everywhere() -> None:
     with served(TOKEN) as (_, server):
-        assert [get(server, p)[0] for p in ("/", "/?token=", "/?token=correct", "/live")] == [
-            403
-        ] * 4
-        assert get(server, "/?token=correct%20horse")[0] == 200
+        assert [
+            get(server, p)[0] for p in ("/", "/?token=", "/?token=correct", "/live/stream")
+        ] == [403] * 4
+        status, _, headers = get(server, "/live?token=correct%20horse")
+        assert status == 303 and headers["location"] == "/live"
+        cookie = headers["set-cookie"].partition(";")[0]
+        assert get(server, Cookie=cookie)[0] == 200
+        with looked(server, additional_headers={"Cookie": cookie}):
+            pass
         assert get(server, **{"X-Uavtwin-Token": TOKEN})[0] == 200
         assert get(server, "/?token=%F0%9F%90%8E")[0] == 403
         for query in ("", "?token=wrong%20horse"):
@@ -108,32 +112,30 @@ def test_the_token_is_asked_for_everywhere() -> None:
             pass
 
 
-@pytest.mark.parametrize(
-    ("serve", "token", "said"),
-    [
-        ("8080", None, "write HOST:PORT"),
-        ("127.0.0.1:99999", None, "write HOST:PORT"),
-        ("0.0.0.0:8080", None, "Give --token TEXT"),
-        ("192.0.2.7:8080", None, "Give --token TEXT"),
-        ("[::]:8080", None, "Give --token TEXT"),
-        ("ground.example:8080", None, "Give --token TEXT"),
-        ("0.0.0.0:8080", "short", "at least 8"),
-    ],
-)
-def test_addresses_that_others_reach_need_a_token(serve: str, token: str | None, said: str) -> None:
-    with pytest.raises(TwinError, match=said):
-        page_address(serve, token)
+@pytest.mark.parametrize("where", ["8080", "127.0.0.1:99999", "127.0.0.1:0", "a b:80"])
+def test_what_is_no_address_is_refused(where: str) -> None:
+    with pytest.raises(TwinError, match=r"--serve .*: write HOST:PORT"):
+        host_and_port(where, "--serve")
 
 
-def test_addresses() -> None:
-    assert page_address("127.0.0.1:8080", None).pair == ("127.0.0.1", 8080)
-    assert page_address("[::1]:8080", None).pair == ("::1", 8080)
-    assert page_address("0.0.0.0:8080", TOKEN).pair == ("0.0.0.0", 8080)
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.0.2.7", "::", "ground.example"])
+def test_addresses_that_others_reach_have_a_token(host: str) -> None:
+    doors = doors_of(host, 8080)
+    assert doors.token is not None and len(doors.token) > 20 and doors.cookie
+    assert doors_of(host, 8080).token != doors.token
+    assert doors_of(host, 8080, TOKEN).token == TOKEN
+    with pytest.raises(TwinError, match="at least 8"):
+        doors_of(host, 8080, "short")
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost"])
+def test_this_machine_needs_none(host: str) -> None:
+    assert doors_of(host, 8080).token is None
 
 
 def test_a_taken_port_is_named() -> None:
     with served() as (hub, server), pytest.raises(TwinError, match="Choose another port"):
-        PageServer(server.where, hub, document(4), None)
+        live_site(hub, port=server.port)
 
 
 def test_three_viewers_get_the_same_and_one_who_is_late_the_past() -> None:
@@ -180,16 +182,17 @@ def test_too_many_viewers_are_turned_away() -> None:
     assert hub.join(lambda: None) is not None
 
 
-def slow_viewer(server: PageServer) -> socket.socket:
+def slow_viewer(server: SiteServer) -> socket.socket:
     """One that opens the WebSocket and never reads."""
     opened = socket.socket()
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     opened.settimeout(20)
-    opened.connect(server.where.pair)
-    host = f"127.0.0.1:{server.where.port}"
+    opened.connect(("127.0.0.1", server.port))
+    host = f"127.0.0.1:{server.port}"
     opened.sendall(
-        f"GET /live HTTP/1.1\r\nHost: {host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+        f"GET /live/stream HTTP/1.1\r\nHost: {host}\r\nUpgrade: websocket\r\n"
+        "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+        "Sec-WebSocket-Version: 13\r\n\r\n".encode()
     )
     assert b"101" in opened.recv(64)
     return opened
@@ -255,11 +258,11 @@ def test_the_expected_band_is_that_of_the_first_seconds() -> None:
     assert low == pytest.approx(3 - 1.96, abs=0.15) and high == pytest.approx(3 + 1.96, abs=0.15)
 
 
-def opened(server: PageServer, sends: bytes = b"") -> socket.socket:
+def opened(server: SiteServer, sends: bytes = b"") -> socket.socket:
     """A connection that says something, or nothing, and waits."""
     one = socket.socket()
     one.settimeout(20)
-    one.connect(server.where.pair)
+    one.connect(("127.0.0.1", server.port))
     one.sendall(sends)
     return one
 
@@ -288,7 +291,7 @@ def test_idle_connections_keep_nobody_out(sends: bytes) -> None:
 def test_a_connection_without_a_request_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     """So is one whose answer nobody takes, and one that begins a second request; a viewer stays."""
     for name, value in (("_REQUEST_S", 0.3), ("_ANSWER_S", 0.6), ("_WATCH_S", 0.1)):
-        monkeypatch.setattr(f"uavtwin.connections.{name}", value)
+        monkeypatch.setattr(f"uavtwin.site.connections.{name}", value)
     whole = b"GET /elsewhere HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
     with served() as (hub, server), looked(server) as viewer:
         for sends in (b"", b"G", whole + b"GET "):

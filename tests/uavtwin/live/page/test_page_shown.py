@@ -20,6 +20,7 @@ from page_rigs.browser import (
     tables_cut,
 )
 from sample_logs import flown_table
+from serve_rigs.live_sites import live_site
 
 from twin.logs import Flight
 from twin.logs.mavlink.decoder import Sample
@@ -30,9 +31,7 @@ from twin.why.records import Event
 from twin.why.watch import Alarm
 from uavtwin.live.datagrams import Address
 from uavtwin.live.following import Following, Reading
-from uavtwin.live.page.document import document
 from uavtwin.live.page.feed import Hub, PageFeed
-from uavtwin.live.page.server import PageServer
 from uavtwin.live.replay import Replay
 from uavtwin.live.session import LiveOptions, LiveSession
 from uavtwin.live.status import missing, sentence
@@ -124,7 +123,7 @@ def shows(there: Browser, column: str, value: str) -> None:
 def test_numbers_change_pause_holds_text_is_text(opened: Browser) -> None:
     hub = Hub()
     feed = feed_of(hub)
-    with PageServer(Address("127.0.0.1", 0), hub, document(4), None) as server:
+    with live_site(hub) as server:
         opened.visit(server.url, WIDE)
         until(opened, "document.querySelector('#state').dataset.state === 'silent'")
         assert text(opened, "#alarms") == "No alarm."
@@ -162,7 +161,7 @@ def test_alarms_are_told_in_words_and_end(opened: Browser) -> None:
     hub = Hub()
     feed = feed_of(hub)
     fly(feed, 15.0)
-    with PageServer(Address("127.0.0.1", 0), hub, document(4), None) as server:
+    with live_site(hub) as server:
         opened.visit(server.url, WIDE)
         feed.alarm(WEAK, 1)
         until(opened, "document.querySelector('#alarms .alarm') !== null")
@@ -180,8 +179,8 @@ def test_alarms_are_told_in_words_and_end(opened: Browser) -> None:
 def test_it_comes_back_after_a_restart(opened: Browser) -> None:
     hub = Hub()
     fly(feed_of(hub), 1.0, -9.81)
-    server = PageServer(Address("127.0.0.1", 0), hub, document(4), None)
-    where = server.where
+    server = live_site(hub)
+    port = server.port
     try:
         opened.visit(server.url, WIDE)
         shows(opened, "acc_z", "-9.81")
@@ -191,7 +190,7 @@ def test_it_comes_back_after_a_restart(opened: Browser) -> None:
     assert text(opened, "#state").startswith("disconnected; next try in ")
     assert text(opened, "[data-now=acc_z]") == "-9.81"
     hub = Hub()
-    with PageServer(where, hub, document(4), None):
+    with live_site(hub, port=port):
         feed = feed_of(hub)
         until(opened, "document.querySelector('#state').dataset.state !== 'lost'")
         fly(feed, 2.0, -7.25)
@@ -207,7 +206,7 @@ def test_it_looks_well(opened: Browser, tmp_path: Path, view: View) -> None:
         fly(feed, 0.1 * k)
     feed.block(residuals(30.0))  # type: ignore[arg-type]
     feed.alarm(WEAK, 1)
-    with PageServer(Address("127.0.0.1", 0), hub, document(4), None) as server:
+    with live_site(hub) as server:
         opened.visit(server.url, view)
         until(opened, "document.querySelector('#alarms .alarm') !== null && window.drawAll")
         opened.run("window.drawAll()")
@@ -235,7 +234,7 @@ def test_a_real_flight_over_mavlink_is_seen(opened: Browser) -> None:
         any_port.bind(("127.0.0.1", 0))
         listen = Address("127.0.0.1", int(any_port.getsockname()[1]))
     feed = PageFeed(hub, vehicle.name, Following(0.5))
-    with PageServer(Address("127.0.0.1", 0), hub, document(4), None) as server:
+    with live_site(hub) as server:
         opened.visit(server.url, WIDE)
         session = LiveSession(vehicle, LiveOptions(listen), page=feed)
         thread = threading.Thread(target=lambda: session.run(stop.is_set, feed.known))

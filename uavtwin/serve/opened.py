@@ -1,0 +1,83 @@
+"""A site, opened: flights of a store, a live flight, or both, by the verbs `serve` and `live`."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from twin.errors import TwinError, install_command
+
+from ..site.doors import host_and_port, is_loopback
+
+if TYPE_CHECKING:
+    from ..live.page.view import LiveView
+    from ..site.server import SiteServer
+    from .schedule import Limits
+
+_OF_SITE, _OF_STORE = ("starlette", "uvicorn", "websockets"), ("duckdb",)
+"""Packages of any site, and of one with flights."""
+Add = Callable[[Path, str], str]
+"""Adds a log to the flights, by file and name."""
+
+
+def lacking(with_flights: bool) -> list[str]:
+    """Packages that a site needs and that are not installed.
+
+    Args:
+        with_flights: Whether it has a list of flights.
+    """
+    needed = (*_OF_SITE, *(_OF_STORE if with_flights else ()))
+    return [n for n in needed if find_spec(n) is None]
+
+
+@contextmanager
+def open_site(
+    where: str,
+    option: str,
+    store: Path | None,
+    limits: "Limits | None" = None,
+    live: "LiveView | None" = None,
+    token: str | None = None,
+) -> Iterator[tuple["SiteServer", Add | None]]:
+    """A site that is about to be served, and what adds a log to its flights.
+
+    Args:
+        where: HOST:PORT.
+        option: That named it.
+        store: Folder of the flights; None: the site is the page of the live flight alone.
+        limits: What a log and a job may use; None: the usual ones.
+        live: The flight that is going on.
+        token: What viewers must know; None: that of the store, else a new one, beyond this machine.
+
+    Raises:
+        TwinError: The address is none or is taken, the token is too short, the store is in use, or
+            packages are missing.
+    """
+    if missing := lacking(store is not None):
+        extra = "live" if store is None else "serve"
+        raise TwinError(f"{option} needs {', '.join(missing)}: {install_command(extra)}.")
+    from starlette.responses import RedirectResponse
+    from starlette.routing import Route
+
+    from ..site.server import FLIGHTS, LIVE, SiteServer, doors_of, listening, site_app
+
+    host, port = host_and_port(where, option)
+    routes = () if live is None else live.routes
+    with ExitStack() as opened:
+        taken = opened.enter_context(listening(host, port))
+        if store is None:
+            doors = doors_of(host, port, token)
+            first = Route(FLIGHTS, lambda _: RedirectResponse(LIVE))
+            app, add = site_app((first, *routes), doors), None
+        else:
+            from .schedule import Limits
+            from .server import Site
+            from .store import Store
+
+            flights = Store(store)
+            doors = doors_of(host, port, token or (None if is_loopback(host) else flights.token()))
+            site = Site(flights, limits or Limits(), doors, routes)
+            opened.callback(site.close)
+            app, add = site.app, site.add
+        yield opened.enter_context(SiteServer(taken, app, doors)), add
