@@ -1,9 +1,10 @@
-"""`uavtwin hil`: the twin as the simulator that an autopilot flies."""
+"""`uavtwin live --hil`: the twin as the simulator that an autopilot flies."""
 
 import math
 import signal
 import tempfile
-from contextlib import closing
+from contextlib import closing, nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -13,14 +14,9 @@ import typer
 from twin.errors import TwinError
 
 from .options import (
-    Effects,
     Exit,
-    Gusts,
     Json,
-    Prints,
-    Starts,
     VehicleName,
-    Wind,
     seconds,
     start_values,
 )
@@ -33,6 +29,10 @@ if TYPE_CHECKING:
     from ..simulation import Scenario
     from ..vehicles import Vehicle
 
+_PANEL = "With --hil"
+"""Of the help, with options that mean nothing otherwise."""
+LISTEN = "tcpin:127.0.0.1:4560"
+"""Where PX4 looks for its simulator."""
 Listen = Annotated[str, typer.Option(help="Where the autopilot connects to: tcpin:HOST:PORT.")]
 Model = Annotated[
     Path | None,
@@ -41,16 +41,44 @@ Model = Annotated[
         "sees no measurement."
     ),
 ]
-Rate = Annotated[float, typer.Option(help="HIL_SENSOR per second: 1000 over a whole number.")]
-Speed = Annotated[str, typer.Option(help="Times real time at most, or max; in lockstep alone.")]
-Patience = Annotated[float, seconds("So long an answer of the autopilot may take, s.")]
+Rate = Annotated[
+    float,
+    typer.Option(rich_help_panel=_PANEL, help="HIL_SENSOR per second: 1000 over a whole number."),
+]
+Speed = Annotated[
+    str,
+    typer.Option(
+        rich_help_panel=_PANEL, help="Times real time at most, or max; in lockstep alone."
+    ),
+]
+Patience = Annotated[
+    float, seconds("So long an answer of the autopilot may take, s.", panel=_PANEL)
+]
 Duration = Annotated[float | None, seconds("End at this simulated time, s.")]
 Place = Annotated[
     str | None,
     typer.Option(
+        rich_help_panel=_PANEL,
         help="LATITUDE,LONGITUDE,HEIGHT of the start, degrees and m over WGS 84; the magnetic "
-        "field is then that of the place. Default: 48,11,500, and the vehicle's own field."
+        "field is then that of the place. Default: 48,11,500, and the vehicle's own field.",
     ),
+]
+Wind = Annotated[
+    str, typer.Option(rich_help_panel=_PANEL, help="Velocity of the air NED, m/s: 5,0,0.")
+]
+Gusts = Annotated[bool, typer.Option("--gusts", rich_help_panel=_PANEL, help="Dryden turbulence.")]
+Seed = Annotated[int, typer.Option(min=0, rich_help_panel=_PANEL, help="Of every noise.")]
+Effects = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--effect",
+        rich_help_panel=_PANEL,
+        help="Effect to switch on; may be given several times.",
+    ),
+]
+Starts = Annotated[
+    list[str] | None,
+    typer.Option("--start", rich_help_panel=_PANEL, help="Start value PART.NAME=VALUE."),
 ]
 _YEAR = 2025.5
 """Of the magnetic field, as in vehicle files that give none."""
@@ -58,7 +86,7 @@ _YEAR = 2025.5
 
 def hil(
     vehicle: VehicleName,
-    listen: Listen = "tcpin:127.0.0.1:4560",
+    listen: Listen = LISTEN,
     model: Model = None,
     rate: Rate = 250.0,
     speed: Speed = "1",
@@ -67,14 +95,51 @@ def hil(
     place: Place = None,
     wind: Wind = "0,0,0",
     gusts: Gusts = False,
-    seed: Annotated[int, typer.Option(min=0, help="Of every noise.")] = 0,
+    seed: Seed = 0,
     effect: Effects = None,
     start: Starts = None,
-    as_json: Annotated[Json, Prints("uavtwin.hil.session:HilStatus")] = False,
+    as_json: Json = False,
 ) -> None:
-    """Let an autopilot fly the twin: PX4's simulator interface, in lockstep.
+    """Former name of `uavtwin live --hil`."""
+    shape = Shape(wind, gusts, seed, effect, start, place)
+    link = Link(listen, rate, speed, patience, duration)
+    print_hil(fly_hil(vehicle, link, shape, model), as_json)
 
-    Waits for the autopilot, and ends with its connection, with Ctrl-C, or after --duration.
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """How the autopilot is connected, as given on the command line."""
+
+    listen: str
+    rate: float
+    speed: str
+    patience: float
+    duration: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """What the autopilot flies in and on, as given on the command line."""
+
+    wind: str
+    gusts: bool
+    seed: int
+    effect: list[str] | None
+    start: list[str] | None
+    place: str | None
+
+
+def fly_hil(
+    vehicle: str, link: Link, shape: Shape, model: Path | None, demo: bool = False
+) -> "HilStatus":
+    """Let an autopilot fly the twin.
+
+    Args:
+        vehicle: Name or file.
+        link: How it is connected.
+        shape: Weather, effects, place.
+        model: Folder of what was trained.
+        demo: Whether the stand-in of `uavtwin.demo` is the autopilot.
     """
     from ..hil.session import PLACE, HilOptions
     from ..live.datagrams import address
@@ -82,30 +147,34 @@ def hil(
     from ..vehicles import load_vehicle
 
     aircraft = load_vehicle(vehicle)
-    where = PLACE if place is None else _place(place)
+    where = PLACE if shape.place is None else _place(shape.place)
     options = HilOptions(
-        address(listen, "tcpin", "--listen"),
-        rate,
-        _speed(speed),
-        patience,
-        duration,
+        address(link.listen, "tcpin", "--listen"),
+        link.rate,
+        _speed(link.speed),
+        link.patience,
+        link.duration,
         place=where,
     )
-    given = {} if place is None else _field(where)
+    given = {} if shape.place is None else _field(where)
     scenario = Scenario(
         "hil",
         aircraft,
         "lqr",
-        three_numbers(wind, "--wind"),
-        gusts,
-        seed,
-        tuple(effect or ()),
-        given | start_values(start),
+        three_numbers(shape.wind, "--wind"),
+        shape.gusts,
+        shape.seed,
+        tuple(shape.effect or ()),
+        given | start_values(shape.start),
     )
     with tempfile.TemporaryDirectory() as folder:
         STDERR.print("building the twin")
         with closing(_twin(aircraft, Path(folder), scenario, model)) as twin:
-            status = _fly(aircraft, twin, options)
+            return _fly(aircraft, twin, options, demo)
+
+
+def print_hil(status: "HilStatus", as_json: bool) -> None:
+    """Print how the flight was, and end with the exit code for it."""
     if as_json:
         print_json(status)
     else:
@@ -139,9 +208,12 @@ def _warn(text: str) -> None:
     STDERR.print(f"warning: {text}", style="yellow")
 
 
-def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions") -> "HilStatus":
+def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions", demo: bool) -> "HilStatus":
     """Fly until it ends; a line each second."""
+    from ..demo.autopilot import Pilot, flown_meanwhile
+    from ..demo.flights import WAYPOINTS
     from ..hil.session import HilSession
+    from ..live.datagrams import Address
 
     ended = False
 
@@ -150,11 +222,16 @@ def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions") -> "HilS
         nonlocal ended
         ended = True
 
+    pilot = Pilot(vehicle, WAYPOINTS) if demo else None
+    if pilot is not None and options.duration_s is None:
+        options = replace(options, duration_s=pilot.seconds)
     session: HilSession = HilSession(vehicle, twin, options)
+    simulator = Address(options.serve.host, session.link.port)
     STDERR.print(f"waiting for an autopilot at {options.serve}")
     before = {name: signal.signal(name, end) for name in (signal.SIGINT, signal.SIGTERM)}
     try:
-        return session.run(lambda: ended, lambda status: STDERR.print(status.line()))
+        with nullcontext() if pilot is None else flown_meanwhile(pilot, simulator):
+            return session.run(lambda: ended, lambda status: STDERR.print(status.line()))
     finally:
         for name, handler in before.items():
             signal.signal(name, handler)

@@ -12,6 +12,22 @@ import typer
 
 from twin.errors import TwinError, install_command
 
+from .hil import LISTEN as HIL_LISTEN
+from .hil import (
+    Effects,
+    Gusts,
+    Link,
+    Patience,
+    Place,
+    Rate,
+    Seed,
+    Shape,
+    Speed,
+    Starts,
+    Wind,
+    fly_hil,
+    print_hil,
+)
 from .options import VEHICLE_VARIABLE, Exit, Horizon, Json, Prints, seconds
 from .printing import STDERR, STDOUT, print_json
 
@@ -40,7 +56,8 @@ Demo = Annotated[
     typer.Option(
         "--demo",
         help="Without an aircraft: a simulated one is sent to --listen in real time, a rotor of "
-        "which is damaged in mid-flight; with the page.",
+        "which is damaged in mid-flight; with the page. With --hil, without an autopilot: a "
+        "controller of ours behind its messages flies.",
     ),
 ]
 Replayed = Annotated[
@@ -51,7 +68,24 @@ Replayed = Annotated[
         "sends it elsewhere, or with faults of a radio link.",
     ),
 ]
-Listen = Annotated[str, typer.Option(help="Where the aircraft sends to: udpin:HOST:PORT.")]
+_LISTEN = "udpin:127.0.0.1:14550"
+"""Where ground stations listen."""
+Listen = Annotated[
+    str | None,
+    typer.Option(
+        help=f"Where the aircraft sends to: udpin:HOST:PORT. Default: {_LISTEN}; with --hil where "
+        f"the autopilot connects to, {HIL_LISTEN}.",
+        show_default=False,
+    ),
+]
+Hil = Annotated[
+    bool,
+    typer.Option(
+        "--hil",
+        help="Let an autopilot fly the twin instead: PX4's simulator interface, in lockstep. Waits "
+        "for the autopilot, and ends with its connection, with Ctrl-C, or after --duration.",
+    ),
+]
 System = Annotated[
     int | None, typer.Option(help="System id of the aircraft. Default: the first that is heard.")
 ]
@@ -109,7 +143,7 @@ Model = Annotated[
     Path | None,
     typer.Option(
         help="Folder of a compensator of the sensors, of train: its correction and its anomaly "
-        "score each two seconds of flight."
+        "score each two seconds of flight. With --hil also a learned force; it acts on the twin."
     ),
 ]
 Alarms = Annotated[
@@ -135,12 +169,19 @@ class Shown:
     store: Path | None
 
 
+_BOTH = {"vehicle", "model", "demo", "hil", "listen", "duration", "as_json"}
+"""Parameters with and without `--hil`."""
+_OF_HIL = {"rate", "speed", "patience", "place", "wind", "gusts", "seed", "effect", "start"}
+"""Parameters with `--hil` alone."""
+
+
 def live(
+    given: typer.Context,
     vehicle: Vehicle = None,
     model: Model = None,
     demo: Demo = False,
     replay: Replayed = None,
-    listen: Listen = "udpin:127.0.0.1:14550",
+    listen: Listen = None,
     system: System = None,
     out: Record = None,
     duration: Duration = None,
@@ -155,7 +196,24 @@ def live(
     token: Token = None,
     store: Flights = None,
     alarms: Alarms = True,
-    as_json: Annotated[Json, Prints("uavtwin.live.status:LiveStatus")] = False,
+    hil: Hil = False,
+    rate: Rate = 250.0,
+    speed: Speed = "1",
+    patience: Patience = 10.0,
+    place: Place = None,
+    wind: Wind = "0,0,0",
+    gusts: Gusts = False,
+    seed: Seed = 0,
+    effect: Effects = None,
+    start: Starts = None,
+    as_json: Annotated[
+        Json,
+        Prints(
+            "uavtwin.live.status:LiveStatus",
+            "uavtwin.hil.session:HilStatus",
+            about="The second table is that of `--hil`.",
+        ),
+    ] = False,
 ) -> None:
     """Listen to a flying aircraft, fly the twin alongside, report and record where they differ.
 
@@ -165,12 +223,18 @@ def live(
     from ..live.datagrams import address
     from ..live.session import LiveOptions
 
+    _check_mode(given, hil)
     if vehicle is None and not demo:
         raise TwinError("--vehicle: which aircraft is it? Give its vehicle file, or --demo.")
     if replay is not None and demo:
         raise TwinError(f"--replay {replay}: --demo simulates a flight instead. Choose one.")
+    if hil:
+        link = Link(listen or HIL_LISTEN, rate, speed, patience, duration)
+        shape = Shape(wind, gusts, seed, effect, start, place)
+        print_hil(fly_hil(vehicle or _DEMO_VEHICLE, link, shape, model, demo), as_json)
+        return
     options = LiveOptions(
-        address(listen, "udpin", "--listen"),
+        address(listen or _LISTEN, "udpin", "--listen"),
         system,
         out,
         horizon,
@@ -194,6 +258,17 @@ def live(
         _print_truth(status)
     if status.link.system is None or status.waits_for or status.errors:
         raise typer.Exit(Exit.FINDINGS)
+
+
+def _check_mode(given: typer.Context, hil: bool) -> None:
+    """Refuse options of the other mode."""
+    for parameter in given.command.params:
+        name = parameter.name or ""
+        wrong = name not in (_BOTH | _OF_HIL) if hil else name in _OF_HIL
+        source = given.get_parameter_source(name)
+        if wrong and source is not None and source.name == "COMMANDLINE":
+            text = "listens to an aircraft; leave it out" if hil else "is for --hil; add that"
+            raise TwinError(f"live {'--hil ' * hil}{parameter.opts[0]}: {text}.")
 
 
 def _usual_page(with_flights: bool) -> str | None:
@@ -294,7 +369,7 @@ def _compensator(folder: Path, vehicle: "OwnVehicle") -> "Iterator[RunningCompen
     if is_force(folder):
         raise TwinError(
             f"--model {folder}: a learned force acts inside the equations and says nothing of "
-            f"readings; give a compensator of the sensors. uavtwin hil flies a learned force."
+            f"readings; give a compensator of the sensors. `live --hil` flies a learned force."
         )
     with compiled_compensator(folder) as compiled:
         check_compensator(compiled.network, vehicle)

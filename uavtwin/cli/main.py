@@ -67,15 +67,15 @@ PANELS = {
     "Your flights": (check, why, gap, explain, convert),
     "Your aircraft": (vehicle, calibrate, show),
     "Simulate and export": (simulate, sweep, export),
-    "Fleet and live": (serve, fleet, live, replay, hil),
+    "Fleet and live": (serve, fleet, live, replay),
     "Learn": (train, evaluate),
     "Try and measure": (demo, bench),
 }
 """The verbs in the order of the help, by what somebody has at hand. A verb is a function in a file
 of its name, or a Typer application of further verbs, and a name here."""
-HIDDEN = (query, version)
-"""What the help does not list: the former name of `fleet --sql`, kept for one release, and what
-`--version` prints."""
+HIDDEN = (query, hil, version)
+"""What the help does not list: the former names of `fleet --sql` and `live --hil`, kept for one
+release, and what `--version` prints."""
 
 VERBS = tuple(
     verb

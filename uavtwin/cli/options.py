@@ -62,7 +62,7 @@ def quantity(text: str, unit: str, bare: bool = True) -> float:
     return float(f"{float(number) * scale:.15g}")
 
 
-def of_unit(unit: str, metavar: str, *names: str, help: str) -> Any:
+def of_unit(unit: str, metavar: str, *names: str, help: str, panel: str | None = None) -> Any:
     """An option whose value is a number in a unit, or in another unit of its kind.
 
     Args:
@@ -70,17 +70,18 @@ def of_unit(unit: str, metavar: str, *names: str, help: str) -> Any:
         metavar: What stands for the value in the help.
         names: Of the option; none: that of the parameter.
         help: What it is.
+        panel: Of the help; None: that of all options.
     """
 
     def parser(text: Any) -> float:
         return quantity(text, unit) if isinstance(text, str) else float(text)
 
-    return typer.Option(*names, help=help, parser=parser, metavar=metavar)
+    return typer.Option(*names, help=help, parser=parser, metavar=metavar, rich_help_panel=panel)
 
 
-def seconds(help: str, *names: str) -> Any:
+def seconds(help: str, *names: str, panel: str | None = None) -> Any:
     """An option in seconds: 90, 90s, 1.5min, 20ms."""
-    return of_unit("s", "SECONDS", *names, help=help)
+    return of_unit("s", "SECONDS", *names, help=help, panel=panel)
 
 
 def named_numbers(

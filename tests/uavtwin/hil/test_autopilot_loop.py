@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from autopilot import HOP, PERIOD_US, Pilot, StandIn, motion_of, ned_of_geodetic
 from numpy.typing import NDArray
 
 from twin.errors import TwinError
@@ -18,6 +17,7 @@ from twin.logs.mavlink.frames import Message, parser
 from twin.vehicle import Vehicle
 from twin.vehicle.earth import geodetic_of_ned
 from twin.vehicle_file import load_vehicle
+from uavtwin.demo.autopilot import HOP, PERIOD_US, Pilot, StandIn, motion_of, ned_of_geodetic
 from uavtwin.hil.flying import FlyingTwin, TwinState, flying_twin_of
 from uavtwin.hil.session import PLACE, HilOptions, HilSession
 from uavtwin.live.datagrams import Address

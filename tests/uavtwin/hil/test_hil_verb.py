@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from autopilot import HOP, Pilot, StandIn
 from cli_rig import run
 
 from twin.logs.mavlink.encode import Controls, heartbeat
 from twin.logs.mavlink.frames import parser
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
+from uavtwin.demo.autopilot import HOP, Pilot, StandIn
+from uavtwin.demo.flights import WAYPOINTS
 from uavtwin.hil.flying import FlyingTwin, flying_twin_of
 from uavtwin.hil.session import HilOptions, HilSession, HilStatus
 from uavtwin.live.datagrams import Address
@@ -230,18 +231,42 @@ def test_nobody_connects(copter: Vehicle, twin: FlyingTwin) -> None:
         (("--place", "91,0,0"), "LATITUDE,LONGITUDE,HEIGHT"),
         (("--effect", "magic"), "effect"),
         (("--model", "/nowhere/at/all"), "/nowhere/at/all"),
+        (("--publish", "udpout:127.0.0.1:9"), "--hil --publish: listens to an aircraft"),
     ],
 )
 def test_hil_used_wrongly(
     arguments: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, _, err = run(capsys, "hil", "--vehicle", "copter_default", *arguments)
+    code, _, err = run(capsys, "live", "--hil", "--vehicle", "copter_default", *arguments)
     assert code == 2 and said in err.replace("\n", " ")
+
+
+def test_what_is_for_an_autopilot_needs_hil(capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = run(capsys, "live", "--vehicle", "copter_default", "--rate", "250")
+    assert code == 2 and "live --rate: is for --hil" in err
+
+
+@pytest.mark.slow
+def test_a_demonstration_needs_neither_vehicle_nor_autopilot(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The stand-in flies every leg of its course and lands where it began."""
+    with socket.socket() as any_port:
+        any_port.bind(("127.0.0.1", 0))
+        listen = f"tcpin:127.0.0.1:{any_port.getsockname()[1]}"
+    code, out, _ = run(
+        capsys, *("live", "--hil", "--demo", "--listen", listen, "--speed", "max", "--json")
+    )
+    status = json.loads(out)
+    seconds = sum(leg[1] for leg in WAYPOINTS)
+    assert code == 0 and status["lockstep"] and status["flight_s"] == seconds
+    assert status["position_n"] == pytest.approx(WAYPOINTS[-1][2], abs=0.3)
+    assert status["clipped"] == status["unknown"] == 0
 
 
 @pytest.mark.slow
 def test_the_verb_flies_an_autopilot(copter: Vehicle, capsys: pytest.CaptureFixture[str]) -> None:
-    """By command line, at a place, in wind; the flight ends with the autopilot's waypoints."""
+    """By its former name, at a place, in wind; the flight ends with the autopilot's waypoints."""
     with socket.socket() as any_port:
         any_port.bind(("127.0.0.1", 0))
         port = any_port.getsockname()[1]

@@ -1,4 +1,5 @@
-"""A stand-in for PX4 at the simulator's socket: our controller behind real MAVLink messages.
+"""What `uavtwin live --hil --demo` is flown by: a stand-in for PX4, our controller behind real
+MAVLink messages.
 
 It reads the true motion of HIL_STATE_QUATERNION, as an estimator without errors would, and answers
 each HIL_SENSOR with HIL_ACTUATOR_CONTROLS of its time, as PX4 does in lockstep.
@@ -6,7 +7,9 @@ each HIL_SENSOR with HIL_ACTUATOR_CONTROLS of its time, as PX4 does in lockstep.
 
 import math
 import socket
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,19 +24,21 @@ from twin.logs.mavlink.encode import Controls, heartbeat, hil_controls
 from twin.logs.mavlink.frames import Message, dialect, parser
 from twin.vehicle import Vehicle
 from twin.vehicle.earth import A_M, F
-from uavtwin.demo.flights import Waypoints, setpoints_along
-from uavtwin.hil.session import PLACE
-from uavtwin.live.datagrams import Address
+
+from ..hil.session import PLACE
+from ..live.datagrams import Address
+from .flights import Waypoints, setpoints_along
 
 Array = NDArray[np.float64]
 PERIOD_US = 4000
+"""Between two HIL_SENSOR, microseconds."""
 HOP: Waypoints = (
     ("ground", 0.5, (0.0, 0.0, 0.0)),
     ("takeoff", 2.0, (0.0, 0.0, -1.5)),
     ("forward", 3.0, (2.0, 1.0, -2.0)),
     ("hover", 1.5, (2.0, 1.0, -2.0)),
 )
-"""Seven seconds."""
+"""Phase, duration, s, and place reached, m NED, of a short flight: seven seconds."""
 
 
 def ned_of_geodetic(place: Sequence[float], origin: Sequence[float] = PLACE) -> Array:
@@ -55,7 +60,13 @@ def ned_of_geodetic(place: Sequence[float], origin: Sequence[float] = PLACE) -> 
 
 @dataclass
 class Pilot:
-    """Our controller along waypoints, once per HIL_SENSOR."""
+    """Our controller along waypoints, once per HIL_SENSOR.
+
+    Attributes:
+        vehicle: That it is designed for.
+        waypoints: It flies along.
+        asked: Its commands so far, shape (motors,) each, 0..1.
+    """
 
     vehicle: Vehicle
     waypoints: Waypoints = HOP
@@ -69,6 +80,7 @@ class Pilot:
 
     @property
     def seconds(self) -> float:
+        """Length of its flight, s."""
         return STEP_S * len(self._setpoints)
 
     def controls(self, t_us: int, motion: dict[str, float]) -> Controls:
@@ -83,22 +95,22 @@ class Pilot:
 
 
 def motion_of(state: Message) -> dict[str, float]:
-    """The motion that HIL_STATE_QUATERNION tells."""
+    """The motion in a HIL_STATE_QUATERNION, by column, SI, NED, FRD."""
     place = math.radians(1e-7 * state.lat), math.radians(1e-7 * state.lon), 1e-3 * state.alt
     vectors: dict[str, Sequence[float]] = {
         "pos": ned_of_geodetic(place).tolist(),
         "vel": [1e-2 * v for v in (state.vx, state.vy, state.vz)],
         "omega": (state.rollspeed, state.pitchspeed, state.yawspeed),
     }
-    told = {
+    named = {
         f"{n}_{a}": v for n, values in vectors.items() for a, v in zip(AXES, values, strict=True)
     }
-    return told | dict(zip(("q_w", "q_x", "q_y", "q_z"), state.attitude_quaternion, strict=True))
+    return named | dict(zip(("q_w", "q_x", "q_y", "q_z"), state.attitude_quaternion, strict=True))
 
 
 @dataclass
 class StandIn:
-    """An autopilot that connects, flies, and notes what it was told.
+    """An autopilot that connects, flies, and notes what it received.
 
     Attributes:
         pilot: Who flies.
@@ -138,3 +150,23 @@ class StandIn:
                 answer = self.answers(self.pilot.controls(message.time_usec, motion))
                 if answer is not None:
                     send(hil_controls(answer))
+
+
+@contextmanager
+def flown_meanwhile(pilot: Pilot, simulator: Address) -> Iterator[None]:
+    """Connect to a simulator and fly it, in the background, until it hangs up.
+
+    Args:
+        pilot: Who flies.
+        simulator: Where it listens.
+    """
+
+    def fly() -> None:
+        """In a thread of its own; that the simulator hangs up is the end, no error."""
+        with suppress(OSError):
+            StandIn(pilot).fly(simulator)
+
+    thread = threading.Thread(target=fly, name="demo autopilot", daemon=True)
+    thread.start()
+    yield
+    thread.join()
