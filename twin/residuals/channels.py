@@ -14,9 +14,10 @@ The rotor states, which no sensor measures, are integrated from the commands. Th
 state are themselves those of the gyroscope: it is compared by its rate of change.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import casadi as ca
 import numpy as np
@@ -244,33 +245,52 @@ def on_grid(signal: AnySignal, t_s: Array) -> Array:
     return signal.at(t_s)
 
 
-def shifted(values: Array, later_s: float, rate_hz: float = GRID_HZ) -> Array:
-    """Values on a grid later by a while, by cubic splines, unknown ones bridged.
+class GridSpline:
+    """Values on a grid as cubic splines, unknown ones bridged, to be had later or earlier.
 
     Straight lines between grid points would take a tenth of what moves at a tenth of the grid's
     rate, where they are shifted by half a step, and feign that an age between two samples fits
     noise better than any other.
-
-    Args:
-        values: (N, channels); what is not a number is unknown.
-        later_s: How much later, s; negative for earlier.
-        rate_hz: Of the grid.
-
-    Returns:
-        (N, channels); a channel of which nothing is known stays unknown.
     """
-    steps = -later_s * rate_hz
-    whole = int(np.floor(steps))
-    room = abs(whole) + PADDED
-    bridged, known = _bridged(values)
-    padded = np.pad(bridged, [(room, room), (0, 0)], mode="edge")
-    weights = spline_filter1d(padded, order=3, axis=0, mode="nearest")
-    moved = np.zeros_like(bridged)
-    for k, share in enumerate(_cubic(steps - whole)):
-        first = room + whole - 1 + k
-        moved += share * weights[first : first + len(values)]
-    moved[:, ~known] = np.nan
-    return moved
+
+    def __init__(self, values: Array, rate_hz: float = GRID_HZ) -> None:
+        """Take values.
+
+        Args:
+            values: (N, channels); what is not a number is unknown.
+            rate_hz: Of the grid.
+        """
+        self._bridged, self._known = _bridged(values)
+        self._rate_hz = rate_hz
+
+    @cached_property
+    def _weights(self) -> Array:
+        padded = np.pad(self._bridged, [(PADDED, PADDED), (0, 0)], mode="edge")
+        return np.asarray(spline_filter1d(padded, order=3, axis=0, mode="nearest"))
+
+    def later(self, later_s: float) -> Array:
+        """The values later by a while, (N, channels), the ends held; a channel of which nothing is
+        known stays unknown.
+
+        Args:
+            later_s: How much later, s; negative for earlier.
+        """
+        steps = -later_s * self._rate_hz
+        whole = math.floor(steps)
+        rows = np.arange(len(self._bridged)) + whole
+        if steps == whole:
+            moved = self._bridged.take(rows, axis=0, mode="clip")
+        else:
+            moved = np.zeros_like(self._bridged)
+            for k, share in enumerate(_cubic(steps - whole), PADDED - 1):
+                moved += share * self._weights.take(rows + k, axis=0, mode="clip")
+        moved[:, ~self._known] = np.nan
+        return moved
+
+
+def shifted(values: Array, later_s: float, rate_hz: float = GRID_HZ) -> Array:
+    """Values on a grid later by a while, for a single use; as of `GridSpline`."""
+    return GridSpline(values, rate_hz).later(later_s)
 
 
 def _bridged(values: Array) -> tuple[Array, NDArray[np.bool_]]:

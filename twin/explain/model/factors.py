@@ -32,6 +32,7 @@ from ...residuals.channels import (
     OF_IMU,
     OF_POSE,
     POSE_BAND_HZ,
+    GridSpline,
     Measured,
     imu_readings,
     measured,
@@ -356,11 +357,12 @@ def pose_factors(context: FlightContext, force: Array) -> list[SensorFactor]:
         groups.append((accelerometer, acc, slice(0, 3), at_samples))
     groups.append((gyroscope, gyro, slice(3, 6), partial(_turned_at_samples, t, motion.attitude)))
 
+    turned, pulls = GridSpline(q_nb), None if pull is None else GridSpline(pull)
+
     def older(position_s: float, attitude_s: float) -> Array:
         """Rows with position and attitude from so many seconds later."""
-        assert motion.attitude is not None and pull is not None
-        q = shifted(q_nb, -attitude_s)
-        pulled = in_body(q, shifted(pull, -position_s))
+        assert pulls is not None
+        pulled = in_body(turned.later(-attitude_s), pulls.later(-position_s))
         return rows_of(sensor, implied | named("specific_force", pulled), len(t))
 
     rows, at = rows_of(sensor, implied, len(t)), rows_of(sensor, read, len(t))

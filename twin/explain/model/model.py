@@ -16,7 +16,7 @@ The last two stand in where not every flight has an accelerometer, or a gyroscop
 
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ from ...residuals.channels import (
     GRID_HZ,
     OF_IMU,
     ChannelData,
+    GridSpline,
     mean_over_step,
     on_grid,
     shifted,
@@ -305,25 +306,27 @@ class FlightModel:
     ) -> tuple[Array, Array]:
         """Ages, an averaged pose, a turned heading: they shift, bend or turn what is predicted."""
         factor = self.factors[k]
-        rate = np.gradient(at, 1 / GRID_HZ, axis=0)
-        turned = None if factor.turning is None else self._turned(at)
-        for i, n in enumerate(self.numbers):
-            if theta[i] and set(n.averages) & factor.averaged:
-                predicted = predicted + theta[i] * self._by_average(k, i, at)
-            if n.full in factor.late and theta[i]:
+        rate = cache(partial(np.gradient, at, 1 / GRID_HZ, axis=0))
+        turned = cache(partial(self._turned, at))
+        by_average = cache(partial(self._by_average, k, at=at))
+        for i in np.flatnonzero(theta).tolist():
+            n = self.numbers[i]
+            if set(n.averages) & factor.averaged:
+                predicted = predicted + theta[i] * by_average(i)
+            if n.full in factor.late:
                 predicted = shifted(predicted, factor.late[n.full] * theta[i])
-            if n.turns_pose and theta[i] and turned is not None:
-                predicted = predicted + theta[i] * turned
+            if n.turns_pose and factor.turning is not None:
+                predicted = predicted + theta[i] * turned()
         for column, i in enumerate(columns):
             n = self.numbers[i]
             if set(n.averages) & factor.averaged:
-                answer[:, :, column] = self._by_average(k, i, at)
+                answer[:, :, column] = by_average(i)
             elif n.full in factor.late:
-                answer[:, :, column] = -factor.late[n.full] * rate
+                answer[:, :, column] = -factor.late[n.full] * rate()
             elif factor.turning is not None and n.turns_pose:
-                answer[:, :, column] = turned
+                answer[:, :, column] = turned()
             elif factor.older is not None and set(n.moves) & {*PLACE, *TURN}:
-                answer[:, :, column] = self._by_age(k, i, theta, rate, at)
+                answer[:, :, column] = self._by_age(k, i, theta, rate(), at)
         return predicted, answer
 
     def _by_age(self, k: int, i: int, theta: Array, rate: Array, at: Array) -> Array:
@@ -360,7 +363,8 @@ class FlightModel:
             force_n = np.stack(to_ned(q, list(at.T)), axis=-1)
             answer -= 0.5 * np.stack(to_body(q, list(_bend(force_n).T)), axis=-1)
         if signals & {*TURN}:
-            ahead, back = (shifted(factor.turning, s) for s in (-BEND_S, BEND_S))
+            spline = GridSpline(factor.turning)
+            ahead, back = spline.later(-BEND_S), spline.later(BEND_S)
             answer += 0.5 * np.cross((ahead - back) / (2 * BEND_S), at)
         return answer
 
@@ -404,7 +408,8 @@ def _sampled(sampled: Callable[[Array], Array], more: Array, slopes: Array) -> t
 
 def _bend(values: Array) -> Array:
     """Second derivative in time of values on the grid, by differences over `BEND_S`."""
-    return np.asarray((shifted(values, -BEND_S) - 2 * values + shifted(values, BEND_S)) / BEND_S**2)
+    spline = GridSpline(values)
+    return np.asarray((spline.later(-BEND_S) - 2 * values + spline.later(BEND_S)) / BEND_S**2)
 
 
 # -- flights of one vehicle ----------------------------------------------------------------

@@ -26,14 +26,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...component import Component
-from ...component.along import BUILDING, EachRow
+from ...component.along import BUILDING
 from ...component.rows import OverRows
 from ...effects import EFFECTS, acting_late
 from ...frames import to_ned
 from ...logs import Flight
 from ...logs.columns import ACC
 from ...residuals.aligned import AlignedFlight, align_flight
-from ...residuals.channels import GRID_HZ, gyro_rate, on_grid, prompt_imu, shifted
+from ...residuals.channels import (
+    GRID_HZ,
+    GridSpline,
+    gyro_rate,
+    on_grid,
+    prompt_imu,
+    shifted,
+)
 from ...residuals.measured import Signal
 from ...residuals.teacher_forced import (
     RIGID,
@@ -49,6 +56,10 @@ from .numbers import DRIVES, PLACE, TURN, Number, age_of, lateness_of, values_of
 Array = NDArray[np.float64]
 
 Mask = NDArray[np.bool_]
+Key = TypeVar("Key")
+Made = TypeVar("Made")
+FUNCTIONS = 64
+"""Functions of one batch that are kept: a search asks for some sets of effects again and again."""
 
 
 def states_reached(component: Component, index: Sequence[int]) -> dict[str, frozenset[int]]:
@@ -132,14 +143,15 @@ class EffectStates:
         return full
 
 
-Over = type[OverRows] | type[EachRow]
-
-
 class Batch:
-    """A function of measured rows and of numbers, with its derivatives by the numbers."""
+    """A function of measured rows and of numbers, with its derivatives by the numbers.
+
+    Most numbers are at rest, most of these 0 or 1: with those in place as constants, two thirds of
+    the instructions vanish.
+    """
 
     def __init__(
-        self, rows: Sequence[ca.SX], theta: ca.SX, readings: ca.SX, over: Over = OverRows
+        self, rows: Sequence[ca.SX], theta: ca.SX, readings: ca.SX, numbers: Sequence[Number]
     ) -> None:
         """Take the expressions.
 
@@ -147,31 +159,23 @@ class Batch:
             rows: Symbols of what differs from row to row.
             theta: Symbols of the numbers.
             readings: Of both.
-            over: What evaluates them: `OverRows` many rows at a time, `EachRow` some hundred.
+            numbers: What `theta` is of.
         """
         self._rows, self._theta, self._readings = list(rows), theta, readings
-        value = ca.Function("value", [*rows, theta], [ca.cse(ca.densify(readings))])
-        self._over, self._value = over, over(value, len(rows))
-        self._slopes: dict[tuple[int, ...], OverRows | EachRow] = {}
-        self._tangent: OverRows | EachRow | None = None
+        self._rest = values_of(numbers, {})
+        self._answering = self.reached().any(axis=0)
+        self._made: dict[tuple[tuple[int, ...] | None, bytes], OverRows] = {}
 
     def value(self, theta: Array, *rows: Array) -> Array:
         """Predicted readings, shape (n, c), of rows of shape (n, ...)."""
-        return self._value(*rows, theta)
+        return self._function(None, theta)(*rows, theta)
 
     def slopes(self, columns: Sequence[int], theta: Array, *rows: Array) -> Array:
         """Derivatives of the readings by some numbers, shape (n, c, len(columns))."""
         shape = (len(columns), int(self._readings.shape[0]))
         if not columns:
             return np.zeros((len(rows[0]), shape[1], 0))
-        key = tuple(columns)
-        if key not in self._slopes:
-            with BUILDING:
-                slopes = ca.jacobian(self._readings, self._theta)[:, list(columns)]
-                expression = ca.cse(ca.vec(ca.densify(slopes)))
-                function = ca.Function("slopes", [*self._rows, self._theta], [expression])
-                self._slopes[key] = self._over(function, len(self._rows))
-        flat = self._slopes[key](*rows, theta)
+        flat = self._function(tuple(columns), theta)(*rows, theta)
         return flat.T.reshape(*shape, len(flat)).transpose(2, 1, 0)
 
     def reached(self) -> NDArray[np.bool_]:
@@ -180,15 +184,25 @@ class Batch:
         sparsity = ca.DM(function.jac_sparsity(0, len(self._rows)), 1)
         return np.asarray(np.asarray(sparsity, dtype=np.float64) != 0)
 
-    def tangent(self, theta: Array, change: Array, *rows: Array) -> Array:
-        """Change of the readings, shape (n, c), by one of the first rows, shape (n, ...)."""
-        if self._tangent is None:
-            with BUILDING:
-                way = ca.SX.sym("way", self._rows[0].shape[0])
-                moved = ca.cse(ca.densify(ca.jtimes(self._readings, self._rows[0], way)))
-                function = ca.Function("tangent", [way, *self._rows, self._theta], [moved])
-                self._tangent = self._over(function, 1 + len(self._rows))
-        return self._tangent(change, *rows, theta)
+    def _function(self, columns: tuple[int, ...] | None, theta: Array) -> OverRows:
+        """The readings, or their derivatives by some columns, where these numbers are not at rest
+        and all others are."""
+        moved = self._answering & (theta != self._rest)
+        return remembered(
+            self._made, (columns, moved.tobytes()), partial(self._make, columns, moved), FUNCTIONS
+        )
+
+    def _make(self, columns: tuple[int, ...] | None, moved: Mask) -> OverRows:
+        with BUILDING:
+            made = self._readings
+            if columns is not None:
+                made = ca.vec(ca.jacobian(made, self._theta)[:, list(columns)])
+            theta = ca.SX(self._rest)
+            for i in np.flatnonzero(moved).tolist():
+                theta[i] = self._theta[i]
+            made = ca.cse(ca.densify(ca.substitute(made, self._theta, theta)))
+            function = ca.Function("made", [*self._rows, self._theta], [made])
+            return OverRows(function, len(self._rows))
 
 
 class Physics:
@@ -208,7 +222,6 @@ class Physics:
         vehicle: Vehicle,
         effects: Sequence[str],
         numbers: Sequence[Number],
-        over: Over = OverRows,
     ) -> None:
         """Take the equations.
 
@@ -217,9 +230,8 @@ class Physics:
             vehicle: The model as it stands.
             effects: Effects to switch on.
             numbers: All of them; those of other components are not felt.
-            over: As of `Batch`.
         """
-        self.airframe = body
+        self.airframe, self._numbers = body, list(numbers)
         given = {e.name for e in acting_late()}  # what arrives late is in the inputs
         hidden = [
             i
@@ -243,7 +255,7 @@ class Physics:
         rate = gyro_rate(sensor, sensed, shown)
         self._imu_inputs: Batch | None = None
         if self._states.index:
-            self._imu_inputs = Batch([x, u], theta, imu_inputs, over)
+            self._imu_inputs = Batch([x, u], theta, imu_inputs, numbers)
             place = ca.SX(sensor.initial(sensed, p))
             flow = sensor.derivatives(self._states.filled(place, z), sensed, p)[self._states.index]
             rate += ca.jtimes(shown[3:], z, flow)
@@ -256,7 +268,7 @@ class Physics:
         turned = ca.substitute(rate, sensed, imu_inputs)
         self._as_measured = [x, u, turning], theta, ca.vertcat(sensed_force, turned)
         rows = [x, u, z] if self._states.index else [x, u]
-        self._batch = Batch(rows, theta, ca.substitute(readings, sensed, imu_inputs), over)
+        self._batch = Batch(rows, theta, ca.substitute(readings, sensed, imu_inputs), numbers)
         moved = [f"{s}_{a}" for s in ("specific_force", "angular_acceleration") for a in "xyz"]
         self._moved = [x, u], theta, ca.vertcat(*[outputs[n] for n in moved])
 
@@ -264,7 +276,7 @@ class Physics:
     def bare(self) -> Batch:
         """Airframe alone: `(states, inputs, numbers) -> specific force where the vehicle file has
         the centre of mass, angular acceleration`."""
-        return Batch(*self._moved)
+        return Batch(*self._moved, self._numbers)
 
     @cached_property
     def as_measured(self) -> Batch | None:
@@ -275,7 +287,7 @@ class Physics:
         Away from the centre of mass it feels angular acceleration: one that the model predicts
         would tell of inertia as the loop has it, past all instruments.
         """
-        return None if self._states.index else Batch(*self._as_measured)
+        return None if self._states.index else Batch(*self._as_measured, self._numbers)
 
     def value(self, theta: Array, states: Array, inputs: Array) -> Array:
         """Predicted readings, shape (n, 6), of all rows of a flight."""
@@ -289,11 +301,6 @@ class Physics:
     def answering(self) -> NDArray[np.bool_]:
         """Whether each reading answers to each number, the states given, shape (6, k)."""
         return self._batch.reached()
-
-    def tangent(self, theta: Array, change: Array, states: Array, inputs: Array) -> Array:
-        """Change of the readings, shape (n, 6), by a change of the states, shape (n, n_x)."""
-        along = self._along(theta, states, inputs)
-        return self._batch.tangent(theta, change, states, inputs, *along)
 
     def _along(self, theta: Array, states: Array, inputs: Array) -> tuple[Array, ...]:
         """States of effects in the IMU."""
@@ -310,7 +317,6 @@ class SensorBatch:
         sensor: Component,
         effects: Sequence[str],
         numbers: Sequence[Number],
-        over: Over = OverRows,
     ) -> None:
         """Take the equations.
 
@@ -318,7 +324,6 @@ class SensorBatch:
             sensor: Built with the effects.
             effects: Effects to switch on.
             numbers: All of them; those of other components are not felt.
-            over: As of `Batch`.
         """
         self._states, self._numbers = EffectStates(sensor, effects, numbers), list(numbers)
         names = [n.full for n in numbers]
@@ -327,7 +332,7 @@ class SensorBatch:
         z = ca.SX.sym("z", len(self._states.index))
         shown = _shown(self._states, sensed, z, _parameters(sensor, effects, names, theta, {}))
         rows = [sensed, z] if self._states.index else [sensed]
-        self._batch = Batch(rows, theta, shown, over)
+        self._batch = Batch(rows, theta, shown, numbers)
 
     def answering(self) -> NDArray[np.bool_]:
         """Whether each reading answers to each number, shape (c, k)."""
@@ -374,8 +379,6 @@ def _parameters(
 # -- along a flight --------------------------------------------------------------------------
 
 
-Key = TypeVar("Key")
-Made = TypeVar("Made")
 REMEMBERED = 16
 """Courses of states that are not measured, and what they follow, by the numbers."""
 
@@ -405,6 +408,7 @@ class Trajectory:
         on = with_effects(vehicle, self._stateful, {})
         self.aligned = align_flight(flight, on, 1 / GRID_HZ, effects)
         self._now = values_of(numbers, {})
+        self._splines: dict[tuple[str, ...], GridSpline] = {}
         self._forces: dict[tuple[str, bytes], tuple[Array, Array]] = {}
         self._courses: dict[tuple[str, bytes, tuple[float, ...]], Any] = {}
         self._integrated: dict[tuple[tuple[str, float], ...], AlignedFlight] = {}
@@ -458,8 +462,14 @@ class Trajectory:
                 names = [s.name for s in self.aligned.airframe.states]
                 own = [i for i, name in enumerate(names) if name.startswith(stems)]
                 states = states.copy()
-                states[:, own] = shifted(states[:, own], -age)
+                states[:, own] = self._spline(stems, self.aligned.states[:, own]).later(-age)
         return states
+
+    def _spline(self, stems: tuple[str, ...], values: Array) -> GridSpline:
+        """Of measured states or inputs, which no number changes."""
+        if stems not in self._splines:
+            self._splines[stems] = GridSpline(values)
+        return self._splines[stems]
 
     def _integrated_with(self, values: Mapping[str, float]) -> AlignedFlight:
         """The flight on its grid, unmeasured states integrated with effects that move them."""
@@ -541,7 +551,7 @@ class Trajectory:
         ]
         states, inputs = states.copy(), inputs.copy()
         states[:, rotors] = shifted(states[:, rotors], delay_s)
-        inputs[:, drives] = shifted(inputs[:, drives], delay_s)
+        inputs[:, drives] = self._spline(own, self.aligned.inputs.u[:, drives]).later(delay_s)
         return states, inputs
 
 
