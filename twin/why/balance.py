@@ -27,9 +27,11 @@ from ..explain.balance import (
     balance_of,
 )
 from .findings import Findings
-from .flight import Array, FlightFrame
+from .flight import LEAST_COMMAND, Array, FlightFrame
 from .records import Amount, Candidate, Event, NotVisible, Severity
 
+Calm = NDArray[np.bool_]
+"""Whether a flight is calm at a place of its grid."""
 THRUST_BY_LEVEL = 2.0
 """Relative thrust per relative motor level, command times voltage: thrust goes with the square of
 the speed, speed with the voltage at the motor."""
@@ -61,18 +63,19 @@ class Levels:
     vibration: float
 
 
-def levels_of(flight: FlightFrame, calm: NDArray[np.bool_]) -> Levels | None:
-    """Levels of a flight; None without commands, places of the rotors, or calm flight."""
-    if flight.drive is None or flight.layout is None or calm.sum() * flight.dt_s < LEAST_S:
+def levels_of(flight: FlightFrame, calm: Calm) -> Levels | None:
+    """Levels of a flight; None without commands or calm flight."""
+    if flight.drive is None or calm.sum() * flight.dt_s < LEAST_S:
         return None
-    level = np.log(np.clip(flight.grid[flight.drive][calm], 0.02, None)).mean(axis=0)
+    command = np.clip(flight.grid[flight.drive][calm], LEAST_COMMAND, None)
+    level = np.log(command).mean(axis=0)
     volts = flight.drive == "command" and "vbat" in flight.grid
     if volts:
         level = level + np.log(np.maximum(flight.grid["vbat"][calm, 0], 1e-3)).mean()
     return Levels(level, volts or flight.drive != "command", _shaking(flight, calm))
 
 
-def _shaking(flight: FlightFrame, calm: NDArray[np.bool_]) -> float:
+def _shaking(flight: FlightFrame, calm: Calm) -> float:
     """Log of the rms of the acceleration above the motion of the body, over all axes."""
     rate = flight.rate_hz("acc")
     if rate < SHAKEN_LEAST_HZ:
@@ -86,8 +89,21 @@ def _shaking(flight: FlightFrame, calm: NDArray[np.bool_]) -> float:
     return 0.5 * float(np.log(max(power, 1e-12)))
 
 
-def changed(flight: FlightFrame, now: Levels, normal: Sequence[Levels]) -> Findings:
-    """What has changed since normal flights."""
+def changed(
+    flight: FlightFrame, calm: Calm, normal_flights: Sequence[tuple[FlightFrame, Calm]]
+) -> Findings | None:
+    """What has changed since normal flights; None: none of them has its rotors and calm flight.
+
+    Args:
+        flight: Whose rotors are known.
+        calm: Where it flies under control, high above the ground.
+        normal_flights: Each with where it does.
+    """
+    now = levels_of(flight, calm)
+    levels = (levels_of(*each) for each in normal_flights)
+    normal = [x for x in levels if x and now and len(x.motors) == len(now.motors)]
+    if now is None or not normal:
+        return None
     return findings_of(compared(flight, now, normal), "in the normal flights", "1")
 
 

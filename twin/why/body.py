@@ -13,7 +13,7 @@ crash cannot outvote an onset.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
@@ -280,6 +280,19 @@ class Body:
             ThrustLaw(self.curves[i], channels, usual[i], gain[i], sd[i])
             for i, channels in zip(likely, zip(*found, strict=True), strict=True)
         ]
+
+    def screening(self) -> "list[Body]":
+        """The same under the most probable law of thrust, and under that which is curved most
+        unlike it: what all laws together say lies between."""
+        first = self.laws[0]
+        last = max(self.laws, key=lambda law: abs(law.curve[0] - first.curve[0]))
+        return [self._under(law) for law in dict.fromkeys((first, last))]
+
+    def _under(self, law: "ThrustLaw") -> "Body":
+        """The same under one law; what is known of the noise is kept."""
+        found = replace(self, curves=(law.curve,))
+        vars(found).update({k: v for k, v in vars(self).items() if k != "curves"}, laws=[law])
+        return found
 
     def _columns(self, thrust: Array, j: int, usual: float) -> Array:
         each, (damping, products) = thrust * self.signs[j], self._rates

@@ -111,7 +111,7 @@ LEVEL = {
 }
 """Nats over nothing from which on there is an event, by an exponential tail."""
 SCREENED = 12.0
-"""Nats below its level from which on a name under one curve of thrust is looked at under all."""
+"""Nats below its level from which on a name under one law of thrust is looked at under all."""
 LAST_WORD_NATS = 3.0
 """The same of a rotor in the last seconds before control is lost, since something must have taken
 it: odds of 20 to 1."""
@@ -448,18 +448,21 @@ class Competition:
 
     def strongest(self, low: int, high: int, since: int = 0) -> Onset | None:
         """The strongest onset within places, `since` one of them; None: none passes."""
-        place = self.best(low, high, since)
-        return None if place is None else self.onset_at(place, low, high, since)
+        found = (self.onset_at(place, low, high, since) for place in self.peaks(low, high, since))
+        return next((onset for onset in found if onset is not None), None)
 
-    def best(self, low: int, high: int, since: int = 0, short: float = 0.0) -> int | None:
-        """Place of the strongest onset; None: none comes within `short` nats of its level."""
+    def peaks(self, low: int, high: int, since: int = 0) -> Iterator[int]:
+        """Places of onsets that come within `SCREENED` of their level under a law of thrust, the
+        strongest first, `AFTER_S` apart; where each is, all laws say."""
         tried = self._tried(max(low + self.body.places(FIRST_S), since), self._end(high))
         if len(tried) < 2:
-            return None
-        over = self._over(tried, low, high)
-        if over.max() < -short:
-            return None
-        return self._earliest(tried, int(tried[np.argmax(over)]), low, high)
+            return
+        screened = [Competition(b)._over(tried, low, high) for b in self.body.screening()]
+        over = np.max(screened, axis=0)
+        while over.max() >= -SCREENED:
+            place = int(tried[np.argmax(over)])
+            yield self._earliest(tried, place, low, high)
+            over[np.abs(tried - place) < self.body.places(AFTER_S)] = -np.inf
 
     def onset_at(self, place: int, low: int, high: int, since: int = 0) -> Onset | None:
         """The best onset near a place; None: at a closer look none passes."""

@@ -10,11 +10,10 @@ from ..formatting import certainty
 from ..logs import Flight
 from ..vehicle import Vehicle
 from .findings import Finder, Findings
-from .flight import FlightFrame
+from .flight import FlightFrame, of_vehicle
 from .motion import moved
 from .records import Candidate, Diagnosis, Event, TimelineItem, Verdict
 from .sensors import sensors
-from .since import Since, of_vehicle
 from .steady import lasting, steady
 from .timeline import timeline
 from .vibration import vibration
@@ -68,9 +67,11 @@ def diagnose(
     Raises:
         LogError: The log is too short, or has no motion.
     """
-    compared = None if since is None else Since(since)
-    if compared is not None:
-        flight = of_vehicle(flight, compared.vehicle)
+    compared = None
+    if since is not None:
+        from .since import Since  # the law of `explain`, half a second to import
+
+        compared, flight = Since(since), of_vehicle(flight, since)
         finders = [lasting if find is steady else find for find in finders]
     frame = FlightFrame.of(flight)
     normal = [FlightFrame.of(r) for r in references]

@@ -6,7 +6,7 @@ best how the body turns.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from ..errors import LogError
 from ..logs import Flight
+from ..logs.airframe import Airframe
 from ..logs.columns import (
     ACC,
     ACC_NED,
@@ -29,7 +30,7 @@ from ..logs.columns import (
 )
 from ..logs.stretches import stretches_where
 from ..residuals.measured import Signal, measured_motion, signal_of
-from ..vehicle import GRAVITY_M_S2
+from ..vehicle import GRAVITY_M_S2, Vehicle
 from ..vehicle.layouts import Layout, frame, frames_of
 
 Array = NDArray[np.float64]
@@ -45,10 +46,20 @@ LOSS_RATE_RAD_S = 4.0
 """Body rate that counts as lost, if it is three times what was flown until a second before."""
 CONTACT_M_S2 = 30.0
 """Specific force of a body that hits something, after control was lost."""
+LEAST_COMMAND = 0.02
+"""Command below which its logarithm is held."""
 FRAME_LAG_S = 0.2
 """Longest lag of the turning of the body behind commands that is tried to find the frame."""
 LIFTING = 0.65
 """Curvature of thrust by command that is assumed for what lifts: between linear and a square."""
+FIT_SHARE, FIT_LEAST = 0.5, 0.6
+"""Share of the correlation of the best usual frame that the rotors of a vehicle file have to reach,
+and the least correlation that judges. By judgement."""
+MISFIT = (
+    "this vehicle file does not fit: the aircraft turns as if its rotors were in the order of "
+    "another frame. Correct [rotors], or draft a file: uavtwin vehicle draft."
+)
+"""Said where they do not reach it."""
 
 _SIGNALS: dict[str, tuple[str, ...]] = {
     "acc": ACC,
@@ -262,6 +273,29 @@ class FlightFrame:
         back = self.places(1.0)
         largest = np.maximum.accumulate(values)
         return np.concatenate([np.full(min(back, len(values)), values[0]), largest])[: len(values)]
+
+
+def layout_of(vehicle: Vehicle) -> Layout:
+    """Places and senses of a vehicle's rotors."""
+    rotors = vehicle.rotors
+    return Layout(rotors.position_m, rotors.direction, True, 0.0, "the vehicle file")
+
+
+def of_vehicle(flight: Flight, vehicle: Vehicle) -> Flight:
+    """The flight with the rotors of a vehicle file, whatever its log says of them."""
+    known = Airframe() if flight.airframe is None else flight.airframe
+    return replace(flight, airframe=replace(known, layout=layout_of(vehicle)))
+
+
+def misfit(flight: FlightFrame) -> str:
+    """Why the rotors of a flight are not those of the aircraft; "": they may be."""
+    layout = flight.layout
+    usual = () if layout is None else frames_of(layout.count)
+    if layout is None or not usual:
+        return ""
+    best = max(flight.turning_explained(frame(name)) for name in usual)
+    own = flight.turning_explained(layout)
+    return MISFIT if best > FIT_LEAST and own < FIT_SHARE * best else ""
 
 
 def rotations(q_nb: Array) -> Array:

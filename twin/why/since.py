@@ -15,50 +15,16 @@ from ..errors import LogError
 from ..explain.balance import CAUSES, Normal, balance_of, trim_of
 from ..explain.model.model import model_of
 from ..formatting import number
-from ..logs import Flight
-from ..logs.airframe import Airframe
 from ..vehicle import Vehicle
-from ..vehicle.layouts import Layout, frame, frames_of
 from .balance import SURE, findings_of
 from .findings import Findings
-from .flight import FlightFrame
+from .flight import FlightFrame, misfit
 from .records import Event, Severity
 
 CALM_S = 3.0
 """Left out after take-off, and before landing or a loss of control."""
 LEAST_S = 8.0
 """Of a part whose means are compared."""
-FIT_SHARE, FIT_LEAST = 0.5, 0.6
-"""Share of the correlation of the best usual frame that the rotors of a vehicle file have to reach,
-and the least correlation that judges. By judgement."""
-MISFIT = (
-    "this vehicle file does not fit: the aircraft turns as if its rotors were in the order of "
-    "another frame. Correct [rotors], or draft a file: uavtwin vehicle draft."
-)
-"""Said where they do not reach it."""
-
-
-def layout_of(vehicle: Vehicle) -> Layout:
-    """Places and senses of a vehicle's rotors."""
-    rotors = vehicle.rotors
-    return Layout(rotors.position_m, rotors.direction, True, 0.0, "the vehicle file")
-
-
-def of_vehicle(flight: Flight, vehicle: Vehicle) -> Flight:
-    """The flight with the rotors of a vehicle file, whatever its log says of them."""
-    known = Airframe() if flight.airframe is None else flight.airframe
-    return replace(flight, airframe=replace(known, layout=layout_of(vehicle)))
-
-
-def misfit(flight: FlightFrame) -> str:
-    """Why the rotors of a flight are not those of the aircraft; "": they may be."""
-    layout = flight.layout
-    usual = () if layout is None else frames_of(layout.count)
-    if layout is None or not usual:
-        return ""
-    best = max(flight.turning_explained(frame(name)) for name in usual)
-    own = flight.turning_explained(layout)
-    return MISFIT if best > FIT_LEAST and own < FIT_SHARE * best else ""
 
 
 class Since:

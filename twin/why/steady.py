@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from ..formatting import number, percent
-from .balance import Levels, changed, levels_of
 from .findings import Findings
-from .flight import FlightFrame, rotations
+from .flight import LEAST_COMMAND, FlightFrame, rotations
 from .records import Amount, Event, NotVisible, Severity
 
 Array = NDArray[np.float64]
@@ -88,17 +87,22 @@ def _calm(flight: FlightFrame) -> NDArray[np.bool_]:
 
 def _balance(flight: FlightFrame, references: Sequence[FlightFrame]) -> Findings:
     """Against normal flights where there are some, else against symmetry."""
-    now = levels_of(flight, _calm(flight))
-    if now is None or flight.layout is None:
+    calm = _calm(flight)
+    if flight.drive is None or flight.layout is None or calm.sum() * flight.dt_s < LEAST_S:
         return Findings()
-    normal = [b for r in references if (b := levels_of(r, _calm(r))) is not None]
-    normal = [b for b in normal if len(b.motors) == len(now.motors)]
-    return changed(flight, now, normal) if normal else _by_symmetry(now)
+    if references:
+        from .balance import changed  # its causes are those of `explain`, half a second to import
+
+        found = changed(flight, calm, [(r, _calm(r)) for r in references])
+        if found is not None:
+            return found
+    return _by_symmetry(flight.grid[flight.drive][calm])
 
 
-def _by_symmetry(now: Levels) -> Findings:
+def _by_symmetry(command: Array) -> Findings:
     """What the balance tells without normal flights: next to nothing, and how large it is."""
-    share = np.exp(now.motors - now.motors.mean()) - 1.0
+    level = np.log(np.clip(command, LEAST_COMMAND, None)).mean(axis=0)
+    share = np.exp(level - level.mean()) - 1.0
     most = int(np.argmax(share))
     turn, twist = FLEET_SD
     note = (

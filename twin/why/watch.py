@@ -20,13 +20,12 @@ from ..logs.airframe import Airframe
 from ..residuals.stream import LastRows, Rows
 from ..vehicle import Vehicle
 from .body import AFTER_LOSS_S, CURVES, Body
-from .competition import AFTER_S, APART_S, BEFORE_S, BLOW, FINAL, SCREENED, Competition
+from .competition import AFTER_S, APART_S, BEFORE_S, BLOW, FINAL, Competition
 from .diagnose import NAMED, in_order
-from .flight import Airborne, FlightFrame
+from .flight import Airborne, FlightFrame, layout_of, misfit
 from .motion import LEAST_S, event_of
 from .records import Event
 from .sensors import LANDING_S, OF_ESTIMATE, part_events
-from .since import layout_of, misfit
 from .vibration import vibration
 
 PERIOD_S = 1.0
@@ -319,7 +318,7 @@ class _BodyWatch:
             short = replace(_body_of(flown, late), curves=self.curves[:1])
             behind = short.start - body.start
             first = max(low - behind, 0), len(short), since - behind
-            place = Competition(short).best(*first, short=SCREENED)
+            place = next(Competition(short).peaks(*first), None)
             if place is None:
                 return None
             onset = Competition(body).onset_at(place + behind, low, len(body), since)
