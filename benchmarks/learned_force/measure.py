@@ -49,7 +49,7 @@ def measure(rotation: Rotation, places: Places) -> dict[str, Any]:
         "named": named,
         "taught": [f.name for f in taught],
         "claim": force_claim(folder),
-        "ridges": load_force(folder).ridges,
+        "ridge": load_force(folder).ridge,
         "evaluation": said,
         "closed_loop": closed_loop(folder, FLIGHTS, zlib.crc32(rotation.name.encode())),
         "seconds": {

@@ -6,8 +6,8 @@ Each row of `whitening` is an input beyond what those before it tell of it, over
 itself: a vehicle that turned fast and stood still has been to fast turns, and not to speed.
 
 Up to d = 1 a model may say all that it learned. From there to `NETWORK_END` a network fades, from
-`LINEAR_BEGIN` to `LINEAR_END` what is linear, neither in a step; a learned force fades alike
-(`twin.physics.residual_force`).
+`LINEAR_BEGIN` to `LINEAR_END` what is linear, neither in a step; a learned force fades as a network
+does (`twin.physics.residual_force`), since what it says feeds back into the motion.
 """
 
 from collections.abc import Sequence
@@ -16,12 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.physics.residual_force import LINEAR_BEGIN, LINEAR_END
 from twin.representation import short_repr
 
 Array = NDArray[np.float64]
 NETWORK_END = 2.0
 """Distance at which a network has faded out. Not chosen on flights."""
+LINEAR_BEGIN, LINEAR_END = 3.0, 6.0
+"""Ends of the fade of what is linear. Neither was chosen on flights."""
 INSIDE = 0.995
 """Share of the training that is inside, and of each flight that the others have not seen: flights
 differ by more than a flight does within itself."""

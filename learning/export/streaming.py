@@ -23,10 +23,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from twin.physics.residual_force import LINEAR_BEGIN, LINEAR_END
-
 from ..data.channels import CHANNELS, FEATURE_CHANNELS, N_PHASES, PLACES
-from ..data.envelope import BEYOND, NETWORK_END
+from ..data.envelope import BEYOND, LINEAR_BEGIN, LINEAR_END, NETWORK_END
 from ..data.sequences import (
     LAGS,
     OF_THE_DAY,

@@ -22,8 +22,6 @@ Array = NDArray[np.float64]
 RIDGES = (1.0, 0.3, 0.1, 0.03)
 """Tried strengths, the strongest first: the price of a weight that makes what the equations lack,
 over the error that is left without a law."""
-HALVES = (slice(0, 3), slice(3, 6))
-"""Outputs that are force, and those that are moment."""
 RESERVE = (*(0.5,) * 3, *(0.5,) * 3, 0.1, *(0.05,) * 3, 0.05, 0.3)
 """By input, what is no other place, in its unit: a flight with the battery half full is as good as
 one with the full one, where training had only full ones."""
@@ -69,18 +67,14 @@ class Taught:
             found.append(fitted(self.equations, self.flights, size, ridge, start))
         return np.stack(found)
 
-    def law(self, path: Array, ridges: tuple[float | None, float | None]) -> ForceLaw:
-        """The law of these ridges, of force and moment; None: without.
+    def law(self, path: Array, ridge: float | None) -> ForceLaw:
+        """The law under a ridge, of `RIDGES`; None: without a law.
 
         Args:
             path: As `path` returns it.
-            ridges: Of `RIDGES`.
+            ridge: Which.
         """
-        weights = np.zeros(path.shape[1:])
-        for ridge, rows in zip(ridges, HALVES, strict=True):
-            if ridge is not None:
-                weights[rows] = path[RIDGES.index(ridge), rows]
-        return self.of(weights)
+        return self.of(np.zeros(path.shape[1:]) if ridge is None else path[RIDGES.index(ridge)])
 
     def of(self, weights: Array) -> ForceLaw:
         """The law of weights: of each output at most `BEYOND` times as much as in the flights."""

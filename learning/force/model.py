@@ -19,24 +19,22 @@ MODULE_FILE = "force.onnx"
 """In the same folder: the module, of a law that has one."""
 NONE, LINEAR, MODULE = "none", "linear", "module"
 """Laws of an output."""
-FORMAT = 5
+FORMAT = 6
 """Version of the file's layout."""
 _OUTPUTS = tuple(f"{kind}_{a}" for kind, a in OUTPUTS)  # names in the file
 
 
 @dataclass(frozen=True, slots=True)
 class RidgeScore:
-    """Three outputs of a law under one ridge, over flights that took no part in its fit.
+    """A law under one ridge, over flights that took no part in its fit.
 
     Attributes:
-        part: `moment`, chosen first, or `force`.
         ridge: Its strength.
-        ratio: Error over that without these outputs, geometric mean over flights, quantities and
-            horizons.
+        ratio: Error over that of the twin with the untrained observer alone, geometric mean over
+            flights, quantities and horizons.
         worst: The largest ratio of a quantity, flights and horizons together.
     """
 
-    part: str
     ridge: float
     ratio: float
     worst: float
@@ -162,7 +160,7 @@ class ForceModel:
         vehicle: Name of the vehicle.
         vehicle_sha256: Of its file.
         seed: Of the air of the missions that it had to fly.
-        ridges: Under which force and moment were fitted; None: of that there is none.
+        ridge: Under which it was fitted; None: there is none, or it is a module.
         tried: Every ridge, as flown.
         acceptance: What it was held against.
         closed_loop: Missions that it had to fly.
@@ -174,7 +172,7 @@ class ForceModel:
     vehicle: str
     vehicle_sha256: str
     seed: int
-    ridges: tuple[float | None, float | None] = (None, None)
+    ridge: float | None = None
     tried: tuple[RidgeScore, ...] = ()
     acceptance: Acceptance = Acceptance()
     closed_loop: MissionCheck = MissionCheck()
@@ -185,15 +183,13 @@ class ForceModel:
     @property
     def says(self) -> bool:
         """Whether there is a law."""
-        return self.ridges != (None, None) or self.law.module is not None
+        return self.ridge is not None or self.law.module is not None
 
     @property
     def outputs(self) -> dict[str, Output]:
         """Of each of the six, by name."""
-        ridges = np.repeat(np.array(self.ridges, dtype=object), len(OUTPUTS) // 2)
         other = NONE if self.law.module is None else MODULE
-        laws = [Output(other if r is None else LINEAR, r) for r in ridges]
-        return dict(zip(_OUTPUTS, laws, strict=True))
+        return dict.fromkeys(_OUTPUTS, Output(LINEAR if self.ridge else other, self.ridge))
 
 
 def save_force(model: ForceModel, folder: Path) -> None:
@@ -281,7 +277,7 @@ def _model(content: ForceFile) -> ForceModel:
         raise ModelError(f"outputs are {list(content.outputs)}, not {list(_OUTPUTS)}")
     return ForceModel(
         law=_law(content.law),
-        ridges=(content.outputs[_OUTPUTS[0]].ridge, content.outputs[_OUTPUTS[-1]].ridge),
+        ridge=content.outputs[_OUTPUTS[0]].ridge,
         tried=content.tried,
         acceptance=content.acceptance,
         closed_loop=content.closed_loop,

@@ -179,8 +179,13 @@ def _expression(node: onnx.NodeProto, arguments: list[ca.SX]) -> ca.SX:
     """What a node of ONNX says."""
     if node.op_type == "Identity":
         return arguments[0]
+    about = {a.name: helper.get_attribute_value(a) for a in node.attribute}
+    if node.op_type == "Concat" and about["axis"] not in (1, -1):
+        raise ModelError(
+            f"force law: ONNX operator Concat joins rows (axis {about['axis']}). Join what belongs "
+            f"to one row, axis 1."
+        )
     if node.op_type == "Gemm":
-        about = {a.name: helper.get_attribute_value(a) for a in node.attribute}
         a, b, *c = arguments
         a, b = (v.T if about.get(n) else v for v, n in ((a, "transA"), (b, "transB")))
         product: ca.SX = about.get("alpha", 1.0) * ca.mtimes(a, b)

@@ -5,7 +5,7 @@
 
 x is the motion as the air and the rotors know it (`INPUTS`): no gravity, heading or position is in
 it, so that the law means the same on every mission. Up to d = 1 it has been among the flights that
-taught it; `near` fades to zero from `LINEAR_BEGIN` to `LINEAR_END` without a step; and each output
+taught it; from there `near` fades to zero, up to `FADED`, without a step; and each output
 stays within `most`. So force and moment are bounded, however the vehicle moves.
 
 Source: the fade, Perlin's smoothstep.
@@ -50,8 +50,9 @@ FEATURES = (
 )
 """What the linear part is linear in: a constant, the inputs, and products that physics knows: drag
 of rotors and of the body, a curved thrust map, gyroscopic moments."""
-LINEAR_BEGIN, LINEAR_END = 3.0, 6.0
-"""Ends of the fade, in distances up to which training has been. Neither was chosen on flights."""
+FADED = 2.0
+"""Distance, over that up to which training has been, at which a law has faded to nothing, as a
+network of the sensors has. Not chosen on flights."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +189,7 @@ def accelerations(law: ForceLaw, x: ca.SX, linear: ca.SX, most: ca.SX) -> ca.SX:
     said = ca.mtimes(linear, features(x))
     if law.module is not None:
         said = said + law.module(x)
-    said = _fade(d, LINEAR_BEGIN, LINEAR_END) * said
+    said = _fade(d) * said
     return ca.fmin(ca.fmax(said, -most), most)
 
 
@@ -280,7 +281,7 @@ def _bounds(m: ComponentBuilder, names: Sequence[str], values: Array) -> ca.SX:
     )
 
 
-def _fade(d: ca.SX, begin: float, end: float) -> ca.SX:
-    """1 up to `begin`, 0 from `end` on, in between a cubic without a kink."""
-    t = ca.fmin(ca.fmax((d - begin) / (end - begin), 0.0), 1.0)
+def _fade(d: ca.SX) -> ca.SX:
+    """1 up to a distance of 1, 0 from `FADED` on, in between a cubic without a kink."""
+    t = ca.fmin(ca.fmax((d - 1) / (FADED - 1), 0.0), 1.0)
     return 1 - t * t * (3 - 2 * t)

@@ -2,7 +2,7 @@
 
 Each flight in turn is left out. The others teach a law through the rollout, under each of
 `learning.force.laws.RIDGES`; all of them are put into the FMU of the driven twin, and the flight
-that was left out is replayed through it. Of the moment first, then of the force, the strongest
+that was left out is replayed through it, over the horizons that the law is fitted to. The strongest
 ridge that is as good as the best is taken, where the twin is less far off than without, and in no
 quantity farther. That law is held against what needs none (`accepted`). Last, missions in random
 air withdraw what makes the controller lose the vehicle (`closed_loop`). These flights choose; what
@@ -24,7 +24,7 @@ from fmus import build
 from learning.force.equations import Equations
 from learning.force.laws import RIDGES, Taught
 from learning.force.model import Acceptance, ForceModel, RidgeScore, TrainingFlight
-from learning.force.windows import FlightWindows
+from learning.force.windows import HORIZONS_S, FlightWindows
 from twin.errors import TwinError
 from twin.flight.assembly import driven_twin
 from twin.logs import Flight
@@ -43,11 +43,7 @@ from .open_loop import Replay
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
-Ridges = tuple[float | None, float | None]
-"""Of force and moment; None: without a law."""
-AHEAD_S = (0.2, 0.5, 1.0)
-"""Horizons over which a law is judged, s."""
-ALONE_S = 0.5
+ALONE_S = HORIZONS_S[-1]
 """That of the comparison with the last motion, s."""
 BETTER = 0.01
 """Share by which a law must lower the error, in the geometric mean over flights, quantities and
@@ -102,15 +98,15 @@ class Fold:
         """Mean squares of what the last motion is off, shape (horizons, 4, 3)."""
         return np.asarray(np.mean(self.replay.last_motion().off ** 2, axis=0))
 
-    def squares(self, ridges: Ridges) -> Array:
-        """Those of what the driven twin is off with a law."""
-        starts = in_force(self.taught.law(self.path, ridges))
+    def squares(self, ridge: float | None) -> Array:
+        """Those of what the driven twin is off with the law under a ridge; None: without one."""
+        starts = in_force(self.taught.law(self.path, ridge))
 
         def flown() -> Array:
             """By the FMU."""
             return np.asarray(np.mean(self.replay.through(self.fmu, starts).off ** 2, axis=0))
 
-        return self.memory.array(f"flown {self.fmu.stem} {ridges}", flown)
+        return self.memory.array(f"flown {self.fmu.stem} {ridge}", flown)
 
 
 @contextmanager
@@ -139,28 +135,27 @@ def left_out(
             path = memory.array(f"without {flight.name}", taught.path)
             fmu = Path(place, f"{k}.fmu")
             build(fused_model(driven_twin(vehicle, drive, (), taught.empty), vehicle.name), fmu)
-            folds.append(Fold(Replay(flight, vehicle, AHEAD_S), taught, path, fmu, memory))
+            folds.append(Fold(Replay(flight, vehicle, HORIZONS_S), taught, path, fmu, memory))
             progress((k + 1) / len(flights))
         yield folds
 
 
-def mean_squares(folds: Sequence[Fold], ridges: Ridges) -> Array:
-    """Of what the twin with a law is off in each flight left out, (flights, horizons, 4, 3)."""
-    return np.stack([f.squares(ridges) for f in folds])
+def mean_squares(folds: Sequence[Fold], ridge: float | None) -> Array:
+    """Of what the twin with a law is off in each flight left out, (flights, horizons, 4)."""
+    return np.stack([f.squares(ridge).sum(-1) for f in folds])
 
 
-def score(part: str, ridge: float, squares: Array, without: Array) -> RidgeScore:
-    """What three outputs under a ridge do.
+def score(ridge: float, squares: Array, without: Array) -> RidgeScore:
+    """What a law does.
 
     Args:
-        part: Which.
         ridge: Of `RIDGES`.
         squares: As of `mean_squares`.
-        without: The same without them.
+        without: The same without it.
     """
     logs = np.log((squares + _TINY) / (without + _TINY)) / 2
     worst = logs.mean(axis=(0, 1)).max()
-    return RidgeScore(part, ridge, float(np.exp(logs.mean())), float(np.exp(worst)))
+    return RidgeScore(ridge, float(np.exp(logs.mean())), float(np.exp(worst)))
 
 
 def best_ridge(tried: Sequence[RidgeScore]) -> float | None:
@@ -170,47 +165,32 @@ def best_ridge(tried: Sequence[RidgeScore]) -> float | None:
     return next((t.ridge for t in good if t.ratio <= least + BETTER), None)
 
 
-def chosen(folds: Sequence[Fold], progress: Progress) -> tuple[Ridges, tuple[RidgeScore, ...]]:
-    """Ridges of force and moment, and what each did: of the moment first, which turns the thrust
-    and so decides on the motion."""
-    ridges: Ridges = (None, None)
-    tried: list[RidgeScore] = []
-    for half, part in ((1, "moment"), (0, "force")):
-        without, own = mean_squares(folds, ridges), []
-        for ridge in RIDGES:
-            with_it: Ridges = (ridges[0], ridge) if half else (ridge, ridges[1])
-            own.append(score(part, ridge, mean_squares(folds, with_it), without))
-            progress((len(tried) + len(own)) / (2 * len(RIDGES)))
-        tried += own
-        best = best_ridge(own)
-        ridges = (ridges[0], best) if half else (best, ridges[1])
-    return ridges, tuple(tried)
+def chosen(folds: Sequence[Fold], progress: Progress) -> tuple[RidgeScore, ...]:
+    """What the law under each ridge does, force and moment together, as they were fitted."""
+    without, tried = mean_squares(folds, None), []
+    for ridge in RIDGES:
+        tried.append(score(ridge, mean_squares(folds, ridge), without))
+        progress(len(tried) / len(RIDGES))
+    return tuple(tried)
 
 
-def accepted(folds: Sequence[Fold], ridges: Ridges) -> Acceptance:
+def accepted(folds: Sequence[Fold], ridge: float) -> Acceptance:
     """What a law does that twins without one do not: flights left out have to be flown better than
     by the explained twin with the untrained observer, and fast ones better than by the last motion
     in position and velocity."""
-    own = mean_squares(folds, ridges).sum(-1)  # (flights, horizons, 4)
-    observed = mean_squares(folds, (None, None)).sum(-1)
+    own, observed = mean_squares(folds, ridge), mean_squares(folds, None)
     over_observer = float(np.median(np.sqrt((own + _TINY) / (observed + _TINY))))
-    last, at = np.stack([f.last_motion for f in folds]).sum(-1), AHEAD_S.index(ALONE_S)
-    ratios = np.log((own[:, at, :2] + _TINY) / (last[:, at, :2] + _TINY)) / 2
+    last = np.stack([f.last_motion for f in folds]).sum(-1)
+    ratios = np.log((own[:, -1, :2] + _TINY) / (last[:, -1, :2] + _TINY)) / 2
     quick = [f.fast for f in folds]
     fast = float(np.exp(ratios[quick].mean())) if any(quick) else None
     refused = over_observer > ACCEPTED or (fast is not None and fast >= 1)
     return Acceptance(over_observer, float(np.exp(ratios.mean())), fast, refused)
 
 
-def stronger(ridges: Ridges) -> list[Ridges]:
-    """These, and those that follow where missions are lost: each a step stronger, the strongest
-    last."""
-    found = [ridges]
-    places = [None if r is None else RIDGES.index(r) for r in ridges]
-    for back in range(1, max((p for p in places if p is not None), default=0) + 1):
-        force, moment = (None if p is None else RIDGES[max(p - back, 0)] for p in places)
-        found.append((force, moment))
-    return found
+def stronger(ridge: float) -> list[float]:
+    """This, and those that follow where missions are lost: the strongest last."""
+    return list(RIDGES[RIDGES.index(ridge) :: -1])
 
 
 def learn_force(
@@ -247,14 +227,14 @@ def learn_force(
         return nothing
     part = _part(progress, 0.0, _TAUGHT)
     with left_out(flights, windows, vehicle, drive, memory, part) as folds:
-        ridges, tried = chosen(folds, _part(progress, _TAUGHT, _CHOSEN))
-        says = ridges != (None, None)
-        acceptance = accepted(folds, ridges) if says else Acceptance()
+        tried = chosen(folds, _part(progress, _TAUGHT, _CHOSEN))
+        ridge = best_ridge(tried)
+        acceptance = Acceptance() if ridge is None else accepted(folds, ridge)
     judged = replace(nothing, tried=tried, acceptance=acceptance)
-    if not says or acceptance.refused:
+    if ridge is None or acceptance.refused:
         return judged
     path = memory.array("all flights", taught.path)
-    laws = [replace(judged, law=taught.law(path, r), ridges=r) for r in stronger(ridges)]
+    laws = [replace(judged, law=taught.law(path, r), ridge=r) for r in stronger(ridge)]
     return flyable(laws, judged, vehicle, memory, _part(progress, _CHOSEN, 1.0))
 
 

@@ -20,8 +20,6 @@ from ..vehicles import Vehicle
 from .learn import ACCEPTED, ALONE_S, BETTER, WORSE, Progress, learn_force
 from .memory import Memory
 
-PARTS = ("force", "moment")
-"""Of a law."""
 REPORT = "report.html"  # in the folder of a law
 _DEFAULTS = {
     "model": None,
@@ -122,8 +120,7 @@ def _claim(model: ForceModel) -> str:
             f"{held.over_last_motion:.2f} of the last motion in position and velocity after "
             f"{ALONE_S:g} s{fast}"
         )
-        ridges = [f"{p}, ridge {r:g}" for p, r in zip(PARTS, model.ridges, strict=True) if r]
-        law = f"{'a law of ' + ' and '.join(ridges) if ridges else 'no law'}: {law}"
+        law = f"{f'a law, ridge {model.ridge:g}' if model.ridge else 'no law'}: {law}"
     if gone.withdrawn:
         law += f"; missions were lost under {gone.withdrawn} weaker or equal ridges"
     return f"force: {law}; alongside it the untrained observer."

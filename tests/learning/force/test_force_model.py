@@ -46,8 +46,8 @@ MODEL = ForceModel(
     vehicle="x",
     vehicle_sha256="11",
     seed=3,
-    ridges=(0.1, None),
-    tried=(RidgeScore("force", 1.0, 0.95, 1.1), RidgeScore("force", 0.1, 0.9, 1.01)),
+    ridge=0.1,
+    tried=(RidgeScore(1.0, 0.95, 1.1), RidgeScore(0.1, 0.9, 1.01)),
     acceptance=Acceptance(0.5, 0.9, 0.8),
     closed_loop=MissionCheck(12, 1, 1),
 )
@@ -108,7 +108,7 @@ def test_a_module_stays_with_its_law(tmp_path: Path) -> None:
     """The same bytes again; a folder that lost it, or has another, is no folder without a law."""
     onnx = _module()
     law = replace(MODEL.law, module=law_function(onnx))
-    save_force(replace(MODEL, law=law, ridges=(None, None), onnx=onnx), tmp_path)
+    save_force(replace(MODEL, law=law, ridge=None, onnx=onnx), tmp_path)
     found, first = load_force(tmp_path), (tmp_path / FILE).read_bytes()
     assert found.law.module is not None and found.onnx == onnx
     save_force(found, tmp_path)

@@ -20,9 +20,9 @@ from twin.component import Run
 from twin.errors import ModelError
 from twin.flight.assembly import driven_twin
 from twin.physics.residual_force import (
+    FADED,
     FEATURES,
     INPUTS,
-    LINEAR_END,
     OUTPUTS,
     ForceLaw,
     residual_force,
@@ -120,14 +120,14 @@ def test_neither_heading_nor_place_takes_part(turn: float, vel: Array, place: Ar
 
 def test_it_fades_without_a_step_and_ends_at_zero() -> None:
     rig = Rig(residual_force(VEHICLE, law()))
-    speeds = np.linspace(0, 1.2 * LINEAR_END * np.sqrt(len(INPUTS)), 4001)
+    speeds = np.linspace(0, 1.2 * FADED * np.sqrt(len(INPUTS)), 4001)
     u = np.tile(rig.inputs(motion())[:, None], len(speeds))
     u[rig.component.input_names.index("vel_x")] = speeds
     x = np.zeros((0, len(speeds)))
     y = np.asarray(rig.component.outputs(x, u, np.tile(rig.p[:, None], len(speeds)))).T
     acts = y[:, [rig.component.output_names.index(n) for n in NAMES]]
     away = y[:, rig.component.output_names.index("distance")]
-    assert np.all(acts[away >= LINEAR_END] == 0)
+    assert np.all(acts[away >= FADED] == 0)
     assert np.abs(acts[away < 1]).max() > 1
     steps = np.abs(np.diff(acts, axis=0)).max(axis=0)
     assert np.all(steps < 0.01 * np.ptp(acts, axis=0))  # one of 4000 steps, not a jump

@@ -44,7 +44,7 @@ def _model(
     for output, feature, weight in weights:
         linear[names.index(output), FEATURES.index(feature)] = weight
     arrays = {**empty.arrays(), "linear": linear, "most": np.full(len(OUTPUTS), 1e3)}
-    return ForceModel(ForceLaw.of(arrays), (), COPTER.name, "", 0, (ridge, ridge))
+    return ForceModel(ForceLaw.of(arrays), (), COPTER.name, "", 0, ridge)
 
 
 @pytest.mark.long
@@ -53,7 +53,7 @@ def test_what_loses_missions_is_withdrawn_and_what_does_not_stays(
 ) -> None:
     laws = [_model(empty, TURNS, ridge=0.1), _model(empty, DRAG, ridge=1.0)]
     found = flyable(laws, _model(empty), COPTER, memory, lambda _: None)
-    assert found.ridges == (1.0, 1.0)
+    assert found.ridge == 1.0
     assert found.closed_loop.withdrawn == 1
     assert 0 < found.closed_loop.lost <= found.closed_loop.flights == FLIGHTS
 

@@ -74,14 +74,19 @@ WEIGHTS = np.random.default_rng(1).normal(size=(6, 12)).astype(np.float32)
 
 
 def _file(
-    kind: str, *given: str, inputs: tuple[str, ...] = ("x",), width: int = 12, version: int = 8
+    kind: str,
+    *given: str,
+    inputs: tuple[str, ...] = ("x",),
+    width: int = 12,
+    version: int = 8,
+    axis: int = 1,
 ) -> bytes:
     """Of one operator; x is (n, width), y (n, 6), the constants w (6, 12) and v (6, 13)."""
     constants = {"w": WEIGHTS, "v": np.ones((6, 13), dtype=np.float32)}
     shapes: dict[str, Any] = {"x": ["n", width], "w": [6, 12], "b": [1, 6], "y": ["n", 6]}
     rows = {n: helper.make_tensor_value_info(n, TensorProto.FLOAT, s) for n, s in shapes.items()}
-    attributes: dict[str, Any] = {"transB": 1} if kind == "Gemm" else {}
-    node = helper.make_node(kind, given, ["y"], **attributes)
+    known: dict[str, dict[str, Any]] = {"Gemm": {"transB": 1}, "Concat": {"axis": axis}}
+    node = helper.make_node(kind, given, ["y"], **known.get(kind, {}))
     used = [numpy_helper.from_array(v, n) for n, v in constants.items() if n in given]
     graph = helper.make_graph([node], "g", [rows[n] for n in inputs], [rows["y"]], used)
     opset = [helper.make_opsetid("", 17)]
@@ -110,6 +115,7 @@ def test_a_file_from_elsewhere_may_be_a_law(content: bytes) -> None:
         (b"nonsense", "no ONNX model"),
         (_file("LeakyRelu", "x", width=6), "operator LeakyRelu"),
         (_file("Tanh", "x", width=6), r"gives \(1, 12\)"),
+        (_file("Concat", "x", "x", width=6, axis=0), r"Concat joins rows \(axis 0\)"),
         (_file("Gemm", "x", "v", width=13), "cannot be evaluated on a row of 12"),
         (_file("Gemm", "x", "w", "b", inputs=("x", "b")), r"inputs \['x', 'b'\] .*not one of each"),
     ],

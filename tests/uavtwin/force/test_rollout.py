@@ -24,7 +24,6 @@ from twin.residuals.aligned import components_of
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.force.learn import (
-    AHEAD_S,
     Fold,
     accepted,
     best_ridge,
@@ -122,24 +121,24 @@ def test_the_drag_that_is_missing_is_found_and_bounded(taught: Taught) -> None:
 
 def test_the_strongest_ridge_that_is_as_good_is_taken() -> None:
     def best(*scores: tuple[float, float, float]) -> float | None:
-        return best_ridge([RidgeScore("force", *s) for s in scores])
+        return best_ridge([RidgeScore(*s) for s in scores])
 
     assert best((1.0, 0.805, 1.0), (0.1, 0.8, 1.0)) == 1.0
     assert best((1.0, 0.9, 1.0), (0.1, 0.8, 1.0)) == 0.1
     assert best((1.0, 0.9, 1.1), (0.1, 0.995, 1.0)) is None
-    assert stronger((0.1, 1.0)) == [(0.1, 1.0), (0.3, 1.0), (1.0, 1.0)]
-    assert stronger((None, 0.3)) == [(None, 0.3), (None, 1.0)]
+    assert stronger(0.1) == [0.1, 0.3, 1.0]
+    assert stronger(1.0) == [1.0]
 
 
-LAW = (1.0, None)
+LAW = 1.0
 
 
 def _fold(law: float, observer: float, motion: float, fast: bool) -> Fold:
     """Errors of every cell: with the law, with the untrained observer, of the last motion."""
-    cells = (len(AHEAD_S), 4, 3)
+    cells = (len(HORIZONS_S), 4, 3)
     flown = SimpleNamespace(off=np.full((2, *cells), motion))
     replay = SimpleNamespace(speed_m_s=1.0 if fast else 0.1, last_motion=lambda: flown)
-    with_law = {(None, None): np.full(cells, observer**2), LAW: np.full(cells, law**2)}
+    with_law = {None: np.full(cells, observer**2), LAW: np.full(cells, law**2)}
     fold = SimpleNamespace(squares=with_law.get, last_motion=None, replay=replay, fast=fast)
     fold.last_motion = Fold.last_motion.fget(fold)  # type: ignore[attr-defined]
     return cast(Fold, fold)
@@ -163,5 +162,5 @@ def test_a_law_has_to_beat_the_observer_and_where_it_is_fast_the_last_motion(
     assert found.over_last_motion == pytest.approx(law / motion)
     assert found.fast == (pytest.approx(law / motion) if fast else None)
     assert found.refused == refused
-    squares, without = mean_squares(folds, LAW), mean_squares(folds, (None, None))
-    assert score("force", 1.0, squares, without).ratio == pytest.approx(law / observer)
+    squares, without = mean_squares(folds, LAW), mean_squares(folds, None)
+    assert score(LAW, squares, without).ratio == pytest.approx(law / observer)
