@@ -57,10 +57,11 @@ SESSION = np.array([0.03, 0.002, 0.002, 0.07])
 which propellers were changed."""
 FACTORS = 2.0 ** np.arange(-3.0, 3.25, 0.5)
 """f: by how much days of an aircraft may differ from the table, log-normal with deviation 1."""
-SIZES = ((0.04, 0.02), (0.1, 0.05), (0.25, 0.12))
+SIZES = ((0.04, 0.02), (0.1, 0.05), (0.25, 0.12), (0.6, 0.3))
 """Mean and deviation of a loss of thrust over that of the rotor, and of a mass over that of the
-aircraft: a nick, a cut, a stump; alike probable."""
-LOG_ODDS = -1.0
+aircraft: a nick, a cut, a stump, hardly anything left; alike probable, so that the prior is even in
+the log of the size, up to what an aircraft lifts."""
+LOG_ODDS = -math.log(2)
 """Of one cause, a single rotor or a load, against nothing: who asks what has changed suspects
 something, so that a change is as probable as none."""
 SECOND_ROTOR = -1.0

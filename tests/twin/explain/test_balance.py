@@ -152,6 +152,22 @@ def test_shaking_speaks_for_a_rotor_and_stillness_for_neither() -> None:
     assert judged(np.zeros(4), shaken=1.2).damaged > 0.5
 
 
+@pytest.mark.parametrize("share", [0.2, 0.7, 1.0, 1.5])
+def test_a_heavy_load_is_told_in_full(share: float) -> None:
+    named = judged(of(f"{LOAD}.mass_kg", share * COPTER.mass_kg)).named
+    assert named is not None
+    assert named.cause == LOAD
+    assert named.values[f"{LOAD}.mass_kg"] == pytest.approx(share * COPTER.mass_kg, rel=0.08)
+
+
+@pytest.mark.parametrize("loss", [0.3, 0.6, 0.9])
+def test_a_rotor_that_hardly_lifts_is_no_load(loss: float) -> None:
+    found = judged(of(f"{ROTORS}.loss_2", loss))
+    best = found.best(ROTORS)
+    assert found.probability_of(ROTORS) > 0.8
+    assert best.values[f"{ROTORS}.loss_2"] == pytest.approx(loss, abs=0.04)
+
+
 # -- mathematics ------------------------------------------------------------------------------
 
 
@@ -229,7 +245,7 @@ def test_probabilities_are_true_of_what_is_drawn_from_the_model() -> None:
     for _ in range(300):
         odds = np.exp([0.0, LOG_ODDS, LOG_ODDS])
         cause = rng.choice([NOTHING, ROTORS, LOAD], p=odds / odds.sum())
-        mean, sd = SIZES[rng.integers(3)]
+        mean, sd = SIZES[rng.integers(len(SIZES))]
         change = np.zeros(4)
         if cause == ROTORS:
             change = of(f"{ROTORS}.loss_{rng.integers(N) + 1}", rng.normal(mean, sd))
