@@ -24,8 +24,8 @@ from .display import PageMixin, TextTable
 from .output import output_file, sha256
 from .record import Record
 from .series.files import Column, Series, write_frame, write_series_mcap
-from .simulation import Scenario, run_scenario, scenario_system, summary
-from .vehicles import checked_vehicle
+from .simulation import DEFAULT_VEHICLE, Scenario, run_scenario, scenario_system, summary
+from .vehicles import checked_vehicle, load_vehicle
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -245,6 +245,33 @@ def simulate(
     if run.ended is not None:
         raise run.ended
     return run
+
+
+def with_model(plan: Scenario, folder: Path) -> Scenario:
+    """A scenario whose twin has what was trained in it.
+
+    Args:
+        plan: The scenario.
+        folder: That `train` wrote: a learned force, or a compensator that sees no measurement.
+
+    Raises:
+        TwinError: The scenario brings its own parts, or what was trained is of another vehicle or
+            needs the readings of an aircraft.
+    """
+    from fmus.compensator import native_model
+    from learning.force.model import is_force
+
+    from .exports.parts import check_compensator, check_unaided, compensator, law_for, learned_force
+
+    if plan.is_system:
+        raise TwinError(f"--model {folder}: {plan.name} brings its own parts. Fly a scenario.")
+    vehicle = plan.vehicle or load_vehicle(DEFAULT_VEHICLE)
+    if is_force(folder):
+        return replace(plan, law=law_for(learned_force(folder), vehicle))
+    network = compensator(folder)
+    check_unaided(network)
+    check_compensator(network, vehicle)
+    return replace(plan, compensator=native_model(network))
 
 
 def run_plan(

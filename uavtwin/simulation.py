@@ -14,7 +14,7 @@ from cosim.ssp import read_ssp
 from cosim.system import System
 from cosim.whole_twin import STEP_S, fused_model, system_of
 from cosim.worker import WorkerMaster
-from fmus import build
+from fmus import FmuModel, build
 from fmus.archive import archive_members, repeated_entries
 from twin.component import unknown_name
 from twin.effects import EFFECTS
@@ -22,6 +22,7 @@ from twin.errors import TwinError
 from twin.flight.assembly import Assembly, flying_twin, responds_to_wind, wind_starts
 from twin.flight.mission import mission_names
 from twin.frames import AXES
+from twin.physics.residual_force import ForceLaw
 from twin.representation import short_repr
 from twin.vehicle import Vehicle
 
@@ -53,6 +54,8 @@ class Scenario:
             else; or numbers by effect.
         starts: Start values, "part.variable" -> value.
         fused: Whether the whole twin runs as one FMU.
+        law: Of force and moment that were learned; None: nothing was.
+        compensator: Of the sensors; None: without.
     """
 
     target: str | Path
@@ -64,6 +67,8 @@ class Scenario:
     effects: Iterable[str] | Mapping[str, Mapping[str, float]] = ()
     starts: Mapping[str, float] = field(default_factory=dict)
     fused: bool = False
+    law: ForceLaw | None = None
+    compensator: FmuModel | None = None
 
     __repr__ = short_repr
 
@@ -109,14 +114,16 @@ def scenario_system(
         known = ", ".join(mission_names())
         raise TwinError(f"{scenario.target}: neither an .ssp file nor a scenario: {known}.")
     vehicle = scenario.vehicle or load_vehicle(DEFAULT_VEHICLE)
-    twin = flying_twin(vehicle, str(scenario.target), scenario.controller)
+    network = scenario.compensator
+    twin = flying_twin(vehicle, str(scenario.target), scenario.controller, law=scenario.law)
     shaped = twin.with_starts(shaping_starts(twin, scenario))
     for text in ineffective(shaped, scenario):
         warn(text)
     starts = _changes(twin, shaped)
     if not scenario.fused:
-        return replace(system_of(twin, folder, progress=progress), starts=starts)
-    model = fused_model(twin, vehicle.name)
+        parts = system_of(twin, folder, progress=progress, compensator=network)
+        return replace(parts, starts=starts)
+    model = fused_model(twin, vehicle.name, network)
     fmu = build(model, folder / f"{model.name}.fmu")
     starts = {f"twin.{name}": value for name, value in starts.items()}
     return System({"twin": fmu}, starts=starts, stop_time_s=twin.duration_s, step_s=STEP_S)
@@ -125,7 +132,7 @@ def scenario_system(
 def _check_bare(scenario: Scenario) -> None:
     """Refuse what an `.ssp` cannot be given."""
     bare = Scenario(scenario.target)
-    shaping = ("vehicle", "controller", "wind_m_s", "gusts", "seed", "effects", "fused")
+    shaping = ("vehicle", "controller", "wind_m_s", "gusts", "seed", "effects", "fused", "law")
     given = [n for n in shaping if getattr(scenario, n) != getattr(bare, n)]
     if given:
         raise TwinError(

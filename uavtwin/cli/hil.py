@@ -21,7 +21,7 @@ from .options import (
     start_values,
 )
 from .printing import STDERR, STDOUT, print_json
-from .simulate import three_numbers
+from .simulate import Model, three_numbers
 
 if TYPE_CHECKING:
     from ..hil.flying import FlyingTwin
@@ -34,13 +34,6 @@ _PANEL = "With --hil"
 LISTEN = "tcpin:127.0.0.1:4560"
 """Where PX4 looks for its simulator."""
 Listen = Annotated[str, typer.Option(help="Where the autopilot connects to: tcpin:HOST:PORT.")]
-Model = Annotated[
-    Path | None,
-    typer.Option(
-        help="Folder of what train wrote: a learned force, or a compensator of the sensors that "
-        "sees no measurement."
-    ),
-]
 Rate = Annotated[
     float,
     typer.Option(rich_help_panel=_PANEL, help="HIL_SENSOR per second: 1000 over a whole number."),

@@ -44,6 +44,13 @@ Aircraft = Annotated[
 ScenarioName = Annotated[
     str, typer.Argument(help="hover, takeoff, tour, forward, land, or an .ssp file.")
 ]
+Model = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder of what train wrote: a learned force, or a compensator of the sensors that "
+        "sees no measurement."
+    ),
+]
 Trust = Annotated[
     Path | None,
     typer.Option(help="Hashes by sha256sum, of an .ssp or all its FMUs: run in this process."),
@@ -63,6 +70,7 @@ def simulate(
     controller: Controller = "lqr",
     effect: Effects = None,
     start: Starts = None,
+    model: Model = None,
     stop: Annotated[float | None, seconds("Stop time, s.")] = None,
     step: Annotated[float | None, seconds("Communication step, s.")] = None,
     interval: Annotated[float | None, seconds("Time between recorded rows, s.")] = None,
@@ -83,7 +91,7 @@ def simulate(
     from cosim.limits import Limits
 
     from ..output import OptionalSteps, check_folder
-    from ..run import run_plan
+    from ..run import run_plan, with_model
     from ..series.files import chosen_forms
     from ..simulation import Scenario
     from ..vehicles import load_vehicle
@@ -102,6 +110,8 @@ def simulate(
         start_values(start),
         fused,
     )
+    if model is not None:
+        plan = with_model(plan, model)
     limits = Limits(call_limit, time_limit, memory_limit)
     clock = 1.0 if realtime else None
     with progress("simulating") as done:
@@ -114,6 +124,7 @@ def simulate(
         "controller": controller,
         "effect": effect or [],
         "start": start or [],
+        "model": None if model is None else model.name,
         "stop": stop,
         "step": step,
         "interval": interval,

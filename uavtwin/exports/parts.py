@@ -14,6 +14,7 @@ from twin.effects import effects_for
 from twin.errors import TwinError
 from twin.flight.assembly import COMPONENTS, Assembly, Choices, driven_twin, flying_twin
 from twin.logs import Flight
+from twin.physics.residual_force import ForceLaw
 from twin.physics.rotors import Drive
 from twin.physics.sensors.position import PRESETS, Kind
 from twin.representation import short_repr
@@ -96,11 +97,7 @@ def twin(
     _check_position("twin", position)
     if compensator is not None:
         check_compensator(compensator, model)
-    law = None
-    if force is not None:
-        taught = force.model
-        _check_taught(str(force.folder), taught.vehicle, taught.vehicle_sha256, model)
-        law = force.model.law
+    law = None if force is None else law_for(force, model)
     if drive is None:
         assembly = flying_twin(model, mission, controller, law=law, position=position)
     else:
@@ -200,6 +197,31 @@ def check_compensator(network: NetworkFile, vehicle: Vehicle) -> None:
             f"{vehicle.name} has {vehicle.rotors.count}. Give the vehicle it was trained for."
         )
     _check_taught(str(folder), network.vehicle, network.vehicle_sha256, vehicle)
+
+
+def check_unaided(network: NetworkFile) -> None:
+    """Refuse a compensator that needs the readings of an aircraft, where none flies.
+
+    Raises:
+        TwinError: It sees measurements.
+    """
+    if network.sees_measurements:
+        raise TwinError(
+            f"{network.path.parent}: this compensator corrects by what the aircraft measured a "
+            f"while ago (protocol {network.protocol}); here no aircraft flies. Train one that "
+            f"sees none: uavtwin train --protocol free, or --protocol force."
+        )
+
+
+def law_for(force: LearnedForce, vehicle: Vehicle) -> ForceLaw:
+    """The law of a learned force, held against the vehicle whose twin it is to move.
+
+    Raises:
+        TwinError: It was learned for another vehicle, or for other numbers of this one.
+    """
+    taught = force.model
+    _check_taught(str(force.folder), taught.vehicle, taught.vehicle_sha256, vehicle)
+    return taught.law
 
 
 def learned_force(folder: str | Path) -> LearnedForce:

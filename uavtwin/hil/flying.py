@@ -17,7 +17,7 @@ from twin.frames import AXES
 from twin.physics.sensors.table import SENSORS
 from twin.vehicle import Vehicle
 
-from ..exports.parts import LearnedForce, twin
+from ..exports.parts import LearnedForce, check_unaided, twin
 from ..simulation import Scenario, ineffective, shaping_starts
 
 Array = NDArray[np.float64]
@@ -150,12 +150,8 @@ def flying_twin_of(
             f"{vehicle.name}: an autopilot gives motor commands, this vehicle is known by rotor "
             f"speed alone. Give it a map from commands: docs/guide/vehicle.md."
         )
-    if compensator is not None and compensator.sees_measurements:
-        raise TwinError(
-            f"{compensator.path.parent}: this compensator corrects by what the aircraft measured a "
-            f"while ago (protocol {compensator.protocol}); here no aircraft flies. Train one that "
-            f"sees none: uavtwin train --protocol free, or --protocol force."
-        )
+    if compensator is not None:
+        check_unaided(compensator)
     whole = twin(vehicle, compensator=compensator, drive="command", force=force)
     assembly = _with_battery(whole.assembly, vehicle)
     network = whole.compensator

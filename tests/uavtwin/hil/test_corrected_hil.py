@@ -1,19 +1,23 @@
 """What was learned is in what an autopilot is told."""
 
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from learning_rigs.compensator_rig import compensator, exported, tiny
 
-from learning.force.model import ForceModel
+from learning.force.model import ForceModel, save_force
 from twin.errors import TwinError
 from twin.physics.residual_force import FEATURES, INPUTS, OUTPUTS, ForceLaw
 from twin.vehicle_file import load_vehicle
 from uavtwin.exports.parts import LearnedForce
 from uavtwin.exports.parts import compensator as read_compensator
 from uavtwin.hil.flying import flying_twin_of
+from uavtwin.run import run_plan, with_model
+from uavtwin.simulation import Scenario
 
 VEHICLE = "copter_default"
 COMMANDS = [0.7, 0.72, 0.7, 0.72]
@@ -82,3 +86,40 @@ def test_a_learned_force_moves_the_aircraft(tmp_path: Path) -> None:
     np.testing.assert_allclose(more, (PUSH_M_S2, 0.0, 0.0), atol=1e-4)
     assert flown["plain"]["vel"][0] == pytest.approx(0.0, abs=1e-9)
     assert 0.1 < flown["pushed"]["vel"][0] < 0.5 * PUSH_M_S2
+
+
+def flown_with(folder: Path, fused: bool = False) -> dict[str, np.ndarray[Any, Any]]:
+    """Outputs of two seconds of a hover with what a folder holds."""
+    plan = with_model(Scenario("hover", load_vehicle(VEHICLE), fused=fused), folder)
+    recording = run_plan(plan, 2.0).recording
+    names = [n.removeprefix("twin.") for n in recording.names]
+    return dict(zip(names, recording.values.T, strict=True))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fused", [False, True], ids=["parts", "fused"])
+def test_a_scenario_flies_with_a_learned_force(tmp_path: Path, fused: bool) -> None:
+    """Rotors push along z alone: once it has left the ground, what is forward was learned."""
+    vehicle = load_vehicle(VEHICLE)
+    save_force(pushed_forward(vehicle.mass_kg), tmp_path)
+    flown = flown_with(tmp_path, fused)
+    assert flown["airframe.specific_force_x"][-50:] == pytest.approx(PUSH_M_S2, abs=0.05)
+
+
+@pytest.mark.slow
+def test_a_scenario_flies_with_a_compensator(tmp_path: Path) -> None:
+    model = compensator(tiny(encoder_units=(10, 7)), "free", vehicle=VEHICLE, envelope=1e4)
+    flown = flown_with(exported(model, tmp_path / "model"))
+    read, corrected = flown["imu.acc_x"], flown["compensator.corrected.acc_x"]
+    correction = flown["compensator.correction.acc_x"]
+    assert np.abs(correction).max() > 1e-3
+    late = slice(1, None)  # a network has its inputs a step late
+    assert corrected[late] - read[late] == pytest.approx(correction[late], abs=0.1)
+
+
+def test_a_model_of_another_vehicle_flies_no_scenario(tmp_path: Path) -> None:
+    save_force(replace(pushed_forward(1.0), vehicle="another"), tmp_path)
+    with pytest.raises(TwinError, match="corrects the twin of another"):
+        with_model(Scenario("hover"), tmp_path)
+    with pytest.raises(TwinError, match="brings its own parts"):
+        with_model(Scenario(tmp_path / "a.ssp"), tmp_path)
