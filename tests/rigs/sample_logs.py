@@ -13,6 +13,7 @@ import pyarrow as pa
 from log_rigs.blackbox_rig import BOOT_US, Part, blackbox
 from log_rigs.crazyflie_rig import usd_log
 from log_rigs.dataflash_rig import dataflash
+from log_rigs.ros_rig import Messages, bag
 from numpy.typing import ArrayLike, NDArray
 
 from twin.frames import from_euler, multiply, to_body
@@ -250,7 +251,15 @@ def _blackbox() -> bytes:
     return blackbox(Part(main))
 
 
+@cache
+def _ros(suffix: str) -> bytes:
+    imu = [{"linear_acceleration": {"x": 0.0, "y": 0.0, "z": 9.80665}}] * len(T_S)
+    return bag([Messages("/imu", "sensor_msgs/msg/Imu", np.asarray(T_S, np.float64), imu)], suffix)
+
+
 SAMPLES: dict[str, Callable[[], bytes]] = {
+    "ROS 2 bag, MCAP": lambda: _ros(".mcap"),
+    "ROS 2 bag, SQLite": lambda: _ros(".db3"),
     "Betaflight Blackbox log": _blackbox,
     "MAVLink telemetry log": _tlog,
     "flight table, Arrow stream": _stream,

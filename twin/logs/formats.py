@@ -247,6 +247,22 @@ FORMATS: tuple[LogFormat, ...] = (
         holds="what was sent of IMU, attitude, position, motor outputs, battery; often too seldom",
     ),
     LogFormat(
+        name="ROS 2 bag, MCAP",
+        suffixes=(".mcap",),
+        signature=Magic(b"\x89MCAP0\r\n"),
+        reader="ros.bag:read_mcap",
+        packages=("rosbags",),
+        holds="PX4's topics, MAVROS, IMU, odometry, battery; others by a mapping file",
+    ),
+    LogFormat(
+        name="ROS 2 bag, SQLite",
+        suffixes=(".db3",),
+        signature=Magic(b"SQLite format 3\x00"),
+        reader="ros.bag:read_sqlite",
+        packages=("rosbags",),
+        holds="the same; of ROS 2 before Iron the standard messages alone",
+    ),
+    LogFormat(
         name="flight table, Parquet",
         suffixes=(".parquet",),
         signature=Magic(b"PAR1"),

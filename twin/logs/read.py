@@ -90,8 +90,6 @@ CERTAIN: _Named = (
         (Magic(magic), f"{name}. Convert it to a flight table (CSV or Parquet).")
         for magic, name in (
             (b"#ROSBAG V", "a ROS 1 bag"),
-            (b"\x89MCAP0\r\n", "an MCAP recording"),
-            (b"SQLite format 3\x00", "an SQLite database, such as a ROS 2 bag"),
             (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
             (b"MATLAB 5.0 MAT-file", "a MATLAB file"),
         )
@@ -328,7 +326,7 @@ def read_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> Fl
     Raises:
         LogError: The file cannot be used; the text says why and what to do.
     """
-    path = Path(path)
+    path = _file_of_bag(Path(path))
     blob = _content(path)
     try:
         found, blob, findings = _located(blob)
@@ -397,6 +395,23 @@ def _doubted(flight: _F, read_as: LogFormat) -> _F:
     if isinstance(changed, Flight):
         return replace(changed, table=changed.table.drop(columns=list(speeds)))
     return replace(changed, known=changed.known - speeds)
+
+
+def _file_of_bag(path: Path) -> Path:
+    """The one file of a ROS 2 bag where the folder of one is given; any other path as it is.
+
+    Raises:
+        LogError: The bag has several files, or compressed ones.
+    """
+    if not (path / "metadata.yaml").is_file():
+        return path
+    files = sorted(f for f in path.iterdir() if f.suffix in (".mcap", ".db3", ".zstd"))
+    if len(files) != 1 or files[0].suffix == ".zstd":
+        raise LogError(
+            f"{path}: a ROS 2 bag of {len(files)} files, or of compressed ones. Make one MCAP of "
+            f"it: ros2 bag convert."
+        )
+    return files[0]
 
 
 def _content(path: Path) -> bytes:

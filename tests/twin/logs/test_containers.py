@@ -152,7 +152,6 @@ def test_bytes_before_the_head_are_left_out_and_counted(
         (b"Rar!\x1a\x07\x01", "RAR archive"),
         (b"log" + bytes(254) + b"ustar\x0000" + ULOG, "tar archive"),
         (b"#ROSBAG V2.0\n", "ROS 1 bag"),
-        (b"SQLite format 3\x00", "SQLite"),
         (b"\xff\xfet\x00i\x00m\x00e\x00", "UTF-16"),
         (b"\xfd\x09\x00\x00\x00\x01\x01", "without times"),
         (b"\xfe\x09\x00\x01\x01\x00", "without times"),

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from log_rigs.ros_rig import needs_rosbags
 from sample_logs import SAMPLES
 
 from twin.errors import TwinError
 from twin.logs import read_flight
 from twin.logs.formats import FORMATS, HEAD
 
-NAMES = [f.name for f in FORMATS]
+NAMES = [
+    pytest.param(f.name, marks=[needs_rosbags] if "rosbags" in f.packages else []) for f in FORMATS
+]
 
 
 @pytest.mark.parametrize("name", NAMES)

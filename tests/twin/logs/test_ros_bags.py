@@ -1,0 +1,147 @@
+"""ROS 2 bags: PX4's topics, MAVROS and topics of one's own are the same flight."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from log_rigs.ros_rig import Messages, bag, mavros_bag, needs_rosbags, px4_bag
+from sample_logs import flown_table
+
+from twin.errors import LogError
+from twin.logs import Flight, read_flight
+
+pytestmark = [pytest.mark.slow, needs_rosbags]
+MOTION = ("acc", "gyro", "vel")
+OUTPUTS = """
+[cmd]
+topic = "/mavros/rc/out"
+fields = ["channels[0]", "channels[1]", "channels[2]", "channels[3]"]
+unit = "us"
+low = 1000
+high = 2000
+"""
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    return flown_table().iloc[:1000]
+
+
+def compare(flight: Flight, table: pd.DataFrame, names: list[str], atol: float) -> None:
+    """Every sample that the bag has, at its time."""
+    for name in names:
+        t_s, values = flight.signal([name])
+        want = np.interp(t_s, table["time"], table[name])
+        assert len(t_s) > 100, name
+        np.testing.assert_allclose(values[:, 0], want, atol=atol, err_msg=name)
+
+
+def columns(*stems: str) -> list[str]:
+    return [f"{s}_{a}" for s in stems for a in ("wxyz" if s == "q" else "xyz")]
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".db3"])
+def test_topics_of_px4_are_a_flight(table: pd.DataFrame, suffix: str, tmp_path: Path) -> None:
+    file = tmp_path / f"flight{suffix}"
+    file.write_bytes(bag(px4_bag(table), suffix))
+    flight = read_flight(file)
+    commands = [f"cmd_{i}" for i in range(1, 5)]
+    compare(flight, table, [*columns(*MOTION, "q", "pos"), *commands], 2e-6)
+    assert flight.signal(["pos_x"])[0][0] >= 1.0, "invalid before"
+    assert flight.facts["cmd from"] == "/fmu/out/actuator_motors"
+    assert flight.autopilot is not None
+    assert [(m.name, round(m.start_s, 1)) for m in flight.autopilot.modes] == [
+        ("Takeoff", 0.0),
+        ("Mission", 5.0),
+    ]
+    assert list(flight.table["phase"][:100]) == ["ground"] * 100
+    assert {"thrust", "invalid"} <= {w for f in flight.findings for w in f.message.split()}
+
+
+def test_topics_of_mavros_are_turned(table: pd.DataFrame, tmp_path: Path) -> None:
+    """ENU and FLU by scipy on the way there, by our own algebra on the way back."""
+    file = tmp_path / "flight.mcap"
+    file.write_bytes(bag(mavros_bag(table)))
+    flight = read_flight(file)
+    compare(flight, table, columns(*MOTION, "pos"), 1e-9)
+    q, truth = flight.signal(columns("q"))[1], table[columns("q")].to_numpy()
+    assert np.abs(np.sum(q * truth, axis=1)) == pytest.approx(1.0, abs=1e-9)
+    assert flight.facts["acc from"] == "/mavros/imu/data_raw"
+    assert flight.table["ibat_a"].dropna().tolist() == [12.0] * 5
+    assert not flight.has("cmd_1") and any("mapping file" in f.message for f in flight.findings)
+
+
+def test_a_mapping_file_names_other_topics(table: pd.DataFrame, tmp_path: Path) -> None:
+    file = tmp_path / "flight.mcap"
+    file.write_bytes(bag(mavros_bag(table)))
+    (tmp_path / "flight.topics.toml").write_text(OUTPUTS)
+    compare(read_flight(file), table, [f"cmd_{i}" for i in range(1, 5)], 5.1e-4)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ("[cmd", "no mapping of topics"),
+        ("[command]\ntopic='/mavros/rc/out'\nfields=[]", r"\[command\] is no signal"),
+        (OUTPUTS.replace("rc/out", "none"), "topic /mavros/none: the bag has"),
+        (OUTPUTS.replace('"us"', '"weeks"'), "unit 'weeks'"),
+        (OUTPUTS.replace('"channels[3]"', '"__class__[x"'), "write a path such as"),
+        (OUTPUTS.replace("high = 2000", "high = 1000"), "low = high = 1000"),
+        (OUTPUTS.replace("low = ", "least = "), "least"),
+    ],
+)
+def test_a_wrong_mapping_is_said(
+    table: pd.DataFrame, wrong: str, said: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "flight.mcap"
+    file.write_bytes(bag(mavros_bag(table.iloc[:5])))
+    (tmp_path / "flight.topics.toml").write_text(wrong)
+    with pytest.raises(LogError, match=said):
+        read_flight(file)
+
+
+def test_the_folder_of_a_bag_is_the_bag(table: pd.DataFrame, tmp_path: Path) -> None:
+    bag(px4_bag(table.iloc[:200]), folder=tmp_path)
+    assert read_flight(tmp_path / "bag").has("acc_x")
+    (tmp_path / "bag" / "second.mcap").write_bytes(b"")
+    with pytest.raises(LogError, match="of 2 files"):
+        read_flight(tmp_path / "bag")
+
+
+def test_a_topic_of_another_clock_is_timed_by_the_record(
+    table: pd.DataFrame, tmp_path: Path
+) -> None:
+    """Stamped an hour behind, recorded with the others; so are stamps that stand still."""
+    topics = mavros_bag(table)
+    odometry = topics[2]
+    topics[2] = Messages(
+        odometry.topic, odometry.message, odometry.t_s - 3600.0, odometry.fields, 3600.002
+    )
+    file = tmp_path / "flight.mcap"
+    file.write_bytes(bag(topics))
+    flight = read_flight(file)
+    compare(flight, table, columns("pos"), 1e-2)
+    assert any("another clock" in f.message for f in flight.findings)
+
+
+def test_what_is_no_bag_of_ros_is_said(tmp_path: Path) -> None:
+    import sqlite3
+
+    file = tmp_path / "mine.db3"
+    with sqlite3.connect(file) as made:
+        made.execute("CREATE TABLE notes (text)")
+    made.close()
+    with pytest.raises(LogError, match="no ROS 2 bag that can be read"):
+        read_flight(file)
+    file.with_suffix(".mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
+    with pytest.raises(LogError, match="mcap recover"):
+        read_flight(file.with_suffix(".mcap"))
+
+
+def test_a_bag_without_motion_lists_its_topics(tmp_path: Path) -> None:
+    file = tmp_path / "flight.mcap"
+    said = Messages("/chatter", "std_msgs/msg/String", np.arange(3.0), [{"data": "hello"}] * 3)
+    file.write_bytes(bag([said]))
+    with pytest.raises(LogError, match=r"It has /chatter \(String\)"):
+        read_flight(file)

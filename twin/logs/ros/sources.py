@@ -1,0 +1,300 @@
+"""Which topics of a ROS 2 bag are which signals of a flight, and in which units and frames.
+
+Those of PX4 (px4_msgs over uXRCE-DDS), MAVROS and the standard messages of ROS are known here;
+others are named by a mapping file next to the bag. Units and axes of ROS stand in this file alone:
+REP 103 and 105, body forward, left, up; world east, north, up; quaternions x, y, z, w.
+"""
+
+import re
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from ...errors import LogError
+from ...frames import multiply, rotation_matrix
+from ..columns import ACC, GYRO, MAG, MAX_MOTORS, MIN_MOTORS, POS, QUAT, VEL, motor_columns
+from ..flight import Array
+
+MAPPING_SUFFIX = ".topics.toml"
+"""Ending of the mapping file of a bag: `flight.mcap` has `flight.topics.toml`."""
+_HALF = float(np.sqrt(0.5))
+_Q_NED_ENU, _Q_FLU_FRD = (0.0, _HALF, _HALF, 0.0), (0.0, 1.0, 0.0, 0.0)
+"""Rotations between the frames of ROS and those of a flight, w, x, y, z."""
+_RAD_S_PER_RPM = 2.0 * np.pi / 60.0
+"""rad/s of a turn per minute."""
+
+
+def as_it_is(values: Array) -> Array:
+    """Of what is SI, NED and FRD already."""
+    return values
+
+
+def from_flu(values: Array) -> Array:
+    """Forward, left, up -> forward, right, down; shape (n, 3)."""
+    return values * (1.0, -1.0, -1.0)
+
+
+def from_enu(values: Array) -> Array:
+    """East, north, up -> north, east, down; shape (n, 3)."""
+    return values[:, [1, 0, 2]] * (1.0, 1.0, -1.0)
+
+
+def from_ros_quaternion(values: Array) -> Array:
+    """x, y, z, w, FLU to ENU -> w, x, y, z, FRD to NED; shape (n, 4)."""
+    q = values[:, [3, 0, 1, 2]].T
+    turned = multiply(multiply(_Q_NED_ENU, list(q)), _Q_FLU_FRD)
+    return np.column_stack([np.broadcast_to(c, len(values)) for c in turned])
+
+
+def from_body_velocity(values: Array) -> Array:
+    """Forward, left, up and a quaternion of ROS -> velocity, NED; shapes (n, 7) to (n, 3)."""
+    rows = rotation_matrix(list(values[:, [6, 3, 4, 5]].T))
+    v = values[:, :3].T
+    return from_enu(np.column_stack([sum(r[k] * v[k] for k in range(3)) for r in rows]))
+
+
+def _times(factor: float) -> Callable[[Array], Array]:
+    def scaled(values: Array) -> Array:
+        return values * factor
+
+    return scaled
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a signal may come from.
+
+    Attributes:
+        signal: Name in findings and limits.
+        columns: Of the flight table; none: as many motors as have values, of that stem.
+        message: Type of the messages.
+        topic: Of names that are meant.
+        fields: Of a message, by path, "linear_acceleration.x"; an array counts with all elements.
+        convert: From these to SI, NED, FRD; shapes (n, fields) to (n, columns).
+        only: Values that fields have where the message is used, by path.
+        note: What is to be known of the signal, "" where nothing is.
+    """
+
+    signal: str
+    columns: tuple[str, ...]
+    message: str
+    topic: re.Pattern[str]
+    fields: tuple[str, ...]
+    convert: Callable[[Array], Array] = as_it_is
+    only: Mapping[str, float] = field(default_factory=dict)
+    note: str = ""
+
+    def fits(self, topic: str, message: str) -> bool:
+        """Whether a topic is meant."""
+        return message == self.message and self.topic.search(topic) is not None
+
+
+_OUT = re.compile(r"/fmu/out/")
+"""What PX4 says; `/fmu/in/` is what others tell it."""
+_ANY, _RAW = re.compile(""), re.compile(r"raw")
+_MAVROS = re.compile(r"/mavros/")
+_XYZ = ("x", "y", "z")
+
+
+_COLUMNS: Mapping[str, tuple[str, ...]] = {
+    **{"acc": ACC, "gyro": GYRO, "mag": MAG, "pos": POS, "vel": VEL, "q": QUAT},
+    **{"baro": ("baro_pa",), "vbat_v": ("vbat_v",), "ibat_a": ("ibat_a",), "cmd": (), "rotor": ()},
+}
+"""Signals and their columns; none: one for each motor."""
+
+
+def _px4(
+    signal: str,
+    message: str,
+    *fields: str,
+    convert: Callable[[Array], Array] = as_it_is,
+    only: Mapping[str, float] | None = None,
+    topic: re.Pattern[str] = _OUT,
+    note: str = "",
+) -> Source:
+    kind, columns = f"px4_msgs/msg/{message}", _COLUMNS[signal]
+    return Source(signal, columns, kind, topic, fields, convert, dict(only or {}), note)
+
+
+def _ros(
+    signal: str,
+    message: str,
+    *fields: str,
+    convert: Callable[[Array], Array] = as_it_is,
+    topic: re.Pattern[str] = _ANY,
+    note: str = "",
+) -> Source:
+    return Source(signal, _COLUMNS[signal], message, topic, fields, convert, {}, note)
+
+
+def _of(stem: str, names: tuple[str, ...] = _XYZ) -> tuple[str, ...]:
+    return tuple(f"{stem}.{n}" for n in names)
+
+
+_NED_POSE, _NED_VELOCITY = {"pose_frame": 1.0}, {"velocity_frame": 1.0}
+"""Of px4_msgs/VehicleOdometry: POSE_FRAME_NED, VELOCITY_FRAME_NED."""
+_THRUST = (
+    "thrust of actuator_motors, taken for the command: a bag has no parameters, so the thrust "
+    "curve (THR_MDL_FAC) is not known"
+)
+_EAST = "x of its frame is taken for east (REP 105): the heading is right only if it is"
+_IMU, _ODOMETRY = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry"
+_POSE, _TWIST = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"
+_BATTERY = "sensor_msgs/msg/BatteryState"
+_ROS_Q = ("x", "y", "z", "w")
+_ODOMETRY_Q = _of("pose.pose.orientation", _ROS_Q)
+
+
+def _imu(topic: re.Pattern[str]) -> Iterator[Source]:
+    yield _ros("acc", _IMU, *_of("linear_acceleration"), convert=from_flu, topic=topic)
+    yield _ros("gyro", _IMU, *_of("angular_velocity"), convert=from_flu, topic=topic)
+
+
+def _motion(topic: re.Pattern[str], note: str) -> Iterator[Source]:
+    """Attitude, position and velocity of an estimator."""
+
+    def of(
+        signal: str, message: str, fields: tuple[str, ...], convert: Callable[[Array], Array]
+    ) -> Source:
+        return _ros(signal, message, *fields, convert=convert, topic=topic, note=note)
+
+    yield of("q", _ODOMETRY, _ODOMETRY_Q, from_ros_quaternion)
+    yield of("q", _POSE, _of("pose.orientation", _ROS_Q), from_ros_quaternion)
+    yield of("pos", _ODOMETRY, _of("pose.pose.position"), from_enu)
+    yield of("pos", _POSE, _of("pose.position"), from_enu)
+    in_body = (*_of("twist.twist.linear"), *_ODOMETRY_Q)
+    yield of("vel", _ODOMETRY, in_body, from_body_velocity)
+
+
+SOURCES: tuple[Source, ...] = (
+    _px4("acc", "SensorCombined", "accelerometer_m_s2"),
+    _px4("gyro", "SensorCombined", "gyro_rad"),
+    _px4("mag", "VehicleMagnetometer", "magnetometer_ga", convert=_times(1e-4)),
+    _px4("baro", "VehicleAirData", "baro_pressure_pa"),
+    _px4("q", "VehicleAttitude", "q"),
+    _px4("q", "VehicleOdometry", "q", only=_NED_POSE),
+    _px4("pos", "VehicleLocalPosition", *_XYZ, only={"xy_valid": 1.0, "z_valid": 1.0}),
+    _px4("pos", "VehicleOdometry", "position", only=_NED_POSE),
+    _px4(
+        *("vel", "VehicleLocalPosition", "vx", "vy", "vz"),
+        only={"v_xy_valid": 1.0, "v_z_valid": 1.0},
+    ),
+    _px4("vel", "VehicleOdometry", "velocity", only=_NED_VELOCITY),
+    _px4("cmd", "ActuatorMotors", "control", note=_THRUST),
+    _px4("cmd", "ActuatorMotors", "control", topic=_ANY, note=_THRUST),
+    _px4("vbat_v", "BatteryStatus", "voltage_v"),
+    _px4("ibat_a", "BatteryStatus", "current_a"),
+    *_imu(_RAW),  # what is not filtered, if it is there
+    *_imu(_ANY),
+    _ros("mag", "sensor_msgs/msg/MagneticField", *_of("magnetic_field"), convert=from_flu),
+    _ros("baro", "sensor_msgs/msg/FluidPressure", "fluid_pressure"),
+    *_motion(_MAVROS, ""),
+    *_motion(_ANY, _EAST),
+    _ros(
+        *("q", _IMU, *_of("orientation", _ROS_Q)),
+        convert=from_ros_quaternion,
+        topic=re.compile(r"/mavros/imu/data$"),
+    ),
+    _ros(
+        *("vel", _TWIST, *_of("twist.linear")),
+        convert=from_enu,
+        topic=re.compile(r"/velocity_local$"),
+    ),
+    _ros("vbat_v", _BATTERY, "voltage"),
+    _ros("ibat_a", _BATTERY, "current", convert=_times(-1.0)),
+)
+"""Of several for the same signal the first that a bag has."""
+
+
+# -- mapping files --------------------------------------------------------------------------------
+
+_FRAMES: Mapping[str, Mapping[str, Callable[[Array], Array]]] = {
+    **{s: {"FRD": as_it_is, "FLU": from_flu} for s in ("acc", "gyro", "mag")},
+    **{s: {"NED": as_it_is, "ENU": from_enu} for s in ("pos", "vel")},
+    "q": {"NED-FRD": as_it_is, "ENU-FLU": from_ros_quaternion},
+}
+"""Frames that vectors may have, the first where none is named."""
+_UNITS = {
+    **{"": 1.0, "m/s^2": 1.0, "g": 9.80665, "rad/s": 1.0, "deg/s": np.pi / 180.0},
+    **{"rpm": _RAD_S_PER_RPM, "T": 1.0, "gauss": 1e-4, "Pa": 1.0, "hPa": 100.0, "m": 1.0},
+    **{"m/s": 1.0, "V": 1.0, "mV": 1e-3, "A": 1.0, "us": 1.0},
+}
+"""SI units in a unit of a mapping file."""
+
+
+class Mapped(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A signal in a mapping file.
+
+    Attributes:
+        topic: Name.
+        fields: Of a message, by path: "linear_acceleration.x", "channels[0]"; of an attitude w, x,
+            y, z in the frame NED-FRD, x, y, z, w in ENU-FLU.
+        frame: Of a vector or an attitude.
+        unit: Of the values; that of the flight table where it is left out.
+        low: Value of command 0, of `cmd`.
+        high: Value of command 1, of `cmd`.
+    """
+
+    topic: str
+    fields: list[str]
+    frame: str = ""
+    unit: str = ""
+    low: float = 0.0
+    high: float = 1.0
+
+
+def mapped_sources(bag: Path, types: Mapping[str, str]) -> tuple[Source, ...]:
+    """Sources of the mapping file of a bag; none where there is no such file.
+
+    Args:
+        bag: File of the bag; the mapping lies next to it.
+        types: Of its messages, by topic.
+
+    Raises:
+        LogError: The file is no mapping, or names what the bag does not have.
+    """
+    file = bag.with_suffix(MAPPING_SUFFIX)
+    if not file.is_file():
+        return ()
+    try:
+        content = tomllib.loads(file.read_text("utf-8"))
+        named = msgspec.convert(content, dict[str, Mapped])
+    except (OSError, ValueError, msgspec.ValidationError) as error:
+        raise LogError(f"{file.name}: no mapping of topics: {error}.") from error
+    return tuple(_mapped(file.name, s, m, types) for s, m in named.items())
+
+
+def _mapped(file: str, signal: str, given: Mapped, types: Mapping[str, str]) -> Source:
+    """The source of one entry."""
+
+    def wrong(text: str) -> LogError:
+        return LogError(f"{file}: [{signal}] {text}")
+
+    if signal not in _COLUMNS:
+        raise wrong(f"is no signal. Write one of {', '.join(_COLUMNS)}.")
+    if given.topic not in types:
+        raise wrong(f"topic {given.topic}: the bag has {', '.join(sorted(types)[:12])}.")
+    frames = _FRAMES.get(signal, {"": as_it_is})
+    turned = frames.get(given.frame or next(iter(frames)))
+    if turned is None:
+        raise wrong(f"frame {given.frame!r}: write one of {', '.join(filter(None, frames))}.")
+    if given.unit not in _UNITS:
+        raise wrong(f"unit {given.unit!r}: write one of {', '.join(filter(None, _UNITS))}.")
+    columns = _COLUMNS[signal] or motor_columns(signal, len(given.fields))
+    several = signal in ("cmd", "rotor")
+    if several and not MIN_MOTORS <= len(given.fields) <= MAX_MOTORS:
+        raise wrong(f"has {len(given.fields)} fields: one for each of 3 to 12 motors, in order.")
+    if given.high == given.low:
+        raise wrong(f"low = high = {given.low:g}: give the values of command 0 and of command 1.")
+    low, span = (given.low, given.high - given.low) if signal == "cmd" else (0.0, 1.0)
+
+    def convert(values: Array) -> Array:
+        """To SI, NED, FRD; commands to 0..1."""
+        return turned((values - low) / span * _UNITS[given.unit])
+
+    whole = re.compile(f"^{re.escape(given.topic)}$")
+    return Source(signal, columns, types[given.topic], whole, tuple(given.fields), convert)
