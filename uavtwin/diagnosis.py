@@ -76,12 +76,43 @@ def why(flight: Any, references: Any = (), since: Vehicle | None = None) -> WhyR
     """
     if since is not None and len(references):
         raise TwinError("why: give normal flights, or since=VEHICLE, whose calibration holds them.")
-    (asked,) = _read([flight])
-    found = diagnose(asked, _read(references), since=since)
+    (asked,) = read_asked([flight])
+    found = diagnose(asked, read_asked(references), since=since)
     return WhyResult(WhyRecord(**structs.asdict(found)), asked)
 
 
-def _read(given: Sequence[Any]) -> tuple[Flight, ...]:
+def why_table(records: Sequence[WhyRecord]) -> TextTable:
+    """Several flights, a row each: the first cause, when, and whether control was lost."""
+    head = ("flight", "verdict", "first cause", "time", "probability", "control lost")
+    return TextTable(head, tuple(map(_summary, records)))
+
+
+def _summary(record: WhyRecord) -> tuple[str, ...]:
+    """A flight in the table of several."""
+    either = " or ".join(map(cause_in_words, record.one_of_causes))
+    first = next((e for e in record.events if not e.consequence), None)
+    cause, when = either, "all the time" if either else ""
+    if first is not None and not either:
+        cause = cause_in_words(first)
+        when = "all the time" if first.onset_s is None else f"{first.onset_s:.2f} s"
+    lost = record.loss_of_control_s
+    sure = f"{100 * record.probability:.0f} %"
+    return (
+        record.flight,
+        _words(record.verdict),
+        cause,
+        when,
+        sure,
+        "" if lost is None else f"{lost:.2f} s",
+    )
+
+
+def read_asked(given: Sequence[Any]) -> tuple[Flight, ...]:
+    """Flights, or those of the logs at paths, checked for what `why` needs.
+
+    Raises:
+        TwinError: A log cannot be read.
+    """
     flights = [read_flight(Path(f)) if isinstance(f, str | Path) else f for f in given]
     return checked_flights(flights, "why")
 

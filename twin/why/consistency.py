@@ -65,6 +65,7 @@ class Residual:
         window_s: Time over which it is averaged.
         least: Change that nobody needs to speak of, in the unit.
         usual: Lasting change that is no surprise, in the unit.
+        largest: Change with which nothing flies, or that no instrument reads, in the unit.
     """
 
     lasting: str
@@ -80,6 +81,7 @@ class Residual:
     window_s: float
     least: float
     usual: float
+    largest: float
 
     @property
     def step_s(self) -> float:
@@ -204,6 +206,12 @@ def _looked(r: Residual, budget: Budget) -> _Look:
 def trailing_median(values: Array, bins: float) -> Array:
     """Median of so many values up to each."""
     rolling = pd.Series(values).rolling(max(round(bins), 1), min_periods=1)
+    return np.asarray(rolling.median().to_numpy(), dtype=np.float64)
+
+
+def running_median(values: Array, bins: float) -> Array:
+    """Median of so many values about each."""
+    rolling = pd.Series(values).rolling(max(round(bins) | 1, 1), min_periods=1, center=True)
     return np.asarray(rolling.median().to_numpy(), dtype=np.float64)
 
 

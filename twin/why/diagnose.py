@@ -19,7 +19,7 @@ from .timeline import timeline
 from .vibration import vibration
 
 NAMED = 0.5
-"""Probability from which on an event makes the verdict "found"."""
+"""Probability from which on an event is said: below it something else, or nothing, is likelier."""
 CONSEQUENCE_S = 15.0
 """A body that was pushed or lost a rotor upsets sensors and estimator for that long."""
 BEFORE_S = 0.5
@@ -112,7 +112,8 @@ def diagnose(
 
 
 def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
-    """By time, those without onset last; what a moved body explains is a consequence."""
+    """Those that are probable, by time, those without onset last; what a moved body explains is a
+    consequence."""
     moved = [e.onset_s for e in events if e.cause in BODY_CAUSES and e.onset_s is not None]
 
     def explained(event: Event) -> bool:
@@ -120,7 +121,8 @@ def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
             return False
         return any(-BEFORE_S <= event.onset_s - t <= CONSEQUENCE_S for t in moved)
 
-    marked = [replace(e, consequence=e.consequence or explained(e)) for e in events]
+    likely = [e for e in events if e.probability >= NAMED]
+    marked = [replace(e, consequence=e.consequence or explained(e)) for e in likely]
     return tuple(sorted(marked, key=lambda e: float("inf") if e.onset_s is None else e.onset_s))
 
 
@@ -133,7 +135,7 @@ def _verdict(
     decided: bool,
 ) -> tuple[Verdict, float]:
     """What is found, and how probable that is."""
-    causes = [e.probability for e in events if not e.consequence and e.probability >= NAMED]
+    causes = [e.probability for e in events if not e.consequence]
     if one_of:
         return "found", sum(c.probability for c in one_of)
     if causes:
@@ -168,7 +170,7 @@ def _clauses(
     lost: float | None,
     airborne_s: float,
 ) -> Iterator[str]:
-    first = next((e for e in events if not e.consequence and e.probability >= NAMED), None)
+    first = next((e for e in events if not e.consequence), None)
     if airborne_s == 0:
         yield "The log holds no flight of five seconds or more."
     elif one_of:

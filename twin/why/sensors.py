@@ -25,6 +25,7 @@ from .consistency import (
     Change,
     Residual,
     changed_at,
+    running_median,
     smallest_detectable,
     trailing_median,
 )
@@ -56,6 +57,8 @@ FOLLOWS_S = 10.0
 to 10 s of rejected measurements."""
 PRESSURE_SCALE_M = 8434.0
 """Scale height of the atmosphere at 288 K, ISO 2533."""
+JOLT_S = 1.5
+"""Of which a touch of the ground or of a branch takes less than half, noise that sets in more."""
 AROUND_S = 8.0
 """Drawn before and after an onset."""
 MOST_POINTS = 240
@@ -213,19 +216,30 @@ def _chain(events: Sequence[Event], first: Event) -> list[Event]:
 
 def _hidden(residuals: Sequence[Residual], budget: Budget) -> dict[str, NotVisible]:
     """Of each lasting cause, the smallest change that the worst axis would have shown."""
-    least: dict[tuple[str, str], tuple[float, str]] = {}
+    least: dict[tuple[str, str], tuple[float, Residual]] = {}
     for r in residuals:
-        key = r.lasting, r.sensor
-        size = min(smallest_detectable(r, budget), least.get(key, (np.inf, ""))[0])
-        least[key] = size, r.unit
+        key, size = (r.lasting, r.sensor), smallest_detectable(r, budget)
+        if key not in least or size < least[key][0]:
+            least[key] = size, r
     found: dict[str, NotVisible] = {}
-    for (cause, _), (size, unit) in sorted(least.items(), key=lambda x: x[1][0]):
-        if np.isfinite(size) and cause not in OF_ESTIMATE:
-            share = np.expm1(size) if cause == "sensor_noise_level" else size
-            amount = Amount(value=float(share), unit=unit)
-            reason = "a smaller change is within what the instruments differ by anyhow"
-            found[cause] = NotVisible(cause=cause, smallest_detectable=amount, reason=reason)
+    for (cause, _), (size, r) in sorted(least.items(), key=lambda x: x[1][0]):
+        if cause not in OF_ESTIMATE:
+            found[cause] = _not_visible(cause, size, r)
     return found
+
+
+def _not_visible(cause: str, size: float, r: Residual) -> NotVisible:
+    """A change that would not have shown; of any size where none is possible that would."""
+    if not size <= r.largest:
+        reason = "the instruments differ by more than any such change anyhow"
+        if np.isinf(size):
+            reason = "the flight is too short to know what is usual"
+        amount = Amount(value=None, unit=r.unit)
+        return NotVisible(cause=cause, smallest_detectable=amount, reason=reason)
+    share = np.expm1(size) if cause == "sensor_noise_level" else size
+    reason = "a smaller change is within what the instruments differ by anyhow"
+    amount = Amount(value=float(share), unit=r.unit)
+    return NotVisible(cause=cause, smallest_detectable=amount, reason=reason)
 
 
 def within(flight: Flight, start_s: float, end_s: float) -> dict[str, Signal]:
@@ -375,7 +389,7 @@ def _turn(signals: Signals) -> Iterator[Residual]:
         error = SCALE_ERROR * turning
         causes, named = ("gyro_bias", "attitude_estimate", "gyro_scale"), (column, "rate", "rad/s")
         bins, windows = (t, r, np.nan_to_num(error)), ((1.0, 0.04), (5.0, 0.015))
-        yield from _of_windows(causes, named, bins, reading, windows, usual=0.1)
+        yield from _of_windows(causes, named, bins, reading, windows, (0.1, 1.0))
 
 
 def _force(signals: Signals) -> Iterator[Residual]:
@@ -397,9 +411,8 @@ def _force(signals: Signals) -> Iterator[Residual]:
         error = late * size
         causes = "accel_bias", "velocity_estimate", "accel_scale"
         named, windows = (column, "acceleration", "m/s^2"), ((2.0, 0.5), (8.0, 0.2))
-        yield from _of_windows(
-            causes, named, (t, r, np.nan_to_num(error)), reading, windows, usual=1.0
-        )
+        bins, sizes = (t, r, np.nan_to_num(error)), (1.0, GRAVITY_M_S2)
+        yield from _of_windows(causes, named, bins, reading, windows, sizes)
 
 
 def _of_windows(
@@ -408,11 +421,12 @@ def _of_windows(
     bins: tuple[Array, Array, Array],
     reading: Array,
     windows: Sequence[tuple[float, float]],
-    usual: float,
+    sizes: tuple[float, float],
 ) -> list[Residual]:
     """Residuals of one axis, for each window and least change: lasting, passing and scaling cause;
-    sensor, quantity and unit; times, differences and their errors."""
+    sensor, quantity and unit; times, differences and their errors; usual and largest size."""
     (lasting, passing, scaled), (sensor, quantity, unit), (t, r, error) = causes, named, bins
+    usual, largest = sizes
     return [
         Residual(
             lasting=lasting,
@@ -428,6 +442,7 @@ def _of_windows(
             window_s=window_s,
             least=least,
             usual=usual,
+            largest=largest,
         )
         for window_s, least in windows
     ]
@@ -445,13 +460,13 @@ def _single(
     bins: tuple[Array, Array],
     reading: Array,
     window_s: float,
-    least: float,
-    usual: float = 0.0,
+    sizes: tuple[float, float, float],
 ) -> Residual:
-    """A residual that has no axes: lasting and passing cause; sensor, quantity and unit."""
+    """A residual that has no axes: lasting and passing cause; sensor, quantity and unit; least,
+    usual and largest size."""
     given = (*bins, np.zeros(len(bins[0])))
-    windows = ((window_s, least),)
-    return _of_windows((*causes, ""), named, given, reading, windows, usual or least)[0]
+    windows = ((window_s, sizes[0]),)
+    return _of_windows((*causes, ""), named, given, reading, windows, sizes[1:])[0]
 
 
 def _field(signals: Signals) -> Iterator[Residual]:
@@ -466,12 +481,14 @@ def _field(signals: Signals) -> Iterator[Residual]:
     step = max(BIN_S, 1.0 / mag.rate_hz)
     bins = _binned(mag.t_s, strength / usual - 1.0, step)
     causes = "mag_hard_iron", "mag_disturbance"
-    yield _single(causes, ("compass", "field_strength", "1"), bins, bins[1] + 1.0, 2.0, 0.25)
+    named, sizes = ("compass", "field_strength", "1"), (0.25, 0.25, 2.0)
+    yield _single(causes, named, bins, bins[1] + 1.0, 2.0, sizes)
     if "q" in signals:
         ned = np.einsum("nij,nj->ni", _attitude_at(signals["q"], mag.t_s), mag.values)
         bins = _binned(mag.t_s, np.unwrap(np.arctan2(ned[:, 1], ned[:, 0])), step)
         causes = "mag_hard_iron", "attitude_estimate"
-        yield _single(causes, ("compass", "heading", "rad"), bins, bins[1], 3.0, 0.35)
+        named, sizes = ("compass", "heading", "rad"), (0.35, 0.35, np.pi)
+        yield _single(causes, named, bins, bins[1], 3.0, sizes)
 
 
 def _height(signals: Signals) -> Iterator[Residual]:
@@ -485,7 +502,8 @@ def _height(signals: Signals) -> Iterator[Residual]:
     _, reading = _binned(baro.t_s, height, step)
     bins = t, apart - trailing_median(apart, 20.0 / step)
     causes = "baro_bias", "baro_disturbance"
-    yield _single(causes, ("barometer", "height", "m"), bins, reading, 1.0, 4.0, usual=10.0)
+    named = "barometer", "height", "m"
+    yield _single(causes, named, bins, reading, 1.0, (4.0, 10.0, 100.0))
 
 
 def _place(signals: Signals) -> Iterator[Residual]:
@@ -501,22 +519,24 @@ def _place(signals: Signals) -> Iterator[Residual]:
         _, reading = _binned(middle, moved[:, k], step)
         bins = _binned(middle, apart[:, k], step)
         causes = "position_estimate", "position_estimate"
-        yield _single(causes, (column, "speed", "m/s"), bins, reading, 1.0, 1.5)
+        yield _single(causes, (column, "speed", "m/s"), bins, reading, 1.0, (1.5, 1.5, 100.0))
 
 
 def _noise(signals: Signals) -> Iterator[Residual]:
     """Logarithm of the noise of gyroscope and accelerometer: of second differences, by fifths of a
-    second."""
+    second, and the median of a second of these, since a touch of the ground is a jolt, no noise."""
     for name, sensor, floor in (("gyro", "gyroscope", 1e-4), ("acc", "accelerometer", 0.01)):
         if name not in signals or signals[name].rate_hz < FAST_HZ:
             continue
         signal = signals[name]
         quick = np.linalg.norm(np.diff(signal.values, 2, axis=0), axis=1)
-        t, power = _binned(signal.t_s[2:], quick**2, max(0.2, 8.0 / signal.rate_hz))
-        level = 0.5 * np.log(power + floor**2)
+        step = max(0.2, 8.0 / signal.rate_hz)
+        t, power = _binned(signal.t_s[2:], quick**2, step)
+        level = running_median(0.5 * np.log(power + floor**2), JOLT_S / step)
         causes = "sensor_noise_level", "sensor_noise_level"
         named = sensor, "noise_ratio", "1"
-        yield _single(causes, named, (t, level), level, 1.0, float(np.log(4.0)))
+        least, largest = float(np.log(4.0)), float(np.log(100.0))
+        yield _single(causes, named, (t, level), level, 1.0, (least, least, largest))
 
 
 def _voltage(signals: Signals) -> Iterator[Residual]:
@@ -528,7 +548,7 @@ def _voltage(signals: Signals) -> Iterator[Residual]:
     t, level = _binned(vbat.t_s, vbat.values[:, 0], step)
     bins = t, level / trailing_median(level, 30.0 / step) - 1.0
     causes = "battery_sag", "battery_sag"
-    yield _single(causes, ("battery", "voltage", "1"), bins, level, 1.0, 0.12)
+    yield _single(causes, ("battery", "voltage", "1"), bins, level, 1.0, (0.12, 0.12, 1.0))
 
 
 Maker = Callable[[Signals], Iterator[Residual]]

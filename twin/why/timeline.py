@@ -86,19 +86,24 @@ def _stops(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
         for which, on in (("upper", own > UPPER_STOP), ("lower", own < LOWER_STOP)):
             for a, b in _long(t, on)[:MOST_STOPS]:
                 text = f"motor {i + 1} at its {which} stop"
-                yield TimelineItem(kind="actuator_limit", t_s=a, end_s=b, text=text)
+                yield TimelineItem(kind="actuator_limit", t_s=float(a), end_s=float(b), text=text)
 
 
 def _long(t: NDArray[np.float64], on: NDArray[np.bool_]) -> list[tuple[float, float]]:
     """Stretches of time in which it holds for long enough, near ones joined."""
-    joined: list[tuple[float, float]] = []
+    return [(t[a], t[b]) for a, b in _joined(t, on) if t[b] - t[a] >= STOP_S]
+
+
+def _joined(t: NDArray[np.float64], on: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last places of stretches in which it holds, near ones joined."""
+    joined: list[tuple[int, int]] = []
     for a, b in stretches_where(on):
-        begin, end = float(t[a]), float(t[min(b, len(t) - 1)])
-        if joined and begin - joined[-1][1] < JOINED_S:
+        end = min(b, len(t) - 1)
+        if joined and t[a] - t[joined[-1][1]] < JOINED_S:
             joined[-1] = joined[-1][0], end
         else:
-            joined.append((begin, end))
-    return [(a, b) for a, b in joined if b - a >= STOP_S]
+            joined.append((a, end))
+    return joined
 
 
 def _contacts(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
@@ -110,10 +115,16 @@ def _contacts(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
     if flight.drive is not None:
         raised = lift(flight.grid[flight.drive][rows]).mean(axis=1)
         force = force / np.maximum(raised / max(float(np.median(raised)), 1e-9), 1.0)
-    for a, b in stretches_where(force > CONTACT_M_S2)[:MOST_STOPS]:
-        peak = number(float(force[a:b].max()))
-        t_s = float(flight.t_s[part.start + a])
-        yield TimelineItem(kind="contact", t_s=t_s, text=f"a blow of {peak} m/s2")
+    t_s, hit = flight.t_s[rows], force > CONTACT_M_S2
+    for a, b in _joined(t_s, hit)[:MOST_STOPS]:
+        count, peak = len(stretches_where(hit[a : b + 1])), number(float(force[a : b + 1].max()))
+        several = f"{count} blows, the hardest of {peak} m/s2"
+        yield TimelineItem(
+            kind="contact",
+            t_s=float(t_s[a]),
+            end_s=float(t_s[b]) if count > 1 else None,
+            text=several if count > 1 else f"a blow of {peak} m/s2",
+        )
 
 
 def _gaps(flight: FlightFrame) -> Iterator[TimelineItem]:

@@ -21,7 +21,7 @@ from ..residuals.stream import LastRows, Rows
 from ..vehicle import Vehicle
 from .body import AFTER_LOSS_S, CURVES, Body
 from .competition import AFTER_S, APART_S, BEFORE_S, BLOW, FINAL, Competition
-from .diagnose import NAMED, in_order
+from .diagnose import in_order
 from .flight import Airborne, FlightFrame, layout_of, misfit
 from .motion import LEAST_S, event_of
 from .records import Event
@@ -232,7 +232,7 @@ class Watch:
         return [
             e
             for e in in_order([*self._body.seen, *events])
-            if e.probability >= NAMED and not e.consequence and e not in self._body.seen
+            if not e.consequence and e not in self._body.seen
         ]
 
     def _judge_rotors(self, flown: FlightFrame, part: Airborne) -> None:

@@ -6,10 +6,13 @@ from typing import Annotated
 import typer
 
 from .options import Exit, Force, Json, Prints
+from .printing import STDOUT, print_error, print_json, print_sections, print_table
 
 
 def why(
-    log: Annotated[Path, typer.Argument(help="Log of any format, or flight table.")],
+    logs: Annotated[
+        list[Path], typer.Argument(help="Logs of any format, or flight tables: one or several.")
+    ],
     reference: Annotated[
         list[Path] | None,
         typer.Option(help="Normal flights of the same aircraft: one or several."),
@@ -22,38 +25,63 @@ def why(
         ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Page to write, .html: opens offline.")
+        Path | None,
+        typer.Option("--out", help="Page of one log to write, .html: opens offline."),
     ] = None,
     diagnostic: Annotated[
         Path | None,
-        typer.Option("--diagnostic", help="JSON to write: records as flight-review has them."),
+        typer.Option(
+            "--diagnostic", help="JSON of one log to write: records as flight-review has them."
+        ),
     ] = None,
     force: Force = False,
     as_json: Annotated[
         Json,
         Prints(
             "uavtwin.diagnosis:WhyRecord",
-            about="How to read it: [why](../guide/why.md).",
+            about="Of several logs a list. How to read it: [why](../guide/why.md).",
         ),
     ] = False,
 ) -> None:
     """Say why a flight went wrong, and when: no vehicle file, no mass, no size."""
+    from ..diagnosis import read_asked, why_table
     from ..diagnosis import why as ask_why
     from ..diagnostic import write_diagnostics
     from ..output import check_file
     from ..vehicles import load_vehicle
-    from .results import print_result
 
     for file, suffix in ((out, ".html"), (diagnostic, ".json")):
-        if file is not None:
-            if file.suffix != suffix:
-                raise typer.BadParameter(f"{file.name}: name a file that ends in {suffix}.")
-            check_file(file, force)
+        if file is None:
+            continue
+        if file.suffix != suffix:
+            raise typer.BadParameter(f"{file.name}: name a file that ends in {suffix}.")
+        if len(logs) > 1:
+            raise typer.BadParameter(f"{file.name}: it holds one flight; give one log.")
+        check_file(file, force)
     vehicle = None if since is None else load_vehicle(since)
-    found = ask_why(log, reference or [], vehicle)
-    print_result(found, as_json)
+    normal, found, worst = read_asked(reference or []), [], Exit.FINE
+    for log in logs:
+        try:
+            result = ask_why(log, normal, vehicle)
+        except Exception as error:  # one that cannot be read hides none of the others
+            if len(logs) == 1:
+                raise
+            worst = max(worst, print_error(error, f"why {log}"))
+            continue
+        found.append(result)
+        if not as_json:
+            if len(logs) > 1:
+                STDOUT.print(log, style="bold")
+            print_sections(result.findings())
+        if result.record.verdict != "nothing_found":
+            worst = max(worst, Exit.FINDINGS)
+    if as_json:
+        records = [r.record for r in found]
+        print_json(records if len(logs) > 1 else records[0])
+    elif len(logs) > 1:
+        print_table(why_table([r.record for r in found]))
     if out is not None:
-        found.report(out)
+        found[0].report(out)
     if diagnostic is not None:
-        write_diagnostics(found, diagnostic)
-    raise typer.Exit(Exit.FINE if found.record.verdict == "nothing_found" else Exit.FINDINGS)
+        write_diagnostics(found[0], diagnostic)
+    raise typer.Exit(worst)

@@ -9,7 +9,7 @@ from why_rig import ONSET_S, RATE_HZ, Table, sound
 
 from twin.frames import from_euler
 from twin.logs import Flight
-from twin.logs.columns import ACC, MAG, POS, QUAT, VEL
+from twin.logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL
 from twin.why import sensors as instruments
 from twin.why.consistency import FALSE_IN_10_H, Budget, Residual, changed_at, smallest_detectable
 from twin.why.flight import FlightFrame
@@ -119,6 +119,27 @@ def test_what_is_hidden_is_not_reported_and_twice_of_it_is() -> None:
         assert any(e.cause == "gyro_bias" for e in found_in(table)) == reported
 
 
+def test_a_touch_of_the_ground_is_no_noise() -> None:
+    """A jolt of a third of a second, and the same shaking for three seconds."""
+    rng = np.random.default_rng(3)
+    for long_s, named in ((0.3, False), (3.0, True)):
+        table = sound()
+        shaken = after(table) & (table["time"] < ONSET_S + long_s)
+        for column in (*GYRO, *ACC):
+            table[column] = table[column] + 2.0 * rng.standard_normal(len(shaken)) * shaken
+        assert any(e.cause == "sensor_noise_level" for e in found_in(table)) == named
+
+
+def test_a_size_that_nothing_can_have_is_no_threshold() -> None:
+    """A compass that reads at random shows no change of heading, however large."""
+    table, rng = sound(), np.random.default_rng(4)
+    for column in MAG:
+        table[column] = 1e-5 * rng.standard_normal(len(table["time"])).cumsum()
+    hidden = sensors(FlightFrame.of(Flight("random", pd.DataFrame(table)))).not_visible
+    least = next(v for v in hidden if v.cause == "mag_hard_iron").smallest_detectable
+    assert least.value is None
+
+
 def test_a_log_without_attitude_still_shows_a_frozen_reading() -> None:
     _stuck(table := sound())
     for column in (*QUAT, *VEL, *POS, *MAG, "baro_pa", *(f"cmd_{i}" for i in range(1, 5))):
@@ -141,6 +162,7 @@ def height_residual(rng: np.random.Generator, n: int, least: float) -> Residual:
         window_s=1.0,
         least=least,
         usual=1.0,
+        largest=100.0,
     )
 
 

@@ -74,6 +74,18 @@ def test_a_blow_is_told_and_thrust_is_none() -> None:
     assert item.t_s == pytest.approx(18.0, abs=0.1)
 
 
+def test_blows_in_a_row_are_one_contact_with_begin_and_end() -> None:
+    """Nine blows a second for a second, and one more by itself."""
+    flight = flown()
+    table = flight.table.copy()
+    rattles = (table.time > 20) & (table.time < 21) & (table.time * 9 % 1 < 0.4)
+    table.loc[rattles | (table.time > 25) & (table.time < 25.1), ACC[2]] = -80.0
+    first, second = of_kind(replace(flight, table=table), "contact")
+    assert first.t_s == pytest.approx(20.0, abs=0.15)
+    assert first.end_s == pytest.approx(21.0, abs=0.15)
+    assert "blows" in first.text and "blows" not in second.text and second.end_s is None
+
+
 def test_the_autopilot_is_quoted_while_it_flies() -> None:
     said = Autopilot(
         modes=(Mode("Hold", 0.0), Mode("Land", 28.0)),

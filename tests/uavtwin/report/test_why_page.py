@@ -141,3 +141,20 @@ def test_the_verb_writes_both_and_keeps_what_is_there(
     assert run(capsys, *asked)[0] == 2
     assert run(capsys, *asked, "--force")[0] == 1
     assert run(capsys, "why", log, "--out", tmp_path / "why.pdf")[0] == 2
+
+
+def test_several_logs_have_a_result_each_and_a_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One that cannot be read hides none of the others."""
+    logs = [tmp_path / f"{n}.parquet" for n in ("faulty", "sound")]
+    for log, flight in zip(logs, (faulty(), Flight("sound", pd.DataFrame(sound()))), strict=True):
+        write_flight(flight, log)
+    code, said, _ = run(capsys, "why", *logs)
+    assert code == 1 and said.count("To check:") == 1
+    table = said[said.index("control lost") :]
+    assert "gyro bias, gyro_y" in table and "nothing found" in table
+    code, said, error = run(capsys, "why", *logs, tmp_path / "absent.ulg", "--json")
+    assert code == 2 and "absent" in error
+    assert [r["verdict"] for r in json.loads(said)] == ["found", "nothing_found"]
+    assert run(capsys, "why", *logs, "--out", tmp_path / "two.html")[0] == 2
