@@ -25,7 +25,7 @@ from scipy.signal import lfilter
 from ..residuals.measured import Signal
 from ..vehicle import GRAVITY_M_S2
 from .flight import Airborne, Array, FlightFrame, binned, lift, moment_signs
-from .noise import PHI, Law, Whitened
+from .noise import PHI, Law, Places, Whitened
 
 CURVATURES = (0.0, 0.35, 0.7, 1.0, 1.25)
 """Of thrust by command: linear, square, square above a dead band."""
@@ -59,6 +59,8 @@ reached often."""
 AT_STOP, AT_STOP_S, AT_STOP_WEIGHT = 0.95, 1.0, 0.02
 """Command that is nearly at its upper stop, for how long that matters, and what an interval then
 weighs."""
+RESTS_S, RESTS_RAD_S, RESTS_M = 0.4, 0.03, 0.3
+"""An aircraft rests if it turns slower for so long, no higher above where it took off."""
 FAST_HZ = 40.0
 """Rate of commands from which on their jitter does not hide the gain."""
 FINE_S = 0.01
@@ -165,6 +167,18 @@ class Body:
         since = uniform_filter1d(top.astype(float), back, origin=(back - 1) // 2)
         return np.asarray(since > 1e-9)[self.start : self.end]
 
+    @cached_property
+    def _rests(self) -> NDArray[np.bool_]:
+        """Whether it has come down and lies still while its motors turn, shape (n,)."""
+        grid, part = self.frame.grid, slice(self.start, self.end)
+        if "pos" not in grid:
+            return np.zeros(len(self), dtype=np.bool_)
+        over, height = max(self.places(RESTS_S), 1), -grid["pos"][:, 2]
+        ground = height[max(self.start - self.places(SETTLES_S + 1.0), 0)]
+        turning = np.linalg.norm(grid["gyro"] - grid["gyro"].mean(axis=0), axis=1)
+        still = uniform_filter1d(turning, over) < RESTS_RAD_S
+        return np.asarray(still & (height < ground + RESTS_M))[part]
+
     def thrust(self, curvature: float, lag_s: float) -> Array:
         """Thrust of each rotor over that at full command, shape (n, rotors)."""
         drive = self.frame.signals[self.frame.drive or ""]
@@ -206,7 +220,8 @@ class Body:
     def noise(self) -> "Noise":
         """Of each channel, by the early part."""
         g = self.thrust(USUAL_CURVATURE, self.lag_s)
-        share = np.where(self.limited, AT_STOP_WEIGHT, 1.0)[:, None] * self._seen
+        free = ~(self.limited | self._rests)
+        share = np.where(free, 1.0, AT_STOP_WEIGHT)[:, None] * self._seen
         laws, gain, weight = zip(
             *(
                 self.noise_of(self._regressors(g, j), self.measured[:, j], FLOOR[j], share[:, j])
@@ -277,7 +292,7 @@ class Body:
             for law, weight, c in zip(self.noise.laws, self.noise.weight, columns, strict=True)
         ]
         return [
-            ThrustLaw(self.curves[i], channels, usual[i], gain[i], sd[i])
+            ThrustLaw(self.curves[i], channels, thrust[i], usual[i], gain[i], sd[i])
             for i, channels in zip(likely, zip(*found, strict=True), strict=True)
         ]
 
@@ -331,6 +346,7 @@ class ThrustLaw:
     Attributes:
         curve: Curvature, as in `lift`, and lag of thrust behind the command, s.
         channels: Of each, [S g_1 .. S g_n, their sum - K, damping, products, 1, y], whitened.
+        thrust: Of each rotor over that at full command, shape (n, rotors).
         usual: K of each channel, shape (4,).
         gain: By which all thrust acts, shape (4,).
         gain_sd: Deviation of that, shape (4,).
@@ -338,9 +354,20 @@ class ThrustLaw:
 
     curve: tuple[float, float]
     channels: tuple[Whitened, ...]
+    thrust: Array
     usual: Array
     gain: Array
     gain_sd: Array
+
+    @cached_property
+    def _cumulated(self) -> Array:
+        return np.concatenate([np.zeros((1, self.thrust.shape[1])), self.thrust.cumsum(axis=0)])
+
+    def mean_thrust(self, start: Places, end: Places) -> Array:
+        """Of each rotor within windows, shape (windows, rotors)."""
+        return np.asarray(
+            (self._cumulated[end] - self._cumulated[start]) / np.maximum(end - start, 1)[:, None]
+        )
 
 
 def expecting(gram: Array, column: int, mean: Array | float, sd: Array | float) -> Array:

@@ -9,6 +9,8 @@ from msgspec.structs import replace
 from ..formatting import certainty
 from ..logs import Flight
 from ..vehicle import Vehicle
+from .causes import CAUSES, CUT
+from .cut import cut
 from .findings import Finder, Findings
 from .flight import FlightFrame, of_vehicle
 from .motion import moved
@@ -24,10 +26,6 @@ CONSEQUENCE_S = 15.0
 """A body that was pushed or lost a rotor upsets sensors and estimator for that long."""
 BEFORE_S = 0.5
 """By which a finder of sensors may place an onset too early."""
-BODY_CAUSES = frozenset(
-    {"rotor_failure", "thrust_loss_all_rotors", "mass_change", "force_or_moment", "gust"}
-)
-"""Causes that move the body: what instruments show after them is no cause."""
 
 
 def control(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
@@ -45,7 +43,7 @@ def _item(flight: FlightFrame, place: int, kind: str, text: str) -> TimelineItem
     return TimelineItem(kind=kind, t_s=float(flight.t_s[place]), text=text)  # type: ignore[arg-type]
 
 
-FINDERS: tuple[Finder, ...] = (control, moved, sensors, timeline, steady, vibration)
+FINDERS: tuple[Finder, ...] = (control, cut, moved, sensors, timeline, steady, vibration)
 """All of them, in no order."""
 
 
@@ -112,14 +110,15 @@ def diagnose(
 
 
 def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
-    """Those that are probable, by time, those without onset last; what a moved body explains is a
-    consequence."""
-    moved = [e.onset_s for e in events if e.cause in BODY_CAUSES and e.onset_s is not None]
+    """Those that are probable, by time, those without onset last; what instruments show after a
+    cause that moves the body is a consequence, and what the body shows after a cut of commands."""
+    moved = [(e.cause, e.onset_s) for e in events if e.cause in CAUSES and e.onset_s is not None]
 
     def explained(event: Event) -> bool:
-        if event.onset_s is None or event.cause in BODY_CAUSES:
+        if event.onset_s is None or event.cause == CUT:
             return False
-        return any(-BEFORE_S <= event.onset_s - t <= CONSEQUENCE_S for t in moved)
+        known = [t for cause, t in moved if event.cause not in CAUSES or cause == CUT]
+        return any(-BEFORE_S <= event.onset_s - t <= CONSEQUENCE_S for t in known)
 
     likely = [e for e in events if e.probability >= NAMED]
     marked = [replace(e, consequence=e.consequence or explained(e)) for e in likely]

@@ -6,22 +6,12 @@ from itertools import pairwise
 import numpy as np
 
 from .body import Body
-from .competition import (
-    AFTER_S,
-    ALL,
-    BEFORE_S,
-    BLOW,
-    LOSSES,
-    MASS,
-    NOTHING,
-    PUSH,
-    ROTOR,
-    Competition,
-    Onset,
-)
+from .causes import CAUSES, LOSSES, NOTHING, ROTOR
+from .competition import AFTER_S, BEFORE_S, Competition, Onset
 from .findings import Findings
 from .flight import Airborne, FlightFrame
 from .records import Amount, Candidate, Event, EvidenceSeries, NotVisible, Severity
+from .speeds import CHECKS, speed_of
 
 LEAST_S = 8.0
 """Of a part in the air in which events of the body are looked for."""
@@ -34,33 +24,13 @@ LISTED = 0.02
 REFINED_S, STEP_S, BEND_S = 0.15, 0.004, 0.05
 """An onset is refined within so much, in such steps, by the rate so long before and after it."""
 
-TEXTS = {
-    ROTOR: "Rotor {rotor} loses {value} of its thrust at {t} s",
-    ALL: "All rotors lose thrust at {t} s",
-    MASS: "The mass changes by {value} at {t} s",
-    PUSH: "A constant force or moment acts from {t} s on",
-    BLOW: "A short blow hits the aircraft at {t} s",
-}
-"""What happened."""
-CHECKS = {
-    ROTOR: "Rotor {rotor}: propeller (cracked, loose, on the right way round), motor (bearing, "
-    "windings, screws), speed controller and its cables.",
-    ALL: "Battery (voltage under load, connector), power cables, all propellers.",
-    MASS: "What was lost or picked up: payload, battery strap, landing gear.",
-    PUSH: "A rope or cable, a shifted battery, a bent arm; wind that set in.",
-    BLOW: "Marks of a collision; else a gust.",
-}
-"""What to check on the bench."""
-QUANTITIES = {ROTOR: "thrust_lost", ALL: "thrust_lost", MASS: "mass_change"}
-"""What the size of a cause is."""
-
 
 def moved(frame: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
     """What moved the body besides its commands."""
     missing = [s for s in ("gyro", "acc") if s not in frame.grid]
     if frame.drive is None or frame.layout is None or missing:
         lacking = ", ".join(missing) or "motor commands whose rotors are known"
-        return Findings(not_visible=[_hidden(c, None, f"the log has no {lacking}") for c in TEXTS])
+        return Findings(not_visible=[_hidden(c, None, f"the log has no {lacking}") for c in CAUSES])
     events, nothing = [], 1.0
     for body, first in _bodies(frame):
         competition = Competition(body)
@@ -100,22 +70,29 @@ def _stretches(frame: FlightFrame, part: Airborne) -> Iterator[tuple[Airborne, f
 def event_of(body: Body, onset: Onset) -> Event:
     """An event of the competition as a record."""
     name, (_, probability) = onset.name, onset.probabilities[0]
-    rotor = (name.rotor,) if name.rotor else None
     onset_s = float(body.t_s[onset.place] - body.frame.dt_s / 2)
-    if name.cause == ROTOR:
-        onset_s = refined_onset(body, onset_s, name.rotor - 1)
-    severity = _severity(onset)
-    value = "" if severity is None else f"{100 * severity.value:.0f} %"
-    words = {"rotor": name.rotor, "t": f"{onset_s:.2f}", "value": value}
+    if name.cause == ROTOR and not name.grows:
+        onset_s = refined_onset(body, onset_s, [r - 1 for r in name.rotors])
+    severity, cause = _severity(onset), CAUSES[name.cause]
+    words = {
+        "rotor": " and ".join(map(str, name.rotors)),
+        "t": f"{onset_s:.2f}",
+        "value": "" if severity is None else f"{100 * severity.value:.0f} %",
+    }
+    grown = f", growing for {onset.grows_s:g} s" if onset.grows_s else ""
+    speed = None
+    if name.cause == ROTOR and len(name.rotors) == 1 and severity is not None:
+        speed = speed_of(body.frame, name.rotors[0], onset_s, severity.value)
+    check = CHECKS[speed.tells] if speed is not None else ""
     return Event(
         cause=name.cause,
-        rotor=rotor,
+        rotor=name.rotors or None,
         onset_s=onset_s,
         severity=severity,
         probability=probability,
         alternatives=_alternatives(onset),
-        text=TEXTS[name.cause].format(**words),
-        bench_check=CHECKS[name.cause].format(**words),
+        text=cause.text.format(**words) + grown,
+        bench_check=(check or cause.check).format(**words),
         evidence=tuple(_evidence(body, onset_s)),
     )
 
@@ -124,25 +101,25 @@ def _severity(onset: Onset) -> Severity | None:
     if not onset.sizes:
         return None
     low, value, high = (onset.quantile(q) for q in (0.05, 0.5, 0.95))
-    quantity = QUANTITIES[onset.name.cause]
+    quantity = CAUSES[onset.name.cause].quantity
     return Severity(quantity=quantity, value=value, low=low, high=high, unit="1")
 
 
 def _alternatives(onset: Onset) -> tuple[Candidate, ...]:
     return tuple(
-        Candidate(cause=n.cause, rotor=(n.rotor,) if n.rotor else None, probability=p)
+        Candidate(cause=n.cause, rotor=n.rotors or None, probability=p)
         for n, p in onset.probabilities[1:]
         if p > LISTED and n.cause != NOTHING
     )
 
 
-def refined_onset(body: Body, onset_s: float, rotor: int) -> float:
-    """When the body begins to turn away from a rotor: the sharpest bend of its rate along the
-    moment of the rotor, in the readings as logged."""
+def refined_onset(body: Body, onset_s: float, rotors: Sequence[int]) -> float:
+    """When the body begins to turn away from rotors: the sharpest bend of its rate along their
+    moment, in the readings as logged."""
     gyro = body.frame.signals["gyro"]
     if gyro.rate_hz < 2 / BEND_S:
         return onset_s
-    away = -body.signs[1:, rotor] * np.array([1.0, 1.0, 0.0])
+    away = -body.signs[1:, rotors].sum(axis=1) * np.array([1.0, 1.0, 0.0])
     half = max(REFINED_S, body.frame.dt_s)
     tried = np.arange(onset_s - half, onset_s + half, STEP_S)
     before, now, after = (

@@ -88,6 +88,9 @@ class Whitened:
             shape (n + 1, k).
         by_itself: The same times the transient, shape (n + 1,).
         survives: Log of the product of the decays until each interval, shape (n + 1,).
+        decay: Share of the level that stays, shape (n,).
+        scale: Of an innovation, over its deviation, shape (n,).
+        phi: Of the law.
     """
 
     rows: Array
@@ -95,6 +98,9 @@ class Whitened:
     by_rows: Array
     by_itself: Array
     survives: Array
+    decay: Array
+    scale: Array
+    phi: float
 
     @classmethod
     def each(cls, law: Law, weight: Array, columns: Array) -> list["Whitened"]:
@@ -119,7 +125,7 @@ class Whitened:
         lost = np.log(np.maximum(np.abs(decay), 1e-9))
         survives = np.concatenate([[0.0], np.cumsum(lost)])
         return [
-            cls(rows[:, i], level[:, i], by_rows[:, i], by_itself, survives)
+            cls(rows[:, i], level[:, i], by_rows[:, i], by_itself, survives, decay, scale, law.phi)
             for i in range(columns.shape[1])
         ]
 
@@ -156,6 +162,38 @@ class Whitened:
         out[:, :-1, :-1], out[:, -1, :-1], out[:, :-1, -1] = joined, pulse, pulse
         out[:, -1, -1] = itself
         return out
+
+    def growing(
+        self, joined: Array, columns: Array, over: float, onset: Places, end: Places
+    ) -> Array:
+        """Gram matrices with more columns: some that grow from zero at the onset on.
+
+        Args:
+            joined: As of `joined`, shape (onsets, 2 k, 2 k).
+            columns: As they are when they have grown, shape (n, m).
+            over: Intervals in which they grow.
+            onset: Shape (onsets,).
+            end: Shape (onsets,).
+
+        Returns:
+            Shape (onsets, 2 k + m, 2 k + m).
+        """
+        steps = np.arange(int((end - onset).max()))[:, None]
+        at = np.minimum(onset + steps, len(self.rows) - 1)
+        inside = onset + steps < end
+        grown = np.minimum((steps + 0.5) / over, 1.0)[:, :, None] * columns[at]
+        rows, level = np.empty_like(grown), np.zeros_like(grown[0])
+        keep, scale = self.decay[at][:, :, None], (self.scale[at] * inside)[:, :, None]
+        for t, now in enumerate(grown):
+            rows[t] = (now - level) * scale[t]
+            level = keep[t] * level + (self.phi - keep[t]) * now
+        transient = scale[:, :, 0] * np.exp(self.survives[at] - self.survives[onset])
+        before = self.rows[at] * inside[:, :, None]
+        after = before + transient[:, :, None] * self.level[onset]
+        whole = np.concatenate([before, after], axis=2).transpose(1, 2, 0)
+        own = rows.transpose(1, 0, 2)
+        mixed = whole @ own
+        return np.block([[joined, mixed], [mixed.transpose(0, 2, 1), own.transpose(0, 2, 1) @ own]])
 
     def _transient(self, onset: Places, end: Places) -> tuple[Array, Array]:
         """Sums over the transients that begin at onsets, until the end."""

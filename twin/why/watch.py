@@ -20,7 +20,8 @@ from ..logs.airframe import Airframe
 from ..residuals.stream import LastRows, Rows
 from ..vehicle import Vehicle
 from .body import AFTER_LOSS_S, CURVES, Body
-from .competition import AFTER_S, APART_S, BEFORE_S, BLOW, FINAL, Competition
+from .causes import BLOW, FINAL
+from .competition import AFTER_S, APART_S, BEFORE_S, Competition
 from .diagnose import in_order
 from .flight import Airborne, FlightFrame, layout_of, misfit
 from .motion import LEAST_S, event_of

@@ -30,6 +30,26 @@ def test_columns_from_an_onset_on_are_those_of_a_filter_that_saw_them_so(
         assert found[i] == pytest.approx(rows.T @ rows, abs=1e-9)
 
 
+@pytest.mark.parametrize(("phi", "theta"), [(0.98, 0.9), (0.8, 0.0)])
+def test_columns_that_grow_are_those_of_a_filter_that_saw_them_grow(
+    phi: float, theta: float
+) -> None:
+    rng, n = np.random.default_rng(1), 200
+    columns, more = rng.standard_normal((n, 3)), rng.standard_normal((n, 2))
+    weight = rng.uniform(0.02, 1.0, n)
+    whole = Whitened.each(Law(phi, theta, 0.7), weight, columns[:, None])[0]
+    start, onset, end = (np.array(x) for x in ([5, 20], [60, 100], [180, 140]))
+    found = whole.growing(whole.joined(start, onset, end), more, 30.0, onset, end)
+    for i in range(2):
+        since = np.arange(n) - onset[i]
+        begun = np.where(since[:, None] < 0, 0.0, columns)
+        grown = np.clip((since + 0.5) / 30.0, 0.0, 1.0)[:, None] * more
+        joined = np.column_stack([columns, begun, grown])
+        rows = Whitened.each(Law(phi, theta, 0.7), weight, joined[:, None])[0].rows
+        inside = rows[start[i] : end[i]]
+        assert found[i] == pytest.approx(inside.T @ inside, abs=1e-9)
+
+
 def test_a_step_that_lasts_counts_more_than_its_first_interval() -> None:
     """Under a slow level with white noise; an AR(1) of the same lag forgets it at once."""
     n, step = 300, np.ones((300, 1, 1))
