@@ -98,6 +98,27 @@ LEAST_M, LEAST_RAD, LEAST_LOSS = 5e-4, math.radians(0.5), 0.02
 """A centre of mass, an angle, a loss below these is not said."""
 
 
+MISFIT = 0.15
+"""Deviation from 1 of the share of its weight that the twin carries, from which on the vehicle file
+does not fit the aircraft."""
+
+
+def misfit(carried: float | None, vehicle: str) -> str:
+    """Why a vehicle file does not fit the hover of a flight; "" where it does, or is unknown.
+
+    Args:
+        carried: Thrust of the twin over the weight, in hover.
+        vehicle: Name of the file.
+    """
+    if carried is None or not abs(carried - 1) > MISFIT:
+        return ""
+    return (
+        f"in hover the thrust of {vehicle} is {100 * carried:.0f} % of the weight that it gives: "
+        f"mass, thrust constant or battery voltage of the file are not those of this aircraft. "
+        f"Correct them, or draft a file: uavtwin vehicle draft."
+    )
+
+
 def hover_sentence(vehicle: str, hover: HoverDiagnosis) -> str:
     """The weight that a twin carries at the logged commands, where its centre of mass seems to be,
     and how its thrust leans; what is within two standard errors of zero is left out."""

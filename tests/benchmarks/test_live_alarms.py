@@ -23,8 +23,8 @@ def said(truth: str, alarm: Alarm | None, event: Event | None) -> Said:
 
 def test_an_alarm_that_was_withdrawn_is_not_the_first_event() -> None:
     event = Event(cause="rotor_failure", rotor=(2,), onset_s=20.0, probability=0.99)
-    alarm = Alarm(event=event, raised_s=21.0)
-    over = Alarm(event=event, raised_s=21.0, closed_s=25.0)
+    alarm = Alarm(event=event, raised_s=21.0, known_s=20.5)
+    over = Alarm(event=event, raised_s=21.0, known_s=20.5, closed_s=25.0)
     rows = [said("it stops", alarm, event), said("", over, event), said("", None, None)]
     assert [r.same for r in rows] == [True, False, True]
     text = "\n".join(lines(rows))

@@ -61,17 +61,24 @@ FIT_S = 20.0
 """In the air, after which the rotors of a vehicle file are judged."""
 
 
+GROUNDED = "On the ground nothing is looked for: alarms begin after take-off."
+"""Said until height and attitude move, and after a landing."""
+
+
 class Alarm(Struct, frozen=True, kw_only=True):
     """Something that went wrong while it flies.
 
     Attributes:
         event: What, of which rotor or sensor, since when, how much, how probable.
         raised_s: When it was said, on the clock of the flight.
+        known_s: When it could have been said at the soonest: at the first of the evaluations in a
+            row that found it.
         closed_s: When it was over, or withdrawn; null: it stands.
     """
 
     event: Event
     raised_s: float
+    known_s: float
     closed_s: float | None = None
 
 
@@ -82,6 +89,7 @@ class Case:
     Attributes:
         event: As it was seen last.
         agreeing: Evaluations in a row under this name; 0: not any more.
+        since_s: When the first of them was.
         missed: Evaluations in a row that did not find it.
         alarm: What was said of it.
         settled: Whether its name will not change any more.
@@ -90,6 +98,7 @@ class Case:
 
     event: Event | None = None
     agreeing: int = 0
+    since_s: float = -np.inf
     missed: int = 0
     alarm: Alarm | None = None
     settled: bool = False
@@ -101,8 +110,9 @@ class Case:
             self.agreeing, self.missed = 0, self.missed + 1
             return
         self.missed = 0
-        again = self.agreeing and self.event is not None and _same(event, self.event)
-        self.agreeing, self.event, self.seen_s = self.agreeing + 1 if again else 1, event, now_s
+        if not (self.agreeing and self.event is not None and _same(event, self.event)):
+            self.agreeing, self.since_s = 0, now_s
+        self.agreeing, self.event, self.seen_s = self.agreeing + 1, event, now_s
 
     def news(self, now_s: float, settles_s: float, at_once: bool = False) -> Iterator[Alarm]:
         """What is new about its alarm.
@@ -126,7 +136,7 @@ class Case:
             self.agreeing >= LEAST_AGREEING and (old_enough or event.probability >= CLEAR)
         )
         if old is None and self.agreeing and surely:
-            self.alarm = Alarm(event=event, raised_s=now_s)
+            self.alarm = Alarm(event=event, raised_s=now_s, known_s=self.since_s)
             yield self.alarm
         self.settled = gone or (old_enough and self.agreeing > 0 and self.alarm is not None)
         if self.settled and self.alarm is not None:
@@ -148,6 +158,7 @@ class Watch:
     Attributes:
         misfit: Why the rotors of the vehicle file are not those of the aircraft, in which case no
             event of the body is said; "": they are, or it is not known yet.
+        rests: Why nothing is looked for, or not all of it; "": all is.
     """
 
     def __init__(self, vehicle: Vehicle | None = None) -> None:
@@ -165,7 +176,7 @@ class Watch:
         self._fit_open = layout is not None
         self._took_off_s: float | None = None
         self._until_s = -np.inf
-        self.misfit = ""
+        self.misfit, self.rests = "", GROUNDED
 
     def push(self, rows: Rows) -> None:
         """Take new rows of the flight table, NaN where a signal has no sample."""
@@ -182,6 +193,7 @@ class Watch:
         except LogError:  # too short, or no motion yet
             return ()
         part = self._part(flown, now_s)
+        self.rests = GROUNDED if part is None else _rests(flown, part)
         if part is None:
             return ()
         self._judge_rotors(flown, part)
@@ -239,7 +251,22 @@ class Watch:
     def _judge_rotors(self, flown: FlightFrame, part: Airborne) -> None:
         """Once, whether the body turns as the rotors of the vehicle file would turn it."""
         if self._fit_open and (part.flown - part.start) * flown.dt_s >= FIT_S:
-            self._fit_open, self.misfit = False, misfit(flown)
+            self._fit_open, why = False, misfit(flown)
+            self.misfit = f"{why} Nothing is said of rotors." if why else ""
+
+
+def _rests(flown: FlightFrame, part: Airborne) -> str:
+    """Why a part in the air is not looked at whole."""
+    if {"gyro", "acc"} - flown.grid.keys() or flown.drive is None or flown.layout is None:
+        return (
+            "Alarms are of instruments alone: IMU, motor commands or order of rotors are missing."
+        )
+    left_s = LEAST_S - (part.flown - part.start) * flown.dt_s
+    if left_s > 0:
+        return (
+            f"Alarms of rotors, mass and gusts begin in {left_s:.0f} s: what is usual is learned."
+        )
+    return ""
 
 
 def _moves(flown: FlightFrame, part: Airborne) -> NDArray[np.bool_]:

@@ -396,10 +396,11 @@ def _run(session: "LiveSession", feed: "PageFeed | None") -> "LiveStatus":
             key = alarm["section"], alarm["cause"], alarm["raised_s"], alarm["closed_s"]
             if key not in said:
                 said.add(key)
-                STDERR.print(f"ALARM: {alarm['text']}", style="bold red")
+                late = f"{alarm['delay_s']:.1f} s after it could be known"
+                STDERR.print(f"ALARM: {alarm['text']}; raised {late}", style="bold red")
         if status.misfit and status.misfit not in failed:
             failed.add(status.misfit)
-            STDERR.print(f"{status.misfit} Nothing is said of rotors.", style="bold red")
+            STDERR.print(status.misfit, style="bold red")
         for error in status.errors:
             if error not in failed:
                 failed.add(error)

@@ -27,6 +27,7 @@ from ..flights import open_alike, reported_aircraft
 from ..gaps import gap
 from ..jobs.process import Allowed, ProcessWorker, Progress
 from ..vehicles import Vehicle
+from ..wording import misfit
 from .dataset import MOTORS, JobRows, Row
 
 Verb = Literal["check", "gap", "explain"]
@@ -409,24 +410,3 @@ def gyro_bias(flight: AnyFlight) -> Array | None:
     mean = (da + 0.5 * (np.diff(c, axis=0) - np.cross(a[:-1], da))) / np.diff(t)[:, None]
     whole = np.diff(t) < 2 * WINDOW_S
     return np.asarray(np.median((mean - rate)[whole], axis=0)) if whole.sum() >= 10 else None
-
-
-MISFIT = 0.15
-"""Deviation from 1 of the share of its weight that the twin carries, from which on the vehicle file
-does not fit the aircraft."""
-
-
-def misfit(carried: float | None, vehicle: str) -> str:
-    """Why a vehicle file does not fit the hover of a flight; "" where it does, or is unknown.
-
-    Args:
-        carried: Thrust of the twin over the weight, in hover.
-        vehicle: Name of the file.
-    """
-    if carried is None or not abs(carried - 1) > MISFIT:
-        return ""
-    return (
-        f"in hover the thrust of {vehicle} is {100 * carried:.0f} % of the weight that it gives: "
-        f"mass, thrust constant or battery voltage of the file are not those of this aircraft. "
-        f"Correct them, or draft a file: uavtwin vehicle draft."
-    )

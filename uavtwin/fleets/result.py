@@ -11,9 +11,9 @@ import pandas as pd
 
 from ..display import PageMixin, TextTable
 from ..record import Record
+from ..wording import misfit
 from .dataset import MOTORS, read_table
 from .fleet_statistics import Difference, Drift, Spread, compared, explained_aircraft, spreads
-from .log_analysis import misfit
 from .statistics import FEWEST_AIRCRAFT, FEWEST_FLIGHTS
 
 UNNAMED = "(not named by its log)"

@@ -451,5 +451,6 @@ class LiveSession:
             tuple(list(self._alarms.values())),
             worker.model,
             worker.misfit,
+            worker.rests,
             tuple(f"{f.where} {f.message}" for f in self._parts.findings),
         )

@@ -27,6 +27,11 @@ class FlightWatch(Protocol):
         """Why the vehicle file does not fit; "": it does, or it is not known."""
         ...
 
+    @property
+    def rests(self) -> str:
+        """Why nothing is looked for, or not all of it; "": all is."""
+        ...
+
     def push(self, rows: Rows) -> None:
         """Take new rows of the flight table."""
         ...
@@ -52,7 +57,8 @@ def sentence(alarm: Alarm) -> str:
 def alarm_json(alarm: Alarm, section: int) -> dict[str, Any]:
     """A line of `alarms.jsonl`: the event as `why` has it, without the signals that show it."""
     event = to_builtins(structs.replace(alarm.event, evidence=()))
-    times = {"raised_s": alarm.raised_s, "closed_s": alarm.closed_s}
+    times = {n: getattr(alarm, n) for n in ("raised_s", "known_s", "closed_s")}
+    times["delay_s"] = alarm.raised_s - alarm.known_s
     return {"section": section, **event, **times, "text": sentence(alarm)}
 
 
@@ -172,8 +178,9 @@ class LiveStatus:
             it was made of; NaN: nothing was published.
         alarms: The latest `alarm_json` of each.
         model: The compensator; None: there is none.
-        misfit: Why the vehicle file does not fit, in which case nothing is said of the body; "": it
-            does, or it is not known.
+        misfit: Why the vehicle file does not fit: its rotors, in which case nothing is said of the
+            body, or the weight that it carries; "": it does, or it is not known.
+        rests: Why no alarm is looked for, or not all of them; "": all are.
         errors: What failed while the flight was recorded, once each.
     """
 
@@ -191,6 +198,7 @@ class LiveStatus:
     alarms: tuple[Mapping[str, Any], ...] = ()
     model: ModelStatus | None = None
     misfit: str = ""
+    rests: str = ""
     errors: tuple[str, ...] = ()
 
     def line(self) -> str:
@@ -208,4 +216,6 @@ class LiveStatus:
             parts.append(f"anomaly {self.model.anomaly:.2f}")
         if self.waits_for:
             parts.append(f"the twin waits for {self.waits_for}")
+        if self.rests:
+            parts.append(self.rests)
         return "; ".join(parts)

@@ -17,14 +17,18 @@ from queue import Queue
 from threading import Lock
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
+import numpy as np
+
 from twin.component.along import BUILDING
 from twin.errors import TwinError
 from twin.logs.flight import Finding
+from twin.residuals.gap import Channel
 from twin.residuals.stream import Equations, Stream
 from twin.residuals.stream_residuals import ResidualBlock, StreamResiduals
 from twin.vehicle import Vehicle
 from twin.why.watch import PERIOD_S, Alarm
 
+from ..wording import misfit
 from .recording import Columns, Recording
 from .status import FlightWatch, alarm_json
 
@@ -121,6 +125,8 @@ class Parts:
         return tuple(Finding("error", part, f"failed: {e}", n) for (part, e), n in counts.items())
 
 
+JUDGED_S = 20.0
+"""In the air, after which the weight that the twin carries is judged: climbs and turns cancel."""
 EVERY_S = 1.0
 """Of flight, between two blocks of residuals, s."""
 _MOST_BEHIND_S = 3.0
@@ -145,6 +151,26 @@ class _NewSection:
 
 class _End:
     """Nothing more will come."""
+
+
+@dataclass(slots=True)
+class Lift:
+    """Specific force along z in flight, of the aircraft and of the twin, up to `JUDGED_S`."""
+
+    measured: float = 0.0
+    simulated: float = 0.0
+    flown_s: float = 0.0
+
+    def carried(self, acc_z: Channel) -> float | None:
+        """Share of its weight that the twin carries; None: not known yet."""
+        t_s = acc_z.t_s
+        if self.flown_s < JUDGED_S and len(t_s) > 1:
+            step_s = float(np.median(np.diff(t_s)))
+            self.measured += step_s * float(acc_z.measured.sum())
+            self.simulated += step_s * float(acc_z.simulated.sum())
+            self.flown_s += step_s * len(t_s)
+        known = self.flown_s >= JUDGED_S and abs(self.measured) > 0
+        return self.simulated / self.measured if known else None
 
 
 class Worker:
@@ -205,7 +231,12 @@ class Worker:
     @property
     def misfit(self) -> str:
         """Why the vehicle file does not fit; "": it does, or it is not known."""
-        return "" if self._watch is None else self._watch.misfit
+        return (self._watch.misfit if self._watch is not None else "") or self._misfit
+
+    @property
+    def rests(self) -> str:
+        """Why no alarm is looked for, or not all of them; "": all are, or none is asked for."""
+        return "" if self._watch is None else self._watch.rests
 
     @property
     def rms(self) -> dict[str, float]:
@@ -221,7 +252,7 @@ class Worker:
         self._watch = self._parts.run(Part.ALARMS, self._new_watch)
         self._stream = Stream(self._vehicle, equations=self.equations)
         self._residuals = StreamResiduals(self._stream, self._horizon_s)
-        self._sums = {}
+        self._sums, self._lift, self._misfit = {}, Lift(), ""
         if self._compensator is not None:
             self._parts.run(Part.COMPENSATOR, self._compensator.begin)
         self._updated_s: float | None = None
@@ -292,6 +323,8 @@ class Worker:
             r = channel.residual
             self._sums[channel.name] = n + len(r), total + float(r @ r)
             self.units[channel.name] = channel.unit
+            if channel.name == "acc_z" and channel.horizon_s == 0:
+                self._misfit = misfit(self._lift.carried(channel), self._vehicle.name)
         if self._recording is not None:
             self._parts.run(Part.TABLES, self._recording.add_residuals, block)
         self._parts.run(Part.PAGE, self._on_block, block)

@@ -57,6 +57,10 @@ def test_a_sound_flight_is_silent_from_the_idling_motors_on() -> None:
     whole = Flight("idle", pd.concat([rest, flight], ignore_index=True))
     said, watch = watched(whole, load_vehicle("copter_default"))
     assert said == [] and watch.misfit == ""
+    _, early = watched(whole.between(0.0, 14.0), load_vehicle("copter_default"))
+    assert "after take-off" in early.rests
+    _, learns = watched(whole.between(0.0, 22.0), load_vehicle("copter_default"))
+    assert "is learned" in learns.rests and watch.rests == ""
 
 
 @pytest.mark.slow
@@ -96,7 +100,7 @@ def test_a_name_needs_two_looks_or_a_loss_of_control() -> None:
     assert list(case.news(11.0, 6.0)) == []
     case.see(event(1, 10.1), 12.0)
     (alarm,) = case.news(12.0, 6.0)
-    assert alarm.raised_s == 12.0 and alarm.closed_s is None
+    assert alarm.raised_s == 12.0 and alarm.known_s == 11.0 and alarm.closed_s is None
     at_once = Case()
     at_once.see(event(1), 11.0)
     assert len(list(at_once.news(11.0, 6.0, at_once=True))) == 1
@@ -125,6 +129,7 @@ def test_another_name_withdraws_the_first_one() -> None:
     case.see(event(3), 14.0)
     (new,) = case.news(14.0, 6.0)
     assert new.event.rotor == (3,) and new.raised_s == 14.0
+    assert new.known_s == 13.0, "it could be known since it has this name"
 
 
 def test_one_evaluation_that_misses_an_event_withdraws_no_alarm() -> None:

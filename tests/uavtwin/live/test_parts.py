@@ -13,6 +13,7 @@ from twin.errors import LogError
 from twin.logs import Flight, read_flight
 from twin.logs.mavlink.encode import heartbeat
 from twin.logs.mavlink.frames import AUTOPILOT, dialect, parser
+from twin.residuals.gap import Channel
 from twin.residuals.stream import Stream
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
@@ -21,7 +22,8 @@ from uavtwin.live.datagrams import MORE_OTHERS, Address, Datagram, Receiver
 from uavtwin.live.replay import played
 from uavtwin.live.session import LiveOptions, LiveSession
 from uavtwin.live.status import LiveStatus
-from uavtwin.live.worker import ERRORS, Part, Parts, Worker
+from uavtwin.live.worker import ERRORS, Lift, Part, Parts, Worker
+from uavtwin.wording import misfit
 
 
 @pytest.fixture(scope="module")
@@ -247,3 +249,18 @@ def test_parts_report_once_and_rest_until_the_next_section(tmp_path: Path) -> No
         parts.run(Part.PAGE, fail)
     assert calls == [202] and len(parts.findings) <= 52
     assert parts.run(Part.ALARMS, lambda: 3) == 3
+
+
+@pytest.mark.parametrize(("carried", "fits"), [(1.05, True), (0.7, False), (1.3, False)])
+def test_a_vehicle_file_that_carries_another_weight_is_said(carried: float, fits: bool) -> None:
+    """After twenty seconds in the air, not before."""
+    lift, rng = Lift(), np.random.default_rng(5)
+    for start_s in range(25):
+        t_s = start_s + np.arange(0.0, 1.0, 0.02)
+        measured = -9.8 + rng.standard_normal(len(t_s))
+        simulated = carried * -9.8 + rng.standard_normal(len(t_s))
+        phase = np.full(len(t_s), "hover")
+        found = lift.carried(Channel("acc_z", "m/s^2", 0.0, t_s, measured, simulated, phase))
+        assert start_s == 19 or (found is None) == (start_s < 19)
+    assert found == pytest.approx(carried, abs=0.05)
+    assert (misfit(found, "mine") == "") == fits

@@ -40,6 +40,7 @@ WEAK = Alarm(
         text="Rotor 3 loses 20 % of its thrust at 1.50 s",
     ),
     raised_s=3.0,
+    known_s=2.0,
 )
 
 
@@ -49,6 +50,7 @@ class Listener:
 
     seen: list[float] = field(default_factory=list)
     misfit: str = ""
+    rests: str = ""
     said: bool = False
 
     def push(self, rows: Rows) -> None:

@@ -6,7 +6,7 @@
   var id = function (name) { return document.getElementById(name); };
   var darkOf = JSON.parse(id("dark-colours").textContent);
   var cells = Array.from(document.querySelectorAll("[data-now]"));
-  var columns = {}, alarms = new Map(), bands = {}, lost = 0;
+  var columns = {}, rests = "", alarms = new Map(), bands = {}, lost = 0;
   var newest = null, shownAt = null, until = null, paused = false, connected = false;
   var socket = null, wait = FIRST_WAIT_MS, retryAt = 0, heardAt = 0, stale = new Set(), drawnUntil = 0;
   var offset = 0, leastTrip = Infinity, ages = [], held = [];
@@ -104,11 +104,11 @@
     var all = Array.from(alarms.values()).sort(function (a, b) { return isOver(a) - isOver(b) || b.raised_s - a.raised_s; });
     var open = all.filter(function (a) { return !isOver(a); });
     id("alarms").replaceChildren.apply(id("alarms"), all.length ? all.slice(0, 30).map(function (a) {
-      var words = a.text + "; raised at " + a.raised_s.toFixed(1) + " s.";
+      var words = a.text + "; raised at " + a.raised_s.toFixed(1) + " s, " + a.delay_s.toFixed(1) + " s after it could be known.";
       var e = element("p", words, isOver(a) ? "alarm over" : "alarm");
       e.dataset.cause = a.cause;
       return e;
-    }) : [element("p", "No alarm.", "dim")]);
+    }) : [element("p", rests || "No alarm.", "dim")]);
     id("claim").dataset.open = String(open.length);
     touch();
   }
@@ -139,6 +139,7 @@
     id("health").replaceChildren.apply(id("health"), rows.flatMap(function (r) { return [element("dt", r[0]), element("dd", r[1])]; }));
     id("missing").replaceChildren.apply(id("missing"), Object.values(m.missing).concat(m.misfit || []).map(function (text) { return element("p", text, "warn"); }));
     id("claim").dataset.heard = link.system === null ? "" : "yes";
+    if (rests !== m.rests) { rests = m.rests; showAlarms(); }
   }
 
   function showClaim() {

@@ -62,6 +62,7 @@ WEAK = Alarm(
         text="Rotor 3 loses 20 % of its thrust at 12.00 s",
     ),
     raised_s=14.5,
+    known_s=13.5,
 )
 
 
@@ -165,12 +166,17 @@ def test_alarms_are_told_in_words_and_end(opened: Browser) -> None:
         opened.visit(server.url, WIDE)
         feed.alarm(WEAK, 1)
         until(opened, "document.querySelector('#alarms .alarm') !== null")
-        assert text(opened, "#alarms") == f"{sentence(WEAK)}; raised at 14.5 s."
+        assert (
+            text(opened, "#alarms")
+            == f"{sentence(WEAK)}; raised at 14.5 s, 1.0 s after it could be known."
+        )
         feed.alarm(structs.replace(WEAK, closed_s=20.0), 1)
         until(opened, "document.querySelector('#alarms .over') !== null")
         over = sentence(structs.replace(WEAK, closed_s=20.0))
         assert "over since 20.0 s" in over
-        assert text(opened, "#alarms") == f"{over}; raised at 14.5 s."
+        assert (
+            text(opened, "#alarms") == f"{over}; raised at 14.5 s, 1.0 s after it could be known."
+        )
         opened.visit(server.url, WIDE)  # one who comes later
         until(opened, "document.querySelector('#alarms .over') !== null")
         assert opened.complaints == []
