@@ -119,7 +119,7 @@ class Measured:
     def _over_pieces(self, values: Array, filters_hz: Sequence[float], every: int) -> Array:
         retained = []
         for rows in self.rows:
-            part = values[rows]
+            part = values[rows[0] : rows[-1] + 1]
             for cutoff in filters_hz:
                 part = low_pass(part, cutoff)
             retained.append(part[self.settle :: every])
@@ -134,10 +134,11 @@ class Measured:
         """
         found = []
         for i, name in enumerate(self.names):  # one by one: slopes of all fill the memory
-            both = np.column_stack([predicted[:, i], slopes[:, i]])
+            some = np.flatnonzero(np.any(slopes[:, i] != 0, axis=0))
+            both = np.vstack([predicted[:, i], slopes[:, i, some].T]).T  # filters run along columns
             both = self.filtered(both, self.filters_hz)
-            own, answer = self.values[:, i], both[:, 1:]
-            residual = own - both[:, 0]
+            own, answer = self.values[:, i], np.zeros((len(both), slopes.shape[2]))
+            residual, answer[:, some] = own - both[:, 0], both[:, 1:]
             found.append(ChannelData(name, self.unit, self.t_s, own, residual, answer, self.piece))
         return found
 
@@ -209,9 +210,9 @@ class LowPass:
             return values
         b, a, settled = _butterworth(self._cutoff_hz)
         if self._state is None:
-            self._state = settled.reshape((-1,) + (1,) * (values.ndim - 1)) * values[:1]
-        passed, self._state = lfilter(b, a, values, axis=0, zi=self._state)
-        return np.asarray(passed, dtype=np.float64)
+            self._state = values[:1].T * settled
+        passed, self._state = lfilter(b, a, values.T, axis=-1, zi=self._state)
+        return np.asarray(passed.T, dtype=np.float64)
 
 
 def low_pass(values: Array, cutoff_hz: float) -> Array:

@@ -6,8 +6,8 @@ integrated along the measured ones, with the steps and sample instants of the co
 equations, every random draw zero.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import casadi as ca
@@ -353,44 +353,60 @@ def rotor_states_of(airframe: Component) -> list[int]:
     return [i for i, s in enumerate(airframe.states) if s.name.startswith(("rotor_", "effort_"))]
 
 
-def with_rotor_states(inputs: Inputs, airframe: Component) -> Inputs:
-    """The same inputs, the rotors following them as those of another airframe do."""
-    rotors = RotorStates(airframe, inputs.step_s).along(inputs.u)
-    return replace(inputs, rotor_states=rotors)
-
-
 class RotorStates:
     """The rotor states alone over the inputs, settled on the first of them, one block of rows after
     another."""
 
-    def __init__(self, airframe: Component, step_s: float) -> None:
+    def __init__(self, airframe: Component, step_s: float, changed: Sequence[str] = ()) -> None:
+        """Build the step.
+
+        Args:
+            airframe: It says how they change.
+            step_s: Step of the grid.
+            changed: Parameters whose values are given with the inputs.
+        """
         self._airframe, self._index = airframe, rotor_states_of(airframe)
-        p = airframe.parameter_values()
+        self._changed = tuple(changed)
         r, v = ca.SX.sym("r", len(self._index)), ca.SX.sym("v", len(airframe.inputs))
+        values = ca.SX.sym("values", len(changed))
+        p, names = ca.SX(airframe.parameter_values()), [n.name for n in airframe.parameters]
+        for i, name in enumerate(changed):
+            p[names.index(name)] = values[i]
         x = ca.SX(airframe.initial(airframe.input_values(), p))
         x[self._index] = r
         after = airframe.step(x, v, p, step_s)[self._index]
-        self._along = Along(ca.Function("rotor_step", [r, v], [after]))
+        self._along = Along(ca.Function("rotor_step", [r, v, values], [after]))
         self._warm = round(_WARM_UP_S / step_s)
         self._last: tuple[Array, Array] | None = None  # state and inputs of the last row
 
     def along(self, u: Array) -> Array:
         """States at the next rows of inputs, shape (n, n_r)."""
+        found = self._from(self._last, u, ())
+        self._last = found[-1], u[-1:]
+        return found
+
+    def settled(self, u: Array, values: Mapping[str, float]) -> Array:
+        """States over all inputs with some parameters changed, shape (n, n_r)."""
+        return self._from(None, u, [values[name] for name in self._changed])
+
+    def _from(self, last: tuple[Array, Array] | None, u: Array, values: Sequence[float]) -> Array:
+        """States at rows that follow a state and its inputs; None: from settled ones on."""
         if not self._index:
             return np.zeros((len(u), 0))
         found = np.empty((len(u), len(self._index)))
-        if self._last is None:
-            p = self._airframe.parameter_values()
+        if last is None:
+            p = self._airframe.parameter_values(dict(zip(self._changed, values, strict=True)))
             with BUILDING:
                 start = np.asarray(self._airframe.initial(u[0], p), dtype=np.float64).ravel()
-            held = np.tile(u[:1], (self._warm, 1))
-            found[0] = self._along(start[self._index], held)[0][-1]
-        else:
-            found[0] = self._along(*self._last)[0][-1]
+            last = start[self._index], np.tile(u[:1], (self._warm, 1))
+        found[0] = self._advanced(*last, values)[-1]
         if len(u) > 1:
-            found[1:] = self._along(found[0], u[:-1])[0]
-        self._last = found[-1], u[-1:]
+            found[1:] = self._advanced(found[0], u[:-1], values)
         return found
+
+    def _advanced(self, start: Array, u: Array, values: Sequence[float]) -> Array:
+        rows = np.broadcast_to(np.array(values, dtype=np.float64), (len(u), len(values)))
+        return self._along(start, u, rows)[0]
 
 
 def measured_states(

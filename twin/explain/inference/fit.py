@@ -36,8 +36,9 @@ ROUNDS, SHORTEST_STEP = 15, 0.04
 """Of Gauss-Newton at most; a step that has been halved below this share ends it."""
 ARMIJO = 0.1
 """Share of what a step promises that it has to keep: Armijo, Pacific J. Math. 16 (1966)."""
-AHEAD, MARGIN = 3.0, 10.0
-"""A fit is on its way to a goal that so many rounds like the last reach, and so many nats."""
+MARGIN, INEXACT = 10.0, 0.1
+"""A fit is given up where its linearisation ends below a goal by more than so many nats, and that
+share of what it promises."""
 FARTHEST_S = 0.005
 """A step moves a delay of commands or a lag by no more: a tenth of a period of the fastest band."""
 FARTHEST_POSE_S = 0.02
@@ -49,6 +50,10 @@ SETTLED = 0.2
 """A round that gains less, in nats, is the last."""
 STRAIGHT = 0.02
 """Share of the power of a step that the model may deviate from a straight line on it."""
+LONG = 1.0
+"""Nats of a step after which slopes are taken anew where it was not straight: after a shorter one
+they are what they were. No step is straight along numbers that hold the IMU against the pose, whose
+slopes are regressors without noise."""
 
 BEFORE = 2.0
 """Days that the table of priors counts for, beside the flights' own."""
@@ -240,13 +245,13 @@ class Problem:
         flights = self.channels(state.best.x, range(len(self.priors.now)))
         return self.laplace(Spectrum.of(flights, *self.split(state.best.x), self.priors.days))
 
-    def start(self, effects: Sequence[str], kappa: float) -> State:
-        """A set from its expected numbers on."""
+    def start(self, effects: Sequence[str], kappa: float, least: float = -np.inf) -> State:
+        """A set from its expected numbers on; arguments as of `settle`."""
         x = np.zeros(len(self.priors.now) + self.rest.days.size)
         own = self.priors.of(effects)
         b = self.priors
         x[own] = np.clip(b.mean[own], b.low[own], b.high[own]) - b.now[own]
-        return self.settle(effects, kappa, self.rest, x)
+        return self.settle(effects, kappa, self.rest, x, least)
 
     def settle(
         self,
@@ -264,21 +269,24 @@ class Problem:
             spectrum: Slopes to begin with.
             start: Numbers to begin with, as `MapEstimate.x`.
             least: Evidence below which the set is of no interest: a fit that is not on its way
-                there is given up.
+                there is given up, with the evidence that its linearisation ends at.
         """
         on = tuple(sorted(effects))
         columns = self._moving(on)
         x = self._begun(on, columns, start)
-        if not np.array_equal(x, np.concatenate([spectrum.theta, spectrum.days.ravel()])):
-            spectrum = self._renewed(spectrum, x, columns)
-        spectrum = spectrum.only(columns)
+        spectrum, fresh = self._begin(spectrum, x, columns)
         laplace = self.laplace(spectrum)
         now = laplace.at(on, kappa)
         shaped = bool(np.any(self.priors.shape[columns]))
-        fresh, reach = True, self._reach()
+        reach = self._reach()
         for n in range(ROUNDS):
+            first = shaped and n == 0  # a shape has no slope while what it shapes is 0
             wanted = laplace.best(on, kappa, reach).x
             promised = laplace.at(on, kappa, wanted) - now
+            end = laplace.best(on, kappa)
+            known = not first and np.allclose(end.x, wanted)
+            if known and end.evidence + MARGIN + INEXACT * promised < least:
+                return State(on, end, spectrum)
             step, better = 1.0, None
             while step > SHORTEST_STEP:
                 y = x + step * (wanted - x)
@@ -300,12 +308,25 @@ class Problem:
             reach = reach * (FARTHER if step == 1 and bent < STRAIGHT else step)
             x, spectrum, laplace, now = better
             fresh = False
-            if (gain < SETTLED and not (shaped and n == 0)) or now + AHEAD * gain + MARGIN < least:
+            if gain < SETTLED and not first:
                 break
-            if bent > STRAIGHT or (shaped and n == 0):
+            if (bent > STRAIGHT and gain > LONG) or first:
                 spectrum, fresh = self._renewed(spectrum, x, columns), True
                 laplace = self.laplace(spectrum)
         return State(on, laplace.at_linearisation(on, kappa), spectrum)
+
+    def _begin(
+        self, spectrum: Spectrum, x: Array, columns: NDArray[np.intp]
+    ) -> tuple[Spectrum, bool]:
+        """Residuals at some numbers with slopes by some columns, and whether these are of there:
+        where effects went and all others stay, they are those with what went."""
+        here = np.concatenate([spectrum.theta, spectrum.days.ravel()])
+        own = np.concatenate([columns, np.arange(len(self.priors.now), len(x))])
+        if not np.array_equal(x[own], here[own]):
+            return self._renewed(spectrum, x, columns).only(columns), True
+        if np.array_equal(x, here):
+            return spectrum.only(columns), True
+        return spectrum.only(columns).moved(self.channels(x), *self.split(x)), False
 
     def _reach(self) -> Array:
         """How far a step may move each number: what shifts signals in time is far from linear."""

@@ -206,7 +206,7 @@ def _restarted(
     if state.effects in begun:
         return None
     begun.add(state.effects)
-    there = problem.start(state.effects, state.kappa)
+    there = problem.start(state.effects, state.kappa, log_posterior(state))
     if log_posterior(there) <= log_posterior(state) + SHORT:
         return None
     tried[state.effects, state.kappa] = log_posterior(there)
@@ -327,7 +327,7 @@ def _followed(
             if trial in begun:
                 continue
             begun.add(trial)
-            there = problem.start(trial, state.kappa)
+            there = problem.start(trial, state.kappa, log_posterior(best))
             key = trial, state.kappa
             tried[key] = max(log_posterior(there), tried.get(key, -np.inf))
             best = there if log_posterior(there) > log_posterior(best) + MIN_GAIN else best

@@ -45,10 +45,10 @@ from ...residuals.measured import Signal
 from ...residuals.teacher_forced import (
     RIGID,
     SPIN_RATE,
+    RotorStates,
     hidden_states,
     integrate_states,
     rotor_states_of,
-    with_rotor_states,
 )
 from ...vehicle import Vehicle
 from .numbers import DRIVES, PLACE, TURN, Number, age_of, lateness_of, values_of, with_effects
@@ -408,6 +408,7 @@ class Trajectory:
         on = with_effects(vehicle, self._stateful, {})
         self.aligned = align_flight(flight, on, 1 / GRID_HZ, effects)
         self._now = values_of(numbers, {})
+        self._rotors: dict[tuple[str, ...], RotorStates] = {}
         self._splines: dict[tuple[str, ...], GridSpline] = {}
         self._forces: dict[tuple[str, bytes], tuple[Array, Array]] = {}
         self._courses: dict[tuple[str, bytes, tuple[float, ...]], Any] = {}
@@ -483,8 +484,11 @@ class Trajectory:
         inputs, states = self.aligned.inputs, self.aligned.states.copy()
         rotors = rotor_states_of(body)
         if reached & {*rotors}:
-            inputs = with_rotor_states(inputs, body)
-            states[:, rotors] = inputs.rotor_states
+            own = [name for name in values if self._reached(name) & {*rotors}]
+            if (key := tuple(own)) not in self._rotors:
+                self._rotors[key] = RotorStates(body, inputs.step_s, own)
+            states[:, rotors] = self._rotors[key].settled(inputs.u, values)
+            inputs = replace(inputs, rotor_states=states[:, rotors])
         followed = {i for i, s in enumerate(body.states) if _owner(s.name) in self._observers}
         if hidden := sorted(reached - {*rotors} - followed):
             states[:, hidden] = hidden_states(body, hidden, states, inputs)
