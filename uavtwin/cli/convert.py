@@ -25,18 +25,21 @@ def convert(
     """Write a log as a flight table: SI, NED, FRD, one clock.
 
     Parquet keeps what the log says of itself and what was found in it, CSV the table alone. MCAP
-    is for Foxglove and PlotJuggler; nothing here reads it back.
+    is for Foxglove and PlotJuggler, with a layout for each next to it; nothing here reads it back.
     """
     from twin.logs import read_flight, write_flight
 
     from ..output import check_file, check_record, record_of, recorded_file
+    from ..series.layouts import layout_files, write_layouts
     from ..series.mcap import check_mcap, write_flight_mcap
 
     if out.suffix not in _WRITTEN:
         raise TwinError(f"{out.name}: a flight is written as {', '.join(_WRITTEN)}.")
-    if out.suffix == ".mcap":
+    layouts = layout_files(out) if out.suffix == ".mcap" else []
+    if layouts:
         check_mcap()
-    check_file(out, force)
+    for file in (out, *layouts):
+        check_file(file, force)
     check_record(record_of(out), force)
     flight = read_flight(log, rebuild_commands=rebuild_commands)
     columns = ", ".join(str(c) for c in flight.table if c != "time" and flight.has(str(c)))
@@ -53,6 +56,10 @@ def convert(
             write_flight_mcap(flight, file)
         else:
             write_flight(flight, file)
-    STDOUT.print(f"written: {out}, {record_of(out).name}")
+    if layouts:
+        write_layouts(flight, out)
+    STDOUT.print(
+        f"written: {', '.join([str(out), record_of(out).name, *(f.name for f in layouts)])}"
+    )
     if print_damage([flight]):
         raise typer.Exit(Exit.FINDINGS)

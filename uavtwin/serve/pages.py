@@ -41,6 +41,8 @@ REPORTS = {"why": "why.html", "gap": "gap.html", "explain": "explain/report.html
 FILES = {
     TABLE: "series, SI, NED (Parquet)",
     "flight.mcap": "series for Foxglove and PlotJuggler (MCAP)",
+    "flight.foxglove.json": "layout for it: Foxglove, Import from file",
+    "flight.plotjuggler.xml": "layout for it: PlotJuggler, Load Layout",
     "twin.fmu": "the twin of the vehicle (FMU)",
     "check.json": "what check says (JSON)",
     "why.json": "what why says (JSON)",

@@ -243,14 +243,17 @@ def _explain(_: LogWork, job: Job, progress: Progress) -> Answer:
 
 
 def _mcap(_: LogWork, job: Job, __: Progress) -> Answer:
-    """The flight for Foxglove and PlotJuggler."""
+    """The flight for Foxglove and PlotJuggler, and a layout for each."""
     from twin.logs import read_flight
 
     from ..output import output_file
+    from ..series.layouts import write_layouts
     from ..series.mcap import write_flight_mcap
 
-    with output_file(Path(job["folder"]) / "flight.mcap") as file:
-        write_flight_mcap(read_flight(job["log"]), file)
+    flight, out = read_flight(job["log"]), Path(job["folder"]) / "flight.mcap"
+    with output_file(out) as file:
+        write_flight_mcap(flight, file)
+    write_layouts(flight, out)
     return {}
 
 
