@@ -50,6 +50,8 @@ def test_headings() -> None:
 
 SHORT = {"guide": 800, "method": 3000}
 """Words that a page of a folder has at most: a reader finishes it."""
+MOST = {"README.md": 600, "docs/guide": 12_000}
+"""Words of the README, and of all of the guide together."""
 PAGES = [f for folder in SHORT for f in sorted((ROOT / "docs" / folder).glob("*.md"))]
 
 
@@ -59,6 +61,12 @@ def test_pages_of_use_and_method_are_short_and_in_words_of_the_field(page: Path)
     prose = re.sub(r"```.*?```|`[^`]*`|\]\([^)]*\)", " ", text, flags=re.DOTALL)
     assert words_of(prose) & BANNED == set()
     assert len(text.split()) <= SHORT[page.parent.name]
+
+
+@pytest.mark.parametrize(("place", "most"), MOST.items())
+def test_readme_and_guide_are_short(place: str, most: int) -> None:
+    files = sorted((ROOT / place).glob("*.md")) or [ROOT / place]
+    assert 0 < sum(len(f.read_text("utf-8").split()) for f in files) <= most
 
 
 @pytest.mark.parametrize(

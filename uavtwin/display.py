@@ -26,9 +26,26 @@ class TextTable:
     rows: tuple[tuple[str, ...], ...]
     unbroken: tuple[int, ...] = (0,)
 
+    def _widths(self) -> list[int]:
+        return [max(map(len, column)) for column in zip(self.header, *self.rows, strict=True)]
+
+    @property
+    def width(self) -> int:
+        """Characters of a line."""
+        widths = self._widths()
+        return sum(widths) + 2 * len(widths)
+
+    def upright(self) -> str:
+        """A line per cell that is not empty, a block per row."""
+        name = max(map(len, self.header), default=0)
+        blocks = (
+            "\n".join(f"{n.ljust(name)}  {c}" for n, c in zip(self.header, row, strict=True) if c)
+            for row in self.rows
+        )
+        return "\n\n".join(blocks)
+
     def __str__(self) -> str:
-        lines = (self.header, *self.rows)
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        lines, widths = (self.header, *self.rows), self._widths()
         return "\n".join(
             "  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip()
             for line in lines

@@ -3,6 +3,7 @@
 Of a flight the kind of aircraft, its hover and its battery come first.
 """
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,6 +94,13 @@ class CheckRecord(Record, frozen=True, kw_only=True):
     error: str | UnsetType = UNSET
 
 
+_URGENT, _FACTS = 8, 8
+"""Findings and facts of the short form: with what the file is good for it fits a terminal of 24
+lines."""
+_AT_LENGTH = ("motors", "holds", "rows", "site")
+"""Facts that the short form leaves out: lists, and what is not asked first."""
+
+
 @dataclass(frozen=True, slots=True, repr=False)
 class CheckReport(DisplayMixin):
     """What `check` says of one file.
@@ -131,6 +139,44 @@ class CheckReport(DisplayMixin):
         """The same as plain data."""
         return self.record.json()
 
+    @property
+    def verdict(self) -> str:
+        """`problems`, `warnings` or `fine`: what it is in a word."""
+        return "problems" if self.problems else "warnings" if self.warnings else "fine"
+
+    @property
+    def reason(self) -> str:
+        """The first line that says why."""
+        first = (*self.problems, *self.warnings)[:1]
+        uses = f"good for {', '.join(self.good_for)}" if self.good_for else "nothing wrong with it"
+        return first[0] if first else uses
+
+    def claim(self) -> str:
+        """The verdict in a line."""
+        counts = [
+            counted(texts, word)
+            for texts, word in ((self.problems, "problem"), (self.warnings, "warning"))
+            if texts
+        ]
+        uses = dict.fromkeys(re.split(r"[:,]| at ", use)[0] for use in self.good_for)
+        good = f"; good for {', '.join(uses)}" if uses else ""
+        return f"{self.file}: {', '.join(counts) or 'fine'}{good}"
+
+    def short_lines(self) -> list[tuple[str, str]]:
+        """The lines that matter most, on one screen, in the order of `lines`."""
+        every = self.lines()
+        urgent = [line for line in every if line[0] in ("problem", "warning", "question")]
+        facts = [
+            line for line in every if line[0] == "fact" and line[1].split()[0] not in _AT_LENGTH
+        ]
+        first = [*urgent[:_URGENT], *facts[:_FACTS]]
+        effects = sum(text.count(", ") + 1 for text in self.observable)
+        return [
+            *[line for line in every if line in first],
+            *[line for line in every if line[0] == "good for"],
+            *[("explain can look for", f"explain can look for {effects} effects")][: effects > 0],
+        ]
+
     def lines(self) -> list[tuple[str, str]]:
         """What a person reads, line by line: kind and text."""
         return [("fact", f"{name:16s} {value}") for name, value in self.facts.items()] + [
@@ -148,8 +194,8 @@ class CheckReport(DisplayMixin):
         ]
 
     def sections(self) -> Iterable[str | TextTable]:
-        """Name of the file, then the lines."""
-        yield self.file
+        """The verdict, then the lines."""
+        yield self.claim()
         yield "\n".join(text for _, text in self.lines())
 
     def brief(self) -> str:

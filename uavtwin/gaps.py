@@ -300,7 +300,28 @@ def claim(places: Sequence[Ranked]) -> str:
             f"{percent(AGREEMENT)} of the signal "
             f"in every channel and phase. The largest gap is in {where}: {size} of the signal."
         )
-    return f"Twin and flight disagree most in {where}: {size} of the signal."
+    return f"Twin and flight disagree most in {where}: {size} of the signal.{_steeper(places)}"
+
+
+_STEEPER = 2.0
+"""By how much more of its own signal the residual of another channel has to be, to be named beside
+the worst: axes of a vector are ranked by the largest signal of them. Made up."""
+
+
+def _steeper(places: Sequence[Ranked]) -> str:
+    """The channel whose residual is the largest share of its own signal, a sentence; "" where that
+    is the worst place, or hardly more of it."""
+
+    def own(place: Ranked) -> float:
+        """Slow part of the residual over the signal of the channel alone."""
+        return place.score.slow_rms * place.score.share / place.score.rms if place.score.rms else 0
+
+    worst = places[0]
+    most = max((p for p in places if p.horizon_s == worst.horizon_s), key=own)
+    if most.channel == worst.channel or own(most) < _STEEPER * max(own(worst), AGREEMENT):
+        return ""
+    size = f"{number(most.score.rms)} {pretty_unit(most.unit)} rms, {percent(most.score.share)}"
+    return f" Next to its own small signal, {most.channel} is further off: {size}."
 
 
 def _scores(score: Score) -> dict[str, Any]:

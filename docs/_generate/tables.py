@@ -446,7 +446,38 @@ def _keys_table(record: type) -> str:
     return "\n".join(rows(("key", "is", "holds"), lines))
 
 
+def limits() -> str:
+    """What each page of use says that its verb cannot tell, under the title of the page."""
+    pages = [*sorted((DOCS / "guide").glob("*.md")), DOCS / "reference" / "simulators.md"]
+    return "\n\n".join(filter(None, map(_limits, pages)))
+
+
+_LIMITS = re.compile(r"(?ms)^## What it (?:cannot tell|does not hold)\n+(.*?)(?=^## |\Z)")
+"""The section of a page."""
+_LINK = re.compile(r"\]\((?!https?:)([^)#]*)(#[^)]*)?\)")
+"""A link to a page or to an anchor."""
+
+
+def _limits(page: Path) -> str:
+    """Of one page; "" where it has no such section."""
+    text = page.read_text("utf-8")
+    found = _LIMITS.search(text)
+    if found is None:
+        return ""
+
+    def moved(match: re.Match[str]) -> str:
+        """A link as it is from here."""
+        target, anchor = match.groups(default="")
+        own = f"../{page.parent.name}/"
+        return f"]({target if target.startswith('../') else own + (target or page.name)}{anchor})"
+
+    title = text.partition("\n")[0].removeprefix("# ")
+    link = f"../{page.parent.name}/{page.name}"
+    return f"## [{title}]({link})\n\n{_LINK.sub(moved, found.group(1)).strip()}"
+
+
 DOCUMENTS = {
+    "reference/limits.md": limits,
     "reference/flight_table.md": flight_table,
     "reference/vehicle_fields.md": vehicle,
     "reference/fmu_variables.md": fmus,

@@ -6,7 +6,18 @@ from typing import Annotated
 import typer
 
 from .explain import flight_payloads, site_record
-from .options import Exit, Force, Indoor, Json, Payload, Prints, Rebuild, TrustVehicle, VehicleName
+from .options import (
+    Exit,
+    Force,
+    Indoor,
+    Json,
+    Payload,
+    Prints,
+    Rebuild,
+    TrustVehicle,
+    VehicleName,
+    needed_vehicle,
+)
 from .printing import STDOUT, print_damage, progress
 
 
@@ -15,7 +26,7 @@ def calibrate(
         list[Path],
         typer.Argument(help="Logs or flight tables in which nothing is wrong."),
     ],
-    vehicle: VehicleName,
+    vehicle: VehicleName = None,
     payload: Payload = None,
     indoor: Indoor = None,
     out: Annotated[Path, typer.Option("--out", help="Vehicle file to write.")] = Path(
@@ -35,20 +46,21 @@ def calibrate(
 
     check_file(out, force)
     check_record(record_of(out), force)
-    draft = load_vehicle(vehicle)
+    named = needed_vehicle(vehicle, "calibrate")
+    draft = load_vehicle(named)
     read = read_alike(flights, rebuild_commands, trust_vehicle)
     payloads = flight_payloads(payload or [], [f.name for f in read])
     with progress("calibrating") as step:
         found = calibration.calibrate(read, draft, payloads=payloads, indoors=indoor, progress=step)
     options = {
-        "vehicle": Path(vehicle).name,
+        "vehicle": Path(named).name,
         "payload": payload or [],
         "rebuild_commands": rebuild_commands,
         "trust_vehicle": trust_vehicle,
         "indoors": {f.name: site_record(f, indoor) for f in read},
         "left_out": [f.name for f in read if f.name not in found.flights],
     }
-    inputs = [p for p in (*flights, Path(vehicle)) if p.is_file()]
+    inputs = [p for p in (*flights, Path(named)) if p.is_file()]
     print_result(found, as_json)
     with recorded_file(out, force) as (file, note):
         found.vehicle.save(file)

@@ -1,12 +1,15 @@
 """`uavtwin check`: any file that the program knows."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .options import Exit, Json, Prints
 from .printing import STDOUT, print_error, print_json
+
+if TYPE_CHECKING:
+    from ..file_check import CheckReport
 
 _STYLES = {
     "problem": "red",
@@ -26,6 +29,9 @@ def check(
         str | None,
         typer.Option(help="Vehicle whose hover is compared with that of each flight."),
     ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="Print every line, not the first of them.")
+    ] = False,
     as_json: Annotated[
         Json, Prints("uavtwin.file_check:CheckRecord", about="A list, one of each file.")
     ] = False,
@@ -47,9 +53,23 @@ def check(
             worst = max(worst, Exit.FINDINGS)
         reports.append(report.record)
         if not as_json:
-            STDOUT.print(report.file, style="bold")
-            for kind, text in report.lines():
-                STDOUT.print(f"  {text}", style=_STYLES.get(kind))
+            _print(report, every)
     if as_json:
         print_json(reports)
     raise typer.Exit(worst)
+
+
+def _print(report: "CheckReport", every: bool) -> None:
+    """The verdict, then the lines that matter most, each on one line; or all of them, whole."""
+    STDOUT.print(report.claim(), style="bold")
+    shown = report.lines() if every else report.short_lines()
+    cut = STDOUT.is_terminal and not every
+    for kind, text in shown:
+        STDOUT.print(
+            f"  {text}",
+            style=_STYLES.get(kind),
+            no_wrap=cut,
+            overflow="ellipsis" if cut else "fold",
+        )
+    if left := len(report.lines()) - len(shown):
+        STDOUT.print(f"  {left} more lines: --all", style="dim")

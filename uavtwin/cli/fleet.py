@@ -46,8 +46,8 @@ def fleet(
         typer.Option(help="Instead of --vehicle: folder with a vehicle file per aircraft."),
     ] = None,
     verbs: Annotated[
-        str, typer.Option(help="What is done with each log, of check, gap, explain.")
-    ] = "check,gap,explain",
+        str, typer.Option(help="What is done with each log, of check, why, gap, explain.")
+    ] = "check,why,gap,explain",
     each: Annotated[
         Literal["flight", "aircraft"],
         typer.Option(help="Explain each flight, or each aircraft with all its flights."),
@@ -74,7 +74,9 @@ def fleet(
     ] = False,
     as_csv: AsCsv = False,
 ) -> None:
-    """Check, compare and explain many logs: which aircraft differs, what drifts, which log is bad.
+    """Check, diagnose, compare and explain many logs.
+
+    Which aircraft differs, what drifts, what went wrong, which log is bad?
 
     One that was interrupted goes on where it was when the same command is given again. `uavtwin
     fleet FOLDER --sql "SELECT ..."` asks the tables that it leaves; nothing else is read.

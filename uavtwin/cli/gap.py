@@ -16,13 +16,14 @@ from .options import (
     Rebuild,
     TrustVehicle,
     VehicleName,
+    needed_vehicle,
 )
 from .printing import progress
 
 
 def gap(
     logs: Annotated[list[Path], typer.Argument(help="Logs of any format, or flight tables.")],
-    vehicle: VehicleName,
+    vehicle: VehicleName = None,
     out: Out = Path("gap"),
     horizon: Horizon = 0.5,
     rebuild_commands: Rebuild = None,
@@ -49,12 +50,13 @@ def gap(
 
     check_folder(out, force)
     forms = chosen_forms(csv, mcap)
-    model = load_vehicle(vehicle)
+    named = needed_vehicle(vehicle, "gap")
+    model = load_vehicle(named)
     flights = open_alike(logs, rebuild_commands, trust_vehicle)
     with progress("comparing") as step:
         found = gaps.gap(flights, model, horizon_s=horizon, progress=step)
     options = {
-        "vehicle": Path(vehicle).name,
+        "vehicle": Path(named).name,
         "horizon": horizon,
         "rebuild_commands": rebuild_commands,
         "trust_vehicle": trust_vehicle,
@@ -66,7 +68,7 @@ def gap(
         out,
         lambda folder, _, __: write_page(found, folder, "gap.json"),
         options,
-        [*logs, Path(vehicle)],
+        [*logs, Path(named)],
         force=force,
         as_json=as_json,
         findings=not any(g.channels for g in found.flights),

@@ -17,6 +17,7 @@ from .options import (
     Exit,
     Json,
     VehicleName,
+    needed_vehicle,
     seconds,
     start_values,
 )
@@ -78,7 +79,7 @@ _YEAR = 2025.5
 
 
 def hil(
-    vehicle: VehicleName,
+    vehicle: VehicleName = None,
     listen: Listen = LISTEN,
     model: Model = None,
     rate: Rate = 250.0,
@@ -96,7 +97,7 @@ def hil(
     """Former name of `uavtwin live --hil`."""
     shape = Shape(wind, gusts, seed, effect, start, place)
     link = Link(listen, rate, speed, patience, duration)
-    print_hil(fly_hil(vehicle, link, shape, model), as_json)
+    print_hil(fly_hil(needed_vehicle(vehicle, "hil"), link, shape, model), as_json)
 
 
 @dataclass(frozen=True, slots=True)

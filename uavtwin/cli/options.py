@@ -169,7 +169,7 @@ Scheduler = Annotated[str | None, typer.Option(help="Of Dask: tcp://HOST:8786.")
 VEHICLE_VARIABLE = "UAVTWIN_VEHICLE"
 """Of the environment: the vehicle where a command names none."""
 VehicleName = Annotated[
-    str,
+    str | None,
     typer.Option(
         "--vehicle",
         envvar=VEHICLE_VARIABLE,
@@ -208,6 +208,24 @@ TrustVehicle = Annotated[
         "the vehicle file.",
     ),
 ]
+
+
+def needed_vehicle(given: str | None, verb: str) -> str:
+    """The vehicle of a command that cannot do without.
+
+    Raises:
+        TwinError: None is named.
+    """
+    if given:
+        return given
+    from twin.vehicle_file import builtin_vehicles
+
+    raise TwinError(
+        f"{verb}: --vehicle: which aircraft is it? A built-in one "
+        f"({', '.join(builtin_vehicles())}), a vehicle file, or one drafted from a log and the "
+        f"mass: uavtwin vehicle draft LOG --mass 1.2kg --out mine.toml. Without a vehicle: uavtwin "
+        f"why LOG."
+    )
 
 
 def vehicle_named(given: str | None, default: str) -> str:

@@ -10,7 +10,7 @@ import typer
 from twin.errors import TwinError
 
 from .options import Json, Prints, seconds
-from .printing import print_rows, print_table
+from .printing import STDOUT, print_rows, print_table
 
 SQL = "One SELECT over flights, channels, effects, findings, in the SQL of DuckDB"
 """Meaning of the argument."""
@@ -31,7 +31,8 @@ def query(
 
 
 def print_answer(folder: Path, sql: str, time_limit_s: float, as_json: bool, as_csv: bool) -> None:
-    """Ask the tables of a fleet, and print the rows as a table, JSON or CSV."""
+    """Ask the tables of a fleet, and print the rows as a table, JSON or CSV; a table that is wider
+    than the terminal, a line per cell."""
     from ..display import TextTable
     from ..fleets.query import query as run_query
 
@@ -45,7 +46,11 @@ def print_answer(folder: Path, sql: str, time_limit_s: float, as_json: bool, as_
         writer.writerow(answer.names)
         writer.writerows(["" if v is None else v for v in row] for row in answer.rows)
     else:
-        print_table(TextTable(answer.names, tuple(tuple(map(_cell, r)) for r in answer.rows)))
+        table = TextTable(answer.names, tuple(tuple(map(_cell, r)) for r in answer.rows))
+        if table.width <= STDOUT.width:
+            print_table(table)
+        else:
+            STDOUT.print(table.upright(), soft_wrap=True)
 
 
 def _cell(value: object) -> str:

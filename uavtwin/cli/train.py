@@ -7,7 +7,18 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import Exit, Force, Json, Out, Prints, Rebuild, TrustVehicle, VehicleName, seconds
+from .options import (
+    Exit,
+    Force,
+    Json,
+    Out,
+    Prints,
+    Rebuild,
+    TrustVehicle,
+    VehicleName,
+    needed_vehicle,
+    seconds,
+)
 from .printing import STDOUT, print_damage, print_json, print_sections, print_written, progress
 
 if TYPE_CHECKING:
@@ -36,7 +47,7 @@ PresetName = Annotated[
 
 def train(
     flights: Annotated[list[Path], typer.Argument(help="Logs or flight tables.")],
-    vehicle: VehicleName,
+    vehicle: VehicleName = None,
     model: ModelName = None,
     preset: PresetName = None,
     protocol: Annotated[
@@ -92,9 +103,10 @@ def train(
     from ..vehicles import load_vehicle
 
     check_extra_learn()
-    twin = load_vehicle(vehicle)
+    named = needed_vehicle(vehicle, "train")
+    twin = load_vehicle(named)
     read = read_alike(flights, rebuild_commands, trust_vehicle)
-    inputs = [p for p in (*flights, Path(vehicle)) if p.is_file()]
+    inputs = [p for p in (*flights, Path(named)) if p.is_file()]
 
     def alongside(trained: "TrainResult", folder: Path) -> None:
         """Print what was trained, before the folder is moved to its place, and write run.json."""
@@ -104,7 +116,7 @@ def train(
             STDOUT.print(trained.claim, style="bold")
             print_sections(trained.tables)
         options = {
-            "vehicle": Path(vehicle).name,
+            "vehicle": Path(named).name,
             "rebuild_commands": rebuild_commands,
             "trust_vehicle": trust_vehicle,
             "license": license,

@@ -122,6 +122,8 @@ TABLES: Mapping[str, Sequence[Column]] = {
         _text("fingerprint", "hash of all numbers of the flight"),
         _count("problems", "findings that are errors"),
         _count("warnings", "findings that are warnings"),
+        _text("why", "verdict of why: found, nothing_found, cannot_tell"),
+        _text("causes", "causes that why names, consequences left out"),
         _text("verdict", "of explain: named, nothing, unnamed, cannot_tell, unusable"),
         Column("nothing_probability", "number", "1", "that no effect is missing"),
         _text("named", "effects that explain lists, the most probable first"),

@@ -22,9 +22,9 @@ from ..jobs.engine import Engine, EngineName, opened_engine
 from ..jobs.process import Allowed
 from ..output import check_folder, results_folder, write_json
 from ..vehicles import Vehicle, load_vehicle
-from .dataset import JOURNAL, JobRows, Journal, write_dataset
+from .dataset import JOURNAL, TABLES, JobRows, Journal, write_dataset
 from .fleet_statistics import Spread
-from .log_analysis import VERBS, LogAnalysis, LogJob, Verb, file_stem
+from .log_analysis import OF_VEHICLE, VERBS, LogAnalysis, LogJob, Verb, file_stem
 from .result import FleetResult, result_of
 
 MOST_LOGS = 10_000_000
@@ -149,11 +149,13 @@ class FleetRequest:
     trust_vehicle: bool = False
 
     def __post_init__(self) -> None:
-        if (self.vehicle is None) == (self.per_aircraft is None):
+        both = self.vehicle is not None and self.per_aircraft is not None
+        neither = self.vehicle is None and self.per_aircraft is None
+        if both or (neither and OF_VEHICLE & set(self.verbs)):
             raise TwinError(
-                f"fleet: {'neither' if self.vehicle is None else 'both'} of --vehicle and "
-                f"--per-aircraft given. Give the vehicle file of all aircraft, or a folder with "
-                f"one for each."
+                f"fleet: {'both' if both else 'neither'} of --vehicle and --per-aircraft given. "
+                f"Give the vehicle file of all aircraft, or a folder with one for each; check and "
+                f"why need none: --verbs check,why."
             )
         for verb in self.verbs:
             if verb not in VERBS:
@@ -209,7 +211,7 @@ def fleet(
         vehicle: Vehicle file of all aircraft, or a built-in name.
         out: Folder for the dataset, the page and vehicle files.
         per_aircraft: Instead of `vehicle`, a folder with a file for each aircraft.
-        verbs: What is done with each log: `check`, `gap`, `explain`.
+        verbs: What is done with each log: `check`, `why`, `gap`, `explain`.
         each: Whether each `flight` is explained by itself, or each `aircraft` with all its flights.
         indoors: Whether all flew within walls; None: as each log says.
         engine: `local`, or `dask` with a scheduler.
@@ -296,6 +298,7 @@ def analysis_of(
     vehicle = "" if base is None else base.text
     content = [uavtwin.__version__, vehicle, texts, request.verbs, request.alone, request.indoors]
     content += [asdict(allowed), request.trust_vehicle]
+    content += [c.name for columns in TABLES.values() for c in columns]
     key = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
     file = request.vehicle or f"{request.per_aircraft}"
     return LogAnalysis(

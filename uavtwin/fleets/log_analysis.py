@@ -16,12 +16,13 @@ from twin.explain import explanation as inner
 from twin.explain.estimates import estimates_of, listed_effects, nothing_probability, probability_of
 from twin.explain.explanation import Explanation
 from twin.explain.inference.fit import INTERVAL
-from twin.logs import AnyFlight
+from twin.logs import AnyFlight, Flight
 from twin.logs.airframe import SourcedValue
 from twin.logs.columns import GYRO, QUAT
 from twin.residuals.flight_gap import HoverDiagnosis
 from twin.vehicle_file import parse_vehicle
 
+from ..diagnosis import cause_in_words, why
 from ..file_check import check_flight
 from ..flights import open_alike, reported_aircraft
 from ..gaps import gap
@@ -30,9 +31,11 @@ from ..vehicles import Vehicle
 from ..wording import misfit
 from .dataset import MOTORS, JobRows, Row
 
-Verb = Literal["check", "gap", "explain"]
-VERBS: tuple[Verb, ...] = ("check", "gap", "explain")
+Verb = Literal["check", "why", "gap", "explain"]
+VERBS: tuple[Verb, ...] = ("check", "why", "gap", "explain")
 """What may be done with each log, in this order."""
+OF_VEHICLE = frozenset({"gap", "explain"})
+"""Verbs that need a vehicle file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,18 +146,20 @@ class LogAnalysis:
             "fingerprint": flight.fingerprint,
         }
         refused: list[str] = []
-        try:
-            vehicle: Vehicle | None = self._vehicle(aircraft)
-            assert vehicle is not None
-            about["vehicle"] = vehicle.name
-        except TwinError as error:
-            vehicle = None
-            refused.append(str(error))
+        vehicle: Vehicle | None = None
+        if OF_VEHICLE & set(self.verbs):
+            try:
+                vehicle = self._vehicle(aircraft)
+                about["vehicle"] = vehicle.name
+            except TwinError as error:
+                refused.append(str(error))
         hover = None
         for verb in self.verbs:
             try:
                 if verb == "check":
                     _check(flight, about, found)
+                elif verb == "why":
+                    _why(flight, about, found)
                 elif vehicle is None:
                     continue
                 elif verb == "gap":
@@ -169,7 +174,7 @@ class LogAnalysis:
             _say(found, about["log"], aircraft, "gap", "warning", text)
         if refused:
             about |= {"status": "refused", "error": "; ".join(refused)}
-        elif about["problems"]:
+        elif about.get("problems"):
             about["status"] = "findings"
 
     def _aircraft(self, job: LogJob) -> JobRows:
@@ -210,6 +215,14 @@ def _check(flight: AnyFlight, about: Row, found: JobRows) -> None:
         for text in texts:
             _say(found, about["log"], about["aircraft"], "check", severity, text)
     about |= {"problems": len(report.problems), "warnings": len(report.warnings)}
+
+
+def _why(flight: AnyFlight, about: Row, found: JobRows) -> None:
+    """What went wrong, from the log alone."""
+    record = why(flight if isinstance(flight, Flight) else str(flight.source)).record
+    causes = [cause_in_words(e) for e in record.events if not e.consequence]
+    about |= {"why": record.verdict, "causes": "; ".join(dict.fromkeys(causes))}
+    _say(found, about["log"], about["aircraft"], "why", "note", record.text)
 
 
 def _gap(flight: AnyFlight, vehicle: Vehicle, about: Row, found: JobRows) -> Any:

@@ -1,5 +1,6 @@
 """A fleet: its aircraft and logs in short, and what its flights say together."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -22,10 +23,21 @@ _NUMBERS = ("hover_command", "hover_speed_rad_s", "carried", "back_m", "right_m"
 """Columns of `flights` whose median is shown."""
 _SPLIT = tuple(f"motor_{i}" for i in range(1, MOTORS + 1))
 """Columns of the motors."""
-_ABOUT = ("log", "aircraft", "status", "vehicle", "verdict", "named")
+_ABOUT = ("log", "aircraft", "status", "vehicle", "verdict", "named", "causes")
 """Columns of text that an overview reads."""
-HEADER = ("hover", "carried", "back, mm", "right, mm", "strongest motor", "weakest motor", "named")
+HEADER = (
+    *("went wrong", "hover", "carried", "back, mm", "right, mm"),
+    *("least loaded motor", "most loaded motor", "lacks"),
+)
 """Of the printed table."""
+UNKNOWN = "-"
+"""Cell of what is not known."""
+CELLS = (
+    f"{UNKNOWN}: nothing named, or not known (no hover in the log, no vehicle). Went wrong: causes "
+    "of why. Carried: thrust of the twin over the weight. Back, right: centre of mass. Loaded: "
+    "command of a motor in hover, over the mean of all. Lacks: effects of explain."
+)
+"""What the cells of the printed table mean."""
 
 
 class AircraftRecord(Record, frozen=True, kw_only=True):
@@ -39,6 +51,7 @@ class AircraftRecord(Record, frozen=True, kw_only=True):
             the columns of `flights`.
         split: Of the motors, median.
         named: Flights that name an effect, by effect.
+        causes: Flights in which `why` names a cause, by cause.
         misfit: Why the vehicle file does not fit; null where it does.
     """
 
@@ -52,6 +65,7 @@ class AircraftRecord(Record, frozen=True, kw_only=True):
     right_m: float
     split: tuple[float, ...]
     named: dict[str, int]
+    causes: dict[str, int]
     misfit: str | None
 
 
@@ -68,6 +82,7 @@ class Overview:
         numbers: Columns of `flights` by name: hover, carried, centre of mass.
         split: Command or speed of each motor in hover over the mean of all, minus 1.
         named: Effects that `explain` lists, each with the number of flights.
+        causes: Of `why`, each with the number of flights.
     """
 
     name: str
@@ -78,6 +93,7 @@ class Overview:
     numbers: dict[str, float]
     split: tuple[float, ...]
     named: dict[str, int]
+    causes: dict[str, int] = field(default_factory=dict)
 
     @property
     def misfit(self) -> str:
@@ -93,17 +109,21 @@ class Overview:
         if self.split:
             places = int(np.argmin(self.split)), int(np.argmax(self.split))
             extremes = tuple(f"{p + 1}: {round(100 * self.split[p]):+d} %" for p in places)
-        effects = ", ".join(
-            f"{e.replace('_', ' ')}{f' ({k} of {self.flights})' if self.flights > 1 else ''}"
-            for e, k in self.named.items()
-        )
         return (
+            self._counted(self.causes),
             hover,
             _text(n["carried"], "{:.2f}"),
             _text(1e3 * n["back_m"], "{:+.1f}"),
             _text(1e3 * n["right_m"], "{:+.1f}"),
             *extremes,
-            effects,
+            self._counted(self.named),
+        )
+
+    def _counted(self, names: Mapping[str, int]) -> str:
+        """Names, of several flights each with how many have it."""
+        return ", ".join(
+            f"{n.replace('_', ' ')}{f' ({k} of {self.flights})' if self.flights > 1 else ''}"
+            for n, k in names.items()
         )
 
     def line(self) -> str:
@@ -121,6 +141,7 @@ class Overview:
             vehicle=self.vehicle or None,
             split=self.split,
             named=dict(self.named),
+            causes=dict(self.causes),
             misfit=self.misfit or None,
             **{name: self.numbers[name] for name in _NUMBERS},
         )
@@ -158,6 +179,7 @@ def _of_aircraft(read: pd.DataFrame, named: "pd.Series") -> Iterator[Overview]:
             {n: float(numbers[n]) for n in _NUMBERS},
             _split(numbers),
             {str(e): int(n) for e, n in by_count},
+            dict(Counter(c for text in own["causes"] for c in _listed(text)).most_common()),
         )
 
 
@@ -174,7 +196,13 @@ def of_log(row: Mapping[str, Any]) -> Overview:
         {n: number[n] for n in _NUMBERS},
         _split(number),
         {e: 1 for e in text["named"].split(", ") if e},
+        {c: 1 for c in _listed(text["causes"])},
     )
+
+
+def _listed(text: str) -> list[str]:
+    """Causes of a cell."""
+    return [c for c in str(text).split("; ") if c]
 
 
 def _split(numbers: Mapping[str, float]) -> tuple[float, ...]:
@@ -196,7 +224,10 @@ def table_of(rows: Sequence[Overview], first: str, most: int) -> TextTable:
         most: Rows that are printed.
     """
     logs = any(r.status for r in rows)
-    lines = tuple((r.name, r.status if logs else str(r.flights), *r.cells()) for r in rows[:most])
+    lines = tuple(
+        (r.name, r.status if logs else str(r.flights), *(c or UNKNOWN for c in r.cells()))
+        for r in rows[:most]
+    )
     if len(rows) > most:
         lines += ((f"{len(rows) - most} more", *[""] * (1 + len(HEADER))),)
     return TextTable((first, "status" if logs else "flights", *HEADER), lines)
@@ -466,6 +497,7 @@ class FleetResult(PageMixin):
         if self.rows:
             yield table_of(self.rows, "aircraft", MOST_ROWS)
         yield table_of(of_logs(self.folder), "log", MOST_ROWS)
+        yield CELLS
         if self.differing:
             head = ("differs", "number", "its median", "others", "unit", "q")
             yield TextTable(

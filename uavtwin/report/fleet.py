@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twin.formatting import number, pretty_unit
 
 from ..fleets.fleet_statistics import Drift, Measure, Spread, measures
-from ..fleets.result import FleetResult, of_logs, table_of
+from ..fleets.result import CELLS, FleetResult, of_logs, table_of
 from ..fleets.statistics import FALSE_SHARE
 from .drawing import Panels
 from .page import BLUE, GREY, ORANGE, Plot, plot, render
@@ -56,6 +56,7 @@ def write_page(result: FleetResult, path: Path) -> None:
             table_of(result.rows, "aircraft", MOST_ROWS),
             table_of(of_logs(result.folder), "log", MOST_ROWS),
         ],
+        cells=CELLS,
         false_share=FALSE_SHARE,
         tests={"differences": len(result.differences), "drifts": len(result.drifts)},
         differing=result.differing[:MOST_ROWS],

@@ -19,8 +19,6 @@ from ..jobs.process import Progress
 if TYPE_CHECKING:
     from twin.logs import Flight
 
-    from ..file_check import CheckReport
-
 Job = Mapping[str, Any]
 """Kind, log, folder of the results, vehicle; what a kind needs besides."""
 Answer = dict[str, Any]
@@ -100,19 +98,9 @@ def _check(work: LogWork, job: Job, _: Progress) -> Answer:
         "airframe": report.facts.get("kind"),
         "date_year": None if place is None else place.value.year,
         "duration_s": float(time_s[-1] - time_s[0]),
-        **_verdict(report),
+        **{"verdict": report.verdict, "check_text": report.reason},
     }
     return {"note": note, "queue": ["why"]}
-
-
-def _verdict(report: "CheckReport") -> dict[str, str]:
-    """The verdict in a word, and the first line that says why."""
-    if report.problems:
-        return {"verdict": "problems", "check_text": report.problems[0]}
-    if report.warnings:
-        return {"verdict": "warnings", "check_text": report.warnings[0]}
-    uses = f"good for {', '.join(report.good_for)}" if report.good_for else "nothing wrong with it"
-    return {"verdict": "fine", "check_text": uses}
 
 
 def _write_table(flight: "Flight", folder: Path) -> None:

@@ -16,6 +16,8 @@ import uavtwin as ut
 from benchmarks.fleet.flights import aircraft_of, flown
 from twin.errors import TwinError
 from twin.logs import write_flight
+from twin.vehicle_file import load_vehicle
+from uavtwin.demo.in_flight import damaged_flight
 from uavtwin.fleets.dataset import JOURNAL
 from uavtwin.fleets.fleet import found_logs
 
@@ -152,6 +154,7 @@ def test_what_an_aircraft_lacks_goes_into_its_file_and_is_gone_with_it(
     ("given", "says"),
     [
         ({}, "neither of --vehicle and --per-aircraft"),
+        ({"verbs": ["gap"]}, "check and why need none"),
         ({"vehicle": "copter_default", "verbs": ["gap", "chek"]}, "chek"),
         ({"vehicle": "copter_defalt"}, "copter_default"),
         ({"vehicle": "copter_default", "each": "day"}, "day"),
@@ -173,3 +176,20 @@ def test_places_without_logs_are_named(tmp_path: Path) -> None:
             ut.fleet(tmp_path / given, "copter_default", out=tmp_path / "out")
     with pytest.raises(TwinError, match="no log matches this pattern"):
         ut.fleet(tmp_path / "*.ulg", "copter_default", out=tmp_path / "out")
+
+
+def test_why_needs_no_vehicle(tmp_path: Path) -> None:
+    """A sound flight, and one whose rotor 3 loses thrust: causes in the row of each."""
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    damaged = damaged_flight(load_vehicle("copter_default"), 15.0, 0.4, 30.0)
+    for name, flight in {"damaged": damaged, "sound": damaged.between(0.0, 14.0)}.items():
+        write_flight(flight, logs / f"{name}.parquet")
+    found = ut.fleet(logs, out=tmp_path / "out", verbs=["why"], workers=1)
+    rows = pd.read_parquet(tmp_path / "out" / "flights.parquet").set_index("log")
+    assert rows.loc["damaged.parquet", ["status", "why", "causes"]].tolist() == [
+        *("fine", "found"),
+        "rotor failure, rotor 3",
+    ]
+    assert rows.loc["sound.parquet", "causes"] in (None, "")
+    assert "rotor failure, rotor 3" in str(found)

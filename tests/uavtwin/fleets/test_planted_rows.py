@@ -18,7 +18,15 @@ from twin.errors import TwinError
 from uavtwin.fleets.dataset import TABLES, write_dataset
 from uavtwin.fleets.fleet import numbers_of_files, write_vehicles
 from uavtwin.fleets.query import query
-from uavtwin.fleets.result import HEADER, FleetResult, of_logs, result_of
+from uavtwin.fleets.result import (
+    CELLS,
+    HEADER,
+    UNKNOWN,
+    FleetResult,
+    of_logs,
+    result_of,
+    table_of,
+)
 from uavtwin.vehicles import load_vehicle
 
 
@@ -102,8 +110,11 @@ def test_every_aircraft_and_every_log_has_a_row(result: FleetResult, tmp_path: P
     assert not first.named
     cells = dict(zip(HEADER, heavy.cells(), strict=True))
     assert cells["hover"] == "0.500"
-    assert (cells["strongest motor"], cells["weakest motor"]) == ("2: -4 %", "1: +4 %")
-    assert cells["named"].startswith("mass offset (")
+    assert (cells["least loaded motor"], cells["most loaded motor"]) == ("2: -4 %", "1: +4 %")
+    assert cells["lacks"].startswith("mass offset (")
+    assert cells["went wrong"] == "" and CELLS in str(result)
+    printed = table_of(result.rows, "aircraft", 20).rows[0]
+    assert printed[2] == UNKNOWN and "" not in printed
     three = few(tmp_path, ("A01", "A02", "A03"))
     logs = of_logs(tmp_path)
     assert len(logs) == 9
@@ -188,6 +199,20 @@ def test_a_query_joins_tables(folder: Path, capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.mark.slow
+def test_a_wide_answer_is_printed_a_cell_per_line(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, _ = run(
+        capsys, "fleet", folder, "--sql", "select * from flights order by log limit 2"
+    )
+    assert code == 0
+    (first, second) = out.strip().split("\n\n")
+    rows = [line.split(maxsplit=1) for line in first.splitlines()]
+    assert rows[0] == ["log", "0000.parquet"] and ["hover_command", "0.5"] in rows
+    assert all(len(r) == 2 for r in rows), "no cell is empty"
+    assert second.startswith("log") and "0001.parquet" in second
+
+
 def test_a_query_gives_the_numbers_of_pandas(folder: Path) -> None:
     rows = query(folder, "select log, carried from flights order by log").rows
     flights = pd.read_parquet(folder / "flights.parquet").sort_values("log")

@@ -100,6 +100,17 @@ def test_claim_comes_first_and_names_channel_phase_and_size(tmp_path: Path) -> N
     )
 
 
+def test_a_channel_that_is_off_by_more_of_its_own_signal_is_named_too() -> None:
+    """acc_y hardly moves: a tenth of the gap of acc_z is five times its signal."""
+    gap = flight()
+    (_, acc, _) = gap.channels
+    small = 0.02 * np.sin(2 * np.pi * 0.4 * acc.t_s)
+    quiet = replace(acc, name="acc_y", measured=small, simulated=small - 0.1 * acc.residual)
+    found = claim(rank(summaries([replace(gap, channels=(acc, quiet))])))
+    assert found.startswith("Twin and flight disagree most in acc_z")
+    assert "Next to its own small signal, acc_y is further off: 0.0707 m/s² rms, 500 %" in found
+
+
 def test_a_bar_cut_at_100_percent_says_so_and_the_number_is_not_cut(tmp_path: Path) -> None:
     text, _ = written(tmp_path / "report.html", flight())
     assert '<i class="cut" style="width:80px"></i>200 %' in text
