@@ -155,6 +155,7 @@ def measured(
     band_hz: float,
     sensor_hz: float | None,
     together: bool = False,
+    passes: int = 1,
 ) -> Measured | None:
     """Filter readings on the grid; None where no piece of them is long enough.
 
@@ -168,6 +169,7 @@ def measured(
         sensor_hz: Low-pass that the readings have behind them and a prediction has not.
         together: Whether the retained rows are among those of every other sensor that is so
             filtered, wherever both are known.
+        passes: How often readings and prediction pass that low-pass.
     """
     pieces = _pieces(known & np.all(np.isfinite(values), axis=1))
     if not pieces:
@@ -175,7 +177,8 @@ def measured(
     settle = round(2 / band_hz * GRID_HZ)
     if together:
         pieces = [rows[-(rows[0] + settle) % EVERY :] for rows in pieces]
-    filters = (band_hz,) if sensor_hz is None else (sensor_hz, band_hz)
+    bands = (band_hz,) * passes
+    filters = bands if sensor_hz is None else (sensor_hz, *bands)
     group = Measured(
         names=tuple(names),
         unit=unit,
@@ -190,7 +193,7 @@ def measured(
     number = [np.full(len(rows), k, dtype=np.intp) for k, rows in enumerate(retained)]
     return replace(
         group,
-        values=group.filtered(values, (band_hz,)),
+        values=group.filtered(values, bands),
         t_s=t_s[np.concatenate(retained)],
         piece=np.concatenate(number),
     )

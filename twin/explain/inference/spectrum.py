@@ -21,6 +21,9 @@ BANDS_HZ = np.array([0.0, 0.3, 0.8, 2.0, 4.5, 7.0, 10.0, 13.0, 16.0, 20.0, CHANN
 """Edges of the bands; the constant is apart."""
 SHORTEST = 8
 """Samples of a piece at least."""
+OF_POSE, OF_POSE_HZ = "pose_", 10.0
+"""How channels begin of what a pose implies, and the frequency up to which they count: beyond it
+they are noise that thinning out has mirrored, see `POSE_PASSES` of `model.factors`."""
 FORCE_CHANNELS = ("acc_", "gyro_rate_", "motion_acc_", "motion_rate_")
 """How channels of specific force and of angular acceleration begin."""
 
@@ -148,7 +151,8 @@ def _with_slopes(rows: Rows, width: int, columns: NDArray[np.intp], slopes: Arra
 
 
 def transformed(channel: ChannelData, values: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Rows of all long enough pieces of a channel, and their bands.
+    """Rows of all long enough pieces of a channel, and their bands; of what a pose implies those up
+    to `OF_POSE_HZ`.
 
     Args:
         channel: Whose pieces.
@@ -161,11 +165,13 @@ def transformed(channel: ChannelData, values: Array) -> tuple[Array, NDArray[np.
         part = values[channel.piece == p]
         n = len(part)
         y = dct(part, axis=0, norm="ortho")
-        band = np.searchsorted(BANDS_HZ, np.arange(n) * CHANNEL_HZ / 2 / n, side="right")
+        hz = np.arange(n) * CHANNEL_HZ / 2 / n
+        band = np.searchsorted(BANDS_HZ, hz, side="right")
         band[0] = 0
         y[0] /= np.sqrt(total)  # sqrt(n) for the mean, sqrt(n / total) for its share of the flight
-        out.append(y)
-        bands.append(band)
+        counts = hz < (OF_POSE_HZ if channel.name.startswith(OF_POSE) else np.inf)
+        out.append(y[counts])
+        bands.append(band[counts])
     if not out:
         return np.zeros((0, values.shape[1])), np.zeros(0, dtype=np.intp)
     return np.concatenate(out), np.concatenate(bands)

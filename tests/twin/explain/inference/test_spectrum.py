@@ -1,13 +1,23 @@
 """Residuals by frequency: what the transform keeps, and where it puts what it keeps."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from twin.explain.inference.spectrum import BANDS_HZ, SHORTEST, Spectrum
-from twin.residuals.channels import CHANNEL_HZ, ChannelData
+from twin.explain.model.factors import POSE_PASSES
+from twin.residuals.channels import (
+    CHANNEL_HZ,
+    GRID_HZ,
+    POSE_BAND_HZ,
+    ChannelData,
+    low_pass,
+    shifted,
+)
 
 Array = NDArray[np.float64]
 
@@ -99,3 +109,31 @@ def test_slopes_of_columns_are_left_out_or_taken_anew() -> None:
     moved = whole.moved([[channel(2 * residual, slopes)]], np.ones(3), np.zeros((1, 0)))
     np.testing.assert_allclose(moved.rows[0][0].residual, 2 * whole.rows[0][0].residual)
     np.testing.assert_array_equal(moved.rows[0][0].slopes, whole.rows[0][0].slopes)
+
+
+def test_what_a_pose_implies_has_no_comb_over_its_age() -> None:
+    """Bursts in a motion capture's velocity, as what is implied for an accelerometer, at ages of
+    which none is truer than another."""
+    t_s, grid = np.arange(0.0, 6.0, 1 / 100.0), np.arange(0.0, 6.0, 1 / GRID_HZ)
+    combs = []
+    for seed in range(4):
+        noise = np.random.default_rng(seed).standard_normal(len(t_s))
+        burst = np.where(np.abs(t_s - 3.0) < 0.05, 0.07, 0.001) * noise
+        implied = CubicSpline(t_s, burst)(grid, 1)[:, None]
+        usual, of_pose = [], []
+        for age_s in np.arange(0.0, 0.02, 0.0025):
+            seen = [shifted(implied, age_s)]
+            seen += [low_pass(seen[-1], POSE_BAND_HZ)]
+            seen += [low_pass(seen[-1], POSE_BAND_HZ)]
+            usual.append(_log_power("acc_x", seen[1]))
+            of_pose.append(_log_power("pose_acc_x", seen[POSE_PASSES]))
+        combs.append((np.ptp(of_pose), np.ptp(usual)))
+    mean = np.mean(combs, axis=0)
+    assert mean[0] < 15.0 < 100.0 < mean[1]
+
+
+def _log_power(name: str, values: Array) -> float:
+    """What the likelihood has of a channel on the grid: logarithms of the levels of its bands."""
+    made = replace(channel(values[:: round(GRID_HZ / CHANNEL_HZ), 0]), name=name)
+    power = of(made).power()
+    return sum(n * float(np.log(p / n)) for (_, band), (p, n) in power.items() if band)
