@@ -194,6 +194,8 @@ class Hover:
             (rad/s2), per newton that a rotor like their mean gives at the same input, rotors
             settled, shape (4, n).
         drag_1_s: Deceleration per speed along forward, right, down, shape (3,).
+        air_moment_rad_m_s: Angular acceleration about forward per speed to the right, and about
+            right per speed forward: of drag above the centre of mass, of flapping. Shape (2,).
         gravity_m_s2: Acceleration per radian of tilt.
         lag_s: Time constant of the thrust; 0 without lag.
     """
@@ -201,6 +203,7 @@ class Hover:
     thrust_n: Array
     effect: Array
     drag_1_s: Array
+    air_moment_rad_m_s: Array
     gravity_m_s2: float
     lag_s: float
 
@@ -259,6 +262,7 @@ def linearise(vehicle: Vehicle) -> Hover:
         thrust_n=y0[thrust],
         effect=effect,
         drag_1_s=-np.diag(a[np.ix_(speed, speed)]),
+        air_moment_rad_m_s=a[[rate["omega_x"], rate["omega_y"]], [rate["vel_y"], rate["vel_x"]]],
         gravity_m_s2=float(0.5 * a[rate["vel_y"], rate["q_x"]]),  # q_x is half the angle
         lag_s=lag_s,
     )

@@ -4,6 +4,8 @@
     R_d = thrust along a - g, nose at the yaw setpoint
     dω/dt = k_θ θ(R -> R_d) - k_ω ω - k_α α,   lift = (a - g) . thrust axis
 
+The moment with which the air turns an aircraft that moves through it is taken off dω/dt.
+
 For small errors this is the state feedback of `Gains` (dividing its position gains by that
 of the tilt gives k_p, k_v, k_i), so hover is optimal in its sense; the detour by a desired
 attitude makes it hold at any heading and any tilt. α and the lift behind the rotors' lag are
@@ -38,7 +40,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_are
 
 from ..component import Component, ComponentBuilder
-from ..frames import AXES
+from ..frames import AXES, to_body
 from ..vehicle import GRAVITY_M_S2, Vehicle
 from ..vehicle.vehicle import polynomial
 from .control_laws import (
@@ -250,6 +252,8 @@ LIFT_RESERVE = 0.8
 """Share of the full thrust that level flight and tilt may use; the rest is for turning."""
 LEAST_LIFT = 1.05
 """Thrust over weight that a weak vehicle uses all the same. All made up."""
+LEAST_AIR_MOMENT_RAD_M_S = 0.1
+"""A smaller moment of the air tilts no aircraft at 10 m/s by as much as a gust does. Made up."""
 RELEASE_1_S = 20.0
 """Rate at which integrals are forgotten while disarmed. Made up."""
 Vector = list[ca.SX]
@@ -273,12 +277,33 @@ def controller(vehicle: Vehicle) -> Component:
     if lag is not None:
         lift, *turn = lag.led([lift, *turn], gains)
     unit = "rad/s" if vehicle.drive == "rotor_speed" else "1"
-    mixed = mix(m, gains.mixer_n, inverse, unit, lift, turn)
+    air = _air_moment(m, s, hover)
+    asked = [t - a for t, a in zip(turn, air, strict=True)]
+    mixed = mix(m, gains.mixer_n, inverse, unit, lift, asked)
     if lag is not None:
-        settled = [mixed.lift, *mixed.angular]
+        settled = [mixed.lift, *(t + a for t, a in zip(mixed.angular, air, strict=True))]
         lag.follow([ca.if_else(s.armed, v, 0.0) for v in settled])
     declare_drives(m, vehicle.drive, [ca.if_else(s.armed, v, 0.0) for v in mixed.inputs])
     return m.build()
+
+
+def _air_moment(m: ComponentBuilder, s: Signals, hover: Hover) -> Vector:
+    """Angular acceleration that the air gives at this velocity in still air, rad/s2, body axes.
+
+    Below `LEAST_AIR_MOMENT_RAD_M_S` the controller has no parameters for it.
+    """
+    roll, pitch = (float(k) for k in hover.air_moment_rad_m_s)
+    if max(abs(roll), abs(pitch)) < LEAST_AIR_MOMENT_RAD_M_S:
+        return [ca.SX(0)] * 3
+    ahead, right, _ = to_body(s.q_nb, s.vel)
+    k_roll, k_pitch = (
+        m.parameter(f"air_moment.{axis}", value, "rad/(m.s)", f"Angular acceleration about {text}")
+        for axis, value, text in (
+            ("x", roll, "forward per speed to the right"),
+            ("y", pitch, "right per speed forward"),
+        )
+    )
+    return [k_roll * right, k_pitch * ahead, ca.SX(0)]
 
 
 class _Lag:
