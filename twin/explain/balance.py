@@ -57,13 +57,13 @@ SESSION = np.array([0.03, 0.002, 0.002, 0.07])
 which propellers were changed."""
 FACTORS = 2.0 ** np.arange(-3.0, 3.25, 0.5)
 """f: by how much days of an aircraft may differ from the table, log-normal with deviation 1."""
-SIZES = ((0.04, 0.02), (0.1, 0.05), (0.25, 0.12), (0.6, 0.3))
+SIZES = ((0.04, 0.02, 0.3), (0.1, 0.05, 0.3), (0.25, 0.12, 0.3), (0.6, 0.3, 0.1))
 """Mean and deviation of a loss of thrust over that of the rotor, and of a mass over that of the
-aircraft: a nick, a cut, a stump, hardly anything left; alike probable, so that the prior is even in
-the log of the size, up to what an aircraft lifts."""
-LOG_ODDS = -math.log(2)
+aircraft, and how probable: a nick, a cut, a stump, and what few aircraft lift or fly with."""
+LOG_ODDS = -1.0
 """Of one cause, a single rotor or a load, against nothing: who asks what has changed suspects
-something, so that a change is as probable as none."""
+something, so that all changes together, two rotors and vibration included, are as probable as
+none."""
 SECOND_ROTOR = -1.0
 """Log odds of a second damaged rotor, given the first: what breaks one often breaks its neighbour.
 Chosen on CrazyPAD's E9."""
@@ -428,7 +428,7 @@ class _Competition:
 
     def _causes(self) -> Iterator[tuple[Key, list[_Component]]]:
         """Hypotheses with their sizes."""
-        n, each = self._rotors, -math.log(len(SIZES))
+        n = self._rotors
         yield (NOTHING, ()), [_Component(0.0, (), np.zeros(0), np.zeros((0, 0)))]
         for count in (1, 2):
             odds = LOG_ODDS + (count - 1) * SECOND_ROTOR
@@ -438,20 +438,22 @@ class _Competition:
                 yield (
                     (ROTORS, tuple(i + 1 for i in rotors)),
                     [
-                        _Component(odds + each, columns, np.full(count, m), s**2 * np.eye(count))
-                        for m, s in SIZES
+                        _Component(
+                            odds + math.log(p), columns, np.full(count, m), s**2 * np.eye(count)
+                        )
+                        for m, s, p in SIZES
                     ],
                 )
-        yield (LOAD, ()), list(self._loads(LOG_ODDS + each))
+        yield (LOAD, ()), list(self._loads())
 
-    def _loads(self, odds: float) -> Iterator[_Component]:
+    def _loads(self) -> Iterator[_Component]:
         """A load in the middle, at a hub, or anywhere, alike probable; at a hub half as heavy as a
         loss of the same share: one rotor carries a fraction of the weight."""
         v = self._normal
         names = ("mass_kg", *(f"moment_{a}_kg_m" for a in "xyz"))
         columns = tuple(self._at[f"{LOAD}.{name}"] for name in names)
-        odds -= math.log(3)
-        for m, s in SIZES:
+        for m, s, p in SIZES:
+            odds = LOG_ODDS + math.log(p / 3)
             mass, sd, away = m * v.mass_kg, s * v.mass_kg, m * v.mass_kg * REACH * v.arm_m
             for spread in (0.0, away):
                 means, deviations = np.array([mass, 0, 0, 0]), np.array([sd, *[spread] * 3])

@@ -45,6 +45,7 @@ from .stochastic.search import Stuck, find_stochastic, find_stuck, stuck_channel
 from .stochastic.spectral import StochasticEffect
 from .unnamed import Equation, explains_better, find_equations
 from .usable import flown, part_read, usable_part, with_readings
+from .weather import blown, wind_of
 
 DIGITS = 6
 """Significant ones that a fitted number is given with."""
@@ -258,10 +259,12 @@ def explain(
 def _with_missions(
     found: Explanation, missions: Sequence[str] | None, progress: Callable[[float], None]
 ) -> Explanation:
-    """The same with flights of the new model in closed loop, where there is one."""
+    """The same with flights of the new model in closed loop and calm air, where there is one."""
     if found.added is None:
         return found
-    flying = replace(found, missions=fly_missions(found.added, missions, progress))
+    own = {e: v for e, v in found.added.effects.items() if not EFFECTS[e].of_weather}
+    calm = replace(found.added, effects=own)
+    flying = replace(found, missions=fly_missions(calm, missions, progress))
     lost = [UNSTABLE.format(m.name, m.problem) for m in flying.lost]
     return replace(flying, warnings=(*lost, *found.warnings))
 
@@ -421,11 +424,15 @@ def _balanced(
 def _with_balance(found: Explanation, naming: Naming) -> Explanation:
     """The same with what has changed in the balance of forces and moments."""
     model = naming.problem.model
-    trim = trim_of(model)
+    wind = wind_of(naming.shown)
+    trim = trim_of(model, {n: value for n, (value, _) in wind.items()})
     if trim is None:
         return found
     indoors = all(f.flight.indoors for f in model.flights)
-    balance = balance_of(trim, Normal.of(trim, found.vehicle, indoors), naming.settings.sure)
+    normal = Normal.of(trim, found.vehicle, indoors)
+    if wind:
+        normal = replace(normal, disturbed=blown(model, trim.channels, wind))
+    balance = balance_of(trim, normal, naming.settings.sure)
     named = effect_of_balance(balance, found.vehicle, trim)
     return replace(found, balance=balance, stochastic=() if named is None else (named,))
 

@@ -177,10 +177,10 @@ def test_evidence_of_one_rotor_is_the_integral_over_its_loss(
 ) -> None:
     """With days as the table says, one size: density of a rotor over that of nothing."""
     monkeypatch.setattr(balance, "FACTORS", np.array([1.0]))
-    monkeypatch.setattr(balance, "SIZES", SIZES[1:2])
+    monkeypatch.setattr(balance, "SIZES", ((*SIZES[1][:2], 1.0),))
     change = of(f"{ROTORS}.loss_1", 0.07) + 0.3 * DAY * UNIT
     noise = np.diag((DAY * UNIT) ** 2 * (1 + 1 / 3) + (SESSION * UNIT) ** 2)
-    mean, sd = SIZES[1]
+    mean, sd, _ = SIZES[1]
 
     def density(loss: float) -> float:
         left = change - of(f"{ROTORS}.loss_1", loss)
@@ -245,7 +245,7 @@ def test_probabilities_are_true_of_what_is_drawn_from_the_model() -> None:
     for _ in range(300):
         odds = np.exp([0.0, LOG_ODDS, LOG_ODDS])
         cause = rng.choice([NOTHING, ROTORS, LOAD], p=odds / odds.sum())
-        mean, sd = SIZES[rng.integers(len(SIZES))]
+        mean, sd, _ = SIZES[rng.choice(len(SIZES), p=[p for *_, p in SIZES])]
         change = np.zeros(4)
         if cause == ROTORS:
             change = of(f"{ROTORS}.loss_{rng.integers(N) + 1}", rng.normal(mean, sd))

@@ -1,0 +1,92 @@
+"""What the wind of a flight does to the balance of forces and moments.
+
+The search tells the wind by readings that the balance leaves alone. The balance is then judged in
+that wind, and less sharply: a calibration in calm air does not tell how the aircraft answers to the
+air,
+
+    W = S_w P S_w' + (S_a - S_a0) Q (S_a - S_a0)'
+
+S_w: slopes of the means by the wind, P: its variance; S_a: slopes by the numbers of the air's
+effects, S_a0: the same without the wind, Q: variance of these numbers by the calibration, and what
+is expected before any flight where that does not hold them: of what many aircraft have as if this
+one had it, of what is rare by its odds.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effects import EFFECTS, prior_of
+from ..effects.parameters import COMMON
+from .inference.fit import INTERVAL, Fit
+from .model.model import Model
+from .model.numbers import Number
+
+Array = NDArray[np.float64]
+WIND = "steady_wind"
+OF_AIR = (
+    "rotor_drag",
+    "parasitic_drag",
+    "induced_inflow",
+    "translational_lift",
+    "blade_flapping",
+    "flapping_moment",
+)
+"""Effects by which a wind changes thrust and moments."""
+
+
+def wind_of(shown: Fit) -> dict[str, tuple[float, float]]:
+    """Wind that a search found: "effect.number" -> value and standard deviation; none: calm."""
+    pairs = zip(shown.numbers, shown.half_widths, strict=True)
+    return {
+        n.full: (shown.values[n.full], float(half) / INTERVAL)
+        for n, half in pairs
+        if n.effect == WIND
+    }
+
+
+def blown(model: Model, channels: Sequence[str], wind: Mapping[str, tuple[float, float]]) -> Array:
+    """W of a model's flights.
+
+    Args:
+        model: Flights with the calibrated vehicle.
+        channels: Of the balance.
+        wind: As of `wind_of`.
+
+    Returns:
+        In the units of the channels, shape (channels, channels).
+    """
+    wanted = (*OF_AIR, WIND)
+    columns = [i for i, n in enumerate(model.numbers) if n.effect in wanted and not n.shape]
+    numbers = [model.numbers[i] for i in columns]
+    windy = _slopes(model, columns, channels, {n: value for n, (value, _) in wind.items()})
+    calm = _slopes(model, columns, channels, {})
+    calm[:, [n.effect == WIND for n in numbers]] = 0.0
+    deviations = [wind[n.full][1] if n.full in wind else _usual(n, model) for n in numbers]
+    moved = (windy - calm) * np.array(deviations)
+    return np.asarray(moved @ moved.T)
+
+
+def _slopes(
+    model: Model, columns: Sequence[int], channels: Sequence[str], values: Mapping[str, float]
+) -> Array:
+    """Mean slopes of all flights, shape (channels, columns)."""
+    flights = [{c.name: c for c in f} for f in model.channels(columns, values)]
+    return np.mean([[f[c].slopes.mean(axis=0) for c in channels] for f in flights], axis=0)
+
+
+def _usual(number: Number, model: Model) -> float:
+    """Standard deviation of a number after the calibration, or before any flight, about what the
+    vehicle has."""
+    known = model.vehicle.calibration
+    if known is not None and number.full in known.numbers:
+        i = known.numbers.index(number.full)
+        return math.sqrt(known.covariance[i, i])
+    effect = EFFECTS[number.effect]
+    about = next(p for p in effect.parameters if p.name == number.about.name)
+    prior = prior_of(effect)
+    expected = prior.of(number.name, False).sized(about, model.vehicle)
+    chance = 1.0 if prior.odds >= COMMON else 1 / (1 + math.exp(-prior.odds))
+    return math.sqrt(chance) * math.hypot(expected.mean, expected.sd)
