@@ -22,7 +22,7 @@ from .inference.fit import Fit, Problem, State, fit_of
 from .inference.posterior import SearchResult
 from .inference.priors import Priors, effect_of, priors_of
 from .inference.search import CLEAR, calibration_start, search, with_instruments_of_end
-from .inference.selection import days_of, shares_of
+from .inference.selection import coherent, days_of, shares_of
 from .model.model import candidates, model_of
 from .model.numbers import Payloads, with_effects
 from .settings import DEFAULT, InferenceSettings
@@ -121,6 +121,7 @@ def calibrate(
         problem.constants_between_days(state),
         _of_records(fit),
         *_trim(problem, state),
+        _left(problem, state),
     )
     made = replace(with_effects(vehicle, fit.effects, fit.values), calibration=reported)
     days, shares = days_of(problem, best), shares_of(problem, state)
@@ -253,6 +254,12 @@ def _trim(problem: Problem, state: State) -> tuple[dict[str, float], dict[str, f
     x[len(problem.priors.now) :] = 0.0
     trim = trim_of(problem.model, problem.values(x), slopes=False)
     return ({}, {}) if trim is None else trim.by_name()
+
+
+def _left(problem: Problem, state: State) -> dict[str, float]:
+    """`Calibration.left`: of each channel, all flights together, each on its day."""
+    every = zip(*problem.channels(state.best.x), strict=True)
+    return {own[0].name: math.sqrt(coherent(own)[0]) for own in every}
 
 
 def _of_records(fit: Fit) -> dict[str, float]:

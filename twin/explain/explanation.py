@@ -37,13 +37,13 @@ from .holdout import (
 )
 from .inference.fit import Fit
 from .inference.priors import UNCALIBRATED, effect_of
-from .inference.selection import Naming, Verdict, name_effects
+from .inference.selection import Naming, Verdict, coherent, name_effects
 from .model.model import Model, channel_names
 from .model.numbers import Payloads, visible, with_effects
 from .settings import DEFAULT, SearchSettings
 from .stochastic.search import Stuck, find_stochastic, find_stuck, stuck_channels, without_stuck
 from .stochastic.spectral import StochasticEffect
-from .unnamed import Equation, explains_better, find_equations
+from .unnamed import Equation, Unnamed, explains_better, find_equations
 from .usable import flown, part_read, usable_part, with_readings
 from .weather import blown, wind_of
 
@@ -440,9 +440,10 @@ def _with_balance(found: Explanation, naming: Naming) -> Explanation:
 def _with_equations(found: Explanation, seed: int) -> Explanation:
     """The same with equations, where they say more than any effect of the library.
 
-    Since a calibration they never overrule a name, or that nothing has changed: what the flights of
-    the calibration had and no effect explains is no change. A model that lacks many things at once
-    is not asked for one: they would be written down together with the constants of days.
+    Since a calibration they never overrule a name, or that nothing has changed, and say more than
+    flights of the calibration had: what these had and no effect explains is no change. A model that
+    lacks many things at once is not asked for one: they would be written down together with the
+    constants of days.
     """
     naming = found.naming
     assert naming is not None
@@ -459,8 +460,22 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
     alone = find_equations(whitened, stands, seed, settings, mute)
     if alone is None or not explains_better(whitened, naming.likely, alone, settings, stands):
         return found
+    if found.since is not None and not _new(found.vehicle, naming, stands, alone):
+        return found
     return replace(
         found, verdict="unnamed", shown=None, stochastic=(), values={}, unnamed=alone.equations
+    )
+
+
+def _new(vehicle: Vehicle, naming: Naming, stands: Fit, alone: Unnamed) -> bool:
+    """Whether one of some equations is of more than the flights of the calibration had: half of its
+    power, at least."""
+    usual = {} if vehicle.calibration is None else vehicle.calibration.left
+    model = naming.problem.model
+    every = zip(*stands.on_its_days(model).channels([], stands.values), strict=True)
+    power = {own[0].name: coherent(own)[0] for own in every}
+    return any(
+        power[e.channel] - usual.get(e.channel, 0.0) ** 2 > 0.5 * e.rms**2 for e in alone.equations
     )
 
 

@@ -74,7 +74,8 @@ def _slopes(
 ) -> Array:
     """Mean slopes of all flights, shape (channels, columns)."""
     flights = [{c.name: c for c in f} for f in model.channels(columns, values)]
-    return np.mean([[f[c].slopes.mean(axis=0) for c in channels] for f in flights], axis=0)
+    means = [[f[c].slopes.mean(axis=0) for c in channels] for f in flights]
+    return np.asarray(np.mean(means, axis=0), dtype=np.float64)
 
 
 def _usual(number: Number, model: Model) -> float:

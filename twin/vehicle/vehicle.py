@@ -37,6 +37,8 @@ class Calibration:
         means: By channel of the balance of forces and moments the mean of the residual over all
             flights, in its unit, and of "vibration", see `twin.explain.balance`.
         scatter: Of these, sample standard deviation between the flights.
+        left: Rms of what these numbers leave of each channel of `twin.explain` and its noise
+            forgets, in its unit.
     """
 
     flights: tuple[str, ...]
@@ -47,6 +49,7 @@ class Calibration:
     records: Mapping[str, float] = field(default_factory=dict)
     means: Mapping[str, float] = field(default_factory=dict)
     scatter: Mapping[str, float] = field(default_factory=dict)
+    left: Mapping[str, float] = field(default_factory=dict)
 
     __repr__ = short_repr
 

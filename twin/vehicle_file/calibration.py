@@ -14,7 +14,7 @@ from ..effects import EFFECTS
 from ..vehicle import Array, Calibration, Vehicle
 
 SECTION = "calibration"  # of a vehicle file
-_TABLES = ("days", "constants", "records", "means", "scatter")  # of numbers by name
+_TABLES = ("days", "constants", "records", "means", "scatter", "left")  # of numbers by name
 _PARTS = ("flights", "numbers", "sd", "correlation", *_TABLES)
 """Keys of the section."""
 _AGAIN = "Take the section out, or write it again by `uavtwin calibrate`."  # way out
@@ -44,11 +44,12 @@ def read_calibration(section: Any, vehicle: Vehicle, mistakes: list[str]) -> Cal
     for n in dict.fromkeys(n for n in numbers if numbers.count(n) > 1):
         mistakes.append(f"{SECTION}.numbers holds {n!r} twice. {_AGAIN}")
     tables = [_by_name(part, section.get(part, {}), mistakes) for part in _TABLES]
-    days, constants, records, _, scatter = tables
+    days, constants, records, _, scatter, left = tables
     for part, names in (("numbers", numbers), ("days", days), ("records", records)):
         for name in (n for n in names if n not in known):
             mistakes.append(unknown_name(f"{SECTION}.{part}", "number", name, known))
-    for part, values in (("days", days), ("constants", constants), ("scatter", scatter)):
+    spreads = {"days": days, "constants": constants, "scatter": scatter, "left": left}
+    for part, values in spreads.items():
         for name, sd in values.items():
             if sd < 0:
                 mistakes.append(f"{SECTION}.{part}.{name} = {sd:g} must not be negative. {_AGAIN}")

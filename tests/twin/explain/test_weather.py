@@ -12,6 +12,7 @@ from twin.explain import explanation
 from twin.explain.balance import CAUSES, Balance, Normal, balance_of, trim_of
 from twin.explain.explanation import Explanation
 from twin.explain.inference.fit import INTERVAL, Fit
+from twin.explain.inference.selection import coherent, misfits
 from twin.explain.model.model import Model, model_of
 from twin.explain.stochastic.spectral import StochasticEffect
 from twin.explain.weather import OF_AIR, WIND, blown, wind_of
@@ -110,7 +111,28 @@ def test_only_what_the_wind_changes_is_uncertain() -> None:
 def test_the_wind_of_a_search_has_its_deviation() -> None:
     number = next(n for n in windy().numbers if n.full == f"{WIND}.north_m_s")
     fit = Fit((WIND,), {number.full: 4.0}, (number,), np.array([0.6 * INTERVAL]), 0.0)
-    assert wind_of(fit) == {number.full: (4.0, pytest.approx(0.6))}
+    ((value, sd),) = wind_of(fit).values()
+    assert value == 4.0
+    assert sd == pytest.approx(0.6)
+
+
+@pytest.mark.slow
+def test_what_normal_flights_leave_is_no_fault_of_a_cause() -> None:
+    number = next(n for n in windy().numbers if n.full == f"{WIND}.north_m_s")
+    none = {WIND: Fit((), {}, (), np.zeros(0), 0.0)}
+
+    def left(speed_m_s: float, usual: dict[str, float]) -> float:
+        """Share that a wind leaves."""
+        fit = Fit((WIND,), {number.full: speed_m_s}, (number,), np.zeros(1), 0.0)
+        return misfits(windy(), fit, none, usual=usual)[WIND]
+
+    half = left(0.5 * AIR_M_S, {})
+    assert half > left(AIR_M_S, {})
+    (flight,) = windy().channels([], {number.full: 0.5 * AIR_M_S})
+    rms = {c.name: coherent([c])[0] ** 0.5 for c in flight}
+    less = left(0.5 * AIR_M_S, {c: 0.6 * v for c, v in rms.items()})
+    assert 0.5 * half < less < 0.8 * half  # noise that stands out by chance is taken off, too
+    assert left(0.5 * AIR_M_S, rms) == 0.0
 
 
 def test_missions_are_flown_in_calm_air(monkeypatch: pytest.MonkeyPatch) -> None:

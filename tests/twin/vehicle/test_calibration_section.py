@@ -26,6 +26,9 @@ REPORTED = Calibration(
     {"cog_offset.x_m": 4e-4, "clock_offset.pose_s": 1 / 7 * 1e-3},
     {"gyro_rate_x": 1.2, "acc_x": 0.01},
     {"clock_offset.pose_s": 0.02},
+    {"acc_z": -0.03},
+    {"acc_z": 0.15},
+    {"acc_x": 0.25, "gyro_rate_x": 1 / 3},
 )
 SECTION = """
 [calibration]
@@ -49,7 +52,7 @@ def test_what_is_written_is_read_back() -> None:
     assert found is not None
     assert (found.flights, found.numbers) == (REPORTED.flights, REPORTED.numbers)
     assert found.covariance == pytest.approx(REPORTED.covariance, rel=1e-9, abs=1e-15)
-    for part in ("days", "constants", "records"):
+    for part in ("days", "constants", "records", "means", "scatter", "left"):
         assert getattr(found, part) == pytest.approx(getattr(REPORTED, part), rel=1e-9)
     again = update_text(parse_vehicle(text, "mine.toml"), text)
     assert again == text

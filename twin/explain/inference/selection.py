@@ -79,6 +79,7 @@ def misfits(
     fitted: Fit,
     without: Mapping[str, Fit],
     settings: AdequacySettings = DEFAULT.inference.adequacy,
+    usual: Mapping[str, float] | None = None,
 ) -> dict[str, float]:
     """Of each effect the share of amplitude that it leaves in the channel that it explains most.
 
@@ -87,6 +88,7 @@ def misfits(
         fitted: A hypothesis.
         without: The same without one of its effects, by that effect.
         settings: What counts as left.
+        usual: By channel the rms that is left in flights without the effect: it is no law's fault.
     """
     model = fitted.on_its_days(model)  # a constant of the day may stand in for an effect
     after, found = model.channels([], fitted.values), {}
@@ -105,6 +107,7 @@ def misfits(
         (there, _), (left, chance) = (
             coherent([f[i] for f in flights], settings) for flights in (before, after)
         )
+        left -= (usual or {}).get(after[0][i].name, 0.0) ** 2
         share = max(left - settings.chance * chance, 0.0) / there if there > 0 else 0.0
         found[effect] = float(np.sqrt(min(share, 1.0)))
     return found
@@ -417,7 +420,9 @@ def name_effects(
             problem, found, lambda done: progress(0.5 + 0.2 * done)
         )
     posterior = weigh(problem, found, seed, lambda done: progress(0.7 + 0.25 * done))
-    return _named(problem, found, posterior, settings)
+    calibration = vehicle.calibration if since else None
+    usual = calibration.left if calibration is not None else {}
+    return _named(problem, found, posterior, settings, usual)
 
 
 def usual_problem(model: Model, settings: InferenceSettings = DEFAULT.inference) -> Problem:
@@ -475,7 +480,11 @@ MANY = 4
 
 
 def _named(
-    problem: Problem, found: SearchResult, posterior: Posterior, settings: InferenceSettings
+    problem: Problem,
+    found: SearchResult,
+    posterior: Posterior,
+    settings: InferenceSettings,
+    usual: Mapping[str, float],
 ) -> Naming:
     laplace, kappa, rules = found.laplace, found.state.kappa, settings.selection
     nothing = laplace.best((), kappa).evidence
@@ -499,7 +508,7 @@ def _named(
     order = sorted(chances, key=lambda k: -chances[k])
     fitted, probabilities = tuple(fits[k] for k in order), tuple(chances[k] for k in order)
     shown, conditional = _averaged(problem, posterior, causes[order[0]], rules)
-    believable = _credible(problem, found, fitted[0], settings)
+    believable = _credible(problem, found, fitted[0], settings, usual)
     return Naming(
         fitted,
         probabilities,
@@ -568,7 +577,11 @@ def _averaged(
 
 
 def _credible(
-    problem: Problem, found: SearchResult, best: Fit, settings: InferenceSettings
+    problem: Problem,
+    found: SearchResult,
+    best: Fit,
+    settings: InferenceSettings,
+    usual: Mapping[str, float],
 ) -> dict[str, float]:
     """Of each effect of the best set what `adequacy.credible` says.
 
@@ -585,7 +598,7 @@ def _credible(
         return replace(fit_of_best(problem, on, made, 0.0), values=problem.values(made.x))
 
     without = {e: whole([a for a in state.effects if effect_of(a) != e]) for e in best.effects}
-    left = misfits(problem.model, whole(state.effects), without, settings.adequacy)
+    left = misfits(problem.model, whole(state.effects), without, settings.adequacy, usual)
     return {e: credible(m, settings.adequacy) for e, m in left.items()}
 
 

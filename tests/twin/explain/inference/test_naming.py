@@ -345,7 +345,7 @@ def named_of(
         return ScoredModel(effects, probability, replace(best, x=x))
 
     posterior = Posterior(tuple(of(*s) for s in sets.items()), inclusion, {})
-    return _named(problem, SearchResult(state, laplace, {}), posterior, DEFAULT.inference)
+    return _named(problem, SearchResult(state, laplace, {}), posterior, DEFAULT.inference, {})
 
 
 @pytest.mark.slow
