@@ -60,8 +60,6 @@ FAULTS_ELSEWHERE = (
     ("", 0.0),
 )
 """The same in flights of somebody else's simulator."""
-LIVELY_HZ = (50.0, 10.0)
-"""Rates of commands of flights in which nothing fails, but much happens."""
 RATES_HZ = (200.0, 10.0)
 """Of the logged commands."""
 BEGINS_S, AFTER_S, CLEAN_S = (22.0, 30.0), 8.0, 120.0
@@ -72,6 +70,29 @@ SCORED = 1000
 """First seed that is scored."""
 CLOSE = 0.25
 """What counts as the right size."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is flown, and through what air.
+
+    Attributes:
+        setpoints: Of the controller.
+        phases: Of the flight, one for each setpoint.
+        courses: Wind, m/s, and voltage, V, over time, each `STEP_S`.
+        later: Effect that begins; None: none does.
+        rotor: Of the fault, from 1; None: of none.
+        begins_s: When the fault begins, s; infinity: there is none.
+        seed: Of the noise of the sensors.
+    """
+
+    setpoints: Array
+    phases: Sequence[str]
+    courses: dict[str, Array]
+    later: Later | None
+    rotor: int | None
+    begins_s: float
+    seed: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +123,22 @@ class Planted:
 
     def flown(self) -> tuple[Flight, float, int | None]:
         """The flight, when its fault begins, and its rotor from 1."""
+        v, plan = self.vehicle, self.planned()
+        name = f"{self.cause or 'nothing'}_{self.size:g}_{self.seed}"
+        flight = simulate_flight(
+            plan.setpoints,
+            plan.phases,
+            v,
+            v,
+            self._recorder(v, plan.seed),
+            name,
+            later=plan.later,
+            courses=plan.courses,
+        )
+        return flight, plan.begins_s, plan.rotor
+
+    def planned(self) -> "Plan":
+        """What is flown, and through what air."""
         rng = np.random.default_rng([self.seed, *self.cause.encode(), int(1000 * abs(self.size))])
         v = self.vehicle
         begins_s = float(rng.uniform(*BEGINS_S)) if self.cause else np.inf
@@ -118,12 +155,8 @@ class Planted:
             blow = self.size * np.exp(-0.5 * ((t - begins_s) / GUST_S) ** 2)
             courses["wind_x"] += np.cos(angle) * blow
             courses["wind_y"] += np.sin(angle) * blow
-        recorder = self._recorder(v, int(rng.integers(2**31)))
-        name = f"{self.cause or 'nothing'}_{self.size:g}_{self.seed}"
-        flight = simulate_flight(
-            setpoints, phases, v, v, recorder, name, later=later, courses=courses
-        )
-        return flight, begins_s, rotor
+        seed = int(rng.integers(2**31))
+        return Plan(setpoints, phases, courses, later, rotor, begins_s, seed)
 
     def _later(
         self, v: Vehicle, begins_s: float, rng: np.random.Generator
@@ -292,15 +325,11 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=SCORED)
     parser.add_argument("--plant", choices=(OWN, sudden_elsewhere.PLANT), default=OWN)
-    parser.add_argument("--lively", action="store_true", help="flights without a fault alone")
     parser.add_argument("--journal", type=Path)
     given = parser.parse_args()
     seeds = range(given.first, given.first + given.seeds)
-    if given.lively:
-        keys = [("", 1.0, seed, LIVELY_HZ[seed // 3 % 2]) for seed in seeds]
-    else:
-        faults = FAULTS if given.plant == OWN else FAULTS_ELSEWHERE
-        keys = [(*fault, seed, rate) for rate in RATES_HZ for fault in faults for seed in seeds]
+    faults = FAULTS if given.plant == OWN else FAULTS_ELSEWHERE
+    keys = [(*fault, seed, rate) for rate in RATES_HZ for fault in faults for seed in seeds]
     answers = list(answered(given.plant, keys, given.journal))
     print(page(answers))
     spent, flown = (sum(getattr(a, n) for a in answers) for n in ("processor_s", "flown_s"))

@@ -1,0 +1,185 @@
+"""False names in clean flights: `python -m benchmarks.clean_flights [--data DATA] [--journal J]`.
+
+Simulated flights in which nothing fails and much happens (`Planted` of size 1: wind, turbulence,
+gusts, landings, throttle punches), and recorded ones in which nothing is known to happen; `why` is
+asked with all of its finders, as on the command line. What counts:
+
+- a name of a gust, or of a force, is not false where the simulated air changes by `MOVES_M_S`
+  within a second of its onset;
+- a name after which the simulated aircraft, in which nothing fails, loses control is false all the
+  same; the loss itself is counted beside it, since then the flight was not a clean one;
+- every other event that is said is false, of instruments and estimates too, unless it is marked as
+  a consequence.
+
+In recorded flights nobody knows the air, and estimators reset: their events are listed. Beside it
+stands the trivial rule: when the outputs part by 150 us after six seconds of flight, the highest is
+the failed rotor. A journal keeps each answer, so that a run goes on where it ended.
+"""
+
+import argparse
+import csv
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+from msgspec import Struct, json
+
+from twin.errors import TwinError
+from twin.flight.closed_loop import STEP_S
+from twin.logs import Flight, read_flight
+from twin.why import diagnose
+from twin.why.causes import AIR
+
+from .sudden_faults import Planted, trivial_rule
+
+FIRST = 2000
+"""First seed that is scored: those below chose levels of `twin.why`."""
+RATES_HZ = (50.0, 10.0)
+"""Rates at which simulated commands are logged, three flights each in turn."""
+MOVES_M_S, NEAR_S = 1.0, 1.0
+"""Change of the velocity of the air within so much of an onset that makes a gust a true one."""
+INDEX = Path(__file__).parent / "labelled" / "index.csv"
+"""Of recorded flights."""
+SETS = ("clean", "px4_negatives")
+"""Of it, those in which nothing is known to happen, or whose authors withdrew what they claimed."""
+SIMULATED = "simulated, lively"
+"""Name of the simulated set."""
+
+
+class Answer(Struct, frozen=True, kw_only=True):
+    """What was said of one flight.
+
+    Attributes:
+        flight: Its name.
+        set: Of which set.
+        airborne_s: Time in the air.
+        false: Events that are not there, as "cause at time".
+        true: Gusts that are.
+        lost: Whether control was lost.
+        trivial: Rotor that the trivial rule names; null: it is silent.
+        processor_s: Of the answer, reading not included.
+    """
+
+    flight: str
+    set: str
+    airborne_s: float
+    false: tuple[str, ...]
+    true: tuple[str, ...]
+    lost: bool
+    trivial: int | None
+    processor_s: float
+
+    @classmethod
+    def of(cls, flight: Flight, name: str, of_set: str, planted: Planted | None = None) -> "Answer":
+        """Ask of a flight; `planted` knows the air of a simulated one."""
+        began = process_time()
+        found = diagnose(flight)
+        spent = process_time() - began
+        false: list[str] = []
+        true: list[str] = []
+        for event in (e for e in found.events if not e.consequence):
+            when = "all the time" if event.onset_s is None else f"{event.onset_s:.2f} s"
+            is_there = (
+                planted is not None
+                and event.cause in AIR
+                and event.onset_s is not None
+                and air_change_m_s(planted, event.onset_s) >= MOVES_M_S
+            )
+            (true if is_there else false).append(f"{event.cause} {when}")
+        rule = trivial_rule(flight) if flight.has("cmd_1") else None
+        return cls(
+            flight=name,
+            set=of_set,
+            airborne_s=found.airborne_s,
+            false=tuple(false),
+            true=tuple(true),
+            lost=found.loss_of_control_s is not None,
+            trivial=None if rule is None else rule.rotor,
+            processor_s=spent,
+        )
+
+
+def air_change_m_s(planted: Planted, t_s: float) -> float:
+    """How far the velocity of the air goes within `NEAR_S` of an instant."""
+    courses = planted.planned().courses
+    wind = np.column_stack([courses[f"wind_{axis}"] for axis in "xyz"])
+    near = wind[max(int((t_s - NEAR_S) / STEP_S), 0) : int((t_s + NEAR_S) / STEP_S)]
+    return float(np.linalg.norm(np.ptp(near, axis=0)))
+
+
+def simulated(seeds: Sequence[int], known: Sequence[str]) -> Iterator[Answer]:
+    """Answers to the simulated flights that are not known yet."""
+    for seed in seeds:
+        planted = Planted("", 1.0, seed, RATES_HZ[seed // 3 % 2])
+        if (name := f"{SIMULATED} {seed}") not in known:
+            yield Answer.of(planted.flown()[0], name, SIMULATED, planted)
+
+
+def recorded(data: Path, known: Sequence[str]) -> Iterator[Answer]:
+    """Answers to the recorded flights that are there, and not known yet."""
+    for row in csv.DictReader(INDEX.open(encoding="utf-8")):
+        path = data / row["file"]
+        if row["set"] not in SETS or not path.is_file() or row["file"] in known:
+            continue
+        try:
+            yield Answer.of(read_flight(path), row["file"], row["set"])
+        except TwinError as error:
+            print(f"{row['file']}: {error}")
+
+
+def page(answers: Sequence[Answer]) -> str:
+    """The table, and what was said."""
+    return "\n".join(_lines(answers))
+
+
+def _lines(answers: Sequence[Answer]) -> Iterator[str]:
+    head = ("set", "flights", "hours", "false names", "gusts that were there", "control lost")
+    yield "| " + " | ".join((*head, "trivial rule names a rotor", "processor for 60 s")) + " |"
+    yield "|---" * (len(head) + 2) + "|"
+    for name in dict.fromkeys(a.set for a in answers):
+        own = [a for a in answers if a.set == name]
+        flown_s = sum(a.airborne_s for a in own)
+        cells = (
+            name,
+            len(own),
+            f"{flown_s / 3600:.2f}",
+            sum(len(a.false) for a in own),
+            sum(len(a.true) for a in own),
+            sum(a.lost for a in own),
+            sum(a.trivial is not None for a in own),
+            f"{60 * sum(a.processor_s for a in own) / max(flown_s, 1.0):.1f} s",
+        )
+        yield "| " + " | ".join(map(str, cells)) + " |"
+    for a in answers:
+        if a.false or a.true or a.lost:
+            lost = "; control is lost" if a.lost else ""
+            there = f"; there: {', '.join(a.true)}" if a.true else ""
+            yield f"\n{a.flight}: {', '.join(a.false) or 'nothing false'}{there}{lost}"
+
+
+def main() -> None:
+    """Fly, ask and print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--data", type=Path, help="folder of the recorded flights")
+    parser.add_argument("--seeds", type=int, default=75, help="simulated flights, of 140 s each")
+    parser.add_argument("--first", type=int, default=FIRST)
+    parser.add_argument("--journal", type=Path)
+    given = parser.parse_args()
+    journal = given.journal
+    lines = journal.read_text("utf-8").splitlines() if journal and journal.exists() else []
+    answers = [json.decode(line, type=Answer) for line in lines]
+    known = [a.flight for a in answers]
+    todo = [simulated(range(given.first, given.first + given.seeds), known)]
+    if given.data is not None:
+        todo.append(recorded(given.data, known))
+    for answer in (a for some in todo for a in some):
+        answers.append(answer)
+        if journal is not None:
+            with journal.open("ab") as file:
+                file.write(json.encode(answer) + b"\n")
+    print(page(answers))
+
+
+if __name__ == "__main__":
+    main()
