@@ -54,7 +54,7 @@ class Task:
     """A protocol with its horizon.
 
     Attributes:
-        protocol: `reconstruct`, `track` or `free`; `generate` is scored by `generating`.
+        protocol: `reconstruct`, `track` or `free`.
         horizon: Age of the newest residual that may be seen, samples; 0 but in `track`.
     """
 
@@ -63,10 +63,7 @@ class Task:
 
     def __post_init__(self) -> None:
         if self.protocol not in ("reconstruct", "track", "free"):
-            raise ModelError(
-                f"protocol {self.protocol!r}: choose reconstruct, track or free; generated "
-                f"signals are scored by benchmarks.paper.generated."
-            )
+            raise ModelError(f"protocol {self.protocol!r}: choose reconstruct, track or free.")
         if (self.horizon >= 1) != (self.protocol == "track"):
             raise ModelError(
                 f"protocol {self.protocol}, horizon {self.horizon} samples: track needs 1 or more, "

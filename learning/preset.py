@@ -29,10 +29,10 @@ from twin.errors import ModelError
 from twin.representation import short_repr
 
 Clustering = Literal["kmeans", "sensors", "none", "channels"]
-Protocol = Literal["reconstruct", "track", "free", "generate"]
+Protocol = Literal["reconstruct", "track", "free"]
 Normalise = Literal["pooled", "centred", "range"]
 PROTOCOLS: tuple[Protocol, ...] = ("reconstruct", "track", "free")
-"""Those whose corrections are compared sample by sample; what is generated is not."""
+"""All of them."""
 
 
 @dataclass(frozen=True, slots=True)

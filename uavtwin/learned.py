@@ -137,13 +137,11 @@ def train(
         vehicle: Whose twin is to be corrected.
         folder: To write the model into.
         model: `svq`: ours, taken where nothing is said, but of `free` without epochs; `linear`: no
-            network, taken there; `trivial`; or a system of the paper's comparison, such as `cvae`,
-            from a source checkout.
+            network, taken there.
         preset: Of the model; of `svq` `best`: ours, `paper`: the paper's text, `published`: its
             code.
         protocol: `force`: force and moment inside the equations. Of the sensors: `track`: it sees
-            residuals as old as the horizon; `free`: none; `reconstruct`: the present one;
-            `generate`: none, it draws what might have been (from a source checkout).
+            residuals as old as the horizon; `free`: none; `reconstruct`: the present one.
         horizon: Of `track`, samples.
         rate_hz: Samples per second: 1000 over an integer; default: of `free` the IMU's, else 100.
         epochs: Default: the preset's; none for a preset in closed form.

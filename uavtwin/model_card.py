@@ -131,7 +131,6 @@ def result_of(protocol: str, measured: Measured) -> Result:
     content = measured.content
     if protocol == "force":
         return _force_result(content)
-    what, unit = ("log_spectral_db", "dB") if protocol == "generate" else ("rmse", "")
     groups: dict[str, dict[str, Mapping[str, Any]]] = {}
     for row in content["groups"]:
         groups.setdefault(row["group"], {})[row["model"]] = row
@@ -140,10 +139,10 @@ def result_of(protocol: str, measured: Measured) -> Result:
     rows, worse = [], []
     metrics: list[dict[str, Any]] = []
     for group, cells in groups.items():
-        left = {m: _known(cells[m][what]) for m in models}
-        shown = unit or cells[CORRECTED]["unit"]
+        left = {m: _known(cells[m]["rmse"]) for m in models}
+        shown = cells[CORRECTED]["unit"]
         rows.append([group, shown, *(number(left[m]) for m in models)])
-        metrics.append({"type": what, "name": f"{group}, {shown}", "value": left[CORRECTED]})
+        metrics.append({"type": "rmse", "name": f"{group}, {shown}", "value": left[CORRECTED]})
         best, least = min(((m, left[m]) for m in others if isfinite(left[m])), key=itemgetter(1))
         if left[CORRECTED] > least:
             text = f"{best} leaves {number(least)}, it {number(left[CORRECTED])}"
@@ -153,12 +152,8 @@ def result_of(protocol: str, measured: Measured) -> Result:
         for group, cells in groups.items()
         if _SHARES[0] in cells[CORRECTED]
     ]
-    captions = {
-        "rmse": "Rms of the residual that is left",
-        "log_spectral_db": "Distance between the spectra of draws and flight, dB",
-    }
     return Result(
-        captions[what],
+        "Rms of the residual that is left",
         (["sensor", "unit", *models], rows),
         tuple(m for m in metrics if isfinite(m["value"])),
         tuple(worse),
@@ -333,7 +328,6 @@ _USES = {
     "track": "corrects what the twin's sensors read, from residuals as old as the horizon",
     "free": "corrects what the twin's sensors read, without seeing a measurement",
     "reconstruct": "repeats the measurement that it is given; for comparison with the paper alone",
-    "generate": "draws what sensors might have read besides; it corrects nothing",
     "force": "adds force and moment to the equations of the twin",
 }
 """What a model of each protocol does."""
@@ -399,7 +393,7 @@ def _yaml(content: Mapping[str, Any]) -> str:
 
 def _title(about: Mapping[str, Any]) -> str:
     """What the model is and of what."""
-    kind = {"force": "Learned force", "generate": "Generator"}.get(about["protocol"], "Compensator")
+    kind = "Learned force" if about["protocol"] == "force" else "Compensator"
     return f"{kind} for {about['vehicle']}"
 
 

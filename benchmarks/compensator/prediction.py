@@ -19,19 +19,18 @@ OUT/prediction.md.
 import argparse
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from benchmarks.paper.generated import evaluate_generated, fit_recording
-from benchmarks.paper.innovations import fit_generators
 from learning.data.channels import CHANNELS, GROUPS
 from learning.data.flights import (
     DEFAULT_RATE_HZ,
@@ -43,9 +42,10 @@ from learning.data.scaling import in_spans
 from learning.evaluation import WHOLE, Task, evaluate, pooled
 from learning.export.write import export_onnx
 from learning.model.compensator import LINEAR_PART, Compensator
-from learning.model.family import Model
+from learning.model.family import Model, TrainingTask
+from learning.model.registry import family_row
 from learning.preset import BEST, Preset, Protocol
-from learning.training.train import train
+from learning.training.train import fit_model
 from twin.explain.explanation import explain
 from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
@@ -113,8 +113,9 @@ def shipped(
 ) -> Iterator[tuple[Compensator, CompiledCompensator]]:
     """The compensator of a split and its FMU; one that is trained already is taken."""
     folder = out / f"{split.name.replace(' ', '_')}-{task.protocol}{task.horizon}-{seed}"
-    protocol: Protocol = task.protocol  # type: ignore[assignment]
-    trained = train(split.train, preset, protocol, task.horizon, seed, folder)
+    wanted = TrainingTask(cast(Protocol, task.protocol), task.horizon, seed)
+    trained = fit_model(split.train, family_row("svq"), preset, wanted, folder)
+    assert isinstance(trained, Compensator)
     export_onnx(trained, folder)
     with compiled_compensator(folder) as compiled:
         yield trained, compiled
@@ -267,28 +268,6 @@ def clean_text(splits: Mapping[Task, Sequence[Split]], preset: Preset, out: Path
     return "\n".join([*lines, ""])
 
 
-def generated_text(split: Split) -> str:
-    """How alike generated and measured residuals are in hover."""
-    models: dict[str, Callable[[int], Model]] = {
-        name: made.with_seed for name, made in fit_generators(split.train).items()
-    }
-    models["a training flight"] = fit_recording(split.train).with_seed
-    rows = evaluate_generated(models, split.train, split.test)
-    hover = rows[rows["phase"] == "hover"]
-    lines = [
-        f"| {split.name}, hover | {' | '.join(GROUPS)} |",
-        "|---|" + "---|" * len(GROUPS),
-    ]
-    for model, own in hover.groupby("model", sort=False):
-        means = own.groupby("group")[["wasserstein_std", "log_spectral_db"]].mean()
-        cells = [
-            "-" if np.isnan(far) else f"{far:.2f}, {unlike:.1f} dB"
-            for far, unlike in means.reindex(GROUPS).to_numpy()
-        ]
-        lines.append(f"| {model} | {' | '.join(cells)} |")
-    return "\n".join([*lines, ""])
-
-
 def with_fault(flight: ResidualFlight) -> tuple[ResidualFlight, int]:
     """The flight with a step in one reading from the middle of its time in the air, and the row."""
     at = (flight.spans[0][0] + flight.spans[-1][1]) // 2
@@ -320,10 +299,6 @@ def _parts(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
     yield "Real flights: share within one and two predicted spreads", coverage(rows)
     alarms = alarm_text(splits, preset, out / "real")
     yield f"{FAULT} off by {FAULT_RAD_S:g} rad/s from mid-flight on: time with an alarm", alarms
-    yield (
-        "Protocol generate: Wasserstein distance, log spectral distance",
-        generated_text(splits[FREE][-1]),
-    )
     explained = explained_text(logs, preset, given.seeds, out / "explained", given.jobs)
     yield "After `explain`", explained
     if given.simulated is None:

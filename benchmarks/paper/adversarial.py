@@ -14,7 +14,7 @@ from .blocks import (
     gradient_penalty,
     real_or_fake,
 )
-from .system import Batch, Numbers, System, SystemFamily, SystemPreset, mean_absolute, mean_square
+from .system import Batch, Numbers, System, SystemPreset, mean_absolute, mean_square
 
 # ----------------------------------------------------------------------------------------
 # WGAN: a generator with noise against a critic of convolutions; no reconstruction term.
@@ -78,12 +78,6 @@ class Wgan(System):
         return self.drawn(phase[..., :0], phase)
 
 
-class WganFamily(SystemFamily):
-    """For the registry."""
-
-    system, preset = Wgan, SystemPreset("wgan")
-
-
 # ----------------------------------------------------------------------------------------
 # CGAN: LSTM generator and LSTM discriminator, both given the phase.
 #
@@ -120,12 +114,6 @@ class Cgan(Wgan):
         if self.n_given:
             loss = loss + WEIGHT_L1 * mean_absolute(drawn - batch.target, batch.scored)
         return loss
-
-
-class CganFamily(SystemFamily):
-    """For the registry."""
-
-    system, preset = Cgan, SystemPreset("cgan")
 
 
 # ----------------------------------------------------------------------------------------
@@ -179,12 +167,6 @@ class MrGan(Cgan):
         if player != "regression":
             return super().loss(player, batch)
         return mean_square(self.regression(batch.given, batch.phase) - batch.target, batch.scored)
-
-
-class MrGanFamily(SystemFamily):
-    """For the registry."""
-
-    system, preset = MrGan, SystemPreset("mrgan")
 
 
 # ----------------------------------------------------------------------------------------
@@ -304,9 +286,3 @@ def _convolutions(n_inputs: int, width: int, n_outputs: int) -> nn.Sequential:
         nn.LeakyReLU(SLOPE),
         nn.Conv1d(width, n_outputs, 5, padding=2),
     )
-
-
-class TsGanFamily(SystemFamily):
-    """For the registry."""
-
-    system, preset = TsGan, SystemPreset("tsgan")

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from .blocks import CausalConvolution, Codebook, Critic, Recurrent, chain_of, drawn_chain, hinge
-from .system import Batch, Numbers, System, SystemFamily, SystemPreset, mean_absolute, mean_square
+from .system import Batch, Numbers, System, SystemPreset, mean_absolute, mean_square
 
 # ----------------------------------------------------------------------------------------
 # CVAE: a Gaussian latent per sample, encoder and decoder conditioned on the phase.
@@ -47,12 +47,6 @@ class Cvae(System):
         latent = torch.randn(*phase.shape[:2], self.preset.code_size, device=phase.device)
         said: Tensor = self.decoder(latent, phase)
         return said
-
-
-class CvaeFamily(SystemFamily):
-    """For the registry."""
-
-    system, preset = Cvae, SystemPreset("cvae")
 
 
 # ----------------------------------------------------------------------------------------
@@ -118,12 +112,6 @@ class VqVae(System):
         return said
 
 
-class VqVaeFamily(SystemFamily):
-    """For the registry."""
-
-    system, preset = VqVae, SystemPreset("vqvae")
-
-
 # ----------------------------------------------------------------------------------------
 # VQGAN: VQVAE, and a patch critic once 30 % of the training are over.
 #
@@ -172,12 +160,6 @@ class VqGan(VqVae):
         return size
 
 
-class VqGanFamily(SystemFamily):
-    """For the registry."""
-
-    system, preset = VqGan, SystemPreset("vqgan")
-
-
 # ----------------------------------------------------------------------------------------
 # VQWWVAE: VQVAE with a Wasserstein distance per channel in its loss.
 #
@@ -198,12 +180,6 @@ class VqwwVae(VqVae):
 
 def _ordered(values: Tensor) -> Tensor:
     return values.sort(dim=1).values
-
-
-class VqwwVaeFamily(SystemFamily):
-    """For the registry."""
-
-    system, preset = VqwwVae, SystemPreset("vqwwvae")
 
 
 # ----------------------------------------------------------------------------------------
@@ -249,12 +225,6 @@ class AutoFilterVq(VqVae):
         return super().latent(self.bank(given), phase)
 
 
-class AutoFilterVqFamily(SystemFamily):
-    """For the registry."""
-
-    system, preset = AutoFilterVq, SystemPreset("autofiltervq")
-
-
 # ----------------------------------------------------------------------------------------
 # ContrastVQ: a codebook with soft assignment, and latents that know their window again.
 #
@@ -295,12 +265,6 @@ class ContrastVq(VqVae):
         seen = factor * given + SHAKEN * torch.randn_like(given)
         mean = self.latent(seen, batch.phase).mean(dim=1)
         return functional.normalize(self.projection(mean), dim=-1)
-
-
-class ContrastVqFamily(SystemFamily):
-    """For the registry."""
-
-    system, preset = ContrastVq, SystemPreset("contrastvq")
 
 
 # ----------------------------------------------------------------------------------------
@@ -366,9 +330,3 @@ def _split(x: Tensor) -> tuple[Tensor, Tensor]:
     padded = functional.pad(x.transpose(1, 2), (SLOW - 1, 0))
     slow = functional.avg_pool1d(padded, SLOW, stride=1).transpose(1, 2)
     return slow, x - slow
-
-
-class McVqFamily(SystemFamily):
-    """For the registry."""
-
-    system, preset = McVq, SystemPreset("mcvq")

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from .blocks import CausalConvolution, Diffusion, StepEmbedding, channels_first
-from .system import Batch, Numbers, System, SystemFamily, SystemPreset
+from .system import Batch, Numbers, System, SystemPreset
 
 # ----------------------------------------------------------------------------------------
 # TDM: diffusion of 50 cosine steps, told from its noise by dilated gated convolutions.
@@ -93,12 +93,6 @@ class Tdm(System):
         return self.reconstruct(phase[..., :0], phase)
 
 
-class TdmFamily(SystemFamily):
-    """For the registry."""
-
-    system, preset = Tdm, SystemPreset("tdm")
-
-
 # ----------------------------------------------------------------------------------------
 # TimeDDPM: diffusion of 100 linear steps, told from its noise by a U-Net with attention over time.
 #
@@ -174,9 +168,3 @@ class TimeDdpm(Tdm):
         super().__init__(preset, n_given, n_channels)
         self.diffusion = Diffusion(LINEAR_STEPS, "linear")
         self.denoiser = UNet(n_channels, n_given + self.n_phases, preset.units // 2)
-
-
-class TimeDdpmFamily(SystemFamily):
-    """For the registry."""
-
-    system, preset = TimeDdpm, SystemPreset("timeddpm")

@@ -1,18 +1,15 @@
 """The paper's Table IV: what each system costs in onnxruntime, one thread of one core.
 
-    python -m benchmarks.paper.edge --out OUT
-
-writes OUT/edge.md. Each system, of the paper's size and with weights as they begin, since what they
-are costs nothing, is written as ONNX and run in a process of its own: a system of the comparison
-over windows of the training's length, the compensator sample by sample.
+Each system, of the paper's size and with weights as they begin, since what they are costs nothing,
+is written as ONNX and run in a process of its own: a system of the comparison over windows of the
+training's length, the compensator sample by sample.
 """
 
-import argparse
 import subprocess
 import sys
 import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,16 +25,13 @@ from learning.data.channels import CHANNELS, GROUPS, N_PHASES
 from learning.export.streaming import streaming_model
 from learning.model.compensator import untrained_compensator
 from learning.model.family import ModelInfo
-from learning.model.registry import FamilyRow
 from learning.preset import BEST, PAPER
 from uavtwin.bench.compensator import CLUSTERS, onnxruntime_cost
 
-from .families import SYSTEMS
 from .figures import COLOURS, styled, thin
-from .system import System
+from .system import System, SystemPreset, begun
+from .trainings import SYSTEMS
 
-CLAIMED_MS, CLAIMED_MB = 165, 2741
-"""Of the proposed model on the paper's edge device."""
 OURS = (
     (PAPER, CLUSTERS),
     (BEST, tuple(tuple(range(len(CHANNELS))[columns]) for columns in GROUPS.values())),
@@ -66,11 +60,15 @@ class Cost:
     ms: float
     memory_mb: float | None
 
-    def row(self) -> str:
-        """Of the table."""
-        memory = "" if self.memory_mb is None else f"{self.memory_mb:.0f}"
-        cells = (self.name, self.samples, self.numbers, f"{self.file_mb:.1f}", f"{self.ms:.4f}")
-        return f"| {' | '.join(map(str, cells))} | {memory} |"
+    def scores(self) -> dict[str, float | None]:
+        """Of a row of Table IV."""
+        return {
+            "samples": self.samples,
+            "weights": self.numbers,
+            "file_mb": round(self.file_mb, 1),
+            "ms": round(self.ms, 4),
+            "memory_mb": self.memory_mb and round(self.memory_mb),
+        }
 
 
 def costs(folder: Path) -> Iterator[Cost]:
@@ -80,10 +78,10 @@ def costs(folder: Path) -> Iterator[Cost]:
         folder: For the ONNX files; made if it does not exist.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    for row in SYSTEMS:
-        system = untrained_system(row)
-        file = export_system(system, folder / f"{row.name}.onnx")
-        yield measured(row.name, system, system.preset.window, file)
+    for name in SYSTEMS:
+        system = untrained_system(name)
+        file = export_system(system, folder / f"{name}.onnx")
+        yield measured(name, system, system.preset.window, file)
     for preset, clusters in OURS:
         model = untrained_compensator(ModelInfo(preset, "reconstruct", 0, RATE_HZ, 0, clusters))
         file = folder / f"{preset.name}.onnx"
@@ -103,30 +101,6 @@ def measured(name: str, network: Any, samples: int, file: Path) -> Cost:
     ms, _, memory_mb = onnxruntime_cost(file, CALLS)
     numbers = sum(p.numel() for p in network.parameters())
     return Cost(name, samples, numbers, file.stat().st_size / 1e6, ms / samples, memory_mb)
-
-
-def table(found: Sequence[Cost]) -> str:
-    """Markdown."""
-    head = "| system | samples a call | numbers | file, MB | ms a sample | memory, MB |"
-    claim = f"| paper's claim, its edge device | | | | {CLAIMED_MS} | {CLAIMED_MB} |"
-    return "\n".join([head, "|---|" + "---|" * 5, claim, *(c.row() for c in found), ""])
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, required=True, help="folder of edge.md")
-    given = parser.parse_args(arguments)
-    found = []
-    for cost in costs(given.out / "onnx"):
-        found.append(cost)
-        print(cost.row(), file=sys.stderr, flush=True)
-    (given.out / "edge.md").write_text(table(found), "utf-8")
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
 
 
 # ----------------------------------------------------------------------------------------
@@ -240,17 +214,11 @@ class _Reconstructs(nn.Module):
         return self.system.reconstruct(given, phase)
 
 
-def untrained_system(row: FamilyRow) -> System:
-    """A system with weights as they begin, of the size that a trained one has.
-
-    Args:
-        row: Of a system.
-    """
-    family: Any = row.load()
+def untrained_system(name: str) -> System:
+    """A system with weights as they begin, of the size that a trained one has."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        system: System = family.system(family.presets()[row.name], len(CHANNELS), len(CHANNELS))
-    return system.eval()
+        return begun(SYSTEMS[name], SystemPreset(name), "reconstruct", 0).eval()
 
 
 def export_system(system: System, file: Path) -> Path:

@@ -194,18 +194,16 @@ def by_share(found: Sequence[Mapping[str, Any]]) -> go.Figure:
     """Mean square error of each variant over the share of the data that taught it, by phase.
 
     Args:
-        found: Trainings as of `trainings.run_all`, each at several shares.
+        found: Rows as of `comparison.rows_of`, each at several shares.
     """
-    names = list(dict.fromkeys(f["run"]["name"] for f in found))
+    names = list(dict.fromkeys(f["row"] for f in found))
     figure = make_subplots(rows=1, cols=2, subplot_titles=MODALITIES, shared_yaxes=True)
     for name, colour in zip(names, colours(len(names)), strict=True):
-        own = sorted(
-            (f for f in found if f["run"]["name"] == name), key=lambda f: f["run"]["share"]
-        )
+        own = sorted((f for f in found if f["row"] == name), key=lambda f: f["share"])
         for column, phase in enumerate(MODALITIES, start=1):
             figure.add_scatter(
-                x=thin([100 * f["run"]["share"] for f in own]),
-                y=thin([f["scores"][phase]["standardised"]["mse"] for f in own]),
+                x=thin([100 * f["share"] for f in own]),
+                y=thin([f["scores"][phase]["standardised"]["mse"][0] for f in own]),
                 name=name,
                 legendgroup=name,
                 showlegend=column == 1,

@@ -1,4 +1,4 @@
-"""Residuals that look real: autoregressive synthesis driven by a codebook of innovations.
+"""Residuals that look real, drawn without a network: autoregressions, and flights played back.
 
 Each channel is an AR(8) process about the mean of its phase. What drives it is drawn, per sensor
 and phase, from a hard codebook: k-means over the innovation vectors of the training flights, drawn
@@ -10,11 +10,10 @@ Sensors are taken at their own sample instants: every so many rows of the grid a
 """
 
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +24,7 @@ from threadpoolctl import threadpool_limits
 from learning.data.channels import CHANNELS, GROUPS, N_PHASES
 from learning.data.flights import ResidualFlight
 from learning.model.baselines import by_phase, phase_means
-from learning.model.family import (
-    Corrected,
-    Family,
-    ModelInfo,
-    Progress,
-    Tensors,
-    TrainingTask,
-    describe_training,
-)
-from learning.preset import Protocol
+from learning.model.family import Corrected
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -144,14 +134,37 @@ def fit_generator(
     return Generator(mean, scale, tuple(s for s in fitted if s is not None), seed=seed)
 
 
-def fit_generators(train: Sequence[ResidualFlight], seed: int = 0) -> dict[str, Generator]:
-    """The generator and its baselines, by name."""
-    best = fit_generator(train, seed)
-    return {
-        "white noise": fit_generator(train, seed, order=0, codes=0),
-        f"AR({ORDER}), Gaussian": replace(best, drive="gaussian"),
-        f"AR({ORDER}), codebook": best,
+@dataclass(frozen=True, slots=True)
+class InnovationsPreset:
+    """Hyper-parameters of a generator.
+
+    Attributes:
+        name: As printed.
+        order: Of the autoregression; 0: white noise.
+        codes: Of each codebook, at most.
+        drive: What drives it.
+    """
+
+    name: str
+    order: int = ORDER
+    codes: int = CODES
+    drive: Drive = "codebook"
+
+    def fit(self, train: Sequence[ResidualFlight], seed: int = 0) -> Generator:
+        """The generator of these flights."""
+        return replace(fit_generator(train, seed, self.order, self.codes), drive=self.drive)
+
+
+INNOVATIONS = MappingProxyType(
+    {
+        "white noise": InnovationsPreset("white-noise", order=0, codes=0, drive="gaussian"),
+        "autoregression, Gaussian innovations": InnovationsPreset(
+            "ar-gaussian", codes=0, drive="gaussian"
+        ),
+        "autoregression, codebook of innovations": InnovationsPreset("ar-codebook"),
     }
+)
+"""Generators without a network, by the names of their rows."""
 
 
 def _fit_sensor(
@@ -276,131 +289,57 @@ def synthesis(drive: Array, coefficients: Array) -> Array:
 
 
 # ----------------------------------------------------------------------------------------
-# Innovations: autoregression driven by what it cannot say, drawn from a codebook or a Gaussian.
-#
-# `benchmarks.paper.innovations` as a family, so that it is trained, kept and compared as the
-# systems are.
-
-_PER_PHASE = ("codes", "counts", "covariance")
+# Residuals of a training flight played back: how alike two real flights are, and no more.
 
 
 @dataclass(frozen=True, slots=True)
-class InnovationsPreset:
-    """Hyper-parameters.
+class Recording:
+    """Plays pieces of training flights in the same phase.
 
     Attributes:
-        name: As printed.
-        order: Of the autoregression; 0: white noise.
-        codes: Of each codebook, at most.
-        drive: What drives it.
+        mean: Of the residual by phase, shape (phases, 15); said where no flight had the phase.
+        scale: Spread about it, shape (phases, 15).
+        pieces: By phase, the residual of each training flight in it, shape (n_i, 15).
+        seed: Of which piece is played, and from where.
     """
 
-    name: str
-    order: int = ORDER
-    codes: int = CODES
-    drive: Drive = "codebook"
+    mean: Array
+    scale: Array
+    pieces: tuple[tuple[Array, ...], ...]
+    seed: int = 0
 
-
-PRESETS = MappingProxyType(
-    {
-        p.name: p
-        for p in (
-            InnovationsPreset("ar-codebook"),
-            InnovationsPreset("ar-gaussian", codes=0, drive="gaussian"),
-            InnovationsPreset("white-noise", order=0, codes=0, drive="gaussian"),
-        )
-    }
-)
-
-
-@dataclass(frozen=True, slots=True)
-class InnovationsModel:
-    """A generator with its papers.
-
-    Attributes:
-        info: What it is.
-        generator: What draws.
-    """
-
-    info: ModelInfo[InnovationsPreset]
-    generator: Generator
-
-    @property
-    def family(self) -> str:
-        """Its row in the registry."""
-        return "innovations"
+    def with_seed(self, seed: int) -> "Recording":
+        """The same recordings, played from elsewhere."""
+        return replace(self, seed=seed)
 
     def run(self, flight: ResidualFlight) -> Corrected:
-        """A draw."""
-        self.info.check_flight(flight)
-        return self.generator.run(flight)
-
-    def with_seed(self, seed: int) -> "InnovationsModel":
-        """The same with other draws."""
-        return replace(self, generator=self.generator.with_seed(seed))
-
-    def tensors(self) -> Tensors:
-        """Means, spreads, and what drives each sensor."""
-        found = {"mean": self.generator.mean, "scale": self.generator.scale}
-        for i, sensor in enumerate(self.generator.sensors):
-            found[f"{i}.channels"] = np.array(sensor.channels, dtype=np.int64)
-            found[f"{i}.every"] = np.array([sensor.every], dtype=np.int64)
-            found[f"{i}.coefficients"] = sensor.coefficients
-            for name in _PER_PHASE:
-                for p, values in enumerate(getattr(sensor, name)):
-                    found[f"{i}.{name}.{p}"] = values
-        return found
-
-    def details(self) -> Mapping[str, Any]:
-        """Nothing more."""
-        return {}
+        """Each stretch of one phase from a piece drawn again, begun again where it ends."""
+        rng = np.random.default_rng([self.seed, zlib.crc32(flight.name.encode())])
+        correction = self.mean[flight.phase]
+        for a, b in flight.spans:
+            edges = a + 1 + np.flatnonzero(np.diff(flight.phase[a:b]))
+            for rows in np.split(np.arange(a, b), edges - a):
+                pieces = self.pieces[flight.phase[rows[0]]]
+                if pieces:
+                    piece = pieces[int(rng.integers(len(pieces)))]
+                    start = int(rng.integers(len(piece)))
+                    correction[rows] = piece[(start + np.arange(len(rows))) % len(piece)]
+        n = len(flight.t_s)
+        return Corrected(
+            correction, self.scale[flight.phase], np.full(n, np.nan), np.ones(n, dtype=np.bool_)
+        )
 
 
-class Innovations(Family[InnovationsPreset, InnovationsModel]):
-    """Closed form, but for k-means."""
-
-    def presets(self) -> Mapping[str, InnovationsPreset]:
-        """With a codebook, Gaussian, and no autoregression at all."""
-        return PRESETS
-
-    def protocols(self, preset: InnovationsPreset) -> Sequence[Protocol]:
-        """It draws, and does nothing else."""
-        return ("generate",)
-
-    def fit(
-        self,
-        flights: Sequence[ResidualFlight],
-        preset: InnovationsPreset,
-        task: TrainingTask,
-        folder: Path,
-        progress: Progress,
-    ) -> InnovationsModel:
-        """As `fit_generator`."""
-        info = describe_training("innovations", flights, preset, task)
-        made = fit_generator(flights, task.seed, preset.order, preset.codes)
-        return InnovationsModel(info, replace(made, drive=preset.drive))
-
-    def build(self, info: ModelInfo[InnovationsPreset], tensors: Tensors) -> InnovationsModel:
-        """The generator of these numbers."""
-        count = sum(name.endswith(".every") for name in tensors)
-        sensors = tuple(_sensor(tensors, i) for i in range(count))
-        mean, scale = tensors["mean"], tensors["scale"]
-        if mean.shape != (N_PHASES, len(CHANNELS)) or scale.shape != mean.shape:
-            raise ValueError(f"means of shape {mean.shape}, spreads of shape {scale.shape}")
-        return InnovationsModel(info, Generator(mean, scale, sensors, info.preset.drive, info.seed))
-
-    def export(self, model: InnovationsModel, folder: Path) -> tuple[str, ...]:
-        """None: what is drawn corrects nothing."""
-        return ()
-
-
-def _sensor(tensors: Tensors, i: int) -> Sensor:
-    per_phase = {
-        name: tuple(tensors[f"{i}.{name}.{p}"] for p in range(N_PHASES + 1)) for name in _PER_PHASE
-    }
-    return Sensor(
-        channels=tuple(int(c) for c in tensors[f"{i}.channels"]),
-        every=int(tensors[f"{i}.every"][0]),
-        coefficients=tensors[f"{i}.coefficients"],
-        **per_phase,
-    )
+def fit_recording(train: Sequence[ResidualFlight]) -> Recording:
+    """Cut training flights into phases."""
+    mean = phase_means(train)
+    scale = np.sqrt(by_phase(train, [(f.residual - mean[f.phase]) ** 2 for f in train]))
+    pieces: list[list[Array]] = [[] for _ in range(N_PHASES)]
+    for flight in train:
+        rows = np.concatenate([np.arange(a, b) for a, b in flight.spans])
+        residual = np.where(np.isfinite(flight.residual), flight.residual, mean[flight.phase])[rows]
+        for p in range(N_PHASES):
+            part = residual[flight.phase[rows] == p]
+            if len(part):
+                pieces[p].append(part)
+    return Recording(mean, scale, tuple(tuple(p) for p in pieces))

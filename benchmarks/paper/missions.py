@@ -7,9 +7,11 @@ where it learns of takeoff and hover alone, gyroscopes in motion are hundreds of
 all that was seen.
 """
 
+import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +21,10 @@ from benchmarks.compensator.simulated import Individual, produce
 from learning.compute import one_thread
 from learning.data.flights import DEFAULT_RATE_HZ, ResidualFlight, restart_before_s
 from learning.data.scaling import in_spans
-from learning.model.family import TrainedModel, TrainingTask, describe_flight
-from learning.model.folder import MODEL, load
-from learning.model.registry import family_row
-from learning.training.train import fit_model
+from learning.model.family import Model
+from learning.preset import Protocol
 
-from .trainings import MODALITIES, Run, keyed, rows_of, units
+from .trainings import MODALITIES, Run, fitted, rows_of, units
 
 Array = NDArray[np.float64]
 AIRCRAFT = Individual("worn", 0)
@@ -80,13 +80,13 @@ def simulated_missions(out: Path, runs: Sequence[Run], jobs: int) -> dict[str, C
     """Forward and tour of the simulated aircraft.
 
     Args:
-        out: Folder of its flights and of the models; what is there already is taken.
-        runs: Systems of one protocol and horizon, as they are trained on the paper's tables.
+        out: Folder of its flights; what is there already is taken.
+        runs: Systems of one role and horizon, as they are trained on the paper's tables.
         jobs: Processes that make residuals.
     """
     produce(out, [AIRCRAFT])
-    ((protocol, horizon),) = {(run.protocol, run.horizon) for run in runs}
-    before_s = restart_before_s(protocol, horizon, DEFAULT_RATE_HZ)
+    ((role, horizon),) = {(run.role, run.horizon) for run in runs}
+    before_s = restart_before_s(cast(Protocol, role), horizon, DEFAULT_RATE_HZ)
     every = [
         flight
         for use in ("train", "test")
@@ -110,16 +110,9 @@ def simulated_missions(out: Path, runs: Sequence[Run], jobs: int) -> dict[str, C
 
 
 @one_thread()
-def _trained(run: Run, flights: Sequence[ResidualFlight], out: Path) -> TrainedModel:
-    """The model; one of the same sources, preset and flights is taken as it is."""
-    assert run.preset is not None
-    taught = [describe_flight(f)["sha256"] for f in flights]
-    task = TrainingTask(run.protocol, run.horizon, run.seed)
-    key = keyed([run.model, asdict(run.preset), asdict(task), taught])
-    folder = out / "models" / f"{run.model}-{run.protocol}-{key}"
-    if (folder / MODEL).is_file():
-        return load(folder)
-    return fit_model(flights, family_row(run.model), run.preset, task, folder)
+def _trained(run: Run, flights: Sequence[ResidualFlight], out: Path) -> Model:
+    with tempfile.TemporaryDirectory(dir=out) as folder:
+        return fitted(run, flights, Path(folder))
 
 
 def _part(

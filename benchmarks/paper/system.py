@@ -1,4 +1,4 @@
-"""What a system of the paper's comparison is: interface, training, model and family.
+"""What a system of the paper's comparison is: interface, training, model.
 
 A system works on standardised windows, (batch, time, channels). What it may see of them is
 `given`: the residual itself in `reconstruct`, an older one in `track`, virtual signals and commands
@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 import torch
@@ -29,24 +29,16 @@ from learning.data.flights import ResidualFlight
 from learning.data.scaling import Scaling, fit_scaling, in_spans
 from learning.data.sequences import SpanSequence, one_hot, sequences
 from learning.model.baselines import by_phase
-from learning.model.family import (
-    Corrected,
-    Family,
-    ModelInfo,
-    Progress,
-    Tensors,
-    TrainingTask,
-    describe_training,
-    no_alarm,
-)
-from learning.model.folder import CURVE, write_json
+from learning.model.family import Corrected, Progress, no_alarm, silent
 from learning.preset import Normalise, Protocol
-from learning.training.checkpoint import CHECKPOINT, TrainingState, load_checkpoint, save_checkpoint
+from learning.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from learning.training.windows import TrainingSamples, Window
 from twin.errors import ModelError
 from twin.representation import short_repr
 
 Numbers = Mapping[str, NDArray[np.float32]]
+Role = Literal["reconstruct", "track", "free", "generate"]
+"""What a system is trained for: the protocols of a compensator, or to draw."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +55,6 @@ class SystemPreset:
         epochs: Of the training.
         batch: Windows per step.
         window: Samples.
-        stride: Between the starts of two windows; None: `window`.
-        carry: No state is carried on to the next.
-        augment: Nothing is changed at random.
     """
 
     name: str
@@ -77,9 +66,6 @@ class SystemPreset:
     epochs: int = 250
     batch: int = 4
     window: int = 100
-    stride: int | None = None
-    carry: int = 1
-    augment: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +189,7 @@ def train_players(
         given: What the system may see of a window.
         preset: Of the system.
         seed: Of all draws.
-        training: Hash of all that decides the weights.
+        training: Names the training.
         folder: For the checkpoint, which stays there.
         progress: Called after each epoch.
         device: To train on.
@@ -259,7 +245,7 @@ def _epoch(
     torch.manual_seed(int(np.random.SeedSequence([seed, epoch]).generate_state(1)[0]))
     sums: dict[str, list[float]] = {}
     done, players = epoch / preset.epochs, system.players()
-    for window in samples.windows(preset, seed, epoch):
+    for window in samples.windows(preset.batch, preset.window, seed, epoch):
         here = window.at(device)
         batch = Batch(given(here), here.phase, here.target, here.scored, done)
         for player in system.turns(done):
@@ -282,7 +268,6 @@ def _epoch(
 # A system that was trained, as a model: windows or whole spans in, residuals out.
 
 Array = NDArray[np.float64]
-_SCALING, _PRIOR, _NETWORK, _EXPECTED = "scaling.", "prior.", "network.", "expected"
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,30 +275,27 @@ class SystemModel:
     """Weights, scaling, and what its draws come from.
 
     Attributes:
-        info: What it is.
-        name: Its row in the registry.
         system: Trained.
+        role: For what.
+        horizon: Samples, in `track`.
         scaling: Of residuals and features.
         prior: Of `System.learn_prior`; empty without one.
         expected: Rms of what it left of its training flights; of its draws the spread that they
             are to have, shape (phases, 15), units of the channels.
-        draws: Seed of what it draws; None: it says what it makes of the flight.
+        seed: Of what it draws.
+        draws: Whether it draws; else it says what it makes of the flight.
     """
 
-    info: ModelInfo[SystemPreset]
-    name: str
     system: System
+    role: Role
+    horizon: int
     scaling: Scaling
     prior: Numbers
     expected: Array
-    draws: int | None = None
+    seed: int
+    draws: bool
 
     __repr__ = short_repr
-
-    @property
-    def family(self) -> str:
-        """Its row in the registry."""
-        return self.name
 
     def with_seed(self, seed: int) -> "SystemModel":
         """The same as a generator: it sees phases and span limits, and nothing that was measured.
@@ -324,25 +306,22 @@ class SystemModel:
         Raises:
             ModelError: It has not learned to generate.
         """
-        if not (self.system.autoencoder or self.info.protocol == "generate"):
+        if not (self.system.autoencoder or self.role == "generate"):
             raise ModelError(
-                f"{self.name} was trained to {self.info.protocol}: it draws nothing without a "
-                "measurement. Train it with the protocol generate."
+                f"{self.system.preset.name} was trained to {self.role}: it draws nothing without a "
+                "measurement. Train it with the role generate."
             )
-        return replace(self, draws=seed)
+        return replace(self, seed=seed, draws=True)
 
     @one_thread()
     @torch.no_grad()
     def run(self, flight: ResidualFlight) -> Corrected:
         """The whole flight; each span starts from zero. There is no envelope and no alarm."""
-        self.info.check_flight(flight)
         n = len(flight.t_s)
         correction = np.zeros(flight.virtual.shape)
-        draws = self.info.seed if self.draws is None else self.draws
         with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(zlib.crc32(f"{draws} {flight.name}".encode()))
-            protocol, horizon = self.info.protocol, self.info.horizon
-            for span in sequences([flight], self.scaling, protocol, horizon):
+            torch.manual_seed(zlib.crc32(f"{self.seed} {flight.name}".encode()))
+            for span in _spans([flight], self.scaling, self.role, self.horizon):
                 said = self._said(span).double().numpy()
                 mean, scale = self.scaling.mean[span.phase], self.scaling.scale[span.phase]
                 correction[span.rows] = mean + scale * said
@@ -351,13 +330,13 @@ class SystemModel:
 
     def _said(self, span: SpanSequence) -> Tensor:
         """Standardised residuals of a span, shape (n, 15)."""
-        given = given_of(span, type(self.system), self.info.protocol)
+        given = given_of(span, type(self.system), self.role)
         phase = _tensor(one_hot(span.phase))
         rows = torch.from_numpy(self._windows(len(phase)))  # (windows, length)
-        if self.draws is None and self.info.protocol != "generate":
-            said = self.system.reconstruct(given[rows], phase[rows])
-        else:
+        if self.draws:
             said = self.system.generate(phase[rows], self.prior)
+        else:
+            said = self.system.reconstruct(given[rows], phase[rows])
         found = torch.zeros(len(phase), said.shape[-1])
         found[rows.flatten()] = said.flatten(0, 1)
         return found
@@ -368,159 +347,115 @@ class SystemModel:
         Whatever sees no later sample gets the whole span; else windows of the training's length, of
         which the last reaches back.
         """
-        length = min(self.info.preset.window, n) if self.system.sees_ahead else n
+        length = min(self.system.preset.window, n) if self.system.sees_ahead else n
         starts = [*range(0, n - length, length), n - length]
         return np.asarray(np.array(starts)[:, None] + np.arange(length))
 
-    def tensors(self) -> dict[str, NDArray[Any]]:
-        """Weights, scaling, prior."""
-        network = {k: v.detach().cpu().numpy() for k, v in self.system.state_dict().items()}
-        return {
-            **{_NETWORK + k: v for k, v in network.items()},
-            **{_SCALING + k: v for k, v in self.scaling.arrays().items()},
-            **{_PRIOR + k: v for k, v in self.prior.items()},
-            _EXPECTED: self.expected,
-        }
 
-    def details(self) -> Mapping[str, Any]:
-        """Nothing more."""
-        return {}
-
-    @classmethod
-    def of_tensors(
-        cls, info: ModelInfo[SystemPreset], name: str, system: System, tensors: Mapping[str, Any]
-    ) -> "SystemModel":
-        """The model that has these numbers; the system's weights are overwritten.
-
-        Raises:
-            KeyError, RuntimeError, ValueError: They do not fit.
-        """
-        scaling = Scaling(**_under(tensors, _SCALING))
-        weights = {k: torch.from_numpy(v) for k, v in _under(tensors, _NETWORK).items()}
-        system.load_state_dict(weights)
-        expected = tensors[_EXPECTED]
-        if expected.shape != (N_PHASES, len(CHANNELS)):
-            raise ValueError(f"expected spread of shape {expected.shape}")
-        return cls(info, name, system.eval(), scaling, _under(tensors, _PRIOR), expected)
+def roles(system: type[System]) -> tuple[Role, ...]:
+    """What it can be trained for: all, but for `track` if its windows show it what comes."""
+    every: tuple[Role, ...] = ("reconstruct", "track", "free", "generate")
+    return tuple(r for r in every if r != "track" or not system.sees_ahead)
 
 
-def given_of(span: SpanSequence, system: type[System], protocol: Protocol) -> Tensor:
+def given_of(span: SpanSequence, system: type[System], role: Role) -> Tensor:
     """What a system may see of a span, float32, shape (n, given).
 
     In `generate` nothing; but what an autoencoder learns from is the residual itself.
     """
-    if protocol == "free":
+    if role == "free":
         return _tensor(span.features)
-    if protocol == "generate":
+    if role == "generate":
         return _tensor(span.d if system.autoencoder else span.d[:, :0])
     return _tensor(span.lags[..., 0])
+
+
+def _spans(
+    flights: Sequence[ResidualFlight], scaling: Scaling, role: Role, horizon: int
+) -> list[SpanSequence]:
+    """What draws is shown sequences as of `reconstruct`, and looks at none of their residuals."""
+    protocol: Protocol = "reconstruct" if role == "generate" else role
+    return sequences(flights, scaling, protocol, horizon)
 
 
 def _tensor(values: Array) -> Tensor:
     return torch.from_numpy(values.astype(np.float32))
 
 
-def _under(tensors: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+def begun(kind: type[System], preset: SystemPreset, role: Role, n_commands: int) -> System:
+    """A system with weights as they begin, by torch's own generator."""
+    n_given = len(CHANNELS)
+    if role == "free":
+        n_given = len(FEATURE_CHANNELS) + n_commands
+    elif role == "generate" and not kind.autoencoder:
+        n_given = 0
+    return kind(preset, n_given, len(CHANNELS))
 
 
-# ----------------------------------------------------------------------------------------
-# What makes a family of a system: training, building, nothing to export sample by sample.
+def fit_system(
+    kind: type[System],
+    flights: Sequence[ResidualFlight],
+    preset: SystemPreset,
+    role: Role,
+    folder: Path,
+    horizon: int = 0,
+    seed: int = 0,
+    device: str = "cpu",
+    progress: Progress = silent,
+) -> SystemModel:
+    """Train on everything: nothing is held back, and the last epoch counts.
 
-
-class SystemFamily(Family[SystemPreset, SystemModel]):
-    """A system with its preset; the family is called as the preset is."""
-
-    system: ClassVar[type[System]]
-    preset: ClassVar[SystemPreset]
-
-    @property
-    def sees_ahead(self) -> bool:
-        """Whether what it says of a sample depends on later ones of its window."""
-        return self.system.sees_ahead
-
-    def presets(self) -> Mapping[str, SystemPreset]:
-        """One."""
-        return {self.preset.name: self.preset}
-
-    def protocols(self, preset: SystemPreset) -> Sequence[Protocol]:
-        """All, but for `track` of a system whose windows show it what comes."""
-        every: tuple[Protocol, ...] = ("reconstruct", "track", "free", "generate")
-        return tuple(p for p in every if p != "track" or not self.sees_ahead)
-
-    def fit(
-        self,
-        flights: Sequence[ResidualFlight],
-        preset: SystemPreset,
-        task: TrainingTask,
-        folder: Path,
-        progress: Progress,
-    ) -> SystemModel:
-        """Train on everything: nothing is held back, and the last epoch counts."""
-        info = describe_training(self.preset.name, flights, preset, task)
-        scaling = fit_scaling(flights, [in_spans(f) for f in flights], preset.normalise)
-        spans = sequences(flights, scaling, task.protocol, task.horizon)
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(task.seed)
-            system = self._begun(info)
-            samples = TrainingSamples(spans, [s.d for s in spans], [s.fresh for s in spans])
-            given = partial(_given, self.system, task.protocol)
-            seed, training = task.seed, info.training
-            device = device_named(task.device)
-            place = task.checkpoints or folder
-            curve = train_players(
-                system, samples, given, preset, seed, training, place, progress, device
+    Args:
+        kind: The system.
+        flights: For training.
+        preset: Of the system.
+        role: What it is trained for.
+        folder: For the checkpoint, which stays there; its name tells this training from others.
+        horizon: Samples, in `track`.
+        seed: Of everything that is drawn.
+        device: As of `learning.compute`.
+        progress: Called after each epoch.
+    """
+    scaling = fit_scaling(flights, [in_spans(f) for f in flights], preset.normalise)
+    spans = _spans(flights, scaling, role, horizon)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        system = begun(kind, preset, role, flights[0].commands.shape[1])
+        samples = TrainingSamples(spans, [s.d for s in spans], [s.fresh for s in spans])
+        given, where = partial(_given, kind, role), device_named(device)
+        with one_thread():
+            train_players(
+                system, samples, given, preset, seed, folder.name, folder, progress, where
             )
-            prior = self._prior(system, spans, task.protocol)
-        if task.checkpoints is None:
-            (folder / CHECKPOINT).unlink(missing_ok=True)
-        write_json(folder / CURVE, curve)
-        nothing = np.zeros((N_PHASES, len(CHANNELS)))
-        info = replace(info, metrics={"epochs": preset.epochs, "best_epoch": preset.epochs})
-        model = SystemModel(info, self.preset.name, system, scaling, prior, nothing)
-        if task.protocol == "generate":
-            left = [f.residual - scaling.mean[f.phase] for f in flights]
-        else:
-            left = [f.residual - model.run(f).correction for f in flights]
-        return replace(model, expected=np.sqrt(by_phase(flights, [e**2 for e in left])))
-
-    def build(self, info: ModelInfo[SystemPreset], tensors: Tensors) -> SystemModel:
-        """The system with these weights."""
-        with torch.random.fork_rng(devices=[]):
-            system = self._begun(info)
-        return SystemModel.of_tensors(info, self.preset.name, system, tensors)
-
-    def export(self, model: SystemModel, folder: Path) -> tuple[str, ...]:
-        """None: no system is made to go sample by sample."""
-        return ()
-
-    def _begun(self, info: ModelInfo[SystemPreset]) -> System:
-        n_channels = len(CHANNELS)
-        n_given = n_channels
-        if info.protocol == "free":
-            n_given = len(FEATURE_CHANNELS) + info.n_commands
-        elif info.protocol == "generate" and not self.system.autoencoder:
-            n_given = 0
-        return self.system(info.preset, n_given, n_channels)
-
-    def _prior(self, system: System, spans: Sequence[SpanSequence], protocol: Protocol) -> Numbers:
-        """What it draws from, of all spans one behind the other."""
-        if not self.system.autoencoder:
-            return {}
-        known = [given_of(s, self.system, protocol) for s in spans]
-        begins = np.zeros(sum(len(k) for k in known), dtype=np.bool_)
-        begins[np.cumsum([0, *(len(k) for k in known[:-1])])] = True
-        phases = np.concatenate([one_hot(s.phase) for s in spans]).astype(np.float32)
-        with torch.no_grad():
-            return system.learn_prior(
-                torch.cat(list(known))[None], torch.from_numpy(phases)[None], begins
-            )
+        prior = _prior(system, spans, role)
+    nothing = np.zeros((N_PHASES, len(CHANNELS)))
+    draws = role == "generate"
+    model = SystemModel(system, role, horizon, scaling, prior, nothing, seed, draws)
+    if draws:
+        left = [f.residual - scaling.mean[f.phase] for f in flights]
+    else:
+        left = [f.residual - model.run(f).correction for f in flights]
+    return replace(model, expected=np.sqrt(by_phase(flights, [e**2 for e in left])))
 
 
-def _given(system: type[System], protocol: Protocol, window: Window) -> Tensor:
+def _prior(system: System, spans: Sequence[SpanSequence], role: Role) -> Numbers:
+    """What it draws from, of all spans one behind the other."""
+    if not system.autoencoder:
+        return {}
+    known = [given_of(s, type(system), role) for s in spans]
+    begins = np.zeros(sum(len(k) for k in known), dtype=np.bool_)
+    begins[np.cumsum([0, *(len(k) for k in known[:-1])])] = True
+    phases = np.concatenate([one_hot(s.phase) for s in spans]).astype(np.float32)
+    with torch.no_grad():
+        return system.learn_prior(
+            torch.cat(list(known))[None], torch.from_numpy(phases)[None], begins
+        )
+
+
+def _given(system: type[System], role: Role, window: Window) -> Tensor:
     """What a system may see of a window; `given_of` says it of a span."""
-    if protocol == "free":
+    if role == "free":
         return window.features
-    if protocol == "generate":
+    if role == "generate":
         return window.target if system.autoencoder else window.target[..., :0]
     return window.known

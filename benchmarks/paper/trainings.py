@@ -3,44 +3,59 @@
     OUT/runs/KEY.json  scores of one training    OUT/models/KEY/  a training under way
     OUT/runs/KEY.npy   its corrections of the test flights
 
-A run counts as long as model, preset, protocol, seed, flights, share of the data and the sources of
-`learning` and of the systems are the same. What reconstructs is scored by what it leaves, what
-draws by its draws; an autoencoder, which draws by what it learned of reconstructing, by both.
+A run counts as long as model, preset, role, seed, flights, share of the data and the code that it
+goes through are the same. What reconstructs is scored by what it leaves, what draws by its draws;
+an autoencoder, which draws by what it learned of reconstructing, by both.
 """
 
+import ast
 import hashlib
 import json
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-import learning
 from learning import metrics
 from learning.compute import device_named, one_thread
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight
-from learning.model.family import FamilyPreset, Model, TrainingTask
+from learning.model.baselines import fit_baseline
+from learning.model.family import Model, TrainingTask
 from learning.model.folder import write_json
 from learning.model.registry import family_row
-from learning.preset import Protocol
+from learning.preset import Preset, Protocol
+from learning.training.train import fit_model
 from twin.errors import LogError, ModelError
 from twin.logs.stored import as_log_error, opened
 
-from .generated import fit_recording
+from .adversarial import Cgan, MrGan, TsGan, Wgan
+from .autoencoders import AutoFilterVq, ContrastVq, Cvae, McVq, VqGan, VqVae, VqwwVae
+from .diffusing import Tdm, TimeDdpm
+from .innovations import InnovationsPreset, fit_recording
+from .system import Role, System, SystemPreset, fit_system
 
 Array = NDArray[np.float64]
-RECORDING = "recording"
-"""In the place of a family: a training flight played back."""
+SYSTEMS: Mapping[str, type[System]] = MappingProxyType(
+    {
+        **{"cvae": Cvae, "vqvae": VqVae, "wgan": Wgan, "tsgan": TsGan, "vqgan": VqGan},
+        **{"cgan": Cgan, "mrgan": MrGan, "vqwwvae": VqwwVae, "tdm": Tdm, "timeddpm": TimeDdpm},
+        **{"autofiltervq": AutoFilterVq, "contrastvq": ContrastVq, "mcvq": McVq},
+    }
+)
+"""The thirteen that the paper compares its network with, by name. `cgan`, `mrgan`, `vqwwvae`,
+`tdm` and `timeddpm` are made after one line of the paper's each."""
 DRAWS = 8
 """Of each generator."""
 MODALITIES = ("takeoff", "hover")
@@ -50,11 +65,23 @@ all three flights = -1..1, as in the published code."""
 METRICS = ("mse", "rmse", "mae", "wasserstein")
 DRAWN = ("rmse", "wasserstein", "spectral_db")
 ALL = (1, 2, 3)
-SOURCES = (
-    *("adversarial", "autoencoders", "blocks", "diffusing", "innovations", "generated", "system"),
-    "trainings",
-)
-"""Modules alongside this one that decide what is learned or how it is scored."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """What is fitted without a preset.
+
+    Attributes:
+        name: A baseline of `learning.model.baselines`, or `RECORDING`.
+    """
+
+    name: str
+
+
+RECORDING = Rule("recording")
+"""A training flight played back."""
+Trained = Preset | SystemPreset | InnovationsPreset | Rule
+"""Hyper-parameters, whose kind says what is trained."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,42 +90,71 @@ class Run:
 
     Attributes:
         name: Of the variant, as printed.
-        preset: Hyper-parameters; None where there are none.
+        preset: Hyper-parameters; their kind says what is trained.
         seed: Of everything that is drawn.
         train: Numbers of the flights.
         test: Number of the flight scored; 0: the training flights themselves, as published.
         share: Of each phase of each training flight, from its start.
-        model: Row of the registry, or `RECORDING`.
-        protocol: What it is trained for.
+        role: What it is trained for.
         horizon: Samples, in `track`.
     """
 
     name: str
-    preset: FamilyPreset | None
+    preset: Trained
     seed: int = 0
     train: tuple[int, ...] = (1, 2)
     test: int = 3
     share: float = 1.0
-    model: str = "svq"
-    protocol: Protocol = "reconstruct"
+    role: Role = "reconstruct"
     horizon: int = 0
 
     def key(self) -> str:
-        """Name of its files: hash of all that decides the scores, sources included."""
-        name = self.model if self.preset is None else self.preset.name
-        return f"{name}_{self.protocol}_{self.seed}_{keyed({**asdict(self), 'name': ''})}"
+        """Name of its files: hash of all that decides the scores, code included."""
+        decides = [{**asdict(self), "name": ""}, type(self.preset).__name__, self.code()]
+        digest = hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest()
+        name = self.preset.name.replace(" ", "-")
+        return f"{name}_{self.role}_{self.seed}_{digest[:12]}"
+
+    def code(self) -> str:
+        """Hash of the code that it goes through, comments and docstrings apart."""
+        if isinstance(self.preset, SystemPreset):
+            return code_hash(SYSTEMS[self.preset.name].__module__)
+        of: dict[type, Callable[..., Any]] = {
+            Preset: fit_model,
+            InnovationsPreset: fit_recording,
+            Rule: fit_recording if self.preset == RECORDING else fit_baseline,
+        }
+        return code_hash(of[type(self.preset)].__module__)
 
 
-def keyed(content: object) -> str:
-    """Short hash of JSON content, and of the sources that decide what is learned."""
-    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
-    root, here = Path(str(learning.__file__)).parent, Path(__file__).parent
-    for path in sorted(root.rglob("*.py")):
-        if "export" not in path.relative_to(root).parts:
-            digest.update(path.read_bytes())
-    for name in SOURCES:
-        digest.update((here / f"{name}.py").read_bytes())
-    return digest.hexdigest()[:12]
+_ROOT = Path(__file__).parents[2]
+_OWN = ("learning.", "benchmarks.paper.")
+"""Packages whose code decides what is learned."""
+
+
+@cache
+def code_hash(module: str) -> str:
+    """Of a module and of all that it imports of `_OWN`; what is said of the code does not count."""
+    waiting, trees = [module], dict[str, str]()
+    while waiting:
+        name = waiting.pop()
+        file = _ROOT.joinpath(*name.split(".")).with_suffix(".py")
+        if name in trees or not name.startswith(_OWN) or not file.is_file():
+            continue
+        tree = ast.parse(file.read_text("utf-8"))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom):
+                parts = name.split(".")[: -node.level] if node.level else []
+                whole = ".".join([*parts, *filter(None, [node.module])])
+                waiting += [whole, *(f"{whole}.{a.name}" for a in node.names)]
+            if isinstance(body := getattr(node, "body", None), list):
+                node.body = [n for n in body if not _is_text(n)]  # type: ignore[attr-defined]
+        trees[name] = ast.dump(tree)
+    return hashlib.sha256(json.dumps(trees, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def _is_text(node: ast.AST) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
 
 
 def run_all(
@@ -125,29 +181,6 @@ def run_all(
             _follow(pool.map(_score, *arguments), len(missing), began)
     found = [json.loads(_file(out, r).read_text("utf-8")) for r in runs]
     return [{**f, "run": asdict(r)} for f, r in zip(found, runs, strict=True)]
-
-
-def unpack_scores(scores: Path, out: Path) -> None:
-    """Take scores of trainings that were run elsewhere, a line each, as if they had been run here.
-
-    What was learned from other sources has another key, so that it is never asked for.
-    """
-    lines = scores.read_text("utf-8").splitlines() if scores.is_file() else []
-    for content in map(json.loads, lines):
-        path = _scores_file(out, content.pop("key"))
-        if not path.is_file():
-            write_json(path, content)
-
-
-def pack_scores(out: Path, scores: Path) -> None:
-    """Add the scores of all trainings of a folder to one file, a line each, by key; those of other
-    sources are left out."""
-    lines = scores.read_text("utf-8").splitlines() if scores.is_file() else []
-    found = {one.pop("key"): one for one in map(json.loads, lines)}
-    found |= {p.stem: json.loads(p.read_text("utf-8")) for p in (out / "runs").glob("*.json")}
-    found = {k: one for k, one in found.items() if k.endswith(keyed({**one["run"], "name": ""}))}
-    lines = [json.dumps({"key": k, **found[k]}, sort_keys=True) for k in sorted(found)]
-    scores.write_text("".join(f"{line}\n" for line in lines), "utf-8")
 
 
 def said_by(run: Run, out: Path) -> Array:
@@ -282,7 +315,7 @@ def _score(run: Run, data: Path, out: Path, device: str) -> str:
     where = device_named(device).type
     clock = time.process_time if where == "cpu" else time.perf_counter
     began = clock()
-    model = _fitted(run, trained, folder, device)
+    model = fitted(run, trained, folder, device)
     seconds = clock() - began
     tests = trained if run.test == 0 else [flights[run.test]]
     every = list(flights.values())
@@ -293,7 +326,7 @@ def _score(run: Run, data: Path, out: Path, device: str) -> str:
         "weights": _weights(model),
     }
     shown = []
-    if run.protocol != "generate":
+    if run.role != "generate":
         began = time.process_time()
         corrections = [model.run(f).correction for f in tests]
         samples = sum(len(c) for c in corrections)
@@ -310,15 +343,23 @@ def _score(run: Run, data: Path, out: Path, device: str) -> str:
     return f"{run.name}, seed {run.seed}: {seconds:.0f} s, {'; '.join(shown)}"
 
 
-def _fitted(run: Run, trained: Sequence[ResidualFlight], folder: Path, device: str) -> Model:
-    """The model of a run, trained."""
-    if run.model == RECORDING:
-        return fit_recording(trained)
-    task = TrainingTask(run.protocol, run.horizon, run.seed, device=device)
-    fitted: Model = (
-        family_row(run.model).load().fit(trained, run.preset, task, folder, lambda *_: None)
-    )
-    return fitted
+def fitted(run: Run, trained: Sequence[ResidualFlight], folder: Path, device: str = "cpu") -> Model:
+    """The model of a run, trained; `folder` exists and is for what is under way."""
+    preset = run.preset
+    if isinstance(preset, SystemPreset):
+        system = SYSTEMS[preset.name]
+        return fit_system(system, trained, preset, run.role, folder, run.horizon, run.seed, device)
+    if isinstance(preset, InnovationsPreset):
+        return preset.fit(trained, run.seed)
+    if isinstance(preset, Rule):
+        return (
+            fit_recording(trained)
+            if preset == RECORDING
+            else fit_baseline(preset.name, trained, run.horizon)
+        )
+    task = TrainingTask(cast(Protocol, run.role), run.horizon, run.seed, device=device)
+    row = family_row("svq" if preset.network else "linear")
+    return fit_model(trained, row, preset, task, folder)
 
 
 def _seeded(model: Model) -> Callable[[int], Model] | None:
@@ -345,13 +386,9 @@ def _shown(found: dict[str, dict[str, dict[str, float]]], names: Sequence[str]) 
 
 
 def _file(out: Path, run: Run) -> Path:
-    return _scores_file(out, run.key())
-
-
-def _scores_file(out: Path, key: str) -> Path:
     folder = out / "runs"
     folder.mkdir(parents=True, exist_ok=True)
-    return folder / f"{key}.json"
+    return folder / f"{run.key()}.json"
 
 
 # ----------------------------------------------------------------------------------------

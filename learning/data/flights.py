@@ -278,11 +278,9 @@ def restart_before_s(protocol: Protocol, horizon: int, rate_hz: float) -> float:
     """How long before a reading the twin of a protocol was at the measured state, s.
 
     In `track` as long as the newest residual is old: what is measured up to then is known. In
-    `free` and `generate` the twin follows: where its motion goes wrong, the forces are
-    (`learning.force`).
+    `free` the twin follows: where its motion goes wrong, the forces are (`learning.force`).
     """
-    of = {"track": horizon / rate_hz, "reconstruct": DEFAULT_HORIZON_S}
-    return of.get(protocol, 0.0)
+    return {"track": horizon / rate_hz, "reconstruct": DEFAULT_HORIZON_S, "free": 0.0}[protocol]
 
 
 def _steps(rate_hz: float, restart_s: float) -> tuple[int, int]:

@@ -90,7 +90,7 @@ class SpanSequence:
 
 def n_lags(protocol: Protocol) -> int:
     """How many past residuals are looked at."""
-    return {"reconstruct": 1, "track": LAGS, "free": 0, "generate": 0}[protocol]
+    return {"reconstruct": 1, "track": LAGS, "free": 0}[protocol]
 
 
 def check_protocol(protocol: Protocol, horizon: int) -> None:

@@ -17,20 +17,20 @@ readings do without the twin: a correction that does not beat them hides a twin 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
+from sklearn.linear_model import Ridge
+from sklearn.model_selection import GridSearchCV, LeaveOneGroupOut
 
 from ..data.channels import CHANNELS, N_PHASES
 from ..data.flights import ResidualFlight, held
 from ..data.scaling import features_of, in_spans
 from ..data.sequences import delayed, smoothing
 from ..preset import PROTOCOLS, Protocol
-from .family import Corrected, Family, ModelInfo, Progress, Tensors, TrainingTask, describe_training
+from .family import Corrected
 
 Array = NDArray[np.float64]
 ORDER = 8
@@ -53,13 +53,11 @@ class Rule:
 
     Attributes:
         protocols: Under which it may be used.
-        names: Of its numbers.
         fit: Training flights and horizon -> its numbers by name.
         predict: Flight, numbers and horizon -> correction, shape (n, 15), units of the channels.
     """
 
     protocols: tuple[Protocol, ...]
-    names: tuple[str, ...]
     fit: Callable[[Sequence[ResidualFlight], int], Numbers]
     predict: Callable[[ResidualFlight, Numbers, int], Array]
 
@@ -189,10 +187,6 @@ def _average(flight: ResidualFlight, mean: Array, horizon: int, count: int) -> A
     return np.asarray(mean[flight.phase] + past.mean(axis=-1))
 
 
-def _fit_nothing(train: Sequence[ResidualFlight], horizon: int) -> Numbers:
-    return {}
-
-
 def _fit_mean(train: Sequence[ResidualFlight], horizon: int) -> Numbers:
     return {"mean": phase_means(train)}
 
@@ -219,10 +213,8 @@ def _fit_autoregression(train: Sequence[ResidualFlight], horizon: int) -> Number
     for c in range(len(CHANNELS)):
         x = np.concatenate([p[f.fresh[:, c], c] for p, f in zip(past, train, strict=True)])
         y = _targets(train, mean, c)
-        gram = x.T @ x
-        weights[c] = np.linalg.solve(
-            gram + (TINY * np.trace(gram) + 1e-300) * np.eye(ORDER), x.T @ y
-        )
+        if len(y) and np.any(x):
+            weights[c] = Ridge(TINY * np.sum(x**2), fit_intercept=False).fit(x, y).coef_
     return {"mean": mean, "weights": weights}
 
 
@@ -276,160 +268,41 @@ def _ridge(x: Sequence[Array], y: Sequence[Array]) -> Array:
 
     A single flight is cut in two, the last fifth left out.
     """
-    if len(x) == 1:
-        cut = len(y[0]) * 4 // 5
-        x, y = [x[0][:cut], x[0][cut:]], [y[0][:cut], y[0][cut:]]
-    grams, moments = [a.T @ a for a in x], [a.T @ b for a, b in zip(x, y, strict=True)]
-    gram, moment, n = sum(grams), sum(moments), sum(len(b) for b in y)
-    unit = np.eye(x[0].shape[1])
-    best: Array = np.zeros(len(unit))
-    least = sum(float(b @ b) for b in y)
-    for strength in RIDGES:
-        error = 0.0
-        for a, b, g, m in zip(x, y, grams, moments, strict=True):
-            others = np.linalg.solve(gram - g + strength * max(n - len(b), 1) * unit, moment - m)
-            error += float(np.sum((b - a @ others) ** 2))
-        if error < least:
-            best = np.asarray(np.linalg.solve(gram + strength * max(n, 1) * unit, moment))
-            least = error
-    return best
+    flight = np.repeat(np.arange(len(y)), [len(b) for b in y])
+    every, target = np.concatenate(x), np.concatenate(y)
+    if len(target) and flight[0] == flight[-1]:
+        flight = (5 * np.arange(len(target)) // len(target)) // 4
+    if len(groups := np.unique(flight)) < 2:
+        return np.zeros(every.shape[1])
+    search = GridSearchCV(
+        Ridge(fit_intercept=False),
+        {"alpha": [strength * len(target) for strength in RIDGES]},
+        scoring=lambda fit, a, b: -float(np.sum((b - fit.predict(a)) ** 2)),
+        cv=LeaveOneGroupOut().split(every, groups=flight),
+    ).fit(every, target)
+    if -search.best_score_ * len(groups) >= float(target @ target):
+        return np.zeros(every.shape[1])
+    return np.asarray(search.best_estimator_.coef_)
 
 
 RULES: Mapping[str, Rule] = MappingProxyType(
     {
-        "none": Rule(PROTOCOLS, (), _fit_nothing, lambda f, _, h: np.zeros_like(f.residual)),
-        "mean": Rule(PROTOCOLS, ("mean",), _fit_mean, lambda f, k, h: k["mean"][f.phase]),
+        "none": Rule(PROTOCOLS, lambda f, h: {}, lambda f, _, h: np.zeros_like(f.residual)),
+        "mean": Rule(PROTOCOLS, _fit_mean, lambda f, k, h: k["mean"][f.phase]),
         "last": Rule(
-            ("reconstruct", "track"),
-            ("mean",),
-            _fit_mean,
-            lambda f, k, h: _average(f, k["mean"], h, 1),
+            ("reconstruct", "track"), _fit_mean, lambda f, k, h: _average(f, k["mean"], h, 1)
         ),
         "average": Rule(
-            ("reconstruct",),
-            ("mean",),
-            _fit_mean,
-            lambda f, k, h: _average(f, k["mean"], h, AVERAGED),
+            ("reconstruct",), _fit_mean, lambda f, k, h: _average(f, k["mean"], h, AVERAGED)
         ),
-        "last reading": Rule(("track",), ("reading",), _fit_reading, _last_reading),
-        f"linear AR({ORDER})": Rule(
-            ("track",), ("mean", "weights"), _fit_autoregression, _autoregression
-        ),
+        "last reading": Rule(("track",), _fit_reading, _last_reading),
+        f"linear AR({ORDER})": Rule(("track",), _fit_autoregression, _autoregression),
         "mean reading": Rule(
             ("track", "free"),
-            ("reading",),
             _fit_reading,
             lambda f, k, h: _less_virtual(f, k["reading"][f.phase]),
         ),
-        "linear in inputs": Rule(
-            ("track", "free"),
-            ("mean", "centre", "spread", "weights"),
-            _fit_linear_in_inputs,
-            _linear_in_inputs,
-        ),
+        "linear in inputs": Rule(("track", "free"), _fit_linear_in_inputs, _linear_in_inputs),
     }
 )
 """Every baseline by its name, in the order in which they are printed."""
-
-
-_SPREAD = "expected"
-"""Tensor that holds the spread; the others are the rule's."""
-
-
-@dataclass(frozen=True, slots=True)
-class TrivialPreset:
-    """Which baseline.
-
-    Attributes:
-        name: As printed.
-        rule: Its name in `learning.model.baselines.RULES`.
-    """
-
-    name: str
-    rule: str
-
-
-_PRESETS = MappingProxyType(
-    {
-        name: TrivialPreset(name, rule)
-        for name, rule in zip(
-            (
-                *("none", "mean", "last", "average", "last-reading", "autoregression"),
-                *("mean-reading", "linear-in-inputs"),
-            ),
-            RULES,
-            strict=True,
-        )
-    }
-)  # a baseline by name
-
-
-@dataclass(frozen=True, slots=True)
-class TrivialModel:
-    """A baseline with its papers.
-
-    Attributes:
-        info: What it is.
-        baseline: What it says.
-    """
-
-    info: ModelInfo[TrivialPreset]
-    baseline: Baseline
-
-    @property
-    def family(self) -> str:
-        """Its row in the registry."""
-        return "trivial"
-
-    def run(self, flight: ResidualFlight) -> Corrected:
-        """The whole flight; there is no envelope and no alarm."""
-        self.info.check_flight(flight)
-        return self.baseline.run(flight)
-
-    def tensors(self) -> Tensors:
-        """Numbers of the rule, and the spread."""
-        return {**self.baseline.numbers, _SPREAD: self.baseline.spread}
-
-    def details(self) -> Mapping[str, Any]:
-        """Nothing more."""
-        return {}
-
-
-class Trivial(Family[TrivialPreset, TrivialModel]):
-    """Predictions anybody could write down in a minute."""
-
-    def presets(self) -> Mapping[str, TrivialPreset]:
-        """One per rule."""
-        return _PRESETS
-
-    def protocols(self, preset: TrivialPreset) -> Sequence[Protocol]:
-        """Those of the rule."""
-        return RULES[preset.rule].protocols
-
-    def fit(
-        self,
-        flights: Sequence[ResidualFlight],
-        preset: TrivialPreset,
-        task: TrainingTask,
-        folder: Path,
-        progress: Progress,
-    ) -> TrivialModel:
-        """Means and least squares."""
-        info = describe_training("trivial", flights, preset, task)
-        return TrivialModel(info, fit_baseline(preset.rule, flights, task.horizon))
-
-    def build(self, info: ModelInfo[TrivialPreset], tensors: Tensors) -> TrivialModel:
-        """The baseline of these numbers."""
-        numbers = {k: v for k, v in tensors.items() if k != _SPREAD}
-        spread, wanted = tensors[_SPREAD], RULES[info.preset.rule].names
-        if set(numbers) != set(wanted):
-            raise ValueError(
-                f"rule {info.preset.rule!r} needs {', '.join(wanted)}, not {', '.join(numbers)}"
-            )
-        if spread.shape != (N_PHASES, len(CHANNELS)):
-            raise ValueError(f"{_SPREAD} of shape {np.shape(spread)}")
-        return TrivialModel(info, Baseline(info.preset.rule, info.horizon, numbers, spread))
-
-    def export(self, model: TrivialModel, folder: Path) -> tuple[str, ...]:
-        """None."""
-        return ()

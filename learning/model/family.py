@@ -276,15 +276,10 @@ def describe_flight(flight: ResidualFlight) -> dict[str, Any]:
     }
 
 
-def hash_training(content: object) -> str:
-    """One hash of all that decides a model's numbers; JSON content."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
 def describe_training(
     family: str, flights: Sequence[ResidualFlight], preset: PresetT, task: TrainingTask
 ) -> ModelInfo[PresetT]:
-    """What a model of these flights says of itself, for a family in closed form.
+    """What a model of these flights says of itself, before it is trained.
 
     Args:
         family: Name.
@@ -304,5 +299,5 @@ def describe_training(
         vehicle=task.vehicle,
         vehicle_sha256=task.vehicle_sha256,
         flights=tuple(about),
-        training=hash_training(decides),
+        training=hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest(),
     )

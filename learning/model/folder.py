@@ -18,7 +18,7 @@ from twin.errors import ModelError
 
 from ..data.channels import CHANNELS, UNITS, check_channels
 from .family import ModelInfo
-from .registry import UNSAID, family_row
+from .registry import family_row
 
 if TYPE_CHECKING:
     from .family import Family, TrainedModel
@@ -52,7 +52,7 @@ def load(folder: Path) -> "TrainedModel":
             raise ModelError(f"{folder}: no {name}; a model is what `uavtwin train` wrote")
     try:
         content = json.loads((folder / MODEL).read_text("utf-8"))
-        family = family_row(content.get("family", UNSAID)).load()
+        family = family_row(content["family"]).load()
         model: TrainedModel = family.build(
             info_from_json(content, family), load_file(folder / WEIGHTS)
         )

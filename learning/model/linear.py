@@ -4,7 +4,6 @@ The network learns only what this leaves; each is used only as far as it helps.
 """
 
 from collections.abc import Sequence
-from typing import Protocol as Interface
 
 import numpy as np
 from numpy.typing import NDArray
@@ -320,15 +319,6 @@ def _ridge(gram: Array, moment: Array, count: int, ridge: float) -> Array:
     return np.asarray(np.linalg.solve(gram / count + ridge * np.eye(len(gram)), moment / count))
 
 
-class Normalised(Interface):
-    """A preset as far as it says how residuals are scaled."""
-
-    @property
-    def normalise(self) -> Normalise:
-        """As in `learning.preset.Preset`."""
-        ...
-
-
 def scaling_for(
     flights: Sequence[ResidualFlight], normalise: Normalise, protocol: Protocol
 ) -> Scaling:
@@ -339,7 +329,7 @@ def scaling_for(
 
 def left_out_errors(
     flights: Sequence[ResidualFlight],
-    preset: Normalised,
+    normalise: Normalise,
     protocol: Protocol,
     horizon: int,
     scaling: Scaling,
@@ -351,7 +341,7 @@ def left_out_errors(
 
     Args:
         flights: Two or more.
-        preset: How residuals are scaled.
+        normalise: How residuals are scaled.
         protocol: Decides the regressors.
         horizon: Samples, in `track`; else 0.
         scaling: In whose units the errors are told.
@@ -363,7 +353,7 @@ def left_out_errors(
     errors = []
     for one in flights:
         others = [f for f in flights if f is not one]
-        theirs = scaling_for(others, preset.normalise, protocol)
+        theirs = scaling_for(others, normalise, protocol)
         seen = sequences(others, theirs, protocol, horizon)
         base = fit_base(seen, [s.fresh for s in seen], protocol, one.rate_hz)
         for span in sequences([one], theirs, protocol, horizon):

@@ -1,11 +1,8 @@
 """The families of compensators: one row each; `train`, `evaluate` and the folder go by this table.
 
-A family is a class with its presets, and its row here. Nothing is imported
-before it is used. The systems of the paper's comparison have their rows in `benchmarks.paper`,
-which is part of the source checkout and of no wheel.
+A family is a class with its presets, and its row here. Nothing is imported before it is used.
 """
 
-from collections.abc import Collection
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, cast
@@ -45,7 +42,8 @@ class FamilyRow:
 
     def load(self) -> "Family[Any, Any]":
         """The family itself."""
-        return cast("Family[Any, Any]", _member(self.member)())
+        module, _, name = self.member.partition(":")
+        return cast("Family[Any, Any]", getattr(import_module(module), name)())
 
 
 FAMILIES: tuple[FamilyRow, ...] = (
@@ -64,80 +62,35 @@ FAMILIES: tuple[FamilyRow, ...] = (
         onnx=True,
         member="learning.training.train:Linear",
     ),
-    FamilyRow(
-        name="trivial",
-        meaning="the baselines of every evaluation, as models",
-        presets=(
-            "none",
-            "mean",
-            "last",
-            "average",
-            "last-reading",
-            "autoregression",
-            "mean-reading",
-            "linear-in-inputs",
-        ),
-        onnx=False,
-        member="learning.model.baselines:Trivial",
-    ),
 )  # every family of compensators
-UNSAID = "svq"
-"""Family of a folder from before there were others, and of whom nobody says it."""
-CHECKOUT = "benchmarks.paper.families:ROWS"
-"""Rows of the paper's comparison."""
-
-
-def _member(path: str) -> Any:
-    """The object of `MODULE:NAME`."""
-    module, _, name = path.partition(":")
-    return getattr(import_module(module), name)
-
-
-def families() -> tuple[FamilyRow, ...]:
-    """`FAMILIES`, and those of the paper's comparison where their checkout can be imported."""
-    try:
-        return (*FAMILIES, *_member(CHECKOUT))
-    except ModuleNotFoundError as error:
-        if error.name not in ("benchmarks", "benchmarks.paper"):
-            raise
-        return FAMILIES
 
 
 def family_row(name: str) -> FamilyRow:
     """The family of that name.
 
     Raises:
-        ModelError: There is none; a system of the paper's comparison needs the source checkout.
+        ModelError: There is none.
     """
-    rows = {row.name: row for row in families()}
+    rows = {row.name: row for row in FAMILIES}
     if name not in rows:
-        raise ModelError(f"no family {name!r}; there are {', '.join(rows)}{_elsewhere(rows)}")
+        raise ModelError(f"no family {name!r}; there are {', '.join(rows)}")
     return rows[name]
-
-
-def _elsewhere(rows: Collection[str]) -> str:
-    """Where further families are, if not all of them are here."""
-    if len(rows) > len(FAMILIES):
-        return ""
-    return "; systems of the paper's comparison come with the source checkout (benchmarks/paper)"
 
 
 def preset_named(name: str) -> "tuple[FamilyRow, FamilyPreset]":
     """The family that has a preset of that name, and the preset."""
-    rows = families()
-    for row in rows:
+    for row in FAMILIES:
         if name in row.presets:
             return row, row.load().presets()[name]
-    known = ", ".join(p for row in rows for p in row.presets)
-    here = [row.name for row in rows]
-    raise ModelError(f"no preset {name!r}; there are {known}{_elsewhere(here)}")
+    known = ", ".join(p for row in FAMILIES for p in row.presets)
+    raise ModelError(f"no preset {name!r}; there are {known}")
 
 
 def chosen(model: str | None, preset: str | None) -> "tuple[FamilyRow, FamilyPreset]":
     """The family and its preset, by the name of either or of both.
 
     Args:
-        model: Of the family; None: that of the preset, or the first.
+        model: Of the family; None: that of the preset, or `svq`.
         preset: None: what the family takes where nobody says.
 
     Raises:
@@ -145,7 +98,7 @@ def chosen(model: str | None, preset: str | None) -> "tuple[FamilyRow, FamilyPre
     """
     if model is None and preset is not None:
         return preset_named(preset)
-    row = family_row(UNSAID if model is None else model)
+    row = family_row(model or "svq")
     if preset is not None and preset not in row.presets:
         raise ModelError(
             f"model {row.name} has the presets {', '.join(row.presets)}, no {preset!r}"

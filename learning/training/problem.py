@@ -108,7 +108,7 @@ class TrainingProblem:
         self.compensator.leftover.copy_(torch.from_numpy(self.leftover))
         self.unseen: list[Array] | None = None
         if len(flights) > 1 and protocol != "reconstruct" and preset.linear:
-            self.unseen = left_out_errors(flights, preset, protocol, horizon, scaling)
+            self.unseen = left_out_errors(flights, preset.normalise, protocol, horizon, scaling)
         self.samples = TrainingSamples(
             self.spans, [e / self.leftover for e in self.left], self.train
         )

@@ -8,7 +8,7 @@ the machine is shared.
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +32,7 @@ from ..model.family import (
     TrainedModel,
     TrainingTask,
     check_flights,
-    describe_flight,
-    hash_training,
+    describe_training,
     silent,
 )
 from ..model.folder import CURVE, MODEL, load, save, write_json
@@ -48,93 +47,13 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 NETWORK = "network"
 """Its optimiser, in the checkpoint."""
+CHECKPOINT_S = 15.0
+"""Between two checkpoints."""
 SLOWEST_RATE = 0.01
 """Share of the learning rate at the end of its schedule."""
 
 
-def train(
-    flights: Sequence[ResidualFlight],
-    preset: Preset,
-    protocol: Protocol,
-    horizon: int,
-    seed: int,
-    folder: Path,
-    progress: Progress | None = None,
-    resume: bool = True,
-    vehicle: str = "",
-    vehicle_sha256: str = "",
-    checkpoint_s: float = 15.0,
-    device: torch.device = CPU,
-    checkpoints: Path | None = None,
-) -> Compensator:
-    """Train on all flights and write the model's folder: weights, description, learning curve.
-
-    Args:
-        flights: At one rate and with one number of commands.
-        preset: Hyper-parameters.
-        protocol: What the model sees.
-        horizon: Samples, in `track`; else 0.
-        seed: Of everything that is drawn.
-        folder: Made if it does not exist.
-        progress: Called after each epoch.
-        resume: Go on from the folder's checkpoint, or take its model if it is this training's.
-        vehicle: Name of the twin's vehicle, to be written down.
-        vehicle_sha256: Of its file.
-        checkpoint_s: Seconds between two checkpoints.
-        device: To train on; the model ends on the processor.
-        checkpoints: Folder of the checkpoint, which stays there at the end; None: that of the
-            model, from which it is removed.
-
-    Raises:
-        ModelError: The flights do not fit together, or the folder belongs to another training.
-    """
-    check_flights(flights)
-    check_protocol(protocol, horizon)
-    about = [describe_flight(f) for f in flights]
-    training = hash_training([asdict(preset), protocol, horizon, seed, about])
-    folder.mkdir(parents=True, exist_ok=True)
-    if resume and (folder / MODEL).is_file():
-        done = load(folder)
-        if isinstance(done, Compensator) and done.info.training == training:
-            return done
-    if not resume:
-        (folder / CHECKPOINT).unlink(missing_ok=True)
-    with one_thread(), torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        piece = TrainingProblem(flights, preset, protocol, horizon, seed)
-        standing = TrainingState(training)
-        if preset.network:
-            piece.network.to(device)
-            place = checkpoints or folder
-            standing = _fit(piece, training, place, progress or silent, checkpoint_s)
-            piece.network.to(CPU)
-        piece.calibrate()
-    compensator = piece.compensator
-    compensator.info = replace(
-        compensator.info,
-        vehicle=vehicle,
-        vehicle_sha256=vehicle_sha256,
-        flights=tuple(about),
-        training=training,
-        metrics={
-            "epochs": standing.epoch,
-            "best_epoch": standing.best_epoch,
-            "validation_mse": piece.validation_mse(),
-        }
-        if preset.network
-        else {},
-    )
-    if preset.network:
-        write_json(folder / CURVE, standing.curve)
-    save(compensator, folder)
-    if checkpoints is None:
-        (folder / CHECKPOINT).unlink(missing_ok=True)
-    return compensator.eval()
-
-
-def _fit(
-    piece: TrainingProblem, training: str, folder: Path, progress: Progress, checkpoint_s: float
-) -> TrainingState:
+def _fit(piece: TrainingProblem, training: str, folder: Path, progress: Progress) -> TrainingState:
     """Run the epochs that are left; the network ends with its best weights."""
     preset, network = piece.preset, piece.network
     optimiser = torch.optim.Adam(list(network.parameters()), lr=preset.learning_rate, fused=True)
@@ -157,13 +76,12 @@ def _fit(
                 best = _copy(network)
         standing.curve.append(entry)
         now = time.monotonic()
-        if now - saved >= checkpoint_s:
+        if now - saved >= CHECKPOINT_S:
             save_checkpoint(folder, standing, network.state_dict(), best, {NETWORK: optimiser})
             saved = time.monotonic()
         per_epoch = (now - began) / (standing.epoch - done_before)
         progress(standing.epoch / preset.epochs, per_epoch * (preset.epochs - standing.epoch))
     network.load_state_dict(best)
-    progress(1.0, 0.0)
     return standing
 
 
@@ -177,7 +95,16 @@ def _epoch(piece: TrainingProblem, optimiser: torch.optim.Optimizer, epoch: int)
     device = network.phase_embedding.device
     state = torch.zeros(0, device=device)
     sums, steps = np.zeros(4), 0
-    for window in piece.samples.windows(preset, piece.seed, epoch):
+    windows = piece.samples.windows(
+        preset.batch,
+        preset.window,
+        piece.seed,
+        epoch,
+        preset.stride,
+        preset.carry,
+        preset.augment,
+    )
+    for window in windows:
         if window.begins:
             state = torch.zeros(len(window.known), network.state_size, device=device)
         here = window.at(device)
@@ -263,6 +190,8 @@ def fit_model(
     with one_thread():
         model: TrainedModel = row.load().fit(flights, preset, task, folder, progress)
     save(model, folder)
+    if task.checkpoints is None:
+        (folder / CHECKPOINT).unlink(missing_ok=True)
     progress(1.0, 0.0)
     return model
 
@@ -286,20 +215,33 @@ class Svq(Family[Preset, Compensator]):
         folder: Path,
         progress: Progress,
     ) -> Compensator:
-        """Train; a checkpoint in the folder is gone on from."""
-        return train(
-            flights,
-            preset,
-            task.protocol,
-            task.horizon,
-            task.seed,
-            folder,
-            progress,
-            vehicle=task.vehicle,
-            vehicle_sha256=task.vehicle_sha256,
-            device=device_named(task.device),
-            checkpoints=task.checkpoints,
-        )
+        """Train; a checkpoint in the folder is gone on from, a model of this training is taken."""
+        info = describe_training("svq", flights, preset, task)
+        if (folder / MODEL).is_file():
+            done = load(folder)
+            if isinstance(done, Compensator) and done.info.training == info.training:
+                return done
+        place, device = task.checkpoints or folder, device_named(task.device)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(task.seed)
+            piece = TrainingProblem(flights, preset, task.protocol, task.horizon, task.seed)
+            standing = TrainingState(info.training)
+            if preset.network:
+                piece.network.to(device)
+                standing = _fit(piece, info.training, place, progress)
+                piece.network.to(CPU)
+            piece.calibrate()
+        model, metrics = piece.compensator, {}
+        if preset.network:
+            metrics = {
+                "epochs": standing.epoch,
+                "best_epoch": standing.best_epoch,
+                "validation_mse": piece.validation_mse(),
+            }
+            write_json(folder / CURVE, standing.curve)
+        own = model.info
+        model.info = replace(info, preset=own.preset, clusters=own.clusters, metrics=metrics)
+        return model.eval()
 
     def build(self, info: ModelInfo[Preset], tensors: Tensors) -> Compensator:
         """The network with these weights."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol as Interface
 
 import numpy as np
 import torch
@@ -73,35 +72,6 @@ def _ends(flight: ResidualFlight, share: float, wanted: BoolArray) -> BoolArray:
     return rows
 
 
-class Windowed(Interface):
-    """How training samples are cut into windows; as in `learning.preset.Preset`."""
-
-    @property
-    def batch(self) -> int:
-        """Windows per step."""
-        ...
-
-    @property
-    def window(self) -> int:
-        """Samples of each."""
-        ...
-
-    @property
-    def stride(self) -> int | None:
-        """Samples between the starts of two."""
-        ...
-
-    @property
-    def carry(self) -> int:
-        """Windows through which a state is carried on."""
-        ...
-
-    @property
-    def augment(self) -> float:
-        """Spread of random amplitudes and offsets."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class Window:
     """Samples for one step of the optimiser, shapes (batch, time, ...).
@@ -150,21 +120,40 @@ class TrainingSamples:
         ends = np.cumsum([len(span.d) for span in spans])
         self.bounds = [(int(e) - len(s.d), int(e)) for s, e in zip(spans, ends, strict=True)]
 
-    def windows(self, preset: Windowed, seed: int, epoch: int) -> Iterator[Window]:
-        """The windows of one epoch, in random order: the same for the same seed and epoch."""
+    def windows(
+        self,
+        batch: int,
+        window: int,
+        seed: int,
+        epoch: int,
+        stride: int | None = None,
+        carry: int = 1,
+        augment: float = 0.0,
+    ) -> Iterator[Window]:
+        """The windows of one epoch, in random order: the same for the same seed and epoch.
+
+        Args:
+            batch: Windows per step.
+            window: Samples of each.
+            seed: Of the order, and of what is drawn.
+            epoch: Number of the pass.
+            stride: As the next two in `learning.preset.Preset`.
+            carry: Windows.
+            augment: Spread.
+        """
         rng = np.random.default_rng([seed, epoch])
-        segments = self._segments(preset, rng)
+        segments = self._segments(carry * window, stride, rng)
         segments = [segments[i] for i in rng.permutation(len(segments))]
-        for k in range(0, len(segments), preset.batch):
-            chosen = segments[k : k + preset.batch]
-            count = -(-max(b - a for a, b in chosen) // preset.window)
-            index = np.full((len(chosen), count * preset.window), len(self.known) - 1)
+        for k in range(0, len(segments), batch):
+            chosen = segments[k : k + batch]
+            count = -(-max(b - a for a, b in chosen) // window)
+            index = np.full((len(chosen), count * window), len(self.known) - 1)
             for row, (a, b) in zip(index, chosen, strict=True):
                 row[: b - a] = np.arange(a, b)
-            draws = rng.normal(0.0, preset.augment, (2, len(chosen), 1, self.known.shape[-1]))
+            draws = rng.normal(0.0, augment, (2, len(chosen), 1, self.known.shape[-1]))
             amplitude, offset = torch.from_numpy(draws.astype(np.float32))
             for w in range(count):
-                rows = torch.from_numpy(index[:, w * preset.window : (w + 1) * preset.window])
+                rows = torch.from_numpy(index[:, w * window : (w + 1) * window])
                 yield Window(
                     begins=w == 0,
                     known=self.known[rows] * (1 + amplitude) + offset,
@@ -174,10 +163,11 @@ class TrainingSamples:
                     scored=self.scored[rows],
                 )
 
-    def _segments(self, preset: Windowed, rng: np.random.Generator) -> list[tuple[int, int]]:
+    def _segments(
+        self, length: int, stride: int | None, rng: np.random.Generator
+    ) -> list[tuple[int, int]]:
         """Rows [a, b) over which the state is carried on; only those with a sample that counts."""
-        length = preset.carry * preset.window
-        stride = preset.stride or length
+        stride = stride or length
         segments = []
         for a, b in self.bounds:
             first = a - int(rng.integers(stride)) if b - a > length else a

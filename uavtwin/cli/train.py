@@ -26,22 +26,18 @@ if TYPE_CHECKING:
 
 LONGEST_HORIZON_S = 1.0
 """Of a compensator that sees past residuals."""
-Protocol = Literal["force", "reconstruct", "track", "free", "generate"]
+Protocol = Literal["force", "reconstruct", "track", "free"]
 
 ModelName = Annotated[
     str | None,
     typer.Option(
-        help="svq: ours; linear: no network; trivial; from a source checkout also the systems of "
-        "the paper's comparison, such as cvae. Default: that of the preset, else svq; of free "
+        help="svq: ours; linear: no network. Default: that of the preset, else svq; of free "
         "without --epochs linear."
     ),
 ]
 PresetName = Annotated[
     str | None,
-    typer.Option(
-        help="Of svq: best: ours; paper: the paper's text; published: its code. Of trivial: "
-        "mean, last, ...: docs/method/compensator.md."
-    ),
+    typer.Option(help="Of svq: best: ours; paper: the paper's text; published: its code."),
 ]
 
 
@@ -55,7 +51,7 @@ def train(
         typer.Option(
             help="force: force and moment inside the equations. Of the sensors: track: it sees "
             "residuals as old as the horizon; free: none; reconstruct: the present one, for "
-            "comparison with the paper; generate: none, it draws (from a source checkout)."
+            "comparison with the paper."
         ),
     ] = "track",
     horizon: Annotated[

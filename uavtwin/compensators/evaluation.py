@@ -211,19 +211,13 @@ def evaluate_model(
         progress: Called with the share done.
 
     Raises:
-        TwinError: The folder is no model or one that corrects nothing, a flight was trained on or
-            cannot be compared.
+        TwinError: The folder is no model, a flight was trained on or cannot be compared.
     """
     model = load(folder)
     train = read_residuals(folder / RESIDUALS)
     vehicle = load_vehicle(folder / VEHICLE_FILE)
     check_names(given)
     check_new(given, folder, model)
-    if model.info.protocol == "generate":
-        raise TwinError(
-            f"{folder}: draws signals and corrects nothing. In a source checkout `python -m "
-            "benchmarks.paper.generated evaluate` compares its draws with flights."
-        )
     vehicles = [vehicle] if explained is None else [vehicle, explained]
     residuals: list[list[ResidualFlight]] = [[] for _ in vehicles]
     rate_hz = model.info.rate_hz

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from learning_rigs.residual_rig import made_up, tiny
+from learning_rigs.residual_rig import made_up, tiny, train
 
 from learning.data.channels import CHANNELS
 from learning.model.compensator import Compensator
 from learning.model.folder import MODEL, WEIGHTS, load, save
-from learning.training.train import train
 from twin.errors import ModelError
 
 FLIGHT = made_up(0)
@@ -21,7 +20,7 @@ FLIGHT = made_up(0)
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("model")
     preset = tiny(epochs=1, clustering="sensors")
-    train([FLIGHT], preset, "track", 2, 0, path, vehicle="v", vehicle_sha256="0f")
+    train([FLIGHT], preset, "track", 2, 0, path)
     return path
 
 

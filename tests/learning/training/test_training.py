@@ -10,7 +10,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from learning_rigs.residual_rig import UNITS, made_up, tiny
+from learning_rigs.residual_rig import UNITS, made_up, tiny, train
 from scipy.signal import lfilter
 
 from learning.data.channels import CHANNELS
@@ -23,8 +23,9 @@ from learning.model.folder import CURVE, MODEL, WEIGHTS, load
 from learning.model.linear import fit_base, gates, predict_base, regressors
 from learning.model.registry import preset_named
 from learning.preset import Preset, Protocol
+from learning.training import train as training
 from learning.training.checkpoint import CHECKPOINT
-from learning.training.train import fit_model, train
+from learning.training.train import fit_model
 from learning.training.windows import validation_rows
 from twin.errors import ModelError
 
@@ -56,9 +57,10 @@ def left(model: Compensator, flight: ResidualFlight) -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.parametrize(("protocol", "horizon"), [("reconstruct", 0), ("track", 2), ("free", 0)])
 def test_killed_and_resumed_is_uninterrupted(
-    protocol: Protocol, horizon: int, tmp_path: Path
+    protocol: Protocol, horizon: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     preset = tiny()
+    monkeypatch.setattr(training, "CHECKPOINT_S", 0.0)
     train(FLIGHTS, preset, protocol, horizon, 3, tmp_path / "whole")
     for epochs in (1, 3):
         with pytest.raises(KilledError):
@@ -69,8 +71,7 @@ def test_killed_and_resumed_is_uninterrupted(
                 horizon,
                 3,
                 tmp_path / "cut",
-                progress=kill_after(epochs, preset),
-                checkpoint_s=0,
+                kill_after(epochs, preset),
             )
         assert (tmp_path / "cut" / CHECKPOINT).is_file()
     train(FLIGHTS, preset, protocol, horizon, 3, tmp_path / "cut")
@@ -108,22 +109,22 @@ def test_training_again_takes_the_finished_model(tmp_path: Path) -> None:
     train(FLIGHTS, tiny(), "free", 0, 0, tmp_path, progress)
     assert seen == [0.25, 0.5, 0.75, 1.0, 1.0]
     train(FLIGHTS, tiny(), "free", 0, 0, tmp_path, progress)
-    assert len(seen) == 5
-    train(FLIGHTS, tiny(), "free", 0, 0, tmp_path, progress, resume=False)
-    assert len(seen) == 10
+    assert len(seen) == 6
 
 
 @pytest.mark.slow
-def test_a_foreign_checkpoint_is_refused(tmp_path: Path) -> None:
+def test_a_foreign_checkpoint_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     preset = tiny()
+    monkeypatch.setattr(training, "CHECKPOINT_S", 0.0)
     with pytest.raises(KilledError):
-        train(FLIGHTS, preset, "free", 0, 0, tmp_path, kill_after(1, preset), checkpoint_s=0)
+        train(FLIGHTS, preset, "free", 0, 0, tmp_path, kill_after(1, preset))
     with pytest.raises(ModelError, match=r"another training.*delete it"):
         train(FLIGHTS, preset, "free", 0, 1, tmp_path)
     (tmp_path / CHECKPOINT).write_bytes(b"\x08\0\0\0\0\0\0\0garbage!")
     with pytest.raises(ModelError, match="not readable"):
         train(FLIGHTS, preset, "free", 0, 0, tmp_path)
-    train(FLIGHTS, preset, "free", 0, 1, tmp_path, resume=False)
+    (tmp_path / CHECKPOINT).unlink()
+    train(FLIGHTS, preset, "free", 0, 1, tmp_path)
     assert load(tmp_path).info.seed == 1
 
 
@@ -193,9 +194,9 @@ def test_stops_early_and_keeps_the_best(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("protocol", "horizon"), [("track", 1), ("track", 30), ("free", 0)])
 def test_gate_never_makes_the_validation_error_larger(
-    protocol: str, horizon: int, tmp_path: Path
+    protocol: Protocol, horizon: int, tmp_path: Path
 ) -> None:
-    model = train(FLIGHTS, tiny(), protocol, horizon, 0, tmp_path)  # type: ignore[arg-type]
+    model = train(FLIGHTS, tiny(), protocol, horizon, 0, tmp_path)
     errors = model.info.metrics["validation_mse"]
     for name in CHANNELS:
         assert errors[name]["with_network"] <= errors[name]["linear"] * (1 + 1e-9), name

@@ -1,13 +1,19 @@
 """What the tests of the compensator share: made-up residual flights and a tiny preset."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from learning.data.flights import ResidualFlight
-from learning.preset import BEST, Preset
+from learning.model.compensator import Compensator
+from learning.model.family import Progress, TrainingTask, silent
+from learning.model.registry import family_row
+from learning.preset import BEST, Preset, Protocol
+from learning.training.train import fit_model
 
 Array = NDArray[np.float64]
 TINY = replace(
@@ -69,3 +75,20 @@ def made_up(
 def tiny(**changes: object) -> Preset:
     """The tiny preset with some switches turned."""
     return replace(TINY, **changes)  # type: ignore[arg-type]
+
+
+def train(
+    flights: Sequence[ResidualFlight],
+    preset: Preset,
+    protocol: Protocol,
+    horizon: int,
+    seed: int,
+    folder: Path,
+    progress: Progress = silent,
+) -> Compensator:
+    """A compensator of these flights, its folder written."""
+    task = TrainingTask(protocol, horizon, seed, "v", "0f")
+    row = family_row("svq" if preset.network else "linear")
+    model = fit_model(flights, row, preset, task, folder, progress)
+    assert isinstance(model, Compensator)
+    return model

@@ -5,17 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.paper.system import SystemModel
+from benchmarks.paper.system import Role, SystemModel, SystemPreset, fit_system
+from benchmarks.paper.trainings import SYSTEMS
 from learning.data.flights import ResidualFlight
-from learning.model.family import TrainingTask
-from learning.model.registry import family_row
-from learning.preset import Protocol
-from learning.training.train import fit_model
 
-SYSTEMS = (
-    *("cvae", "vqvae", "wgan", "tsgan", "vqgan", "cgan", "mrgan", "vqwwvae", "tdm", "timeddpm"),
-    *("autofiltervq", "contrastvq", "mcvq"),
-)
 PHASES = (1, 2)
 LEVEL = 2.0
 """Distance of the phases' means, in spreads within each."""
@@ -44,7 +37,7 @@ def known(seed: int, n: int = 400) -> ResidualFlight:
 
 def small(
     name: str,
-    protocol: Protocol,
+    role: Role,
     epochs: int,
     folder: Path,
     **preset: float,
@@ -53,15 +46,12 @@ def small(
 
     Args:
         name: Of the system.
-        protocol: What it is to do.
+        role: What it is to do.
         epochs: Passes over the flights.
-        folder: For the model.
+        folder: For the checkpoint; made if it does not exist.
         preset: What else is other than the system's preset.
     """
-    row = family_row(name)
     size = {"epochs": epochs, "code_size": 32, "n_codes": 64, "units": 32, "window": 50}
-    changed = replace(row.load().presets()[name], **(size | preset))
-    flights = [known(k) for k in range(4)]
-    model = fit_model(flights, row, changed, TrainingTask(protocol), folder)
-    assert isinstance(model, SystemModel)
-    return model
+    changed = replace(SystemPreset(name), **(size | preset))  # type: ignore[arg-type]
+    folder.mkdir(exist_ok=True)
+    return fit_system(SYSTEMS[name], [known(k) for k in range(4)], changed, role, folder)
