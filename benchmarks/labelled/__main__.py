@@ -18,7 +18,7 @@ from twin.why.flight import FlightFrame
 from .flights import Labelled, labelled, opened
 from .instruments import faults, normal_flights
 from .methods import METHODS, Asked
-from .page import tables, write_between
+from .page import flight_rows, tables, write_between, write_flights
 from .score import Said
 
 
@@ -61,6 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(text)
     if given.page is not None:
         write_between(given.page, text)
+        write_flights(given.page.with_suffix(".csv"), list(flight_rows(said)))
 
 
 if __name__ == "__main__":

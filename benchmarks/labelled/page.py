@@ -1,5 +1,6 @@
-"""The generated part of `docs/results/labelled_flights.md`."""
+"""The generated part of `docs/results/labelled_flights.md`, and the flights in a file beside it."""
 
+import csv
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -36,7 +37,7 @@ INSTRUMENTS = (
 
 
 def tables(said: Mapping[str, Sequence[Said]], outcomes: Sequence[Outcome] = ()) -> str:
-    """A table per set, and one flight by flight; one of simulated faults of instruments."""
+    """A table per set; one of simulated faults of instruments."""
     sets = list(dict.fromkeys(s.flight.set for rows in said.values() for s in rows))
     lines = [line for name in sets for line in _set(name, said)]
     if outcomes:
@@ -55,8 +56,6 @@ def _set(name: str, said: Mapping[str, Sequence[Said]]) -> Iterator[str]:
     for method, rows in said.items():
         yield _row(method, score([s for s in rows if s.flight.set == name]))
     yield ""
-    if len(next(iter(said.values()))) and name != "simulated":
-        yield from _flights(name, said)
 
 
 def _row(method: str, s: Score) -> str:
@@ -82,16 +81,14 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
 
 
-def _flights(name: str, said: Mapping[str, Sequence[Said]]) -> Iterator[str]:
-    """Answers flight by flight; what is right is set in bold."""
-    yield f"| flight | label | {' | '.join(said)} |"
-    yield "|" + "---|" * (2 + len(said))
-    rows = [[s for s in each if s.flight.set == name] for each in said.values()]
-    for answers in zip(*rows, strict=True):
+def flight_rows(said: Mapping[str, Sequence[Said]]) -> Iterator[dict[str, str]]:
+    """Answers flight by flight, but of simulated ones; what is right has a star on both sides."""
+    for answers in zip(*said.values(), strict=True):
         flight = answers[0].flight
-        label = _said(flight.label, flight.rotors, flight.onset_s)
-        yield f"| {flight.name} | {label} | {' | '.join(map(_answer, answers))} |"
-    yield ""
+        if flight.set != "simulated":
+            label = _said(flight.label, flight.rotors, flight.onset_s)
+            given = dict(zip(said, map(_answer, answers), strict=True))
+            yield {"set": flight.set, "flight": flight.name, "label": label, **given}
 
 
 def _said(label: str, rotors: frozenset[int], onset_s: float | None) -> str:
@@ -113,7 +110,19 @@ def _answer(said: Said) -> str:
         text += f" ({answer.probability:.2f})"
     if answer.others and answer.label == NORMAL:
         text += f", {answer.others} of no class"
-    return f"**{text}**" if is_right(said) else text
+    return f"*{text}*" if is_right(said) else text
+
+
+def write_flights(file: Path, rows: Sequence[Mapping[str, str]]) -> None:
+    """Replace the rows of these sets in a CSV file; those of other sets stay."""
+    kept: list[Mapping[str, str]] = []
+    if file.is_file():
+        with file.open(encoding="utf-8", newline="") as old:
+            kept = [r for r in csv.DictReader(old) if r["set"] not in {n["set"] for n in rows}]
+    with file.open("w", encoding="utf-8", newline="") as new:
+        writer = csv.DictWriter(new, [*rows[0]], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows([*kept, *rows])
 
 
 def write_between(page: Path, text: str) -> None:

@@ -13,7 +13,14 @@ from benchmarks.labelled import methods
 from benchmarks.labelled.flights import CLASSES, INDEX, NORMAL, Labelled, class_of, labelled, opened
 from benchmarks.labelled.instruments import Outcome
 from benchmarks.labelled.methods import METHODS, Answer, Asked
-from benchmarks.labelled.page import BEGIN, END, tables, write_between
+from benchmarks.labelled.page import (
+    BEGIN,
+    END,
+    flight_rows,
+    tables,
+    write_between,
+    write_flights,
+)
 from benchmarks.labelled.score import Said, calibration_error, score
 from twin.errors import TwinError
 from twin.logs import Flight, write_flight
@@ -153,7 +160,17 @@ def test_the_generated_part_replaces_itself_alone(tmp_path: Path) -> None:
     written = page.read_text("utf-8")
     assert written.startswith("before\n") and written.endswith("after\n") and "old" not in written
     assert written.count("stays") == 1 and written.count("### own") == 1
-    assert "**rotor failure 1, 10.10 s (0.90)**" in written
     assert "| `gyro_bias` | large | 1 | 1 | 0 | 0.10 | 0 |" in written
     with pytest.raises(ValueError, match="has no"):
         write_between(Path(__file__).parent / "test_run.py", text)
+
+
+def test_flights_stand_in_a_file_whose_other_sets_stay(tmp_path: Path) -> None:
+    file = tmp_path / "flights.csv"
+    said = {"ours": [_said("rotor_failure", Answer("rotor_failure", frozenset([1]), 10.1, 0.9))]}
+    (row,) = flight_rows(said)
+    assert row["ours"] == "*rotor failure 1, 10.10 s (0.90)*"
+    write_flights(file, [{**row, "set": "another"}, {**row, "ours": "old"}])
+    write_flights(file, [row])
+    written = file.read_text("utf-8")
+    assert written.count("another,") == 1 and "old" not in written and row["ours"] in written
