@@ -14,9 +14,9 @@ flight) as one model left it:
 | *_std | in units of the training residual's spread in this channel |
 | inside | share of samples within the model's envelope |
 | within_1, within_2 | share of samples within one and two predicted spreads |
-| before B, left B | power in frequency band B, Hz, about the mean |
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,10 +24,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.stats import wasserstein_distance
 
 from twin.errors import ModelError
 
-from . import metrics
 from .data.channels import CHANNELS, GROUPS, N_PHASES, PHASE_CODES, UNITS
 from .data.flights import ResidualFlight
 from .model.baselines import fit_baselines, phase_means
@@ -69,14 +69,6 @@ class Task:
                 f"protocol {self.protocol}, horizon {self.horizon} samples: track needs 1 or more, "
                 f"the others 0."
             )
-
-
-TASKS = (
-    Task("reconstruct"),
-    *(Task("track", h) for h in (1, 10, 50, 100)),
-    Task("free"),
-)
-"""Every protocol whose corrections are compared sample by sample."""
 
 
 def evaluate(
@@ -141,16 +133,15 @@ def pooled(
     """
     weight = table["n"]
     columns = {name: table[name] for name in by}
-    powers = [c for c in table if c.startswith(("before ", "left "))]
     parts = pd.DataFrame(columns | {"n": weight})
-    for name in (*_MEANS, *powers):
+    for name in _MEANS:
         parts[name] = weight * table[name]
         parts[f"{name}/n"] = weight.where(table[name].notna(), 0)
     for name in _ROOTS:
         parts[name] = weight * table[name] ** 2
     sums = parts.groupby(list(by), sort=False, dropna=False).sum()
     found = pd.DataFrame({"n": sums["n"]})
-    for name in (*_MEANS, *powers):
+    for name in _MEANS:
         found[name] = sums[name] / sums[f"{name}/n"].where(sums[f"{name}/n"] > 0)
     for name in _ROOTS:
         found[name] = np.sqrt(sums[name] / sums["n"])
@@ -211,10 +202,9 @@ class Cell:
         """Take the samples; what holds for all models is computed once."""
         self._c, self._here = c, here
         self._residual = flight.residual[here, c]
-        self._t_s, self._scale = flight.t_s[here], scale[flight.phase[here], c]
-        self._before = metrics.rmse(self._residual)
-        self._spread_before = metrics.spread_of(self._residual)
-        self._powers = self._bands("before", self._residual)
+        self._scale = scale[flight.phase[here], c]
+        self._before = rmse(self._residual)
+        self._spread_before = spread_of(self._residual)
         self._key = {
             "flight": flight.name,
             "phase": phase,
@@ -229,32 +219,78 @@ class Cell:
         here, scale = self._here, self._scale
         correction, spread = corrected.correction[here, self._c], corrected.spread[here, self._c]
         left = self._residual - correction
-        rmse, spread_left = metrics.rmse(left), metrics.spread_of(left)
+        rms, spread_left = rmse(left), spread_of(left)
         return {
             **self._key,
-            "mse": rmse**2,
-            "rmse": rmse,
-            "mae": metrics.mae(left),
-            "wasserstein": metrics.wasserstein(self._residual, correction),
+            "mse": rms**2,
+            "rmse": rms,
+            "mae": mae(left),
+            "wasserstein": wasserstein(self._residual, correction),
             "rmse_before": self._before,
-            "removed": metrics.share_removed(rmse, self._before),
+            "removed": share_removed(rms, self._before),
             "spread_before": self._spread_before,
             "spread_left": spread_left,
-            "removed_beyond_constant": metrics.share_removed(spread_left, self._spread_before),
-            "mse_std": metrics.mse(left / scale),
-            "rmse_std": metrics.rmse(left / scale),
-            "mae_std": metrics.mae(left / scale),
-            "wasserstein_std": metrics.wasserstein(self._residual / scale, correction / scale),
+            "removed_beyond_constant": share_removed(spread_left, self._spread_before),
+            "mse_std": mse(left / scale),
+            "rmse_std": rmse(left / scale),
+            "mae_std": mae(left / scale),
+            "wasserstein_std": wasserstein(self._residual / scale, correction / scale),
             "inside": float(np.mean(corrected.inside[here])),
-            "within_1": metrics.coverage(left, spread, 1),
-            "within_2": metrics.coverage(left, spread, 2),
-            **self._powers,
-            **self._bands("left", left),
+            "within_1": coverage(left, spread, 1),
+            "within_2": coverage(left, spread, 2),
         }
 
-    def _bands(self, stem: str, values: Array) -> dict[str, float]:
-        powers = metrics.band_powers(self._t_s, values)
-        return {f"{stem} {b}": float(p) for b, p in zip(metrics.BANDS, powers, strict=True)}
+
+# -- how far a correction is from the residual --------------------------------------------
+
+
+def mse(left: Array) -> float:
+    """Mean square of what is left, shape (n,); NaN of nothing."""
+    return float(np.mean(left**2)) if len(left) else math.nan
+
+
+def rmse(left: Array) -> float:
+    """Root of `mse`."""
+    return math.sqrt(mse(left))
+
+
+def mae(left: Array) -> float:
+    """Mean absolute value of what is left, shape (n,); NaN of nothing."""
+    return float(np.mean(np.abs(left))) if len(left) else math.nan
+
+
+def spread_of(left: Array) -> float:
+    """Rms about the mean, shape (n,): what the best constant leaves."""
+    return float(np.std(left)) if len(left) else math.nan
+
+
+def wasserstein(measured: Array, simulated: Array) -> float:
+    """Distance of two distributions, unit of the samples: how far they must be moved on average.
+
+    Source: earth mover's distance of order 1, Villani, Optimal Transport (2009), ch. 6.
+    """
+    if not len(measured) or not len(simulated):
+        return math.nan
+    return float(wasserstein_distance(measured, simulated))
+
+
+def share_removed(left: float, before: float) -> float:
+    """Share of an rms that is gone: 1 all, 0 nothing, negative where it grew; NaN of nothing."""
+    return 1 - left / before if before > 0 else math.nan
+
+
+def coverage(left: Array, spread: Array, times: float) -> float:
+    """Share of samples at most so many spreads away, 0..1; a Gaussian has 0.683 and 0.954.
+
+    Args:
+        left: What is left, shape (n,).
+        spread: Predicted standard deviation, shape (n,), same unit.
+        times: How many spreads.
+    """
+    return float(np.mean(np.abs(left) <= times * spread)) if len(left) else math.nan
+
+
+# -- what is refused ----------------------------------------------------------------------
 
 
 def check_flights(train: Sequence[ResidualFlight], test: Sequence[ResidualFlight]) -> None:

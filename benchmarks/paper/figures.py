@@ -16,7 +16,7 @@ from plotly.subplots import make_subplots
 
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES, UNITS
 from learning.data.flights import ResidualFlight
-from learning.metrics import mse, rmse
+from learning.evaluation import mse, rmse
 from uavtwin.report.page import plot, render
 
 from .missions import MISSIONS, CorrectedMission

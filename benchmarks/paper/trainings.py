@@ -27,7 +27,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from learning import metrics
+from learning import evaluation as metrics
 from learning.compute import device_named, one_thread
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight
@@ -39,6 +39,7 @@ from learning.preset import Preset, Protocol
 from learning.training.train import fit_model
 from twin.errors import LogError, ModelError
 from twin.logs.stored import as_log_error, opened
+from twin.residuals.gap import spectrum
 
 from .adversarial import Cgan, MrGan, TsGan, Wgan
 from .autoencoders import AutoFilterVq, ContrastVq, Cvae, McVq, VqGan, VqVae, VqwwVae
@@ -250,7 +251,7 @@ def drawn_scores(
         own = [said for part in parts for n, _, said in part if n == name]
         t_s = np.arange(len(residual)) / tests[0].rate_hz
         spectral = [
-            metrics.log_spectral_distance(t_s, r, s)
+            log_spectral_distance(t_s, r, s)
             for said in own
             for r, s in zip(residual.T, said.T, strict=True)
         ]
@@ -302,6 +303,22 @@ def _means(residual: Array, said: Array) -> dict[str, float]:
         "mae": float(np.mean([metrics.mae(r - s) for r, s in columns])),
         "wasserstein": float(np.mean([metrics.wasserstein(r, s) for r, s in columns])),
     }
+
+
+def log_spectral_distance(t_s: Array, measured: Array, simulated: Array) -> float:
+    """Root mean square difference of two power spectra, dB; NaN for less than 16 samples.
+
+    Frequencies at which either has no power to rounding are left out.
+
+    Source: Gray & Markel, IEEE Trans. ASSP 24 (1976), 380.
+    """
+    a, b = (spectrum(t_s, v).psd[1:] for v in (measured, simulated))
+    if not len(a):
+        return float("nan")
+    known = (a > 1e-12 * a.max()) & (b > 1e-12 * b.max()) if a.max() > 0 and b.max() > 0 else a < 0
+    if not known.any():
+        return float("nan")
+    return metrics.rmse(10 * np.log10(a[known] / b[known]))
 
 
 @one_thread()

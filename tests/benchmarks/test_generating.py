@@ -17,9 +17,9 @@ from benchmarks.paper.innovations import (
     innovations,
     synthesis,
 )
+from benchmarks.paper.trainings import log_spectral_distance
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight, held
-from learning.metrics import log_spectral_distance
 from learning.model.family import Model
 
 Array = np.ndarray
@@ -197,3 +197,12 @@ def test_recordings_are_pieces_of_the_same_phase() -> None:
     for phase in (TAKEOFF, HOVER):
         known = {tuple(r) for f in TRAIN for r in np.nan_to_num(f.residual[f.phase == phase])}
         assert {tuple(r) for r in said[TEST[0].phase == phase]} <= known
+
+
+def test_log_spectral_distance_of_a_louder_signal() -> None:
+    t = np.arange(8000) / 100
+    values = np.random.default_rng(3).standard_normal(8000)
+    assert log_spectral_distance(t, values, values) == 0
+    louder = log_spectral_distance(t, values, 2 * values)
+    assert louder == pytest.approx(20 * np.log10(2), rel=1e-9)
+    assert np.isnan(log_spectral_distance(t, values, np.zeros(8000)))

@@ -12,7 +12,7 @@ from benchmarks.paper.system import Batch, SystemModel, SystemPreset, begun, rol
 from benchmarks.paper.tables import NAMES, printed
 from benchmarks.paper.trainings import SYSTEMS
 from learning.data.flights import ResidualFlight
-from learning.metrics import wasserstein
+from learning.evaluation import wasserstein
 from twin.errors import ModelError
 
 AWAY = known(9)

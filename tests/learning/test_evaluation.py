@@ -9,7 +9,7 @@ import pytest
 
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight, held
-from learning.evaluation import TASKS, WHOLE, Task, evaluate, pooled
+from learning.evaluation import WHOLE, Task, evaluate, pooled
 from learning.model.family import Corrected, Model
 from twin.errors import ModelError
 
@@ -118,15 +118,11 @@ def test_a_constant_is_subtracted_before_the_share_beyond_it() -> None:
 
 
 @pytest.mark.slow
-def test_bands_hold_the_variance() -> None:
-    r = row(table_of(None), model="none", flight="flight 2", phase=WHOLE, channel="gyro_x")
-    powers = [r[c] for c in r.index if c.startswith("before ")]
-    assert len(powers) == 4
-    assert np.nansum(powers) == pytest.approx(r["spread_before"] ** 2, rel=0.15)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("task", TASKS, ids=lambda t: f"{t.protocol}-{t.horizon}")
+@pytest.mark.parametrize(
+    "task",
+    [Task("reconstruct"), Task("track", 1), Task("track", 50), Task("free")],
+    ids=lambda t: f"{t.protocol}-{t.horizon}",
+)
 def test_baselines_of_every_task(task: Task) -> None:
     table = table_of(None, task)
     assert {"none", "mean"} < set(table["model"])

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from learning import metrics
+from learning import evaluation as metrics
 
 SAMPLES = st.lists(st.floats(-1e3, 1e3, width=32), min_size=1, max_size=50).map(np.array)
 
@@ -49,7 +49,6 @@ def test_of_nothing_nothing_is_known() -> None:
         metrics.wasserstein(nothing, nothing),
         metrics.coverage(nothing, nothing, 1),
         metrics.share_removed(1.0, 0.0),
-        metrics.log_spectral_distance(nothing, nothing, nothing),
     ):
         assert np.isnan(value)
     assert metrics.share_removed(0.25, 1.0) == 0.75
@@ -60,21 +59,3 @@ def test_coverage_of_a_gaussian() -> None:
     spread = np.full(100_000, 3.0)
     assert metrics.coverage(left, spread, 1) == pytest.approx(0.6827, abs=0.01)
     assert metrics.coverage(left, spread, 2) == pytest.approx(0.9545, abs=0.005)
-
-
-def test_band_powers_add_up_to_the_variance() -> None:
-    """A sine of 3 Hz and one of 20 Hz: half the square of their amplitudes, each in its band."""
-    t = np.arange(4000) / 100
-    values = 7 + 2 * np.sin(2 * np.pi * 3 * t) + np.sin(2 * np.pi * 20 * t)
-    powers = metrics.band_powers(t, values)
-    assert len(powers) == len(metrics.BANDS) == 4
-    np.testing.assert_allclose(powers, [0, 2.0, 0.5, 0], atol=0.02)
-
-
-def test_log_spectral_distance_of_a_louder_signal() -> None:
-    t = np.arange(8000) / 100
-    values = np.random.default_rng(3).standard_normal(8000)
-    assert metrics.log_spectral_distance(t, values, values) == 0
-    louder = metrics.log_spectral_distance(t, values, 2 * values)
-    assert louder == pytest.approx(20 * np.log10(2), rel=1e-9)
-    assert np.isnan(metrics.log_spectral_distance(t, values, np.zeros(8000)))
