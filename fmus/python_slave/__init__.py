@@ -1,1 +1,0 @@
-"""Python-slave FMUs: prototypes and a fallback, run by pythonfmu."""
