@@ -69,6 +69,13 @@ def test_readme_and_guide_are_short(place: str, most: int) -> None:
     assert 0 < sum(len(f.read_text("utf-8").split()) for f in files) <= most
 
 
+def test_pages_of_results_are_short() -> None:
+    """Rows of data stand in files beside them."""
+    pages = (ROOT / "docs" / "results").glob("*.md")
+    words = {p.name: len(p.read_text("utf-8").split()) for p in pages}
+    assert {n: count for n, count in words.items() if count > SHORT["method"]} == {}
+
+
 @pytest.mark.parametrize(
     ("text", "found"),
     [("told_s = 1", 1), ("class LiveTold: pass", 1), ('x["felt"]', 1), ("tolds = unkept = 1", 0)],

@@ -2,10 +2,11 @@
 
     python docs/_generate/pictures.py [--work FOLDER]
     python docs/_generate/pictures.py --logs LOG...
+    python docs/_generate/pictures.py --paper TABLES
 
 writes the picture of the README, of the report of `uavtwin demo`, and that of docs/guide/live.md,
 the page of `uavtwin live --demo` after its alarm; with logs that of docs/guide/serve.md alone, the
-list of them.
+list of them; with the paper's residual tables those of docs/results/paper.md that need no training.
 """
 
 import argparse
@@ -28,6 +29,8 @@ CONVINCES = "#before-after + details"
 """Its part of the report: measured, model before and after, and what both leave."""
 LIVE = (1000, 1150)
 """Size of the picture of a flight under way."""
+PAPER = {"paper_readings": 1090, "paper_residuals": 1090, "paper_ablations": 660}
+"""Pictures of the paper's figures 5, twice, and 12, with their heights."""
 SERVED = (1000, 830)
 """Size of the picture of the list of flights."""
 SERVES, LISTENS = "127.0.0.1:8079", "udpin:127.0.0.1:14579"
@@ -119,12 +122,38 @@ def photograph_served(logs: list[Path], picture: Path, size: tuple[int, int]) ->
         opened.picture(picture, size[1])
 
 
+def photograph_paper(tables: Path) -> None:
+    """The paper's figures that need no training, as PNG: of its tables, and of kept scores.
+
+    Args:
+        tables: Folder of the residual tables.
+    """
+    sys.path.insert(0, str(DOCS.parent))
+    from benchmarks.paper import comparison, figures
+    from benchmarks.paper.trainings import paper_flights
+
+    flights = paper_flights(tables)
+    variants = [r for r in comparison.read_rows() if r["table"] == "ablations"]
+    best = [r for r in variants if r["row"].startswith("best: ")]
+    drawn = (figures.readings(flights), figures.residuals(flights), figures.by_share(best))
+    with tempfile.TemporaryDirectory() as folder:
+        for (name, height), figure in zip(PAPER.items(), drawn, strict=True):
+            page = Path(folder, f"{name}.html")
+            page.write_text(figures.figures_page([(name, figure)]), "utf-8")
+            picture = DOCS / "results" / "pictures" / f"{name}.png"
+            photograph(page, picture, (1000, height), ".card")
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--work", type=Path, help="folder to work in; default: a temporary one")
     parser.add_argument("--logs", type=Path, nargs="+", help="logs of the picture of serve")
+    parser.add_argument("--paper", type=Path, help="the paper's residual tables")
     given = parser.parse_args()
+    if given.paper:
+        photograph_paper(given.paper)
+        return
     if given.logs:
         photograph_served(given.logs, DOCS / "pictures" / "serve.png", SERVED)
         return
