@@ -12,6 +12,7 @@ from ..flight.closed_loop import Mission, fly_missions
 from ..logs import AnyFlight, Flight, Site
 from ..representation import short_repr
 from ..residuals.flight_gap import HoverDiagnosis, diagnosis_of
+from ..residuals.measured import clock_doubt
 from ..residuals.teacher_forced import drive_warnings
 from ..vehicle import Vehicle
 from .balance import (
@@ -241,7 +242,7 @@ def explain(
     found = _named(found, naming, [s for s in stuck if s.flight in names])
     found = replace(
         found,
-        warnings=(*found.warnings, *_not_observable(naming)),
+        warnings=(*found.warnings, *_not_observable(naming), *_drifting(naming)),
         hovers=hovers_of(found.recorded, vehicle),
     )
     progress(0.65)
@@ -361,6 +362,17 @@ def _not_observable(naming: Naming) -> list[str]:
         f"not visible where measured rotor speeds drive the model, which leave no command to look "
         f"at: {', '.join(unobservable)}"
     ]
+
+
+def _drifting(naming: Naming) -> list[str]:
+    """A line for each flight whose attitude and gyroscope have clocks that drift apart."""
+    found = []
+    for flight in naming.problem.model.flights:
+        motion = flight.aligned.motion
+        if motion.rates_measured and motion.attitude is not None and motion.rates is not None:
+            doubts = clock_doubt(motion.attitude, motion.rates)
+            found += [f"{flight.flight.name}: {text}" for text in doubts]
+    return found
 
 
 def usable_of(
