@@ -125,6 +125,7 @@ def train(
     seed: int | None = None,
     device: str = "cpu",
     license: str = UNSAID,
+    law: str | Path | None = None,
     force: bool = False,
     progress: Progress = lambda _: None,
 ) -> TrainResult:
@@ -149,13 +150,18 @@ def train(
         device: `cpu`; `cuda`: a GPU; `auto`: a GPU where torch finds one. The same seed gives the
             same bytes on `cpu` alone.
         license: Of the model, for its card, as Hugging Face names it: `cc-by-4.0`.
+        law: Folder of a learned force: `free` corrects the sensors of the twin that has it, and the
+            new folder holds both.
         force: Whether the folder may hold other files already.
         progress: Called with the share done, 0..1.
 
     Raises:
         TwinError: The extra `learn` is not installed, or an argument or a flight cannot be used.
     """
-    wanted = Wanted(model, preset, protocol, horizon, rate_hz, epochs, seed, device, license)
+    learned = None if law is None else Path(law)
+    wanted = Wanted(
+        model, preset, protocol, horizon, rate_hz, epochs, seed, device, license, learned
+    )
     return run_train(flights, vehicle, Path(folder), wanted, force, progress)
 
 
@@ -172,6 +178,7 @@ class Wanted:
     seed: int | None = None
     device: str = "cpu"
     license: str = UNSAID
+    law: Path | None = None
 
 
 @_in_one_thread
@@ -230,12 +237,14 @@ def _sensor_training(
 ) -> _Prepared:
     """A compensator of the sensors, checked before the work begins."""
     from learning.data.flights import DEFAULT_RATE_HZ
+    from learning.force.model import is_force
     from learning.training.checkpoint import CHECKPOINT
 
     from .compensators import training
     from .model_card import write_card
 
-    _check_kind(out, "force.json", "a learned force")
+    if is_force(out):
+        raise TwinError(f"{out}: holds a learned force. Choose another folder, and give it as law.")
     plan = training.plan_training(
         wanted.model,
         wanted.preset,
@@ -246,6 +255,7 @@ def _sensor_training(
         wanted.device,
         out,
         force,
+        wanted.law,
     )
     usual_hz = training.imu_rate_hz(flights) if plan.protocol == "free" else DEFAULT_RATE_HZ
     rate_hz = wanted.rate_hz or usual_hz
@@ -290,9 +300,16 @@ def _force_training(
     from .model_card import write_card
 
     check_force_options(
-        wanted.model, wanted.preset, wanted.horizon, wanted.rate_hz, wanted.epochs, wanted.device
+        wanted.model,
+        wanted.preset,
+        wanted.horizon,
+        wanted.rate_hz,
+        wanted.epochs,
+        wanted.device,
+        wanted.law,
     )
-    _check_kind(out, "model.json", "a compensator of the sensors")
+    if (out / "model.json").is_file():
+        raise TwinError(f"{out}: holds a compensator of the sensors. Choose another folder.")
     check_folder(out, force, CHECKPOINT)
     seed = wanted.seed or 0
 
@@ -335,12 +352,6 @@ def write_measured_card(
 
     measured = Measured(found.json(), {f.name: f.fingerprint for f in flights})
     return write_completed_card(model, claim(model), measured, folder)
-
-
-def _check_kind(out: Path, file: str, what: str) -> None:
-    """Refuse a folder that holds a model of another kind, which would be taken for the new one."""
-    if (out / file).is_file():
-        raise TwinError(f"{out}: holds {what} ({file}). Choose another folder.")
 
 
 @_in_one_thread

@@ -212,7 +212,7 @@ def _known(value: float | None) -> float:
 
 def description(folder: Path) -> dict[str, Any]:
     """What the folder says of its model."""
-    for name in ("force.json", "model.json"):
+    for name in ("model.json", "force.json"):
         if (folder / name).is_file():
             found: dict[str, Any] = json.loads((folder / name).read_text("utf-8"))
             return found
@@ -294,7 +294,9 @@ def limits(about: Mapping[str, Any], result: Result | None) -> list[str]:
     found = [f"It has seen {len(flights)} flight{'s' * (len(flights) != 1)} of {vehicle}."]
     if about["protocol"] == "force":
         if gone := about["closed_loop"]["withdrawn"]:
-            found.append(f"Missions were lost with {gone} laws under weaker ridges: withdrawn.")
+            found.append(f"Missions were lost with {gone} better laws: withdrawn.")
+        if gone := about["closed_loop"]["unsteady"]:
+            found.append(f"With {gone} better laws the twin swings in a hover: withdrawn.")
         if about["acceptance"]["refused"]:
             found.append("Refused: the untrained observer or the last motion needs no law for it.")
         if all(o["law"] == NONE for o in about["outputs"].values()):

@@ -22,6 +22,10 @@ Array = NDArray[np.float64]
 RIDGES = (1.0, 0.3, 0.1, 0.03)
 """Tried strengths, the strongest first: the price of a weight that makes what the equations lack,
 over the error that is left without a law."""
+PARTS = {"moment": slice(3, 6), "force": slice(0, 3), "both": slice(0, 6)}
+"""Of a law that may be used alone, and the outputs in them."""
+Choice = tuple[str, float]
+"""A part and a ridge."""
 RESERVE = (*(0.5,) * 3, *(0.5,) * 3, 0.1, *(0.05,) * 3, 0.05, 0.3)
 """By input, what is no other place, in its unit: a flight with the battery half full is as good as
 one with the full one, where training had only full ones."""
@@ -67,14 +71,18 @@ class Taught:
             found.append(fitted(self.equations, self.flights, size, ridge, start))
         return np.stack(found)
 
-    def law(self, path: Array, ridge: float | None) -> ForceLaw:
-        """The law under a ridge, of `RIDGES`; None: without a law.
+    def law(self, path: Array, choice: Choice | None) -> ForceLaw:
+        """The law of a choice; None: without a law.
 
         Args:
             path: As `path` returns it.
-            ridge: Which.
+            choice: Which.
         """
-        return self.of(np.zeros(path.shape[1:]) if ridge is None else path[RIDGES.index(ridge)])
+        weights = np.zeros(path.shape[1:])
+        if choice is not None:
+            part, ridge = choice
+            weights[PARTS[part]] = path[RIDGES.index(ridge), PARTS[part]]
+        return self.of(weights)
 
     def of(self, weights: Array) -> ForceLaw:
         """The law of weights: of each output at most `BEYOND` times as much as in the flights."""

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,12 +30,14 @@ class RidgeScore:
     """A law under one ridge, over flights that took no part in its fit.
 
     Attributes:
+        part: `both`, or of force and moment the one that is used alone.
         ridge: Its strength.
         ratio: Error over that of the twin with the untrained observer alone, geometric mean over
             flights, quantities and horizons.
         worst: The largest ratio of a quantity, flights and horizons together.
     """
 
+    part: str
     ridge: float
     ratio: float
     worst: float
@@ -73,12 +76,15 @@ class MissionCheck:
     Attributes:
         flights: How many; 0 where no law was chosen.
         lost: With the law that was chosen first, of those that are flown without.
-        withdrawn: Laws with which missions were lost, each under stronger ridges than the last.
+        withdrawn: Laws with which missions were lost, the better first.
+        unsteady: Laws with which the twin does not come to rest in a hover in still air; they were
+            tried no further.
     """
 
     flights: int = 0
     lost: int = 0
     withdrawn: int = 0
+    unsteady: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +93,7 @@ class Acceptance:
 
     Attributes:
         over_observer: Error over that of the explained twin with the untrained observer, median
-            over flights, quantities and horizons.
+            over those flights, quantities and horizons that the law changes.
         over_last_motion: Position and velocity over those of the last motion, 0.5 s after the twin
             was left alone, geometric mean over flights.
         fast: The same of flights that are fast; None: there is none.
@@ -189,7 +195,9 @@ class ForceModel:
     def outputs(self) -> dict[str, Output]:
         """Of each of the six, by name."""
         other = NONE if self.law.module is None else MODULE
-        return dict.fromkeys(_OUTPUTS, Output(LINEAR if self.ridge else other, self.ridge))
+        used = np.any(self.law.linear, axis=1).tolist()
+        laws = [Output(LINEAR, self.ridge) if u else Output(other, None) for u in used]
+        return dict(zip(_OUTPUTS, laws, strict=True))
 
 
 def save_force(model: ForceModel, folder: Path) -> None:
@@ -260,8 +268,16 @@ def _sha256(content: bytes) -> str:
 
 
 def is_force(folder: Path) -> bool:
-    """Whether a folder holds a learned force."""
-    return (folder / FILE).is_file()
+    """Whether a folder holds a learned force alone, and no compensator of the sensors with it."""
+    return (folder / FILE).is_file() and not (folder / "model.json").is_file()
+
+
+def copy_force(folder: Path, out: Path) -> list[str]:
+    """Put the law of a folder into another; returns the names of its files."""
+    names = [n for n in (FILE, MODULE_FILE) if (folder / n).is_file()]
+    for name in names:
+        shutil.copyfile(folder / name, out / name)
+    return names
 
 
 def _model(content: ForceFile) -> ForceModel:
@@ -277,7 +293,7 @@ def _model(content: ForceFile) -> ForceModel:
         raise ModelError(f"outputs are {list(content.outputs)}, not {list(_OUTPUTS)}")
     return ForceModel(
         law=_law(content.law),
-        ridge=content.outputs[_OUTPUTS[0]].ridge,
+        ridge=next((o.ridge for o in content.outputs.values() if o.ridge), None),
         tried=content.tried,
         acceptance=content.acceptance,
         closed_loop=content.closed_loop,

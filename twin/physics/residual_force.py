@@ -8,11 +8,20 @@ it, so that the law means the same on every mission. Up to d = 1 it has been amo
 taught it; from there `near` fades to zero, up to `FADED`, without a step; and each output
 stays within `most`. So force and moment are bounded, however the vehicle moves.
 
-Source: the fade, Perlin's smoothstep.
+Beside the law, what no law foretells can be drawn: a random force and moment, off by default, whose
+spectrum is a level in each third-octave. Each is white noise through a band-pass of two poles and a
+zero at rest, sampled:
+
+    a' = 2 r cos(w T sqrt(1 - 1/4Q^2)) a - r^2 b + n     b' = a     r = exp(-w T / 2Q)
+
+and a - b is drawn, over its own standard deviation.
+
+Source: the fade, Perlin's smoothstep; the band-pass, Oppenheim & Schafer, Discrete-Time Signal
+Processing, sec. 5.3.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import casadi as ca
 import numpy as np
@@ -55,6 +64,14 @@ FADED = 2.0
 network of the sensors has. Not chosen on flights."""
 
 
+NOISE_HZ = tuple((0.2 * 2 ** (np.arange(24) / 3)).tolist())
+"""Middle of each third-octave of the noise, Hz: from what a hover of some seconds shows to what
+logs hold of readings."""
+NOISE_PERIOD_S = 5e-3
+"""Time between two draws of the noise, s: a fifth of the shortest period."""
+_BANDS = (len(OUTPUTS), len(NOISE_HZ))  # shape of the noise
+
+
 @dataclass(frozen=True, slots=True)
 class ForceLaw:
     """Numbers of a law.
@@ -69,6 +86,8 @@ class ForceLaw:
         most: Of specific force, m/s2, and angular acceleration, rad/s2, that is said either way, at
             least 0, shape (6,).
         units: Force, N, and moment, N m, per specific force and angular acceleration, shape (6, 6).
+        noise: Standard deviation of what is drawn in each of `NOISE_HZ`, m/s2 and rad/s2, at least
+            0, shape (6, len(NOISE_HZ)).
         module: What is added to the linear part, as a function of `INPUTS`; None: nothing.
     """
 
@@ -79,6 +98,7 @@ class ForceLaw:
     reach: float
     most: Array
     units: Array
+    noise: Array = field(default_factory=lambda: np.zeros(_BANDS))
     module: ca.Function | None = None
 
     __repr__ = short_repr
@@ -93,6 +113,7 @@ class ForceLaw:
             "whitening": (d, d),
             "most": (6,),
             "units": (6, 6),
+            "noise": _BANDS,
         }
         for name, shape in shapes.items():
             values = getattr(self, name)
@@ -102,8 +123,8 @@ class ForceLaw:
                 raise ModelError(f"force law: {name} must be finite numbers.")
         if not (self.scale > 0).all() or not 0 < self.reach < np.inf:
             raise ModelError("force law: scale and reach must be above 0.")
-        if not (self.most >= 0).all():
-            raise ModelError("force law: most must be at least 0.")
+        if not (self.most >= 0).all() or not (self.noise >= 0).all():
+            raise ModelError("force law: most and noise must be at least 0.")
 
     def arrays(self) -> dict[str, Array]:
         """All its numbers by name."""
@@ -238,13 +259,56 @@ def residual_force(vehicle: Vehicle, law: ForceLaw) -> Component:
     names, bounds = _parameter_names()
     linear = _weights(m, names, law.linear)
     said = accelerations(law, x, linear, _bounds(m, bounds, law.most))
-    acts = enabled * ca.mtimes(ca.SX(law.units), said)
+    acts = ca.mtimes(ca.SX(law.units), enabled * said + _noise(m, law.noise))
     for i, (kind, a) in enumerate(OUTPUTS):
         unit, meaning = ("N", "Force along") if kind == "force" else ("N.m", "Moment about")
         m.output(f"{kind}_{a}", unit, f"{meaning} body {a} that the equations lack", acts[i])
     d = distance(law, x)
     m.output("distance", "1", "Of the motion from that of the training, 1 where this ends", d)
     return m.build()
+
+
+def noise_values(noise: Array) -> dict[str, float]:
+    """What the component may be given of another noise, by the names of its parameters."""
+    names = _noise_names()
+    return {names[i][k]: float(noise[i, k]) for i, k in np.ndindex(noise.shape)}
+
+
+def _noise_names() -> list[list[str]]:
+    """Parameters: the level in each third-octave."""
+    return [[f"noise.{kind}_{a}.{k}" for k in range(1, _BANDS[1] + 1)] for kind, a in OUTPUTS]
+
+
+def _noise(m: ComponentBuilder, levels: Array) -> ca.SX:
+    """What is drawn of specific force and angular acceleration, shape (6, 1); what has no level is
+    not built."""
+    drawn, names = ca.SX.zeros(_BANDS[0]), _noise_names()
+    if not levels.any():
+        return drawn
+    m.sampled(NOISE_PERIOD_S, "Time between two draws of the noise, for which its bands are made")
+    enabled = m.parameter(
+        "noise.enabled", 0.0, "1", "Whether noise is drawn", kind="boolean", minimum=0, maximum=1
+    )
+    for i, k in np.argwhere(levels > 0).tolist():
+        name, unit, what = names[i][k], _unit(OUTPUTS[i][0]), f"noise at {NOISE_HZ[k]:.3g} Hz"
+        level = m.parameter(name, levels[i, k], unit, f"Standard deviation of {what}", minimum=0)
+        one, two, size = _band(NOISE_HZ[k])
+        a, b = (m.memory(f"{name}.{s}", "1", f"{what}, {s}") for s in ("now", "before"))
+        m.update(f"{name}.now", one * a - two * b + m.noise(enabled * size))
+        m.update(f"{name}.before", a)
+        drawn[i] = drawn[i] + level * (a - b)
+    m.rests_while(enabled < 0.5)
+    return drawn
+
+
+def _band(f_hz: float) -> tuple[float, float, float]:
+    """Both coefficients of a third-octave's recursion, and the noise that makes its variance 1."""
+    q = 1 / (2 ** (1 / 6) - 2 ** (-1 / 6))
+    step = 2 * np.pi * f_hz * NOISE_PERIOD_S
+    r = np.exp(-step / (2 * q))
+    one, two = 2 * r * np.cos(step * np.sqrt(1 - 1 / (4 * q * q))), r * r
+    variance = (1 + two) / ((1 - two) * ((1 + two) ** 2 - one**2))
+    return float(one), float(two), float(1 / np.sqrt(2 * variance * (1 - one / (1 + two))))
 
 
 def _unit(kind: str) -> str:

@@ -251,7 +251,7 @@ def export_components(
     versions = _versions(choice.fmi)
     _check_options(names, choice)
     learned = _learned(names, choice, vehicle)
-    parts = [_part(name, choice, vehicle, learned) for name in dict.fromkeys(names)]
+    parts = [_part(name, choice, vehicle, *learned) for name in dict.fromkeys(names)]
     platforms = [name.strip() for name in choice.platform.split(",")]
     starts = start_values(choice.start)
     forms = choice.arrays, choice.outputs == "real"
@@ -295,15 +295,17 @@ def _check_options(names: Sequence[str], choice: Choice) -> None:
 
 
 def _part(
-    name: str, choice: Choice, vehicle: "Vehicle", learned: "NetworkFile | LearnedForce | None"
+    name: str,
+    choice: Choice,
+    vehicle: "Vehicle",
+    network: "NetworkFile | None",
+    force: "LearnedForce | None",
 ) -> "Exportable":
     """What a name stands for."""
     from twin.logs import read_flight
 
     from ..exports import parts
 
-    force = learned if isinstance(learned, parts.LearnedForce) else None
-    network = None if isinstance(learned, parts.LearnedForce) else learned
     drive = cast("Drive | None", DRIVES.get(choice.drive or MISSION))
     if name == FUSED:
         controller = cast("Controller", choice.controller)
@@ -327,15 +329,14 @@ def _part(
 
 def _learned(
     names: Sequence[str], choice: Choice, vehicle: "Vehicle"
-) -> "NetworkFile | LearnedForce | None":
+) -> "tuple[NetworkFile | None, LearnedForce | None]":
     """What was trained, a compensator held against the vehicle; the twin holds a force so."""
-    from learning.force.model import is_force
-
-    from ..exports.parts import check_compensator, compensator, learned_force
+    from ..exports.parts import check_compensator, learned
 
     if choice.model is None:
-        return None
-    if is_force(choice.model):
+        return None, None
+    network, force = learned(choice.model, choice.int8)
+    if network is None:
         if choice.int8:
             raise TwinError(
                 f"{choice.model}: a learned force has no form of 8 bits; leave out --int8."
@@ -345,10 +346,9 @@ def _learned(
                 f"{choice.model}: is a learned force, which acts inside the equations; it has no "
                 f"FMU of its own. Export {FUSED}."
             )
-        return learned_force(choice.model)
-    network = compensator(choice.model, choice.int8)
-    check_compensator(network, vehicle)
-    return network
+    else:
+        check_compensator(network, vehicle)
+    return network, force
 
 
 def _versions(fmi: str) -> list[int]:

@@ -185,16 +185,10 @@ def _twin(
     vehicle: "Vehicle", folder: Path, scenario: "Scenario", model: Path | None
 ) -> "FlyingTwin":
     """The twin, with what was trained where something is given."""
-    from learning.force.model import is_force
-
-    from ..exports.parts import compensator, learned_force
+    from ..exports.parts import learned
     from ..hil.flying import flying_twin_of
 
-    network = force = None
-    if model is not None and is_force(model):
-        force = learned_force(model)
-    elif model is not None:
-        network = compensator(model)
+    network, force = (None, None) if model is None else learned(model)
     return flying_twin_of(vehicle, folder, scenario, network, force, warn=_warn)
 
 

@@ -80,6 +80,13 @@ def train(
     license: Annotated[
         str, typer.Option(help="Of the model, for its card: cc-by-4.0, or another identifier.")
     ] = "unknown",
+    law: Annotated[
+        Path | None,
+        typer.Option(
+            help="Of free: folder of a learned force. The sensors of the twin that has it are "
+            "corrected, and the new folder holds both."
+        ),
+    ] = None,
     out: Out = Path("model"),
     rebuild_commands: Rebuild = None,
     trust_vehicle: TrustVehicle = False,
@@ -102,7 +109,8 @@ def train(
     named = needed_vehicle(vehicle, "train")
     twin = load_vehicle(named)
     read = read_alike(flights, rebuild_commands, trust_vehicle)
-    inputs = [p for p in (*flights, Path(named)) if p.is_file()]
+    laws = () if law is None else (law / "force.json",)
+    inputs = [p for p in (*flights, Path(named), *laws) if p.is_file()]
 
     def alongside(trained: "TrainResult", folder: Path) -> None:
         """Print what was trained, before the folder is moved to its place, and write run.json."""
@@ -116,12 +124,13 @@ def train(
             "rebuild_commands": rebuild_commands,
             "trust_vehicle": trust_vehicle,
             "license": license,
+            "law": None if law is None else law.name,
             **trained.options,
         }
         write_run(folder, "train", options, inputs, trained.seed)
 
     samples = 1 if horizon is None else _samples(horizon, rate or DEFAULT_RATE_HZ)
-    wanted = Wanted(model, preset, protocol, samples, rate, epochs, seed, device, license)
+    wanted = Wanted(model, preset, protocol, samples, rate, epochs, seed, device, license, law)
     with progress("training") as step:
         trained = run_train(read, twin, out, wanted, force, step, alongside)
     if not as_json:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fmus.compensator import FILE, read_network
+from fmus.compensator import FILE
 from learning.data.channels import CHANNELS, UNITS
 from learning.data.flights import ResidualFlight, read_residuals, residual_flight, restart_before_s
 from learning.evaluation import WHOLE, Task, evaluate, pooled
@@ -24,6 +24,7 @@ from twin.residuals.teacher_forced import choose_drive
 from twin.vehicle import Vehicle as TwinVehicle
 
 from ..display import DisplayMixin, TextTable
+from ..exports.parts import learned
 from ..flights import check_names
 from ..output import output_file
 from ..record import Record
@@ -260,10 +261,10 @@ def _said(of_fmu: Corrected, model: TrainedModel) -> Corrected:
 
 def _in_use(folder: Path, vehicle: Vehicle, given: Sequence[Flight]) -> InUseRecord:
     """Flights through the exported twin."""
-    trained, network = in_use_of(folder), read_network(folder)
+    trained, (network, law) = in_use_of(folder), learned(folder)
     found = []
     for drive, flights in groupby(given, lambda f: choose_drive(f, vehicle)):
-        with driven_fmu(vehicle, drive, network) as fmu:
+        with driven_fmu(vehicle, drive, network, law) as fmu:
             found += [UsedFlight(f, vehicle).corrections(fmu) for f in flights]
     return record_of(found, "other", () if trained is None else trained.shut)
 

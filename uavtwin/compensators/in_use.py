@@ -25,6 +25,7 @@ from twin.errors import LogError
 from twin.formatting import number, percent
 from twin.logs import Flight
 from twin.physics.airframe import REPORTED
+from twin.physics.rotors import Drive
 from twin.physics.sensors.table import SENSORS
 from twin.representation import short_repr
 from twin.residuals.aligned import align_flight
@@ -32,7 +33,7 @@ from twin.residuals.teacher_forced import GRID_S
 from twin.vehicle import Vehicle as TwinVehicle
 
 from ..display import TextTable
-from ..exports.parts import OBSERVER, twin
+from ..exports.parts import OBSERVER, LearnedForce, twin
 from ..exports.write import export
 from ..force.open_loop import PREFIX, driving_inputs
 from ..record import Record
@@ -381,15 +382,21 @@ def harmful(flights: Sequence[InUseRecord]) -> tuple[str, ...]:
 
 
 @contextmanager
-def driven_fmu(vehicle: Vehicle, drive: str, network: NetworkFile | None = None) -> Iterator[Path]:
+def driven_fmu(
+    vehicle: Vehicle,
+    drive: Drive,
+    network: NetworkFile | None = None,
+    law: LearnedForce | None = None,
+) -> Iterator[Path]:
     """The FMU of a driven twin, for as long as it is needed.
 
     Args:
         vehicle: Whose twin.
         drive: As of `twin.residuals.teacher_forced.choose_drive`.
         network: Its compensator; None: without.
+        law: Of what its equations lack; None: without.
     """
     with tempfile.TemporaryDirectory() as place:
         path = Path(place, "twin.fmu")
-        export(twin(vehicle, drive=drive, compensator=network), path)  # type: ignore[arg-type]
+        export(twin(vehicle, drive=drive, compensator=network, force=law), path)
         yield path

@@ -15,6 +15,7 @@ from fmus.compensator import read_network
 from learning.compute import device_named
 from learning.data.channels import CHANNELS, UNITS
 from learning.data.flights import ResidualFlight, residual_flight, restart_before_s, write_residuals
+from learning.force.model import copy_force
 from learning.model.compensator import Compensator
 from learning.model.family import TrainedModel, TrainingTask
 from learning.model.folder import CURVE, MODEL, WEIGHTS, save
@@ -29,6 +30,7 @@ from twin.physics.rotors import Drive
 from twin.representation import short_repr
 from twin.residuals.teacher_forced import choose_drive
 
+from ..exports.parts import LearnedForce, learned_force
 from ..flights import check_names
 from ..output import check_folder
 from ..report.learning_figures import curve_figure
@@ -55,6 +57,7 @@ class Plan:
         horizon: Samples, in `track`; else 0.
         seed: Of everything that is drawn.
         device: Name of that on which a network is trained.
+        law: Folder of a learned force that the twin has, in `free`; None: it has none.
     """
 
     family: FamilyRow
@@ -63,6 +66,7 @@ class Plan:
     horizon: int
     seed: int
     device: str
+    law: Path | None = None
 
     @property
     def epochs(self) -> int | None:
@@ -85,12 +89,14 @@ def plan_training(
     device: str,
     out: Path,
     force: bool,
+    law: Path | None = None,
 ) -> Plan:
     """Check everything that can be wrong before the work begins.
 
     Raises:
         TwinError: An unknown model, preset or device, one that does not go with the protocol or
-            has no epochs, or a folder that holds something else than an interrupted training.
+            has no epochs, a law that does not, or a folder that holds something else than an
+            interrupted training.
     """
     if model is None and preset is None and epochs is None and protocol == "free":
         model = "linear"  # no network has said more of a flight that was not its own
@@ -100,10 +106,13 @@ def plan_training(
         if _epochs(made) is None:
             raise TwinError(f"preset {made.name} is in closed form and has no epochs; give none")
         made = replace(made, epochs=epochs)
+    if law is not None and (protocol != "free" or not family.onnx):
+        raise TwinError(f"law {law}: acts in the exported twin, which protocol free corrects alone")
     found = device_named(device)
     check_folder(out, force, CHECKPOINT)
     drawn = SEEDS.get(made.name, 0) if seed is None else seed
-    return Plan(family, made, protocol, horizon if protocol == "track" else 0, drawn, found.type)
+    ahead = horizon if protocol == "track" else 0
+    return Plan(family, made, protocol, ahead, drawn, found.type, law)
 
 
 IMU_RATES_HZ = (50.0, 1000.0)
@@ -130,6 +139,7 @@ class Prepared:
         used: Along which the exported twin is used; () but of `free`, and of what makes no FMU.
         vehicle: Whose twin is corrected.
         drive: Of the exported twin.
+        law: Of what its equations lack; None: without.
     """
 
     residuals: tuple[ResidualFlight, ...]
@@ -137,6 +147,7 @@ class Prepared:
     used: tuple[UsedFlight, ...]
     vehicle: Vehicle
     drive: Drive
+    law: LearnedForce | None = None
 
     __repr__ = short_repr
 
@@ -166,9 +177,10 @@ def prepare(
     if plan.protocol != "free" or not plan.family.onnx:
         return Prepared(compared, compared, (), vehicle, drive)
     used = tuple(UsedFlight(flight, vehicle) for flight in flights)
-    with driven_fmu(vehicle, drive) as fmu:
+    law = None if plan.law is None else learned_force(plan.law)
+    with driven_fmu(vehicle, drive, law=law) as fmu:
         in_use = tuple(one.residuals(fmu, rate_hz) for one in used)
-    return Prepared(in_use, compared, used, vehicle, drive)
+    return Prepared(in_use, compared, used, vehicle, drive, law)
 
 
 def run_training(
@@ -213,7 +225,8 @@ def run_training(
     write_residuals(prepared.compared, out / RESIDUALS)
     _write_page(out, prepared.compared)
     names = (REPORT, *exported, WEIGHTS, MODEL, CURVE, VEHICLE_FILE, RESIDUALS, IN_USE)
-    return [n for n in names if (out / n).is_file()]
+    own = [] if plan.law is None else copy_force(plan.law, out)
+    return [*(n for n in names if (out / n).is_file()), *own]
 
 
 def _gated(model: Compensator, prepared: Prepared, task: TrainingTask, out: Path) -> InUseRecord:
@@ -253,7 +266,8 @@ def _used(
 ) -> list[Corrections]:
     """Flights through the exported twin that a model corrects."""
     family_row(model.family).load().export(model, folder)
-    with driven_fmu(prepared.vehicle, prepared.drive, read_network(folder)) as fmu:
+    network = read_network(folder)
+    with driven_fmu(prepared.vehicle, prepared.drive, network, prepared.law) as fmu:
         return [flight.corrections(fmu) for flight in flights]
 
 

@@ -235,6 +235,23 @@ def learned_force(folder: str | Path) -> LearnedForce:
     return LearnedForce(load_force(Path(folder)), Path(folder))
 
 
+def learned(folder: Path, int8: bool = False) -> tuple[NetworkFile | None, LearnedForce | None]:
+    """What the folder of `train` holds: a compensator of the sensors, a learned force, or both.
+
+    Args:
+        folder: To read.
+        int8: As of `compensator`.
+
+    Raises:
+        TwinError: It holds neither.
+    """
+    from learning.force.model import FILE as FORCE_FILE
+    from learning.force.model import is_force
+
+    force = learned_force(folder) if (folder / FORCE_FILE).is_file() else None
+    return None if is_force(folder) else compensator(folder, int8), force
+
+
 def _check_taught(model: str, name: str, sha256: str, vehicle: Vehicle) -> None:
     """Hold what was learned for a vehicle, "" where not said, against the one that is given."""
     if name and name != vehicle.name:

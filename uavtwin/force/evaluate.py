@@ -30,6 +30,7 @@ from ..series.files import CORRECTED, TWIN, Column, Series, residual_of
 from ..series.files import EXPLAINED as EXPLAINED_SIDE
 from ..vehicles import Vehicle, load_vehicle
 from .closed_loop import Steadiness, hovers
+from .hover_noise import HoverLevel, hover_levels, noise_claim
 from .open_loop import DISTANCE, HORIZONS_S, QUANTITIES, OpenLoop, Replay
 
 PHYSICS, EXPLAINED, SHIPPED = "physics", "explained", "corrected"
@@ -56,6 +57,8 @@ class ForceRecord(Record, frozen=True, kw_only=True):
         windows: How often twins were left alone, by flight.
         hovers: Of each flight that hovered, and of `explained` and `corrected` hovering by
             themselves in closed loop.
+        noise: Readings of hovers by third-octave, of each flight and of `corrected` hovering by
+            itself, its noise drawn and not; empty where it has none.
         summary: Of each `model` and `horizon_s` the rms of `position` (m), `velocity` (m/s),
             `attitude` (rad) and `rates` (rad/s), three axes and all flights together, and
             `over_explained_median`, `over_explained_largest` of its cells.
@@ -70,6 +73,7 @@ class ForceRecord(Record, frozen=True, kw_only=True):
     inside: dict[str, tuple[float, ...]]
     windows: dict[str, int]
     hovers: dict[str, Steadiness]
+    noise: tuple[HoverLevel, ...]
     summary: tuple[dict[str, Any], ...]
     cells: tuple[dict[str, Any], ...]
 
@@ -87,6 +91,7 @@ class ForceEvaluation(DisplayMixin):
         windows: By flight: how often the twins were left alone.
         hovers: How each flight hovered, and each twin that flies by itself, by name; empty where no
             flight did.
+        noise: Of hovers, by third-octave.
         flown: By flight and twin: what the twin was off, each time that it was left alone.
     """
 
@@ -95,6 +100,7 @@ class ForceEvaluation(DisplayMixin):
     inside: Mapping[str, tuple[float, ...]]
     windows: Mapping[str, int]
     hovers: Mapping[str, Steadiness]
+    noise: tuple[HoverLevel, ...] = ()
     flown: Mapping[str, Mapping[str, OpenLoop]] = field(default_factory=dict)
 
     @property
@@ -138,6 +144,7 @@ class ForceEvaluation(DisplayMixin):
             inside=dict(self.inside),
             windows=dict(self.windows),
             hovers=dict(self.hovers),
+            noise=self.noise,
             summary=tuple(summary(self.table).to_dict("records")),
             cells=tuple(self.table.to_dict("records")),
         )
@@ -155,6 +162,8 @@ class ForceEvaluation(DisplayMixin):
     def findings(self) -> Iterable[str | TextTable]:
         """The claim, and how far each twin is off."""
         yield self.claim
+        if self.noise:
+            yield noise_claim(self.noise)
         yield shown_table(self.table)
 
     def _series(self, flight: str, flown: Mapping[str, OpenLoop]) -> Series:
@@ -216,8 +225,9 @@ def evaluate_force(
             windows[flight.name] = len(flown[SHIPPED].t_s)
             by_flight[flight.name] = flown
     steady = hovers(flights, {EXPLAINED: (vehicle, None), SHIPPED: (vehicle, force)})
+    noise = hover_levels(flights, vehicle, force)
     progress(1.0)
-    return ForceEvaluation(model, pd.DataFrame(rows), inside, windows, steady, by_flight)
+    return ForceEvaluation(model, pd.DataFrame(rows), inside, windows, steady, noise, by_flight)
 
 
 def _numbers(hover: Steadiness) -> dict[str, float | None]:

@@ -3,8 +3,9 @@
 Each flight in turn is left out. The others teach a law through the rollout, under each of
 `learning.force.laws.RIDGES`; all of them are put into the FMU of the driven twin, and the flight
 that was left out is replayed through it, over the horizons that the law is fitted to. The strongest
-ridge that is as good as the best is taken, where the twin is less far off than without, and in no
-quantity farther. That law is held against what needs none (`accepted`). Last, missions in random
+ridge that is as good as the best is taken, of the whole law or of one part of it alone, where the
+twin is less far off than without, and in no quantity farther. That law is held against what needs
+none (`accepted`). Last, missions in random
 air withdraw what makes the controller lose the vehicle (`closed_loop`). These flights choose; what
 the law is worth, others say.
 """
@@ -14,6 +15,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +24,7 @@ from numpy.typing import NDArray
 from cosim.whole_twin import fused_model
 from fmus import build
 from learning.force.equations import Equations
-from learning.force.laws import RIDGES, Taught
+from learning.force.laws import PARTS, RIDGES, Choice, Taught
 from learning.force.model import Acceptance, ForceModel, RidgeScore, TrainingFlight
 from learning.force.windows import HORIZONS_S, FlightWindows
 from twin.errors import TwinError
@@ -59,6 +61,8 @@ aircraft that hardly moves is foretold best by that, whatever the twin."""
 _PART = "residual_force."  # in front of a parameter's name
 _TINY = 1e-30
 """Added to mean squares, so that the ratio of two that are zero is one."""
+_UNTOUCHED = 1e-3
+"""Share of its error by which a cell that a law leaves alone differs, as a force does rates."""
 _TAUGHT, _CHOSEN = 0.4, 0.8
 """Shares of the work that are done after the fits and after the choice, about."""
 
@@ -98,15 +102,15 @@ class Fold:
         """Mean squares of what the last motion is off, shape (horizons, 4, 3)."""
         return np.asarray(np.mean(self.replay.last_motion().off ** 2, axis=0))
 
-    def squares(self, ridge: float | None) -> Array:
-        """Those of what the driven twin is off with the law under a ridge; None: without one."""
-        starts = in_force(self.taught.law(self.path, ridge))
+    def squares(self, choice: Choice | None) -> Array:
+        """Those of what the driven twin is off with a law; None: without one."""
+        starts = in_force(self.taught.law(self.path, choice))
 
         def flown() -> Array:
             """By the FMU."""
             return np.asarray(np.mean(self.replay.through(self.fmu, starts).off ** 2, axis=0))
 
-        return self.memory.array(f"flown {self.fmu.stem} {ridge}", flown)
+        return self.memory.array(f"flown {self.fmu.stem} {choice}", flown)
 
 
 @contextmanager
@@ -140,46 +144,49 @@ def left_out(
         yield folds
 
 
-def mean_squares(folds: Sequence[Fold], ridge: float | None) -> Array:
+def mean_squares(folds: Sequence[Fold], choice: Choice | None) -> Array:
     """Of what the twin with a law is off in each flight left out, (flights, horizons, 4)."""
-    return np.stack([f.squares(ridge).sum(-1) for f in folds])
+    return np.stack([f.squares(choice).sum(-1) for f in folds])
 
 
-def score(ridge: float, squares: Array, without: Array) -> RidgeScore:
+def score(choice: Choice, squares: Array, without: Array) -> RidgeScore:
     """What a law does.
 
     Args:
-        ridge: Of `RIDGES`.
+        choice: Which.
         squares: As of `mean_squares`.
         without: The same without it.
     """
     logs = np.log((squares + _TINY) / (without + _TINY)) / 2
     worst = logs.mean(axis=(0, 1)).max()
-    return RidgeScore(ridge, float(np.exp(logs.mean())), float(np.exp(worst)))
+    return RidgeScore(*choice, float(np.exp(logs.mean())), float(np.exp(worst)))
 
 
-def best_ridge(tried: Sequence[RidgeScore]) -> float | None:
-    """The strongest within `BETTER` of the best of those that help and do no harm; None: none."""
+def best(tried: Sequence[RidgeScore]) -> Choice | None:
+    """The first, of the strongest ridge, within `BETTER` of the best of those that help and do no
+    harm; None: none."""
     good = [t for t in tried if t.ratio < 1 - BETTER and t.worst <= WORSE]
     least = min((t.ratio for t in good), default=0.0)
-    return next((t.ridge for t in good if t.ratio <= least + BETTER), None)
+    return next(((t.part, t.ridge) for t in good if t.ratio <= least + BETTER), None)
 
 
 def chosen(folds: Sequence[Fold], progress: Progress) -> tuple[RidgeScore, ...]:
-    """What the law under each ridge does, force and moment together, as they were fitted."""
+    """What the law under each ridge does, and each part of it alone: a drag turns nothing."""
     without, tried = mean_squares(folds, None), []
-    for ridge in RIDGES:
-        tried.append(score(ridge, mean_squares(folds, ridge), without))
-        progress(len(tried) / len(RIDGES))
+    for ridge, part in product(RIDGES, PARTS):
+        tried.append(score((part, ridge), mean_squares(folds, (part, ridge)), without))
+        progress(len(tried) / (len(RIDGES) * len(PARTS)))
     return tuple(tried)
 
 
-def accepted(folds: Sequence[Fold], ridge: float) -> Acceptance:
+def accepted(folds: Sequence[Fold], choice: Choice) -> Acceptance:
     """What a law does that twins without one do not: flights left out have to be flown better than
     by the explained twin with the untrained observer, and fast ones better than by the last motion
     in position and velocity."""
-    own, observed = mean_squares(folds, ridge), mean_squares(folds, None)
-    over_observer = float(np.median(np.sqrt((own + _TINY) / (observed + _TINY))))
+    own, observed = mean_squares(folds, choice), mean_squares(folds, None)
+    over = np.sqrt((own + _TINY) / (observed + _TINY))
+    touched = over[np.abs(over - 1) > _UNTOUCHED]
+    over_observer = float(np.median(touched)) if len(touched) else 1.0
     last = np.stack([f.last_motion for f in folds]).sum(-1)
     ratios = np.log((own[:, -1, :2] + _TINY) / (last[:, -1, :2] + _TINY)) / 2
     quick = [f.fast for f in folds]
@@ -188,9 +195,13 @@ def accepted(folds: Sequence[Fold], ridge: float) -> Acceptance:
     return Acceptance(over_observer, float(np.exp(ratios.mean())), fast, refused)
 
 
-def stronger(ridge: float) -> list[float]:
-    """This, and those that follow where missions are lost: the strongest last."""
-    return list(RIDGES[RIDGES.index(ridge) :: -1])
+def ranked(tried: Sequence[RidgeScore]) -> list[Choice]:
+    """The best, and those that follow where it does not fly."""
+    left, found = list(tried), []
+    while (choice := best(left)) is not None:
+        found.append(choice)
+        left = [t for t in left if (t.part, t.ridge) != choice]
+    return found
 
 
 def learn_force(
@@ -228,13 +239,16 @@ def learn_force(
     part = _part(progress, 0.0, _TAUGHT)
     with left_out(flights, windows, vehicle, drive, memory, part) as folds:
         tried = chosen(folds, _part(progress, _TAUGHT, _CHOSEN))
-        ridge = best_ridge(tried)
-        acceptance = Acceptance() if ridge is None else accepted(folds, ridge)
-    judged = replace(nothing, tried=tried, acceptance=acceptance)
-    if ridge is None or acceptance.refused:
+        held = [(choice, accepted(folds, choice)) for choice in ranked(tried)]
+    judged = replace(nothing, tried=tried, acceptance=held[0][1] if held else Acceptance())
+    fine = [(choice, a) for choice, a in held if not a.refused]
+    if not fine:
         return judged
     path = memory.array("all flights", taught.path)
-    laws = [replace(judged, law=taught.law(path, r), ridge=r) for r in stronger(ridge)]
+    laws = [
+        replace(judged, law=taught.law(path, choice), ridge=choice[1], acceptance=a)
+        for choice, a in fine
+    ]
     return flyable(laws, judged, vehicle, memory, _part(progress, _CHOSEN, 1.0))
 
 

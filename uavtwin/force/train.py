@@ -1,6 +1,8 @@
 """Training of a learned force: flights to a model folder with its page."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from learning.force.model import (
@@ -14,13 +16,16 @@ from twin.errors import TwinError
 from twin.formatting import number, percent
 from twin.logs import Flight
 
+from ..exports.parts import LearnedForce
 from ..flights import check_names
 from ..report.page import render
 from ..vehicles import Vehicle
-from .learn import ACCEPTED, ALONE_S, BETTER, WORSE, Progress, learn_force
+from .hover_noise import hover_noise
+from .learn import ACCEPTED, ALONE_S, BETTER, WORSE, Progress, best, learn_force
 from .memory import Memory
 
 REPORT = "report.html"  # in the folder of a law
+_LEARNED = 0.95  # share of the work that is done when the law is, about
 _DEFAULTS = {
     "model": None,
     "preset": None,
@@ -28,6 +33,7 @@ _DEFAULTS = {
     "rate": None,
     "epochs": None,
     "device": "cpu",
+    "law": None,
 }
 """Options of `train` that a learned force has not."""
 
@@ -39,6 +45,7 @@ def check_force_options(
     rate: float | None,
     epochs: int | None,
     device: str,
+    law: Path | None,
 ) -> None:
     """Refuse options of a training that has none of them.
 
@@ -52,6 +59,7 @@ def check_force_options(
         "rate": rate,
         "epochs": epochs,
         "device": device,
+        "law": law,
     }
     for name, value in given.items():
         if value != _DEFAULTS[name]:
@@ -86,7 +94,10 @@ def train_force(
         TwinError: A flight cannot be learned from, or two have one name.
     """
     check_names(flights)
-    model = learn_force(flights, vehicle, seed, memory, progress)
+    model = learn_force(flights, vehicle, seed, memory, lambda done: progress(_LEARNED * done))
+    unrest = partial(hover_noise, flights, vehicle, LearnedForce(model))
+    law = replace(model.law, noise=memory.array("noise of hovers", unrest))
+    model = replace(model, law=law)
     save_force(model, out)
     (out / VEHICLE_FILE).write_text(vehicle.toml(), "utf-8")
     (out / REPORT).write_text(_page(model), encoding="utf-8")
@@ -120,9 +131,13 @@ def _claim(model: ForceModel) -> str:
             f"{held.over_last_motion:.2f} of the last motion in position and velocity after "
             f"{ALONE_S:g} s{fast}"
         )
-        law = f"{f'a law, ridge {model.ridge:g}' if model.ridge else 'no law'}: {law}"
+        of = [p for p in ("force", "moment") if model.outputs[f"{p}_x"].ridge]
+        own = f"a law of {' and '.join(of)}, ridge {model.ridge:g}" if model.ridge else "no law"
+        law = f"{own}: {law}"
+    if gone.unsteady:
+        law += f"; laws with which the twin does not come to rest in a hover: {gone.unsteady}"
     if gone.withdrawn:
-        law += f"; missions were lost under {gone.withdrawn} weaker or equal ridges"
+        law += f"; laws with which missions were lost: {gone.withdrawn}"
     return f"force: {law}; alongside it the untrained observer."
 
 
@@ -133,5 +148,6 @@ def _page(model: ForceModel) -> str:
         better=1 - BETTER,
         worse=WORSE,
         claim=_claim(model),
+        used=best(model.tried),
         model=model,
     )

@@ -47,7 +47,7 @@ MODEL = ForceModel(
     vehicle_sha256="11",
     seed=3,
     ridge=0.1,
-    tried=(RidgeScore(1.0, 0.95, 1.1), RidgeScore(0.1, 0.9, 1.01)),
+    tried=(RidgeScore("force", 1.0, 0.95, 1.1), RidgeScore("both", 0.1, 0.9, 1.01)),
     acceptance=Acceptance(0.5, 0.9, 0.8),
     closed_loop=MissionCheck(12, 1, 1),
 )
@@ -107,7 +107,7 @@ def _module() -> bytes:
 def test_a_module_stays_with_its_law(tmp_path: Path) -> None:
     """The same bytes again; a folder that lost it, or has another, is no folder without a law."""
     onnx = _module()
-    law = replace(MODEL.law, module=law_function(onnx))
+    law = replace(MODEL.law, linear=np.zeros((6, len(FEATURES))), module=law_function(onnx))
     save_force(replace(MODEL, law=law, ridge=None, onnx=onnx), tmp_path)
     found, first = load_force(tmp_path), (tmp_path / FILE).read_bytes()
     assert found.law.module is not None and found.onnx == onnx

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from instance import Instance, unzip
 from numpy.typing import NDArray
 from rig import FULL_INERTIA, Rig, plain, q, vec
+from scipy.signal import welch
 from scipy.spatial.transform import Rotation
 
 from cosim.whole_twin import fused_model
@@ -23,8 +24,11 @@ from twin.physics.residual_force import (
     FADED,
     FEATURES,
     INPUTS,
+    NOISE_HZ,
+    NOISE_PERIOD_S,
     OUTPUTS,
     ForceLaw,
+    noise_values,
     residual_force,
 )
 from twin.vehicle import Vehicle
@@ -116,6 +120,35 @@ def test_neither_heading_nor_place_takes_part(turn: float, vel: Array, place: Ar
     np.testing.assert_allclose(found[0], found[1], atol=1e-9)
     assert not {"pos_x", "pos_y"} & set(rig.component.input_names)
     del place
+
+
+@pytest.mark.slow
+def test_noise_has_the_level_of_its_third_octave_and_is_off_by_default() -> None:
+    k, level = NOISE_HZ.index(min(NOISE_HZ, key=lambda f: abs(f - 5))), 0.3
+    noise = np.zeros((len(OUTPUTS), len(NOISE_HZ)))
+    noise[2, k] = level
+    made = replace(alone(), noise=noise)
+    rig = Rig(residual_force(VEHICLE, made), {"noise.enabled": 1.0, "seed": 3.0})
+    run, u = Run(rig.component, rig.inputs(motion()), rig.p), rig.inputs(motion())
+    drawn = np.zeros((8000, len(NAMES)))
+    for i in range(len(drawn)):
+        run.step(i * NOISE_PERIOD_S, NOISE_PERIOD_S, u)
+        y = np.asarray(rig.component.outputs(run.x, u, rig.p)).ravel()
+        drawn[i] = [y[rig.component.output_names.index(n)] for n in NAMES]
+    force = drawn[:, 2] / VEHICLE.mass_kg
+    assert not np.delete(drawn, 2, axis=1).any()
+    assert np.std(force) == pytest.approx(level, rel=0.1)
+    f, power = welch(force, 1 / NOISE_PERIOD_S, nperseg=2000)
+    edge = 2 ** (1 / 6)
+    inside = (f > NOISE_HZ[k] / edge) & (f < NOISE_HZ[k] * edge)
+    assert power[inside].sum() > 0.4 * power.sum(), "half of it, between half-power points"
+    assert power[f < NOISE_HZ[k] / 8].max() < 1e-2 * power[inside].max()
+    plain = Rig(residual_force(VEHICLE, made))
+    quiet = Run(plain.component, u, plain.p)
+    for i in range(20):
+        quiet.step(i * NOISE_PERIOD_S, NOISE_PERIOD_S, u)
+    assert not quiet.x.any()
+    assert set(noise_values(noise)) >= {"noise.force_z.1"}
 
 
 def test_it_fades_without_a_step_and_ends_at_zero() -> None:

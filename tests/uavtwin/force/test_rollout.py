@@ -26,11 +26,11 @@ from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.force.learn import (
     Fold,
     accepted,
-    best_ridge,
+    best,
     in_force,
     mean_squares,
+    ranked,
     score,
-    stronger,
 )
 from uavtwin.force.open_loop import Replay
 
@@ -120,17 +120,18 @@ def test_the_drag_that_is_missing_is_found_and_bounded(taught: Taught) -> None:
 
 
 def test_the_strongest_ridge_that_is_as_good_is_taken() -> None:
-    def best(*scores: tuple[float, float, float]) -> float | None:
-        return best_ridge([RidgeScore(*s) for s in scores])
+    def taken(*scores: tuple[float, float, float]) -> float | None:
+        found = best([RidgeScore("both", *s) for s in scores])
+        return None if found is None else found[1]
 
-    assert best((1.0, 0.805, 1.0), (0.1, 0.8, 1.0)) == 1.0
-    assert best((1.0, 0.9, 1.0), (0.1, 0.8, 1.0)) == 0.1
-    assert best((1.0, 0.9, 1.1), (0.1, 0.995, 1.0)) is None
-    assert stronger(0.1) == [0.1, 0.3, 1.0]
-    assert stronger(1.0) == [1.0]
+    assert taken((1.0, 0.805, 1.0), (0.1, 0.8, 1.0)) == 1.0
+    assert taken((1.0, 0.9, 1.0), (0.1, 0.8, 1.0)) == 0.1
+    assert taken((1.0, 0.9, 1.1), (0.1, 0.995, 1.0)) is None
+    scores = [RidgeScore("both", 1.0, 0.9, 1.0), RidgeScore("force", 0.1, 0.8, 1.0)]
+    assert ranked([*scores, RidgeScore("both", 0.1, 0.7, 1.1)]) == [("force", 0.1), ("both", 1.0)]
 
 
-LAW = 1.0
+LAW = ("both", 1.0)
 
 
 def _fold(law: float, observer: float, motion: float, fast: bool) -> Fold:

@@ -1,0 +1,244 @@
+"""How unrestful a hover is, by third-octave, and the noise with which a twin hovers alike.
+
+A twin that flies by itself in still air is calmer than any aircraft. What shakes the aircraft is
+drawn inside the equations (`twin.physics.residual_force`), a level of force and of moment for each
+third-octave. Its controller answers, so levels are found as a shaker is equalised: the exported
+twin hovers, and each level is raised or lowered by what its reading lacks there of that of the
+flights. A force sideways is answered by a tilt: where that turns the twin more than the flights
+turn, both are off by the same factor, the one quieter and the other louder.
+
+Source: equalisation of random vibration, Piersol & Paez, Harris' Shock and Vibration Handbook;
+power density, Welch, IEEE Trans. Audio Electroacoust. 15, 1967.
+"""
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from scipy.signal import welch
+
+from twin.formatting import percent
+from twin.frames import AXES
+from twin.logs import Flight
+from twin.physics.residual_force import NOISE_HZ, NOISE_PERIOD_S, OUTPUTS, noise_values
+from twin.residuals.aligned import align_flight
+
+from ..exports.parts import LearnedForce, twin
+from ..exports.write import export
+from ..vehicles import Vehicle
+from .closed_loop import HOVER, flown, hover_rows
+
+Array = NDArray[np.float64]
+READINGS = tuple(f"{stem}_{a}" for stem in ("acc", "gyro") for a in AXES)
+"""Of which the spectrum is taken, in the order of the six outputs that shake them."""
+WINDOW_S = 10.0
+"""Of a spectrum: two periods of the lowest third-octave; a shorter hover is one window."""
+NEIGHBOURS = 5
+"""Third-octaves over which a spectrum is smoothed: the fewest that leave out a line at the edge of
+two of them."""
+ROUNDS, MOST = 4, 100.0
+"""Of the equalisation, and the largest change of a power in one. Not chosen on flights."""
+SEEDS = (1, 2)
+"""Of the hovers of a round."""
+FLOWN_S, KEPT_S = 45.0, 30.0
+"""Of a hover, and its end of which the spectrum is taken: the take-off has settled by then."""
+_GYRO_X, _GYRO_Y = READINGS.index("gyro_x"), READINGS.index("gyro_y")
+_EDGE = 2 ** (1 / 6)  # a third-octave ends so far from its middle
+_PART = "residual_force."  # in front of a parameter's name
+
+
+@dataclass(frozen=True, slots=True)
+class HoverLevel:
+    """Power density in one third-octave of a hover, (unit of the reading)^2/Hz.
+
+    Attributes:
+        flight: Its name.
+        reading: Column of the flight table.
+        hz: Middle of the third-octave.
+        aircraft: Of the flight; missing where its log is too slow.
+        calm: Of the twin that hovers by itself in still air.
+        drawn: Of the same with its noise.
+    """
+
+    flight: str
+    reading: str
+    hz: float
+    aircraft: float | None
+    calm: float
+    drawn: float
+
+
+def levels(x: Array, rate_hz: float) -> Array:
+    """Power density by third-octave, NaN above half of the rate.
+
+    Args:
+        x: Readings, shape (n, k).
+        rate_hz: Of them.
+
+    Returns:
+        Of each of `NOISE_HZ`, shape (k, len(NOISE_HZ)).
+    """
+    window = min(len(x), round(WINDOW_S * rate_hz))
+    f, power = welch(x, rate_hz, nperseg=window, detrend="linear", axis=0)
+    found = np.full((x.shape[1], len(NOISE_HZ)), np.nan)
+    for k, middle in enumerate(NOISE_HZ):
+        inside = (f >= middle / _EDGE) & (f < middle * _EDGE)
+        if middle * _EDGE < rate_hz / 2:
+            there = [np.interp(middle, f, p) for p in power.T]
+            found[:, k] = power[inside].mean(axis=0) if inside.any() else there
+    return found
+
+
+def flight_levels(flight: Flight, vehicle: Vehicle) -> Array | None:
+    """Those of a flight's hovers, on an even grid at the rate of its log; None: it has none."""
+    if not flight.has(*READINGS):
+        return None
+    aligned = align_flight(flight, vehicle)
+    t_s, x = flight.signal(list(READINGS))
+    rate_hz, found, lengths = 1 / float(np.median(np.diff(t_s))), [], []
+    for rows in hover_rows(aligned):
+        begin_s, end_s = aligned.inputs.t_s[rows[[0, -1]]]
+        even_s = np.arange(begin_s, end_s, 1 / rate_hz)
+        even = np.column_stack([np.interp(even_s, t_s, column) for column in x.T])
+        found.append(levels(even, rate_hz))
+        lengths.append(len(even_s))
+    return np.average(found, axis=0, weights=lengths) if found else None
+
+
+def wanted_levels(found: Sequence[Array]) -> Array:
+    """Mean over flights without lines, which are of rotors and no noise; 0 where no log tells.
+
+    Args:
+        found: As of `flight_levels`.
+
+    Returns:
+        A median over `NEIGHBOURS` third-octaves: of some seconds each is known to a factor of two.
+    """
+    known = np.isfinite(found).any(axis=0)
+    mean = np.where(
+        known, np.nansum(found, axis=0) / np.maximum(np.isfinite(found).sum(axis=0), 1), 0
+    )
+    last = np.maximum.accumulate(np.where(known, np.arange(known.shape[1]), 0), axis=1)
+    filled = np.take_along_axis(mean, last, axis=1)
+    return np.where(known, median_filter(filled, (1, NEIGHBOURS), mode="nearest"), 0.0)
+
+
+@contextmanager
+def _hovering(
+    vehicle: Vehicle, force: LearnedForce
+) -> Iterator[Callable[[Mapping[str, float]], Array | None]]:
+    """Levels of the exported twin that hovers with some start values; None: it does not stay."""
+    reads = [f"imu.{r}" for r in READINGS]
+    with tempfile.TemporaryDirectory() as place:
+        fmu = Path(place, "twin.fmu")
+        export(twin(vehicle, HOVER, force=force), fmu)
+
+        def hovered(starts: Mapping[str, float]) -> Array | None:
+            """Mean over `SEEDS`."""
+            found = []
+            for seed in SEEDS:
+                seeds = {f"{_PART}seed": float(seed), "imu.seed": float(seed)}
+                rows = flown(fmu, FLOWN_S, {**starts, **seeds}, reads, NOISE_PERIOD_S)
+                if not np.isfinite(rows).all():
+                    return None
+                found.append(levels(rows[-round(KEPT_S / NOISE_PERIOD_S) :], 1 / NOISE_PERIOD_S))
+            return np.asarray(np.mean(found, axis=0))
+
+        yield hovered
+
+
+def hover_noise(flights: Sequence[Flight], vehicle: Vehicle, force: LearnedForce) -> Array:
+    """Levels of `ForceLaw.noise` with which a twin hovers as flights do.
+
+    Args:
+        flights: Those that hover count.
+        vehicle: Whose twin.
+        force: Learned for it.
+
+    Returns:
+        Shape (6, len(NOISE_HZ)); zero where no flight hovers, or the twin does not.
+    """
+    found = [own for f in flights if (own := flight_levels(f, vehicle)) is not None]
+    nothing = np.zeros((len(OUTPUTS), len(NOISE_HZ)))
+    if not found:
+        return nothing
+    wanted, middle = wanted_levels(found), np.array(NOISE_HZ)
+    noise = np.sqrt(wanted * middle * (_EDGE - 1 / _EDGE))
+    noise[len(AXES) :] *= 2 * np.pi * middle  # a moment turns the rates
+    with _hovering(vehicle, _with(force, noise + _LEAST)) as hovered:
+        for _ in range(ROUNDS):
+            own = hovered({f"{_PART}noise.enabled": 1.0} | _starts(noise))
+            if own is None:
+                return nothing
+            lacks = np.clip(wanted / own, 1 / MOST, MOST)
+            turned = np.minimum(lacks[[_GYRO_Y, _GYRO_X]], 1.0)
+            lacks[:2] = np.where(turned < 1, np.sqrt(lacks[:2] * turned), lacks[:2])
+            noise = noise * np.sqrt(lacks)
+    return np.asarray(noise)
+
+
+def hover_levels(
+    flights: Sequence[Flight], vehicle: Vehicle, force: LearnedForce
+) -> tuple[HoverLevel, ...]:
+    """How flights hover and how the twin does; none where its law has no noise.
+
+    Args:
+        flights: Those that hover count.
+        vehicle: Whose twin.
+        force: Learned for it.
+    """
+    if not force.model.law.noise.any():
+        return ()
+    with _hovering(vehicle, force) as hovered:
+        calm, drawn = hovered({}), hovered({f"{_PART}noise.enabled": 1.0})
+    if calm is None or drawn is None:
+        return ()
+    rows = []
+    for flight in flights:
+        if (own := flight_levels(flight, vehicle)) is None:
+            continue
+        for i, k in np.ndindex(own.shape):
+            there = float(own[i, k]) if np.isfinite(own[i, k]) else None
+            both = float(calm[i, k]), float(drawn[i, k])
+            rows.append(HoverLevel(flight.name, READINGS[i], NOISE_HZ[k], there, *both))
+    return tuple(rows)
+
+
+TWICE = 2.0
+"""Ratio of rms up to which two hovers are alike."""
+
+
+def noise_claim(rows: Sequence[HoverLevel]) -> str:
+    """How often the twin's hover is alike, with its noise and without; one sentence."""
+    known = [row for row in rows if row.aircraft]
+
+    def share(powers: Sequence[float]) -> str:
+        """How often a power is that of the aircraft within the square of `TWICE`."""
+        over = np.array(powers) / [r.aircraft for r in known]
+        return percent(float(np.mean(np.abs(np.log(over)) < 2 * np.log(TWICE))))
+
+    drawn, calm = share([r.drawn for r in known]), share([r.calm for r in known])
+    return (
+        f"hovering by itself with its noise drawn, the twin's accelerometer and gyroscope are "
+        f"within a factor of {TWICE:g} of the flights' (rms) in {drawn} of {len(known)} "
+        f"third-octaves from {NOISE_HZ[0]:g} to {NOISE_HZ[-1]:.0f} Hz, without it in {calm}."
+    )
+
+
+_LEAST = 1e-12
+"""Added to a level, so that the exported twin has a parameter for each."""
+
+
+def _with(force: LearnedForce, noise: Array) -> LearnedForce:
+    """The same law with another noise."""
+    return replace(force, model=replace(force.model, law=replace(force.model.law, noise=noise)))
+
+
+def _starts(noise: Array) -> dict[str, float]:
+    """Start values of the exported twin."""
+    return {_PART + name: level for name, level in noise_values(noise).items()}
