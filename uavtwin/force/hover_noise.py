@@ -45,7 +45,7 @@ ROUNDS, MOST = 4, 100.0
 """Of the equalisation, and the largest change of a power in one. Not chosen on flights."""
 SEEDS = (1, 2)
 """Of the hovers of a round."""
-FLOWN_S, KEPT_S = 45.0, 30.0
+FLOWN_S, MEASURED_S = 45.0, 30.0
 """Of a hover, and its end of which the spectrum is taken: the take-off has settled by then."""
 _GYRO_X, _GYRO_Y = READINGS.index("gyro_x"), READINGS.index("gyro_y")
 _EDGE = 2 ** (1 / 6)  # a third-octave ends so far from its middle
@@ -146,7 +146,9 @@ def _hovering(
                 rows = flown(fmu, FLOWN_S, {**starts, **seeds}, reads, NOISE_PERIOD_S)
                 if not np.isfinite(rows).all():
                     return None
-                found.append(levels(rows[-round(KEPT_S / NOISE_PERIOD_S) :], 1 / NOISE_PERIOD_S))
+                found.append(
+                    levels(rows[-round(MEASURED_S / NOISE_PERIOD_S) :], 1 / NOISE_PERIOD_S)
+                )
             return np.asarray(np.mean(found, axis=0))
 
         yield hovered
