@@ -2,12 +2,11 @@
 
 Each flight in turn is left out. The others teach a law through the rollout, under each of
 `learning.force.laws.RIDGES`; all of them are put into the FMU of the driven twin, and the flight
-that was left out is replayed through it, over the horizons that the law is fitted to. The strongest
-ridge that is as good as the best is taken, of the whole law or of one part of it alone, where the
-twin is less far off than without, and in no quantity farther. That law is held against what needs
-none (`accepted`). Last, missions in random
-air withdraw what makes the controller lose the vehicle (`closed_loop`). These flights choose; what
-the law is worth, others say.
+that was left out is replayed through it, as long as the twin without a law does not tumble. The
+strongest ridge that is as good as the best is taken, of the whole law or of one part of it alone,
+where the twin is less far off than without, and in no quantity farther. That law is held against
+what needs none (`accepted`). Last, the twin has to rest in a hover and to fly missions in random
+air (`closed_loop`). These flights choose; what the law is worth, others say.
 """
 
 import hashlib
@@ -26,7 +25,7 @@ from fmus import build
 from learning.force.equations import Equations
 from learning.force.laws import PARTS, RIDGES, Choice, Taught
 from learning.force.model import Acceptance, ForceModel, RidgeScore, TrainingFlight
-from learning.force.windows import HORIZONS_S, FlightWindows
+from learning.force.windows import FlightWindows
 from twin.errors import TwinError
 from twin.flight.assembly import driven_twin
 from twin.logs import Flight
@@ -41,11 +40,17 @@ from ..exports.parts import OBSERVER
 from ..vehicles import Vehicle
 from .closed_loop import flyable
 from .memory import Memory
-from .open_loop import Replay
+from .open_loop import QUANTITIES, Replay
 
 Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 Progress = Callable[[float], None]
-ALONE_S = HORIZONS_S[-1]
+AHEAD_S = (0.2, 0.5, 1.0)
+"""Horizons over which a law is judged, s."""
+TUMBLED_RAD = 1.0
+"""Attitude that the twin without a law is off (rms), from which on a horizon of a flight does not
+count: how a twin tumbles is no forecast. Not chosen on flights."""
+ALONE_S = 0.5
 """That of the comparison with the last motion, s."""
 BETTER = 0.01
 """Share by which a law must lower the error, in the geometric mean over flights, quantities and
@@ -58,6 +63,8 @@ median of cells: what an observer does is none of its own."""
 FAST_M_S = 0.5
 """Median speed of a flight from which on it has to be flown better than by the last motion: an
 aircraft that hardly moves is foretold best by that, whatever the twin."""
+ATTITUDE = [q for q, _ in QUANTITIES].index("attitude")
+"""Place among the quantities."""
 _PART = "residual_force."  # in front of a parameter's name
 _TINY = 1e-30
 """Added to mean squares, so that the ratio of two that are zero is one."""
@@ -139,7 +146,7 @@ def left_out(
             path = memory.array(f"without {flight.name}", taught.path)
             fmu = Path(place, f"{k}.fmu")
             build(fused_model(driven_twin(vehicle, drive, (), taught.empty), vehicle.name), fmu)
-            folds.append(Fold(Replay(flight, vehicle, HORIZONS_S), taught, path, fmu, memory))
+            folds.append(Fold(Replay(flight, vehicle, AHEAD_S), taught, path, fmu, memory))
             progress((k + 1) / len(flights))
         yield folds
 
@@ -157,9 +164,19 @@ def score(choice: Choice, squares: Array, without: Array) -> RidgeScore:
         squares: As of `mean_squares`.
         without: The same without it.
     """
-    logs = np.log((squares + _TINY) / (without + _TINY)) / 2
-    worst = logs.mean(axis=(0, 1)).max()
+    logs = np.log((squares + _TINY) / (without + _TINY))[upright(without)] / 2
+    worst = logs.mean(axis=0).max()
     return RidgeScore(*choice, float(np.exp(logs.mean())), float(np.exp(worst)))
+
+
+def upright(without: Array) -> BoolArray:
+    """Horizons of flights that count, shape (flights, horizons); all where none would.
+
+    Args:
+        without: Mean squares of the twin without a law, as of `mean_squares`.
+    """
+    stands = without[..., ATTITUDE] < TUMBLED_RAD**2
+    return np.asarray(stands if stands.any() else ~stands)
 
 
 def best(tried: Sequence[RidgeScore]) -> Choice | None:
@@ -185,10 +202,12 @@ def accepted(folds: Sequence[Fold], choice: Choice) -> Acceptance:
     in position and velocity."""
     own, observed = mean_squares(folds, choice), mean_squares(folds, None)
     over = np.sqrt((own + _TINY) / (observed + _TINY))
+    over = over[upright(observed)]
     touched = over[np.abs(over - 1) > _UNTOUCHED]
     over_observer = float(np.median(touched)) if len(touched) else 1.0
     last = np.stack([f.last_motion for f in folds]).sum(-1)
-    ratios = np.log((own[:, -1, :2] + _TINY) / (last[:, -1, :2] + _TINY)) / 2
+    at = AHEAD_S.index(ALONE_S)
+    ratios = np.log((own[:, at, :2] + _TINY) / (last[:, at, :2] + _TINY)) / 2
     quick = [f.fast for f in folds]
     fast = float(np.exp(ratios[quick].mean())) if any(quick) else None
     refused = over_observer > ACCEPTED or (fast is not None and fast >= 1)

@@ -97,7 +97,7 @@ def test_the_drag_that_is_missing_becomes_a_law(model: Path) -> None:
     for a, row in zip("xy", values, strict=False):
         assert law["outputs"][f"force_{a}"]["law"] == "linear"
         of_air = row[columns.index(f"air_{a}")] + 2.0 * row[columns.index(f"speed air_{a}")]
-        assert -1.2 * DRAG_1_S < of_air < -0.3 * DRAG_1_S, "at 2 m/s; the tilt tells of it, too"
+        assert -1.2 * DRAG_1_S < of_air < -0.4 * DRAG_1_S, "at 2 m/s; the tilt tells of it, too"
     page = (model / "report.html").read_text("utf-8")
     assert not re.search(r'<(script|link|img)[^>]+(src|href)="http', page)
 

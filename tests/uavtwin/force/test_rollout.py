@@ -24,6 +24,7 @@ from twin.residuals.aligned import components_of
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.force.learn import (
+    AHEAD_S,
     Fold,
     accepted,
     best,
@@ -131,12 +132,22 @@ def test_the_strongest_ridge_that_is_as_good_is_taken() -> None:
     assert ranked([*scores, RidgeScore("both", 0.1, 0.7, 1.1)]) == [("force", 0.1), ("both", 1.0)]
 
 
+def test_a_twin_that_has_tumbled_is_no_forecast() -> None:
+    without = np.full((2, len(AHEAD_S), 4), 0.1)
+    without[0, -1] = 4.0
+    squares = 0.25 * without
+    squares[0, -1] = 400.0
+    found = score(("both", 1.0), squares, without)
+    assert found.ratio == pytest.approx(0.5) and found.worst == pytest.approx(0.5)
+    assert score(("both", 1.0), 100.0 * without, 40.0 * without).ratio == pytest.approx(2.5**0.5)
+
+
 LAW = ("both", 1.0)
 
 
 def _fold(law: float, observer: float, motion: float, fast: bool) -> Fold:
     """Errors of every cell: with the law, with the untrained observer, of the last motion."""
-    cells = (len(HORIZONS_S), 4, 3)
+    cells = (len(AHEAD_S), 4, 3)
     flown = SimpleNamespace(off=np.full((2, *cells), motion))
     replay = SimpleNamespace(speed_m_s=1.0 if fast else 0.1, last_motion=lambda: flown)
     with_law = {None: np.full(cells, observer**2), LAW: np.full(cells, law**2)}
