@@ -17,6 +17,7 @@ hypothesis, too.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,21 +163,24 @@ class LaplaceEvidence:
         return np.concatenate([self.spectrum.theta, self.spectrum.days.ravel()])
 
     def _sum(self, noise: BandNoise | InstrumentNoise) -> None:
-        """Gram matrices of residual and slopes, and the likelihood of what is left of them."""
+        """Products of residual and slopes, and the likelihood of what is left of them."""
         size = 1 + self._k + self._f * self._d
-        grams, terms = [], []
+        parts, terms = [], []
         for c, own in enumerate(self.spectrum.rows):
             rows, at, band, flight = self._side_by_side(own)
-            corner = np.ix_(at, at)
-            for term in noise.terms(c, rows, band, flight):
-                gram = np.zeros((size, size))
-                gram[corner] = term.gram
-                grams.append(gram)
-                terms.append(term)
-        self._grams, self._likelihood = np.array(grams), noise.likelihood(terms)
-        reach = np.einsum("bii->bi", self._grams)[:, 1 : 1 + self._k]
+            found = noise.terms(c, rows, band, flight)
+            i, j = np.triu_indices(len(at))
+            parts.append((_place(at[i], at[j]), np.array([t.gram[i, j] for t in found])))
+            terms += found
+        self._products, first = np.zeros((_place(0, size), len(terms))), 0
+        for place, values in parts:
+            self._products[place, first : first + len(values)] = values.T
+            first += len(values)
+        self._likelihood = noise.likelihood(terms)
+        numbers = 1 + np.arange(self._k)
+        reach = self._products[_place(numbers, numbers)]
         self._reach: dict[str, set[int]] = {
-            e: {terms[i].channel for i in np.flatnonzero(reach[:, self._columns[e]].any(axis=1))}
+            e: {terms[i].channel for i in np.flatnonzero(reach[self._columns[e]].any(axis=0))}
             for e in self.priors.causes
         }
 
@@ -244,13 +248,10 @@ class LaplaceEvidence:
 
     def at(self, on: Sequence[str], kappa: float, x: Array | None = None) -> float:
         """Log density of residuals and numbers where the residuals were taken."""
-        x = self.here if x is None else x
         prior = self._prior(on, kappa)
-        free = prior.free
-        y = x[free]
-        q, g = self._grams[:, 0, 1 + free], self._grams[:, 1 + free[:, None], 1 + free]
-        rss = self._grams[:, 0, 0] - 2 * q @ y + np.einsum("bij,i,j->b", g, y, y, optimize=True)
-        return self._likelihood.log(np.maximum(rss, 0), kappa) + prior.log_density(y) + prior.odds
+        y = (self.here if x is None else x)[prior.free]
+        left = _Squares.of(self._products, prior.free).left(y)
+        return self._likelihood.log(left, kappa) + prior.log_density(y) + prior.odds
 
     def best(self, on: Sequence[str], kappa: float, reach: Array | None = None) -> MapEstimate:
         """The best numbers of a set, and its evidence.
@@ -281,38 +282,30 @@ class LaplaceEvidence:
     ) -> MapEstimate:
         prior = self._prior(on, kappa)
         free, mean = prior.free, prior.mean
-        g = self._grams[:, 1 + free[:, None], 1 + free]
-        q, power = self._grams[:, 0, 1 + free], self._grams[:, 0, 0]
+        squares = _Squares.of(self._products, free)
         low, high = self._low[free], self._high[free]
         if reach is not None:
             near = np.clip(start[free], low, high)
             low, high = np.maximum(low, near - reach[free]), np.minimum(high, near + reach[free])
-        flat = g.reshape(len(g), -1)
-        m = len(free)
-
-        def rss(x: Array) -> Array:
-            bent = (flat @ np.outer(x, x).ravel()) if m else 0.0
-            return np.maximum(power - 2 * q @ x + bent, 0)
 
         def density(left: Array, x: Array) -> float:
             return self._likelihood.log(left, kappa) + prior.log_density(x)
 
         def curvature(left: Array, precision: Array) -> Array:
-            weight = self._likelihood.weights(left, kappa)[1]
-            return (weight @ flat).reshape(m, m) + precision
+            return squares.matrix(self._likelihood.weights(left, kappa)[1]) + precision
 
         def pull(left: Array, x: Array, precision: Array) -> Array:
             """Right side of the normal equations for the next numbers."""
             slope, weight = self._likelihood.weights(left, kappa)
-            more = np.flatnonzero(slope - weight)
-            turned = (slope - weight)[more] @ (q[more] - g[more] @ x)
-            return np.asarray(weight @ q + precision @ mean + turned)
+            more = slope - weight
+            turned = squares.mixed @ more - squares.matrix(more) @ x if np.any(more) else 0.0
+            return np.asarray(squares.mixed @ weight + precision @ mean + turned)
 
         limited = any(e in self._limited for e in on)
         x = np.clip(start[free], low, high)
-        left = rss(x)
+        left = squares.left(x)
         now = density(left, x)
-        for _ in range(steps if m else 0):
+        for _ in range(steps if len(free) else 0):
             precision = prior.precision_at(x)
             h = Factored.of(curvature(left, precision))
             y = best_inside(h, pull(left, x, precision), low, high)
@@ -321,7 +314,7 @@ class LaplaceEvidence:
             length, gained = 1.0, False
             for _ in range(HALVINGS):
                 z = x + length * (y - x)
-                new_left = rss(z)
+                new_left = squares.left(z)
                 new = density(new_left, z)
                 if new >= now:
                     gained = True
@@ -348,6 +341,51 @@ class LaplaceEvidence:
         y = x.copy()
         y[own] = bounds.inside(x[own], h.inverse()[np.ix_(own, own)])
         return y
+
+
+_Index = TypeVar("_Index", int, NDArray[np.intp])
+
+
+def _place(i: _Index, j: _Index) -> _Index:
+    """Row of the product of columns i <= j where products lie column after column."""
+    return j * (j + 1) // 2 + i
+
+
+@dataclass(frozen=True, slots=True)
+class _Squares:
+    """Sum of squares of each term as a quadratic form of some numbers.
+
+    Attributes:
+        power: With the numbers at zero, shape (t,).
+        mixed: Products of residual and slopes, shape (m, t).
+        flat: Those of two slopes, shape (m (m + 1) / 2, t).
+        i, j: Of which slopes, i <= j.
+    """
+
+    power: Array
+    mixed: Array
+    flat: Array
+    i: NDArray[np.intp]
+    j: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, products: Array, free: NDArray[np.intp]) -> "_Squares":
+        """Of the products of all numbers those of some, in rising order."""
+        i, j = np.triu_indices(len(free))
+        at = 1 + free
+        mixed, flat = products[_place(np.zeros_like(at), at)], products[_place(at[i], at[j])]
+        return cls(products[0], mixed, flat, i, j)
+
+    def left(self, x: Array) -> Array:
+        """Sum of squares of each term at some numbers, shape (t,)."""
+        pairs = np.where(self.i == self.j, 1.0, 2.0) * x[self.i] * x[self.j]
+        return np.maximum(self.power - 2 * x @ self.mixed + pairs @ self.flat, 0)
+
+    def matrix(self, weight: Array) -> Array:
+        """Products of the slopes, each term by its weight, shape (m, m)."""
+        m = np.zeros((len(self.mixed), len(self.mixed)))
+        m[self.i, self.j] = m[self.j, self.i] = self.flat @ weight
+        return m
 
 
 @dataclass(frozen=True, slots=True)
