@@ -109,7 +109,7 @@ class OverRows:
         with np.errstate(all="ignore"):
             for first in range(0, n, CHUNK):
                 part = slice(first, first + CHUNK)
-                differ = [np.ascontiguousarray(a[part].T) for a in arguments[: self._rows]]
+                differ = [_columns(a[part]) for a in arguments[: self._rows]]
                 self._evaluate([*differ, *same], result[:, part])
         return result.T
 
@@ -124,6 +124,11 @@ class OverRows:
                     result[out] = value
             else:
                 work[out] = step(*[work[g] for g in given])
+
+
+def _columns(rows: Array) -> Array:
+    """The transpose, each row of it in one piece of memory."""
+    return rows.T if rows.strides[0] == rows.itemsize else np.ascontiguousarray(rows.T)
 
 
 def _step(function: ca.Function, k: int) -> _Step | None:

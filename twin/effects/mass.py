@@ -115,7 +115,7 @@ def hang_load(
     pull = length_m * np.sum(rate**2, axis=1) - np.sum(along * free_n, axis=1)
     stretch = np.maximum(pull, 0.0) / (1 + share) / (2 * np.pi * ROPE_HZ) ** 2
     at = {name: i for i, name in enumerate(names)}
-    states = states.copy()
+    states = states.copy(order="K")
     states[:, [at[n] for n in PLACE]] = along * (length_m + stretch)[:, None]
     vel = states[:, [at[f"vel_{a}"] for a in "xyz"]]
     states[:, [at[n] for n in SPEED]] = vel + length_m * rate

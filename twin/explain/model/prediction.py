@@ -414,7 +414,9 @@ class Trajectory:
         self._courses: dict[tuple[str, bytes, tuple[float, ...]], Any] = {}
         self._integrated: dict[tuple[tuple[str, float], ...], AlignedFlight] = {}
         states = self._observed(self.aligned.states, self.aligned.inputs.u, self._now)
-        self.aligned = replace(self.aligned, states=states)
+        inputs = replace(self.aligned.inputs, u=np.asfortranarray(self.aligned.inputs.u))
+        states = np.asfortranarray(states)  # it is by columns that they are shifted and used
+        self.aligned = replace(self.aligned, states=states, inputs=inputs)
 
     def at(self, change: Mapping[str, float]) -> tuple[Array, Array]:
         """States, shape (n, n_x), and inputs, shape (n, n_u), with some numbers changed.
@@ -462,14 +464,14 @@ class Trajectory:
                     stems += ("omega_",)  # they come from the attitude
                 names = [s.name for s in self.aligned.airframe.states]
                 own = [i for i, name in enumerate(names) if name.startswith(stems)]
-                states = states.copy()
-                states[:, own] = self._spline(stems, self.aligned.states[:, own]).later(-age)
+                states = states.copy(order="K")
+                states[:, own] = self._spline(stems, self.aligned.states, own).later(-age)
         return states
 
-    def _spline(self, stems: tuple[str, ...], values: Array) -> GridSpline:
-        """Of measured states or inputs, which no number changes."""
+    def _spline(self, stems: tuple[str, ...], rows: Array, own: Sequence[int]) -> GridSpline:
+        """Of some columns of measured states or inputs, which no number changes."""
         if stems not in self._splines:
-            self._splines[stems] = GridSpline(values)
+            self._splines[stems] = GridSpline(rows[:, own])
         return self._splines[stems]
 
     def _integrated_with(self, values: Mapping[str, float]) -> AlignedFlight:
@@ -481,7 +483,7 @@ class Trajectory:
         starts = on | {n.full: n.now for n in self._numbers if n.effect in moving} | dict(values)
         body = self.aligned.airframe.with_starts({k: v for k, v in starts.items() if k in known})
         reached: set[int] = set().union(*(self._reached(name) for name in values))
-        inputs, states = self.aligned.inputs, self.aligned.states.copy()
+        inputs, states = self.aligned.inputs, self.aligned.states.copy(order="K")
         rotors = rotor_states_of(body)
         if reached & {*rotors}:
             own = [name for name in values if self._reached(name) & {*rotors}]
@@ -553,9 +555,9 @@ class Trajectory:
             for i, s in enumerate(body.states)
             if s.name.startswith(("rotor_", "effort_", *arrived))
         ]
-        states, inputs = states.copy(), inputs.copy()
+        states, inputs = states.copy(order="K"), inputs.copy(order="K")
         states[:, rotors] = shifted(states[:, rotors], delay_s)
-        inputs[:, drives] = self._spline(own, self.aligned.inputs.u[:, drives]).later(delay_s)
+        inputs[:, drives] = self._spline(own, self.aligned.inputs.u, drives).later(delay_s)
         return states, inputs
 
 
