@@ -9,6 +9,7 @@ whose numbers are not determined is named without them, and a further sentence s
 numbers.
 """
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -309,12 +310,25 @@ def _change(naming: Naming, effect: str, estimates: Sequence[Estimate]) -> Headl
     if not change:
         return Headline(f"{title(effect)} has changed")
     numbers = said_numbers(effect, change)
-    words = said(effect, change, since=True)
+    own = [t for t in estimates if t.number.name in numbers]
+    words = said(effect, change, since=True) + _within(own)
     rotors = {c.partition(":")[2] for c in naming.one_of(effect) if c.startswith(f"{effect}:")}
     named = {r for r in rotors if f"rotor {r} " in words}
     if len(rotors) > 1 and named:
         words += f" (or another one of rotors {joined(sorted(rotors), 'and')})"
     return Headline(words, tuple(f"{effect}.{name}" for name in numbers))
+
+
+def _within(estimates: Sequence[Estimate]) -> str:
+    """Half of the 95 % interval of a change that is one number with a unit, or a wind; begins with
+    a blank, "" of any other."""
+    units = {t.number.about.unit for t in estimates}
+    weather = all(EFFECTS[t.number.effect].of_weather for t in estimates)
+    if len(units) != 1 or "1" in units or not (weather or len(estimates) == 1):
+        return ""
+    size = math.hypot(*(t.change for t in estimates))
+    half = math.hypot(*(t.change / size * _width(t) / 2 for t in estimates))
+    return f" (± {quantity(float(f'{half:.2g}'), units.pop())})"
 
 
 def _what_else(found: Explanation, sure: Sequence[str]) -> str:

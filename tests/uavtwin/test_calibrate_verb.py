@@ -12,15 +12,18 @@ import pytest
 from cli_rig import run
 
 import uavtwin as ut
+from twin.effects import EFFECTS
 from twin.errors import TwinError
 from twin.explain.calibration import Calibrated
 from twin.explain.explanation import Explanation
+from twin.explain.inference.estimate import Estimate
+from twin.explain.model.numbers import numbers_of
 from twin.logs import read_flight, write_flight
 from twin.vehicle import Calibration, Vehicle
 from uavtwin.calibration import CalibrateResult
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.explain_record import explain_record
-from uavtwin.headline import headline
+from uavtwin.headline import _within, headline
 from uavtwin.wording import said
 
 COPTER = ut.load_vehicle("copter_default")
@@ -93,6 +96,27 @@ def test_a_change_is_said_as_a_pilot_says_it(
     effect: str, change: dict[str, float], words: str
 ) -> None:
     assert said(effect, change, since=True) == words
+
+
+@pytest.mark.parametrize(
+    ("effect", "change", "words"),
+    [
+        ("steady_wind", {"north_m_s": (4.0, 0.6)}, " (± 0.6 m/s)"),
+        ("steady_wind", {"north_m_s": (3.0, 0.6), "east_m_s": (-4.0, 1.0)}, " (± 0.88 m/s)"),
+        ("command_delay", {"delay_s": (0.012, 0.004)}, " (± 4 ms)"),
+        ("cog_offset", {"x_m": (0.004, 0.001), "y_m": (0.002, 0.001)}, ""),
+        ("rotor_efficiency_loss", {"loss_1": (0.2, 0.05)}, ""),
+    ],
+)
+def test_a_change_of_one_number_has_its_interval(
+    effect: str, change: dict[str, tuple[float, float]], words: str
+) -> None:
+    every = {n.name: n for n in numbers_of([EFFECTS[effect]], COPTER)}
+    estimates = [
+        Estimate(every[name], value, 0.0, (value - half, value + half))
+        for name, (value, half) in change.items()
+    ]
+    assert _within(estimates) == words
 
 
 def test_a_number_of_this_aircraft_is_held_against_its_file() -> None:
