@@ -55,6 +55,10 @@ _OPEN = re.compile(r"^(?=const EMX_UNUSED|void network\()", re.MULTILINE)
 """Starts of what is to become static."""
 
 
+class UnsupportedNetworkError(FmuError):
+    """The C generator refuses a network that onnxruntime may run."""
+
+
 @lru_cache(maxsize=2)
 def network_source(content: bytes) -> str:
     """C function `network` of an ONNX file; all static, and nothing is allocated in it.
@@ -63,8 +67,8 @@ def network_source(content: bytes) -> str:
     ours, without metadata.
 
     Raises:
-        FmuError: The graph cannot stand in an FMU, the generator refuses it, or emx-onnx-cgen is
-            not installed.
+        UnsupportedNetworkError: The generator refuses the network.
+        FmuError: The graph cannot stand in an FMU, or emx-onnx-cgen is not installed.
     """
     try:
         import emx_onnx_cgen
@@ -90,11 +94,9 @@ def network_source(content: bytes) -> str:
         try:
             source = Compiler(options).compile(plain_copy(model))
         except CompilerError as error:
-            raise FmuError(
-                f"the C generator refuses the network: {error}; onnxruntime runs it as it is."
-            ) from None
+            raise UnsupportedNetworkError(f"the C generator refuses the network: {error}") from None
     if "malloc(" in source:
-        raise FmuError("the network: its C would allocate memory in each sample")
+        raise UnsupportedNetworkError("the C generator would allocate memory in each sample")
     return _OPEN.sub("static ", _EXPORTED.sub("", source))
 
 
@@ -106,8 +108,8 @@ def compensator_model(folder: Path) -> FmuModel:
     """The native FMU model of the compensator in a folder.
 
     Raises:
-        FmuError: The folder holds no compensator, the C generator refuses its network, or a package
-            is missing.
+        UnsupportedNetworkError: The C generator refuses the network.
+        FmuError: The folder holds no compensator, or a package is missing.
     """
     return native_model(read_network(folder))
 
@@ -234,6 +236,7 @@ __all__ = [
     "FILE",
     "INT8_FILE",
     "NetworkFile",
+    "UnsupportedNetworkError",
     "compensator_model",
     "interface_model",
     "native_model",

@@ -190,6 +190,7 @@ def test_real_outputs_are_the_numbers_of_the_typed_ones(tmp_path: Path, fmi: int
         (("battery",), Choice(vehicle="copter_default"), "[battery]"),
         (("replay",), Choice(), "--flight"),
         (("imu",), Choice(outputs="Real"), "--outputs Real: choose typed or real"),
+        (("imu",), Choice(outputs="real", python_slave=True), "leave out the Python slave"),
         (("imu",), Choice(drive="commands"), "nothing of imu: it goes with airframe and corr"),
         (("imu", "airframe"), Choice(mission="tour"), "it goes with mission and corrected-twin."),
         (("airframe",), Choice(controller="px4"), "it goes with corrected-twin."),

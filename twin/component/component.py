@@ -29,7 +29,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -121,6 +121,14 @@ class Variable:
         if self.boolean:
             return "true" if self.start else "false"
         return f"{self.start:g}"
+
+    @classmethod
+    def from_row(cls, row: Mapping[str, Any]) -> "Variable":
+        """One that `dataclasses.asdict` took apart, perhaps by way of JSON."""
+        kind = row["kind"]
+        if isinstance(kind, Mapping):
+            kind = Enumeration(kind["name"], tuple(kind["items"]))
+        return cls(**{**row, "kind": kind})
 
 
 def unknown_name(owner: str, kind: str, name: str, known: Iterable[str]) -> str:
@@ -528,6 +536,29 @@ class Run:
     def outputs(self, u: Array) -> Array:
         """Present outputs, shape (n_y,)."""
         return np.asarray(self.component.outputs(self.x, u, self.p), dtype=np.float64).ravel()
+
+    def saved(self) -> Array:
+        """All of it as one array, from which `restored` goes on to the last bit."""
+        return np.concatenate([[self._start_s, self._count], self.x, *self._records])
+
+    @classmethod
+    def restored(cls, component: Component, p: Array, saved: Array) -> "Run":
+        """The run of a component with these parameters that was `saved`."""
+        run = cls.__new__(cls)
+        run.component, run.p = component, p
+        (start_s, count), run.x, *records = np.split(saved, np.cumsum(cls._sizes(component))[:-1])
+        run._start_s, run._count, run._records = float(start_s), int(count), tuple(records)
+        return run
+
+    @staticmethod
+    def saved_size(component: Component) -> int:
+        """Length of what `saved` returns."""
+        return sum(Run._sizes(component))
+
+    @staticmethod
+    def _sizes(component: Component) -> list[int]:
+        lines = component.sampling.lines if component.sampling else ()
+        return [2, len(component.states), *(line.samples for line in lines)]
 
     def _sample(self, u: Array) -> None:
         sampling = self.component.sampling

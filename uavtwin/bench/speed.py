@@ -23,6 +23,7 @@ from cosim.system import Connection, System, connect
 from cosim.whole_twin import fused_model, system_of
 from cosim.worker import WorkerMaster
 from fmus import build, component_model
+from fmus.python_slave.build import build_python_slave
 from twin.errors import install_command
 from twin.flight.assembly import flying_twin
 from twin.physics.airframe import airframe
@@ -53,7 +54,7 @@ def run_bench(progress: Callable[[float], None] = lambda _: None) -> list[Row]:
 
 
 def _steps(folder: Path) -> list[Row]:
-    """One component, and two."""
+    """One component, native and as a Python slave."""
     vehicle = load_vehicle("copter_default")
     body, sensor = airframe(vehicle), imu(vehicle)
     native = build(component_model(body), folder / "airframe.fmu")
@@ -64,10 +65,17 @@ def _steps(folder: Path) -> list[Row]:
     inside = _inside(native, 20.0)
     per_step = _per_step(System({"airframe": native}), 20_000)
     both = _per_step(pair, 20_000) / 2
+    python = build_python_slave(body, folder / "python.fmu")
+    python_inside = _inside(python, 1.0)
+    python_per_step = _per_step(System({"airframe": python}), 1_000)
     return [
         Row("airframe, one 1 ms step inside the native FMU", inside, "us", "<= 0.5"),
+        Row("the same inside a Python slave (pythonfmu)", python_inside, "us", ""),
+        Row("native faster by", python_inside / inside, "x", ">= 50"),
         Row("airframe, one doStep through the master", per_step, "us", "<= 5"),
         Row("airframe and IMU, per FMU and doStep through the master", both, "us", "<= 5"),
+        Row("Python slave, one doStep through the master", python_per_step, "us", ""),
+        Row("native faster by", python_per_step / per_step, "x", ">= 10"),
     ]
 
 

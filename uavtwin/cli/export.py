@@ -115,6 +115,10 @@ def export(
         bool,
         typer.Option("--int8", help="The compensator's weights in 8 bits: smaller and faster."),
     ] = False,
+    python_slave: Annotated[
+        bool,
+        typer.Option("--python-slave", help="For prototypes: FMUs run by Python and pythonfmu."),
+    ] = False,
     arrays: Annotated[
         bool,
         typer.Option(
@@ -154,6 +158,7 @@ def export(
         model,
         position,
         int8,
+        python_slave,
         arrays,
         outputs,
         observer,
@@ -187,6 +192,7 @@ class Choice:
         model: Folder of a trained compensator, for `compensator` and `corrected-twin`.
         position: Kind of position sensor.
         int8: Whether the compensator's weights have 8 bits.
+        python_slave: Whether components are evaluated by Python inside the FMU, for prototypes.
         arrays: Whether what belongs together is one array.
         outputs: "typed", or "real" where every output is to be a real number.
         observer: Whether a driven twin has its disturbance observer on.
@@ -204,6 +210,7 @@ class Choice:
     model: Path | None = None
     position: str = "gnss"
     int8: bool = False
+    python_slave: bool = False
     arrays: bool = False
     outputs: str = "typed"
     observer: bool = False
@@ -249,12 +256,12 @@ def export_components(
         if name not in known:
             raise TwinError(unknown_name("export", "component", name, known))
     versions = _versions(choice.fmi)
-    _check_options(names, choice)
+    _check_options(names, choice, versions)
     learned = _learned(names, choice, vehicle)
     parts = [_part(name, choice, vehicle, *learned) for name in dict.fromkeys(names)]
     platforms = [name.strip() for name in choice.platform.split(",")]
     starts = start_values(choice.start)
-    forms = choice.arrays, choice.outputs == "real"
+    forms = choice.python_slave, choice.arrays, choice.outputs == "real"
     return export_parts(parts, versions, platforms, starts, *forms)
 
 
@@ -266,7 +273,7 @@ def default_vehicle(model: Path | None) -> str:
     return vehicle_named(None, "copter_default")
 
 
-def _check_options(names: Sequence[str], choice: Choice) -> None:
+def _check_options(names: Sequence[str], choice: Choice, versions: Sequence[int]) -> None:
     """Refuse options that do not go together."""
     unused = {n for n, used_by in _FOR.items() if not set(used_by) & set(names)}
     if DRIVES.get(choice.drive or MISSION) is not None:  # a log drives it: nobody flies it
@@ -286,6 +293,8 @@ def _check_options(names: Sequence[str], choice: Choice) -> None:
         raise TwinError(f"--drive {MISSION} goes with {FUSED}: a component flies none.")
     if REPLAY in names and choice.flight is None:
         raise TwinError("replay needs the flight to replay: --flight LOG.")
+    if choice.python_slave and (list(versions) != [2] or {REPLAY, FUSED} & set(names)):
+        raise TwinError("--python-slave: FMI 2 and single components only; leave the rest native.")
     if choice.model is None and COMPENSATOR in names:
         raise TwinError("compensator needs a trained model: --model FOLDER.")
     if choice.outputs not in ("typed", "real"):

@@ -10,9 +10,10 @@ from pathlib import Path
 from cosim.ssp import write_ssp
 from cosim.whole_twin import COMPENSATOR, fused_model, parts_of, system_of
 from fmus import FmuModel, build, component_model
-from fmus.compensator import NetworkFile, native_model
+from fmus.compensator import NetworkFile, UnsupportedNetworkError, native_model
 from fmus.model import with_real_outputs
 from fmus.platforms import Platform, compilers, select_platforms
+from fmus.python_slave.build import build_network_slave, build_python_slave
 from twin.component import Component, unknown_name
 from twin.errors import TwinError
 from twin.formatting import counted
@@ -97,6 +98,7 @@ def products_of(
     what: Exportable,
     starts: Starts,
     versions: Sequence[int],
+    python_slave: bool = False,
     arrays: bool = False,
     real_outputs: bool = False,
 ) -> list[Product]:
@@ -106,6 +108,7 @@ def products_of(
         what: To export.
         starts: Start values, of which it takes its own.
         versions: FMI versions that are wanted.
+        python_slave: Whether Python evaluates it inside the FMU, for prototypes.
         arrays: Whether variables that belong together are arrays; no `.ssp` then.
         real_outputs: Whether every output is a real number; no `.ssp` then.
 
@@ -113,22 +116,28 @@ def products_of(
         TwinError: It cannot be written so.
     """
     if real_outputs:
+        if python_slave:
+            raise TwinError("real outputs are of native FMUs; leave out the Python slave.")
         typed = products_of(what, starts, versions, arrays=arrays)
         models = ((with_real_outputs(p.model), p.note) for p in typed if p.model is not None)
         return [replace(_native(model), note=note) for model, note in models]
     if arrays:
-        if list(versions) != [3]:
-            raise TwinError("arrays are of FMI 3; ask for that version alone.")
+        if list(versions) != [3] or python_slave:
+            raise TwinError("arrays are of FMI 3 and native FMUs; ask for that version alone.")
         scalar = products_of(what, starts, versions)
         return [_with_arrays(p.model, p.note) for p in scalar if p.model is not None]
+    if python_slave and (list(versions) != [2] or not isinstance(what, Component | NetworkFile)):
+        raise TwinError("a Python slave speaks FMI 2 and is one component; leave the rest native.")
     if isinstance(what, Twin):
         return _twin_products(what, starts)
     if isinstance(what, NetworkFile):
-        model = native_model(what)
-        return [_native(model.with_starts(starts.of(model)))]
+        return [_compensator_product(what, versions, python_slave, starts)]
     if isinstance(what, Component):
         ready = what.with_starts(starts.of(what))
-        made = _native(component_model(ready, exchange=ready.for_solvers))
+        native = not python_slave
+        made = (
+            _native(component_model(ready, exchange=ready.for_solvers)) if native else _slave(ready)
+        )
         return [replace(made, note=_grounded(what.description))]
     if isinstance(what, FmuModel):
         return [_native(what.with_starts(starts.of(what)))]
@@ -149,9 +158,43 @@ def _with_arrays(model: FmuModel, note: str) -> Product:
     return replace(_native(replace(model, arrays=True)), note=note)
 
 
+def _slave(component: Component) -> Product:
+    return Product(f"{component.name}.fmu", lambda path, *_: build_python_slave(component, path))
+
+
+def _compensator_product(
+    network: NetworkFile, versions: Sequence[int], python_slave: bool, starts: Starts
+) -> Product:
+    """Native; as a Python slave where that is wanted, or the C generator refuses the network."""
+    if not python_slave:
+        try:
+            model = native_model(network)
+            return _native(model.with_starts(starts.of(model)))
+        except UnsupportedNetworkError as refusal:
+            if list(versions) != [2]:
+                raise TwinError(
+                    f"{network.path}: {refusal}. A Python slave can run it, for FMI 2 alone."
+                ) from None
+            note = f"{refusal}; so it is a Python slave: its host must be Python with onnxruntime"
+            return replace(_network_slave(network), note=note)
+    return _network_slave(network)
+
+
+def _network_slave(network: NetworkFile) -> Product:
+    return Product("compensator.fmu", lambda path, *_: build_network_slave(network, path))
+
+
 def _twin_products(twin: Twin, starts: Starts) -> list[Product]:
     """The fused FMU and the `.ssp`."""
-    compensator = None if twin.compensator is None else native_model(twin.compensator)
+    compensator = None
+    if twin.compensator is not None:
+        try:
+            compensator = native_model(twin.compensator)
+        except UnsupportedNetworkError as refusal:
+            raise TwinError(
+                f"{twin.compensator.path}: {refusal}. The corrected twin is native; export the "
+                f"compensator alone, as a Python slave."
+            ) from None
     parts = parts_of(twin.assembly, compensator)
     own = {name: starts.of(part, name) for name, part in parts.items()}
     assembly = twin.assembly.with_starts(
@@ -255,6 +298,7 @@ def export(
     fmi: int | Iterable[int] = 2,
     platforms: str | Iterable[str] = "linux64",
     starts: Mapping[str, float] | None = None,
+    python_slave: bool = False,
     arrays: bool = False,
     real_outputs: bool = False,
     progress: Progress = lambda _: None,
@@ -268,6 +312,7 @@ def export(
         fmi: FMI versions, 2, 3 or both.
         platforms: That it runs on, see `fmus.platforms`.
         starts: Start values baked in, by name of the parameter or input; in a twin "part.name".
+        python_slave: Whether Python evaluates it inside the FMU, for prototypes.
         arrays: Whether what belongs together is one array, `pos` for `pos_x` to `pos_z`: FMI 3, and
             no `.ssp`.
         real_outputs: Whether every output is a real number, for importers that know no other; no
@@ -282,7 +327,7 @@ def export(
     """
     path, known = Path(path), Starts(dict(starts or {}))
     versions, on = checked_versions(fmi), _platforms(platforms)
-    made = products_of(what, known, versions, arrays, real_outputs)
+    made = products_of(what, known, versions, python_slave, arrays, real_outputs)
     products = {Path(p.file).suffix: p for p in made}
     known.check()
     if path.suffix not in products:
@@ -299,6 +344,7 @@ def export_parts(
     fmi: int | Iterable[int] = 2,
     platforms: str | Iterable[str] = "linux64",
     starts: Mapping[str, float] | None = None,
+    python_slave: bool = False,
     arrays: bool = False,
     real_outputs: bool = False,
 ) -> Callable[[Path, Progress], list[WrittenFile]]:
@@ -309,6 +355,7 @@ def export_parts(
         fmi: As for `export`.
         platforms: As for `export`.
         starts: As for `export`; each part takes those that it has.
+        python_slave: As for `export`.
         arrays: As for `export`.
         real_outputs: As for `export`.
 
@@ -318,7 +365,9 @@ def export_parts(
     known = Starts(dict(starts or {}))
     versions, on = checked_versions(fmi), _platforms(platforms)
     products = [
-        p for part in parts for p in products_of(part, known, versions, arrays, real_outputs)
+        p
+        for part in parts
+        for p in products_of(part, known, versions, python_slave, arrays, real_outputs)
     ]
     known.check()
     return lambda out, progress: write_products(products, versions, on, out, progress)

@@ -34,6 +34,7 @@ from fmus import build
 from fmus.compensator import (
     FILE,
     INT8_FILE,
+    UnsupportedNetworkError,
     compensator_model,
     interface_model,
     native_model,
@@ -41,6 +42,7 @@ from fmus.compensator import (
     read_network,
 )
 from fmus.platforms import compilers, select_platforms
+from fmus.python_slave.build import build_network_slave
 from learning.data.channels import CHANNELS, GROUPS
 from learning.export.write import streamed
 from learning.model.compensator import Compensator
@@ -83,12 +85,14 @@ def folder_of(tmp_path_factory: pytest.TempPathFactory) -> Folder:
 
 @pytest.fixture(scope="module")
 def fmu_of(folder_of: Folder, tmp_path_factory: pytest.TempPathFactory) -> Fmu:
-    """(name, FMI version) -> the FMU; "int8 NAME": of 8-bit weights."""
+    """(name, FMI version) -> the FMU; "slave NAME" by Python, "int8 NAME" of 8-bit weights."""
     there = tmp_path_factory.mktemp("fmus")
 
     @cache
     def built(name: str, fmi: int) -> Path:
         path = there / f"{name}-{fmi}.fmu"
+        if name.startswith("slave "):
+            return build_network_slave(read_network(folder_of(name.removeprefix("slave "))), path)
         if name.startswith("int8 "):
             network = read_network(folder_of(name.removeprefix("int8 ")), INT8_FILE)
             return build(native_model(network), path, fmi)
@@ -191,11 +195,14 @@ def test_8_bits_are_those_of_onnxruntime_and_nearly_the_numbers_of_torch(
 
 
 @pytest.mark.slow
-def test_the_other_version_gives_the_same(new: New) -> None:
-    """FMI 3, to the bit."""
+def test_other_forms_give_the_same(new: New) -> None:
+    """FMI 3 to the bit; the Python slave as far as sums of float32 go."""
     rows = rows_of(flight(model("track"), 200))
     native = fly(new("track", 2).start(), rows, range(200))
     assert fly(new("track", 3).start(), rows, range(200)).tobytes() == native.tobytes()
+    np.testing.assert_allclose(
+        fly(new("slave track").start(), rows, range(200)), native, TOLERANCE, TOLERANCE
+    )
 
 
 @pytest.mark.slow
@@ -235,7 +242,7 @@ def test_other_compilers_give_the_same_bits(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["track"])
+@pytest.mark.parametrize("name", ["track", "slave track"])
 def test_the_first_sample_is_a_period_after_the_start(new: New, name: str) -> None:
     """Until then nothing is corrected, and what an uncorrected sensor is wrong by is expected."""
     rows = rows_of(flight(model("track"), 30))
@@ -281,7 +288,7 @@ def test_outside_the_envelope_nothing_is_corrected(new: New) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["track"])
+@pytest.mark.parametrize("name", ["track", "slave track"])
 def test_a_sample_with_no_number_is_left_out_and_counted(new: New, name: str) -> None:
     """The rest is that of a run without it, to the bit; what is not valid is never looked at."""
     rows = rows_of(flight(model("track"), 30))
@@ -305,7 +312,7 @@ def test_a_sample_with_no_number_is_left_out_and_counted(new: New, name: str) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "fmi"), [("track", 2), ("track", 3)])
+@pytest.mark.parametrize(("name", "fmi"), [("track", 2), ("track", 3), ("slave track", 2)])
 def test_restored_run_repeats_bit_by_bit(new: New, name: str, fmi: int) -> None:
     rows = rows_of(flight(model("track"), 60))
     one, other = new(name, fmi).start(), new(name, fmi)
@@ -596,8 +603,10 @@ def test_foreign_files_are_refused(folder_of: Folder, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_the_c_generator_refuses_is_said(folder_of: Folder, tmp_path: Path) -> None:
-    """Here the operator GlobalLpPool."""
+def test_what_the_c_generator_refuses_becomes_a_python_slave(
+    folder_of: Folder, new: New, tmp_path: Path
+) -> None:
+    """Here the operator GlobalLpPool; with the reason, and for FMI 2 alone."""
     graph = onnx.load(folder_of("track") / FILE)
     (last,) = (n for n in graph.graph.node if "inside" in n.output)
     last.output[0] = "plain"
@@ -613,5 +622,21 @@ def test_what_the_c_generator_refuses_is_said(folder_of: Folder, tmp_path: Path)
         ]
     )
     folder = changed(graph, tmp_path / "pooled")
-    with pytest.raises(FmuError, match=r"GlobalLpPool.*onnxruntime runs it as it is"):
+    with pytest.raises(UnsupportedNetworkError, match="GlobalLpPool"):
         compensator_model(folder)
+    choice: dict[str, Any] = {"vehicle": VEHICLE, "model": folder}
+    (row_,) = export(["compensator"], tmp_path / "out", **choice)
+    assert "GlobalLpPool" in row_.note
+    assert "onnxruntime" in row_.note
+    for names, fmi, words in (
+        (["compensator"], "3", "for FMI 2 alone"),
+        (["corrected-twin"], "2", "export the compensator alone"),
+    ):
+        with pytest.raises(TwinError, match=words):
+            export_components(names, Choice(**choice, fmi=fmi))
+    rows = rows_of(flight(model("track"), 50))
+    slave = Instance(unzip(tmp_path / "out" / "compensator.fmu", tmp_path / "slave"))
+    found = fly(slave.start(), rows, range(50))
+    slave.close()
+    right = fly(new("track").start(), rows, range(50))
+    np.testing.assert_allclose(found, right, TOLERANCE, TOLERANCE)

@@ -1,0 +1,1 @@
+"""Python-slave FMUs: prototypes and a fallback, run by pythonfmu."""
