@@ -452,14 +452,14 @@ def _with_balance(found: Explanation, naming: Naming) -> Explanation:
 def _with_equations(found: Explanation, seed: int) -> Explanation:
     """The same with equations, where they say more than any effect of the library.
 
-    Since a calibration they never overrule a name, or that nothing has changed, and say more than
-    flights of the calibration had: what these had and no effect explains is no change. A model that
-    lacks many things at once is not asked for one: they would be written down together with the
-    constants of days.
+    Since a calibration they never overrule a name, that nothing has changed, or a change of the
+    balance of forces and moments, and are of more than the flights of the calibration had: what
+    these had and no effect explains is no change. A model that lacks many things at once is not
+    asked for one: they would be written down together with the constants of days.
     """
     naming = found.naming
     assert naming is not None
-    if found.since is not None and naming.verdict in ("named", "nothing"):
+    if found.since is not None and _told(found, naming):
         return found
     if len(naming.best.effects) > found.settings.inference.adequacy.most:
         return found
@@ -477,6 +477,14 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
     return replace(
         found, verdict="unnamed", shown=None, stochastic=(), values={}, unnamed=alone.equations
     )
+
+
+def _told(found: Explanation, naming: Naming) -> bool:
+    """Whether a search or a balance says what has changed since a calibration, or that nothing has:
+    a load that changes the mean thrust changes it as an equation in the thrust does."""
+    if "named" in (found.verdict, naming.verdict) or naming.verdict == "nothing":
+        return True
+    return found.balance is not None and found.balance.nothing < found.balance.sure
 
 
 def _new(vehicle: Vehicle, naming: Naming, stands: Fit, alone: Unnamed) -> bool:

@@ -1,6 +1,8 @@
 """The balance of forces and moments: planted causes, probabilities that are true, units."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
-from twin.explain import balance
+from twin.explain import balance, explanation
 from twin.explain.balance import (
     BALANCED,
     DAY,
@@ -27,6 +29,8 @@ from twin.explain.balance import (
     balance_of,
     channels_of_balance,
 )
+from twin.explain.explanation import Explanation
+from twin.explain.inference.selection import Verdict
 from twin.vehicle import Calibration
 from twin.vehicle.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
@@ -274,3 +278,44 @@ def test_the_smallest_change_is_where_nothing_is_no_longer_said() -> None:
     loss = found.detectable[ROTORS].value
     assert loss is not None
     assert judged(of(f"{ROTORS}.loss_1", loss)).nothing < 1 - SURE
+
+
+# -- equations ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("verdict", "searched", "nothing", "asked"),
+    [
+        ("named", "cannot_tell", 0.0, False),  # a load, by the balance alone
+        ("cannot_tell", "cannot_tell", 0.1, False),  # a rotor or a load
+        ("nothing", "nothing", 0.9, False),
+        ("cannot_tell", "cannot_tell", 0.9, True),
+    ],
+)
+def test_equations_overrule_no_change_of_the_balance(
+    monkeypatch: pytest.MonkeyPatch,
+    verdict: Verdict,
+    searched: Verdict,
+    nothing: float,
+    asked: bool,
+) -> None:
+    """A load that doubles the weight is an equation in the thrust as well."""
+    seen: list[bool] = []
+    monkeypatch.setattr(explanation, "_stands", lambda _: None)
+    monkeypatch.setattr(explanation, "find_equations", lambda *_: seen.append(True))
+    rest = SimpleNamespace(channels=())
+    problem = SimpleNamespace(noise=SimpleNamespace(mute=()), rest=rest)
+    best = SimpleNamespace(effects=())
+    naming = SimpleNamespace(verdict=searched, best=best, whitened=None, problem=problem)
+    balance = replace(judged(np.zeros(4)), sure=SURE)
+    hypotheses = (replace(balance.hypotheses[0], probability=nothing),)
+    found = Explanation(
+        verdict,
+        COPTER,
+        ("one",),
+        naming=cast(Any, naming),
+        since=FLIGHTS,
+        balance=replace(balance, hypotheses=hypotheses),
+    )
+    assert explanation._with_equations(found, 0) is found
+    assert bool(seen) == asked
