@@ -16,6 +16,7 @@ from twin.errors import TwinError
 from .options import (
     Exit,
     Json,
+    Prints,
     VehicleName,
     needed_vehicle,
     seconds,
@@ -92,7 +93,7 @@ def hil(
     seed: Seed = 0,
     effect: Effects = None,
     start: Starts = None,
-    as_json: Json = False,
+    as_json: Annotated[Json, Prints(about="As of `live --hil`.")] = False,
 ) -> None:
     """Former name of `uavtwin live --hil`."""
     shape = Shape(wind, gusts, seed, effect, start, place)
