@@ -294,10 +294,12 @@ def _noise(m: ComponentBuilder, levels: Array) -> ca.SX:
         level = m.parameter(name, levels[i, k], unit, f"Standard deviation of {what}", minimum=0)
         one, two, size = _band(NOISE_HZ[k])
         a, b = (m.memory(f"{name}.{s}", "1", f"{what}, {s}") for s in ("now", "before"))
-        m.update(f"{name}.now", one * a - two * b + m.noise(enabled * size))
-        m.update(f"{name}.before", a)
-        drawn[i] = drawn[i] + level * (a - b)
-    m.rests_while(enabled < 0.5)
+        m.update(f"{name}.now", enabled * (one * a - two * b + m.noise(enabled * size)))
+        m.update(f"{name}.before", enabled * a)
+        drawn[i] = drawn[i] + enabled * level * (a - b)
+    off = enabled < 0.5
+    m.idle_while(off, ca.SX.sym("step"), [enabled])
+    m.rests_while(off)
     return drawn
 
 

@@ -50,6 +50,7 @@ _FOR = {
     "controller": (FUSED,),
     "position": ("position", FUSED),
     "observer": (FUSED,),
+    "noise": (FUSED,),
     "model": (COMPENSATOR, FUSED),
 }
 """Option -> what is made otherwise by it."""
@@ -111,6 +112,14 @@ def export(
             "acts on when it is left alone. With --model it always does.",
         ),
     ] = False,
+    noise: Annotated[
+        bool,
+        typer.Option(
+            "--noise",
+            help="Of a corrected-twin with a learned force: what it does not foretell is drawn, as "
+            "unrestful as the hovers of its flights; by the start value residual_force.seed.",
+        ),
+    ] = False,
     int8: Annotated[
         bool,
         typer.Option("--int8", help="The compensator's weights in 8 bits: smaller and faster."),
@@ -162,6 +171,7 @@ def export(
         arrays,
         outputs,
         observer,
+        noise,
     )
     plan = export_components(components, choice)
     with results_folder(out, force) as folder, progress("building") as step:
@@ -196,6 +206,7 @@ class Choice:
         arrays: Whether what belongs together is one array.
         outputs: "typed", or "real" where every output is to be a real number.
         observer: Whether a driven twin has its disturbance observer on.
+        noise: Whether the noise of a learned force is drawn.
     """
 
     vehicle: str = "copter_default"
@@ -214,6 +225,7 @@ class Choice:
     arrays: bool = False
     outputs: str = "typed"
     observer: bool = False
+    noise: bool = False
 
     def recorded(self) -> dict[str, Any]:
         """For `run.json`, which lists files that were read among its inputs."""
@@ -320,7 +332,9 @@ def _part(
         controller = cast("Controller", choice.controller)
         kind = cast("Kind", choice.position)
         return parts.twin(
-            vehicle, choice.mission, controller, network, drive, force, kind, choice.observer
+            *(vehicle, choice.mission, controller, network, drive, force, kind),
+            observer=choice.observer,
+            noise=choice.noise,
         )
     if name == REPLAY and choice.flight is not None:
         linear = [c.strip() for c in choice.linear.split(",") if c.strip()]

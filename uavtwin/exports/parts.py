@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
+import numpy as np
+
 from cosim.whole_twin import COMPENSATOR
 from fmus import FmuModel, replay_model
 from fmus.compensator import FILE, INT8_FILE, NetworkFile, read_network
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
 Controller = Literal["lqr", "px4"]
 OBSERVER = "airframe.disturbance.enabled"
 """Parameter that switches the disturbance observer of a driven twin."""
+NOISE = "residual_force.noise.enabled"
+"""Parameter that switches the noise of a learned force, where it is built in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +78,7 @@ def twin(
     force: "LearnedForce | None" = None,
     position: Kind = "gnss",
     observer: bool = False,
+    noise: bool = False,
 ) -> Twin:
     """The whole twin of a vehicle, all effects built in and those of the vehicle on.
 
@@ -88,6 +93,8 @@ def twin(
         position: Kind of position sensor.
         observer: Whether a driven twin has its disturbance observer on; with anything learned it
             has.
+        noise: Whether what the force does not foretell is drawn (`residual_force.noise.enabled`,
+            on); else nothing of it is in the twin.
 
     Raises:
         TwinError: An unknown mission, controller, drive or position sensor, or a compensator or
@@ -97,7 +104,12 @@ def twin(
     _check_position("twin", position)
     if compensator is not None:
         check_compensator(compensator, model)
-    law = None if force is None else law_for(force, model)
+    law = None if force is None else law_for(force, model, noise)
+    if noise and (law is None or not law.noise.any()):
+        raise TwinError(
+            "noise: nothing is to be drawn. It is of a learned force whose training flights hover, "
+            "and whose twin does; train with such a flight."
+        )
     if drive is None:
         assembly = flying_twin(model, mission, controller, law=law, position=position)
     else:
@@ -105,6 +117,8 @@ def twin(
         assembly = driven_twin(model, drive, law=law, position=position)
         if observer or force is not None or compensator is not None:
             assembly = assembly.with_starts({OBSERVER: 1.0})
+    if noise:
+        assembly = assembly.with_starts({NOISE: 1.0})
     return Twin(model.name, assembly, compensator, model.grounded)
 
 
@@ -213,15 +227,17 @@ def check_unaided(network: NetworkFile) -> None:
         )
 
 
-def law_for(force: LearnedForce, vehicle: Vehicle) -> ForceLaw:
-    """The law of a learned force, held against the vehicle whose twin it is to move.
+def law_for(force: LearnedForce, vehicle: Vehicle, noise: bool = False) -> ForceLaw:
+    """The law of a learned force, held against the vehicle whose twin it is to move, with its noise
+    or without.
 
     Raises:
         TwinError: It was learned for another vehicle, or for other numbers of this one.
     """
     taught = force.model
     _check_taught(str(force.folder), taught.vehicle, taught.vehicle_sha256, vehicle)
-    return taught.law
+    law = taught.law
+    return law if noise else replace(law, noise=np.zeros_like(law.noise))
 
 
 def learned_force(folder: str | Path) -> LearnedForce:

@@ -28,7 +28,7 @@ from twin.logs import Flight
 from twin.physics.residual_force import NOISE_HZ, NOISE_PERIOD_S, OUTPUTS, noise_values
 from twin.residuals.aligned import align_flight
 
-from ..exports.parts import LearnedForce, twin
+from ..exports.parts import NOISE, LearnedForce, twin
 from ..exports.write import export
 from ..vehicles import Vehicle
 from .closed_loop import HOVER, flown, hover_rows
@@ -136,7 +136,7 @@ def _hovering(
     reads = [f"imu.{r}" for r in READINGS]
     with tempfile.TemporaryDirectory() as place:
         fmu = Path(place, "twin.fmu")
-        export(twin(vehicle, HOVER, force=force), fmu)
+        export(twin(vehicle, HOVER, force=force, noise=True), fmu)
 
         def hovered(starts: Mapping[str, float]) -> Array | None:
             """Mean over `SEEDS`."""
@@ -174,7 +174,7 @@ def hover_noise(flights: Sequence[Flight], vehicle: Vehicle, force: LearnedForce
     noise[len(AXES) :] *= 2 * np.pi * middle  # a moment turns the rates
     with _hovering(vehicle, _with(force, noise + _LEAST)) as hovered:
         for _ in range(ROUNDS):
-            own = hovered({f"{_PART}noise.enabled": 1.0} | _starts(noise))
+            own = hovered(_starts(noise))
             if own is None:
                 return nothing
             lacks = np.clip(wanted / own, 1 / MOST, MOST)
@@ -197,7 +197,7 @@ def hover_levels(
     if not force.model.law.noise.any():
         return ()
     with _hovering(vehicle, force) as hovered:
-        calm, drawn = hovered({}), hovered({f"{_PART}noise.enabled": 1.0})
+        calm, drawn = hovered({NOISE: 0.0}), hovered({})
     if calm is None or drawn is None:
         return ()
     rows = []

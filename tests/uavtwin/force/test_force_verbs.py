@@ -221,6 +221,10 @@ def test_a_mission_is_flown_with_the_law(model: Path, tmp_path: Path) -> None:
             "not of",
         ),
         (lambda m, logs, t: ("export", "compensator", "--model", m), "no FMU of its own"),
+        (
+            lambda m, logs, t: ("export", "corrected-twin", "--model", m, "--noise"),
+            "nothing is to be drawn",
+        ),
         (lambda m, logs, t: ("export", "corrected-twin", "--model", m, "--int8"), "no form of 8"),
         (
             lambda m, logs, t: (
