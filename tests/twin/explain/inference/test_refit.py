@@ -79,6 +79,17 @@ def test_more_effects_never_fit_worse_and_numbers_stay_in_range() -> None:
 
 
 @pytest.mark.slow
+def test_a_hopeless_fit_is_given_up_with_what_its_linearisation_promises() -> None:
+    whole = state_of(problem(), EFFECTS_AT_ONCE)
+    gained = whole.evidence - problem().start((), 1.0).evidence
+    given_up = problem().start(EFFECTS_AT_ONCE, 1.0, whole.evidence + 2 * gained)
+    assert not np.array_equal(given_up.best.x, whole.best.x)
+    assert given_up.evidence == pytest.approx(whole.evidence, abs=0.5 * gained + 10)
+    within_reach = problem().start(EFFECTS_AT_ONCE, 1.0, whole.evidence - 1)
+    np.testing.assert_array_equal(within_reach.best.x, whole.best.x)
+
+
+@pytest.mark.slow
 def test_a_lag_that_is_far_from_the_files_is_found() -> None:
     """Steps along it are short where it bends and grow where it does not."""
     rotors = replace(COPTER.rotors, lag_up_s=0.15, lag_down_s=0.15)
