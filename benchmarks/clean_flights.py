@@ -31,7 +31,8 @@ from twin.logs import Flight, read_flight
 from twin.why import diagnose
 from twin.why.causes import AIR
 
-from .sudden_faults import Planted, trivial_rule
+from .sudden_faults.answers import trivial_rule
+from .sudden_faults.built_in import Planted
 
 FIRST = 2000
 """First seed that is scored: those below chose levels of `twin.why`."""

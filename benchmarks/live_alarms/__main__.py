@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.sudden_faults import SCORED, Planted
+from benchmarks.sudden_faults.__main__ import SCORED
+from benchmarks.sudden_faults.built_in import Planted
 from twin.errors import TwinError
 from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle

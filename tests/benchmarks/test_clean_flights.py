@@ -4,7 +4,7 @@ import pandas as pd
 from why_rig import ONSET_S, sound
 
 from benchmarks.clean_flights import SIMULATED, Answer, air_change_m_s, page
-from benchmarks.sudden_faults import Planted
+from benchmarks.sudden_faults.built_in import Planted
 from twin.logs import Flight
 
 

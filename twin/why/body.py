@@ -263,6 +263,12 @@ class Body:
         """Whether commands are logged fast enough to show the gain."""
         return self.frame.rate_hz(self.frame.drive or "") > FAST_HZ
 
+    @property
+    def turns_as_asked(self) -> bool:
+        """Whether roll and pitch follow the commands and not their opposite, which shows that the
+        rotors are taken in a wrong order; not asked where commands are logged slowly."""
+        return not self.fast or bool(np.all(self.laws[0].gain[1:3] > 0))
+
     @cached_property
     def authority(self) -> Array:
         """What all rotors together do to each channel in the early part, shape (4,)."""

@@ -34,7 +34,7 @@ LOSSES_OF_ALL = np.array([0.08, 0.15, 0.25, 0.4, 0.6, 0.8, 1.0])
 """Of the thrust of all rotors."""
 MASSES = np.array([-0.5, *np.linspace(-0.4, -0.1, 7), -0.06, 0.06, *np.linspace(0.1, 0.4, 7), 0.5])
 """Change of the mass over the mass."""
-GROWS_S = (0.5, 1.5, 4.0)
+GROWS_S = (0.4, 0.8, 1.6, 3.2)
 """In which a loss grows to its size, alike probable, s."""
 
 

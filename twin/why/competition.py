@@ -48,10 +48,12 @@ DEPTH = 4
 """Of the recursion."""
 GREW_S = 3.0
 """Before the strongest onset, in which a loss that grows may have begun."""
+ACROSS = (1.0, 0.0, 1.0)
+"""Which forces or moments act across the thrust, in the order of `Evidence.by_size`."""
 UNSEEN = 0.05
 """Probability that all rotors lose thrust with no voltage that falls as it should: by half as much
 as the thrust, since that goes with its square."""
-VOLTAGE_SD, VOLTAGE_SPREAD = 0.01, 0.3
+VOLTAGE_SD, VOLTAGE_SPREAD = 0.01, 0.2
 """Deviation of such a fall over the voltage, and over what is expected."""
 SAGS_S = 2.0
 """In which a voltage that falls is seen."""
@@ -163,7 +165,7 @@ class Competition:
         over = self.evidence.blow_ends(w)
         still, lasting, passing = self._sideways.evidence(start, onsets, end, over)
         sizes[Name(BLOW)] = sizes[Name(BLOW)] + passing - still[:, None]
-        sizes[Name(PUSH)] = sizes[Name(PUSH)] + (lasting - still)[:, None]
+        sizes[Name(PUSH)] = sizes[Name(PUSH)] + np.outer(lasting - still, ACROSS)
         sizes[Name(ALL)] = sizes[Name(ALL)] + self._by_voltage[onsets]
         each = np.array([logsumexp(sizes[n], axis=1) - np.log(sizes[n].shape[1]) for n in names])
         each += _log_odds(names)[:, None]
@@ -307,6 +309,8 @@ class Competition:
         p = np.exp(weighed - logsumexp(weighed))
         order = np.argsort(-p, kind="stable")
         k = int(order[0])
+        if k == 0:
+            return None
         m, name = int(best[k]), found.names[k]
         start, end = self._about(near, low, high)
         window = Window(*(np.array([x]) for x in (start, int(near[m]), end)))

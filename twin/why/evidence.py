@@ -53,7 +53,7 @@ SURELY_POSITIVE = 5.0
 TIED = ((1.0, 0.5, 0.7, 1.0, 1.4, 2.0), (0.05, 0.25, 0.3, 0.3, 0.3, 0.3))
 """Means and deviations of the gain after an onset over that before it, where commands are logged
 fast: mostly it stays; the middle of the others weighs most."""
-STAYS = 1.5
+STAYS = 2.5
 """Log odds of a gain that stays against the middle of the others: a judgement."""
 FLOORED = np.array([[1.0], [0.3]]) * (0.8, 1.0, 1.6, 2.5, 4.0, 6.5, 10.0, 16.0)
 """The same where they are logged slowly: jitter that is not logged lets the gain before the onset
@@ -69,6 +69,9 @@ TRIM_SHARE, TRIM_SHARE_SLOW = 0.007, 0.011
 """Of what all rotors do to a channel: by so much its offset may change at any onset, whatever the
 hypothesis. Wind, battery and an imperfect map of thrust do that; more where commands are logged
 slowly, since what they did in between is not known."""
+TURNS = (False, True, True, False)
+"""Channels that a mass changes which moves: a force or moment is one of all channels, of these, or
+of none, but across the thrust; see `by_size`."""
 OFFSET_SD = np.array([3.0 * GRAVITY_M_S2, 30.0, 30.0, 30.0])
 """Of an offset of a channel, m/s^2 and rad/s^2."""
 PRODUCT_SD = np.array([0.1, 1.0, 1.0, 1.0])
@@ -124,7 +127,11 @@ class Evidence:
         return [np.minimum(window.onset + m, window.end) for m in lengths]
 
     def by_size(self, window: Window, fine: bool) -> dict[Name, Array]:
-        """Log evidence of every size of every name, shape (onsets, sizes)."""
+        """Log evidence of every size of every name, shape (onsets, sizes).
+
+        Those of a force or moment are: of all channels; of roll and pitch alone; of none of these,
+        which acts across the thrust.
+        """
         by_law = [
             {n: sum(each[1:], each[0]) for n, each in self._by_channel(law, window, fine).items()}
             for law in self.body.laws
@@ -181,7 +188,8 @@ class Evidence:
         heavy = channels[0].scaled(one / (1 + MASSES)[:, None])
         found[Name(ALL)] = weak
         found[Name(MASS)] = [heavy, pushed[1], pushed[2], base[3]]
-        found[Name(PUSH)] = pushed
+        kinds = zip(pushed, base, TURNS, strict=True)
+        found[Name(PUSH)] = [np.hstack([p, p if turns else b, b]) for p, b, turns in kinds]
         found[Name(BLOW)] = [c.blown(self.blow_ends(w)) for c in channels]
         return found
 

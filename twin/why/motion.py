@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from .body import Body
-from .causes import CAUSES, LOSSES, NOTHING, ROTOR
+from .causes import CAUSES, CUT, LOSSES, NOTHING, ROTOR
 from .competition import AFTER_S, BEFORE_S, Competition, Onset
 from .findings import Findings
 from .flight import Airborne, FlightFrame
@@ -33,6 +33,9 @@ def moved(frame: FlightFrame, references: Sequence[FlightFrame] = ()) -> Finding
         return Findings(not_visible=[_hidden(c, None, f"the log has no {lacking}") for c in CAUSES])
     events, nothing = [], 1.0
     for body, first in _bodies(frame):
+        if not body.turns_as_asked:
+            reason = "the body does not turn as the commands of any usual frame would turn it"
+            return Findings(not_visible=[_hidden(c, None, reason) for c in CAUSES if c != CUT])
         competition = Competition(body)
         for onset in competition.onsets():
             if body.t_s[onset.place] >= first:
@@ -71,8 +74,8 @@ def event_of(body: Body, onset: Onset) -> Event:
     """An event of the competition as a record."""
     name, (_, probability) = onset.name, onset.probabilities[0]
     onset_s = float(body.t_s[onset.place] - body.frame.dt_s / 2)
-    if name.cause == ROTOR and not name.grows:
-        onset_s = refined_onset(body, onset_s, [r - 1 for r in name.rotors])
+    if name.cause == ROTOR and len(name.rotors) == 1 and not name.grows:
+        onset_s = refined_onset(body, onset_s, name.rotors[0] - 1)
     severity, cause = _severity(onset), CAUSES[name.cause]
     words = {
         "rotor": " and ".join(map(str, name.rotors)),
@@ -113,13 +116,13 @@ def _alternatives(onset: Onset) -> tuple[Candidate, ...]:
     )
 
 
-def refined_onset(body: Body, onset_s: float, rotors: Sequence[int]) -> float:
-    """When the body begins to turn away from rotors: the sharpest bend of its rate along their
-    moment, in the readings as logged."""
+def refined_onset(body: Body, onset_s: float, rotor: int) -> float:
+    """When the body begins to turn away from a rotor: the sharpest bend of its rate along the
+    moment of the rotor, in the readings as logged."""
     gyro = body.frame.signals["gyro"]
     if gyro.rate_hz < 2 / BEND_S:
         return onset_s
-    away = -body.signs[1:, rotors].sum(axis=1) * np.array([1.0, 1.0, 0.0])
+    away = -body.signs[1:, rotor] * np.array([1.0, 1.0, 0.0])
     half = max(REFINED_S, body.frame.dt_s)
     tried = np.arange(onset_s - half, onset_s + half, STEP_S)
     before, now, after = (

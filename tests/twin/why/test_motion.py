@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.sudden_faults import Planted, trivial_rule
+from benchmarks.sudden_faults.answers import trivial_rule
+from benchmarks.sudden_faults.built_in import Planted
 from twin.logs import Flight
 from twin.why.body import Body
 from twin.why.causes import ROTOR, Name

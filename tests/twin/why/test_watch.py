@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from why_rig import ONSET_S, sound
 
-from benchmarks.sudden_faults import Planted
+from benchmarks.sudden_faults.built_in import Planted
 from twin.logs import Flight
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle

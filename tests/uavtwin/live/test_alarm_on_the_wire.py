@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.sudden_faults import Planted
+from benchmarks.sudden_faults.built_in import Planted
 from twin.logs import write_flight
 from uavtwin.vehicles import Vehicle
 
