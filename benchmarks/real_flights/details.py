@@ -1,11 +1,4 @@
-"""Tables of the page beyond rms: what rotations agree on, bands, constants, what is wished for.
-
-What a prototype of the inference left of held-out flights, to be seen beside `explain`.
-
-Figures are rms of RflySimDT's real flights, each held out and predicted from the other two, vehicle
-file `feisi_x150`. They were measured once, before the inference in `twin.explain` was written
-(docs/dev/decisions/inference.md), and are not measured again.
-"""
+"""Tables of the page beyond rms: what rotations agree on, bands, constants, what is wished for."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -51,27 +44,6 @@ def table(head: Sequence[str], lines: Iterable[Sequence[str]]) -> list[str]:
     return [content[0], "|" + "---|" * len(head), *content[1:]]
 
 
-FLIGHTS = ("real_1", "real_2", "real_3")
-SCENARIO = "real"
-RMS: dict[str, tuple[float, float, float]] = {
-    "acc_y": (0.222, 0.268, 0.390),
-    "acc_z": (0.781, 0.319, 0.279),
-    "gyro_rate_x": (3.05, 4.70, 3.59),
-    "gyro_rate_y": (1.75, 2.32, 3.73),
-    "gyro_rate_z": (1.86, 2.05, 1.45),
-    "pose_gyro_x": (4.64e-3, 5.89e-3, 5.24e-3),
-    "mag_x": (7.2e-6, 10.7e-6, 6.5e-6),
-    "baro_pa": (24.2, 14.8, 10.3),
-}
-"""In the unit of the channel, by flight held out."""
-BANDS: dict[str, tuple[tuple[float, ...], ...]] = {
-    "gyro_rate_x": ((2.75, 0.65, 0.82, 0.82), (4.04, 1.06, 0.95, 1.32), (3.42, 0.65, 0.85, 0.87)),
-    "gyro_rate_y": ((1.4, 0.5, 0.66, 0.6), (1.8, 0.6, 0.68, 1.0), (3.7, 0.5, 0.58, 0.7)),
-    "gyro_rate_z": ((1.4, 0.3, 0.6, 1.0), (0.7, 0.5, 1.2, 1.4), (0.4, 0.5, 0.8, 1.1)),
-}
-"""By band of `bands.NAMES`, rad/s2, by flight held out."""
-
-
 CORRECTIONS = {
     "none": "none",
     "effects": "effects",
@@ -84,8 +56,6 @@ GRAVITY = 9.81
 ROTOR_DRAG, FLAPPING = "rotor_drag.k_xy_1_s", "blade_flapping.k_rad_s_m"
 DRAG = {ROTOR_DRAG: 1.0, FLAPPING: GRAVITY}
 """Numbers that are a drag linear in the speed, and what makes them one in 1/s."""
-ALIKE = 0.03
-"""Share by which two rms may differ to be called the same."""
 
 
 # -- which numbers agree --------------------------------------------------------------------
@@ -224,65 +194,6 @@ def _about(row: Mapping[str, Any], correction: str) -> float:
 
 def _scaled(value: float | None, unit: str) -> str:
     return "-" if value is None else figure(in_shown_unit(value, unit)[0])
-
-
-# -- beside the prototype -------------------------------------------------------------------
-
-
-def against_prototype(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
-    """Rms of held-out flights beside those of the prototype, where it has any."""
-    if scenario.name != SCENARIO:
-        return []
-    found = {c["holdout"]: {r["name"]: r for r in c["channels"]} for c in cases}
-    lines = []
-    for name, theirs in RMS.items():
-        rows = [found.get(f, {}).get(name) for f in FLIGHTS]
-        ours = [None if r is None else r["effects"] for r in rows]
-        unit = next((r["unit"] for r in rows if r is not None), "")
-        lines.append((f"`{name}`", in_shown_unit(1.0, unit)[1], *_pairs(ours, theirs, unit)))
-    for name, bands in BANDS.items():
-        rows = [found.get(f, {}).get(name) for f in FLIGHTS]
-        ours = [None if r is None else above(r["bands"]["effects"]) for r in rows]
-        unit = next((r["unit"] for r in rows if r is not None), "")
-        fast = [above(b) for b in bands]
-        lines.append((f"`{name}` > 0.8 Hz", unit, *_pairs(ours, fast, unit)))
-    head = ("channel", "unit", *FLIGHTS)
-    text = (
-        "Rms that effects leave of the held-out flight, then that of the prototype from which the "
-        "inference was built: numpy alone, the same flights and file, measured once (constants in "
-        "`benchmarks/real_flights/details.py`). Bold: less than the prototype, by 3 % or more; "
-        "*: more by as much."
-    )
-    return [
-        *section("Compared with the prototype"),
-        text,
-        "",
-        *table(head, lines),
-        "",
-        *_tally(lines),
-    ]
-
-
-def _pairs(ours: Sequence[float | None], theirs: Sequence[float], unit: str) -> list[str]:
-    cells = []
-    for own, other in zip(ours, theirs, strict=True):
-        after = _scaled(other, unit)
-        if own is None:
-            cells.append(f"- / {after}")
-        elif own < (1 - ALIKE) * other:
-            cells.append(f"**{_scaled(own, unit)}** / {after}")
-        else:
-            cells.append(
-                f"{_scaled(own, unit)}{'*' if own > (1 + ALIKE) * other else ''} / {after}"
-            )
-    return cells
-
-
-def _tally(lines: Sequence[Sequence[str]]) -> list[str]:
-    cells = [c for line in lines for c in line[2:] if not c.startswith("- /")]
-    better = sum(c.startswith("**") for c in cells)
-    worse = sum("* /" in c and not c.startswith("**") for c in cells)
-    return [f"- Better in {better}, worse in {worse}, the same in {len(cells) - better - worse}."]
 
 
 # -- what is wished for ---------------------------------------------------------------------

@@ -5,7 +5,6 @@ from typing import Any
 
 from .agreement import Case, agreements, alike_of, effects_of, judge, numbers_of
 from .details import (
-    against_prototype,
     agree,
     by_band,
     constants,
@@ -37,7 +36,6 @@ def details(found: Sequence[tuple[Scenario, Sequence[Case]]]) -> str:
         parts += agree(scenario, cases)
         parts += believe(scenario, cases)
         parts += wishes(scenario, cases)
-        parts += against_prototype(scenario, cases)
         for case in cases:
             parts += [*gap(case), *by_band(case), *constants(case)]
     return "\n".join(parts) + "\n"
