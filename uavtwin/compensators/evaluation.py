@@ -13,6 +13,7 @@ import pandas as pd
 from fmus.compensator import FILE
 from learning.data.channels import CHANNELS, UNITS
 from learning.data.flights import ResidualFlight, read_residuals, residual_flight, restart_before_s
+from learning.data.scaling import in_spans
 from learning.evaluation import WHOLE, Task, evaluate, pooled
 from learning.model.compensator import LINEAR_PART, Compensator
 from learning.model.family import Corrected, Model, TrainedModel, no_alarm
@@ -36,7 +37,7 @@ from ..series.files import MODEL as OF_MODEL
 from ..vehicles import Vehicle, load_vehicle
 from .in_use import InUseRecord, UsedFlight, driven_fmu, record_of
 from .running import compiled_compensator
-from .training import RESIDUALS, VEHICLE_FILE, in_use_of
+from .training import RESIDUALS, VEHICLE_FILE, in_use_of, task_text
 
 MODEL = "model"
 """What the compensator is called alongside the baselines."""
@@ -330,9 +331,7 @@ def evaluation_claim(found: Evaluation) -> str:
 
 def _task(model: TrainedModel) -> str:
     info = model.info
-    if info.protocol != "track":
-        return str(info.protocol)
-    return f"track, {info.horizon} samples ({1e3 * info.horizon / info.rate_hz:g} ms) ahead"
+    return task_text(info.protocol, info.horizon, info.rate_hz)
 
 
 def evaluation_table(found: Evaluation) -> TextTable:
@@ -361,9 +360,7 @@ def _anomaly(flight: ResidualFlight, corrected: Corrected) -> dict[str, Any]:
     """
     if np.isnan(corrected.anomaly).any():
         return {"share_above_1": None, "largest": None, "at_s": None}
-    inside = np.zeros(len(flight.t_s), dtype=np.bool_)
-    for a, b in flight.spans:
-        inside[a:b] = True
+    inside = in_spans(flight)
     score = np.where(inside, corrected.anomaly, 0.0)
     worst = int(np.argmax(score))
     return {

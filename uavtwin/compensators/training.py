@@ -312,12 +312,15 @@ def training_claim(out: Path) -> str:
     )
 
 
-def _task(about: dict[str, Any]) -> str:
+def task_text(protocol: str, horizon: int, rate_hz: float) -> str:
     """Protocol and horizon in words."""
-    if about["protocol"] != "track":
-        return str(about["protocol"])
-    ahead_ms = 1e3 * about["horizon"] / about["rate_hz"]
-    return f"track, {about['horizon']} samples ({ahead_ms:g} ms) ahead"
+    if protocol != "track":
+        return protocol
+    return f"track, {horizon} samples ({1e3 * horizon / rate_hz:g} ms) ahead"
+
+
+def _task(about: dict[str, Any]) -> str:
+    return task_text(about["protocol"], about["horizon"], about["rate_hz"])
 
 
 def _validation(about: dict[str, Any]) -> list[dict[str, Any]]:
