@@ -162,6 +162,19 @@ def samples(options: Options) -> list[Run]:
     ]
 
 
+def vae(options: Options) -> list[Run]:
+    """Weights of the whole of L_VAE, in short trainings; the preset as it is stands first."""
+    options = options if options.epochs else replace(options, epochs=ABLATION_EPOCHS)
+    return [
+        Run(f"{preset.name}{what}", options.shortened(one), SEEDS.get(preset.name, 0))
+        for preset in (PAPER, BEST)
+        for what, one in {
+            "": preset,
+            **{f", gamma_VAE {w:g}": _of_vae(preset, w) for w in WEIGHTS},
+        }.items()
+    ]
+
+
 def weights(options: Options) -> list[Run]:
     """Weights of the losses, one changed at a time; the preset as it is stands first."""
     runs = []
@@ -199,6 +212,7 @@ TABLES: dict[str, Callable[[Options], list[Run]]] = {
     "II": table2,
     "III": samples,
     "V": weights,
+    "gamma_VAE": vae,
     "needed": needed,
     "ablations": ablations,
     "published": published,

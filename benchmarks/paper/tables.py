@@ -140,10 +140,11 @@ def table3(rows: Sequence[Row]) -> str:
     return _table(("MSE / MAE / WD", *(f"{100 * s:.0f} %" for s in shares)), lines)
 
 
-def table5(rows: Sequence[Row]) -> str:
+def table5(rows: Sequence[Row], table: str = "V") -> str:
     """Weights of the losses: the paper's row beside ours, "-" where one of them has none."""
-    own = {r["row"]: r for r in picked(rows, table="V")}
-    wanted = [f"{w} {v}" for w in ("gamma_vq", "gamma_VAE", "distribution") for v in WEIGHTS]
+    own = {r["row"]: r for r in picked(rows, table=table)}
+    names = ("gamma_VAE",) if table == "gamma_VAE" else ("gamma_vq", "distribution")
+    wanted = [f"{w} {v}" for w in names for v in WEIGHTS]
     lines = []
     for preset in (PAPER.name, BEST.name):
         for what in ("", *wanted):
