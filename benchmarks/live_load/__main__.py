@@ -13,12 +13,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from twin.why.watch import WINDOW_S
+
 from .ages import ages
 from .page import page
 from .runs import aircraft_at_once, growth
 
-_SECONDS = 25.0
-"""Length of a flight of the ages and of several aircraft, s. Made up."""
+_SECONDS, _AGES_S = 25.0, WINDOW_S + 35.0
+"""Length of a flight of several aircraft, s, made up; and of the ages, from when on alarms have as
+much flight as they hold."""
 
 
 def main() -> int:
@@ -37,7 +40,7 @@ def main() -> int:
         return 0
     for alarms in (True, False):
         name = f"ages_{'alarms' if alarms else 'bare'}"
-        _once(given.out, name, partial(ages, _SECONDS, alarms))
+        _once(given.out, name, partial(ages, _AGES_S, alarms))
     for count in given.aircraft:
         for alarms in (True, False):
             name = f"many_{count:02d}_{'alarms' if alarms else 'bare'}"

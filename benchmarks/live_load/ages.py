@@ -15,6 +15,7 @@ import psutil
 
 from twin.logs import write_flight
 from twin.vehicle_file import load_vehicle
+from twin.why.watch import WINDOW_S
 
 from .runs import free_address, long_flight
 
@@ -23,8 +24,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "rigs"))
 from page_rigs.browser import View, browser
 
 _COMMAND = (sys.executable, "-c", "from uavtwin.cli.main import main; main()")
-_SETTLED_S = 10.0
-"""After the start, for both to be at their pace."""
+_SETTLED_S = WINDOW_S + 5.0
+"""After the start, for both to be at their pace, and alarms to have as much flight as they hold."""
 
 
 def ages(seconds: float, alarms: bool, vehicle_name: str = "copter_default") -> dict[str, Any]:
@@ -38,7 +39,7 @@ def ages(seconds: float, alarms: bool, vehicle_name: str = "copter_default") -> 
     Returns:
         Ages of what the page shows, ms: of 50 and of 99 in 100 of its pictures, each as old as it
         became until the next; and those of what is published. `busy` is the share of its core that
-        `live` took meanwhile.
+        `live`, with the processes that it started, took meanwhile.
     """
     vehicle, listens = load_vehicle(vehicle_name), free_address()
     core, *others = sorted(os.sched_getaffinity(0))
@@ -88,9 +89,10 @@ def ages(seconds: float, alarms: bool, vehicle_name: str = "copter_default") -> 
 
 
 def _processor_s(process: "subprocess.Popen[str]") -> float:
-    """What a process has had so far."""
-    times = psutil.Process(process.pid).cpu_times()
-    return float(times.user + times.system)
+    """What a process and those that it started have had so far."""
+    own = psutil.Process(process.pid)
+    times = [p.cpu_times() for p in (own, *own.children(recursive=True))]
+    return float(sum(t.user + t.system for t in times))
 
 
 def _free_tcp_port() -> int:
