@@ -103,7 +103,7 @@ def _free_tcp_port() -> int:
 
 def _wait_for(address: str) -> None:
     host, _, port = address.partition(":")
-    for _ in range(300):
+    for _ in range(900):
         try:
             socket.create_connection((host, int(port)), timeout=1.0).close()
         except OSError:

@@ -18,7 +18,7 @@ def page(rows: Rows) -> str:
 
 Written by `python -m benchmarks.live_load --out OUT --page docs/results/live_load.md`, after the
 same without `--page`. The machine has two cores, and other computations ran beside (the load
-average before each run is in the tables): shares of processor are of this process alone; what was
+average before each run is in the tables): shares of processor are of `live` alone; what was
 late may have been late for that.
 
 ## How old it is

@@ -312,13 +312,16 @@ class Competition:
         if k == 0:
             return None
         m, name = int(best[k]), found.names[k]
+        nats = float(found.odds[k, m] - found.nothing[k].max())
+        if nats < 0:
+            return None
         start, end = self._about(near, low, high)
         window = Window(*(np.array([x]) for x in (start, int(near[m]), end)))
         sizes, grows_s = self._sizes(name, found.sizes[name][m], window)
         return Onset(
             int(near[m]),
             _joined((found.names[i], float(p[i])) for i in order),
-            float(found.odds[k, m] - found.nothing[k].max()),
+            nats,
             sizes,
             grows_s,
         )
