@@ -25,9 +25,9 @@ late may have been late for that.
 
 From when a message of the aircraft came, by the kernel's stamp: to when a viewer's page, in a
 Chromium on another core, showed what came after it; and to when the twin's own messages had left.
-`live` has one core. Its share, and that of the processes that it started, is taken from when on alarms
-have as much flight as they ever look at, 75 s after the start, with the page open and the twin
-published. The goal is 35 %.
+`live` has one core. Its share, and that of the processes that it started, is taken from when on
+alarms have as much flight as they ever look at, 75 s after the start, with the page open and the
+twin published. The goal is 35 %.
 
 | alarms | share | pictures | shown, 50 % | shown, 99 % | published, 99 % | lost | late | load |
 |---|---|---|---|---|---|---|---|---|
