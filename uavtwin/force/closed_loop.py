@@ -51,10 +51,10 @@ START_M = 0.5
 """Spread of where a flight begins, north and east."""
 LOST_M = 10.0
 """So far from where it should be, a vehicle is not flying its mission any more."""
-REST, REST_S = 0.5, 10.0
+REST, REST_S = 0.25, 10.0
 """Distance from the training up to which a twin may come at the end of a hover in still air, and
-how long that is, s. What swings does so up to where its law fades, 1.01 to 2.8; others stay below
-0.2 (nine laws, RflySimDT)."""
+how long that is, s. What swings freely does so up to where its law fades, 1.01 to 2.8; with 0.5 one
+was let through that turned by more than the aircraft; others stay below 0.2 (RflySimDT)."""
 TRIED = 4
 """Laws that may fly missions at most: each takes a minute. Not chosen on flights."""
 ENABLED = "residual_force.enabled"
