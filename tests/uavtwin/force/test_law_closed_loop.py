@@ -18,7 +18,7 @@ from uavtwin.force.memory import Memory
 COPTER = load_vehicle("copter_default")
 DRAG = ("force_x", "air_x", -0.3)
 """Of body drag, 1/s: harmless."""
-TURNS = ("moment_y", "air_x", -30.0)
+TURNS = ("moment_y", "air_x", -300.0)
 """Angular acceleration per speed through the air, rad/(m s): turns the vehicle over."""
 
 
@@ -54,8 +54,9 @@ def test_what_loses_missions_is_withdrawn_and_what_does_not_stays(
     laws = [_model(empty, TURNS, ridge=0.1), _model(empty, DRAG, ridge=1.0)]
     found = flyable(laws, _model(empty), COPTER, memory, lambda _: None)
     assert found.ridge == 1.0
-    assert found.closed_loop.withdrawn == 1
-    assert 0 < found.closed_loop.lost <= found.closed_loop.flights == FLIGHTS
+    check = found.closed_loop
+    assert (check.unsteady, check.withdrawn) in ((1, 0), (0, 1)), "in still air, or in wind"
+    assert (check.lost > 0) == (check.withdrawn > 0) and check.flights == FLIGHTS
 
 
 @pytest.mark.slow
