@@ -11,10 +11,11 @@ from scipy.ndimage import gaussian_filter1d
 from ..component import Component
 from ..component.rows import noiseless_outputs
 from ..effects import EFFECTS, Average, Repeats, Shift
+from ..frames import AXES, cross, to_ned
 from ..logs import Flight, Site
 from ..logs.autopilot import setpoints_of_mission
-from ..logs.columns import QUAT
-from ..physics.airframe import airframe
+from ..logs.columns import POS, QUAT, VEL
+from ..physics.airframe import airframe, frame_origin
 from ..physics.sensors.table import components_of_sensors
 from ..vehicle import Vehicle
 from .closed_loop import FARTHEST_ARMS, FARTHEST_M, STEEPEST_RAD, STEP_S, fly, standing
@@ -88,7 +89,8 @@ def simulate_flight(
     """Fly setpoints in closed loop from standing on the ground, and record the sensors.
 
     The controller reads the true motion: a pose that is old or smooth in the plant is so in the
-    record alone.
+    record alone. The pose is recorded where the vehicle file has the centre of mass: markers and
+    antennas stay on the frame, as the IMU does, wherever the centre of mass goes.
 
     Args:
         setpoints: In the order of `closed_loop.SETPOINTS`, one row per `STEP_S`, shape (n, 11).
@@ -130,12 +132,15 @@ def simulate_flight(
     rows = slice(None, end, round(1 / (recorder.sampled_hz * STEP_S)))
     t_s = np.arange(len(states[rows])) / recorder.sampled_hz
     voltage = courses.get("vbat_v", np.full(len(states), volts))[rows]
-    made = [_recorded(body, {}, plant, states[rows], inputs[rows], voltage, recorder)]
-    known, since = made[0], {}
+    changed = t_s >= (np.inf if later is None else later.from_s)
+    origin = np.where(changed[:, None], frame_origin(ended), frame_origin(plant))
+    frame = _of_frame(body, states[rows], origin)
+    seen = states[rows], inputs[rows], frame, voltage
+    known, since = _recorded(body, {}, plant, *seen, recorder), {}
     if later is not None:
         on = {k: after for k, (_, after) in changes.items()}
-        after = _recorded(body, on, ended, states[rows], inputs[rows], voltage, recorder)
-        known = {k: np.where(t_s < later.from_s, known[k], after[k]) for k in known}
+        after = _recorded(body, on, ended, *seen, recorder)
+        known = {k: np.where(changed, after[k], known[k]) for k in known}
         since = {c: max(s, later.from_s) for c, s in _stuck_columns(later.effects)}
     since = dict(_stuck_columns(plant.effects)) | since
     outdoors = Site(False, "simulated without walls")
@@ -166,12 +171,13 @@ def _recorded(
     plant: Vehicle,
     states: Array,
     inputs: Array,
+    frame: dict[str, Array],
     voltage_v: Array,
     recorder: Recorder,
 ) -> dict[str, Array]:
     """What a recorder can see of a flight, without noise, by column, shape (n,) each."""
     y = body.outputs_along(states, inputs, parameters)
-    known = dict(zip(body.output_names, y.T, strict=True))
+    known = dict(zip(body.output_names, y.T, strict=True)) | frame
     known |= dict(zip(body.input_names, inputs.T, strict=True))
     known["vbat_v"] = voltage_v
     _sense(known, _punctual(plant, recorder), recorder)
@@ -183,6 +189,27 @@ def _recorded(
             known[column], width_s * recorder.sampled_hz, mode="nearest"
         )
     return known
+
+
+def _of_frame(body: Component, states: Array, origin: Array) -> dict[str, Array]:
+    """Position and velocity of a place on the frame, by column, shape (n,) each.
+
+    Args:
+        body: The airframe.
+        states: Of its centre of mass, shape (n, n_x).
+        origin: The place from the centre of mass, body FRD, m, shape (n, 3). Where it changes, it
+            is the centre of mass that moves.
+    """
+    at = [s.name for s in body.states].index
+    turn = tuple(f"omega_{a}" for a in AXES)
+    pos, vel, q, omega = (
+        list(states[:, [at(c) for c in columns]].T) for columns in (POS, VEL, QUAT, turn)
+    )
+    moved = np.diff(origin, axis=0, prepend=origin[:1])
+    place = np.array(to_ned(q, list(origin.T)))
+    place -= np.cumsum(to_ned(q, list(moved.T)), axis=1)
+    speed = np.array(to_ned(q, cross(omega, list(origin.T))))
+    return dict(zip((*POS, *VEL), np.vstack([pos + place, vel + speed]), strict=True))
 
 
 def _stuck_columns(effects: Mapping[str, Mapping[str, float]]) -> Iterator[tuple[str, float]]:

@@ -306,9 +306,7 @@ def _motion(
     gravity = m.parameter(
         "gravity", vehicle.gravity_m_s2, "m/s2", "Acceleration of free fall", minimum=0
     )
-    body = blocks.apply(
-        Body(mass, inertia_matrix(m, vehicle.inertia_kg_m2), _hubs(m, vehicle), [ca.SX(0)] * 3)
-    )
+    body = _body(m, vehicle, blocks, mass)
     air = blocks.apply(Air(wind_n))
     initial, pos_n, vel_n, q_nb, omega_b = motion_states(m)
     reference = m.parameter(
@@ -331,6 +329,23 @@ def _motion(
         voltage=voltage,
         start_vel_n=[initial[f"vel_{a}"] for a in AXES],
     )
+
+
+def _body(m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks, mass: ca.SX) -> Body:
+    """Mass properties with the effects on them."""
+    inertia, hubs = inertia_matrix(m, vehicle.inertia_kg_m2), _hubs(m, vehicle)
+    return blocks.apply(Body(mass, inertia, hubs, [ca.SX(0)] * 3))
+
+
+def frame_origin(vehicle: Vehicle) -> Array:
+    """Where the vehicle file has the centre of mass, from where the effects of the vehicle have it:
+    body FRD, m, shape (3,). What sits on the frame stays there."""
+    m = ComponentBuilder("frame", f"Frame of {vehicle.name}")
+    blocks = Blocks(m, vehicle, [e for e in effects_of("airframe") if e.name in vehicle.effects])
+    body = _body(m, vehicle, blocks, ca.SX(vehicle.mass_kg))
+    for axis, place, d in zip(AXES, body.origin, FRD, strict=True):
+        m.output(f"origin_{axis}", "m", f"Centre of mass of the vehicle file, {d}", place)
+    return np.asarray(m.build().outputs_along(np.zeros((1, 0)), np.zeros((1, 0)))[0])
 
 
 def _drag(m: ComponentBuilder, vehicle: Vehicle, motion: Motion) -> list[ca.SX]:

@@ -11,8 +11,9 @@ from twin.errors import ModelError
 from twin.flight.closed_loop import STEP_S, fly, standing
 from twin.flight.lqr import controller
 from twin.flight.simulate_flight import Later, Recorder, Stream, simulate_flight
+from twin.frames import to_ned
 from twin.logs import Flight
-from twin.logs.columns import ACC, GYRO, POS
+from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL
 from twin.physics.airframe import airframe
 from uavtwin.demo.flights import setpoints_along
 
@@ -50,6 +51,27 @@ def test_the_aircraft_changes_where_it_is() -> None:
     before, after = apart(lighter, "pos_z")
     assert np.all(before == 0)
     assert after[-1] < -0.005
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("begins", [False, True])
+def test_the_pose_is_that_of_the_frame_wherever_the_centre_of_mass_is(begins: bool) -> None:
+    """An IMU that sits where the vehicle file has the centre of mass reads the acceleration of that
+    pose, and neither place jumps when the centre of mass does."""
+    streams = tuple(Stream(c, 0.001) for c in (ACC, POS, VEL, QUAT))
+    record = Recorder(streams, 1000.0, 1000.0)
+    numbers = {"x_m": 0.02, "y_m": 0.01, "z_m": 0.0}
+    plant = VEHICLE if begins else VEHICLE.with_effects({"cog_offset": numbers})
+    later = Later({"cog_offset": numbers}, BEGINS_S) if begins else None
+    way = (*UP, ("tour", 2.0, (1.5, -1.0, -1.0)))
+    flight = simulate_flight(*setpoints_along(VEHICLE, way), VEHICLE, plant, record, later=later)
+    pos, vel, q, acc = (flight.table[list(c)].to_numpy() for c in (POS, VEL, QUAT, ACC))
+    speed, shown = (np.gradient(x, 0.001, axis=0)[1:-1] for x in (pos, vel))
+    np.testing.assert_allclose(speed, vel[1:-1], atol=2e-3)
+    force = np.stack(to_ned(list(q.T), list(acc.T)), axis=1)[1:-1]
+    force[:, 2] += VEHICLE.gravity_m_s2
+    since = flight.time_s[1:-1] > (BEGINS_S if begins else 2.0) + 0.01
+    np.testing.assert_allclose(shown[since], force[since], atol=0.02)
 
 
 @pytest.mark.slow
