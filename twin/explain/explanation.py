@@ -459,7 +459,7 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
     """
     naming = found.naming
     assert naming is not None
-    if found.since is not None and _told(found, naming):
+    if found.since is not None and _answers(found, naming):
         return found
     if len(naming.best.effects) > found.settings.inference.adequacy.most:
         return found
@@ -479,7 +479,7 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
     )
 
 
-def _told(found: Explanation, naming: Naming) -> bool:
+def _answers(found: Explanation, naming: Naming) -> bool:
     """Whether a search or a balance says what has changed since a calibration, or that nothing has:
     a load that changes the mean thrust changes it as an equation in the thrust does."""
     if "named" in (found.verdict, naming.verdict) or naming.verdict == "nothing":

@@ -1,7 +1,7 @@
 """Causes that move the body: what each is called, how probable it is before the flight is seen,
 which sizes are tried, what is said and what is to be checked.
 
-A cause is one entry of `CAUSES`; its likelihood stands in `competition`, or it is told by the
+A cause is one entry of `CAUSES`; its likelihood stands in `evidence`, or it is told by the
 commands (`cut`).
 """
 

@@ -138,7 +138,7 @@ lag = { value = 0.1, unit = "s", source = "made up" }
 @pytest.mark.slow
 def test_check_and_gap_take_them(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """The twin carries its weight on the logged commands, and needs no yaw trim."""
-    code, said, _ = run(capsys, "check", path_of("92"))
+    code, said, _ = run(capsys, "check", path_of("92"), "--all")
     assert (
         code == 1
         and "problem" not in said
