@@ -484,21 +484,15 @@ def gyro_rate(sensor: Component, sensed: ca.SX, shown: ca.SX) -> ca.SX:
     return ca.jtimes(shown[3:], sensed, change)
 
 
-def predicted_imu(aligned: AlignedFlight, vehicle: Vehicle) -> Array:
-    """acc_x..z and gyro_rate_x..z of the twin at the measured states, shape (n, 6).
+def imu_predictor(body: Component, vehicle: Vehicle) -> OverRows:
+    """acc_x..z and gyro_rate_x..z of the twin by states and inputs of an airframe, shape (n, 6).
 
     Neither low-passed nor late; NaN where the state is unknown.
 
     Args:
-        aligned: The flight on the grid of its twin.
+        body: Of the twin.
         vehicle: The twin.
     """
-    predictor = imu_predictor(aligned.airframe, vehicle)
-    return predictor(in_step(aligned, vehicle), aligned.inputs.u)
-
-
-def imu_predictor(body: Component, vehicle: Vehicle) -> OverRows:
-    """The same of states and inputs of an airframe, to be evaluated more than once."""
     sensor = prompt_imu(vehicle)
     x, u = ca.SX.sym("x", len(body.states)), ca.SX.sym("u", len(body.inputs))
     y = body.outputs(x, u, body.parameter_values({"ground.enabled": 0.0}))
