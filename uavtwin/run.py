@@ -252,26 +252,27 @@ def with_model(plan: Scenario, folder: Path) -> Scenario:
 
     Args:
         plan: The scenario.
-        folder: That `train` wrote: a learned force, or a compensator that sees no measurement.
+        folder: That `train` wrote: a learned force, a compensator that sees no measurement, both.
 
     Raises:
         TwinError: The scenario brings its own parts, or what was trained is of another vehicle or
             needs the readings of an aircraft.
     """
     from fmus.compensator import native_model
-    from learning.force.model import is_force
 
-    from .exports.parts import check_compensator, check_unaided, compensator, law_for, learned_force
+    from .exports.parts import check_compensator, check_unaided, law_for, learned
 
     if plan.is_system:
         raise TwinError(f"--model {folder}: {plan.name} brings its own parts. Fly a scenario.")
     vehicle = plan.vehicle or load_vehicle(DEFAULT_VEHICLE)
-    if is_force(folder):
-        return replace(plan, law=law_for(learned_force(folder), vehicle))
-    network = compensator(folder)
-    check_unaided(network)
-    check_compensator(network, vehicle)
-    return replace(plan, compensator=native_model(network))
+    network, force = learned(folder)
+    if force is not None:
+        plan = replace(plan, law=law_for(force, vehicle))
+    if network is not None:
+        check_unaided(network)
+        check_compensator(network, vehicle)
+        plan = replace(plan, compensator=native_model(network))
+    return plan
 
 
 def run_plan(

@@ -117,6 +117,15 @@ def test_a_scenario_flies_with_a_compensator(tmp_path: Path) -> None:
     assert corrected[late] - read[late] == pytest.approx(correction[late], abs=0.1)
 
 
+def test_a_scenario_flies_with_both_that_a_folder_holds(tmp_path: Path) -> None:
+    folder = exported(compensator(tiny(), "free", vehicle=VEHICLE), tmp_path / "model")
+    (folder / "model.json").write_text("{}")  # as `train` writes beside a compensator
+    save_force(pushed_forward(load_vehicle(VEHICLE).mass_kg), folder)
+    plan = with_model(Scenario("hover", load_vehicle(VEHICLE)), folder)
+    assert plan.compensator is not None and plan.law is not None
+    assert plan.law.linear[0, FEATURES.index("one")] == PUSH_M_S2
+
+
 def test_a_model_of_another_vehicle_flies_no_scenario(tmp_path: Path) -> None:
     save_force(replace(pushed_forward(1.0), vehicle="another"), tmp_path)
     with pytest.raises(TwinError, match="corrects the twin of another"):
