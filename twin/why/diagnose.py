@@ -112,7 +112,8 @@ def diagnose(
 def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
     """Those that are probable, by time, those without onset last; what instruments show after a
     cause that moves the body is a consequence, and what the body shows after a cut of commands."""
-    moved = [(e.cause, e.onset_s) for e in events if e.cause in CAUSES and e.onset_s is not None]
+    likely = [e for e in events if e.probability >= NAMED]
+    moved = [(e.cause, e.onset_s) for e in likely if e.cause in CAUSES and e.onset_s is not None]
 
     def explained(event: Event) -> bool:
         if event.onset_s is None or event.cause == CUT:
@@ -120,7 +121,6 @@ def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
         known = [t for cause, t in moved if event.cause not in CAUSES or cause == CUT]
         return any(-BEFORE_S <= event.onset_s - t <= CONSEQUENCE_S for t in known)
 
-    likely = [e for e in events if e.probability >= NAMED]
     marked = [replace(e, consequence=e.consequence or explained(e)) for e in likely]
     return tuple(sorted(marked, key=lambda e: float("inf") if e.onset_s is None else e.onset_s))
 

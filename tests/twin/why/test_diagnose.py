@@ -75,6 +75,22 @@ def test_what_a_lost_rotor_explains_is_a_consequence() -> None:
     assert found.verdict == "found"
 
 
+def test_a_cause_that_is_not_named_explains_nothing() -> None:
+    """Both follow what is less probable than something else, which is not said."""
+    events = (
+        Event(cause="command_cut", onset_s=9.0, probability=0.4),
+        Event(cause="rotor_failure", rotor=(2,), onset_s=10.0, probability=0.9, text="Rotor 2"),
+        Event(cause="mass_change", onset_s=20.0, probability=0.4),
+        Event(cause="gyro_bias", sensor="gyro_x", onset_s=27.0, probability=0.9),
+    )
+    found = diagnose(hover(), finders=[lambda *_: Findings(events=events, nothing=0.1)])
+    assert [(e.cause, e.consequence) for e in found.events] == [
+        ("rotor_failure", False),
+        ("gyro_bias", False),
+    ]
+    assert found.text.startswith("Rotor 2")
+
+
 @pytest.mark.parametrize("name", ["x", "+", "h", "crazyflie x", "betaflight x"])
 def test_the_frame_is_found_by_how_the_body_turns(name: str) -> None:
     """Random commands turn the body by the signs of one usual frame; the log states none."""
