@@ -164,7 +164,7 @@ def _named(
 def _tracks(t: Array, hz: Array, flight: FlightFrame) -> Iterator[tuple[str, int | None, Array]]:
     """Frequencies over time that a line may follow: words, rotor, Hz."""
     table, top = flight.flight.table, float(hz[-1])
-    speeds = [str(c) for c in table if str(c).startswith("rotor_")]
+    speeds = [str(c) for c in table if str(c).startswith("rotor_") and flight.flight.has(c)]
     for name in speeds:
         known, i = table[name].notna().to_numpy(), int(name.split("_")[1])
         own = table[name].to_numpy(np.float64)[known]

@@ -75,3 +75,12 @@ def test_even_rotors_are_not_parted_from_the_structure() -> None:
     even = even.drop(columns=[f"rotor_{i}" for i in range(1, 5)])
     (note,) = vibration(FlightFrame.of(Flight("even", even))).notes
     assert "source not known" in note
+
+
+def test_a_rotor_whose_speed_never_comes_is_not_named_and_hides_no_other() -> None:
+    table = shaken(3).flight.table.assign(rotor_2=np.nan)
+    (note,) = vibration(FlightFrame.of(Flight("one is missing", table))).notes
+    assert "of rotor 3, once per turn" in note
+    without = table.assign(**{f"rotor_{i}": np.nan for i in range(1, 5)})
+    (note,) = vibration(FlightFrame.of(Flight("all are missing", without))).notes
+    assert "of the rotors: it follows the commands" in note
