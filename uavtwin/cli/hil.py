@@ -219,7 +219,7 @@ def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions", demo: bo
     STDERR.print(f"waiting for an autopilot at {options.serve}")
     before = {name: signal.signal(name, end) for name in (signal.SIGINT, signal.SIGTERM)}
     try:
-        with nullcontext() if pilot is None else flown_meanwhile(pilot, simulator):
+        with nullcontext() if pilot is None else flown_meanwhile(pilot, simulator, options.place):
             return session.run(lambda: ended, lambda status: STDERR.print(status.line()))
     finally:
         for name, handler in before.items():

@@ -94,11 +94,11 @@ class Pilot:
         return Controls(t_us, asked, bool(known["armed"]), lockstep=True)
 
 
-def motion_of(state: Message) -> dict[str, float]:
-    """The motion in a HIL_STATE_QUATERNION, by column, SI, NED, FRD."""
+def motion_of(state: Message, origin: Sequence[float] = PLACE) -> dict[str, float]:
+    """The motion in a HIL_STATE_QUATERNION, by column, SI, NED from an origin, FRD."""
     place = math.radians(1e-7 * state.lat), math.radians(1e-7 * state.lon), 1e-3 * state.alt
     vectors: dict[str, Sequence[float]] = {
-        "pos": ned_of_geodetic(place).tolist(),
+        "pos": ned_of_geodetic(place, origin).tolist(),
         "vel": [1e-2 * v for v in (state.vx, state.vy, state.vz)],
         "omega": (state.rollspeed, state.pitchspeed, state.yawspeed),
     }
@@ -116,11 +116,13 @@ class StandIn:
         pilot: Who flies.
         heard: Messages by kind.
         answers: Made of a controls message before it is sent; None: it is not.
+        place: Of the start: latitude, longitude, rad; height over the ellipsoid, m.
     """
 
     pilot: Pilot
     heard: dict[str, list[Message]] = field(default_factory=dict)
     answers: Callable[[Controls], Controls | None] = lambda controls: controls
+    place: Sequence[float] = PLACE
 
     def fly(self, where: Address) -> None:
         """Until the simulator hangs up."""
@@ -146,25 +148,26 @@ class StandIn:
                 self.heard.setdefault(message.get_type(), []).append(message)
                 if message.get_type() != "HIL_SENSOR":
                     continue
-                motion = motion_of(self.heard["HIL_STATE_QUATERNION"][-1])
+                motion = motion_of(self.heard["HIL_STATE_QUATERNION"][-1], self.place)
                 answer = self.answers(self.pilot.controls(message.time_usec, motion))
                 if answer is not None:
                     send(hil_controls(answer))
 
 
 @contextmanager
-def flown_meanwhile(pilot: Pilot, simulator: Address) -> Iterator[None]:
+def flown_meanwhile(pilot: Pilot, simulator: Address, place: Sequence[float]) -> Iterator[None]:
     """Connect to a simulator and fly it, in the background, until it hangs up.
 
     Args:
         pilot: Who flies.
         simulator: Where it listens.
+        place: Of the start, as of `StandIn`.
     """
 
     def fly() -> None:
         """In a thread of its own; that the simulator hangs up is the end, no error."""
         with suppress(OSError):
-            StandIn(pilot).fly(simulator)
+            StandIn(pilot, place=place).fly(simulator)
 
     thread = threading.Thread(target=fly, name="demo autopilot", daemon=True)
     thread.start()

@@ -265,6 +265,21 @@ def test_a_demonstration_needs_neither_vehicle_nor_autopilot(
 
 
 @pytest.mark.slow
+def test_a_demonstration_flies_at_any_place(capsys: pytest.CaptureFixture[str]) -> None:
+    """300 km from the usual place and 100 m lower it hovers where it should."""
+    with socket.socket() as any_port:
+        any_port.bind(("127.0.0.1", 0))
+        listen = f"tcpin:127.0.0.1:{any_port.getsockname()[1]}"
+    code, out, _ = run(
+        capsys,
+        *("live", "--hil", "--demo", "--listen", listen, "--speed", "max", "--json"),
+        *("--place", "47,8,400", "--duration", "8"),
+    )
+    hovers = WAYPOINTS[2][2]
+    assert code == 0 and json.loads(out)["position_n"] == pytest.approx(hovers, abs=0.3)
+
+
+@pytest.mark.slow
 def test_the_verb_flies_an_autopilot(copter: Vehicle, capsys: pytest.CaptureFixture[str]) -> None:
     """By its former name, at a place, in wind; the flight ends with the autopilot's waypoints."""
     with socket.socket() as any_port:
