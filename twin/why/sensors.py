@@ -492,10 +492,13 @@ def _field(signals: Signals) -> Iterator[Residual]:
 
 
 def _height(signals: Signals) -> Iterator[Residual]:
-    """Height by the barometer less that of the estimate, quicker than either drifts."""
+    """Height by the barometer less that of the estimate, quicker than either drifts; none where it
+    reads no pressure."""
     if not {"baro", "pos"} <= signals.keys():
         return
     baro, pos = signals["baro"], signals["pos"]
+    if baro.values.min() <= 0.0:
+        return
     height = -PRESSURE_SCALE_M * np.log(baro.values[:, 0] / np.median(baro.values))
     step = max(BIN_S, 1.0 / baro.rate_hz)
     t, apart = _binned(baro.t_s, height + np.interp(baro.t_s, pos.t_s, pos.values[:, 2]), step)
@@ -572,16 +575,30 @@ def frozen(signals: Signals, budget: Budget) -> Iterator[Event]:
 
     A reading repeats its predecessor with the frequency that is counted in the flight; a run of
     them is so much the rarer. One that stays at the largest magnitude of the flight is clipped, not
-    stuck, and left out.
+    stuck, and left out, unless it is the only reading of the flight.
     """
     for name, (words, columns, least_s) in _READINGS.items():
         if name in signals:
-            each = [_standing(signals[name], k, least_s, budget) for k in range(len(columns))]
-            hits = [(s, c) for s, c in zip(each, columns, strict=True) if s is not None]
+            asked = np.flatnonzero(~_unknown(signals, name)).tolist()
+            each = [(_standing(signals[name], k, least_s, budget), columns[k]) for k in asked]
+            hits = [(s, c) for s, c in each if s is not None]
             if hits:
                 (begin, long, p), column = min(hits)
                 which = words if len(hits) == len(columns) else column
                 yield _event("stuck_sensor", which, begin, _duration(long), p)
+
+
+def _unknown(signals: Signals, name: str) -> NDArray[np.bool_]:
+    """Axes, shape (k,), whose only reading proves no fault: a recorder fills with 0 what it does
+    not measure, and without noise what does not turn stands still. Gyroscope and accelerometer
+    that read 0 on all axes while the body turns are at fault."""
+    values = signals[name].values
+    still = np.ptp(values, axis=0) == 0.0
+    others = [signals[n].values for n in ("q", "gyro", "mag") if n != name and n in signals]
+    if not any(np.ptp(v, axis=0).any() for v in others):
+        return np.asarray(still)
+    empty = still & (values[0] == 0.0)
+    return np.asarray(empty & (name not in ("gyro", "acc") or not empty.all()))
 
 
 def _standing(
@@ -589,7 +606,7 @@ def _standing(
 ) -> tuple[float, float, float] | None:
     """Begin, length and probability of the first frozen stretch of a reading; None without one."""
     t, v = signal.t_s, signal.values[:, k]
-    same, top = np.diff(v) == 0.0, np.abs(v).max()
+    same, top = np.diff(v) == 0.0, np.abs(v).max() if np.ptp(v) > 0.0 else np.inf
     runs = stretches_where(same)
     within = sum(b - a for a, b in runs if t[b] - t[a] > least_s)
     repeats = max((same.sum() - within) / max(len(same) - within, 1), 0.2)

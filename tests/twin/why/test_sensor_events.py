@@ -166,6 +166,40 @@ def height_residual(rng: np.random.Generator, n: int, least: float) -> Residual:
     )
 
 
+def filled(columns: tuple[str, ...], value: float) -> Table:
+    return sound() | {c: np.full(len(sound()["time"]), value) for c in columns}
+
+
+@pytest.mark.parametrize(
+    ("columns", "value", "named"),
+    [
+        (GYRO, 0.0, "gyroscope"),
+        (GYRO, 0.02, "gyroscope"),
+        (ACC, 0.0, "accelerometer"),
+        (("acc_x",), 0.3, "acc_x"),
+        (("baro_pa",), 101325.0, "barometer"),
+    ],
+)
+def test_a_reading_that_never_changes_is_stuck(
+    columns: tuple[str, ...], value: float, named: str
+) -> None:
+    events = [e for e in found_in(filled(columns, value)) if not e.consequence]
+    assert [(e.cause, e.sensor) for e in events] == [("stuck_sensor", named)]
+    assert events[0].onset_s == pytest.approx(1.0, abs=0.6) and events[0].probability > 0.99
+
+
+@pytest.mark.parametrize("columns", [MAG, ("gyro_z",), ("baro_pa",)])
+def test_what_is_not_measured_is_not_stuck(columns: tuple[str, ...]) -> None:
+    assert not any(e.cause == "stuck_sensor" for e in found_in(filled(columns, 0.0)))
+
+
+def test_a_body_that_does_not_turn_has_no_stuck_gyroscope() -> None:
+    """A simulation without noise that climbs: attitude, field and rates stay what they are."""
+    table = {k: v for k, v in filled((*GYRO, *MAG), 0.0).items() if k != "baro_pa"}
+    table |= {c: np.full(len(table["time"]), float(c == "q_w")) for c in QUAT}
+    assert not any(e.cause == "stuck_sensor" for e in found_in(table))
+
+
 def test_more_false_alarms_allowed_bring_a_lower_bound() -> None:
     rng = np.random.default_rng(2)
     r = height_residual(rng, 400, least=0.1)
