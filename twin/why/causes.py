@@ -95,8 +95,8 @@ CAUSES: Mapping[str, Cause] = {
     ),
     CUT: Cause(
         "All commands drop to idle in the air at {t} s, for {value}, and the aircraft falls",
-        "Failsafes and kill switch, link of the remote control, the battery's alarm; else the "
-        "pilot closed the throttle.",
+        "Failsafes and kill switch, link of the remote control, the battery's alarm, a land "
+        "detector that fires in the air; else the pilot closed the throttle.",
         "duration",
     ),
 }

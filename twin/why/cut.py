@@ -1,8 +1,9 @@
 """Commands that all drop to idle in the air: the body then does what they ask, so that no residual
 shows it.
 
-A failsafe, a kill switch, or a pilot. It is told from a landing by the free fall that follows: an
-aircraft on the ground carries its weight.
+A failsafe, a kill switch, a land detector or a pilot. It is told from a landing by where it begins,
+clear of the ground, and by the free fall that follows: an aircraft on the ground carries its
+weight, and one that rebounds falls by a few centimetres.
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,17 +11,18 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ..logs.stretches import stretches_where
-from ..vehicle import GRAVITY_M_S2
 from .causes import CAUSES, CUT
 from .findings import Findings
-from .flight import FlightFrame, lift
-from .records import Candidate, Event, Severity
+from .flight import CONTACT_M_S2, FlightFrame, lift
+from .records import Candidate, Event, Severity, TimelineItem
 
 IDLE = 0.12
 """Share of the usual thrust by command below which every motor idles."""
-FALLS_G, FALLS_S = 0.5, 0.15
-"""Specific force of a body that falls, over gravity, and for how long: rotors run down for as much
-of it as they need."""
+FALLS_M = 0.15
+"""Least fall from rest that specific force has to show: what a cut of 0.2 s gives. A hard landing
+that rebounds shows 0.05 m (nanobench B5, which chose no more than this limit)."""
+HITS_S = 0.5
+"""After a fall at half of gravity within which it hits something: the air carries the rest."""
 DROPS_S = 0.3
 """In which commands drop from half the usual thrust: a slow descent is none."""
 SURE = 0.85
@@ -28,26 +30,41 @@ SURE = 0.85
 
 
 def cut(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
-    """Cuts of all commands while the aircraft is in the air."""
+    """Cuts of all commands while the aircraft is in the air, and what it falls on."""
     if flight.drive is None or "acc" not in flight.grid:
         return Findings()
-    events = list(_events(flight))
-    return Findings(events=events, nothing=(1 - SURE) ** len(events))
+    events, hits = [], []
+    for first, last, end in _falls(flight):
+        hit_s = _hit_s(flight, end, last)
+        events.append(_event(flight, first, min(last, end), hit_s))
+        if hit_s is not None and not any(p.crash for p in flight.airborne):
+            hits.append(TimelineItem(kind="crash", t_s=hit_s, text="hits something"))
+    return Findings(events=events, timeline=hits, nothing=(1 - SURE) ** len(events))
 
 
-def _events(flight: FlightFrame) -> Iterator[Event]:
-    """Within the flight: what falls is in the air."""
+def _falls(flight: FlightFrame) -> Iterator[tuple[int, int, int]]:
+    """First place of commands at idle, place behind the last, and place behind the fall."""
     if not flight.airborne:
         return
     raised = lift(flight.grid[flight.drive or ""])
-    force = np.linalg.norm(flight.grid["acc"], axis=1) / GRAVITY_M_S2
     flown = [raised[p.start : p.flown].mean(axis=1) for p in flight.airborne]
     usual, start = float(np.median(np.concatenate(flown))), flight.airborne[0].start
+    slack = flight.places(DROPS_S)
     for a, z in stretches_where(raised[start:].max(axis=1) < IDLE * usual):
         first, last = start + a, start + z
-        falls = force[first : last + flight.places(FALLS_S)] < FALLS_G
-        if falls.sum() >= max(flight.places(FALLS_S), 1) and _drops(flight, first, usual):
-            yield _event(flight, first, last)
+        fallen_m, _, end = flight.fall(first, last)
+        airborne = any(p.start <= first <= p.end + slack for p in flight.airborne)
+        if airborne and fallen_m > FALLS_M and _drops(flight, first, usual):
+            yield first, last, end
+
+
+def _hit_s(flight: FlightFrame, end: int, last: int) -> float | None:
+    """When it hits something at the end of a fall, s; None: it does not, or is driven again."""
+    force, edges = flight.signals["acc"], flight.edges_s
+    near = (force.t_s >= edges[end] - HITS_S / 2) & (force.t_s <= edges[end] + HITS_S)
+    near &= force.t_s < edges[last]
+    hit = near & (np.linalg.norm(force.values, axis=1) > CONTACT_M_S2)
+    return float(force.t_s[np.argmax(hit)]) if hit.any() else None
 
 
 def _drops(flight: FlightFrame, first: int, usual: float) -> bool:
@@ -57,14 +74,15 @@ def _drops(flight: FlightFrame, first: int, usual: float) -> bool:
     return bool(len(before) and before.max() > 0.5 * usual)
 
 
-def _event(flight: FlightFrame, first: int, last: int) -> Event:
+def _event(flight: FlightFrame, first: int, last: int, hit_s: float | None) -> Event:
+    """It lasts as long as the fall: until it is driven again, or hits something."""
     signal = flight.signals[flight.drive or ""]
     edges = flight.edges_s
     near = (signal.t_s > edges[first] - flight.dt_s) & (signal.t_s <= edges[first + 1])
     t, level = signal.t_s[near], signal.values[near].max(axis=1)
     onset_s = float(t[np.argmax(level <= level.min() + 0.01)]) if len(t) else float(edges[first])
     step = 1 / signal.rate_hz
-    length = float(edges[last] - onset_s)
+    length = float(edges[last] if hit_s is None else hit_s) - onset_s
     size = Severity(
         quantity=CAUSES[CUT].quantity,
         value=length,

@@ -46,6 +46,12 @@ LOSS_RATE_RAD_S = 4.0
 """Body rate that counts as lost, if it is three times what was flown until a second before."""
 CONTACT_M_S2 = 30.0
 """Specific force of a body that hits something, after control was lost."""
+FALLS_G = 0.5
+"""Specific force of a body that falls, over gravity: rotors run down for as much of it as they
+need, and the air brakes it by less until 10 m/s."""
+CLEAR_FALL_M = 0.5
+"""Fall behind a flight that no ground stopped, whatever its height says: a landing that rebounds
+falls by 0.05 m (nanobench B5). By judgement."""
 LEAST_COMMAND = 0.02
 """Command below which its logarithm is held."""
 FRAME_LAG_S = 0.2
@@ -80,12 +86,14 @@ class Airborne:
         end: Place behind the last.
         lost: Where control was lost; None: it was not.
         crash: Where it hit something after that; None: it did not.
+        falls: Whether it falls at its end, in the air.
     """
 
     start: int
     end: int
     lost: int | None = None
     crash: int | None = None
+    falls: bool = False
 
     @property
     def flown(self) -> int:
@@ -213,8 +221,28 @@ class FlightFrame:
                 joined.append((start, end))
         clear = [self._off_the_ground(*part) for part in joined]
         return tuple(
-            Airborne(a, z, *self._lost(a, z)) for a, z in clear if (z - a) * self.dt_s > SHORTEST_S
+            Airborne(a, z, *self._lost(a, z), self._falls_behind(z))
+            for a, z in clear
+            if (z - a) * self.dt_s > SHORTEST_S
         )
+
+    def fall(self, start: int, end: int) -> tuple[float, int, int]:
+        """Longest fall that begins within places, by the specific force alone, from rest: its
+        height, m, its first place and the place behind it; without one a height of 0."""
+        if "acc" not in self.grid:
+            return 0.0, start, start
+        force = np.linalg.norm(self.grid["acc"][start:], axis=1) / GRAVITY_M_S2
+        falls = [f for f in stretches_where(force < FALLS_G) if f[0] < end - start]
+        if not falls:
+            return 0.0, start, start
+        a, z = max(falls, key=lambda f: f[1] - f[0])
+        speed = np.cumsum(1.0 - force[a:z]) * GRAVITY_M_S2 * self.dt_s
+        return float(speed.sum() * self.dt_s), start + a, start + z
+
+    def _falls_behind(self, end: int) -> bool:
+        """Whether it falls from where it is no longer driven."""
+        near = self.places(0.5)
+        return self.fall(max(end - near, 0), end + near)[0] > CLEAR_FALL_M
 
     def _lifted(self) -> NDArray[np.bool_]:
         """Whether it may fly, by what drives it, else by height, else by how it shakes."""
@@ -244,7 +272,8 @@ class FlightFrame:
         up = np.flatnonzero((height[start:end] > before + clear) | (start == 0))
         down = np.flatnonzero((height[start:end] > after + clear) | (end == len(height)))
         if reach > 0.8 and len(up) and len(down) and up[0] < down[-1]:
-            return start + int(up[0]), start + int(down[-1]) + 1
+            near = end if self._falls_behind(end) else start + int(down[-1]) + 1
+            return start + int(up[0]), near
         return start, end
 
     def _lost(self, start: int, end: int) -> tuple[int | None, int | None]:

@@ -157,7 +157,7 @@ class Diagnosis(Struct, frozen=True, kw_only=True):
         events: First causes first, in order of time; what was there all the time comes last.
         one_of_causes: Two causes of one change that the flight does not tell apart; else empty.
         loss_of_control_s: When tilt or rates left all that was flown; null: they did not.
-        crash_s: When it hit something after that; null: it did not.
+        crash_s: When it hit something after that, or after a cut of commands; null: it did not.
         timeline: What happened besides, in order of time.
         not_visible: What the log would not have shown.
         airborne_s: Time in the air.

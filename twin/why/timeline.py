@@ -4,6 +4,7 @@ Take-off and landing, motors at a stop, contact, a record that ends in the air, 
 autopilot says itself: arming, modes, failsafes, messages.
 """
 
+import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -30,6 +31,9 @@ REPEATED_S = 10.0
 """The same message within that time is shown once."""
 MARGIN_S = 2.0
 """Before take-off and after landing, for messages."""
+LAND_DETECTOR = re.compile(r"(Takeoff|Landing) detected")
+"""Messages of PX4's land detector, src/modules/commander/Commander.cpp: without being grave they
+say what the autopilot takes for the ground."""
 SILENT_S = 1.0
 """Without a sample of any signal: the logger left out something."""
 CUT_VOLTAGE = 0.75
@@ -58,7 +62,7 @@ def _in_the_air(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
     else:
         yield TimelineItem(kind="note", t_s=begin, text="the record begins in the air")
     if part.end < len(flight.t_s) - flight.places(SILENT_S):
-        if part.lost is None:
+        if part.lost is None and not part.falls:
             yield TimelineItem(kind="landing", t_s=end, text="near the ground again")
     elif part.crash is None:
         yield TimelineItem(kind="note", t_s=end, text=_ends_in_the_air(flight))
@@ -164,13 +168,15 @@ def _arming(flight: FlightFrame, autopilot: Autopilot) -> Iterator[TimelineItem]
 
 
 def _messages(flight: FlightFrame, messages: Sequence[Message]) -> Iterator[TimelineItem]:
-    """Grave ones, and those without a level, while it flies; the same one once in a while."""
+    """Grave ones, those without a level, take-off and landing, while it flies; the same one once in
+    a while."""
     spans = [(flight.t_s[p.start], flight.t_s[p.end - 1]) for p in flight.airborne]
     shown: dict[str, float] = {}
     for message in messages:
         near = any(a - MARGIN_S <= message.t_s <= b + MARGIN_S for a, b in spans)
         repeated = message.t_s - shown.get(message.text, -np.inf) < REPEATED_S
-        if near and (message.grave or not message.level) and not repeated:
+        worth = message.grave or not message.level or LAND_DETECTOR.search(message.text)
+        if near and worth and not repeated:
             shown[message.text] = message.t_s
             yield TimelineItem(kind="message", t_s=message.t_s, text=f'"{message.text}"')
             if len(shown) == MOST_MESSAGES:
