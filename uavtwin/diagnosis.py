@@ -25,6 +25,18 @@ class WhyRecord(Record, Diagnosis, frozen=True, kw_only=True):
     digits: ClassVar[int | None] = 6
 
 
+class UnreadRecord(Record, frozen=True, kw_only=True):
+    """A log of several that cannot be read, as `why --json` prints it.
+
+    Attributes:
+        flight: Its name.
+        error: Why it cannot be read, and the way out.
+    """
+
+    flight: str
+    error: str
+
+
 @dataclass(frozen=True, slots=True, repr=False)
 class WhyResult(PageMixin):
     """Why a flight went wrong.
@@ -81,14 +93,16 @@ def why(flight: Any, references: Any = (), since: Vehicle | None = None) -> WhyR
     return WhyResult(WhyRecord(**structs.asdict(found)), asked)
 
 
-def why_table(records: Sequence[WhyRecord]) -> TextTable:
+def why_table(records: Sequence[WhyRecord | UnreadRecord]) -> TextTable:
     """Several flights, a row each: the first cause, when, and whether control was lost."""
     head = ("flight", "verdict", "first cause", "time", "probability", "control lost")
     return TextTable(head, tuple(map(_summary, records)))
 
 
-def _summary(record: WhyRecord) -> tuple[str, ...]:
+def _summary(record: WhyRecord | UnreadRecord) -> tuple[str, ...]:
     """A flight in the table of several."""
+    if isinstance(record, UnreadRecord):
+        return record.flight, "not read", "", "", "", ""
     either = " or ".join(map(cause_in_words, record.one_of_causes))
     first = next((e for e in record.events if not e.consequence), None)
     cause, when = either, "all the time" if either else ""

@@ -1,12 +1,15 @@
 """`uavtwin why`: what went wrong in a flight, from its log alone."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .options import Exit, Force, Json, Prints
 from .printing import STDOUT, print_error, print_json, print_sections, print_table
+
+if TYPE_CHECKING:
+    from ..diagnosis import WhyRecord
 
 
 def why(
@@ -39,12 +42,14 @@ def why(
         Json,
         Prints(
             "uavtwin.diagnosis:WhyRecord",
-            about="Of several logs a list. How to read it: [why](../guide/why.md).",
+            "uavtwin.diagnosis:UnreadRecord",
+            about="Of several logs a list, of which one that cannot be read has the second form. "
+            "How to read it: [why](../guide/why.md).",
         ),
     ] = False,
 ) -> None:
     """Say why a flight went wrong, and when: no vehicle file, no mass, no size."""
-    from ..diagnosis import read_asked, why_table
+    from ..diagnosis import UnreadRecord, read_asked, why_table
     from ..diagnosis import why as ask_why
     from ..diagnostic import write_diagnostics
     from ..output import check_file
@@ -60,6 +65,7 @@ def why(
         check_file(file, force)
     vehicle = None if since is None else load_vehicle(since)
     normal, found, worst = read_asked(reference or []), [], Exit.FINE
+    records: list[WhyRecord | UnreadRecord] = []
     for log in logs:
         try:
             result = ask_why(log, normal, vehicle)
@@ -67,8 +73,10 @@ def why(
             if len(logs) == 1:
                 raise
             worst = max(worst, print_error(error, f"why {log}"))
+            records.append(UnreadRecord(flight=log.stem, error=str(error)))
             continue
         found.append(result)
+        records.append(result.record)
         if not as_json:
             if len(logs) > 1:
                 STDOUT.print(log, style="bold")
@@ -76,10 +84,9 @@ def why(
         if result.record.verdict != "nothing_found":
             worst = max(worst, Exit.FINDINGS)
     if as_json:
-        records = [r.record for r in found]
         print_json(records if len(logs) > 1 else records[0])
     elif len(logs) > 1:
-        print_table(why_table([r.record for r in found]))
+        print_table(why_table(records))
     if out is not None:
         found[0].report(out)
     if diagnostic is not None:

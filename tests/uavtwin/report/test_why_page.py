@@ -156,5 +156,13 @@ def test_several_logs_have_a_result_each_and_a_table(
     assert "gyro bias, gyro_y" in table and "nothing found" in table
     code, said, error = run(capsys, "why", *logs, tmp_path / "absent.ulg", "--json")
     assert code == 2 and "absent" in error
-    assert [r["verdict"] for r in json.loads(said)] == ["found", "nothing_found"]
+    *read, unread = json.loads(said)
+    assert [r["verdict"] for r in read] == ["found", "nothing_found"]
+    assert unread.keys() == {"flight", "error"} and unread["flight"] == "absent"
+    assert "absent.ulg" in unread["error"]
+    code, said, _ = run(capsys, "why", tmp_path / "absent.ulg", logs[1])
+    rows = said[said.index("control lost") :].splitlines()
+    assert code == 2 and any("absent" in r and "not read" in r for r in rows)
+    code, said, _ = run(capsys, "why", tmp_path / "a.ulg", tmp_path / "b.ulg", "--json")
+    assert code == 2 and [r["flight"] for r in json.loads(said)] == ["a", "b"]
     assert run(capsys, "why", *logs, "--out", tmp_path / "two.html")[0] == 2
