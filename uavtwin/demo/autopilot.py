@@ -10,7 +10,7 @@ import socket
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,8 +30,8 @@ from ..live.datagrams import Address
 from .flights import Waypoints, setpoints_along
 
 Array = NDArray[np.float64]
-PERIOD_US = 4000
-"""Between two HIL_SENSOR, microseconds."""
+STATE_US = 1000
+"""Between two HIL_STATE_QUATERNION that are asked for, microseconds: one before each HIL_SENSOR."""
 HOP: Waypoints = (
     ("ground", 0.5, (0.0, 0.0, 0.0)),
     ("takeoff", 2.0, (0.0, 0.0, -1.5)),
@@ -65,18 +65,17 @@ class Pilot:
     Attributes:
         vehicle: That it is designed for.
         waypoints: It flies along.
-        asked: Its commands so far, shape (motors,) each, 0..1.
     """
 
     vehicle: Vehicle
     waypoints: Waypoints = HOP
-    asked: list[tuple[float, ...]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         control = controller(self.vehicle)
         self._setpoints, _ = setpoints_along(self.vehicle, self.waypoints)
         self._u, self._names = control.input_values(), control.input_names
         self._run = Run(control, self._u, control.parameter_values())
+        self._before_us: int | None = None
 
     @property
     def seconds(self) -> float:
@@ -85,12 +84,14 @@ class Pilot:
 
     def controls(self, t_us: int, motion: dict[str, float]) -> Controls:
         """What it answers at a time to a motion: `pos_x`, `vel_x`, `q_w`, `omega_x` and so on."""
+        before_us = t_us if self._before_us is None else self._before_us
+        if t_us > before_us:
+            self._run.step(1e-6 * before_us, 1e-6 * (t_us - before_us), self._u)
+        self._before_us = t_us
         row = self._setpoints[min(t_us // 1000, len(self._setpoints) - 1)]
         known = motion | dict(zip(SETPOINTS, row.tolist(), strict=True))
         self._u[:] = [known[n] for n in self._names]
         asked = tuple(self._run.outputs(self._u).tolist())
-        self._run.step(1e-6 * t_us, 1e-6 * PERIOD_US, self._u)
-        self.asked.append(asked)
         return Controls(t_us, asked, bool(known["armed"]), lockstep=True)
 
 
@@ -110,19 +111,19 @@ def motion_of(state: Message, origin: Sequence[float] = PLACE) -> dict[str, floa
 
 @dataclass
 class StandIn:
-    """An autopilot that connects, flies, and notes what it received.
+    """An autopilot that connects and flies.
 
     Attributes:
         pilot: Who flies.
-        heard: Messages by kind.
         answers: Made of a controls message before it is sent; None: it is not.
         place: Of the start: latitude, longitude, rad; height over the ellipsoid, m.
+        on_message: Called with each message that it receives.
     """
 
     pilot: Pilot
-    heard: dict[str, list[Message]] = field(default_factory=dict)
     answers: Callable[[Controls], Controls | None] = lambda controls: controls
     place: Sequence[float] = PLACE
+    on_message: Callable[[Message], object] = lambda _: None
 
     def fly(self, where: Address) -> None:
         """Until the simulator hangs up."""
@@ -140,15 +141,18 @@ class StandIn:
         send(
             dialect.MAVLink_command_long_message(
                 *(0, 0, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0),
-                *(dialect.MAVLINK_MSG_ID_HIL_STATE_QUATERNION, 5e3, 0, 0, 0, 0, 0),
+                *(dialect.MAVLINK_MSG_ID_HIL_STATE_QUATERNION, STATE_US, 0, 0, 0, 0, 0),
             )
         )
+        motion: dict[str, float] | None = None
         while octets := wire.recv(65536):
             for message in reader.parse_buffer(octets) or ():
-                self.heard.setdefault(message.get_type(), []).append(message)
-                if message.get_type() != "HIL_SENSOR":
+                self.on_message(message)
+                kind = message.get_type()
+                if kind == "HIL_STATE_QUATERNION":
+                    motion = motion_of(message, self.place)
+                if kind != "HIL_SENSOR" or motion is None:
                     continue
-                motion = motion_of(self.heard["HIL_STATE_QUATERNION"][-1], self.place)
                 answer = self.answers(self.pilot.controls(message.time_usec, motion))
                 if answer is not None:
                     send(hil_controls(answer))
@@ -162,14 +166,25 @@ def flown_meanwhile(pilot: Pilot, simulator: Address, place: Sequence[float]) ->
         pilot: Who flies.
         simulator: Where it listens.
         place: Of the start, as of `StandIn`.
+
+    Raises:
+        Exception: Of the pilot, once the simulator has hung up.
     """
+    failed: list[Exception] = []
 
     def fly() -> None:
         """In a thread of its own; that the simulator hangs up is the end, no error."""
-        with suppress(OSError):
-            StandIn(pilot, place=place).fly(simulator)
+        try:
+            with suppress(OSError):
+                StandIn(pilot, place=place).fly(simulator)
+        except Exception as error:
+            failed.append(error)
 
     thread = threading.Thread(target=fly, name="demo autopilot", daemon=True)
     thread.start()
-    yield
-    thread.join()
+    try:
+        yield
+    finally:
+        thread.join()
+    if failed:
+        raise failed[0]

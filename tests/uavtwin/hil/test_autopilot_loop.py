@@ -17,13 +17,21 @@ from twin.logs.mavlink.frames import Message, parser
 from twin.vehicle import Vehicle
 from twin.vehicle.earth import geodetic_of_ned
 from twin.vehicle_file import load_vehicle
-from uavtwin.demo.autopilot import HOP, PERIOD_US, Pilot, StandIn, motion_of, ned_of_geodetic
+from uavtwin.demo.autopilot import (
+    HOP,
+    Pilot,
+    StandIn,
+    flown_meanwhile,
+    motion_of,
+    ned_of_geodetic,
+)
 from uavtwin.hil.flying import FlyingTwin, TwinState, flying_twin_of
 from uavtwin.hil.session import PLACE, HilOptions, HilSession
 from uavtwin.live.datagrams import Address
 
 Array = NDArray[np.float64]
 ANY_PORT = Address("127.0.0.1", 0)
+PERIOD_US = 4000  # between two HIL_SENSOR
 ROUNDED_M = 0.0056
 """HIL_STATE_QUATERNION tells 1e-7 degrees: 11 mm northwards, rounded to half of it."""
 STEPS = round(1e6 * sum(leg[1] for leg in HOP) / PERIOD_US)
@@ -92,13 +100,14 @@ class Watched(FlyingTwin):
         return flown
 
 
-def over_the_socket(vehicle: Vehicle, folder: Path) -> tuple[Array, Array, StandIn, HilSession]:
+def over_the_socket(vehicle: Vehicle, folder: Path) -> tuple[Array, Array, list[Message]]:
     with closing(flying_twin_of(vehicle, folder)) as twin:
         twin.__class__ = Watched
         assert isinstance(twin, Watched)
         twin.places, twin.commands = [], []
         options = HilOptions(ANY_PORT, speed=float("inf"), duration_s=STEPS * PERIOD_US / 1e6)
-        session, stand_in = HilSession(vehicle, twin, options), StandIn(Pilot(vehicle))
+        session, heard = HilSession(vehicle, twin, options), list[Message]()
+        stand_in = StandIn(Pilot(vehicle), on_message=heard.append)
         where = Address("127.0.0.1", session.link.port)
         autopilot = threading.Thread(target=stand_in.fly, args=(where,))
         autopilot.start()
@@ -106,7 +115,7 @@ def over_the_socket(vehicle: Vehicle, folder: Path) -> tuple[Array, Array, Stand
         autopilot.join()
         assert status.fine and status.ended == "the duration is over" and status.lockstep
         assert status.clipped == status.unknown == 0 and status.answers >= STEPS - 1
-        return np.array(twin.places), np.array(twin.commands), stand_in, session
+        return np.array(twin.places), np.array(twin.commands), heard
 
 
 @pytest.mark.slow
@@ -120,7 +129,7 @@ def test_the_loop_through_the_socket_is_the_loop_in_process(
     """
     (tmp_path / "wire").mkdir()
     (tmp_path / "exact").mkdir()
-    places, commands, stand_in, _ = over_the_socket(copter, tmp_path / "wire")
+    places, commands, heard = over_the_socket(copter, tmp_path / "wire")
     assert np.linalg.norm(places[-1] - (2.0, 1.0, -2.0 - copter.leg_height_m)) < 0.3
     same_places, same_commands = in_process(copter, twin, rounded=True)
     np.testing.assert_array_equal(places, same_places)
@@ -132,12 +141,14 @@ def test_the_loop_through_the_socket_is_the_loop_in_process(
         f"off by at most {1e3 * off_m.max():.1f} mm, rms {1e3 * np.sqrt(np.mean(off_m**2)):.1f} mm"
     )
     assert 0.0 < off_m.max() < ROUNDED_M
-    check_rates(stand_in)
+    check_rates(heard)
 
 
-def check_rates(stand_in: StandIn) -> None:
+def check_rates(messages: list[Message]) -> None:
     """250 Hz of HIL_SENSOR, with magnetometer and barometer at 50, the receiver at 10."""
-    heard = stand_in.heard
+    heard: dict[str, list[Message]] = {}
+    for message in messages:
+        heard.setdefault(message.get_type(), []).append(message)
     times = np.array([m.time_usec for m in heard["HIL_SENSOR"]])
     assert len(times) == STEPS and np.all(np.diff(times) == PERIOD_US)
     updated = [m.fields_updated for m in heard["HIL_SENSOR"]]
@@ -146,6 +157,41 @@ def check_rates(stand_in: StandIn) -> None:
     assert len(heard["HIL_GPS"]) == pytest.approx(STEPS / 25, abs=1)
     assert len(heard["HEARTBEAT"]) == pytest.approx(STEPS / 250, abs=1)
     assert len(heard["HIL_STATE_QUATERNION"]) == STEPS
+
+
+@pytest.mark.parametrize("period_us", [1000, 20000])
+def test_the_controller_runs_by_the_times_of_the_messages(copter: Vehicle, period_us: int) -> None:
+    """Its states after half a second away from its setpoints are the same at any rate."""
+    still = {f"{n}_{a}": 0.0 for n in ("pos", "vel", "omega") for a in AXES}
+    still |= {"q_w": 1.0, "q_x": 0.0, "q_y": 0.0, "q_z": 0.0}
+    hover, off = (("hover", 3.0, (0.0, 0.0, 0.0)),), {"pos_x": 0.2}
+    pilot, whole = (Pilot(copter, hover) for _ in range(2))
+    for t_us in range(period_us, 500_001, period_us):
+        pilot.controls(t_us, still | off)
+    for t_us in (period_us, 500_000):
+        whole.controls(t_us, still | off)
+    assert pilot._run.x == pytest.approx(whole._run.x, rel=1e-3, abs=1e-6)
+    assert np.abs(pilot._run.x).max() > 0.01
+
+
+@pytest.mark.slow
+def test_what_fails_in_the_stand_in_is_raised(copter: Vehicle, twin: FlyingTwin) -> None:
+    class Failing(Pilot):
+        """Fails after a while."""
+
+        def controls(self, t_us: int, motion: dict[str, float]) -> Controls:
+            if t_us > 100_000:
+                raise ArithmeticError("no controls")
+            return super().controls(t_us, motion)
+
+    session = HilSession(copter, twin, HilOptions(ANY_PORT, speed=float("inf"), duration_s=1.0))
+    where = Address("127.0.0.1", session.link.port)
+    with (
+        pytest.raises(ArithmeticError, match="no controls"),
+        flown_meanwhile(Failing(copter), where, PLACE),
+    ):
+        status = session.run()
+    assert not status.fine and status.flight_s < 0.2
 
 
 @pytest.mark.slow
