@@ -7,7 +7,7 @@ that rotor, or a load at a place, explains.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,13 @@ PLACED = 0.9
 and no place. Chosen on CrazyPAD's E9."""
 SAID = 0.02
 """Least probability of an alternative that is said."""
+MOST_LIFTED = 10.0
+"""Thrust over weight of the strongest racing aircraft, in round numbers: none lifts more."""
+BEYOND = (
+    "the rotors differ from those of the normal flights by more than any loss of thrust or load "
+    "explains: are those flights of this aircraft?"
+)
+"""Said where the change is larger."""
 LEAST_S = 3.0
 """Of calm flight."""
 SEGMENT = 128
@@ -104,7 +111,24 @@ def changed(
     normal = [x for x in levels if x and now and len(x.motors) == len(now.motors)]
     if now is None or not normal:
         return None
-    return findings_of(compared(flight, now, normal), "in the normal flights", "1")
+    usual = np.mean([x.motors for x in normal], axis=0)
+    more = float(_more(now.motors - usual).mean())
+    found = findings_of(compared(flight, now, normal), "in the normal flights", "1")
+    carried = float(np.mean([_carried(r, c) for r, c in normal_flights]))
+    sizes = [e.severity.value for e in found.events if e.severity is not None]
+    most = min(MOST_LIFTED, 1.0 / carried) - 1.0
+    if more <= most and max(sizes, default=0.0) <= max(most, 1.0):
+        return found
+    return replace(found, events=(), one_of_causes=(), notes=(BEYOND,), undecided=True)
+
+
+def _carried(flight: FlightFrame, calm: Calm) -> float:
+    """Thrust that carries the aircraft in calm flight over that at full command, by the square of
+    the command: of all curves of a motor it leaves most for a load."""
+    if flight.drive is None or not calm.any():
+        return 1.0
+    command = np.clip(flight.grid[flight.drive][calm], LEAST_COMMAND, 1.0)
+    return float((command**2).mean())
 
 
 def findings_of(balance: Balance, usually: str, mass_unit: str) -> Findings:

@@ -6,6 +6,7 @@ from math import prod
 import numpy as np
 from msgspec.structs import replace
 
+from ..errors import LogError
 from ..formatting import certainty
 from ..logs import Flight
 from ..vehicle import Vehicle
@@ -63,7 +64,7 @@ def diagnose(
             normal flights; None: there is none.
 
     Raises:
-        LogError: The log is too short, or has no motion.
+        LogError: A log is too short, or has no motion, or a normal flight is of another aircraft.
     """
     compared = None
     if since is not None:
@@ -73,6 +74,8 @@ def diagnose(
         finders = [lasting if find is steady else find for find in finders]
     frame = FlightFrame.of(flight)
     normal = [FlightFrame.of(r) for r in references]
+    for each in normal:
+        check_same_aircraft(frame, each)
     found = [find(frame, normal) for find in finders]
     if compared is not None:
         sudden = [e.onset_s for f in found for e in f.events if e.onset_s is not None]
@@ -107,6 +110,33 @@ def diagnose(
         airborne_s=airborne_s,
         notes=tuple(dict.fromkeys([*frame.notes, *(n for f in found for n in f.notes)])),
     )
+
+
+def check_same_aircraft(frame: FlightFrame, normal: FlightFrame) -> None:
+    """Refuse a normal flight of another aircraft; what only one of both logs states is not held.
+
+    Raises:
+        LogError: Autopilot, frame or number of rotors differ.
+    """
+    own, other = aircraft_stated(frame), aircraft_stated(normal)
+    differ = [what for what in own if what in other and own[what] != other[what]]
+    if differ:
+        raise LogError(
+            f"{normal.flight.name}: unusable reference of {frame.flight.name}, another aircraft: "
+            + "; ".join(f"{what} {other[what]} instead of {own[what]}" for what in differ)
+            + ". Give normal flights of the same aircraft, or none."
+        )
+
+
+def aircraft_stated(frame: FlightFrame) -> dict[str, str]:
+    """What a log states of its aircraft, by what it is; not the release of the firmware."""
+    facts = frame.flight.facts
+    stated = {what: facts[what] for what in ("aircraft", "airframe", "hardware") if what in facts}
+    if facts.get("firmware"):
+        stated["autopilot"] = facts["firmware"].split()[0]
+    if frame.drive is not None:
+        stated["number of rotors"] = str(frame.grid[frame.drive].shape[1])
+    return stated
 
 
 def in_order(events: Sequence[Event]) -> tuple[Event, ...]:

@@ -1,5 +1,7 @@
 """Why a flight went wrong: the frame of a flight, loss of control, what is a consequence."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -48,6 +50,37 @@ def test_a_hover_is_flown_to_its_end() -> None:
     assert found.verdict == "nothing_found"
     assert found.loss_of_control_s is None and found.crash_s is None
     assert found.airborne_s == pytest.approx(24.0, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("fact", "ours", "theirs"),
+    [
+        ("aircraft", "autopilot 0001", "autopilot 0002"),
+        ("hardware", "PX4_FMU_V6C", "PX4_SITL"),
+        ("airframe", "quad x", "SYS_AUTOSTART 3010"),
+        ("firmware", "ArduCopter V4.5.7", "PX4 1.12.3"),
+    ],
+)
+def test_a_normal_flight_of_another_aircraft_is_refused_and_both_are_named(
+    fact: str, ours: str, theirs: str
+) -> None:
+    own, other = (replace(hover(), facts={fact: text}) for text in (ours, theirs))
+    with pytest.raises(LogError, match="unusable reference") as refused:
+        diagnose(own, [replace(other, name="stranger")])
+    parts = (ours, theirs) if fact != "firmware" else ("ArduCopter", "PX4")
+    assert all(text in str(refused.value) for text in ("stranger", "hover", *parts))
+
+
+def test_a_normal_flight_with_more_rotors_is_refused() -> None:
+    table = hover().table.copy()
+    table["cmd_5"] = table["cmd_6"] = table["cmd_1"]
+    with pytest.raises(LogError, match="number of rotors 6 instead of 4"):
+        diagnose(hover(), [Flight("six", table)])
+
+
+def test_a_newer_firmware_and_a_log_that_states_nothing_are_no_other_aircraft() -> None:
+    releases = [replace(hover(), facts={"firmware": f"PX4 1.1{k}"}) for k in (4, 5)]
+    diagnose(releases[0], [releases[1], hover()], finders=FINDERS[:1])
 
 
 def test_the_grid_averages() -> None:

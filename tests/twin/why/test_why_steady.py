@@ -70,6 +70,15 @@ def test_a_load_at_a_side_is_no_rotor() -> None:
     assert found.nothing < 0.1
 
 
+def test_no_load_is_said_that_the_motors_cannot_lift() -> None:
+    """Normal flights at an eighth of the command, of another aircraft whose log does not say so:
+    64 times the thrust."""
+    lighter = [hover(np.full(4, 0.12), seed=i) for i in range(1, 4)]
+    found = steady(hover(np.full(4, 0.96)), lighter)
+    assert not found.events and not found.one_of_causes and found.undecided
+    assert any("of this aircraft?" in note for note in found.notes)
+
+
 def test_a_normal_flight_is_nothing() -> None:
     found = steady(hover(seed=9), NORMAL)
     assert not found.events and not found.one_of_causes and found.nothing > 0.5
