@@ -1,7 +1,8 @@
 """Why a flight went wrong, as a result to print."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from math import inf, pi
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,10 +14,19 @@ from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
 from twin.why.diagnose import diagnose
 from twin.why.records import Candidate, Diagnosis, Event, NotVisible
+from twin.why.sensors import SENSOR_CAUSES
 
 from .display import PageMixin, TextTable
 from .flights import checked_flights
 from .record import Record
+
+LEAST_LISTED = 0.01
+"""Probability from which on an alternative is listed; the record has all."""
+LARGEST = {"1": 1.0, "rad": pi / 2, "m": 50.0}
+"""By unit, beyond which a size that would have shown says nothing: all of the thrust, the mass or
+the field, a quarter of a turn, more than a barometer is ever off."""
+MOST_NOISE = 9.0
+"""The same of noise: ten times the usual."""
 
 
 class WhyRecord(Record, Diagnosis, frozen=True, kw_only=True):
@@ -69,7 +79,7 @@ class WhyResult(PageMixin):
         if checks:
             yield "To check: " + " ".join(dict.fromkeys(checks))
         if self.record.not_visible:
-            yield "\n".join(_hidden(self.record))
+            yield _hidden(self.record)
         if self.record.notes:
             yield "\n".join(self.record.notes)
 
@@ -136,7 +146,7 @@ def _row(event: Event) -> tuple[str, ...]:
     when = "all the time" if event.onset_s is None else f"{event.onset_s:.2f} s"
     which = ", ".join(f"rotor {r}" for r in event.rotor or ()) or (event.sensor or "")
     others = ", ".join(
-        f"{cause_in_words(c)} {100 * c.probability:.0f} %" for c in event.alternatives
+        f"{cause_in_words(c)} {100 * c.probability:.0f} %" for c in listed_alternatives(event)
     )
     what = _words(event.cause) + (" (consequence)" if event.consequence else "")
     return when, what, which, size_in_words(event), f"{100 * event.probability:.0f} %", others
@@ -163,24 +173,35 @@ def cause_in_words(given: Event | Candidate | NotVisible) -> str:
     return _words(given.cause) + named
 
 
+def listed_alternatives(event: Event) -> list[Candidate]:
+    """What else it could be, with 1 % or more."""
+    return [c for c in event.alternatives if c.probability >= LEAST_LISTED]
+
+
 def least_in_words(hidden: NotVisible) -> str:
-    """Sizes that would not have shown."""
+    """Sizes that would not have shown; a size that no aircraft has is none."""
     least = hidden.smallest_detectable
-    if least.value is None:
+    most = MOST_NOISE if hidden.cause == "sensor_noise_level" else LARGEST.get(least.unit, inf)
+    if least.value is None or least.value > most:
         return "of any size"
     if least.unit == "1":
         return f"below {100 * least.value:.0f} %"
     return f"below {least.value:.3g} {pretty_unit(least.unit)}"
 
 
-def _hidden(found: Diagnosis) -> Iterator[str]:
-    """What the log would not have shown, a sentence per reason."""
-    by_reason: dict[str, list[str]] = {}
-    for hidden in found.not_visible:
-        size = f"{_words(hidden.cause)} {least_in_words(hidden)}"
-        by_reason.setdefault(hidden.reason, []).append(size)
-    for reason, sizes in by_reason.items():
-        yield f"Not visible: {joined(sizes, 'or')}: {reason}."
+def of_the_body(hidden: NotVisible) -> bool:
+    """Whether a cause is of rotors, mass and forces, and not of an instrument."""
+    return hidden.cause not in SENSOR_CAUSES
+
+
+def _hidden(found: Diagnosis) -> str:
+    """Causes of the body that the log would not have shown, in a line."""
+    by_size: dict[str, list[str]] = {}
+    for hidden in filter(of_the_body, found.not_visible):
+        by_size.setdefault(least_in_words(hidden), []).append(_words(hidden.cause))
+    sizes = [f"{joined(causes, 'or')} {size}" for size, causes in by_size.items()]
+    body = "Not visible: " + "; ".join(sizes) + ". " if sizes else ""
+    return f"{body}What instruments would not have shown, and why: --json, --out."
 
 
 def _words(name: str) -> str:

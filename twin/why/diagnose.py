@@ -15,7 +15,7 @@ from .cut import cut
 from .findings import Finder, Findings
 from .flight import FlightFrame, of_vehicle
 from .motion import moved
-from .records import Candidate, Diagnosis, Event, TimelineItem, Verdict
+from .records import Candidate, Diagnosis, Event, NotVisible, TimelineItem, Verdict
 from .sensors import sensors
 from .steady import lasting, steady
 from .timeline import timeline
@@ -96,17 +96,18 @@ def diagnose(
         lost=lost is not None,
         decided=airborne_s > 0 and not any(f.undecided for f in found),
     )
+    hidden = tuple(v for f in found for v in f.not_visible)
     return Diagnosis(
         flight=flight.name,
         verdict=verdict,
         probability=probability,
-        text=_sentence(verdict, probability, events, one_of, lost, airborne_s),
+        text=_sentence(verdict, probability, events, one_of, lost, airborne_s, blind(hidden)),
         events=events,
         one_of_causes=one_of,
         loss_of_control_s=lost,
         crash_s=crash,
         timeline=tuple(timeline),
-        not_visible=tuple(v for f in found for v in f.not_visible),
+        not_visible=hidden,
         airborne_s=airborne_s,
         notes=tuple(dict.fromkeys([*frame.notes, *(n for f in found for n in f.notes)])),
     )
@@ -131,12 +132,22 @@ def check_same_aircraft(frame: FlightFrame, normal: FlightFrame) -> None:
 def aircraft_stated(frame: FlightFrame) -> dict[str, str]:
     """What a log states of its aircraft, by what it is; not the release of the firmware."""
     facts = frame.flight.facts
-    stated = {what: facts[what] for what in ("aircraft", "airframe", "hardware") if what in facts}
+    named = ("aircraft", "airframe", "hardware")
+    stated = {what: str(facts[what]) for what in named if facts.get(what)}
     if facts.get("firmware"):
-        stated["autopilot"] = facts["firmware"].split()[0]
+        stated["autopilot"] = str(facts["firmware"]).split()[0]
     if frame.drive is not None:
         stated["number of rotors"] = str(frame.grid[frame.drive].shape[1])
     return stated
+
+
+def blind(hidden: Sequence[NotVisible]) -> str:
+    """Why the body is not judged, where less than half of the causes that move it would show at any
+    size; "": it is judged."""
+    reasons = [
+        v.reason for v in hidden if v.cause in CAUSES and v.smallest_detectable.value is None
+    ]
+    return reasons[0] if 2 * len(reasons) > len(CAUSES) else ""
 
 
 def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
@@ -186,9 +197,10 @@ def _sentence(
     one_of: Sequence[Candidate],
     lost: float | None,
     airborne_s: float,
+    unseen: str,
 ) -> str:
     """The answer on top."""
-    return " ".join(_clauses(verdict, probability, events, one_of, lost, airborne_s))
+    return " ".join(_clauses(verdict, probability, events, one_of, lost, airborne_s, unseen))
 
 
 def _clauses(
@@ -198,6 +210,7 @@ def _clauses(
     one_of: Sequence[Candidate],
     lost: float | None,
     airborne_s: float,
+    unseen: str,
 ) -> Iterator[str]:
     first = next((e for e in events if not e.consequence), None)
     if airborne_s == 0:
@@ -211,6 +224,9 @@ def _clauses(
         yield "Something may have changed since the normal flights; this log cannot tell what."
     elif verdict == "nothing_found":
         nothing = "Nothing" if probability >= LIKELY else "Probably nothing"
+        if unseen:
+            yield f"This log can show little: rotors, mass, forces are not judged, since {unseen}."
+            nothing += " else"
         yield f"{nothing} went wrong that this log can show ({certainty(probability)})."
     if lost is not None:
         yield f"Control is lost at {lost:.2f} s" + (

@@ -13,7 +13,15 @@ from twin.why.flight import FlightFrame
 from twin.why.records import Event, EvidenceSeries
 from twin.why.rules import parted_outputs
 
-from ..diagnosis import WhyRecord, WhyResult, cause_in_words, least_in_words, size_in_words
+from ..diagnosis import (
+    WhyRecord,
+    WhyResult,
+    cause_in_words,
+    least_in_words,
+    listed_alternatives,
+    of_the_body,
+    size_in_words,
+)
 from .drawing import Budget, Panels, fitted
 from .page import BLACK, BLUE, GREY, ORANGE, Plot, plot, render
 
@@ -82,6 +90,7 @@ def _page(record: WhyRecord, frame: FlightFrame | None, budget: Budget) -> str:
             "least": least_in_words,
         },
         record=record,
+        hidden=list(filter(of_the_body, record.not_visible)),
         line=_line(record, frame, budget),
         cards=[_card(k, e, record, frame, budget) for k, e in enumerate(events)],
         left_out=len(record.events) - len(events),
@@ -192,9 +201,7 @@ def _card(
 ) -> _Card:
     when = "all the time" if event.onset_s is None else f"{event.onset_s:.2f} s"
     others = " or ".join(
-        f"{cause_in_words(c)} ({100 * c.probability:.0f} %)"
-        for c in event.alternatives
-        if c.probability >= 0.01
+        f"{cause_in_words(c)} ({100 * c.probability:.0f} %)" for c in listed_alternatives(event)
     )
     quoted = ", ".join(
         f"{i.text} at {i.t_s:.2f} s"

@@ -5,14 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from why_rig import sound
 
 from twin.errors import LogError
 from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, QUAT
-from twin.why.diagnose import FINDERS, diagnose
+from twin.why.diagnose import FINDERS, blind, diagnose
 from twin.why.findings import Findings
 from twin.why.flight import FlightFrame, moment_signs
-from twin.why.records import Event
+from twin.why.records import Amount, Event, NotVisible
 
 G = 9.80665
 
@@ -81,6 +82,15 @@ def test_a_normal_flight_with_more_rotors_is_refused() -> None:
 def test_a_newer_firmware_and_a_log_that_states_nothing_are_no_other_aircraft() -> None:
     releases = [replace(hover(), facts={"firmware": f"PX4 1.1{k}"}) for k in (4, 5)]
     diagnose(releases[0], [releases[1], hover()], finders=FINDERS[:1])
+
+
+def test_a_log_without_commands_says_first_that_it_can_show_little() -> None:
+    table = {name: v for name, v in sound().items() if not name.startswith("cmd_")}
+    found = diagnose(Flight("f", pd.DataFrame(table)))
+    assert found.verdict == "nothing_found"
+    assert found.text.startswith("This log can show little: rotors, mass, forces are not judged")
+    least = Amount(value=0.1, unit="1")
+    assert not blind([NotVisible(cause="rotor_failure", smallest_detectable=least, reason="r")])
 
 
 def test_the_grid_averages() -> None:

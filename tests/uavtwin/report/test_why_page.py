@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from cli_rig import run
+from msgspec import structs
 from page_rigs.browser import (
     SOME_VIEWS,
     VIEWS,
@@ -21,8 +22,16 @@ from why_rig import ONSET_S, sound
 
 from twin.logs import Flight, write_flight
 from twin.logs.autopilot import Autopilot, Message, Mode, Stretch
-from twin.why.records import Candidate, Event, Kind, Severity, TimelineItem
-from uavtwin.diagnosis import WhyResult, why
+from twin.why.records import (
+    Amount,
+    Candidate,
+    Event,
+    Kind,
+    NotVisible,
+    Severity,
+    TimelineItem,
+)
+from uavtwin.diagnosis import WhyResult, least_in_words, why
 from uavtwin.diagnostic import diagnostics
 from uavtwin.report.drawing import PAGE_BYTES
 
@@ -63,6 +72,26 @@ def test_a_page_of_nothing_says_what_it_could_not_have_shown(tmp_path: Path) -> 
     assert found.record.verdict == "nothing_found"
     page = found.report(tmp_path / "why.html").read_text("utf-8")
     assert "it is not excluded" in page and "below" in page
+
+
+def test_senseless_limits_and_hopeless_alternatives_are_not_listed(result: WhyResult) -> None:
+    def hidden(cause: str, value: float, unit: str) -> NotVisible:
+        least = Amount(value=value, unit=unit)
+        return NotVisible(cause=cause, smallest_detectable=least, reason="r")
+
+    any_size = [("mag_hard_iron", 1.07, "1"), ("baro_bias", 61.2, "m"), ("imu_tilt", 1.6, "rad")]
+    sensible = [("mag_hard_iron", 0.27, "1"), ("gyro_bias", 2.0, "rad/s"), ("baro_bias", 4.0, "m")]
+    assert {least_in_words(hidden(*v)) for v in any_size} == {"of any size"}
+    assert all(least_in_words(hidden(*v)).startswith("below") for v in sensible)
+    others = [Candidate(cause=c, rotor=None, probability=p) for c, p in (("a", 0.1), ("b", 0.009))]
+    event = structs.replace(result.record.events[0], alternatives=tuple(others))
+    least = (hidden("rotor_failure", 0.1, "1"), hidden("gyro_bias", 0.05, "rad/s"))
+    record = structs.replace(result.record, events=(event,), not_visible=least)
+    parts = list(WhyResult(record).findings())
+    (table,) = [p for p in parts if not isinstance(p, str)]
+    assert table.rows[0][-1] == "a 10 %"
+    (line,) = [p for p in parts if isinstance(p, str) and "Not visible" in p]
+    assert line.startswith("Not visible: rotor failure below 10 %.") and "gyro" not in line
 
 
 def test_a_result_without_its_flight_has_a_page(result: WhyResult, tmp_path: Path) -> None:
