@@ -480,11 +480,12 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
 
 
 def _answers(found: Explanation, naming: Naming) -> bool:
-    """Whether a search or a balance says what has changed since a calibration, or that nothing has:
-    a load that changes the mean thrust changes it as an equation in the thrust does."""
+    """Whether a search says what has changed since a calibration, or that nothing has, or a balance
+    that something has, be it a rotor or a load: a load that changes the mean thrust changes it as
+    an equation in the thrust does. A balance that is undecided says nothing."""
     if "named" in (found.verdict, naming.verdict) or naming.verdict == "nothing":
         return True
-    return found.balance is not None and found.balance.nothing < found.balance.sure
+    return found.balance is not None and found.balance.changed >= found.balance.sure
 
 
 def _new(vehicle: Vehicle, naming: Naming, stands: Fit, alone: Unnamed) -> bool:

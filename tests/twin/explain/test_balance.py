@@ -288,6 +288,10 @@ def test_the_smallest_change_is_where_nothing_is_no_longer_said() -> None:
     [
         ("named", "cannot_tell", 0.0, False),  # a load, by the balance alone
         ("cannot_tell", "cannot_tell", 0.1, False),  # a rotor or a load
+        ("cannot_tell", "cannot_tell", 1 - SURE - 1e-9, False),
+        ("cannot_tell", "cannot_tell", 1 - SURE + 1e-9, True),  # undecided
+        ("cannot_tell", "cannot_tell", 0.5, True),
+        ("cannot_tell", "cannot_tell", SURE - 1e-9, True),
         ("nothing", "nothing", 0.9, False),
         ("cannot_tell", "cannot_tell", 0.9, True),
     ],
@@ -308,7 +312,8 @@ def test_equations_overrule_no_change_of_the_balance(
     best = SimpleNamespace(effects=())
     naming = SimpleNamespace(verdict=searched, best=best, whitened=None, problem=problem)
     balance = replace(judged(np.zeros(4)), sure=SURE)
-    hypotheses = (replace(balance.hypotheses[0], probability=nothing),)
+    found_by = dict(zip((NOTHING, ROTORS, LOAD), (nothing, *[(1 - nothing) / 2] * 2), strict=True))
+    hypotheses = tuple(replace(balance.best(c), probability=p) for c, p in found_by.items())
     found = Explanation(
         verdict,
         COPTER,
