@@ -248,6 +248,8 @@ def live(
     )
     if serve is None and (demo or store is not None):
         serve = _usual_page(store is not None)
+    elif serve is None and token is not None:
+        raise TwinError("live --token: there is no page. Add --serve HOST:PORT, or --store DIR.")
     shown = None if serve is None else Shown(serve, token, store)
     status = _fly(vehicle or _DEMO_VEHICLE, options, shown, alarms, demo, replay, model)
     if as_json:

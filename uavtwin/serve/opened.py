@@ -63,11 +63,12 @@ def open_site(
     from ..site.server import FLIGHTS, LIVE, SiteServer, doors_of, listening, site_app
 
     host, port = host_and_port(where, option)
+    given = None if token is None else doors_of(host, port, token)
     routes = () if live is None else live.routes
     with ExitStack() as opened:
         taken = opened.enter_context(listening(host, port))
         if store is None:
-            doors = doors_of(host, port, token)
+            doors = given or doors_of(host, port)
             first = Route(FLIGHTS, lambda _: RedirectResponse(LIVE))
             app, add = site_app((first, *routes), doors), None
         else:
@@ -75,9 +76,13 @@ def open_site(
             from .server import Site
             from .store import Store
 
-            flights = Store(store)
-            doors = doors_of(host, port, token or (None if is_loopback(host) else flights.token()))
-            site = Site(flights, limits or Limits(), doors, routes)
+            with ExitStack() as failed:
+                flights = Store(store)
+                failed.callback(flights.close)
+                of_store = None if given or is_loopback(host) else flights.token()
+                doors = given or doors_of(host, port, of_store)
+                site = Site(flights, limits or Limits(), doors, routes)
+                failed.pop_all()
             opened.callback(site.close)
             app, add = site.app, site.add
         yield opened.enter_context(SiteServer(taken, app, doors)), add

@@ -217,12 +217,20 @@ class SiteServer:
         self._server.run(sockets=[self._socket])
 
     def start(self) -> Self:
-        """Serve in a thread, until it is closed."""
+        """Serve in a thread, until it is closed.
+
+        Raises:
+            TwinError: It has ended at once, or has not started after 20 s.
+        """
         self._thread = thread = threading.Thread(target=self.run, name="site", daemon=True)
         thread.start()
         until = time.monotonic() + _START_S
         while not self._server.started and thread.is_alive() and time.monotonic() < until:
             time.sleep(0.01)
+        if not self._server.started:
+            why = f"has not started within {_START_S:g} s" if thread.is_alive() else "has ended"
+            self.close()
+            raise TwinError(f"the server at port {self.port} {why}. Try again, or another port.")
         return self
 
     def close(self) -> None:

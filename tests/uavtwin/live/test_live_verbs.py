@@ -58,6 +58,7 @@ def test_replay_into_the_void(log: Path, capsys: pytest.CaptureFixture[str]) -> 
         (("--hold", "-1"), "0 to 10 s"),
         (("--observer", "0"), "0.02 to 60 s"),
         (("--publish", "udpin:127.0.0.1:1"), "write udpout:HOST:PORT"),
+        (("--token", "correct horse"), "there is no page"),
     ],
 )
 def test_live_used_wrongly(

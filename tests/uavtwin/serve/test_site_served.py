@@ -3,8 +3,10 @@
 import asyncio
 import contextlib
 import json
+import os
 import re
 import socket
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,9 +17,11 @@ from starlette.responses import PlainTextResponse
 from starlette.types import Message
 
 from twin.errors import TwinError
+from uavtwin.serve.opened import open_site
 from uavtwin.serve.store import Store
+from uavtwin.site import server
 from uavtwin.site.doors import Doors
-from uavtwin.site.server import Guarded, doors_of
+from uavtwin.site.server import Guarded, SiteServer, doors_of, listening
 
 pytestmark = pytest.mark.slow
 HOSTILE = '"><img src=x onerror=alert(1)><script>alert(1)</script>.ulg'
@@ -218,6 +222,56 @@ def test_an_empty_token_opens_nothing() -> None:
     for token in ("", "short"):
         with pytest.raises(TwinError, match="at least 8"):
             Doors("0.0.0.0", token)
+
+
+@pytest.mark.parametrize("with_flights", [False, True], ids=["alone", "with flights"])
+@pytest.mark.parametrize("token", ["", "short"])
+def test_a_short_token_opens_no_site(tmp_path: Path, with_flights: bool, token: str) -> None:
+    folder = tmp_path / "store"
+    with (
+        pytest.raises(TwinError, match="at least 8"),
+        open_site(free_address(), "--serve", folder if with_flights else None, token=token),
+    ):
+        pass
+    assert not folder.exists(), "nothing was opened before the token was checked"
+
+
+def test_a_site_that_cannot_be_made_leaves_the_store_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> None:
+        raise TwinError("no site")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("uavtwin.serve.server.Site", fails)
+        with (
+            pytest.raises(TwinError, match="no site"),
+            open_site(free_address(), "--serve", tmp_path),
+        ):
+            pass
+    handles = [os.readlink(f) for f in Path("/proc/self/fd").iterdir() if f.exists()]
+    assert str(tmp_path / "store.duckdb") not in handles
+
+
+def free_address() -> str:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return f"127.0.0.1:{free.getsockname()[1]}"
+
+
+@pytest.mark.parametrize("ends", [True, False], ids=["ends at once", "never starts"])
+def test_a_server_that_does_not_start_is_an_error(
+    monkeypatch: pytest.MonkeyPatch, ends: bool
+) -> None:
+    over = threading.Event()
+    monkeypatch.setattr(server, "_START_S", 0.2)
+    doors = doors_of("127.0.0.1", 1)
+    made = SiteServer(listening("127.0.0.1", 0), PlainTextResponse("inside"), doors)
+    monkeypatch.setattr(made, "run", (lambda: None) if ends else over.wait)
+    monkeypatch.setattr(server, "_GRACE_S", -3)  # close does not wait for it
+    why = "has ended" if ends else r"has not started within 0\.2 s"
+    with pytest.raises(TwinError, match=why):
+        made.start()
+    over.set()
 
 
 def opened(asked: Asked, sends: bytes = b"") -> socket.socket:
