@@ -20,7 +20,7 @@ from twin.explain.usable import observable_effects
 from twin.formatting import counted
 from twin.logs import AnyFlight, open_flight
 from twin.logs.columns import POS, QUAT, VEL
-from twin.logs.read import is_archive_of
+from twin.logs.read import file_of_bag, is_archive_of
 from twin.logs.table import header
 from twin.logs.validate import NO_TABLE, is_recording
 from twin.physics.airframe import airframe
@@ -207,14 +207,14 @@ def check_file(path: str | Path, vehicle: Vehicle | None = None) -> CheckReport:
     """Look at one file, whatever it is.
 
     Args:
-        path: The file.
+        path: The file, or the folder of a ROS 2 bag.
         vehicle: Whose hover is compared with that of a flight.
 
     Raises:
         TwinError: It cannot be read as anything known, or the flight cannot be compared with the
             vehicle.
     """
-    path = Path(path)
+    path = file_of_bag(Path(path))
     if path.is_dir():
         raise TwinError(f"{path}: is a folder; name the files in it.")
     if not path.is_file():

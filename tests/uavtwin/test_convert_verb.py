@@ -9,6 +9,7 @@ from cli_rig import run
 from log_rigs.dataflash_rig import dataflash
 from sample_logs import FLOWN_PARAMS, SAMPLES, flown_messages
 
+from twin.errors import LogError
 from twin.logs import read_flight
 from twin.logs.table import Notes
 
@@ -39,6 +40,16 @@ def test_the_table_is_the_flight(
         assert about[0] == about[1]
     noted = json.loads((out.parent / "flight.run.json").read_text())
     assert noted["verb"] == "convert" and noted["inputs"][0]["name"] == "flight.bin"
+
+
+def test_an_mcap_of_ours_is_no_log(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, log: Path
+) -> None:
+    out = tmp_path / "flight.mcap"
+    code, _, said = run(capsys, "convert", log, "--out", out)
+    assert code == 0, said
+    with pytest.raises(LogError, match=r"flight.mcap: an MCAP that uavtwin wrote, .* give the log"):
+        read_flight(out)
 
 
 def test_a_file_that_is_there_stays(

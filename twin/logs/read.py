@@ -69,6 +69,11 @@ CERTAIN: _Named = (
         "an encrypted PX4 log (.ulge): decrypt it with your key (PX4: Tools/decrypt_ulog.py), and "
         "give the .ulg.",
     ),
+    (
+        Magic(b"\x00\x00\x00\x00\x07\x00\x00\x00uavtwin", at=17),  # profile, library of an MCAP
+        "an MCAP that uavtwin wrote, for Foxglove and PlotJuggler: give the log that it was made "
+        "of, or convert that to a flight table (.parquet).",
+    ),
     (Magic(b"version https://git-lfs"), "a Git LFS pointer, not the file: run `git lfs pull`."),
     *(
         (FirstWord(word), "an HTML page, mostly the error or login page of a download.")
@@ -326,7 +331,7 @@ def read_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> Fl
     Raises:
         LogError: The file cannot be used; the text says why and what to do.
     """
-    path = _file_of_bag(Path(path))
+    path = file_of_bag(Path(path))
     blob = _content(path)
     try:
         found, blob, findings = _located(blob)
@@ -346,10 +351,10 @@ def _located(blob: bytes) -> tuple[LogFormat, bytes, tuple[Finding, ...]]:
     blob, findings = inside.blob, inside.findings
     if all_alike := erased_text(blob):
         raise LogError(all_alike)
-    if (found := recognise(blob)) is not None:
-        return found, blob, findings
     if named := named_kind(blob, CERTAIN):
         raise LogError(named)
+    if (found := recognise(blob)) is not None:
+        return found, blob, findings
     if (behind := find_embedded_log(blob)) is not None:
         at, found = behind
         return found, blob[at:], (*findings, leading_bytes_finding(blob, at))
@@ -397,7 +402,7 @@ def _doubted(flight: _F, read_as: LogFormat) -> _F:
     return replace(changed, known=changed.known - speeds)
 
 
-def _file_of_bag(path: Path) -> Path:
+def file_of_bag(path: Path) -> Path:
     """The one file of a ROS 2 bag where the folder of one is given; any other path as it is.
 
     Raises:

@@ -1,15 +1,17 @@
 """ROS 2 bags: PX4's topics, MAVROS and topics of one's own are the same flight."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from log_rigs.ros_rig import Messages, bag, mavros_bag, needs_rosbags, px4_bag
+from log_rigs.ros_rig import START_NS, Messages, bag, mavros_bag, needs_rosbags, px4_bag
 from sample_logs import flown_table
 
-from twin.errors import LogError
+from twin.errors import LogError, TwinError
 from twin.logs import Flight, read_flight
+from uavtwin.file_check import check_file
 
 pytestmark = [pytest.mark.slow, needs_rosbags]
 MOTION = ("acc", "gyro", "vel")
@@ -20,6 +22,11 @@ fields = ["channels[0]", "channels[1]", "channels[2]", "channels[3]"]
 unit = "us"
 low = 1000
 high = 2000
+"""
+MAG = """
+[mag]
+topic = "/mavros/imu/data"
+fields = [FIRST, "linear_acceleration.y", "linear_acceleration.z"]
 """
 
 
@@ -87,8 +94,28 @@ def test_a_mapping_file_names_other_topics(table: pd.DataFrame, tmp_path: Path) 
         (OUTPUTS.replace("rc/out", "none"), "topic /mavros/none: the bag has"),
         (OUTPUTS.replace('"us"', '"weeks"'), "unit 'weeks'"),
         (OUTPUTS.replace('"channels[3]"', '"__class__[x"'), "write a path such as"),
-        (OUTPUTS.replace("high = 2000", "high = 1000"), "low = high = 1000"),
+        (OUTPUTS.replace("high = 2000", "high = 1000"), "low = 1000, high = 1000"),
         (OUTPUTS.replace("low = ", "least = "), "least"),
+        (OUTPUTS.replace("low = 1000", "low = nan"), "low = nan, high = 2000"),
+        (OUTPUTS.replace('"us"', '"V"'), r"\[cmd\] unit 'V': write us"),
+        (OUTPUTS.replace("channels[1]", "channels[0]"), r"\[cmd\] names a field twice: channels"),
+        (OUTPUTS.replace("channels[3]", "channels[9]"), r"\[cmd\] cmd needs 4 values.* give 3"),
+        (OUTPUTS.replace("channels[3]", "channels"), r"\[cmd\] cmd needs 4 values.* give 7"),
+        (
+            MAG.replace("FIRST", "'linear_acceleration.q'"),
+            r"flight.topics.toml: \[mag\] field linear_acceleration.q: the message "
+            r"sensor_msgs/msg/Imu has linear_acceleration.x, .*_acceleration.z\.",
+        ),
+        (MAG.replace("FIRST", "'linear_acceleration.x.y'"), "the message .* has linear_acc.*x"),
+        (MAG.replace("FIRST", "'header.frame_id'"), "header.frame_id: it is text, no number"),
+        (MAG.replace("FIRST", "'header.stamp'"), "a message, no number. It has header.stamp.sec"),
+        (MAG.replace("FIRST", "'linear_acceleration.x[0]'"), "it is no array"),
+        (MAG.replace("FIRST", "'orientation_covariance[9]'"), "has 9 elements"),
+        (MAG.replace("FIRST", "'orientation_covariance'"), "needs 3 values; .* give 11"),
+        (MAG.replace("FIRST, ", ""), r"\[mag\] mag needs 3 values; .* give 2"),
+        (MAG.replace("FIRST, ", "").replace("[mag]", "[q]"), "q needs 4 values; .* give 2"),
+        (MAG.replace("FIRST, ", "").replace("[mag]", "[baro]"), "has 2 fields: baro needs 1"),
+        (MAG.replace("FIRST", "'header.stamp.sec'") + "unit = 'rpm'", "write T or gauss"),
     ],
 )
 def test_a_wrong_mapping_is_said(
@@ -104,25 +131,81 @@ def test_a_wrong_mapping_is_said(
 def test_the_folder_of_a_bag_is_the_bag(table: pd.DataFrame, tmp_path: Path) -> None:
     bag(px4_bag(table.iloc[:200]), folder=tmp_path)
     assert read_flight(tmp_path / "bag").has("acc_x")
+    assert "acc_x" in check_file(tmp_path / "bag").facts["holds"]
+    with pytest.raises(TwinError, match="is a folder"):
+        check_file(tmp_path)
     (tmp_path / "bag" / "second.mcap").write_bytes(b"")
     with pytest.raises(LogError, match="of 2 files"):
         read_flight(tmp_path / "bag")
 
 
-def test_a_topic_of_another_clock_is_timed_by_the_record(
-    table: pd.DataFrame, tmp_path: Path
-) -> None:
-    """Stamped an hour behind, recorded with the others; so are stamps that stand still."""
+def since_boot(messages: Messages) -> Messages:
+    """The same, stamped by a clock that began 20 s before the record."""
+    boot_s = 1e-9 * START_NS - 20.0
+    return replace(messages, t_s=messages.t_s - boot_s, late_s=boot_s + messages.late_s)
+
+
+def test_a_topic_of_another_clock_is_shifted(table: pd.DataFrame, tmp_path: Path) -> None:
+    """Stamped an hour behind, recorded with the others a little later each."""
     topics = mavros_bag(table)
-    odometry = topics[2]
-    topics[2] = Messages(
-        odometry.topic, odometry.message, odometry.t_s - 3600.0, odometry.fields, 3600.002
-    )
+    topics[2] = replace(topics[2], t_s=topics[2].t_s - 3600.0, late_s=3600.002)
     file = tmp_path / "flight.mcap"
     file.write_bytes(bag(topics))
     flight = read_flight(file)
-    compare(flight, table, columns("pos"), 1e-2)
-    assert any("another clock" in f.message for f in flight.findings)
+    compare(flight, table, columns("pos"), 1e-6)
+    said = [f.where for f in flight.findings if "another clock" in f.message]
+    assert said == ["/mavros/local_position/odom"], "three signals, one warning"
+
+
+def test_topics_of_two_clocks_keep_their_stamps(table: pd.DataFrame, tmp_path: Path) -> None:
+    """Two signals since boot and two since 1970: that of the IMU counts."""
+    imu, attitude, _, outputs, *_ = px4_bag(table)
+    file = tmp_path / "flight.mcap"
+    file.write_bytes(bag([imu, since_boot(attitude), since_boot(outputs)]))
+    flight = read_flight(file)
+    compare(flight, table, [*columns("acc", "gyro", "q"), "cmd_1", "cmd_4"], 2e-6)
+    said = [f.where for f in flight.findings if "another clock" in f.message]
+    assert sorted(said) == ["/fmu/out/actuator_motors", "/fmu/out/vehicle_attitude"]
+    assert not any("no times" in f.message for f in flight.findings)
+
+
+def test_an_impossible_stamp_costs_its_message(
+    table: pd.DataFrame, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """2^64 us, in every fourth message."""
+    import log_rigs.ros_rig as rig
+
+    made = rig._message
+
+    def damaged(store: object, kind: str, fields: dict[str, object], stamp_ns: int) -> object:
+        message = made(store, kind, fields, stamp_ns)
+        if kind.endswith("ActuatorMotors") and stamp_ns // 10_000_000 % 4 == 0:
+            message.timestamp_sample = 2**64 - 1
+        return message
+
+    monkeypatch.setattr(rig, "_message", damaged)
+    file = tmp_path / "flight.mcap"
+    file.write_bytes(bag(px4_bag(table)))
+    flight = read_flight(file)
+    compare(flight, table, ["acc_x"], 2e-6)
+    (lost,) = [f for f in flight.findings if "no possible time" in f.message]
+    assert lost.where == "/fmu/out/actuator_motors"
+    assert lost.count + len(flight.signal(["cmd_1"])[0]) == len(table)
+
+
+def test_a_message_of_another_version_costs_one_signal(
+    table: pd.DataFrame, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Of a battery without a current, the voltage is read."""
+    import log_rigs.ros_rig as rig
+
+    monkeypatch.setitem(rig.PX4, "BatteryStatus", "uint64 timestamp\nfloat32 voltage_v\n")
+    file = tmp_path / "flight.mcap"
+    file.write_bytes(bag(px4_bag(table)))
+    flight = read_flight(file)
+    assert flight.has("vbat_v") and not flight.has("ibat_a")
+    (said,) = [f for f in flight.findings if "current_a" in f.message]
+    assert said.message.endswith("the message px4_msgs/msg/BatteryStatus has timestamp, voltage_v.")
 
 
 def test_what_is_no_bag_of_ros_is_said(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import operator
 import re
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -11,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.interfaces import Connection, MessageDefinitionFormat, Nodetype
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -29,6 +30,8 @@ _DEFINITION_END = "=" * 80 + "\n"
 _APART_S = 0.5
 """Between the clocks of two topics: beyond, their stamps are not of one clock. Made up: a stamp is
 older than the record by the latency of a network."""
+_LAST_US = 2**53
+"""Stamp beyond which a message is damaged: the year 2255 since 1970."""
 _FIELD = re.compile(r"([A-Za-z0-9_.]+)(?:\[([0-9]{1,4})\])?")
 """Path of a field, and of an element of an array."""
 _ARMED, _ON_GROUND = 2, 1
@@ -40,6 +43,10 @@ _STATES = {
     "mavros_msgs/msg/ExtendedState": ("landed_state",),
 }
 """Messages of what the autopilot does, and their fields."""
+_TEXTS = ("mode",)
+"""Fields of these that are text."""
+_TEXT_TYPES = ("string", "wstring", "wchar")
+"""Base types that are no number."""
 
 
 @dataclass(slots=True)
@@ -52,6 +59,7 @@ class Topic:
         t_us: Stamp of each, us; NaN-free; since 1970 or since boot.
         recorded_us: When each was recorded, us since 1970.
         rows: Values of the fields, flat.
+        shift_us: From its clock to that of the others.
     """
 
     name: str
@@ -59,22 +67,30 @@ class Topic:
     t_us: list[int] = field(default_factory=list)
     recorded_us: list[int] = field(default_factory=list)
     rows: list[list[Any]] = field(default_factory=list)
+    shift_us: int = 0
 
     def stamps(self) -> tuple[NDArray[np.int64], bool]:
         """Times, us, shape (n,), and whether they are the messages' own: stamps that stand still
         are none."""
         own, recorded = np.array(self.t_us, np.int64), np.array(self.recorded_us, np.int64)
         moves = len(own) > 1 and own[0] > 0 and bool(np.median(np.diff(own)) > 0)
-        return (own, True) if moves else (recorded, False)
+        return (own + self.shift_us, True) if moves else (recorded, False)
 
 
 @dataclass(slots=True)
 class _Bag(FindingCollector):
-    """A bag while it is read; `findings` grow."""
+    """A bag while it is read; `findings` and `stores` grow."""
 
     path: Path
     topics: dict[tuple[str, tuple[str, ...]], Topic] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
+    stores: dict[int, Typestore] = field(default_factory=dict)
+
+    def store(self, connection: Connection) -> Typestore:
+        """What decodes the messages of a topic; errors as of `_typestore`."""
+        if connection.id not in self.stores:
+            self.stores[connection.id] = _typestore(connection)
+        return self.stores[connection.id]
 
 
 def read_mcap(path: Path, blob: bytes, options: ReadOptions) -> Flight:
@@ -92,7 +108,7 @@ def _read(path: Path, blob: bytes, suffix: str) -> Flight:
     try:
         with _on_disk(path, blob, suffix) as file, Reader(file) as reader:
             types = {c.topic: c.msgtype for c in reader.connections}
-            chosen = _chosen(reader.connections, mapped_sources(path, types))
+            chosen = _chosen(bag, reader.connections, mapped_sources(path, types))
             _collect(bag, reader, chosen)
     except LogError:
         raise
@@ -124,69 +140,169 @@ def _on_disk(path: Path, blob: bytes, suffix: str) -> Iterator[Path]:
 
 
 def _chosen(
-    connections: Sequence[Connection], mapped: Sequence[Source]
+    bag: _Bag, connections: Sequence[Connection], mapped: Sequence[Source]
 ) -> dict[str, tuple[Source, Connection]]:
     """By signal, where it comes from: of a mapping file, else the first source that is there; of
-    several topics that fit the one with most messages."""
+    several topics that fit the one with most messages.
+
+    Raises:
+        LogError: What a mapping file names is not there, or no signal.
+    """
     found: dict[str, tuple[Source, Connection]] = {}
+    unfit: dict[tuple[str, str], None] = {}
     for source in (*mapped, *SOURCES):
         fitting = [c for c in connections if c.msgcount and source.fits(c.topic, c.msgtype)]
-        if fitting and source.signal not in found:
-            most = max(fitting, key=lambda c: (c.msgcount, c.topic))
+        if source.signal in found or not fitting:
+            continue
+        most = max(fitting, key=lambda c: (c.msgcount, c.topic))
+        try:
+            _check(bag, source, most)
+        except LogError as error:
+            if source.entry:
+                raise LogError(f"{source.entry} {error}") from None
+            unfit[most.topic, str(error)] = None
+        else:
             found[source.signal] = source, most
+    for topic, text in unfit:
+        bag.note("warning", topic, text)
     return found
+
+
+def _check(bag: _Bag, source: Source, connection: Connection) -> None:
+    """Hold the fields of a source against the definition of the message.
+
+    Raises:
+        LogError: One is not there or no number, or they are not as many as the signal has columns.
+    """
+    only = len(source.only)
+    given = _width(bag, connection, (*source.fields, *source.only))
+    if source.width and given is not None and given != source.width + only:
+        raise LogError(source.miscounted(given - only))
+
+
+def _width(
+    bag: _Bag, connection: Connection, paths: Sequence[str], texts: Sequence[str] = ()
+) -> int | None:
+    """Number of values of fields; None: each message says how many.
+
+    Raises:
+        LogError: A field is not there, or neither a number nor one of those that are text.
+    """
+    counts: list[int | None] = []
+    for path in paths:
+        base, count = _field(bag.store(connection), connection.msgtype, path)
+        if base in _TEXT_TYPES and path not in texts:
+            raise LogError(f"field {path}: it is text, no number.")
+        counts.append(count)
+    known = [c for c in counts if c is not None]
+    return sum(known) if len(known) == len(counts) else None
+
+
+def _field(store: Typestore, kind: str, path: str) -> tuple[str, int | None]:
+    """Base type of a field, and its number of values; None: each message says how many.
+
+    Raises:
+        LogError: There is no such field, or it is made of messages.
+    """
+    match = _FIELD.fullmatch(path)
+    if match is None:
+        raise LogError(f"field {path!r}: write a path such as linear_acceleration.x or control[0].")
+    node, of = _walk(store, kind, path, match.group(1).split("."))
+    element = None if match.group(2) is None else int(match.group(2))
+    if node == Nodetype.BASE and element is None:
+        return str(of[0]), 1
+    if node not in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        raise LogError(f"field {path}: it is no array.")
+    (inner, base), count = of
+    if inner != Nodetype.BASE:
+        raise LogError(f"field {path}: its elements are messages, no numbers.")
+    size = int(count) if node == Nodetype.ARRAY else None
+    if element is not None and size is not None and element >= size:
+        raise LogError(f"field {path}: it has {size} elements, the first is [0].")
+    return str(base[0]), size if element is None else 1
+
+
+def _walk(store: Typestore, kind: str, path: str, names: Sequence[str]) -> tuple[Nodetype, Any]:
+    """Description of a field, as rosbags has it.
+
+    Raises:
+        LogError: There is no such field, or it is a message.
+    """
+    node, before = Nodetype.NAME, ""
+    of: Any = kind
+    for name in names:
+        fields = dict(store.fielddefs[of][1]) if node == Nodetype.NAME else {}
+        if name not in fields:
+            shown = ", ".join(f"{before}{f}" for f in list(fields)[:12])
+            raise LogError(f"field {path}: the message {kind} has {shown or before[:-1]}.")
+        (node, of), before = fields[name], f"{before}{name}."
+    if node == Nodetype.NAME:
+        shown = ", ".join(f"{before}{f}" for f, _ in store.fielddefs[of][1][:12])
+        raise LogError(f"field {path}: it is a message, no number. It has {shown}.")
+    return node, of
 
 
 def _collect(bag: _Bag, reader: Reader, chosen: Mapping[str, tuple[Source, Connection]]) -> None:
     """Read every message that a signal or the state of the autopilot is made of."""
-    wanted: dict[int, list[Topic]] = {}
+    wanted: dict[int, dict[tuple[str, ...], Topic]] = {}
     connections: dict[int, Connection] = {}
     pairs = [(c, (*s.fields, *s.only)) for s, c in chosen.values()]
-    pairs += [(c, _STATES[c.msgtype]) for c in reader.connections if c.msgtype in _STATES]
+    pairs += [(c, _STATES[c.msgtype]) for c in reader.connections if _tells_state(bag, c)]
     for connection, fields in pairs:
         topic = bag.topics.setdefault((connection.topic, fields), Topic(connection.topic, fields))
-        wanted.setdefault(connection.id, []).append(topic)
+        wanted.setdefault(connection.id, {})[fields] = topic
         connections[connection.id] = connection
     if not connections:
         return
-    stores = {k: _typestore(bag, c) for k, c in connections.items()}
     getters = {
-        key: [(t, [_getter(f) for f in dict.fromkeys(t.fields)]) for t in topics]
+        key: [(t, [_getter(f) for f in fields]) for fields, t in topics.items()]
         for key, topics in wanted.items()
     }
-    failed: dict[str, int] = {}
+    failed: Counter[str] = Counter()
     for connection, recorded_ns, content in reader.messages(list(connections.values())):
-        store = stores[connection.id]
-        if store is None:
-            continue
         try:
-            message = store.deserialize_cdr(content, connection.msgtype)
+            message = bag.store(connection).deserialize_cdr(content, connection.msgtype)
             stamp = _stamp_us(message)
             rows = [[v for g in gets for v in g(message)] for _, gets in getters[connection.id]]
         except Exception:  # a damaged message is counted, the others are read
-            failed[connection.topic] = failed.get(connection.topic, 0) + 1
+            failed[connection.topic] += 1
             continue
         for (topic, _), row in zip(getters[connection.id], rows, strict=True):
             topic.t_us.append(stamp)
             topic.recorded_us.append(recorded_ns // 1000)
             topic.rows.append(row)
     for name, count in failed.items():
-        bag.note("error", name, "messages that do not fit their definition, left out", count)
+        text = "messages that do not fit their definition, or have no possible time, left out"
+        bag.note("error", name, text, count)
 
 
-def _typestore(bag: _Bag, connection: Connection) -> Typestore | None:
-    """What decodes the messages of a topic; None, and a finding, where nothing says how."""
+def _tells_state(bag: _Bag, connection: Connection) -> bool:
+    """Whether a topic says what the autopilot does; a finding where its messages are others."""
+    fields = _STATES.get(connection.msgtype, ())
+    if not fields or not connection.msgcount:
+        return False
+    try:
+        return _width(bag, connection, fields, _TEXTS) == len(fields)
+    except LogError as error:
+        bag.note("warning", connection.topic, str(error))
+        return False
+
+
+def _typestore(connection: Connection) -> Typestore:
+    """What decodes the messages of a topic.
+
+    Raises:
+        LogError: Nothing says how.
+    """
     definition, kind = connection.msgdef, connection.msgtype
     if definition.format == MessageDefinitionFormat.NONE:
         store = get_typestore(Stores.LATEST)
         if kind in store.fielddefs:
             return store
-        text = (
+        raise LogError(
             f"the bag does not define {kind}, so that it cannot be read: ROS 2 before Iron writes "
-            f"no definitions to SQLite. Record with -s mcap, or: ros2 bag convert"
+            f"no definitions to SQLite. Record with -s mcap, or: ros2 bag convert."
         )
-        bag.note("warning", connection.topic, text)
-        return None
     store = get_typestore(Stores.EMPTY)
     if definition.format == MessageDefinitionFormat.MSG:
         store.register(get_types_from_msg(definition.data, kind))
@@ -198,32 +314,35 @@ def _typestore(bag: _Bag, connection: Connection) -> Typestore | None:
 
 
 def _getter(path: str) -> Callable[[Any], list[Any]]:
-    """What takes a field out of a message: one value, or all of an array.
-
-    Raises:
-        LogError: It is no path of a field.
-    """
-    match = _FIELD.fullmatch(path)
-    if match is None:
-        raise LogError(f"field {path!r}: write a path such as linear_acceleration.x or control[0].")
-    attribute, element = operator.attrgetter(match.group(1)), match.group(2)
+    """What takes a field out of a message: one value, or all of an array; none where the array is
+    too short."""
+    name, _, element = path.rstrip("]").partition("[")
+    attribute = operator.attrgetter(name)
 
     def get(message: Any) -> list[Any]:
         """The value or values."""
         value = attribute(message)
-        if element is not None:
-            return [value[int(element)]]
+        if element:
+            return list(value[int(element) :][:1])
         return value.tolist() if isinstance(value, np.ndarray) else [value]
 
     return get
 
 
 def _stamp_us(message: Any) -> int:
-    """When the sample was taken, else published, us; 0: the message does not say."""
+    """When the sample was taken, else published, us; 0: the message does not say.
+
+    Raises:
+        LogError: It is no time.
+    """
     header = getattr(message, "header", None)
     if header is not None:
-        return int(header.stamp.sec) * 1_000_000 + int(header.stamp.nanosec) // 1000
-    return int(getattr(message, "timestamp_sample", 0) or getattr(message, "timestamp", 0))
+        stamp = int(header.stamp.sec) * 1_000_000 + int(header.stamp.nanosec) // 1000
+    else:
+        stamp = int(getattr(message, "timestamp_sample", 0) or getattr(message, "timestamp", 0))
+    if stamp > _LAST_US:
+        raise LogError(f"stamped {stamp} us")
+    return stamp
 
 
 # -- from samples to the flight -----------------------------------------------------------------
@@ -232,7 +351,7 @@ def _stamp_us(message: Any) -> int:
 def _flight(
     bag: _Bag, chosen: Mapping[str, tuple[Source, Connection]], types: Mapping[str, str]
 ) -> Flight:
-    start_us, offset_us = _clocks(bag)
+    start_us, offset_us = _clocks(bag, chosen)
     builder = FlightBuilder(bag, bag.path, {})
     for signal, (source, connection) in chosen.items():
         topic = bag.topics[connection.topic, (*source.fields, *source.only)]
@@ -252,25 +371,31 @@ def _flight(
     return builder.flight(table, phases_of_table(table, ground), autopilot=autopilot)
 
 
-def _clocks(bag: _Bag) -> tuple[int, int]:
-    """The time that counts as 0, on the clock of the stamps, and by how much the clock of the
-    record is ahead of it, us; topics whose own clock is another one lose their stamps."""
+def _clocks(bag: _Bag, chosen: Mapping[str, tuple[Source, Connection]]) -> tuple[int, int]:
+    """The time that counts as 0, on the clock of most signals, of several that of the IMU, and by
+    how much the clock of the record is ahead of it, us; other clocks are shifted to it."""
+    signals = Counter(connection.topic for _, connection in chosen.values())
+    imu = {chosen[s][1].topic for s in ("acc", "gyro") if s in chosen}
     ahead = {
-        key: float(np.median(np.array(t.recorded_us) - np.array(t.t_us)))
-        for key, t in bag.topics.items()
+        t.name: float(np.median(np.array(t.recorded_us) - np.array(t.t_us)))
+        for t in bag.topics.values()
         if t.rows and t.stamps()[1]
     }
-    usual_us = float(np.median(list(ahead.values()))) if ahead else 0.0
-    for key, off_us in ahead.items():
-        topic = bag.topics[key]
-        if abs(off_us - usual_us) > 1e6 * _APART_S:
-            text = (
-                f"stamped {1e-6 * (off_us - usual_us):+.3g} s from the other topics: another "
-                "clock. Its time is when it was recorded"
-            )
-            bag.note("warning", topic.name, text)
-            topic.t_us = [0] * len(topic.t_us)
-    offset_us = round(usual_us)
+
+    def weight(name: str) -> tuple[int, bool]:
+        """Signals on the clock of a topic, and whether it is that of the IMU."""
+        alike = [n for n, a in ahead.items() if abs(a - ahead[name]) <= 1e6 * _APART_S]
+        return sum(signals[n] for n in alike), name in imu
+
+    first = max(ahead, key=weight, default="")
+    offset_us = round(ahead.get(first, 0.0))
+    for name, off_us in ahead.items():
+        apart_us = round(off_us) - offset_us
+        if abs(apart_us) > 1e6 * _APART_S:
+            text = f"stamped {-1e-6 * apart_us:+.6g} s from {first}: another clock, shifted by that"
+            bag.note("warning", name, text)
+            for topic in (t for t in bag.topics.values() if t.name == name):
+                topic.shift_us = apart_us
     starts = [_times(t, offset_us)[0] for t in bag.topics.values() if t.rows]
     return min(starts, default=0), offset_us
 
@@ -284,9 +409,16 @@ def _times(topic: Topic, offset_us: int) -> NDArray[np.int64]:
 def _add(
     bag: _Bag, builder: FlightBuilder, source: Source, topic: Topic, start_us: int, offset_us: int
 ) -> None:
-    """Add a signal; findings say what is to be known of it."""
-    where, width = source.signal, len(topic.rows[0]) if topic.rows else 0
+    """Add a signal; findings say what is to be known of it.
+
+    Raises:
+        LogError: The fields of a mapping file are not as many as the signal has columns.
+    """
+    where, first = source.signal, len(topic.rows[0]) if topic.rows else 0
+    width = source.width + len(source.only) if source.width else first
     same = np.array([len(r) == width for r in topic.rows], dtype=np.bool_)
+    if source.entry and topic.rows and not same.any():
+        raise LogError(f"{source.entry} {source.miscounted(first)}")
     bag.note("error", where, "samples left out, of another number of values", ~same)
     if not same.any():
         bag.note("warning", where, f"{topic.name} has no sample that can be used")

@@ -5,6 +5,7 @@ others are named by a mapping file next to the bag. Units and axes of ROS stand 
 REP 103 and 105, body forward, left, up; world east, north, up; quaternions x, y, z, w.
 """
 
+import math
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
@@ -24,8 +25,6 @@ MAPPING_SUFFIX = ".topics.toml"
 _HALF = float(np.sqrt(0.5))
 _Q_NED_ENU, _Q_FLU_FRD = (0.0, _HALF, _HALF, 0.0), (0.0, 1.0, 0.0, 0.0)
 """Rotations between the frames of ROS and those of a flight, w, x, y, z."""
-_RAD_S_PER_RPM = 2.0 * np.pi / 60.0
-"""rad/s of a turn per minute."""
 
 
 def as_it_is(values: Array) -> Array:
@@ -77,6 +76,7 @@ class Source:
         convert: From these to SI, NED, FRD; shapes (n, fields) to (n, columns).
         only: Values that fields have where the message is used, by path.
         note: What is to be known of the signal, "" where nothing is.
+        entry: Mapping file and entry that name it, "" where none does.
     """
 
     signal: str
@@ -87,6 +87,17 @@ class Source:
     convert: Callable[[Array], Array] = as_it_is
     only: Mapping[str, float] = field(default_factory=dict)
     note: str = ""
+    entry: str = ""
+
+    @property
+    def width(self) -> int:
+        """Values that its fields give, one for each column or what a turn needs; 0: any number."""
+        return max(len(self.columns), len(self.fields)) if self.columns else 0
+
+    def miscounted(self, given: int) -> str:
+        """What is said where its fields give another number of values."""
+        named = ", ".join(self.fields) or "none"
+        return f"{self.signal} needs {self.width} values; fields {named} give {given}."
 
     def fits(self, topic: str, message: str) -> bool:
         """Whether a topic is meant."""
@@ -218,12 +229,20 @@ _FRAMES: Mapping[str, Mapping[str, Callable[[Array], Array]]] = {
     "q": {"NED-FRD": as_it_is, "ENU-FLU": from_ros_quaternion},
 }
 """Frames that vectors may have, the first where none is named."""
-_UNITS = {
-    **{"": 1.0, "m/s^2": 1.0, "g": 9.80665, "rad/s": 1.0, "deg/s": np.pi / 180.0},
-    **{"rpm": _RAD_S_PER_RPM, "T": 1.0, "gauss": 1e-4, "Pa": 1.0, "hPa": 100.0, "m": 1.0},
-    **{"m/s": 1.0, "V": 1.0, "mV": 1e-3, "A": 1.0, "us": 1.0},
+_UNITS: Mapping[str, Mapping[str, float]] = {
+    "acc": {"m/s^2": 1.0, "g": 9.80665},
+    "gyro": {"rad/s": 1.0, "deg/s": np.pi / 180.0},
+    "mag": {"T": 1.0, "gauss": 1e-4},
+    "baro": {"Pa": 1.0, "hPa": 100.0},
+    "pos": {"m": 1.0},
+    "vel": {"m/s": 1.0},
+    "rotor": {"rad/s": 1.0, "rpm": 2.0 * np.pi / 60.0},
+    "cmd": {"us": 1.0},
+    "vbat_v": {"V": 1.0, "mV": 1e-3},
+    "ibat_a": {"A": 1.0},
+    "q": {},
 }
-"""SI units in a unit of a mapping file."""
+"""SI units in a unit that the signal may have; of commands `low` and `high` are in it too."""
 
 
 class Mapped(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -282,19 +301,29 @@ def _mapped(file: str, signal: str, given: Mapped, types: Mapping[str, str]) -> 
     turned = frames.get(given.frame or next(iter(frames)))
     if turned is None:
         raise wrong(f"frame {given.frame!r}: write one of {', '.join(filter(None, frames))}.")
-    if given.unit not in _UNITS:
-        raise wrong(f"unit {given.unit!r}: write one of {', '.join(filter(None, _UNITS))}.")
-    columns = _COLUMNS[signal] or motor_columns(signal, len(given.fields))
+    units = _UNITS[signal]
+    if given.unit and given.unit not in units:
+        raise wrong(f"unit {given.unit!r}: write {' or '.join(units) or 'none'}.")
+    scale = units.get(given.unit, 1.0)
+    if len(set(given.fields)) < len(given.fields):
+        raise wrong(f"names a field twice: {', '.join(given.fields)}.")
     several = signal in ("cmd", "rotor")
     if several and not MIN_MOTORS <= len(given.fields) <= MAX_MOTORS:
         raise wrong(f"has {len(given.fields)} fields: one for each of 3 to 12 motors, in order.")
-    if given.high == given.low:
-        raise wrong(f"low = high = {given.low:g}: give the values of command 0 and of command 1.")
+    columns = _COLUMNS[signal] or motor_columns(signal, len(given.fields))
+    if len(given.fields) > len(columns):
+        raise wrong(f"has {len(given.fields)} fields: {signal} needs {len(columns)} values.")
+    if not math.isfinite(given.high - given.low) or given.high == given.low:
+        text = f"low = {given.low:g}, high = {given.high:g}"
+        raise wrong(f"{text}: give the values of command 0 and of command 1.")
     low, span = (given.low, given.high - given.low) if signal == "cmd" else (0.0, 1.0)
 
     def convert(values: Array) -> Array:
         """To SI, NED, FRD; commands to 0..1."""
-        return turned((values - low) / span * _UNITS[given.unit])
+        return turned((values - low) / span * scale)
 
     whole = re.compile(f"^{re.escape(given.topic)}$")
-    return Source(signal, columns, types[given.topic], whole, tuple(given.fields), convert)
+    return Source(
+        *(signal, columns, types[given.topic], whole, tuple(given.fields), convert),
+        entry=f"{file}: [{signal}]",
+    )
