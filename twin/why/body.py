@@ -63,6 +63,11 @@ RESTS_S, RESTS_RAD_S, RESTS_M = 0.4, 0.03, 0.3
 """An aircraft rests if it turns slower for so long, no higher above where it took off."""
 FAST_HZ = 40.0
 """Rate of commands from which on their jitter does not hide the gain."""
+SURELY = 2.0
+"""Deviations by which a gain differs for sure."""
+LEAST_GAIN = 0.25
+"""Of roll and pitch over that of gravity at all thrust, 1/m: half the least with which an onset is
+weighed, below that of an aircraft with arms of 3 m."""
 FINE_S = 0.01
 """Interval on which commands pass their lag."""
 LIFT_SPREAD, GAIN_SD = 0.1, 1e3
@@ -263,11 +268,27 @@ class Body:
         """Whether commands are logged fast enough to show the gain."""
         return self.frame.rate_hz(self.frame.drive or "") > FAST_HZ
 
-    @property
-    def turns_as_asked(self) -> bool:
-        """Whether roll and pitch follow the commands and not their opposite, which shows that the
-        rotors are taken in a wrong order; not asked where commands are logged slowly."""
-        return not self.fast or bool(np.all(self.laws[0].gain[1:3] > 0))
+    @cached_property
+    def unanswered(self) -> str:
+        """Why roll and pitch do not show what a rotor does; "": they do, or the commands are logged
+        too slowly, or change too little, to say that they do not."""
+        layout, part = self.frame.layout, slice(self.start, self.end)
+        if not np.ptp(self.frame.grid["gyro"][part], axis=0).any():
+            return "the gyroscope stands still"
+        if not np.ptp(self.frame.grid[self.frame.drive or ""][part], axis=0).any():
+            return "the commands of the rotors never change"
+        if not self.fast or layout is None:
+            return ""
+        law = self.laws[0]
+        gain, margin = law.gain[1:3], SURELY * law.gain_sd[1:3]
+        if np.any(gain + margin < 0):
+            order = layout.source.removesuffix("; scaled")
+            return (
+                f"the body turns against the commands, as with rotors in another order than {order}"
+            )
+        if np.all(gain + margin < LEAST_GAIN * GRAVITY_M_S2 / abs(law.usual[0])):
+            return "the gyroscope does not follow the commands"
+        return ""
 
     @cached_property
     def authority(self) -> Array:

@@ -32,10 +32,11 @@ def moved(frame: FlightFrame, references: Sequence[FlightFrame] = ()) -> Finding
         lacking = ", ".join(missing) or "motor commands whose rotors are known"
         return Findings(not_visible=[_hidden(c, None, f"the log has no {lacking}") for c in CAUSES])
     events, nothing = [], 1.0
+    hidden = [_hidden(ROTOR, float(LOSSES[0]), "smaller sudden losses look like a gust")]
     for body, first in _bodies(frame):
-        if not body.turns_as_asked:
-            reason = "the body does not turn as the commands of any usual frame would turn it"
-            return Findings(not_visible=[_hidden(c, None, reason) for c in CAUSES if c != CUT])
+        if body.unanswered:
+            hidden += _unseen(body, first)
+            continue
         competition = Competition(body)
         for onset in competition.onsets():
             if body.t_s[onset.place] >= first:
@@ -44,9 +45,16 @@ def moved(frame: FlightFrame, references: Sequence[FlightFrame] = ()) -> Finding
     return Findings(
         events=events,
         nothing=nothing,
-        not_visible=[_hidden(ROTOR, float(LOSSES[0]), "smaller sudden losses look like a gust")],
+        not_visible=hidden,
         notes=[f"rotors: {frame.layout.source}"],
     )
+
+
+def _unseen(body: Body, first_s: float) -> Iterator[NotVisible]:
+    """Causes that a stretch does not show, and why."""
+    begin, end = max(first_s, float(body.t_s[0])), float(body.t_s[-1])
+    reason = f"from {begin:.0f} to {end:.0f} s {body.unanswered}"
+    yield from (_hidden(cause, None, reason) for cause in CAUSES if cause != CUT)
 
 
 def _bodies(frame: FlightFrame) -> Iterator[tuple[Body, float]]:

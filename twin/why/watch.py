@@ -198,6 +198,8 @@ class Watch:
             return ()
         self._judge_rotors(flown, part)
         body = () if self.misfit else tuple(self._body.evaluate(flown, part, now_s))
+        if self._body.unanswered and not self.rests:
+            self.rests = f"Alarms are of instruments alone: {self._body.unanswered}."
         return (*body, *self._evaluate_others(flown, part, now_s))
 
     def _part(self, flown: FlightFrame, now_s: float) -> Airborne | None:
@@ -295,6 +297,7 @@ class _BodyWatch:
         over: Whether the body is another one by now, or control was lost.
         curves: Of thrust, the most probable first: by the first one onsets are screened.
         chosen_s: When they were chosen, s.
+        unanswered: Why nothing is sought, as `Body.unanswered`.
     """
 
     case: Case = field(default_factory=Case)
@@ -303,6 +306,7 @@ class _BodyWatch:
     over: bool = False
     curves: tuple[tuple[float, float], ...] = CURVES
     chosen_s: float = -np.inf
+    unanswered: str = ""
 
     @property
     def seen(self) -> list[Event]:
@@ -339,6 +343,9 @@ class _BodyWatch:
         if now_s - self.chosen_s > CURVE_S:
             self.curves, self.chosen_s = tuple(law.curve for law in body.laws), now_s
         body = replace(body, curves=self.curves)
+        self.unanswered = body.unanswered
+        if self.unanswered:
+            return None
         if part.lost is not None:
             onset = Competition(body).strongest(low, len(body), since)
         else:

@@ -1,19 +1,26 @@
 """What moved the body: planted in simulated flights, found from the log alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.ndimage import gaussian_filter1d
 
 from benchmarks.sudden_faults.answers import trivial_rule
 from benchmarks.sudden_faults.built_in import Planted
 from twin.logs import Flight
+from twin.logs.columns import ACC, GYRO, POS
+from twin.vehicle.layouts import frame
+from twin.vehicle_file import load_vehicle
 from twin.why.body import Body
 from twin.why.causes import ROTOR, Name
 from twin.why.competition import Competition, drop
 from twin.why.diagnose import FINDERS, diagnose
 from twin.why.findings import Findings
-from twin.why.flight import FlightFrame
+from twin.why.flight import FlightFrame, lift, moment_signs, of_vehicle
 from twin.why.motion import moved
+from twin.why.watch import Watch
 
 
 def found_in(flight: Flight) -> Findings:
@@ -91,6 +98,66 @@ def test_a_mass_that_drops(size: float, seed: int, rate_hz: float) -> None:
 def test_gusts_landings_and_punches_are_no_events() -> None:
     found = found_in(Planted("", 1.0, 301, 50.0).flown()[0])
     assert found.events == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", [True, False])
+def test_a_part_that_shows_nothing_hides_no_event_of_another(first: bool) -> None:
+    """The same flight twice, once with a gyroscope that reads 0; its motors idle between."""
+    table = Planted("rotor_failure", 0.3, 3).flown()[0].table
+    dead = table.assign(**dict.fromkeys(GYRO, 0.0))
+    rest = table[:400].assign(**dict.fromkeys((c for c in table if c[:4] == "cmd_"), 0.0))
+    whole = [dead, rest, table] if first else [table, rest, dead]
+    begins = np.cumsum([0.0] + [t.time.iloc[-1] - t.time.iloc[0] + 0.005 for t in whole[:2]])
+    whole = [t.assign(time=t.time - t.time.iloc[0] + b) for t, b in zip(whole, begins, strict=True)]
+    found = found_in(Flight("two parts", pd.concat(whole, ignore_index=True)))
+    alone = found_in(Flight("one part", table))
+    assert [(e.cause, e.rotor) for e in found.events] == [(e.cause, e.rotor) for e in alone.events]
+    assert found.events[0].cause == ROTOR
+    hidden = {v.reason for v in found.not_visible if v.smallest_detectable.value is None}
+    assert len(hidden) == 1 and "the gyroscope stands still" in hidden.pop()
+
+
+def driven(authority: float = 60.0, jitter: float = 0.03) -> Flight:
+    """A climb in which random commands about hover turn an X by its signs; a gyroscope's noise."""
+    rng, t = np.random.default_rng(2), np.arange(0.0, 18.0, 0.01)
+    slow = gaussian_filter1d(rng.standard_normal((len(t), 4)), 5.0, axis=0)
+    commands = 0.5 + jitter * slow / slow.std(axis=0)
+    asked = (lift(commands) - lift(np.array(0.5))) @ moment_signs(frame("x")).T
+    rates = 0.01 * np.cumsum(authority * asked[:, 1:], axis=0)
+    rates -= gaussian_filter1d(rates, 100.0, axis=0)
+    force = np.column_stack([0 * t, 0 * t, 15.0 * asked[:, 0] - 9.81])
+    columns = {f"cmd_{i + 1}": commands[:, i] for i in range(4)}
+    columns |= dict(zip(POS, (0 * t, 0 * t, -t), strict=True))
+    for names, values, noise in ((GYRO, rates, 2e-3), (ACC, force, 0.05)):
+        noisy = values + noise * rng.standard_normal(values.shape)
+        columns |= dict(zip(names, noisy.T, strict=True))
+    return Flight("driven", pd.DataFrame({"time": t} | columns))
+
+
+@pytest.mark.parametrize(
+    ("flight", "order", "reason"),
+    [
+        (driven(), [0, 1, 2, 3], ""),
+        (driven(), [1, 0, 3, 2], "in another order than the vehicle file"),
+        (driven(authority=0.5), [0, 1, 2, 3], "the gyroscope does not follow the commands"),
+        (driven(jitter=0.0), [0, 1, 2, 3], "the commands of the rotors never change"),
+    ],
+)
+def test_why_a_body_shows_nothing_is_said_of_a_log_and_live(
+    flight: Flight, order: list[int], reason: str
+) -> None:
+    copter = load_vehicle("copter_default")
+    places, senses = copter.rotors.position_m[order], copter.rotors.direction[order]
+    copter = replace(copter, rotors=replace(copter.rotors, position_m=places, direction=senses))
+    found = found_in(of_vehicle(flight, copter))
+    said = {v.reason for v in found.not_visible if v.smallest_detectable.value is None}
+    assert len(said) == bool(reason) and all(reason in s for s in said)
+    assert not found.events
+    watch = Watch(copter)
+    watch.push({str(c): v for c, v in flight.columns.items()})
+    watch.evaluate()
+    assert reason in watch.rests and bool(watch.rests) == bool(reason)
 
 
 def test_a_log_without_commands_says_what_it_cannot_show() -> None:
