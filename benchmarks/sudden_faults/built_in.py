@@ -37,6 +37,7 @@ class Plan:
         rotor: Of the fault, from 1; None: of none.
         begins_s: When the fault begins, s; infinity: there is none.
         seed: Of the noise of the sensors.
+        gusts_s: When planted gusts rise most quickly, s.
     """
 
     setpoints: Array
@@ -46,6 +47,7 @@ class Plan:
     rotor: int | None
     begins_s: float
     seed: int
+    gusts_s: Sequence[float] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +102,7 @@ class Planted:
         legs = plants.waypoints(v, seconds, rng)
         setpoints, phases = setpoints_along(v, lively(v, legs, rng) if self.lively else legs)
         courses = plants.air(len(setpoints), rng)
-        if self.lively:
-            _make_gusty(courses, rng)
+        gusts_s = _make_gusty(courses, rng) if self.lively else []
         courses["vbat_v"] = plants.voltage(v, len(setpoints), np.inf)
         later, rotor = self._later(v, begins_s, rng)
         if self.cause == "gust":
@@ -109,8 +110,9 @@ class Planted:
             blow = self.size * np.exp(-0.5 * ((t - begins_s) / GUST_S) ** 2)
             courses["wind_x"] += np.cos(angle) * blow
             courses["wind_y"] += np.sin(angle) * blow
+            gusts_s.append(begins_s - GUST_S)
         seed = int(rng.integers(2**31))
-        return Plan(setpoints, phases, courses, later, rotor, begins_s, seed)
+        return Plan(setpoints, phases, courses, later, rotor, begins_s, seed, gusts_s)
 
     def _later(
         self, v: Vehicle, begins_s: float, rng: np.random.Generator
@@ -149,16 +151,20 @@ def lively(v: Vehicle, legs: Waypoints, rng: np.random.Generator) -> Waypoints:
     return tuple(out)
 
 
-def _make_gusty(courses: dict[str, Array], rng: np.random.Generator) -> None:
-    """Wind of up to 6 m/s more, three times the turbulence, and a gust every ten seconds."""
+def _make_gusty(courses: dict[str, Array], rng: np.random.Generator) -> list[float]:
+    """Wind of up to 6 m/s more, three times the turbulence, and a gust every ten seconds; when
+    these rise most quickly, s."""
     t, angle = STEP_S * np.arange(len(courses["wind_x"])), float(rng.uniform(0, 2 * np.pi))
     extra = float(rng.uniform(0.0, 6.0)) * np.array([np.cos(angle), np.sin(angle), 0.0])
     for k, axis in enumerate("xyz"):
         w = courses[f"wind_{axis}"]
         w[:] = w.mean() + 3.0 * (w - w.mean()) + extra[k]
+    rises_s = []
     for begins_s in np.arange(5.0, t[-1], 10.0) + rng.uniform(-4.0, 4.0):
         toward = rng.standard_normal(3) * (1.0, 1.0, 0.4)
         size, long_s = float(rng.uniform(1.0, 4.0)), float(rng.uniform(0.3, 2.0))
         blow = size * np.exp(-0.5 * ((t - begins_s) / long_s) ** 2)
+        rises_s.append(float(begins_s) - long_s)
         for k, axis in enumerate("xyz"):
             courses[f"wind_{axis}"] += toward[k] / np.linalg.norm(toward) * blow
+    return rises_s

@@ -1,19 +1,36 @@
 """Clean flights: what counts as false, and the table."""
 
+import numpy as np
 import pandas as pd
+import pytest
 from why_rig import ONSET_S, sound
 
-from benchmarks.clean_flights import SIMULATED, Answer, air_change_m_s, page
+from benchmarks.clean_flights import SIMULATED, Answer, page, sets_in
 from benchmarks.sudden_faults.built_in import Planted
+from twin.flight.closed_loop import STEP_S
 from twin.logs import Flight
 
 
-def test_the_air_changes_where_a_gust_is_planted() -> None:
+def test_a_gust_counts_where_it_is_planted() -> None:
     """Eight metres per second within a second; five seconds before there is turbulence alone."""
     planted = Planted("gust", 8.0, 1, 50.0)
     begins_s = planted.planned().begins_s
-    assert air_change_m_s(planted, begins_s) > 7.0
-    assert air_change_m_s(planted, begins_s - 5.0) < 3.0
+    assert sets_in(planted, [begins_s - 5.0, begins_s - 0.5, begins_s]).tolist() == [
+        False,
+        True,
+        True,
+    ]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_gust_that_is_named_at_random_seldom_counts(seed: int) -> None:
+    """A second about each planted onset, one each ten seconds, and a hundredth of the rest."""
+    planted = Planted("", 1.0, seed, 50.0)
+    plan = planted.planned()
+    every = np.arange(2.0, len(plan.setpoints) * STEP_S - 2.0, 0.1)
+    counted = sets_in(planted, every.tolist())
+    assert sets_in(planted, plan.gusts_s).all() and len(plan.gusts_s) > 10
+    assert 0.1 < counted.mean() < 0.25
 
 
 def test_an_event_of_an_instrument_is_false_and_a_sound_flight_has_none() -> None:
