@@ -15,6 +15,9 @@ import casadi as ca
 import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+from scipy.optimize import lsq_linear
+from scipy.stats import binom
 
 from ..component import Component, ComponentBuilder
 from ..component.portable import angle, cosine, sine
@@ -180,8 +183,16 @@ FASTEST_RAD_S = 1e5
 """Rotor speed beyond which no more thrust is sought. Made up."""
 IDLE_OVER_HOVER = 0.05
 """Smallest thrust in flight over hover thrust: no rotor stops in the air. Made up."""
-INVERSE_DEGREE = 5
-"""Of the polynomial that inverts a thrust map. Made up."""
+INVERSE_DEGREE = 7
+"""Of the polynomial that inverts a thrust map: the smallest odd one that is off by less than 2 % of
+the hover thrust for `thrust_curve` from -0.6 to 0.6 on the Crazyflie's cubic (5: 2.9 %)."""
+INVERSE_USED, INVERSE_ERROR = 0.3, 0.03
+"""Thrust over that in hover from which on an inverse may be off by so much of it. Made up."""
+
+_FIT_POINTS = 1001  # of the range of thrust, in a fit and its check
+_LEAST_RISE = 1e-6  # of a polynomial's Bernstein coefficients, over the largest input
+_LEAST_WEIGHT, _END_WEIGHT = 1e-3, 1e4
+"""Where thrust hardly rises, and at full thrust, which is at the end of the range. Made up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,11 +298,11 @@ def _jacobians(body: Component, x0: Array, u0: Array, p0: Array) -> list[Array]:
 class ThrustInverse:
     """Rotor input as a polynomial of sqrt(thrust / full), and the range it holds in.
 
-    Exact for thrust that is linear in the command or quadratic in the speed, else a fit (for the
-    Crazyflie's cubic to 0.1 % of the full thrust from half of hover on).
+    It rises everywhere. Exact for thrust that is linear in the command or quadratic in the speed,
+    else a fit (of the Crazyflie's cubic to 0.3 % of the hover thrust).
 
     Attributes:
-        coefficients: Ascending, shape (6,); command 0..1 or rad/s.
+        coefficients: Ascending, shape (INVERSE_DEGREE + 1,); command 0..1 or rad/s.
         idle_n: Smallest thrust.
         hover_n: Thrust in hover.
         full_n: Largest thrust.
@@ -317,10 +328,10 @@ class ThrustInverse:
 def thrust_inverse(vehicle: Vehicle) -> ThrustInverse:
     """The steady thrust of a vehicle's rotors, turned round: their mean, effects included.
 
-    Of thrust that falls again with the input, the part up to the largest.
+    Of thrust that falls or stays with the input, the part that rises to the largest.
 
     Raises:
-        ModelError: The vehicle has no hover trim.
+        ModelError: The vehicle has no hover trim, or no polynomial inverts its thrust map.
     """
     body = airframe(punctual(vehicle))
     u0, p0 = body.input_values(), body.parameter_values()
@@ -333,15 +344,59 @@ def thrust_inverse(vehicle: Vehicle) -> ThrustInverse:
         limit *= 1.01
     driven = np.linspace(0.0, limit, 2001)
     thrust = _steady_thrust_n(body, vehicle, driven).mean(axis=1)
+    driven, thrust = _rising(driven, thrust)
+    idle_n, full_n = max(IDLE_OVER_HOVER * hover_n, float(thrust[0])), float(thrust[-1])
+    if idle_n >= min(hover_n, full_n):
+        raise ModelError(
+            f"{vehicle.name}: where its thrust rises with the input it gives {idle_n:.3g} to "
+            f"{full_n:.3g} N a rotor, hover takes {hover_n:.3g} N; check its thrust map."
+        )
+    used = slice(max(int(np.searchsorted(thrust, idle_n)) - 1, 0), None)
+    driven, thrust = driven[used], thrust[used]
+    coefficients = _monotone_fit(driven, np.sqrt(np.maximum(thrust, 0) / full_n), idle_n / full_n)
+    inverse = ThrustInverse(coefficients, idle_n, hover_n, full_n)
+    used_n = np.linspace(min(INVERSE_USED * hover_n, full_n), full_n, _FIT_POINTS)
+    off_n = np.abs(np.interp(inverse.input(used_n), driven, thrust) - used_n).max()
+    if off_n > INVERSE_ERROR * hover_n:
+        raise ModelError(
+            f"{vehicle.name}: its thrust map is inverted only to {off_n / hover_n:.1%} of the "
+            f"hover thrust, {INVERSE_ERROR:.0%} is needed; check its thrust map and effects."
+        )
+    return inverse
+
+
+def _rising(driven: Array, thrust: Array) -> tuple[Array, Array]:
+    """The part of a map that rises without a break to the largest thrust."""
     last = int(np.argmax(thrust)) + 1
-    driven, thrust = driven[:last], thrust[:last]
-    idle_n, full_n = IDLE_OVER_HOVER * hover_n, float(thrust[-1])
-    used = thrust >= idle_n
-    root = np.sqrt(thrust[used] / full_n)
-    # Full thrust is at the end of the range; low thrust matters less.
-    weight = np.where(root < 1.0, root, 1e6)
-    coefficients = polynomial.polyfit(root, driven[used], INVERSE_DEGREE, w=weight)
-    return ThrustInverse(coefficients, idle_n, hover_n, full_n)
+    breaks = np.flatnonzero(np.diff(thrust[:last]) <= 0.0)
+    part = slice(int(breaks[-1]) + 1 if len(breaks) else 0, last)
+    return driven[part], thrust[part]
+
+
+def _monotone_fit(driven: Array, root: Array, idle: float) -> Array:
+    """Coefficients of a polynomial of sqrt(thrust / full) that rises, of least error of thrust.
+
+    A polynomial rises where its Bernstein coefficients do, which least squares with bounds ensures.
+
+    Args:
+        driven: Inputs, rising.
+        root: Their sqrt(thrust / full), rising to 1.
+        idle: Smallest thrust over full.
+
+    Source: Farouki, The Bernstein polynomial basis: a centennial retrospective, Computer Aided
+    Geometric Design 29 (2012), sec. 5.
+    """
+    at = np.linspace(np.sqrt(idle), 1.0, _FIT_POINTS)
+    wanted = PchipInterpolator(root, driven)(at)
+    order = np.arange(INVERSE_DEGREE + 1)
+    basis = binom.pmf(order, INVERSE_DEGREE, ((at - at[0]) / (1.0 - at[0]))[:, None])
+    rises = basis @ np.tril(np.ones((len(order), len(order))))
+    weight = np.interp(wanted, driven, np.gradient(root**2, driven / driven[-1]))
+    weight = np.maximum(weight, _LEAST_WEIGHT)
+    weight[-1] = _END_WEIGHT
+    least = np.where(order == 0, -np.inf, _LEAST_RISE * driven[-1])
+    found = lsq_linear(rises * weight[:, None], wanted * weight, (least, np.inf), method="bvls")
+    return np.asarray(polynomial.polyfit(at, rises @ found.x, INVERSE_DEGREE), dtype=np.float64)
 
 
 def _steady_thrust_n(body: Component, vehicle: Vehicle, driven: Array) -> Array:
