@@ -12,6 +12,7 @@ import pytest
 from cosim.whole_twin import fused_model
 from fmus import build
 from learning.data.envelope import BEYOND
+from learning.force import windows
 from learning.force.equations import Equations
 from learning.force.laws import RIDGES, Taught
 from learning.force.model import RidgeScore
@@ -23,6 +24,7 @@ from twin.physics.residual_force import FEATURES, OUTPUTS
 from twin.residuals.aligned import components_of
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.force import open_loop
 from uavtwin.force.learn import (
     AHEAD_S,
     Fold,
@@ -60,9 +62,11 @@ def flight() -> Flight:
 
 @pytest.fixture(scope="module")
 def taught(flight: Flight) -> Taught:
-    """By that flight."""
+    """By that flight, in windows as close as those of the replay."""
     equations = Equations(COPTER, components_of(COPTER, "command")[0])
-    return Taught.by([FlightWindows.of(flight, COPTER, equations)], equations)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(windows, "EVERY_S", open_loop.EVERY_S)
+        return Taught.by([FlightWindows.of(flight, COPTER, equations)], equations)
 
 
 def _turns() -> np.ndarray:
@@ -83,8 +87,8 @@ def test_rows_are_flown_as_by_the_exported_fmu(
     parts = driven_twin(COPTER, "command", (), taught.empty)
     fmu = build(fused_model(parts, COPTER.name), tmp_path / "twin.fmu")
     exported = Replay(flight, COPTER, HORIZONS_S).through(fmu, in_force(law)).off
-    (windows,) = taught.flights
-    off, _ = rolled(taught.equations, windows, weights)
+    (taught_by,) = taught.flights
+    off, _ = rolled(taught.equations, taught_by, weights)
     assert off.reshape(exported.shape).shape == exported.shape
     away = np.sqrt(np.mean((off.reshape(exported.shape) - exported) ** 2, axis=0))
     assert (away < 0.03 * np.sqrt(np.mean(exported**2, axis=(0, 3), keepdims=True))[0] + 1e-4).all()
@@ -92,11 +96,11 @@ def test_rows_are_flown_as_by_the_exported_fmu(
 
 @pytest.mark.slow
 def test_slopes_are_differences(taught: Taught) -> None:
-    (windows,) = taught.flights
+    (taught_by,) = taught.flights
     rng = np.random.default_rng(0)
     step = 1e-4 * rng.normal(size=(len(OUTPUTS), len(FEATURES)))
-    _, slopes = rolled(taught.equations, windows, _turns(), slopes=True)
-    more, less = (rolled(taught.equations, windows, _turns() + s * step)[0] for s in (1, -1))
+    _, slopes = rolled(taught.equations, taught_by, _turns(), slopes=True)
+    more, less = (rolled(taught.equations, taught_by, _turns() + s * step)[0] for s in (1, -1))
     there = (more - less) / 2
     along = slopes @ step.ravel()
     assert np.sqrt(np.mean((along - there) ** 2)) < 0.05 * np.sqrt(np.mean(there**2))
