@@ -465,7 +465,8 @@ class GapResult(PageMixin):
         """Claim, hover, table, and how far rebuilt commands match those of the log."""
         yield self.claim
         yield from self.hover
-        yield self.table()
+        if self.record.worst:
+            yield self.table()
         for g in self.flights:
             if "commands_match" in g.facts:
                 yield f"{g.flight}: commands {g.facts['commands_match']}"

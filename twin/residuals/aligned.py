@@ -91,11 +91,9 @@ def carry(
     least = CLEAR_S / step_s
     if grounded.any() and np.sum(~grounded) > least:
         return float(np.median(thrust_n[~grounded]))
-    known_m = height_m[np.isfinite(height_m)]
-    if len(known_m):
-        above = ~grounded & (height_m > np.quantile(known_m, 0.01) + CLEAR_HEIGHT_M)
-        if np.sum(above) > least:
-            return float(np.median(thrust_n[above]))
+    above = clear(grounded, height_m, step_s)
+    if above.any():
+        return float(np.median(thrust_n[above]))
     along = force()
     if not len(along):
         return None
@@ -112,6 +110,16 @@ def carry(
     if not sizes > _ROUNDING * float(np.sqrt(np.sum(x**2) * np.sum(y**2))):
         return None  # one of them is constant
     return float(np.median(x)) if np.sum(x_apart * y_apart) / sizes > FOLLOWS else None
+
+
+def clear(grounded: NDArray[np.bool_], height_m: Array, step_s: float) -> NDArray[np.bool_]:
+    """Where the height says that a flight is in the air, shape (n,): clear of its lowest place for
+    long enough, else nowhere; arguments as of `carry`."""
+    known_m = height_m[np.isfinite(height_m)]
+    if not len(known_m):
+        return np.zeros(len(grounded), dtype=np.bool_)
+    above = ~grounded & (height_m > np.quantile(known_m, 0.01) + CLEAR_HEIGHT_M)
+    return np.asarray(above & (np.sum(above) > CLEAR_S / step_s))
 
 
 def resting_height(height_m: Array, carried: NDArray[np.bool_]) -> float | None:
@@ -415,7 +423,7 @@ class Alignment:
             blocks: All rows.
 
         Raises:
-            LogError: There are none.
+            LogError: There are none, or it flies on next to none of the thrust of the file.
         """
         weight = self._vehicle.mass_kg * self._vehicle.gravity_m_s2
         thrust = rotor_thrust(self.airframe, self._vehicle.rotors.count)
@@ -457,7 +465,11 @@ class Alignment:
         weight_n: float,
     ) -> float:
         """Modelled thrust over the weight of the file where the flight is in the air; 1 where that
-        is nearly so, or the flight does not show it."""
+        is nearly so, or the flight does not show it.
+
+        Raises:
+            LogError: Land detector and height say that it flies, on next to no modelled thrust.
+        """
 
         def force() -> Array:
             if not self._flight.has(*ACC):
@@ -466,6 +478,12 @@ class Alignment:
 
         own = carry(pushing, grounded, height_m, force, self.step_s)
         share = 1.0 if own is None else own / weight_n
+        if share < LEAST_CARRY and grounded.any() and clear(grounded, height_m, self.step_s).any():
+            raise LogError(
+                f"{self._flight.name}: {self._vehicle.name} carries {100 * share:.2g} % of its "
+                f"weight at the commands that this flight flies with: another vehicle, mass or "
+                f"thrust map? `uavtwin vehicle draft` writes a vehicle file from the flight."
+            )
         near = share < LEAST_CARRY or 1 / TRUSTED_CARRY < share < TRUSTED_CARRY
         return 1.0 if near else share
 

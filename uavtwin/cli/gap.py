@@ -71,7 +71,7 @@ def gap(
         [*logs, Path(named)],
         force=force,
         as_json=as_json,
-        findings=not any(g.channels for g in found.flights),
+        findings=not found.record.worst,
         flights=flights,
         series=found.series(),
         forms=forms,

@@ -12,6 +12,8 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
+from twin.vehicle.layouts import FRAMES
+
 from ..report.page import HERE as REPORT
 from ..site.server import hash_of, headers
 from ..site.server import style as style_of_site
@@ -33,7 +35,7 @@ WORDS = {
 OFFERED = {
     "explain": "names the physical effect that the vehicle lacks; takes minutes",
     "mcap": "the flight for Foxglove and PlotJuggler",
-    "fmu": "the twin of the vehicle for Simulink, OpenModelica, FMPy; needs a C compiler",
+    "fmu": "the twin of the vehicle for Simulink, OpenModelica, FMPy",
 }
 """What a job is for that was never asked for."""
 REPORTS = {"why": "why.html", "gap": "gap.html", "explain": "explain/report.html"}
@@ -172,6 +174,7 @@ class Pages:
             parts=list(map(Markup, self.parts(flight).values())),
             built_in=self._vehicles,
             own=self._store.vehicles(),
+            frames=list(FRAMES),
             bar=self.bar(flight),
         )
 

@@ -349,6 +349,7 @@ class Site:
             "mass_kg": _positive(form, "mass_kg"),
             "wheelbase_m": None if wheelbase_mm is None else wheelbase_mm / 1e3,
             "propeller": form.get("propeller") or None,
+            "frame": form.get("frame") or None,
         }
         if known["mass_kg"] is None:
             raise TwinError("mass: a log tells force over mass alone. Weigh the aircraft.")

@@ -78,6 +78,15 @@ def test_what_idles_on_the_ground_does_not_fly(tour: Flight) -> None:
         align_flight(replace(tour, table=table), COPTER, 1 / GRID_HZ)
 
 
+def test_a_vehicle_too_weak_by_far_is_named(tour: Flight) -> None:
+    """Land detector and height say that it flies, at commands that carry next to nothing."""
+    weak = tour.table.assign(
+        **{c: 0.3 * tour.table[c] for c in ("cmd_1", "cmd_2", "cmd_3", "cmd_4")}
+    )
+    with pytest.raises(LogError, match=r"carries \d+\.?\d* % of its weight .* vehicle draft"):
+        align_flight(replace(tour, table=weak), COPTER, 1 / GRID_HZ)
+
+
 @pytest.mark.slow
 @settings(deadline=None)
 @given(st.floats(0.05, 20.0), st.integers(0, 1000))

@@ -203,8 +203,9 @@ def test_new_values_of_a_draft_begin_it_anew(tmp_path: Path) -> None:
     assert post(site, f"/flights/{flight}/draft", b"mass_kg=1.3") == 303
     first = store.take(["draft"])
     assert first is not None and store.is_running(first)
-    assert post(site, f"/flights/{flight}/draft", b"mass_kg=1.4") == 303
+    assert post(site, f"/flights/{flight}/draft", b"mass_kg=1.4&frame=hex+x") == 303
     assert not store.is_running(first)
     second = store.take(["draft"])
     assert second is not None and second.run != first.run
-    assert "1.4" in (store.results(flight) / "draft.json").read_text()
+    known = (store.results(flight) / "draft.json").read_text()
+    assert "1.4" in known and '"hex x"' in known

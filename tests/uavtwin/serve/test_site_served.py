@@ -103,6 +103,7 @@ def test_forms_change_what_they_say(asked: Asked) -> None:
     assert "windy &lt;b&gt;" in asked.ask("/?q=windy")[1]
     assert asked.ask(f"/flights/{flight}/vehicle", "POST", b"vehicle=copter_default")[0] == 303
     page = asked.ask(f"/flights/{flight}")[1]
+    assert "<option>hex x</option>" in page
     assert "waits for a free worker" in page and "<option selected>copter_default" in page
     assert asked.ask(f"/flights/{flight}/jobs/gap/cancel", "POST")[0] == 303
     assert "<b>Cancelled.</b>" in asked.ask(f"/flights/{flight}")[1]

@@ -21,6 +21,7 @@ from ..flight import Array, Site
 from .control import airframe_mixer, frame_of_mixer
 from .log import Px4Log, Topic
 from .outputs import MOTORS, Outputs, logged_outputs
+from .rebuild import flown_mixer
 
 _OTHER_ALLOCATION = {
     1: "a fixed-wing aircraft",
@@ -90,13 +91,22 @@ def _rotors(log: Px4Log) -> SourcedValue[int] | None:
 
 
 def _layout(log: Px4Log, motors: int | None) -> Layout | None:
-    """From CA_ROTOR* where the log has them, else by the airframe that was chosen."""
+    """From CA_ROTOR* where the log has them, else by the airframe that was chosen; where that is
+    none of PX4's, by the mixer that makes the logged outputs of the logged controls."""
     if MIN_MOTORS <= log.params.get("CA_ROTOR_COUNT", 0.0) <= MAX_MOTORS:
         return _allocated(log, int(log.params["CA_ROTOR_COUNT"]))
     autostart = int(log.params.get("SYS_AUTOSTART", 0.0))
     mixer = airframe_mixer(autostart)
     name = frame_of_mixer(mixer) if mixer else _RANGES.get(autostart // 1000)
-    if name is None or len(FRAMES[name][0]) != (motors or 4):
+    if name is None:
+        outputs = _outputs_unsaid(log)
+        flown = None if outputs is None else flown_mixer(log, outputs)
+        if flown is None:
+            return None
+        name = frame_of_mixer(flown[0])
+        how = f"by logged controls and outputs, to {flown[1]:.1f} us"
+        return frame(name, f"mixer {flown[0]} {how}, frame {name}")
+    if len(FRAMES[name][0]) != (motors or 4):
         return None
     return frame(name, f"SYS_AUTOSTART {autostart} of the log, frame {name}")
 
@@ -130,13 +140,19 @@ def _thrust(log: Px4Log) -> SourcedValue[ThrustCurve] | None:
     return SourcedValue(ThrustCurve(factor), f"THR_MDL_FAC {factor:g} of the log")
 
 
-def _pulse(log: Px4Log) -> SourcedValue[tuple[float, float]] | None:
-    """Of the outputs that drive the motors, where the log has their pulse widths."""
+def _outputs_unsaid(log: Px4Log) -> Outputs | None:
+    """Outputs that drive the motors; None: they are not in the log, or it has commands besides."""
     if log.instances("actuator_motors"):
         return None
     noted = len(log.findings)
     outputs: Outputs | None = logged_outputs(log)
     del log.findings[noted:]  # the reader of the commands has said them
+    return outputs
+
+
+def _pulse(log: Px4Log) -> SourcedValue[tuple[float, float]] | None:
+    """Of the outputs that drive the motors, where the log has their pulse widths."""
+    outputs = _outputs_unsaid(log)
     if outputs is None or any(m.unit != "us" for m in outputs.motors):
         return None
     first = outputs.motors[0]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,7 @@ other filters. 3 % of a range of 1000 us is what a motor's gain is known to; no 
 _AXES = ("ROLL", "PITCH", "YAW")  # of parameters
 _SETPOINT = ("roll", "pitch", "yaw", "thrust_body[2]")  # fields of vehicle_rates_setpoint
 _MIXER_TOLERANCE_US = 5.0  # rms by which a mixer is the one that flew
+_FEWEST_PAIRS = 5  # of controls and outputs of one instant that tell the mixer
 _PAIRED_US = 1000  # between outputs and the controls that they are made of
 _VERSIONS = ((1, 11), (1, 12), (1, 13))  # of PX4 whose controller is `control`
 _LONGEST_GAP_S = 5.0  # of the gyroscope that a cubic bridges
@@ -352,17 +354,17 @@ def _latency_us(outputs: Outputs, controls: Topic) -> int:
     return int(np.median(outputs.topic.t_us[pair] - controls.t_us[index]))
 
 
-def _scale(log: Px4Log, outputs: Outputs, controls: Topic) -> Array:
-    """Mixer of the airframe, checked on logged controls and outputs of the same instant."""
-    motors = outputs.values.shape[1]
-    known = airframe_mixer(log.params.get("SYS_AUTOSTART", 0.0))
-    names: Sequence[str] = [known] if known else mixer_names(motors)
+def _mixed(
+    log: Px4Log, outputs: Outputs, controls: Topic, names: Sequence[str]
+) -> tuple[Array, dict[str, Array]]:
+    """Logged outputs, and those that mixers make of logged controls of the same instant, us, shape
+    (n, motors) each; of no mixer where the instants are too few."""
     pair, index = _paired(outputs, controls)
     control = controls.array("control", 4)[index]
     pair, control = pair[control[:, 3] > 0.1], control[control[:, 3] > 0.1]
-    best, best_us = names[0] if known else "", np.inf
+    made = {}
     for name in names:
-        if len(mixer_scale(name)) != motors or len(pair) < 5:
+        if len(mixer_scale(name)) != outputs.values.shape[1] or len(pair) < _FEWEST_PAIRS:
             continue
         mixer = Mixer(
             mixer_scale(name),
@@ -370,11 +372,42 @@ def _scale(log: Px4Log, outputs: Outputs, controls: Topic) -> Array:
             log.params.get("THR_MDL_FAC", 0.0),
         )
         width = outputs.low + mix(control, mixer) * (outputs.high - outputs.low)
-        off_us = float(np.median(np.abs(outputs.values[pair] - np.floor(width))))
-        if off_us < best_us:
-            best, best_us = name, off_us
+        made[name] = np.floor(width)
+    return outputs.values[pair], made
+
+
+def flown_mixer(log: Px4Log, outputs: Outputs) -> tuple[str, float] | None:
+    """The mixer known here that turns the logged controls into the logged outputs, and by how many
+    us it is off; judged where no two mixers make the same outputs.
+
+    Returns:
+        None: none or several do, too few instants tell them apart, or the log has no controls.
+    """
+    try:
+        controls = _topic(log, "actuator_controls_0", *(f"control[{k}]" for k in range(4)))
+    except CannotRebuildError:
+        return None
+    logged, made = _mixed(log, outputs, controls, mixer_names(outputs.values.shape[1]))
+    apart = np.isfinite(logged).all(axis=1)
+    for one, other in combinations(made.values(), 2):
+        apart &= np.abs(one - other).max(axis=1) > 2 * _MIXER_TOLERANCE_US
+    if not made or apart.sum() < _FEWEST_PAIRS:
+        return None
+    off_us = {n: float(np.median(np.abs(logged - m).max(axis=1)[apart])) for n, m in made.items()}
+    fit = [name for name, off in off_us.items() if off <= _MIXER_TOLERANCE_US]
+    return (fit[0], off_us[fit[0]]) if len(fit) == 1 else None
+
+
+def _scale(log: Px4Log, outputs: Outputs, controls: Topic) -> Array:
+    """Mixer of the airframe, checked on logged controls and outputs of the same instant."""
+    known = airframe_mixer(log.params.get("SYS_AUTOSTART", 0.0))
+    names: Sequence[str] = [known] if known else mixer_names(outputs.values.shape[1])
+    logged, made = _mixed(log, outputs, controls, names)
+    off_us = {name: float(np.median(np.abs(logged - m))) for name, m in made.items()}
+    best = min(off_us, key=lambda name: off_us[name], default=known or "")
+    best_us = off_us.get(best, np.inf)
     airframe = f"SYS_AUTOSTART {log.params.get('SYS_AUTOSTART', 0.0):.0f}"
-    if not best or (best_us > _MIXER_TOLERANCE_US and len(pair) >= 5):
+    if not best or (off_us and best_us > _MIXER_TOLERANCE_US):
         raise CannotRebuildError(
             f"no mixer known here turns the logged controls into the logged outputs ({airframe}, "
             f"best {best or 'none'}: {best_us:.0f} us)"

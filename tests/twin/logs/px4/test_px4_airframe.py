@@ -9,7 +9,9 @@ from sample_logs import MOVING_S, moving_topics, ulog
 
 from twin.logs.airframe import Airframe, Cells, SourcedValue
 from twin.logs.formats import ReadOptions
+from twin.logs.px4.control import Mixer, frame_of_mixer, mix, mixer_scale
 from twin.logs.px4.ulog import read_ulog
+from twin.vehicle.layouts import frame
 
 QUAD = {
     "CA_ROTOR_COUNT": 4,
@@ -113,6 +115,35 @@ def test_defaults_of_px4_say_nothing() -> None:
     assert told.imu_position_m is None
     assert told.cells is None
     assert told.layout is None
+
+
+@pytest.mark.parametrize("mixer", ["quad_x", "quad_wide", "quad_plus"])
+@pytest.mark.parametrize("lively", [0.1, 0.0])
+def test_the_mixer_of_an_unknown_airframe_is_told_by_its_outputs(mixer: str, lively: float) -> None:
+    """Controls of a hover alone, which all mixers turn into the same outputs, tell nothing."""
+    t = MOVING_S[::20]
+    control = np.zeros((len(t), 8))
+    control[:, :3] = lively * np.sin(np.outer(t, (3.0, 4.0, 5.0)))
+    control[:, 3] = 0.5
+    width = np.full((len(t), 16), 900.0)
+    width[:, :4] = 1000 + 1000 * mix(control[:, :4], Mixer(mixer_scale(mixer), 0, 0.0))
+    topics = moving_topics()
+    del topics["actuator_motors"]
+    topics["actuator_controls_0"] = {"t": t, "control": control.astype(np.float32)}
+    topics["actuator_outputs"] = {
+        "t": t,
+        "output": np.floor(width).astype(np.float32),
+        "noutputs": np.full(len(t), 4, dtype=np.uint32),
+    }
+    log = ulog(topics, {"SYS_AUTOSTART": 3010, "MAV_TYPE": 2}, release=(1, 12, 0))
+    told = read_ulog(Path("made.ulg"), log, ReadOptions()).airframe
+    assert told is not None
+    if not lively:
+        assert told.layout is None
+        return
+    assert told.layout is not None
+    assert told.layout.source.startswith(f"mixer {mixer} by logged controls")
+    assert tuple(told.layout.position[0]) == tuple(frame(frame_of_mixer(mixer)).position[0])
 
 
 def test_the_place_is_the_median_of_the_fixes() -> None:
