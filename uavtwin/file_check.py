@@ -170,11 +170,9 @@ class CheckReport(DisplayMixin):
             line for line in every if line[0] == "fact" and line[1].split()[0] not in _AT_LENGTH
         ]
         first = [*urgent[:_URGENT], *facts[:_FACTS]]
-        effects = sum(text.count(", ") + 1 for text in self.observable)
         return [
             *[line for line in every if line in first],
             *[line for line in every if line[0] == "good for"],
-            *[("explain can look for", f"explain can look for {effects} effects")][: effects > 0],
         ]
 
     def lines(self) -> list[tuple[str, str]]:

@@ -38,8 +38,6 @@ DRIVES = {
     "commands": "command",
     "rotor_speeds": "rotor_speed",
     MISSION: None,
-    "command": "command",
-    "rotor_speed": "rotor_speed",
 }
 """Drives by the words of the option; None: no rotor is driven from outside."""
 _FOR = {

@@ -106,7 +106,8 @@ def fleet(
             f"written: {out / 'report.html'}, flights, channels, effects, findings (.parquet), "
             f"vehicles/, fleet.json, run.json"
         )
-    if result.bad or result.misfits or result.differing or result.drifting or result.spreads:
+    said = (result.misfits, result.differing, result.drifting, result.spreads)
+    if result.bad or result.went_wrong or any(said):
         raise typer.Exit(Exit.FINDINGS)
 
 

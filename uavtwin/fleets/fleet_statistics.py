@@ -31,6 +31,8 @@ NORMAL_MAD = 1.4826
 """Standard deviation over the median absolute deviation, of a normal distribution."""
 MEDIAN_COST = np.pi / 2
 """Variance of a median over that of a mean, of a normal distribution."""
+FEWEST_OWN = 2
+"""Flights of an aircraft from which on it may differ: one may be unlike the next of the same."""
 FEWEST_FLIGHTS = 3
 """Of which an aircraft tells by itself how much its flights differ."""
 
@@ -164,7 +166,7 @@ def compared(folder: Path) -> tuple[list[Difference], list[Drift]]:
 
 
 def _against_others(m: Measure) -> list[Difference]:
-    """Each aircraft against the others."""
+    """Each aircraft of several flights against the others."""
     names, flights, value, variance = per_aircraft(m.table)
     if len(names) < FEWEST_AIRCRAFT:
         return []
@@ -172,6 +174,8 @@ def _against_others(m: Measure) -> list[Difference]:
     usual = p > FALSE_SHARE
     found = []
     for i, name in enumerate(names):
+        if flights[i] < FEWEST_OWN:
+            continue
         rest = [k for k in range(len(names)) if k != i and usual[k]]
         others, spread = float(np.median(value[rest])), float(np.std(value[rest], ddof=1))
         sizes = (float(value[i]), others, spread, float(p[i]), 1.0, int(flights[i]))

@@ -14,7 +14,15 @@ from ..display import PageMixin, TextTable
 from ..record import Record
 from ..wording import misfit
 from .dataset import MOTORS, read_table
-from .fleet_statistics import Difference, Drift, Spread, compared, explained_aircraft, spreads
+from .fleet_statistics import (
+    FEWEST_OWN,
+    Difference,
+    Drift,
+    Spread,
+    compared,
+    explained_aircraft,
+    spreads,
+)
 from .statistics import FEWEST_AIRCRAFT, FEWEST_FLIGHTS
 
 UNNAMED = "(not named by its log)"
@@ -35,7 +43,8 @@ UNKNOWN = "-"
 CELLS = (
     f"{UNKNOWN}: nothing named, or not known (no hover in the log, no vehicle). Went wrong: causes "
     "of why. Carried: thrust of the twin over the weight. Back, right: centre of mass. Loaded: "
-    "command of a motor in hover, over the mean of all. Lacks: effects of explain."
+    "command of a motor in hover, over the mean of all. Lacks: effects of explain. Log: state of "
+    "the file, not of the flight."
 )
 """What the cells of the printed table mean."""
 
@@ -108,7 +117,8 @@ class Overview:
         extremes: tuple[str, ...] = ("", "")
         if self.split:
             places = int(np.argmin(self.split)), int(np.argmax(self.split))
-            extremes = tuple(f"{p + 1}: {round(100 * self.split[p]):+d} %" for p in places)
+            if any(round(100 * self.split[p]) for p in places):
+                extremes = tuple(f"{p + 1}: {round(100 * self.split[p]):+d} %" for p in places)
         return (
             self._counted(self.causes),
             hover,
@@ -130,7 +140,8 @@ class Overview:
         """What is known, in one line."""
         known = zip(HEADER, self.cells(), strict=True)
         cells = (f"{name} {text}" for name, text in known if text)
-        return f"{self.name}: {'; '.join([self.status or f'{self.flights} flights', *cells])}"
+        about = f"log {self.status}" if self.status else f"{self.flights} flights"
+        return f"{self.name}: {'; '.join([about, *cells])}"
 
     @property
     def record(self) -> AircraftRecord:
@@ -230,7 +241,7 @@ def table_of(rows: Sequence[Overview], first: str, most: int) -> TextTable:
     )
     if len(rows) > most:
         lines += ((f"{len(rows) - most} more", *[""] * (1 + len(HEADER))),)
-    return TextTable((first, "status" if logs else "flights", *HEADER), lines)
+    return TextTable((first, "log" if logs else "flights", *HEADER), lines)
 
 
 def _text(value: float, form: str) -> str:
@@ -314,6 +325,8 @@ class FleetRecord(Record, frozen=True, kw_only=True):
         vehicle: Name of the vehicle file of all; null: each aircraft has its own.
         logs: How many.
         statuses: How many logs are of which status.
+        diagnosed: Flights that `why` looked at.
+        went_wrong: Those of them in which it found something.
         aircraft: Flights by aircraft.
         unnamed: Flights whose log names no aircraft.
         dated: Flights with a date.
@@ -329,6 +342,8 @@ class FleetRecord(Record, frozen=True, kw_only=True):
     vehicle: str | None
     logs: int
     statuses: dict[str, int]
+    diagnosed: int
+    went_wrong: int
     aircraft: dict[str, int]
     unnamed: int
     dated: int
@@ -357,6 +372,8 @@ class FleetResult(PageMixin):
         spreads: Numbers of effects over aircraft.
         explained: Explanations by aircraft.
         rows: An overview of each aircraft, by name.
+        diagnosed: Flights that `why` looked at.
+        went_wrong: Those of them in which it found something.
     """
 
     folder: Path
@@ -370,6 +387,8 @@ class FleetResult(PageMixin):
     spreads: tuple[Spread, ...]
     explained: Mapping[str, int] = field(default_factory=dict)
     rows: tuple[Overview, ...] = ()
+    diagnosed: int = 0
+    went_wrong: int = 0
 
     page = "uavtwin.report.fleet"
 
@@ -409,7 +428,8 @@ class FleetResult(PageMixin):
             about += f" of {_many(len(self.aircraft), 'aircraft', '')}"
         elif self.unnamed:
             about += " of aircraft that no log names"
-        parts = [self._differ(), self._drift()]
+        wrong = f"{self.went_wrong} of {_many(self.diagnosed, 'flight')} went wrong"
+        parts = [*[wrong][: self.diagnosed], self._differ(), self._drift()]
         if misfit := len(self.misfits):
             parts.append(f"the vehicle file does not fit {misfit} of them")
         bad = f"{_many(self.bad, 'log')} {'is' if self.bad == 1 else 'are'} damaged or of no use"
@@ -436,7 +456,7 @@ class FleetResult(PageMixin):
         if len(self.aircraft) < FEWEST_AIRCRAFT:
             named = _many(len(self.aircraft), "named aircraft", "")
             return f"{named}, {FEWEST_AIRCRAFT} are needed"
-        return f"no number is known of {FEWEST_AIRCRAFT} aircraft"
+        return f"no number is known of {FEWEST_AIRCRAFT} aircraft, one with {FEWEST_OWN} flights"
 
     @property
     def cannot(self) -> tuple[str, ...]:
@@ -473,6 +493,8 @@ class FleetResult(PageMixin):
             vehicle=self.vehicle or None,
             logs=self.logs,
             statuses=dict(self.statuses),
+            diagnosed=self.diagnosed,
+            went_wrong=self.went_wrong,
             aircraft=dict(self.aircraft),
             unnamed=self.unnamed,
             dated=self.dated,
@@ -496,15 +518,15 @@ class FleetResult(PageMixin):
             yield "\n".join(self.misfits[:MOST_ROWS])
         if self.rows:
             yield table_of(self.rows, "aircraft", MOST_ROWS)
-        yield table_of(of_logs(self.folder), "log", MOST_ROWS)
+        yield table_of(of_logs(self.folder), "flight", MOST_ROWS)
         yield CELLS
         if self.differing:
-            head = ("differs", "number", "its median", "others", "unit", "q")
+            head = ("differs", "number", "its median", "flights", "others", "unit", "q")
             yield TextTable(
                 head,
                 tuple(
                     (
-                        *(d.aircraft, d.number, _g(d.value)),
+                        *(d.aircraft, d.number, _g(d.value), str(d.flights)),
                         *(f"{_g(d.others)} ± {_g(d.spread)}", d.unit, f"{d.q:.2g}"),
                     )
                     for d in self.differing[:MOST_ROWS]
@@ -554,9 +576,10 @@ def result_of(folder: Path, vehicle: str) -> FleetResult:
         folder: Of the dataset.
         vehicle: Name of the vehicle of all aircraft; "": each has its own.
     """
-    about = read_table(folder, "flights", ["status", "aircraft", "date_year"])
+    about = read_table(folder, "flights", ["status", "aircraft", "date_year", "why"])
     read = about[about["aircraft"].notna() & (about["status"] != "copy")]
     named = read[read["aircraft"] != ""]
+    verdicts = read["why"].dropna()
     differences, drifts = compared(folder)
     explained = explained_aircraft(folder)
     return FleetResult(
@@ -571,6 +594,8 @@ def result_of(folder: Path, vehicle: str) -> FleetResult:
         tuple(spreads(folder, explained)),
         explained,
         tuple(of_aircraft(folder)),
+        int((verdicts != "").sum()),
+        int((verdicts == "found").sum()),
     )
 
 

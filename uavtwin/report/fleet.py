@@ -28,6 +28,15 @@ MOST_AIRCRAFT = 60
 """Of a panel; of more, those that differ and every so many of the others."""
 MOST_POINTS = 400
 """Flights of an aircraft that are drawn."""
+STATUSES = {
+    "fine": "logs that are fine",
+    "findings": "damaged logs",
+    "refused": "logs of no use for a verb",
+    "unreadable": "unreadable logs",
+    "copy": "copies of another log",
+    "failed": "logs whose process ended",
+}
+"""How many logs are of a status, in words."""
 OUT = "#c23b66"
 _PX = 210
 """Height of a panel."""
@@ -49,12 +58,11 @@ def write_page(result: FleetResult, path: Path) -> None:
         claim=result.claim,
         vehicle=result.vehicle,
         facts=_facts(result),
-        statuses=result.statuses,
         cannot=result.cannot,
         misfits=result.misfits[:MOST_ROWS],
         overviews=[
             table_of(result.rows, "aircraft", MOST_ROWS),
-            table_of(of_logs(result.folder), "log", MOST_ROWS),
+            table_of(of_logs(result.folder), "flight", MOST_ROWS),
         ],
         cells=CELLS,
         false_share=FALSE_SHARE,
@@ -76,6 +84,7 @@ def _facts(result: FleetResult) -> dict[str, str]:
     """What the fleet is."""
     return {
         "logs": str(result.logs),
+        **{STATUSES[s]: str(n) for s, n in result.statuses.items()},
         "aircraft": str(len(result.aircraft)),
         "flights with a date": str(result.dated),
         "vehicle": result.vehicle or "each aircraft has its own",

@@ -246,7 +246,10 @@ class Pages:
             for e in why.get("events", ())
             if e.get("onset_s") is not None
         ]
-        others = [(i["t_s"], i["kind"], i["text"]) for i in why.get("timeline", ())]
+        others = [
+            (i["t_s"], i["kind"], i["text"].removeprefix(f"{i['kind']} "))
+            for i in why.get("timeline", ())
+        ]
         return sorted([*events, *others])[:MOST_MOMENTS]
 
     def _files(self, flight: FlightRow) -> list[tuple[str, str]]:

@@ -193,3 +193,6 @@ def test_why_needs_no_vehicle(tmp_path: Path) -> None:
     ]
     assert rows.loc["sound.parquet", "causes"] in (None, "")
     assert "rotor failure, rotor 3" in str(found)
+    assert ": 1 of 2 flights went wrong, " in found.claim
+    assert (found.json()["diagnosed"], found.json()["went_wrong"]) == (2, 1)
+    assert "logs that are fine" in (tmp_path / "out" / "report.html").read_text("utf-8")

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +103,22 @@ def test_four_aircraft_of_which_no_number_is_known_are_not_compared(tmp_path: Pa
     assert "no number is known of 4 aircraft" in found.claim
 
 
+def test_an_aircraft_of_one_flight_does_not_differ(tmp_path: Path) -> None:
+    """Far out as it may be: how much its own flights differ is not known."""
+
+    def flights(left_out: set[int]) -> Iterator[dict[str, list[dict[str, object]]]]:
+        for k in sorted(set(range(18)) - left_out):
+            level = 0.9 if k % 6 == 0 else 0.5 + 0.001 * k
+            row = {"log": f"{k}.ulg", "aircraft": f"A{k % 6}", "hover_command": level}
+            yield {"flights": [{"status": "fine", **row}]}
+
+    write_dataset(flights(set()), tmp_path / "several")
+    (far,) = result_of(tmp_path / "several", "copter_default").differing
+    assert (far.aircraft, far.flights) == ("A0", 3)
+    write_dataset(flights({0, 6}), tmp_path / "single")
+    assert not result_of(tmp_path / "single", "copter_default").differing
+
+
 @pytest.mark.slow
 def test_every_aircraft_and_every_log_has_a_row(result: FleetResult, tmp_path: Path) -> None:
     assert [r.name for r in result.rows] == [f"A{k:02d}" for k in range(1, AIRCRAFT + 1)]
@@ -111,6 +129,8 @@ def test_every_aircraft_and_every_log_has_a_row(result: FleetResult, tmp_path: P
     cells = dict(zip(HEADER, heavy.cells(), strict=True))
     assert cells["hover"] == "0.500"
     assert (cells["least loaded motor"], cells["most loaded motor"]) == ("2: -4 %", "1: +4 %")
+    even = dict(zip(HEADER, replace(heavy, split=(0.001, -0.001)).cells(), strict=True))
+    assert even["least loaded motor"] == even["most loaded motor"] == ""
     assert cells["lacks"].startswith("mass offset (")
     assert cells["went wrong"] == "" and CELLS in str(result)
     printed = table_of(result.rows, "aircraft", 20).rows[0]

@@ -1,6 +1,7 @@
 """Runs of jobs that are cancelled, begun anew or fail while a worker does them."""
 
 import asyncio
+import json
 import threading
 import time
 from collections.abc import Callable
@@ -194,6 +195,17 @@ def post(site: Site, path: str, body: bytes) -> int:
 
     asyncio.run(answered())
     return int(sent[0]["status"])
+
+
+def test_a_moment_says_its_kind_once(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    site = Site(store, Limits(workers=0), Doors("127.0.0.1"))
+    flight = store.flight(added(store))
+    assert flight is not None
+    mode = {"kind": "mode", "t_s": 9.82, "text": "mode Hold"}
+    (store.results(flight.id) / "why.json").write_text(json.dumps({"timeline": [mode]}))
+    (part, _) = site._pages.parts(flight).values()
+    assert "mode</td>" in part and ">Hold</td>" in part and "mode Hold" not in part
 
 
 def test_new_values_of_a_draft_begin_it_anew(tmp_path: Path) -> None:

@@ -215,13 +215,14 @@ def _gaps(log: Px4Log, topic: Topic, window_us: Times, facts: dict[str, str]) ->
     facts["imu_rate"] = (
         f"{(len(steps) + lost) / span_s:.0f} Hz sampled, {len(steps) / span_s:.0f} Hz in the log"
     )
-    log.note(
-        "warning",
-        topic.name,
-        f"{100 * lost / (len(steps) + lost):.0f} % of the samples are missing; the longest gap "
-        f"is {steps.max() / 1e3:.1f} ms. Nothing is filled in",
-        lost,
-    )
+    if lost:
+        share = 100 * lost / (len(steps) + lost)
+        log.note(
+            "warning",
+            topic.name,
+            f"{lost} samples missing ({share:.2g} %); the longest gap is "
+            f"{steps.max() / 1e3:.1f} ms. Nothing is filled in",
+        )
 
 
 def _filtered_imu(log: Px4Log, flight: FlightBuilder) -> None:
