@@ -521,7 +521,8 @@ class FleetResult(PageMixin):
         yield table_of(of_logs(self.folder), "flight", MOST_ROWS)
         yield CELLS
         if self.differing:
-            head = ("differs", "number", "its median", "flights", "others", "unit", "q")
+            head: tuple[str, ...] = ("differs", "number", "its median", "flights")
+            head += ("others", "unit", "q")
             yield TextTable(
                 head,
                 tuple(
