@@ -14,7 +14,7 @@ from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
 from twin.why.diagnose import diagnose
 from twin.why.records import Candidate, Diagnosis, Event, NotVisible
-from twin.why.sensors import SENSOR_CAUSES
+from twin.why.sensors import NOISE, SENSOR_CAUSES
 
 from .display import PageMixin, TextTable
 from .flights import checked_flights
@@ -181,7 +181,7 @@ def listed_alternatives(event: Event) -> list[Candidate]:
 def least_in_words(hidden: NotVisible) -> str:
     """Sizes that would not have shown; a size that no aircraft has is none."""
     least = hidden.smallest_detectable
-    most = MOST_NOISE if hidden.cause == "sensor_noise_level" else LARGEST.get(least.unit, inf)
+    most = MOST_NOISE if hidden.cause == NOISE else LARGEST.get(least.unit, inf)
     if least.value is None or least.value > most:
         return "of any size"
     if least.unit == "1":

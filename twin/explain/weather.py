@@ -25,16 +25,12 @@ from .model.model import Model
 from .model.numbers import Number
 
 Array = NDArray[np.float64]
-WIND = "steady_wind"
-OF_AIR = (
-    "rotor_drag",
-    "parasitic_drag",
-    "induced_inflow",
-    "translational_lift",
-    "blade_flapping",
-    "flapping_moment",
+WIND = frozenset(e.name for e in EFFECTS.values() if e.of_weather and e.component == "airframe")
+"""Effects that are a wind, the same all flight."""
+OF_AIR = frozenset(
+    e.name for e in EFFECTS.values() if e.in_the_air and not e.of_weather and "vel" in e.needs
 )
-"""Effects by which a wind changes thrust and moments."""
+"""Effects by which a wind may change thrust and moments: those of the velocity."""
 
 
 def wind_of(shown: Fit) -> dict[str, tuple[float, float]]:
@@ -43,7 +39,7 @@ def wind_of(shown: Fit) -> dict[str, tuple[float, float]]:
     return {
         n.full: (shown.values[n.full], float(half) / INTERVAL)
         for n, half in pairs
-        if n.effect == WIND
+        if n.effect in WIND
     }
 
 
@@ -58,12 +54,12 @@ def blown(model: Model, channels: Sequence[str], wind: Mapping[str, tuple[float,
     Returns:
         In the units of the channels, shape (channels, channels).
     """
-    wanted = (*OF_AIR, WIND)
+    wanted = OF_AIR | WIND
     columns = [i for i, n in enumerate(model.numbers) if n.effect in wanted and not n.shape]
     numbers = [model.numbers[i] for i in columns]
     windy = _slopes(model, columns, channels, {n: value for n, (value, _) in wind.items()})
     calm = _slopes(model, columns, channels, {})
-    calm[:, [n.effect == WIND for n in numbers]] = 0.0
+    calm[:, [n.effect in WIND for n in numbers]] = 0.0
     deviations = [wind[n.full][1] if n.full in wind else _usual(n, model) for n in numbers]
     moved = (windy - calm) * np.array(deviations)
     return np.asarray(moved @ moved.T)

@@ -63,6 +63,8 @@ AROUND_S = 8.0
 """Drawn before and after an onset."""
 MOST_POINTS = 240
 """Of a signal that is drawn."""
+NOISE = "sensor_noise_level"
+"""The cause whose size is a ratio of levels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +127,7 @@ SENSOR_CAUSES: Mapping[str, SensorCause] = {
         "At {t} s the {sensor} is off by {size} against the height",
         "Look at the foam over the barometer: light or a stream of air moves its reading.",
     ),
-    "sensor_noise_level": SensorCause(
+    NOISE: SensorCause(
         "From {t} s on the {sensor} shakes more, {size}",
         "Look for something loose at the board, then at propellers, bells and screws.",
     ),
@@ -236,7 +238,7 @@ def _not_visible(cause: str, size: float, r: Residual) -> NotVisible:
             reason = "the flight is too short to know what is usual"
         amount = Amount(value=None, unit=r.unit)
         return NotVisible(cause=cause, smallest_detectable=amount, reason=reason)
-    share = np.expm1(size) if cause == "sensor_noise_level" else size
+    share = np.expm1(size) if cause == NOISE else size
     reason = "a smaller change is within what the instruments differ by anyhow"
     amount = Amount(value=float(share), unit=r.unit)
     return NotVisible(cause=cause, smallest_detectable=amount, reason=reason)
@@ -536,7 +538,7 @@ def _noise(signals: Signals) -> Iterator[Residual]:
         step = max(0.2, 8.0 / signal.rate_hz)
         t, power = _binned(signal.t_s[2:], quick**2, step)
         level = running_median(0.5 * np.log(power + floor**2), JOLT_S / step)
-        causes = "sensor_noise_level", "sensor_noise_level"
+        causes = NOISE, NOISE
         named = sensor, "noise_ratio", "1"
         least, largest = float(np.log(4.0)), float(np.log(100.0))
         yield _single(causes, named, (t, level), level, 1.0, (least, least, largest))

@@ -78,7 +78,7 @@ def test_the_registry_imports_no_family() -> None:
 
 
 def test_what_is_in_no_row_is_refused() -> None:
-    with pytest.raises(ModelError, match="no family 'cvae'; there are svq, linear"):
+    with pytest.raises(ModelError, match=r"no family 'cvae'; there are .*svq, linear"):
         family_row("cvae")
-    with pytest.raises(ModelError, match=r"no preset 'cvae'; there are paper, .*linear"):
+    with pytest.raises(ModelError, match=r"no preset 'cvae'; there are .*paper, .*linear"):
         preset_named("cvae")

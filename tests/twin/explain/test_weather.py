@@ -15,7 +15,7 @@ from twin.explain.inference.fit import INTERVAL, Fit
 from twin.explain.inference.selection import coherent, misfits
 from twin.explain.model.model import Model, model_of
 from twin.explain.stochastic.spectral import StochasticEffect
-from twin.explain.weather import OF_AIR, WIND, blown, wind_of
+from twin.explain.weather import OF_AIR, blown, wind_of
 from twin.logs import Flight
 from twin.vehicle import Calibration, Vehicle
 from twin.vehicle_file import load_vehicle
@@ -32,6 +32,7 @@ DRAG = {"k_xy_1_s": 0.4, "k_z_1_s": 0.0, "spin_share": 1.0}
 FILE = COPTER.with_effects({"rotor_drag": {**DRAG, "height_m": 0.0}})
 PLANT = COPTER.with_effects({"rotor_drag": {**DRAG, "height_m": 0.03}})
 """Its drag attacks higher than the file says, which no flight in calm air shows in a mean."""
+WIND = "steady_wind"
 AIR_M_S = 6.0
 BLOWS = {f"{WIND}.north_m_s": (AIR_M_S, 0.4), f"{WIND}.east_m_s": (0.0, 0.4)}
 
