@@ -301,7 +301,7 @@ def test_wrong_use_of_options(
             "--vehicle",
             "feisi_x150",
             "--drive",
-            "rotor_speed",
+            "rotor_speeds",
             *out,
         ): "thrust_from_speed",
         ("export", "battery", "--vehicle", "feisi_x150", *out): "[battery]",

@@ -25,7 +25,7 @@ from .inference.search import CLEAR, calibration_start, search, with_instruments
 from .inference.selection import coherent, days_of, shares_of
 from .model.model import candidates, model_of
 from .model.numbers import Payloads, with_effects
-from .settings import DEFAULT, InferenceSettings
+from .settings import DEFAULT, AdequacySettings, InferenceSettings
 
 Array = NDArray[np.float64]
 
@@ -121,7 +121,7 @@ def calibrate(
         problem.constants_between_days(state),
         _of_records(fit),
         *_trim(problem, state),
-        _left(problem, state),
+        _left(problem, state, settings.adequacy),
     )
     made = replace(with_effects(vehicle, fit.effects, fit.values), calibration=reported)
     days, shares = days_of(problem, best), shares_of(problem, state)
@@ -256,10 +256,10 @@ def _trim(problem: Problem, state: State) -> tuple[dict[str, float], dict[str, f
     return ({}, {}) if trim is None else trim.by_name()
 
 
-def _left(problem: Problem, state: State) -> dict[str, float]:
+def _left(problem: Problem, state: State, settings: AdequacySettings) -> dict[str, float]:
     """`Calibration.left`: of each channel, all flights together, each on its day."""
     every = zip(*problem.channels(state.best.x), strict=True)
-    return {own[0].name: math.sqrt(coherent(own)[0]) for own in every}
+    return {own[0].name: math.sqrt(coherent(own, settings)[0]) for own in every}
 
 
 def _of_records(fit: Fit) -> dict[str, float]:

@@ -472,7 +472,7 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
     alone = find_equations(whitened, stands, seed, settings, mute)
     if alone is None or not explains_better(whitened, naming.likely, alone, settings, stands):
         return found
-    if found.since is not None and not _new(found.vehicle, naming, stands, alone):
+    if found.since is not None and not _new(found, naming, stands, alone):
         return found
     return replace(
         found, verdict="unnamed", shown=None, stochastic=(), values={}, unnamed=alone.equations
@@ -488,13 +488,14 @@ def _answers(found: Explanation, naming: Naming) -> bool:
     return found.balance is not None and found.balance.changed >= found.balance.sure
 
 
-def _new(vehicle: Vehicle, naming: Naming, stands: Fit, alone: Unnamed) -> bool:
+def _new(found: Explanation, naming: Naming, stands: Fit, alone: Unnamed) -> bool:
     """Whether one of some equations is of more than the flights of the calibration had: half of its
     power, at least."""
-    usual = {} if vehicle.calibration is None else vehicle.calibration.left
+    known, settings = found.vehicle.calibration, found.settings.inference.adequacy
+    usual = {} if known is None else known.left
     model = naming.problem.model
     every = zip(*stands.on_its_days(model).channels([], stands.values), strict=True)
-    power = {own[0].name: coherent(own)[0] for own in every}
+    power = {own[0].name: coherent(own, settings)[0] for own in every}
     return any(
         power[e.channel] - usual.get(e.channel, 0.0) ** 2 > 0.5 * e.rms**2 for e in alone.equations
     )
