@@ -78,7 +78,7 @@ VERBS: Mapping[str, Verb] = {
         journal="fleet.jsonl",
         codes=(0, 1),
     ),
-    "train": Verb(("train", *_BOTH, "--epochs", "4"), journal="checkpoint.pt"),
+    "train": Verb(("train", *_BOTH, "--epochs", "4"), journal="checkpoint.safetensors"),
     "force": Verb(("train", *_BOTH, "--protocol", "force"), journal="checkpoint.jsonl"),
     "calibrate": Verb(("calibrate", *_BOTH), codes=(0, 1), file="made.toml", users=True),
     "explain": Verb(("explain", *_BOTH), codes=(0, 1)),

@@ -1,18 +1,20 @@
-"""Where a training stands, so that it can go on after a kill: one file of tensors and numbers."""
+"""Where a training stands, so that it can go on after a kill: one safetensors file."""
 
-import pickle
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
 from torch import Tensor
 
 from twin.errors import ModelError
 from twin.scratch import scratch_file
 
-CHECKPOINT = "checkpoint.pt"  # in the folder of a training
+CHECKPOINT = "checkpoint.safetensors"  # in the folder of a training
 
 
 @dataclass(slots=True)
@@ -42,10 +44,14 @@ def save_checkpoint(
     optimisers: Mapping[str, torch.optim.Optimizer],
 ) -> None:
     """Write everything in one go; a kill meanwhile leaves the checkpoint before."""
-    states = {name: optimiser.state_dict() for name, optimiser in optimisers.items()}
-    content = (asdict(standing), dict(weights), dict(best), states)
+    tensors = {f"weights.{k}": v for k, v in weights.items()}
+    tensors |= {f"best.{k}": v for k, v in best.items()}
+    for name, optimiser in optimisers.items():
+        for number, state in optimiser.state_dict()["state"].items():
+            tensors |= {f"optimiser.{name}.{number}.{k}": v for k, v in state.items()}
+    copies = {k: v.detach().clone().contiguous() for k, v in tensors.items()}
     with scratch_file(folder / CHECKPOINT) as file:
-        torch.save(content, file)
+        save_file(copies, file, metadata={"standing": json.dumps(asdict(standing))})
 
 
 def load_checkpoint(
@@ -59,17 +65,26 @@ def load_checkpoint(
     path = folder / CHECKPOINT
     if not path.is_file():
         return None
-    try:  # tensors and plain numbers alone: nothing in the file is run
-        said, weights, best, states = torch.load(path, weights_only=True)
-        standing = TrainingState(**said)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, TypeError, ValueError) as error:
-        why = str(error).partition("\n")[0]
-        raise ModelError(f"{path}: not readable ({why}); delete it to train again") from error
+    try:
+        with safe_open(path, framework="pt") as file:
+            standing = TrainingState(**json.loads(file.metadata()["standing"]))
+            tensors = {k: file.get_tensor(k) for k in file.keys()}  # noqa: SIM118 - no mapping
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise ModelError(f"{path}: not readable ({error}); delete it to train again") from error
     if standing.training != training:
         raise ModelError(
             f"{path}: of another training (other flights, preset, protocol, horizon or seed); "
             "delete it, or train into another folder"
         )
     for name, optimiser in optimisers.items():
-        optimiser.load_state_dict(states[name])
-    return standing, weights, best
+        state: dict[int, dict[str, Tensor]] = {}
+        for place, tensor in _under(tensors, f"optimiser.{name}.").items():
+            number, key = place.split(".")
+            state.setdefault(int(number), {})[key] = tensor
+        groups = optimiser.state_dict()["param_groups"]
+        optimiser.load_state_dict({"state": state, "param_groups": groups})
+    return standing, _under(tensors, "weights."), _under(tensors, "best.")
+
+
+def _under(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}

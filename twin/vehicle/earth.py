@@ -1,5 +1,6 @@
 """The Earth at a place: WGS 84 coordinates, magnetic field, gravity, standard atmosphere."""
 
+from collections.abc import Sequence
 from math import degrees
 
 import numpy as np
@@ -36,14 +37,8 @@ def geodetic_of_ned(
     Bowring, Survey Review 28 (1985), whose latitude is off by less than 1e-11 rad here.
     Valid for: what aircraft reach.
     """
-    sin_lat, cos_lat = np.sin(latitude_rad), np.cos(latitude_rad)
-    sin_lon, cos_lon = np.sin(longitude_rad), np.cos(longitude_rad)
-    north = np.array([-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat])
-    east = np.array([-sin_lon, cos_lon, 0.0])
-    down = -np.array([cos_lat * cos_lon, cos_lat * sin_lon, sin_lat])
-    radius = A_M / np.sqrt(1.0 - _E2 * sin_lat**2)  # of curvature, east and west
-    origin = -down * (radius + height_m) - np.array([0.0, 0.0, _E2 * radius * sin_lat])
-    x, y, z = (origin + position_m @ np.stack([north, east, down])).T
+    origin = _earth_fixed(latitude_rad, longitude_rad, height_m)
+    x, y, z = (origin + position_m @ _axes(latitude_rad, longitude_rad)).T
     across = np.hypot(x, y)
     b_m = A_M * (1.0 - F)
     ratio, second = np.hypot(across, z), _E2 / (1.0 - _E2)
@@ -54,6 +49,36 @@ def geodetic_of_ned(
     sine = np.sin(latitude)
     height = across * np.cos(latitude) + z * sine - A_M * np.sqrt(1.0 - _E2 * sine**2)
     return np.column_stack([latitude, np.arctan2(y, x), height])
+
+
+def ned_of_geodetic(
+    place: Sequence[float], latitude_rad: float, longitude_rad: float, height_m: float
+) -> Array:
+    """North, east, down of a place from an origin, m, shape (3,): the way back of the above.
+
+    Args:
+        place: Latitude and longitude, rad, and height over the ellipsoid, m.
+        latitude_rad: Of the origin, and so on.
+    """
+    off = _earth_fixed(*place) - _earth_fixed(latitude_rad, longitude_rad, height_m)
+    return np.asarray(_axes(latitude_rad, longitude_rad) @ off)
+
+
+def _axes(latitude_rad: float, longitude_rad: float) -> Array:
+    """North, east and down in Earth-fixed axes, row by row."""
+    sin_lat, cos_lat = np.sin(latitude_rad), np.cos(latitude_rad)
+    sin_lon, cos_lon = np.sin(longitude_rad), np.cos(longitude_rad)
+    north = [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat]
+    down = [-cos_lat * cos_lon, -cos_lat * sin_lon, -sin_lat]
+    return np.array([north, [-sin_lon, cos_lon, 0.0], down])
+
+
+def _earth_fixed(latitude_rad: float, longitude_rad: float, height_m: float) -> Array:
+    """A place in Earth-fixed axes, m."""
+    sin_lat = np.sin(latitude_rad)
+    radius = A_M / np.sqrt(1.0 - _E2 * sin_lat**2)  # of curvature, east and west
+    up = -_axes(latitude_rad, longitude_rad)[2]
+    return np.asarray(up * (radius + height_m) - np.array([0.0, 0.0, _E2 * radius * sin_lat]))
 
 
 def world_field(

@@ -156,13 +156,14 @@ def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
     likely = [e for e in events if e.probability >= NAMED]
     moved = [(e.cause, e.onset_s) for e in likely if e.cause in CAUSES and e.onset_s is not None]
 
-    def explained(event: Event) -> bool:
+    def follows(event: Event) -> bool:
+        """Whether it begins with what moved the body or cut the commands, or soon after."""
         if event.onset_s is None or event.cause == CUT:
             return False
         known = [t for cause, t in moved if event.cause not in CAUSES or cause == CUT]
         return any(-BEFORE_S <= event.onset_s - t <= CONSEQUENCE_S for t in known)
 
-    marked = [replace(e, consequence=e.consequence or explained(e)) for e in likely]
+    marked = [replace(e, consequence=e.consequence or follows(e)) for e in likely]
     return tuple(sorted(marked, key=lambda e: float("inf") if e.onset_s is None else e.onset_s))
 
 

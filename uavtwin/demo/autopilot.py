@@ -23,7 +23,7 @@ from twin.frames import AXES
 from twin.logs.mavlink.encode import Controls, heartbeat, hil_controls
 from twin.logs.mavlink.frames import Message, dialect, parser
 from twin.vehicle import Vehicle
-from twin.vehicle.earth import A_M, F
+from twin.vehicle.earth import ned_of_geodetic
 
 from ..hil.session import PLACE
 from ..live.datagrams import Address
@@ -39,23 +39,6 @@ HOP: Waypoints = (
     ("hover", 1.5, (2.0, 1.0, -2.0)),
 )
 """Phase, duration, s, and place reached, m NED, of a short flight: seven seconds."""
-
-
-def ned_of_geodetic(place: Sequence[float], origin: Sequence[float] = PLACE) -> Array:
-    """North, east, down from an origin, m; both as latitude, longitude, rad, and height, m."""
-
-    def earth_fixed(latitude: float, longitude: float, height_m: float) -> Array:
-        e2 = F * (2.0 - F)
-        radius = A_M / math.sqrt(1.0 - e2 * math.sin(latitude) ** 2)
-        across = (radius + height_m) * math.cos(latitude)
-        up = (radius * (1.0 - e2) + height_m) * math.sin(latitude)
-        return np.array([across * math.cos(longitude), across * math.sin(longitude), up])
-
-    (latitude, longitude, _), off = origin, earth_fixed(*place) - earth_fixed(*origin)
-    s, c = math.sin(latitude), math.cos(latitude)
-    sl, cl = math.sin(longitude), math.cos(longitude)
-    rows = np.array([[-s * cl, -s * sl, c], [-sl, cl, 0.0], [-c * cl, -c * sl, -s]])
-    return rows @ off
 
 
 @dataclass
@@ -99,7 +82,7 @@ def motion_of(state: Message, origin: Sequence[float] = PLACE) -> dict[str, floa
     """The motion in a HIL_STATE_QUATERNION, by column, SI, NED from an origin, FRD."""
     place = math.radians(1e-7 * state.lat), math.radians(1e-7 * state.lon), 1e-3 * state.alt
     vectors: dict[str, Sequence[float]] = {
-        "pos": ned_of_geodetic(place, origin).tolist(),
+        "pos": ned_of_geodetic(place, *origin).tolist(),
         "vel": [1e-2 * v for v in (state.vx, state.vy, state.vz)],
         "omega": (state.rollspeed, state.pitchspeed, state.yawspeed),
     }

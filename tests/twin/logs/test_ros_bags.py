@@ -83,7 +83,9 @@ def test_a_mapping_file_names_other_topics(table: pd.DataFrame, tmp_path: Path) 
     file = tmp_path / "flight.mcap"
     file.write_bytes(bag(mavros_bag(table)))
     (tmp_path / "flight.topics.toml").write_text(OUTPUTS)
-    compare(read_flight(file), table, [f"cmd_{i}" for i in range(1, 5)], 5.1e-4)
+    flight = read_flight(file)
+    compare(flight, table, [f"cmd_{i}" for i in range(1, 5)], 5.1e-4)
+    assert not any("mapping file" in f.message for f in flight.findings)
 
 
 @pytest.mark.parametrize(

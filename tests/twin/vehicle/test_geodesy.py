@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.vehicle.earth import A_M, F, geodetic_of_ned
+from twin.vehicle.earth import A_M, F, geodetic_of_ned, ned_of_geodetic
 
 E2 = F * (2 - F)
 
@@ -49,3 +49,5 @@ def test_back_to_earth_fixed_axes_they_are_where_they_were(
     far, origin = (earth_fixed(*each) for each in there)
     assert np.linalg.norm(origin - earth_fixed(latitude, longitude, height)) < 1e-5
     assert np.linalg.norm(far - origin) == pytest.approx(np.linalg.norm(ned), abs=3e-5)
+    back = ned_of_geodetic(there[0].tolist(), latitude, longitude, height)
+    assert back == pytest.approx(ned, abs=3e-5)

@@ -81,7 +81,8 @@ def test_a_normal_flight_with_more_rotors_is_refused() -> None:
 
 def test_a_newer_firmware_and_a_log_that_states_nothing_are_no_other_aircraft() -> None:
     releases = [replace(hover(), facts={"firmware": f"PX4 1.1{k}"}) for k in (4, 5)]
-    diagnose(releases[0], [releases[1], hover()], finders=FINDERS[:1])
+    found = diagnose(releases[0], [releases[1], hover()], finders=FINDERS[:1])
+    assert found.verdict == "nothing_found"
 
 
 def test_a_log_without_commands_says_first_that_it_can_show_little() -> None:

@@ -15,7 +15,6 @@ from twin.frames import AXES
 from twin.logs.mavlink.encode import Controls, controls_of, hil_controls
 from twin.logs.mavlink.frames import Message, parser
 from twin.vehicle import Vehicle
-from twin.vehicle.earth import geodetic_of_ned
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.autopilot import (
     HOP,
@@ -23,7 +22,6 @@ from uavtwin.demo.autopilot import (
     StandIn,
     flown_meanwhile,
     motion_of,
-    ned_of_geodetic,
 )
 from uavtwin.hil.flying import FlyingTwin, TwinState, flying_twin_of
 from uavtwin.hil.session import PLACE, HilOptions, HilSession
@@ -207,14 +205,6 @@ def test_effects_of_the_vehicle_fly(copter: Vehicle, tmp_path: Path) -> None:
         held[name] = commands[-250:].mean(axis=0)
     more = held["damaged"] / held["whole"]
     assert more.argmax() == 1 and more[1] > 1.05
-
-
-def test_places_are_those_of_the_ellipsoid() -> None:
-    """The stand-in's own way back from latitude and longitude, against the way there."""
-    rng = np.random.default_rng(1)
-    for off in rng.uniform(-2000.0, 2000.0, (20, 3)):
-        place = geodetic_of_ned(off[None], *PLACE)[0]
-        np.testing.assert_allclose(ned_of_geodetic(place.tolist()), off, atol=1e-5)
 
 
 @pytest.mark.slow
