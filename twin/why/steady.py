@@ -90,13 +90,21 @@ def _balance(flight: FlightFrame, references: Sequence[FlightFrame]) -> Findings
     calm = _calm(flight)
     if flight.drive is None or flight.layout is None or calm.sum() * flight.dt_s < LEAST_S:
         return Findings()
+    normal = [(r, _calm(r)) for r in references]
+    short = [r.flight.name for r, on in normal if r.drive is None or on.sum() * r.dt_s < LEAST_S]
+    left_out = [
+        f"normal flight {name} is not used: it has less than {LEAST_S:g} s of calm flight with "
+        "motor commands"
+        for name in short
+    ]
+    found = None
     if references:
         from .balance import changed  # its causes are those of `explain`, half a second to import
 
-        found = changed(flight, calm, [(r, _calm(r)) for r in references])
-        if found is not None:
-            return found
-    return _by_symmetry(flight.grid[flight.drive][calm])
+        found = changed(flight, calm, normal)
+    if found is None:
+        found = _by_symmetry(flight.grid[flight.drive][calm])
+    return joined_findings([Findings(notes=left_out), found])
 
 
 def _by_symmetry(command: Array) -> Findings:

@@ -55,6 +55,15 @@ def test_a_weak_rotor_leads_against_normal_flights(rotor: int) -> None:
         assert severity is not None and severity.low < 0.24 < severity.high
 
 
+def test_a_normal_flight_that_is_not_used_is_named() -> None:
+    grounded = hover(seed=9, **{f"pos_{a}": np.zeros(1500) for a in "xyz"})
+    bare = Flight("bare", grounded.flight.table.drop(columns=[f"cmd_{i}" for i in range(1, 5)]))
+    found = steady(hover(), [*NORMAL, FlightFrame.of(bare)])
+    (note,) = [n for n in found.notes if "not used" in n]
+    assert note.startswith("normal flight bare is not used")
+    assert not any("not used" in n for n in steady(hover(), NORMAL).notes)
+
+
 def test_a_small_change_that_has_no_name_is_undecided() -> None:
     found = steady(hover(asked(0.012 * np.eye(4)[1])), NORMAL)
     assert not found.events and not found.one_of_causes
