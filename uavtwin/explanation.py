@@ -15,6 +15,7 @@ from twin.errors import TwinError
 from twin.explain import explanation as inner
 from twin.explain.estimates import UNDETERMINED, estimates_of
 from twin.explain.explanation import Explanation
+from twin.explain.inference.search import NO_CHECKPOINT, Checkpoint
 from twin.explain.model.numbers import numbers_of, with_effects
 from twin.explain.settings import DEFAULT, SearchSettings
 from twin.explain.stochastic.spectral import SURE
@@ -387,6 +388,7 @@ def explain(
     settings: SearchSettings = DEFAULT,
     indoors: bool | None = None,
     progress: Progress = lambda _: None,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> ExplainResult:
     """Name the physical effect that a vehicle lacks, add it, and show that the gap shrinks.
 
@@ -404,6 +406,7 @@ def explain(
         indoors: Whether all flights were within walls; default: as each flight says, outdoors
             where it does not.
         progress: Called with the share done, 0..1.
+        checkpoint: Keeps where the search stands, such as `uavtwin.explain_journal.ExplainJournal`.
 
     Raises:
         TwinError: An argument is no flight or no vehicle, a flight is fitted on and held out, a
@@ -433,6 +436,7 @@ def explain(
         settings=settings,
         indoors=indoors,
         since=since is not None,
+        checkpoint=checkpoint,
     )
     return ExplainResult(found)
 

@@ -512,6 +512,11 @@ class RunRecord(Record, frozen=True, kw_only=True):
     incomplete: str | UnsetType = UNSET
 
 
+def package_versions() -> dict[str, str]:
+    """Versions of what results may depend on, by name."""
+    return {name: version(name) for name in _PACKAGES}
+
+
 def write_run(
     out: Path,
     verb: str,
@@ -542,7 +547,7 @@ def write_run(
         seed=seed,
         inputs=tuple(InputRecord(name=p.name, sha256=sha256(p)) for p in inputs),
         python=platform.python_version(),
-        packages={name: version(name) for name in _PACKAGES},
+        packages=package_versions(),
         fmus=UNSET if fmus is None else dict(fmus),
         incomplete=incomplete or UNSET,
     )

@@ -38,6 +38,7 @@ from .holdout import (
 )
 from .inference.fit import Fit
 from .inference.priors import UNCALIBRATED, effect_of
+from .inference.search import NO_CHECKPOINT, Checkpoint
 from .inference.selection import Naming, Verdict, coherent, name_effects
 from .model.model import Model, channel_names
 from .model.numbers import Payloads, visible, with_effects
@@ -180,6 +181,7 @@ def explain(
     indoors: bool | None = None,
     since: bool = False,
     suggest: bool = True,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> Explanation:
     """Say what a model lacks, and prove it.
 
@@ -196,6 +198,7 @@ def explain(
         since: Whether it is asked what has changed since the vehicle was calibrated, its numbers
             held as well as they are known; else everything that the model may lack.
         suggest: Whether to look for what to fly next.
+        checkpoint: Keeps where the searches stand.
 
     Raises:
         ModelError: The vehicle holds no calibration to ask since.
@@ -233,6 +236,7 @@ def explain(
             since,
             CAUSES if channels else (),
             channels or (),
+            checkpoint,
         )
     except LogError as error:
         return replace(found, reasons=(str(error),))

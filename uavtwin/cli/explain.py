@@ -23,7 +23,7 @@ from .options import (
     named_numbers,
     vehicle_named,
 )
-from .printing import progress
+from .printing import STDERR, progress
 
 if TYPE_CHECKING:
     from twin.logs import AnyFlight
@@ -73,17 +73,21 @@ def explain(
         ),
     ] = False,
 ) -> None:
-    """Name the physical effect that a model lacks, add it, and show that the gap shrinks."""
+    """Name the physical effect that a model lacks, add it, and show that the gap shrinks.
+
+    Killed, it goes on where its search was when the same command is given again.
+    """
     given = _one_vehicle(vehicle if since else vehicle_named(vehicle, ""), since)
     from fmus.platforms import DEFAULT, compilers, select_platforms
 
     from .. import explanation
+    from ..explain_journal import JOURNAL, ExplainJournal, run_key
     from ..output import check_folder
     from ..series.files import chosen_forms
     from ..vehicles import load_vehicle
     from .results import conclude
 
-    check_folder(out, force)
+    check_folder(out, force, JOURNAL)
     forms = chosen_forms(csv, mcap)
     if not no_fmus:
         compilers(select_platforms(DEFAULT))  # a missing one is reported before the search
@@ -92,6 +96,10 @@ def explain(
         explanation.check_calibrated(model)
     fit, away = _read(flights, held, rebuild_commands, trust_vehicle)
     payloads = flight_payloads(payload or [], [f.name for f in (*fit, *away)])
+    decides = [since is not None, payloads, seed, indoor, rebuild_commands, trust_vehicle]
+    journal = ExplainJournal(out / JOURNAL, run_key(flights, held, model, decides))
+    if journal.note:
+        STDERR.print(journal.note)
     with progress("explaining") as step:
         found = explanation.explain(
             fit,
@@ -102,6 +110,7 @@ def explain(
             seed=seed,
             indoors=indoor,
             progress=step,
+            checkpoint=journal,
         )
     options = {
         "vehicle" if since is None else "since": Path(given).name,
@@ -134,6 +143,7 @@ def explain(
         series=found.series(),
         forms=forms,
         seed=seed,
+        journal=JOURNAL,
     )
 
 

@@ -80,6 +80,7 @@ def conclude(
     series: "Sequence[Series]" = (),
     forms: "Sequence[Form]" = (),
     seed: int | None = None,
+    journal: str = "",
 ) -> None:
     """Print a result, write its folder, and end with exit code 1 where there are findings.
 
@@ -98,12 +99,13 @@ def conclude(
         series: Of the folder.
         forms: Of these.
         seed: Of what is drawn.
+        journal: Name of a file of the folder that the run leaves if it is killed; "": none.
     """
     from ..series.files import write_all_series
 
     print_result(found, as_json)
     steps = OptionalSteps()
-    with results_folder(out, force) as folder, progress("writing") as step:
+    with results_folder(out, force, journal) as folder, progress("writing") as step:
         written = write(folder, steps, step)
         if steps.run("series", folder, lambda place: write_all_series(series, place, forms)):
             written.append("series/")

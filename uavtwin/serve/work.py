@@ -211,14 +211,16 @@ def explained_file(folder: Path, flight: str) -> Path:
 
 
 def _explain(_: LogWork, job: Job, progress: Progress) -> Answer:
-    """Which effect the vehicle lacks."""
+    """Which effect the vehicle lacks; killed or cancelled, its search goes on where it was."""
+    from ..explain_journal import JOURNAL, ExplainJournal, run_key
     from ..explanation import explain, write_explanation
     from ..flights import open_alike
     from ..vehicles import load_vehicle
 
-    folder = Path(job["folder"])
-    flights = open_alike([Path(job["log"])])
-    found = explain(flights, [], load_vehicle(job["vehicle"]), progress=progress)
+    log, folder, vehicle = Path(job["log"]), Path(job["folder"]), load_vehicle(job["vehicle"])
+    flights = open_alike([log])
+    journal = ExplainJournal(folder / JOURNAL, run_key([log], [], vehicle, ()))
+    found = explain(flights, [], vehicle, progress=progress, checkpoint=journal)
     place = folder / "explain"
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir()
@@ -227,6 +229,7 @@ def _explain(_: LogWork, job: Job, progress: Progress) -> Answer:
         file = explained_file(folder, job["flight"])
         (place / "vehicle.toml").rename(file)
         answer["vehicle"] = str(file)
+    journal.remove()
     return answer
 
 

@@ -7,7 +7,7 @@ first.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
@@ -60,12 +60,58 @@ class Move:
     gain: float
 
 
+@dataclass(slots=True)
+class SearchPoint:
+    """Where a search stands between two moves.
+
+    Attributes:
+        state: The set that it has come to.
+        tried: Log posterior of every set that was fitted.
+        begun: Sets that were fitted from their expected numbers on.
+        again: Sets that were fitted twice.
+        short: By how much exchanges fell short of what they promised, nats.
+        moves: That were accepted.
+        ended: Whether no other set is better.
+    """
+
+    state: State
+    tried: Tried
+    begun: set[tuple[str, ...]] = field(default_factory=set)
+    again: set[tuple[tuple[str, ...], float]] = field(default_factory=set)
+    short: dict[Exchange, float] = field(default_factory=dict)
+    moves: int = 0
+    ended: bool = False
+
+    @classmethod
+    def at(cls, state: State) -> "SearchPoint":
+        """The start of a search."""
+        return cls(state, {(state.effects, state.kappa): log_posterior(state)})
+
+
+class Checkpoint:
+    """Keeps where each search of a run stands, one search after the other. This one keeps nothing;
+    one that does lets a run that was killed go on from there."""
+
+    def resumed(self) -> SearchPoint | None:
+        """Where the next search of the run stood; None: it had not begun."""
+        return None
+
+    def keep(self, point: SearchPoint) -> SearchPoint:
+        """Keep where the search stands; the point to go on from."""
+        return point
+
+
+NO_CHECKPOINT = Checkpoint()
+"""A run that is killed begins anew."""
+
+
 def search(
     problem: Problem,
     start: Sequence[str],
     kappa: float = 1.0,
     progress: Callable[[float], None] = lambda _: None,
     last: bool = True,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> SearchResult:
     """Climb from a set.
 
@@ -76,8 +122,9 @@ def search(
         progress: Called with the share done, roughly.
         last: Whether its end is what is told: else another search goes on from it, and does what
             asks each effect of the end by itself.
+        checkpoint: Keeps where it stands.
     """
-    return search_on(problem, problem.start(start, kappa), progress, last)
+    return _search_on(problem, lambda: problem.start(start, kappa), progress, last, checkpoint)
 
 
 def search_on(
@@ -85,44 +132,61 @@ def search_on(
     state: State,
     progress: Callable[[float], None] = lambda _: None,
     last: bool = True,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> SearchResult:
     """The same from a set that is fitted already."""
-    tried = {(state.effects, state.kappa): log_posterior(state)}
-    begun: set[tuple[str, ...]] = set()
-    again: set[tuple[tuple[str, ...], float]] = set()
-    short: dict[Exchange, float] = {}
-    laplace = problem.linearised(state)
-    for n in range(MOVES):
-        progress(1 - 0.9**n)
-        better = (
-            _better(problem, laplace, state, tried, again, short)
-            or _followed(problem, laplace, state, tried, begun, MIN_GAIN)
-            or _verified(problem, laplace, state, tried, _without_clocks(state))
-            or _verified(problem, laplace, state, tried, _clocks(problem, laplace, state))
-        )
-        if better is None and last:
-            better = (
-                _verified(problem, laplace, state, tried, _weak(laplace, state))
-                or _verified(problem, laplace, state, tried, _alone(state))
-                or _verified(problem, laplace, state, tried, _mistaken(problem, state))
-                or _verified(problem, laplace, state, {}, _mounted(problem, laplace, state))
-                or _verified(
-                    problem, laplace, state, tried, _likelier(problem, laplace, state, tried)
-                )
-                or _restarted(problem, state, tried, begun)
-                or _followed(problem, laplace, state, tried, begun, -np.inf)
-            )
+    return _search_on(problem, lambda: state, progress, last, checkpoint)
+
+
+def _search_on(
+    problem: Problem,
+    start: Callable[[], State],
+    progress: Callable[[float], None],
+    last: bool,
+    checkpoint: Checkpoint,
+) -> SearchResult:
+    """The same from where it stood, else from a start."""
+    at = checkpoint.resumed() or checkpoint.keep(SearchPoint.at(start()))
+    laplace = problem.linearised(at.state)
+    while at.moves < MOVES and not at.ended:
+        progress(1 - 0.9**at.moves)
+        better = _move(problem, laplace, at, last)
         if better is None:
-            break
-        state = better
-        laplace = problem.linearised(state)
-    return SearchResult(state, laplace, tried)
+            at.ended = True
+        else:
+            at.state, at.moves = better, at.moves + 1
+            laplace = problem.linearised(better)
+        at = checkpoint.keep(at)
+    return SearchResult(at.state, laplace, at.tried)
+
+
+def _move(problem: Problem, laplace: LaplaceEvidence, at: SearchPoint, last: bool) -> State | None:
+    """A set that is better; None where none is; `last` as of `search`."""
+    state, tried, begun = at.state, at.tried, at.begun
+    better = (
+        _better(problem, laplace, state, tried, at.again, at.short)
+        or _followed(problem, laplace, state, tried, begun, MIN_GAIN)
+        or _verified(problem, laplace, state, tried, _without_clocks(state))
+        or _verified(problem, laplace, state, tried, _clocks(problem, laplace, state))
+    )
+    if better is not None or not last:
+        return better
+    return (
+        _verified(problem, laplace, state, tried, _weak(laplace, state))
+        or _verified(problem, laplace, state, tried, _alone(state))
+        or _verified(problem, laplace, state, tried, _mistaken(problem, state))
+        or _verified(problem, laplace, state, {}, _mounted(problem, laplace, state))
+        or _verified(problem, laplace, state, tried, _likelier(problem, laplace, state, tried))
+        or _restarted(problem, state, tried, begun)
+        or _followed(problem, laplace, state, tried, begun, -np.inf)
+    )
 
 
 def with_instruments_of_end(
     problem: Problem,
     found: SearchResult,
     progress: Callable[[float], None] = lambda _: None,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[Problem, SearchResult]:
     """A search, gone on with where its instruments are trusted otherwise once its effects are in.
 
@@ -130,13 +194,14 @@ def with_instruments_of_end(
         problem: What was fitted.
         found: Its end.
         progress: Called with the share done.
+        checkpoint: Keeps where it stands.
     """
     renewed = problem.with_instruments_at(found.state)
     if renewed.noise.trusts_as(problem.noise):
         return problem, found
     end = found.state
     state = renewed.settle(end.effects, end.kappa, found.laplace.spectrum, end.best.x)
-    return renewed, search_on(renewed, state, progress)
+    return renewed, search_on(renewed, state, progress, checkpoint=checkpoint)
 
 
 def score_test_candidates(problem: Problem) -> tuple[str, ...]:

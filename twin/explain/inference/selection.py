@@ -49,6 +49,8 @@ from .fit import Fit, Problem, State, fit_of, fit_of_best, substantial_effects
 from .posterior import Posterior, SearchResult, log_posterior, weigh
 from .priors import edges, effect_of, priors_of, priors_since
 from .search import (
+    NO_CHECKPOINT,
+    Checkpoint,
     calibration_start,
     score_test_candidates,
     search,
@@ -94,16 +96,8 @@ def misfits(
     after, found = model.channels([], fitted.values), {}
     for effect, rest in without.items():
         before = model.channels([], rest.values)
-        i = int(
-            np.argmax(
-                [
-                    _taken(b, a)
-                    for b, a in zip(
-                        zip(*before, strict=True), zip(*after, strict=True), strict=True
-                    )
-                ]
-            )
-        )
+        pairs = zip(zip(*before, strict=True), zip(*after, strict=True), strict=True)
+        i = int(np.argmax([_taken(b, a) for b, a in pairs]))
         (there, _), (left, chance) = (
             coherent([f[i] for f in flights], settings) for flights in (before, after)
         )
@@ -385,6 +379,7 @@ def name_effects(
     since: bool = False,
     apart: Collection[str] = (),
     silent: Collection[str] = (),
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> Naming:
     """Find the sets of effects that flights make probable.
 
@@ -398,6 +393,7 @@ def name_effects(
         since: Whether it is asked what has changed since the vehicle was calibrated.
         apart: See `since_problem`.
         silent: See `since_problem`.
+        checkpoint: Keeps where the searches stand.
 
     Raises:
         ModelError: The vehicle holds no calibration to ask since.
@@ -410,14 +406,16 @@ def name_effects(
     days_shown, first = len(model.flights) >= DAYS_SHOWN, problem
     if days_shown and not since:
         first = problem.acquainted(calibration_start(problem.priors))
-    found = climb(first, lambda done: progress(0.1 + 0.4 * done), last=not days_shown)
+    found = climb(first, lambda done: progress(0.1 + 0.4 * done), not days_shown, checkpoint)
     if days_shown:
         problem = problem.with_instruments_at(found.state).accustomed(found.state)
         state = problem.settle(found.state.effects, 1.0, found.laplace.spectrum, found.state.best.x)
-        found = search_on(problem, state, lambda done: progress(0.5 + 0.2 * done))
+        found = search_on(
+            problem, state, lambda done: progress(0.5 + 0.2 * done), checkpoint=checkpoint
+        )
     else:
         problem, found = with_instruments_of_end(
-            problem, found, lambda done: progress(0.5 + 0.2 * done)
+            problem, found, lambda done: progress(0.5 + 0.2 * done), checkpoint
         )
     posterior = weigh(problem, found, seed, lambda done: progress(0.7 + 0.25 * done))
     calibration = vehicle.calibration if since else None
@@ -453,9 +451,12 @@ def since_problem(
 
 
 def climb(
-    problem: Problem, progress: Callable[[float], None] = lambda _: None, last: bool = True
+    problem: Problem,
+    progress: Callable[[float], None] = lambda _: None,
+    last: bool = True,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> SearchResult:
-    """The end of the search from where it promises most; `last` as of `search`.
+    """The end of the search from where it promises most; `last` and `checkpoint` as of `search`.
 
     A model that lacks little is searched from nothing on. One that asks for many effects at once is
     searched from what nobody measures on every aircraft: from nothing on, each effect would be
@@ -463,11 +464,11 @@ def climb(
     """
     every = calibration_start(problem.priors)
     if len(score_test_candidates(problem)) > MANY:
-        return search(problem, every, progress=progress, last=last)
-    found = search(problem, (), progress=progress, last=last)
+        return search(problem, every, 1.0, progress, last, checkpoint)
+    found = search(problem, (), 1.0, progress, last, checkpoint)
     if len(found.state.effects) <= MANY:
         return found
-    other = search(problem, every, progress=progress, last=last)
+    other = search(problem, every, 1.0, progress, last, checkpoint)
     return max(found, other, key=lambda f: log_posterior(f.state))
 
 
@@ -609,14 +610,7 @@ def _resemblances(
     believable: Mapping[str, float],
     rules: SelectionSettings,
 ) -> Sequence[Resemblance]:
-    bare = Fit(
-        best.effects,
-        conditional.values,
-        tuple(n for n in conditional.numbers),
-        conditional.half_widths,
-        0.0,
-    )
-    at_edge = dict(edges(bare.numbers, bare.values, problem.model.vehicle))
+    at_edge = dict(edges(conditional.numbers, conditional.values, problem.model.vehicle))
     found = []
     for e in best.effects:
         if e in at_edge:

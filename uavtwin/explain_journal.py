@@ -1,0 +1,141 @@
+"""Where the searches of `explain` stand, in a file: a run that was killed goes on from there."""
+
+import hashlib
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from twin.explain.inference.search import Checkpoint, SearchPoint
+from twin.explain.settings import DEFAULT, SearchSettings
+
+from .output import output_file, package_versions, sha256
+from .vehicles import Vehicle
+
+JOURNAL = "explain.part"
+"""Name of the file."""
+
+
+class _Content(msgspec.Struct, frozen=True):
+    """Of the file.
+
+    Attributes:
+        key: Of the run that wrote it.
+        points: Of each search that it has begun, as MessagePack.
+    """
+
+    key: str
+    points: list[msgspec.Raw]
+
+
+class ExplainJournal(Checkpoint):
+    """The file of one run, written anew after every move.
+
+    Attributes:
+        note: Whether the run goes on or begins anew, and why; "": there was no file.
+    """
+
+    def __init__(self, path: Path, key: str) -> None:
+        """Read what a run with the same key has left.
+
+        Args:
+            path: Of the file.
+            key: Of the run, see `run_key`.
+        """
+        self._path, self._key = path, key
+        self._points: list[msgspec.Raw] = []
+        self._search, self.note = 0, ""
+        if path.is_file():
+            self._read()
+
+    def _read(self) -> None:
+        """Take the points of the file, if they are of this run."""
+        try:
+            content = msgspec.msgpack.decode(self._path.read_bytes(), type=_Content)
+            if content.key != self._key:
+                why = "is of other flights, vehicle, options or version"
+                self.note = f"{self._path}: {why}; the search begins anew."
+                return
+            moves = sum(_point(p).moves for p in content.points)
+        except (msgspec.MsgspecError, ValueError, TypeError) as error:
+            self.note = f"{self._path}: is damaged ({error}); the search begins anew."
+            return
+        self._points = list(content.points)
+        self.note = f"{self._path}: the search goes on, moves so far: {moves}."
+
+    def resumed(self) -> SearchPoint | None:
+        """See `Checkpoint`."""
+        self._search += 1
+        known = len(self._points) >= self._search
+        return _point(self._points[self._search - 1]) if known else None
+
+    def keep(self, point: SearchPoint) -> SearchPoint:
+        """See `Checkpoint`. The point comes back as it was written: a run that is killed and one
+        that is not go on from the same bits."""
+        content = msgspec.Raw(msgspec.msgpack.encode(point, enc_hook=_packed))
+        self._points[self._search - 1 :] = [content]
+        with output_file(self._path) as file:
+            file.write_bytes(msgspec.msgpack.encode(_Content(self._key, self._points)))
+        return _point(content)
+
+    def remove(self) -> None:
+        """The run is over."""
+        self._path.unlink(missing_ok=True)
+
+
+def run_key(
+    flights: Iterable[Path],
+    held: Iterable[Path],
+    vehicle: Vehicle,
+    options: Sequence[Any],
+    settings: SearchSettings = DEFAULT,
+) -> str:
+    """Hash of all that decides what a run of `explain` finds.
+
+    Args:
+        flights: Logs to fit on.
+        held: Logs held out.
+        vehicle: As it stands.
+        options: What else it was called with, as JSON has it.
+        settings: Of the search.
+    """
+    logs = [[(p.stem, *map(sha256, _files(p))) for p in some] for some in (flights, held)]
+    decides = [package_versions(), logs, vehicle.toml(), options, settings.hash]
+    return hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest()
+
+
+def _files(log: Path) -> list[Path]:
+    """The files of a log: itself, or those of its folder."""
+    return sorted(p for p in log.rglob("*") if p.is_file()) if log.is_dir() else [log]
+
+
+def _point(content: msgspec.Raw) -> SearchPoint:
+    """A point out of its bytes.
+
+    Raises:
+        MsgspecError, ValueError, TypeError: They are none of a point.
+    """
+    return msgspec.msgpack.decode(content, type=SearchPoint, dec_hook=_unpacked)
+
+
+def _packed(value: Any) -> Any:
+    """An array as type, shape, order and bytes; a number of numpy as one of Python.
+
+    Raises:
+        NotImplementedError: It is neither.
+    """
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        order: Literal["F", "C"] = "F" if value.flags.fnc else "C"
+        return value.dtype.str, value.shape, order, value.tobytes(order)
+    raise NotImplementedError(f"{type(value).__name__} cannot be written.")
+
+
+def _unpacked(_: Any, value: Any) -> Any:
+    """An array out of `_packed`."""
+    dtype, shape, order, content = value
+    return np.frombuffer(content, dtype).reshape(shape, order=order).copy(order)
