@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.frames import AXES
-from twin.physics.airframe import FADE_S
+from twin.physics.observer import FADE_S
 from twin.physics.residual_force import FEATURES, OUTPUTS
 from twin.residuals.teacher_forced import GRID_S, RIGID
 

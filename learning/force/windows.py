@@ -1,6 +1,6 @@
 """Flights as windows in which a twin flies alone: from the measured motion on, compared with it.
 
-The disturbance observer of `twin.physics.airframe` has followed each window's beginning. What it
+The disturbance observer of `twin.physics.observer` has followed each window's beginning. What it
 knows there is linear in the weights of a force law: a low-pass of what the equations lack, less the
 same low-pass of what the law says.
 """
@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from twin.errors import LogError
 from twin.frames import AXES, rotation_vector, to_body
 from twin.logs import Flight
-from twin.physics.airframe import LAG_S
+from twin.physics.observer import LAG_S
 from twin.representation import short_repr
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.channels import in_step

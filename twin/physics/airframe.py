@@ -9,8 +9,7 @@ for Hybrid Digital Twin Modeling of UAV Systems", with gravity left in NED where
 paper rotates it with the matrix that takes body velocity to earth. G_a is the gyroscopic torque
 of the spinning rotors.
 
-With it: the disturbance observer of a motion that is given while the airframe runs, and the trim of
-an airframe that hovers.
+With it: the trim of an airframe that hovers.
 """
 
 from collections.abc import Iterable, Sequence
@@ -26,10 +25,9 @@ from ..errors import ModelError
 from ..frames import AXES, FRD, NED, cross, to_body
 from ..vehicle import Vehicle
 from ..vehicle.vehicle import first_reaching, hover_level
+from .observer import NONE, followed, shown
 from .rigid_body import (
-    MOTION,
     OUTSIDE,
-    START,
     angular_acceleration,
     ground_contact,
     inertia_matrix,
@@ -42,76 +40,6 @@ RESTART_PERIOD_S = 1e-3
 """The communication step of the co-simulation."""
 RESTARTS = Period(RESTART_PERIOD_S, "Time between two instants at which it can be set anew")
 """A parameter of the airframe."""
-LAG_S, FADE_S = 0.2, 1.0
-"""Of 0.1, 0.2 and 0.5 s, and fades of 0.7 and 1 s, on the residuals of three real hovers
-(RflySimDT) none forecast half a second better by more than a tenth."""
-
-
-def followed(m: ComponentBuilder, motion: Motion, period: ca.SX) -> list[ca.SX]:
-    """Let inputs set the motion while the component runs; force and moment learned meanwhile.
-
-    From one instant with `restart` to the next the motion drifts from the given one by what the
-    equations lack. That is put down to a force and a moment, in a first-order lag, which act from
-    then on and fade once the motion is no longer given: a disturbance observer.
-
-    Args:
-        m: Of the airframe.
-        motion: Its states.
-        period: Time between two of its instants, s, a multiple of `RESTART_PERIOD_S`.
-
-    Returns:
-        Force and moment, body FRD, 6 rows; zero while the observer is switched off.
-
-    Source: Luenberger's observer with an integrating disturbance; Chen, Yang, Guo & Li, IEEE
-    Trans. Industrial Electronics 63, 2016, sec. II.
-    """
-    now = m.input("restart", "1", "Whether the motion is the given one", kind="boolean") > 0.5
-    given = {
-        name: m.input(f"restart.{name}", unit, f"Given {meaning}", START.get(name, 0.0))
-        for name, unit, meaning in MOTION
-    }
-    q = [given[f"q_{a}"] for a in "wxyz"]
-    length = ca.sqrt(sum((c * c for c in q), start=ca.SX(0)))
-    given |= {f"q_{a}": c / ca.fmax(length, 1e-12) for a, c in zip("wxyz", q, strict=True)}
-    states = (*motion.pos_n, *motion.vel_n, *motion.q_nb, *motion.omega_b)
-    for (name, _, _), state in zip(MOTION, states, strict=True):
-        m.update(name, ca.if_else(now, given[name], state))
-
-    on = m.parameter(
-        "disturbance.enabled",
-        0.0,
-        "1",
-        "Whether what the equations lack while the motion is given acts afterwards",
-        kind="boolean",
-        minimum=0,
-        maximum=1,
-    )
-    before = m.memory("restart.before", "1", "whether the motion was given an instant ago")
-    m.update("restart.before", now)
-    follows = ca.logic_and(now, before > 0.5)
-    drift_n = [given[f"vel_{a}"] - v for a, v in zip(AXES, motion.vel_n, strict=True)]
-    missing = [motion.body.mass * v for v in to_body(motion.q_nb, drift_n)]
-    turned = [given[f"omega_{a}"] - w for a, w in zip(AXES, motion.omega_b, strict=True)]
-    missing += [
-        sum((j * w for j, w in zip(row, turned, strict=True)), start=ca.SX(0))
-        for row in motion.body.inertia
-    ]
-    acts = []
-    for (name, unit, meaning), lacks in zip(OUTSIDE, missing, strict=True):
-        lag, fade = (
-            m.parameter(f"disturbance.{kind}.{name}", start, "s", text, minimum=1e-2)
-            for kind, start, text in (
-                ("lag", LAG_S, f"Time constant in which it is learned, {name}"),
-                ("fade", FADE_S, f"Time constant in which it fades, {name}"),
-            )
-        )
-        known = m.memory(f"disturbance.{name}", unit, f"what the equations lack, {meaning}")
-        learned = ca.if_else(follows, known + lacks / lag, known)
-        m.update(f"disturbance.{name}", ca.if_else(now, learned, known * (1 - period / fade)))
-        acts.append(ca.if_else(on, known, 0.0))
-    return acts
-
-
 Array = NDArray[np.float64]
 
 
@@ -238,9 +166,7 @@ def _equations(
     voltage |= drive == "command" and vehicle.rotors.reference_voltage_v is not None
     motion = _motion(m, vehicle, blocks, z_ground, voltage or blocks.include("battery_sag"))
     outside = [m.input(name, unit, meaning) for name, unit, meaning in OUTSIDE]
-    disturbance = followed(m, motion, period) if restart else []
-    if restart:
-        outside = [a + b for a, b in zip(outside, disturbance, strict=True)]
+    learned = followed(m, motion, period) if restart else NONE
     rotors = blocks.apply(rotor_equations(m, vehicle, drive, inputs, motion, blocks))
     wrench = blocks.apply(_wrench(m, vehicle, rotors))
     contact = ground_contact(
@@ -253,15 +179,15 @@ def _equations(
         m.rests_while(sum(blocks.sampled, start=ca.SX(0)) == 0)
 
     force_b, moment_b = (
-        [a + b + c for a, b, c in zip(*parts, strict=True)]
+        [sum(terms, start=ca.SX(0)) for terms in zip(*parts, strict=True)]
         for parts in (
-            (wrench.force, contact.force, outside[:3]),
-            (wrench.moment, contact.moment, outside[3:]),
+            (wrench.force, contact.force, outside[:3], learned.force_b),
+            (wrench.moment, contact.moment, outside[3:], learned.moment_b),
         )
     )
     specific_force_b = [f / motion.body.mass for f in force_b]
     angular_acceleration_b = angular_acceleration(motion, moment_b)
-    move(m, motion, specific_force_b, angular_acceleration_b)
+    move(m, motion, specific_force_b, angular_acceleration_b, learned.gravity_b)
     for i, thrust in enumerate(rotors.thrust, start=1):
         m.output(f"thrust_{i}", "N", f"Thrust of rotor {i}", thrust)
     for i, spin in enumerate(rotors.spin, start=1):
@@ -275,8 +201,7 @@ def _equations(
         for i, given in enumerate(inputs, start=1):
             name, unit = (f"cmd_{i}", "1") if drive == "command" else (f"rotor_{i}", "rad/s")
             m.output(f"{REPORTED}{name}", unit, f"What drives rotor {i}, as it is given", given)
-    for (name, unit, meaning), acts in zip(OUTSIDE, disturbance, strict=restart):
-        m.output(f"disturbance.{name}", unit, f"{meaning}, as learned while it was set", acts)
+        shown(m, learned)
     if vehicle.battery is not None:
         m.output("ibat_a", "A", "Battery current", _current(m, vehicle, rotors))
     return m.build()

@@ -9,7 +9,7 @@ import pytest
 from cosim.whole_twin import fused_model
 from fmus import build
 from twin.flight.assembly import driven_twin
-from twin.physics.residual_force import OUTPUTS
+from twin.physics.observer import LEARNED
 from twin.residuals.teacher_forced import choose_drive
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import fly
@@ -18,7 +18,7 @@ from uavtwin.force.open_loop import QUANTITIES, Replay
 COPTER = load_vehicle("copter_default")
 ABOVE_M = 0.3
 SLOW = {"airframe.disturbance.enabled": 1.0} | {
-    f"airframe.disturbance.lag.{kind}_{a}": 1.0 for kind, a in OUTPUTS
+    f"airframe.disturbance.lag.{name}": 1.0 for name, _, _ in LEARNED
 }
 
 
