@@ -12,7 +12,14 @@
 Names are loaded when they are used, so that the import costs next to nothing.
 """
 
+import sys
 from typing import TYPE_CHECKING
+
+if sys.platform == "win32":
+    raise ImportError(
+        "uavtwin does not run on Windows by itself. Install it in WSL 2 (wsl --install), or use "
+        "the container of docs/guide/serve.md. FMUs of --platform win64 do run there."
+    )
 
 if TYPE_CHECKING:
     from twin.effects import EFFECTS

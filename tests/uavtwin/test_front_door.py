@@ -612,3 +612,9 @@ def test_another_aircraft_is_told(data_dir: Path) -> None:
     assert not [x for f in (one, two) for x in f.findings if x.where == "aircraft"]
     (told,) = [x.message for x in other.findings if x.where == "aircraft"]
     assert "PX4_SITL" in told and "than real_1 (autopilot 0006" in told
+
+
+def test_windows_is_refused_with_a_way_out() -> None:
+    code = "import sys; sys.platform = 'win32'; import uavtwin"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert found.returncode == 1 and "wsl --install" in found.stderr

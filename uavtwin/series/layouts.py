@@ -1,8 +1,11 @@
 """Layouts of PlotJuggler and Foxglove for a flight in MCAP: what most readers drag together first.
 
 PlotJuggler: *Layout, Load*, with the file already open; it names a series /TOPIC/FIELD. Foxglove:
-*Layouts, Import from file*; it names it /TOPIC.FIELD. Both formats were taken from files that these
-programs save.
+*Layouts, Import from file*; it names it /TOPIC.FIELD.
+
+Source: PlotJuggler 3, `PlotDocker::xmlLoadState` and `PlotWidget::xmlLoadState`; settings of panels
+of Foxglove as of the module `layouts` of foxglove-sdk 0.30, in the tree by `configById` that the
+program exports.
 """
 
 import json
@@ -127,18 +130,24 @@ def _panels(
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Settings of each panel, by its identifier."""
     if in_space:
-        camera = {"perspective": True, "distance": _DISTANCE_M, "phi": 60, "thetaOffset": 45}
+        camera = {
+            **{"perspective": True, "distance": _DISTANCE_M, "phi": 60, "thetaOffset": 45},
+            **{"target": [0, 0, 0], "targetOffset": [0, 0, 0], "targetOrientation": [0, 0, 0, 1]},
+            **{"fovy": 45, "near": 0.5, "far": 5000},
+        }
         yield (
             "3D!uavtwin",
             {
                 "followTf": "map",
                 "cameraState": camera,
-                "layers": {"grid": {"layerId": "foxglove.Grid", "visible": True}},
+                "layers": {
+                    "grid": {"layerId": "foxglove.Grid", "instanceId": "grid", "visible": True}
+                },
                 "topics": {"/pose": {"visible": True, "type": "axis"}},
             },
         )
     if on_map:
-        yield "map!uavtwin", {"enabledTopics": [LOCATION], "followTopic": LOCATION}
+        yield "map!uavtwin", {"followTopic": LOCATION}
     for k, (title, curves) in enumerate(plots.items()):
         paths = [
             {"value": f"{topic}.{field}", "enabled": True, "timestampMethod": "receiveTime"}

@@ -275,12 +275,23 @@ class Pages:
         own = f"<body>\n<style>\n{_style()}\n</style>\n{self.bar(flight)}"
         return page.replace("<body>", own, 1)
 
-    def said(self, title: str, text: str, again_s: int | None = None) -> str:
+    def said(
+        self,
+        title: str,
+        text: str,
+        again_s: int | None = None,
+        button: str = "",
+        action: str = "",
+    ) -> str:
         """A page of a sentence.
 
         Args:
             title: Of the page.
             text: The sentence.
             again_s: After which the browser asks again; None: it does not.
+            button: Word on a button below.
+            action: Address to which that posts; "": there is none.
         """
-        return self._text("said.html.j2", title=title, text=text, again_s=again_s)
+        return self._text(
+            "said.html.j2", title=title, text=text, again_s=again_s, button=button, action=action
+        )

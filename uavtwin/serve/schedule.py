@@ -104,6 +104,15 @@ class Scheduler:
         self._kill_ended()
         self.wake()
 
+    def map_topics(self, name: str, file: Path) -> list[str]:
+        """Take a mapping file of ROS 2 bags, and read bags of its name anew: their flights."""
+        flights = self._store.add_mapping(name, file)
+        self._kill_ended()
+        self.wake()
+        for flight in flights:
+            self._changed(flight)
+        return flights
+
     def _kill_ended(self) -> None:
         """End the processes of runs that have ended in the store."""
         with self._bell:

@@ -39,7 +39,7 @@
     request.onload = function () {
       var answer = {};
       try { answer = JSON.parse(request.responseText); } catch (_) { answer = { error: request.responseText }; }
-      if (request.status >= 200 && request.status < 300) ended(upload, answer.created ? "is there" : "was there before", false);
+      if (request.status >= 200 && request.status < 300) ended(upload, answer.note || (answer.created ? "is there" : "was there before"), false);
       else ended(upload, answer.error || "refused (" + request.status + ")", true);
     };
     request.onerror = function () { // no server: again, later each time

@@ -25,9 +25,10 @@ from twin.vehicle_file import builtin_vehicles
 from ..output import write_json
 from ..site.doors import Doors
 from ..site.server import FLIGHTS, LIVE, headers, site_app
+from .demo import DemoFlight
 from .pages import FILES, REPORTS, Pages
 from .schedule import Limits, Scheduler
-from .store import LONGEST_TAGS, OF_VEHICLE, FlightRow, Store
+from .store import LONGEST_TAGS, OF_VEHICLE, FlightRow, Store, is_mapping
 from .work import explained_file
 
 MOST_LISTENERS = 64
@@ -88,7 +89,7 @@ class Site:
             store: Open.
             limits: What a log and a job may use.
             doors: Who may ask.
-            live: Routes of the page of a live flight; none: nothing flies.
+            live: Routes of the page of a live flight; none: a simulated one flies when asked.
         """
         self._store, self._limits = store, limits
         self._listeners: set[Listener] = set()
@@ -106,10 +107,10 @@ class Site:
             ("POST", "/draft", self._draft),
             ("POST", "/delete", self._delete),
         ]
+        self._demo = DemoFlight(self._nothing_flies)
         routes = [
-            *live,  # the first that fits answers
+            *(live or self._demo.routes),
             Route(FLIGHTS, self._list),
-            Route(LIVE, self._nothing_flies),
             Route("/events", self._events),
             Route("/compare", self._compare),
             *(
@@ -126,6 +127,7 @@ class Site:
 
     def close(self) -> None:
         """End what is being done; the next server goes on with it."""
+        self._demo.close()
         self._jobs.close()
         self._store.close()
 
@@ -158,6 +160,8 @@ class Site:
             with self._store.upload(most) as coming:
                 async for part in request.stream():
                     coming.write(part)
+                if is_mapping(name):
+                    return self._mapped(name, coming.path)
                 flight, created = self._store.add(name, coming.path, coming.sha256, coming.size)
         except (TwinError, ValueError) as error:
             return JSONResponse({"error": str(error)}, 413, _closing())
@@ -167,6 +171,12 @@ class Site:
         self._jobs.wake()
         content = {"flight": flight, "address": f"/flights/{flight}", "created": created}
         return JSONResponse(content, 201 if created else 200)
+
+    def _mapped(self, name: str, file: Path) -> Response:
+        """Take a mapping file of ROS 2 bags."""
+        bags = self._jobs.map_topics(name, file)
+        note = "its bag is read again" if bags else "waits for a bag of its name"
+        return JSONResponse({"flights": bags, "note": note, "created": True}, 201)
 
     async def _events(self, request: Request) -> Response:
         """What is new, as long as the page is open."""
@@ -213,13 +223,20 @@ class Site:
             return self._page(self._pages.said("Which two?", text), 400)
         return RedirectResponse(f"/flights/{quote(chosen[0])}/compare/{quote(chosen[1])}", 303)
 
-    async def _nothing_flies(self, _: Request) -> Response:
+    def _nothing_flies(self, last: str) -> Response:
+        """The live page of a site that listens to no aircraft.
+
+        Args:
+            last: What the last demonstration came to; "": there was none.
+        """
         text = (
-            "Nothing flies: this server reads logs. End it, and start uavtwin live --vehicle FILE "
-            f"--store {self._store.folder.name}: the same flights, and the aircraft that it hears "
-            "on this page. Without an aircraft: uavtwin live --demo."
+            "Nothing flies: this server reads logs. The demonstration simulates an aircraft that "
+            "damages a rotor in mid-flight, and shows it here beside its twin. For your own "
+            "aircraft end this server, and start uavtwin live --vehicle FILE "
+            f"--store {self._store.folder.name}: the same flights, and what it hears on this page."
         )
-        return self._page(self._pages.said("Live", text))
+        begin = "Begin the demonstration", f"{LIVE}/demo"
+        return self._page(self._pages.said("Live", f"{last} {text}".strip(), None, *begin))
 
     def add(self, file: Path, name: str) -> str:
         """Copy a file into the store as a log: identifier of its flight.

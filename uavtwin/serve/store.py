@@ -1,5 +1,7 @@
 """The folder of the page: logs by their hash, results as files, a table of flights and of jobs.
 
+A mapping file of ROS 2 bags waits for bags of its name, and is copied next to each.
+
 The table of jobs is the journal: a job is queued in it before anything is done, and one that was
 running when the server ended is queued again by the next.
 """
@@ -19,6 +21,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from twin.errors import TwinError, install_command
+from twin.logs.ros.sources import MAPPING_SUFFIX
 from twin.vehicle_file import builtin_vehicles
 
 from ..output import output_file
@@ -60,6 +63,8 @@ _SETTINGS = {
     "autoload_known_extensions": "false",
 }
 """Of DuckDB: a small share of the memory, no extensions."""
+_ANSWERS = ("verdict", "check_text", "why_verdict", "why_text", "gap_text", "explain_text")
+"""Columns that come of the log."""
 _SEARCHED = ("name", "tags", "verdict", "check_text", "why_text", "airframe", "format", "vehicle")
 """Columns in which a search looks."""
 
@@ -160,6 +165,11 @@ def safe_name(given: str) -> str:
     return f"{stem[: LONGEST_NAME - 10]}{dot}{end[:9]}" if stem else end[:LONGEST_NAME] or "log"
 
 
+def is_mapping(name: str) -> bool:
+    """Whether a file is called as the mapping file of a ROS 2 bag."""
+    return name.lower().endswith(MAPPING_SUFFIX)
+
+
 @dataclass(slots=True)
 class Upload:
     """A file that is coming in.
@@ -222,7 +232,7 @@ class Store:
         self.folder = folder.absolute()
         self.lock = threading.RLock()
         try:
-            for name in ("logs", "flights", "vehicles", "incoming"):
+            for name in ("logs", "flights", "vehicles", "mappings", "incoming"):
                 (self.folder / name).mkdir(parents=True, exist_ok=True)
             self._tables = self._opened(duckdb)
         except OSError as error:
@@ -325,6 +335,7 @@ class Store:
             place = self.folder / "logs" / sha256
             place.mkdir(exist_ok=True)
             file.replace(place / name)
+            self._map(place / name)
             self._write(
                 "INSERT INTO flights (id, sha256, name, bytes, added_s, tags) "
                 "VALUES (?, ?, ?, ?, ?, '')",
@@ -332,6 +343,32 @@ class Store:
             )
             self.queue(flight, "check")
         return flight, True
+
+    def _map(self, log: Path) -> None:
+        """Copy the mapping file of a bag's name next to it, if there is one."""
+        mapping = self.folder / "mappings" / f"{log.stem}{MAPPING_SUFFIX}"
+        if mapping.is_file():
+            shutil.copyfile(mapping, log.with_name(mapping.name))
+
+    def add_mapping(self, name: str, file: Path) -> list[str]:
+        """Take a mapping file of ROS 2 bags: flights of its name, which are read anew.
+
+        Args:
+            name: As its owner calls it.
+            file: Moved to its place.
+        """
+        stem = Path(safe_name(f"{name[: -len(MAPPING_SUFFIX)]}.bag")).stem
+        with self.lock:
+            file.replace(self.folder / "mappings" / f"{stem}{MAPPING_SUFFIX}")
+            found = self._rows(f"SELECT {_FLIGHT} FROM flights WHERE starts_with(name, ?)", (stem,))
+            bags = [f for f in (FlightRow(*row) for row in found) if Path(f.name).stem == stem]
+            for bag in bags:
+                self._map(self.log(bag))
+                self._write("DELETE FROM jobs WHERE flight = ?", (bag.id,))
+                self.note(bag.id, **dict.fromkeys(_ANSWERS))
+                for kind in ("check", *(["gap"] if bag.vehicle else [])):
+                    self.queue(bag.id, kind)
+        return [bag.id for bag in bags]
 
     def log(self, flight: FlightRow) -> Path:
         """The log of a flight."""

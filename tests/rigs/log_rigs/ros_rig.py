@@ -29,6 +29,15 @@ PX4 = {
     "VehicleLandDetected": "uint64 timestamp\nbool landed\n",
 }
 """Parts of the messages of px4_msgs, in the order of their fields."""
+OUTPUTS = """
+[cmd]
+topic = "/mavros/rc/out"
+fields = ["channels[0]", "channels[1]", "channels[2]", "channels[3]"]
+unit = "us"
+low = 1000
+high = 2000
+"""
+"""Mapping file for the outputs of `mavros_bag`."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from log_rigs.ros_rig import START_NS, Messages, bag, mavros_bag, needs_rosbags, px4_bag
+from log_rigs.ros_rig import OUTPUTS, START_NS, Messages, bag, mavros_bag, needs_rosbags, px4_bag
 from sample_logs import flown_table
 
 from twin.errors import LogError, TwinError
@@ -15,14 +15,6 @@ from uavtwin.file_check import check_file
 
 pytestmark = [pytest.mark.slow, needs_rosbags]
 MOTION = ("acc", "gyro", "vel")
-OUTPUTS = """
-[cmd]
-topic = "/mavros/rc/out"
-fields = ["channels[0]", "channels[1]", "channels[2]", "channels[3]"]
-unit = "us"
-low = 1000
-high = 2000
-"""
 MAG = """
 [mag]
 topic = "/mavros/imu/data"

@@ -16,6 +16,37 @@ from twin.logs import Flight
 from uavtwin.series.layouts import foxglove, plotjuggler, plots_of
 
 FLIGHT = Flight("flown", flown_table().iloc[:200])
+FOXGLOVE: dict[str, set[str]] = {
+    "3D": {"scene", "transforms", "layers", "topics", "cameraState", "followTf", "fixedFrame"},
+    "map": {"disabledTopics", "followTopic", "layer", "topicColors", "zoomLevel", "topicConfig"},
+    "Plot": {
+        *("paths", "showLegend", "legendDisplay", "showXAxisLabels", "showYAxisLabels", "isSynced"),
+        *("xAxisVal", "timeRange", "foxglovePanelTitle"),
+    },
+    "camera": {
+        *("distance", "perspective", "phi", "target", "targetOffset", "targetOrientation"),
+        *("thetaOffset", "fovy", "near", "far", "logDepth"),
+    },
+    "layer": {"visible", "frameLocked", "label", "order", "layerId", "instanceId"},
+    "topic": {"visible", "type", "axisScale", "color"},
+    "path": {"value", "enabled", "timestampMethod", "label", "color", "showLine", "lineSize"},
+}
+"""Settings that the program knows, by panel and part of one: foxglove-sdk 0.30.3, foxglove.layouts;
+the title of a panel is that of exported files."""
+PLOTJUGGLER = {
+    "root": set(),
+    "tabbed_widget": {"name", "parent"},
+    "Tab": {"containers", "tab_name"},
+    "Container": set(),
+    "DockSplitter": {"orientation", "count", "sizes"},
+    "DockArea": {"name"},
+    "plot": {"mode", "flip_x", "flip_y", "line_width", "style"},
+    "limitY": {"min", "max"},
+    "curve": {"name", "color"},
+    "currentTabIndex": {"index"},
+    "use_relative_time_offset": {"enabled"},
+}
+"""Attributes that the program reads, by element: plot_docker.cpp, plotwidget.cpp."""
 
 
 def panels_of(layout: Any) -> list[str]:
@@ -60,3 +91,22 @@ def test_a_flight_of_few_signals_has_a_layout() -> None:
     assert len(plots) == 1
     assert json.loads(foxglove(plots, False, False))["layout"] == "Plot!uavtwin0"
     assert 'count="1"' in plotjuggler(plots)
+
+
+def test_layouts_hold_what_the_programs_read() -> None:
+    plots = plots_of(FLIGHT)
+    for name, panel in json.loads(foxglove(plots, True, True))["configById"].items():
+        assert set(panel) <= FOXGLOVE[name.partition("!")[0]], name
+        assert set(panel.get("cameraState", ())) <= FOXGLOVE["camera"]
+        for part, kind in (("layers", "layer"), ("topics", "topic")):
+            assert all(set(v) <= FOXGLOVE[kind] for v in panel.get(part, {}).values())
+        assert all(set(path) <= FOXGLOVE["path"] for path in panel.get("paths", ()))
+        assert panel.get("legendDisplay", "top") in ("floating", "top", "left")
+    root = etree.fromstring(plotjuggler(plots).encode())
+    for element in root.iter():
+        assert set(element.attrib) <= PLOTJUGGLER[element.tag], element.tag
+    (splitter,) = root.iter("DockSplitter")
+    assert splitter.get("orientation") in "|-"
+    assert sum(map(float, splitter.get("sizes").split(";"))) == pytest.approx(1.0, abs=1e-5)
+    assert {p.get("style") for p in root.iter("plot")} == {"Lines"}
+    assert {p.get("mode") for p in root.iter("plot")} == {"TimeSeries"}

@@ -2,13 +2,19 @@
 
 import io
 import json
+import threading
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import pandas as pd
 import pytest
+from log_rigs.ros_rig import OUTPUTS, bag, mavros_bag, needs_rosbags
+from sample_logs import flown_table
 from serve_rigs.sites import Asked, site, sound_log
+from websockets.sync.client import connect
 
+from uavtwin.demo import in_flight
 from uavtwin.serve.schedule import QUICK_SHARE, Limits
 from uavtwin.serve.store import OF_VEHICLE
 from uavtwin.serve.work import KINDS, LONG, MOST_LOGS, QUICK, LogWork
@@ -79,6 +85,26 @@ def test_a_vehicle_file_that_is_dropped_can_be_chosen(
     wrong = tmp_path / "wrong.toml"
     wrong.write_text("mass = 'heavy'")
     assert "wrong.toml" in asked.wait(f"/flights/{uploaded(asked, wrong)}", "unreadable")
+
+
+@needs_rosbags
+def test_a_mapping_file_that_is_dropped_names_topics_of_its_bag(
+    asked: Asked, tmp_path: Path
+) -> None:
+    """Before its bag, then another one after it."""
+    table = flown_table().iloc[:1000]
+    other = OUTPUTS.replace("/mavros/rc/out", "/mavros/none")
+    status, text, _ = asked.ask("/upload/day.topics.toml", "PUT", other.encode())
+    assert (status, json.loads(text)["note"]) == (201, "waits for a bag of its name")
+    status, text, _ = asked.ask("/upload/day.mcap", "PUT", bag(mavros_bag(table)))
+    flight = json.loads(text)["flight"]
+    assert "/mavros/none" in asked.wait(f"/flights/{flight}", r'class="verdict unreadable"')
+    status, text, _ = asked.ask("/upload/day.topics.toml", "PUT", OUTPUTS.encode())
+    assert json.loads(text)["flights"] == [flight]
+    asked.wait(f"/flights/{flight}", "open-why")
+    read = pd.read_parquet(asked.store / "flights" / flight / "flight.parquet")
+    assert {"cmd_1", "cmd_4"} <= {*read}
+    assert "topics" not in asked.ask("/")[1].partition("<tbody")[2], "a mapping is no flight"
 
 
 def test_gap_with_a_chosen_vehicle_and_two_flights_over_each_other(
@@ -172,3 +198,29 @@ def test_a_mistake_of_ours_is_an_answer_too() -> None:
 def test_every_kind_has_a_worker() -> None:
     assert {*QUICK, *LONG, "warm"} == set(KINDS) and set(OF_VEHICLE) < set(KINDS)
     assert 0 < QUICK_SHARE < 1 and Limits().workers >= 2
+
+
+def test_a_demonstration_flies_on_the_live_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begin = "Begin the demonstration"
+    whole = in_flight.damaged_flight
+    monkeypatch.setattr(in_flight, "damaged_flight", lambda v: whole(v, 2.0, seconds=8.0))
+    with site(tmp_path) as opened:
+        assert begin in opened.ask("/live")[1]
+        assert opened.ask("/live/demo", "POST")[0] == 303
+        assert "Flight and twin" in opened.ask("/live")[1]
+        assert opened.ask("/live/demo", "POST")[0] == 303, "one at a time"
+        seen: set[str] = set()
+        with connect(f"ws://127.0.0.1:{opened.port}/live/stream", proxy=None) as viewer:
+            while not {"now", "health"} <= seen:
+                seen |= {m["kind"] for m in json.loads(viewer.recv(timeout=60))}
+        page = opened.wait("/live", "The last demonstration is over")
+        assert begin in page and "rotor 3 lost 20 %" in page
+
+
+def test_a_demonstration_ends_with_its_server(tmp_path: Path) -> None:
+    before = threading.active_count()
+    with site(tmp_path) as opened:
+        opened.ask("/live/demo", "POST")
+    assert threading.active_count() == before

@@ -3,12 +3,11 @@
 import asyncio
 import contextlib
 import time
-from collections.abc import Sequence
 
 import msgspec
 from starlette.requests import Request
 from starlette.responses import Response
-from starlette.routing import BaseRoute, Route, WebSocketRoute
+from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from twin.vehicle import Vehicle
@@ -51,7 +50,7 @@ class LiveView:
         self.routes = live_routes(hub, shown)
 
 
-def live_routes(hub: Hub, shown: Document) -> Sequence[BaseRoute]:
+def live_routes(hub: Hub, shown: Document) -> tuple[Route, WebSocketRoute]:
     """Routes of a page and of its WebSocket.
 
     Args:
