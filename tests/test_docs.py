@@ -180,6 +180,48 @@ def test_links_of_the_files_at_the_top_lead_somewhere() -> None:
         assert [link for link in links if not (ROOT / link).exists()] == []
 
 
+QUESTIONS = {
+    "where do I drop a log and read what happened": ("guide/serve", "no account, no vehicle file"),
+    "does my log leave my machine": ("guide/serve", "Nothing leaves the machine"),
+    "does it run on Windows or a Mac": ("index", "use WSL 2"),
+    "which settings must my autopilot log with": ("guide/log_formats", "SDLOG_PROFILE"),
+    "I do not know the inertia of my aircraft": ("guide/own_log", "inertia 30 %"),
+    "what is 0.8 m/s² in acc_x, and what do I do": ("guide/gap", "missing drag"),
+    "it says 90 %: how sure is that name": ("guide/explain", "all candidate models"),
+    "what does 'A (60 %) or B (30 %)' mean": ("guide/explain", "one of them is there"),
+    "the answer is cannot_tell: what now": ("guide/explain", "fly `next_manoeuvre`"),
+    "how do I fly the twin with my own controller": ("guide/fmus", "own_controller.py"),
+    "what has changed since the last propellers": ("guide/calibrate", "`--since"),
+    "how often is a name wrong": ("results/hidden_effects", "wrong"),
+    "how long does an hour of log take, and how much memory": ("results/long_flights", "an hour"),
+    "how do I look at the series in PlotJuggler": ("guide/series", "*Load Layout*"),
+    "what does teacher-forced mean": ("reference/glossary", "teacher-forced"),
+}
+"""What a stranger asks: the page that answers, and words of the answer."""
+CLICKS = 2
+"""From the README to the answer, at most."""
+
+
+def clicks_from_readme() -> dict[Path, int]:
+    """Links to follow to each page."""
+    found, queue = {ROOT / "README.md": 0}, [ROOT / "README.md"]
+    for page in queue:
+        for link in re.findall(r"\]\(([^)#:]+\.md)[^)]*\)", page.read_text("utf-8")):
+            linked = (page.parent / link).resolve()
+            if linked.exists() and linked not in found:
+                found[linked] = found[page] + 1
+                queue.append(linked)
+    return found
+
+
+def test_questions_of_a_stranger_have_an_answer_nearby() -> None:
+    clicks = clicks_from_readme()
+    for question, (page, words) in QUESTIONS.items():
+        file = (ROOT / "docs" / f"{page}.md").resolve()
+        assert clicks[file] <= CLICKS, question
+        assert words in " ".join(file.read_text("utf-8").split()), question
+
+
 def test_every_path_that_the_documents_name_is_there() -> None:
     """Folders and sources in the font of code; the pages on extending name what is to be made."""
     folders = "twin|learning|fmus|cosim|uavtwin|benchmarks|examples|tests|docs"
