@@ -13,6 +13,8 @@ import numpy as np
 import pandas as pd
 
 from twin.logs import Flight, write_flight
+from twin.logs.autopilot import Autopilot, setpoint_of
+from twin.logs.columns import POS
 
 G_M_S2 = 9.80665
 HALF_TURN = (1.0, -1.0, -1.0)  # forward-left-up -> forward-right-down
@@ -44,7 +46,16 @@ def convert(raw: pd.DataFrame, name: str) -> Flight:
     table[quat] /= np.linalg.norm(table[quat], axis=1)[:, None]
     state = (table.time, raw.pz - raw.pz.iloc[:50].median(), raw.vz)
     table["phase"] = phases(*(x.to_numpy() for x in state))
-    return Flight(name, table, facts={"vehicle": "Crazyflie 2.1, NanoBench CF_01"})
+    asked = np.column_stack(
+        [sign * raw[f"sp_{axis}"] for axis, sign in zip("xyz", HALF_TURN, strict=True)]
+    )
+    setpoint = setpoint_of(POS, table.time.to_numpy(), asked)
+    return Flight(
+        name,
+        table,
+        facts={"vehicle": "Crazyflie 2.1, NanoBench CF_01"},
+        autopilot=Autopilot(setpoints=() if setpoint is None else (setpoint,)),
+    )
 
 
 def main(source: Path, out: Path) -> None:

@@ -25,7 +25,7 @@ from benchmarks.hidden_effects.run import failure, twin_state
 
 from .measure import measure
 from .page import details, state
-from .rows import read_rows, rows, short_page, write_rows
+from .rows import read_rows, renewed, rows, short_page, write_rows
 from .scenarios import SCENARIOS, Scenario, sources
 
 HERE = Path(__file__).parent
@@ -61,7 +61,12 @@ def main(arguments: list[str] | None = None) -> int:
     cases = run(options.data, chosen, options.cache, options.jobs)
     found = [(s, [cases[s.name, f] for f in s.flights]) for s in chosen]
     facts = {"measured": f"{date.today():%d %B %Y}", "note": "", "state": state(found)}
-    write_rows(data, [facts, *rows(details(found))])
+    new, stored = list(rows(details(found))), read_rows(data) if data.is_file() else []
+    if options.only and stored:
+        when = f"measured on {facts['measured']}. {facts['state']}"
+        write_rows(data, renewed(stored, new, when))
+    else:
+        write_rows(data, [facts, *new])
     options.out.write_text(short_page(read_rows(data), data.name), "utf-8")
     return 1 if any(c["said"]["verdict"] == "error" for c in cases.values()) else 0
 
@@ -111,7 +116,7 @@ def answer(data: Path, rotation: Rotation) -> dict[str, Any]:
         traceback.print_exc()
         said = failure(f"{type(error).__name__}: {error}")
         name = Path(holdout).stem
-        empty: dict[str, Any] = {"numbers": {}, "predicted": {}, "channels": [], "spin": 1.0}
+        empty: dict[str, Any] = {"numbers": {}, "predicted": {}, "channels": [], "braking": None}
         return {"scenario": scenario.name, "holdout": name, "said": said, "seconds": 0.0, **empty}
 
 

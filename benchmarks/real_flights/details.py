@@ -56,6 +56,11 @@ GRAVITY = 9.81
 ROTOR_DRAG, FLAPPING = "rotor_drag.k_xy_1_s", "blade_flapping.k_rad_s_m"
 DRAG = {ROTOR_DRAG: 1.0, FLAPPING: GRAVITY}
 """Numbers that are a drag linear in the speed, and what makes them one in 1/s."""
+TOLD = (*((full, k, "1/s") for full, k in DRAG.items()), ("motor_lag.tau_s", 1000.0, "ms"))
+"""Numbers told rotation by rotation, by what they are multiplied, and their unit then."""
+CLOCKS = "clocks of the pose by flight, ms"
+RETURNED = "Drag, lag, clocks, missions, and angular acceleration about its mean"
+"""Heading of the table that the short page shows, too."""
 
 
 # -- which numbers agree --------------------------------------------------------------------
@@ -200,7 +205,8 @@ def _scaled(value: float | None, unit: str) -> str:
 
 
 def wishes(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
-    """Drag and angular acceleration about its mean, where a scenario has a goal for them."""
+    """Drag, lag, clocks, missions and angular acceleration about its mean, where a scenario has a
+    goal for that."""
     goal = scenario.turning_goal_rad_s2
     if goal is None:
         return []
@@ -210,54 +216,53 @@ def wishes(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
         rows = {r["name"]: r for r in _turning(case)}
         left = [_about(rows[a], "effects") if a in rows else None for a in axes]
         said = ["-" if v is None else f"{figure(v)}{'' if v <= goal else '*'}" for v in left]
-        inclusion = case["said"].get("inclusion", {})
-        own = numbers_of(case, {d.partition(".")[0] for d in DRAG})
-        parts = [
-            f"{_in_1_s(own[full], k)}, probability {inclusion.get(full.partition('.')[0], 0):.2f}"
-            if full in own
-            else "-"
-            for full, k in DRAG.items()
-        ]
-        lines.append((case["holdout"], figure(drag_1_s(case)), *parts, *said))
-    names = [full.partition(".")[0] for full in DRAG]
+        rule = case["braking"]
+        drag = figure(drag_1_s(case)), "-" if rule is None else figure(rule)
+        parts = [_told(case, full, k, unit) for full, k, unit in TOLD]
+        lines.append((case["holdout"], *drag, *parts, _clocks(case), _flown(case), *said))
     head = (
-        *("held out", "drag, 1/s"),
-        *(f"`{n}`, where it is there" for n in names),
+        *("held out", "drag, 1/s", "by least squares"),
+        *(f"`{full.partition('.')[0]}`, where it is there" for full, _, _ in TOLD),
+        *(CLOCKS, "missions flown"),
         *(f"`{a}` about its mean, rad/s²" for a in axes),
     )
     text = (
         f"Drag is `rotor_drag.k_xy_1_s` and {GRAVITY:g} times `blade_flapping.k_rad_s_m` together, "
-        f"means over all sets, 0 where an effect is not there, at the rotor speed that was flown: "
-        f"`k_xy_1_s` is that at which the vehicle file hovers, and `spin_share` of it grows with "
-        f"the speed. Rotors turned {_span(c['spin'] for c in cases)} times as fast as the file "
-        f"hovers. Wished for: at most {goal:g} rad/s² "
-        f"about the flight's own mean; *: more."
+        f"means over all sets, 0 where an effect is not there. The trivial rule beside it: least "
+        f"squares of specific force across the thrust on velocity, by nothing else. Lag is that on "
+        f"top of the file's. Clocks are those of the pose that stand out of the day, in the order "
+        f"of the flights. Wished for: at most {goal:g} rad/s² about the flight's own mean; *: more."
     )
-    return [
-        *section("Drag, and angular acceleration about its mean"),
-        text,
-        "",
-        *table(head, lines),
-    ]
+    return [*section(RETURNED), text, "", *table(head, lines)]
 
 
 def drag_1_s(case: Case) -> float:
-    """Drag linear in the speed that predicts best, 1/s, at the rotor speed of the fit flights."""
-    predicted = case["predicted"]
-    rotors = predicted.get(ROTOR_DRAG, 0.0) * grown(predicted, case["spin"])
-    return float(rotors + GRAVITY * predicted.get(FLAPPING, 0.0))
+    """Drag linear in the speed that predicts best, 1/s, at the rotor speed of hover."""
+    return float(sum(k * case["predicted"].get(full, 0.0) for full, k in DRAG.items()))
 
 
-def grown(numbers: Mapping[str, float], spin: float) -> float:
-    """By how much the drag of rotors is larger at a speed over that in hover."""
-    return 1 + numbers.get("rotor_drag.spin_share", 1.0) * (spin - 1)
-
-
-def _span(values: Iterable[float]) -> str:
-    every = [*values]
-    return f"{min(every):.2f} to {max(every):.2f}"
-
-
-def _in_1_s(number: Number, k: float) -> str:
+def _told(case: Case, full: str, k: float, unit: str) -> str:
+    """A number where its effect is there, its interval and the probability of the effect."""
+    effect = full.partition(".")[0]
+    number = numbers_of(case, {effect}).get(full)
+    if number is None:
+        return "-"
     ci95 = None if number.ci95 is None else (k * number.ci95[0], k * number.ci95[1])
-    return interval(k * number.value, ci95, "1/s")
+    chance = case["said"].get("inclusion", {}).get(effect, 0)
+    return f"{interval(k * number.value, ci95, unit)}, probability {chance:.2f}"
+
+
+def _clocks(case: Case) -> str:
+    """Of each flight that was fitted, ms; "0" where none stands out."""
+    days = case["said"].get("per_flight", {}).values()
+    own = (d.get("clock_offset.pose_s", {}).get("difference", 0.0) for d in days)
+    return ", ".join(f"{1000 * v:+.0f}" if v else "0" for v in own) or "-"
+
+
+def _flown(case: Case) -> str:
+    """How many of the missions the corrected twin flies."""
+    loop = case["said"].get("closed_loop")
+    if loop is None:
+        return "-"
+    flown = [m["stable"] for m in loop["missions"].values()]
+    return f"{sum(flown)} of {len(flown)}"

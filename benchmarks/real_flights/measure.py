@@ -16,10 +16,10 @@ from scipy.fft import dct
 from twin.effects import EffectParameter
 from twin.explain.estimates import estimates_of, listed_effects
 from twin.explain.explanation import Explanation, explain
+from twin.frames import to_body
 from twin.logs import Flight
-from twin.residuals.aligned import align_flight
-from twin.residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
-from twin.vehicle import Vehicle
+from twin.logs.columns import QUAT, VEL
+from twin.residuals.channels import CHANNEL_HZ, ChannelData
 from uavtwin.explain_record import explain_record
 
 from .scenarios import Scenario, read
@@ -67,7 +67,7 @@ def measure(data: Path, scenario: Scenario, holdout: str) -> dict[str, Any]:
     start = time.perf_counter()
     fit = [read(data, f) for f in scenario.flights if f != holdout]
     away, vehicle = read(data, holdout), scenario.read_vehicle()
-    found = explain(fit, [away], vehicle, missions=(), indoors=scenario.indoors)
+    found = explain(fit, [away], vehicle, indoors=scenario.indoors)
     return {
         "scenario": scenario.name,
         "holdout": away.name,
@@ -75,16 +75,23 @@ def measure(data: Path, scenario: Scenario, holdout: str) -> dict[str, Any]:
         "numbers": numbers(found),
         "predicted": dict(found.values),
         "channels": channels(found),
-        "spin": float(np.mean([spin(f, vehicle) for f in fit])),
+        "braking": braking(fit),
         "seconds": round(time.perf_counter() - start, 1),
     }
 
 
-def spin(flight: Flight, vehicle: Vehicle) -> float:
-    """Mean speed of the rotors in the air over that at which the vehicle file hovers."""
-    aligned = align_flight(flight, vehicle, 1 / GRID_HZ)
-    (spins,) = aligned.predicted("spin_")
-    return float(np.nanmean(spins[aligned.airborne]))
+def braking(flights: Sequence[Flight]) -> float | None:
+    """The trivial rule for drag, 1/s: least squares of specific force across the thrust on the
+    velocity in body axes, both less their means in the tour of a flight, by nothing else; None
+    where no flight has both."""
+    columns, along, square = [*QUAT, *VEL, "acc_x", "acc_y"], 0.0, 0.0
+    for flight in (f for f in flights if f.has(*columns)):
+        way = ~flight.table.phase.isin(["ground", "takeoff", "land"])
+        tour = flight.table.loc[way, columns].dropna().to_numpy().T
+        velocity = np.array(to_body(tour[:4], tour[4:7])[:2])
+        v, force = (x - x.mean(axis=1, keepdims=True) for x in (velocity, tour[7:]))
+        along, square = along - float(np.sum(v * force)), square + float(np.sum(v * v))
+    return along / square if square else None
 
 
 def numbers(found: Explanation) -> dict[str, dict[str, Any]]:

@@ -5,13 +5,17 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import sqrt
 from pathlib import Path
 
-from .details import figure, table
+from .details import RETURNED, figure, table
 
 HEAD = Path(__file__).with_name("protocol.md").read_text("utf-8")
 LABELLED = Path(__file__).parents[2] / "docs" / "results" / "labelled_flights.md"
 """Flights of which it is known what was done to the aircraft."""
 BALANCES = ("acc_", "gyro_rate_")
 """Channels of force and moment, which the page shows; the others are in the file of rows."""
+OVERVIEW = "numbers that pass"
+"""Key of the rows of the overview alone."""
+PLACE = "scenario", "section", "part"
+"""Keys of a row that say where it belongs."""
 Row = Mapping[str, str]
 
 
@@ -52,6 +56,32 @@ def write_rows(path: Path, found: Iterable[Row]) -> None:
     path.write_text("".join(lines), "utf-8")
 
 
+def renewed(stored: Sequence[Row], found: Sequence[Row], state: str) -> list[Row]:
+    """Stored rows with those of some scenarios measured again, and the note of the page saying so.
+
+    Args:
+        stored: As `write_rows` wrote them, facts first.
+        found: Rows of these scenarios.
+        state: When and by what they were measured.
+    """
+    facts, *every = stored
+    titles = list(dict.fromkeys(r["scenario"] for r in found if "scenario" in r))
+    note = f"{facts['note']} {', '.join(titles)}: {state}".strip()
+    heads = [r for r in found if OVERVIEW in r]
+    rest = [r for r in found if OVERVIEW not in r]
+    made: list[Row] = [{**facts, "note": note}]
+    for row in every:
+        own = row.get("scenario") in titles
+        if not own:
+            made.append(row)
+        elif OVERVIEW in row:
+            made += [r for r in heads if r["scenario"] == row["scenario"]]
+        else:
+            made += [r for r in rest if r["scenario"] == row["scenario"]]
+            rest = [r for r in rest if r["scenario"] != row["scenario"]]
+    return made
+
+
 def read_rows(path: Path) -> list[Row]:
     """What `write_rows` has written."""
     return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
@@ -66,7 +96,14 @@ def short_page(found: Sequence[Row], data: str) -> str:
     """
     facts, *every = found
     parts = [HEAD.format(labelled=labelled(), data=data, **facts), *_overview(every)]
-    parts += [*_agreeing(every), *_wanted(every), *_gaps(every), "", facts["state"]]
+    parts += [
+        *_returned(every),
+        *_agreeing(every),
+        *_wanted(every),
+        *_gaps(every),
+        "",
+        facts["state"],
+    ]
     return "\n".join(parts) + "\n"
 
 
@@ -88,7 +125,7 @@ def _overview(every: Sequence[Row]) -> list[str]:
         "something acts like": "acts like",
         "numbers that pass": "numbers that agree",
     }
-    lines = [[row[h] for h in shown] for row in every if "numbers that pass" in row]
+    lines = [[row[h] for h in shown] for row in every if OVERVIEW in row]
     first = {
         row["scenario"]: row["remark"]
         for row in reversed(every)
@@ -96,6 +133,17 @@ def _overview(every: Sequence[Row]) -> list[str]:
     }
     about = [f"- **{scenario}**: {text}" for scenario, text in reversed(first.items())]
     return ["", "## Overview", "", *about, "", *table(tuple(shown.values()), lines)]
+
+
+def _returned(every: Sequence[Row]) -> list[str]:
+    """Rotation by rotation what a scenario with a goal asks for."""
+    own = [r for r in every if r.get("section") == RETURNED]
+    text = [r["remark"] for r in own if "remark" in r]
+    lines = [{k: v for k, v in r.items() if k not in PLACE} for r in own if "remark" not in r]
+    if not lines:
+        return []
+    shown = table(tuple(lines[0]), (tuple(line.values()) for line in lines))
+    return ["", f"## {own[0]['scenario']}: rotations", "", *text, "", *shown]
 
 
 def _agreeing(every: Sequence[Row]) -> list[str]:

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,21 @@ import pytest
 from benchmarks.real_flights import __main__ as command
 from benchmarks.real_flights.agreement import Agreement, Number, agreements, judge
 from benchmarks.real_flights.details import drag_1_s, passing
-from benchmarks.real_flights.measure import about_mean, above, band_rms, baselines, held, spectra
+from benchmarks.real_flights.measure import (
+    about_mean,
+    above,
+    band_rms,
+    baselines,
+    braking,
+    held,
+    spectra,
+)
 from benchmarks.real_flights.page import details, state
-from benchmarks.real_flights.rows import read_rows, rows, short_page, write_rows
+from benchmarks.real_flights.rows import read_rows, renewed, rows, short_page, write_rows
 from benchmarks.real_flights.scenarios import SCENARIOS, Change, read
-from twin.physics.airframe import airframe
 from twin.residuals.channels import ChannelData
 from twin.vehicle_file import load_vehicle
+from uavtwin.demo.flights import fly
 
 ROOT = Path(__file__).parents[2]
 
@@ -149,7 +158,7 @@ def case(holdout: str, effects: Mapping[str, Mapping[str, Any]], **more: Any) ->
         },
         "predicted": {f"{k}.n": e["value"] for k, e in effects.items()},
         "channels": [row | more],
-        "spin": 1.0,
+        "braking": 0.25,
         "seconds": 30.0,
         "twin": "0123456789ab",
     }
@@ -365,24 +374,17 @@ def test_drag_is_that_of_either_effect_in_1_s() -> None:
         found["channels"].append(
             row | {"name": f"gyro_rate_{axis}", "mean": row["mean"] | {"effects": mean}}
         )
-    assert "| circle | 0.296 | - | - | 4.36 | 10* | 6 |" in details([(nano, [found])])
-
-
-def test_drag_is_told_at_the_rotor_speed_that_was_flown() -> None:
-    numbers = {"k_xy_1_s": 0.3, "k_z_1_s": 0.0, "spin_share": 0.6}
-    body = airframe(load_vehicle("crazyflie").with_effects({"rotor_drag": numbers}))
-    p = body.parameter_values()
-    fast = np.asarray(body.initial(body.input_values(), p)).ravel()
-    fast[[s.name.startswith(("rotor_", "effort_")) for s in body.states]] *= 1.3
-    still, windy = (
-        dict(zip(body.output_names, np.asarray(body.outputs(fast, u, p)).ravel(), strict=True))
-        for u in (body.input_values(), body.input_values({"wind_x": 1.0}))
+    assert "| circle | 0.296 | 0.25 | - | - | - | - | - | 4.36 | 10* | 6 |" in details(
+        [(nano, [found])]
     )
-    found = case("circle", {}) | {"spin": still["spin_1"]}
-    found["predicted"] = {f"rotor_drag.{k}": v for k, v in numbers.items()}
-    assert still["spin_1"] > 1.1
-    force = windy["specific_force_x"] - still["specific_force_x"]
-    assert force == pytest.approx(drag_1_s(found), rel=1e-9)
+
+
+def test_the_trivial_rule_for_drag_finds_a_planted_one() -> None:
+    vehicle = load_vehicle("crazyflie")
+    plant = vehicle.with_effects({"rotor_drag": {"k_xy_1_s": 0.3, "k_z_1_s": 0.0}})
+    flown = fly(vehicle, plant, seed=2)
+    assert braking([flown]) == pytest.approx(0.3, rel=0.1)
+    assert braking([replace(flown, table=flown.table.drop(columns="vel_x"))]) is None
 
 
 def test_page_tells_of_what_failed_or_could_not_be_used() -> None:
@@ -430,6 +432,28 @@ def test_rms_of_a_page_is_that_over_all_samples(tmp_path: Path) -> None:
     other["channels"][0]["effects"] = 3.0
     text = short([(SCENARIOS[0], [one, other])], tmp_path)
     assert f"| {SCENARIOS[0].title} | `acc_z`, m/s² | 2 | 1.73 | 1.5 | 0.9 | 1 | 1 |" in text
+
+
+def test_a_scenario_measured_again_takes_the_place_of_its_rows() -> None:
+    one, other = ([(s, [case("a", {"motor_lag": GOOD})])] for s in SCENARIOS[:2])
+    later = [(SCENARIOS[0], [case("a", {"gust": GOOD})])]
+    facts = {"measured": "1 May 2026", "note": "", "state": "first"}
+    both = [facts, *rows(details([*one, *other]))]
+    made = renewed(both, list(rows(details(later))), "later.")
+    assert made[0] == facts | {"note": f"{SCENARIOS[0].title}: later."}
+    assert made[1:] == list(rows(details([*later, *other])))
+
+
+def test_the_short_page_tells_a_scenario_with_a_goal_rotation_by_rotation(tmp_path: Path) -> None:
+    nano = next(s for s in SCENARIOS if s.name == "nanobench")
+    found = case("circle", {})
+    found["predicted"] = {"rotor_drag.k_xy_1_s": 0.3}
+    flown = {"hover": {"stable": True}, "tour": {"stable": False}}
+    day = {"clock_offset.pose_s": {"difference": -0.017}}
+    found["said"] |= {"closed_loop": {"missions": flown}, "per_flight": {"a": day, "b": {}}}
+    text = short([(nano, [found])], tmp_path)
+    assert f"## {nano.title}: rotations" in text
+    assert "| circle | 0.3 | 0.25 | - | - | - | -17, 0 | 1 of 2 | - | - | - |" in text
 
 
 def test_the_stored_rows_make_the_page_of_the_documentation(tmp_path: Path) -> None:

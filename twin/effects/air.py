@@ -167,6 +167,9 @@ GUST = Effect(
 )
 
 
+FAINT = 1e-3
+"""Weight over the thrust of one rotor in hover below which it is none: a hover without gravity is
+none, and rotor speeds have to be over something."""
 NEAREST_GROUND = 0.25
 """Rotor height over the scale of the ground effect below which it grows no more: standing."""
 
@@ -177,9 +180,14 @@ def _weight_on_arm(vehicle: Vehicle) -> float:
 
 
 def _rotor_drag(w: Wrench, p: Block) -> Wrench:
-    spin = sum(w.rotors.spin, start=ca.SX(0)) / len(w.rotors.spin)
-    grown = 1 + p["spin_share"] * (spin - 1)
-    m, air = w.motion.body.mass * w.motion.density * grown, w.motion.air_b
+    """Rotor speed over that in the hover of this very aircraft is the root of thrust over weight,
+    whatever a file has as its thrust map; so the drag in hover is told apart from its growth."""
+    m = w.motion.body.mass * w.motion.density
+    weight = ca.fmax(m * w.motion.gravity, FAINT * w.rotors.hover)
+    load = sum(w.rotors.thrust, start=ca.SX(0)) / weight
+    # The root has no derivative at zero, where rotors are at rest.
+    spin = ca.if_else(load > 0, ca.sqrt(ca.fmax(load, 1e-30)), 0.0)
+    m, air = m * (1 + p["spin_share"] * (spin - 1)), w.motion.air_b
     k = [p["k_xy_1_s"], p["k_xy_1_s"], p["k_z_1_s"]]
     drag = [-m * c * v for c, v in zip(k, air, strict=True)]
     hubs = w.motion.body.hubs

@@ -275,6 +275,7 @@ MASS_OFFSET = Effect(
     ("acc",),
     "definition",
     _mass_offset,
+    observable_as=Equation(mistaken_for=("thrust_scale",)),
     prior=Prior(
         COMMON, "battery, payload of up to 30 %", {"": Normal(0.0, 0.12)}, corrects="body.mass"
     ),

@@ -140,6 +140,7 @@ THRUST_SCALE = Effect(
     ("acc",),
     "definition: one factor on the thrust map",
     _thrust_scale,
+    observable_as=Equation(mistaken_for=("mass_offset",)),
     prior=Prior(
         UNMEASURED,
         "maps come from other propellers: bench tests 10 to 30 % off, copied files 50 %",

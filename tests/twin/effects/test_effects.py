@@ -136,6 +136,24 @@ def test_rotor_drag_slows_in_proportion_to_the_speed() -> None:
     assert [added[f"vel_{a}"] for a in "xyz"] == pytest.approx([-1.2, 0.6, 0.1])
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [1.0, 0.6])
+@pytest.mark.parametrize("faster", [1.0, 1.3])
+def test_rotor_drag_is_that_of_the_hover_of_the_aircraft(scale: float, faster: float) -> None:
+    """Whatever a file says of thrust: rotor speed goes with the root of thrust over weight."""
+    vehicle = load_vehicle("crazyflie").with_effects({"thrust_scale": {"scale": scale}})
+    rig = having(vehicle, "rotor_drag", k_xy_1_s=0.3, k_z_1_s=0.0, spin_share=0.6)
+    still = rig.state()
+    still[[n.startswith(("rotor_", "effort_")) for n in rig.names]] *= faster
+    moving = still.copy()
+    moving[rig.names.index("vel_x")] = 1.0
+    rest, flown = (rig.outputs(x, rig.inputs()) for x in (still, moving))
+    speed = np.sqrt(-rest["specific_force_z"] / vehicle.gravity_m_s2)
+    assert faster == 1.0 or speed > 1.1
+    drag = flown["specific_force_x"] - rest["specific_force_x"]
+    assert drag == pytest.approx(-0.3 * (1 + 0.6 * (speed - 1)))
+
+
 def test_rotor_drag_that_attacks_above_the_hubs_lifts_the_nose() -> None:
     added = change(
         plain(), "rotor_drag", vec("vel", [4, -2, 0]), k_xy_1_s=0.3, k_z_1_s=0.0, height_m=0.05

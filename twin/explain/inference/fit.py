@@ -134,7 +134,8 @@ class Problem:
         numbers = [model.numbers[i] for i in priors.columns]
         bounds = Bounds.of(numbers, model.vehicle).around(priors.now)
         theta, days = np.zeros(len(numbers)), np.zeros((len(model.flights), len(priors.days)))
-        flights = _without_means(model.channels(priors.columns), priors.names, {})
+        now = dict(zip(priors.names, priors.now.tolist(), strict=True))
+        flights = _without_means(model.channels(priors.columns), priors.names, {}, now)
         rest = Spectrum.of(flights, theta, days, priors.days)
         usual = constants_of_days(rest.channels, model.vehicle, settings)
         sizes = [(constants or {}).get(n, u) for n, u in zip(rest.channels, usual, strict=True)]
@@ -160,10 +161,14 @@ class Problem:
 
     def channels(self, x: Array, columns: Sequence[int] = ()) -> list[list[ChannelData]]:
         """Channels of each flight on its day at some numbers, with slopes by some of them."""
-        at = [self.priors.columns[i] for i in columns]
-        values = self.values(x)
-        flights = replace(self.model, days=self.days(x)).channels(at, values)
-        return _without_means(flights, [self.priors.names[i] for i in columns], values)
+        values, b = self.values(x), self.priors
+        torque = [i for i, n in enumerate(b.names) if n in values and _scale(n) == "torque"]
+        asked = [*columns, *(i for i in torque if i not in columns)]
+        model = replace(self.model, days=self.days(x))
+        flights = model.channels([b.columns[i] for i in asked], values)
+        now = dict(zip(b.names, b.now.tolist(), strict=True))
+        made = _without_means(flights, [b.names[i] for i in asked], values, now)
+        return [[replace(c, slopes=c.slopes[:, : len(columns)]) for c in f] for f in made]
 
     def split(self, x: Array) -> tuple[Array, Array]:
         """Numbers that all flights share, and those of the days."""
@@ -357,44 +362,45 @@ class Problem:
         return spectrum.moved(flights, *self.split(x)).renewed(flights, columns)
 
 
-def _scales(effect: str) -> str:
-    """See `Equation.scales`."""
-    observable_as = EFFECTS[effect].observable_as
+def _scale(number: str) -> str:
+    """Which factor a number "effect.number" is, see `Equation.scales`; "": none."""
+    observable_as = EFFECTS[number.partition(".")[0]].observable_as
     return observable_as.scales if isinstance(observable_as, Equation) else ""
 
 
 def _without_means(
-    flights: Flights, names: Sequence[str], values: Mapping[str, float]
+    flights: Flights, names: Sequence[str], values: Mapping[str, float], now: Mapping[str, float]
 ) -> list[list[ChannelData]]:
-    """Channels in which no scale changes the constants of angular acceleration: those of roll and
-    pitch are as of the moment, inertia times what is measured.
+    """Channels in which no scale changes the constants of angular acceleration: these are as of the
+    moment, inertia times what is measured, with the reaction torque of the model as it stands.
 
     Args:
         flights: Channels of each flight.
-        names: Numbers of the slopes.
+        names: Numbers of the slopes, among them scales of the torque that differ from the model's.
         values: Of the numbers, as of `Model.channels`.
+        now: Of all numbers, in the model as it stands.
     """
-    effects = [n.partition(".")[0] for n in names]
-    scales = [i for i, e in enumerate(effects) if _scales(e)]
-    inertia = {e for e in EFFECTS if _scales(e) == "inertia"}
+    scales = {n: values.get(n, now[n]) for n in now if _scale(n)}
+    own = [i for i, n in enumerate(names) if n in scales]
 
     def made(c: ChannelData) -> ChannelData:
         """Of one channel."""
         if not turns(c.name):
             return c
-        axis = c.name[-1]
-        factors = (values.get(f"{e}.scale_{axis}", 1.0) for e in inertia if axis != "z")
-        more = math.prod(factors) - 1.0
+        inertia = (n for n in scales if n.endswith(f".scale_{c.name[-1]}"))
+        more = math.prod(scales[n] / now[n] for n in inertia) - 1.0
         residual, slopes = c.residual.copy(), c.slopes.copy()
         for k in np.unique(c.piece):
-            own = c.piece == k
-            residual[own] += more * residual[own].mean()
-            mean = slopes[own].mean(axis=0)
+            part = c.piece == k
+            mean = slopes[part].mean(axis=0)
+            back = sum((scales[names[i]] - now[names[i]]) * mean[i] for i in torque)
+            residual[part] += more * (residual[part].mean() + back) + back
             change = more * mean
-            change[scales] = -mean[scales]
-            slopes[own] += change
+            change[own] = -mean[own]
+            slopes[part] += change
         return replace(c, residual=residual, slopes=slopes)
 
+    torque = [i for i in own if _scale(names[i]) == "torque"]
     return [[made(c) for c in row] for row in flights]
 
 
