@@ -83,11 +83,13 @@ def measure(data: Path, scenario: Scenario, holdout: str) -> dict[str, Any]:
 def braking(flights: Sequence[Flight]) -> float | None:
     """The trivial rule for drag, 1/s: least squares of specific force across the thrust on the
     velocity in body axes, both less their means in the tour of a flight, by nothing else; None
-    where no flight has both."""
+    where no flight has both in one row."""
     columns, along, square = [*QUAT, *VEL, "acc_x", "acc_y"], 0.0, 0.0
     for flight in (f for f in flights if f.has(*columns)):
         way = ~flight.table.phase.isin(["ground", "takeoff", "land"])
         tour = flight.table.loc[way, columns].dropna().to_numpy().T
+        if not tour.size:
+            continue
         velocity = np.array(to_body(tour[:4], tour[4:7])[:2])
         v, force = (x - x.mean(axis=1, keepdims=True) for x in (velocity, tour[7:]))
         along, square = along - float(np.sum(v * force)), square + float(np.sum(v * v))
