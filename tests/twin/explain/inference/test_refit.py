@@ -53,6 +53,17 @@ def test_five_effects_at_once_come_back_with_their_numbers() -> None:
 
 
 @pytest.mark.slow
+def test_drag_in_hover_is_told_apart_from_its_growth_where_the_thrust_map_is_wrong() -> None:
+    best, names = state_of(problem(), EFFECTS_AT_ONCE).best, problem().priors.names
+    drag, growth = (
+        int(np.flatnonzero(best.free == names.index(f"rotor_drag.{n}"))[0])
+        for n in ("k_xy_1_s", "spin_share")
+    )
+    c = best.covariance
+    assert abs(c[drag, growth]) < 0.2 * np.sqrt(c[drag, drag] * c[growth, growth])
+
+
+@pytest.mark.slow
 def test_a_fit_ends_where_its_residuals_are_those_of_the_model() -> None:
     """What the end of a fit says of itself is what the model says there."""
     state = state_of(problem(), EFFECTS_AT_ONCE)
