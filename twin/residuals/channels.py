@@ -266,6 +266,7 @@ class GridSpline:
         """
         self._bridged, self._known = _bridged(values)
         self._rate_hz = rate_hz
+        self._moved: dict[float, Array] = {}
 
     @cached_property
     def _weights(self) -> Array:
@@ -274,11 +275,17 @@ class GridSpline:
 
     def later(self, later_s: float) -> Array:
         """The values later by a while, (N, channels), the ends held; a channel of which nothing is
-        known stays unknown.
+        known stays unknown. The last two are kept, and not to be written to: a fit asks for
+        derivatives by one age after the other.
 
         Args:
             later_s: How much later, s; negative for earlier.
         """
+        if later_s not in self._moved:
+            self._moved = {**dict([*self._moved.items()][-1:]), later_s: self._at(later_s)}
+        return self._moved[later_s]
+
+    def _at(self, later_s: float) -> Array:
         steps = -later_s * self._rate_hz
         whole = math.floor(steps)
         rows = np.arange(len(self._bridged)) + whole

@@ -163,8 +163,9 @@ def transformed(channel: ChannelData, values: Array) -> tuple[Array, NDArray[np.
     total = sum(int(np.sum(channel.piece == p)) for p in pieces)
     for p in pieces:
         part = values[channel.piece == p]
-        n = len(part)
-        y = dct(part, axis=0, norm="ortho")
+        n, some = len(part), np.any(part != 0, axis=0)
+        y = np.zeros_like(part)
+        y[:, some] = dct(part[:, some], axis=0, norm="ortho")
         hz = np.arange(n) * CHANNEL_HZ / 2 / n
         band = np.searchsorted(BANDS_HZ, hz, side="right")
         band[0] = 0

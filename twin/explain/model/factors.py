@@ -117,6 +117,10 @@ class SensorFactor:
 
     __repr__ = short_repr
 
+    def seen(self, values: Array) -> Array:
+        """Values on the grid, shape (n, k, m), where the readings are known."""
+        return values if self.sampled is None else self.sampled(values)
+
 
 def driven_apart(
     context: FlightContext, rate: bool

@@ -140,6 +140,8 @@ class FlightModel:
         self._trajectory = Trajectory(flight, vehicle, physics, effects, numbers)
         self.aligned = self._trajectory.aligned
         self._now = values_of(numbers, {})
+        attitude = self.aligned.motion.attitude
+        self._q = [] if attitude is None else list(attitude.at(self.aligned.inputs.t_s).T)
         context = FlightContext(flight, vehicle, self.aligned, effects, self.numbers)
         self._turning = measured_turning(flight, self.aligned)
         force = physics.value(self._now, self.aligned.states, self.aligned.inputs.u)[:, :3]
@@ -149,6 +151,8 @@ class FlightModel:
         )
         self._resting: dict[int, list[ChannelData]] = {}
         self._predicted: dict[tuple[int, bool], Array] = {}
+        self._rates: dict[int, GridSpline] = {}
+        self._sensed: dict[int, dict[int, tuple[bytes, Array]]] = {}
         self._values: dict[tuple[Hashable, ...], tuple[Array, tuple[Array, ...]]] = {}
 
     def channels(
@@ -216,16 +220,34 @@ class FlightModel:
             # Numbers change what is clean: a scale below one would damp the noise of the pose.
             at = factor.batch.value(theta, factor.at)
             more = (at - self._standing(k, factor.at))[:, factor.outputs]
-            slopes = factor.batch.slopes(columns, theta, factor.at)[:, factor.outputs]
+            slopes = self._sensed_slopes(k, columns, theta)
             predicted, at = self._clean(k, theta)[:, factor.outputs], at[:, factor.outputs]
-            if factor.sampled is not None:
-                more, slopes = _sampled(factor.sampled, more, slopes)
+            more = factor.seen(more[:, :, None])[:, :, 0]
             if factor.carried is not None:
                 more = more + factor.carried
             predicted = predicted + more
             if factor.turning is not None and at_imu is not None:
                 at = at_imu[0][:, factor.outputs]
         return self._in_time(k, columns, theta, predicted, slopes, at)
+
+    def _sensed_slopes(self, k: int, columns: Sequence[int], theta: Array) -> Array:
+        """Slopes of a part that the pose predicts, where its readings are known; by a number anew
+        only where another has changed that they depend on."""
+        factor, retained = self.factors[k], self._sensed.setdefault(k, {})
+        assert factor.batch is not None
+        depends = {i: factor.batch.bending(i, theta) for i in columns if factor.batch.answers(i)}
+        stale = [i for i in depends if i not in retained or retained[i][0] != depends[i]]
+        slopes = factor.batch.slopes(stale, theta, factor.at)[:, factor.outputs]
+        some = [j for j in range(len(stale)) if np.any(slopes[:, :, j])]
+        for first in range(0, len(some), SLOPES_AT_ONCE):  # all at once, they would fill the memory
+            few = some[first : first + SLOPES_AT_ONCE]
+            slopes[:, :, few] = factor.seen(slopes[:, :, few])
+        retained |= {i: (depends[i], slopes[:, :, j]) for j, i in enumerate(stale)}
+        found = np.zeros((len(columns), slopes.shape[1], len(slopes))).T  # zeros take no memory
+        for column, i in enumerate(columns):
+            if i in depends:
+                found[:, :, column] = retained[i][1]
+        return found
 
     def _body_answers(
         self, columns: Sequence[int], change: Mapping[str, float], bare: bool
@@ -353,17 +375,15 @@ class FlightModel:
         top, hides all. That of the gyroscope, which the residual has too, feigns a little of an
         average where the vehicle hardly turns.
         """
-        factor, signals = self.factors[k], set(self.numbers[i].averages)
-        if factor.turning is None:
+        turning, signals = self.factors[k].turning, set(self.numbers[i].averages)
+        if turning is None:
             return -0.5 * _bend(at)
-        assert self.aligned.motion.attitude is not None
         answer = np.zeros_like(at)
         if signals & {*PLACE}:
-            q = list(self.aligned.motion.attitude.at(self.aligned.inputs.t_s).T)
-            force_n = np.stack(to_ned(q, list(at.T)), axis=-1)
-            answer -= 0.5 * np.stack(to_body(q, list(_bend(force_n).T)), axis=-1)
+            force_n = np.stack(to_ned(self._q, list(at.T)), axis=-1)
+            answer -= 0.5 * np.stack(to_body(self._q, list(_bend(force_n).T)), axis=-1)
         if signals & {*TURN}:
-            spline = GridSpline(factor.turning)
+            spline = remembered(self._rates, k, lambda: GridSpline(turning))
             ahead, back = spline.later(-BEND_S), spline.later(BEND_S)
             answer += 0.5 * np.cross((ahead - back) / (2 * BEND_S), at)
         return answer
@@ -388,22 +408,8 @@ class FlightModel:
 
     def _turned(self, force_b: Array) -> Array:
         """Change of a force in body axes per angle by which the measured heading is off."""
-        assert self.aligned.motion.attitude is not None
-        q = list(self.aligned.motion.attitude.at(self.aligned.inputs.t_s).T)
-        north, east, _ = to_ned(q, list(force_b.T))
-        return np.stack(to_body(q, [-east, north, 0 * north]), axis=-1)
-
-
-def _sampled(sampled: Callable[[Array], Array], more: Array, slopes: Array) -> tuple[Array, Array]:
-    """What is added to a prediction, and its slopes, at the samples of a pose; zeros stay zeros."""
-    n, k, m = slopes.shape
-    both = np.zeros((m + 1, k, n)).T  # columns that stay 0 take no memory
-    every = [more, *(slopes[:, :, i] for i in range(m))]
-    some = [i for i, values in enumerate(every) if np.any(values)]
-    for first in range(0, len(some), SLOPES_AT_ONCE):  # all at once, they would fill the memory
-        few = some[first : first + SLOPES_AT_ONCE]
-        both[:, :, few] = sampled(np.stack([every[i] for i in few], axis=2))
-    return both[:, :, 0], both[:, :, 1:]
+        north, east, _ = to_ned(self._q, list(force_b.T))
+        return np.stack(to_body(self._q, [-east, north, 0 * north]), axis=-1)
 
 
 def _bend(values: Array) -> Array:

@@ -56,6 +56,8 @@ from .numbers import DRIVES, PLACE, TURN, Number, age_of, lateness_of, values_of
 Array = NDArray[np.float64]
 
 Mask = NDArray[np.bool_]
+Values = tuple[tuple[str, float], ...]
+"""Numbers, "effect.number", with their values."""
 Key = TypeVar("Key")
 Made = TypeVar("Made")
 FUNCTIONS = 64
@@ -163,7 +165,7 @@ class Batch:
         """
         self._rows, self._theta, self._readings = list(rows), theta, readings
         self._rest = values_of(numbers, {})
-        self._answering = self.reached().any(axis=0)
+        self._answering = self._reached(readings).any(axis=0)
         self._made: dict[tuple[tuple[int, ...] | None, bytes], OverRows] = {}
 
     def value(self, theta: Array, *rows: Array) -> Array:
@@ -178,11 +180,21 @@ class Batch:
         flat = self._function(tuple(columns), theta)(*rows, theta)
         return flat.T.reshape(*shape, len(flat)).transpose(2, 1, 0)
 
-    def reached(self) -> NDArray[np.bool_]:
-        """Whether each reading answers to each number, by the equations' structure, (c, k)."""
-        function = ca.Function("reach", [*self._rows, self._theta], [ca.densify(self._readings)])
-        sparsity = ca.DM(function.jac_sparsity(0, len(self._rows)), 1)
-        return np.asarray(np.asarray(sparsity, dtype=np.float64) != 0)
+    def answers(self, i: int) -> bool:
+        """Whether a reading answers to number `i`."""
+        return bool(self._answering[i])
+
+    @cached_property
+    def bent_by(self) -> Mask:
+        """Whether the derivatives by a number depend on another, shape (k, k)."""
+        k = self._theta.numel()
+        by_number = self._reached(ca.vec(ca.jacobian(self._readings, self._theta)))
+        return np.asarray(by_number.reshape(k, -1, k).any(axis=1))
+
+    def _reached(self, results: ca.SX) -> Mask:
+        """Whether each result answers to each number, by the equations' structure, (c, k)."""
+        function = ca.Function("reach", [*self._rows, self._theta], [ca.densify(results)])
+        return _depends(function, len(self._rows))
 
     def _function(self, columns: tuple[int, ...] | None, theta: Array) -> OverRows:
         """The readings, or their derivatives by some columns, where these numbers are not at rest
@@ -298,10 +310,6 @@ class Physics:
         along = self._along(theta, states, inputs)
         return self._batch.slopes(columns, theta, states, inputs, *along)
 
-    def answering(self) -> NDArray[np.bool_]:
-        """Whether each reading answers to each number, the states given, shape (6, k)."""
-        return self._batch.reached()
-
     def _along(self, theta: Array, states: Array, inputs: Array) -> tuple[Array, ...]:
         """States of effects in the IMU."""
         if self._imu_inputs is None:
@@ -334,13 +342,17 @@ class SensorBatch:
         rows = [sensed, z] if self._states.index else [sensed]
         self._batch = Batch(rows, theta, shown, numbers)
 
-    def answering(self) -> NDArray[np.bool_]:
-        """Whether each reading answers to each number, shape (c, k)."""
-        return self._batch.reached()
-
     def value(self, theta: Array, rows: Array) -> Array:
         """Predicted readings, shape (n, c), of all rows of a flight, shape (n, n_u)."""
         return self._batch.value(theta, rows, *self._states.along(rows, theta))
+
+    def answers(self, i: int) -> bool:
+        """Whether a reading answers to number `i`."""
+        return i in self._states.numbers or self._batch.answers(i)
+
+    def bending(self, i: int, theta: Array) -> bytes:
+        """Of the numbers `theta`, those that the derivatives by number `i` depend on."""
+        return theta.tobytes() if self._states.index else theta[self._batch.bent_by[i]].tobytes()
 
     def slopes(self, columns: Sequence[int], theta: Array, rows: Array) -> Array:
         """Derivatives of the readings by some numbers, shape (n, c, len(columns))."""
@@ -379,8 +391,9 @@ def _parameters(
 # -- along a flight --------------------------------------------------------------------------
 
 
-REMEMBERED = 16
-"""Courses of states that are not measured, and what they follow, by the numbers."""
+REMEMBERED, DRIVEN = 16, 3
+"""Courses of states that are not measured, and what they follow, by the numbers; with inputs that
+are late."""
 
 
 class Trajectory:
@@ -412,7 +425,8 @@ class Trajectory:
         self._splines: dict[tuple[str, ...], GridSpline] = {}
         self._forces: dict[tuple[str, bytes], tuple[Array, Array]] = {}
         self._courses: dict[tuple[str, bytes, tuple[float, ...]], Any] = {}
-        self._integrated: dict[tuple[tuple[str, float], ...], AlignedFlight] = {}
+        self._integrated: dict[Values, AlignedFlight] = {}
+        self._driven: dict[tuple[Values, Values], tuple[Array, Array]] = {}
         states = self._observed(self.aligned.states, self.aligned.inputs.u, self._now)
         inputs = replace(self.aligned.inputs, u=np.asfortranarray(self.aligned.inputs.u))
         states = np.asfortranarray(states)  # it is by columns that they are shifted and used
@@ -426,15 +440,23 @@ class Trajectory:
         """
         theta = values_of(self._numbers, change)
         own = {k: v for k, v in change.items() if self.is_integrated(k, change)}
+        late = {s: later for s in DRIVES if (later := lateness_of(self._numbers, theta, s))}
+        key = tuple(sorted(own.items())), tuple(late.items())
+        states, inputs = remembered(self._driven, key, lambda: self._driven_by(own, late), DRIVEN)
+        return self._observed(self._in_step(states, theta), inputs, theta), inputs
+
+    def _driven_by(
+        self, own: Mapping[str, float], late: Mapping[str, float]
+    ) -> tuple[Array, Array]:
+        """States integrated with some numbers, and inputs, each as late as what drives them."""
         aligned = self.aligned
         if own:
             key = tuple(sorted(own.items()))
             aligned = remembered(self._integrated, key, lambda: self._integrated_with(own))
-        states, inputs = self._in_step(aligned.states, theta), aligned.inputs.u
-        for signal in DRIVES:
-            if later := lateness_of(self._numbers, theta, signal):
-                states, inputs = self._late_drive(states, inputs, signal, later)
-        return self._observed(states, inputs, theta), inputs
+        states, inputs = aligned.states, aligned.inputs.u
+        for signal, later in late.items():
+            states, inputs = self._late_drive(states, inputs, signal, later)
+        return states, inputs
 
     def is_integrated(self, number: str, change: Mapping[str, float]) -> bool:
         """Whether a state that answers to a number matters: not of an effect that is at rest, and
