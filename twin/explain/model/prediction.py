@@ -165,7 +165,7 @@ class Batch:
         """
         self._rows, self._theta, self._readings = list(rows), theta, readings
         self._rest = values_of(numbers, {})
-        self._answering = self._reached(readings).any(axis=0)
+        self._answering: Mask = np.asarray(self._reached(readings).any(axis=0))
         self._made: dict[tuple[tuple[int, ...] | None, bytes], OverRows] = {}
 
     def value(self, theta: Array, *rows: Array) -> Array:
