@@ -329,13 +329,7 @@ def _blown(trim: Trim, indoors: bool) -> Array:
 
 
 def balance_of(trim: Trim, normal: Normal, sure: float) -> Balance:
-    """What has changed between normal flights and some others.
-
-    Args:
-        trim: Of the flights.
-        normal: The flights before.
-        sure: Probability from which on a name is given.
-    """
+    """What has changed between normal flights and some others."""
     before = np.array([normal.means.get(c, 0.0) for c in trim.channels])
     made = _Competition(trim, normal)
     shaken = None
@@ -595,11 +589,6 @@ def _log_shaking(cause: str, shaken: float | None) -> float:
 def effect_of_balance(balance: Balance, vehicle: Vehicle, trim: Trim) -> StochasticEffect | None:
     """The cause that is named, in the form of effects found beside the search; None: none is, or
     only that a propeller shakes.
-
-    Args:
-        balance: What has changed.
-        vehicle: Calibrated.
-        trim: Of the flights.
     """
     named = balance.named
     if named is None or named.cause == VIBRATION:

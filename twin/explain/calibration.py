@@ -158,10 +158,6 @@ def _profiled(problem: Problem, found: SearchResult) -> tuple[State, Array, froz
     Where it is not out of the question, the profile is as wide as a parabola through both. A number
     at the edge of its range is as wide as its prior.
 
-    Args:
-        problem: What was fitted.
-        found: The end of the search.
-
     Returns:
         The state, the deviation of each entry of `MapEstimate.x` by its profile, and the numbers
         that are not told.

@@ -105,21 +105,16 @@ class Plan:
 
 
 def manoeuvres(vehicle: Vehicle, charged: bool = True) -> tuple[Manoeuvre, ...]:
-    """All there are.
-
-    Args:
-        vehicle: Its arms scale the ways, its thrust over weight the accelerations.
-        charged: Whether the flights so far had a charged battery.
-    """
+    """All there are."""
     k = hover_height_m(vehicle) / HOVER_M
     inverse = thrust_inverse(vehicle)
     lift = inverse.full_n / inverse.hover_n
-    share, fastest = PUSH, FASTEST_M_S2
-    climb = min(share * (lift - 1) * GRAVITY_M_S2, fastest)
-    push = min(share * float(np.sqrt(max(lift**2 - 1, 0.0))) * GRAVITY_M_S2, fastest)
-    climb, push = max(climb, 0.3), max(push, 0.3)
+    climb, push = (
+        max(0.3, min(PUSH * free * GRAVITY_M_S2, FASTEST_M_S2))
+        for free in (lift - 1, math.sqrt(max(lift**2 - 1, 0.0)))
+    )
     return (
-        *_on_the_spot(charged, OTHER_VOLTAGE),
+        *_on_the_spot(charged),
         _payload_swap(vehicle, lift),
         *_vertical(vehicle, k, climb),
         *_sideways(k, push),
@@ -136,13 +131,7 @@ def plan(
     chosen: Sequence[Manoeuvre],
     block_s: float = DEFAULT.inference.likelihood.block_s,
 ) -> Plan:
-    """A flight: stand, take off, fly each manoeuvre, land.
-
-    Args:
-        vehicle: Says where it stands and how high it hovers.
-        chosen: In this order.
-        block_s: Blocks of time that flights are judged in.
-    """
+    """A flight: stand, take off, fly each manoeuvre, land."""
     height = hover_height_m(vehicle)
     pieces = [
         ("ground", np.zeros((_rows(_GROUND_S), 4))),
@@ -172,11 +161,11 @@ def plan(
 # -- the list -------------------------------------------------------------------------------
 
 
-def _on_the_spot(charged: bool, other_voltage: float) -> list[Manoeuvre]:
+def _on_the_spot(charged: bool) -> list[Manoeuvre]:
     """Hovers and turns."""
     turn = np.pi / 3
     other = "a nearly empty" if charged else "a freshly charged"
-    voltage = 1 - other_voltage if charged else 1 + other_voltage
+    voltage = 1 - OTHER_VOLTAGE if charged else 1 + OTHER_VOLTAGE
     return [
         Manoeuvre("hover", "Hover for 7 s without moving.", 7.0, _path()),
         Manoeuvre("other_voltage", f"Hover for 7 s with {other} battery.", 7.0, _path(), voltage),
@@ -407,51 +396,27 @@ class Held:
     high: Array
 
 
-def next_manoeuvre(
-    naming: Naming,
-    vehicle: Vehicle,
-    seed: int = 0,
-    progress: Callable[[float], None] = lambda _: None,
-) -> Suggestion | None:
-    """The manoeuvre that separates the two leading explanations best.
-
-    Args:
-        naming: What the flights so far say.
-        vehicle: The model as it stands.
-        seed: Not used: nothing is drawn.
-        progress: Called with the share done.
-
-    Returns:
-        None where the name is sure, or where no manoeuvre of the list would help.
-    """
+def next_manoeuvre(naming: Naming, vehicle: Vehicle) -> Suggestion | None:
+    """The manoeuvre that separates the two leading explanations best; None where the name is sure,
+    or where no manoeuvre of the list would help."""
     if naming.sure:
         return None
-    best = suggestions(naming, vehicle, progress=progress)[0]
+    best = suggestions(naming, vehicle)[0]
     return best if best.separation >= ENOUGH_NAT else None
 
 
 def suggestions(
-    naming: Naming,
-    vehicle: Vehicle,
-    among: Sequence[str] | None = None,
-    progress: Callable[[float], None] = lambda _: None,
+    naming: Naming, vehicle: Vehicle, among: Sequence[str] | None = None
 ) -> list[Suggestion]:
-    """What each manoeuvre separates of the two leading explanations, the best first.
-
-    Args:
-        naming: What the flights so far say.
-        vehicle: The model as it stands.
-        among: Names of manoeuvres that can be flown there; default: all.
-        progress: Called with the share done.
-    """
+    """What each manoeuvre, or each `among` some, separates of the two leading explanations, the
+    best first."""
     block_s = naming.whitened.settings.block_s
     rivals, flights = naming.fitted[:2], _flights(naming)
     listed = [m for m in _flyable(naming, vehicle) if among is None or m.name in among]
     leads = {m.name: 0.0 for m in listed}
     held = [_held(naming, f) for f in rivals]
     rounds = [(i, *k) for i in (0, 1) for k in sorted({(m.voltage, m.payload_kg) for m in listed})]
-    for n, (i, voltage, payload_kg) in enumerate(rounds):
-        progress((n + 0.3) / (len(rounds) + 0.3))
+    for i, voltage, payload_kg in rounds:
         loaded = carrying(vehicle, payload_kg)
         chosen = [m for m in listed if (m.voltage, m.payload_kg) == (voltage, payload_kg)]
         flown = plan(loaded, chosen, block_s)
@@ -491,12 +456,7 @@ def _parting(
 
 
 def lead(blocks: Sequence[Block], held: Held) -> float:
-    """Log likelihood by which an explanation falls behind, its numbers moved to their best.
-
-    Args:
-        blocks: Slopes of the explanation, and what is predicted beyond it.
-        held: What its numbers cost to move.
-    """
+    """Log likelihood by which an explanation falls behind, its numbers moved to their best."""
     if not blocks:
         return 0.0
     total = sum(blocks[1:], blocks[0])

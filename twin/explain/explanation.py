@@ -257,7 +257,7 @@ def explain(
         found = _refuted(found, FARTHER)
     progress(0.85)
     if suggest and found.verdict in ("named", "cannot_tell"):
-        found = replace(found, next_manoeuvre=next_manoeuvre(naming, vehicle, seed))
+        found = replace(found, next_manoeuvre=next_manoeuvre(naming, vehicle))
     return _with_missions(found, missions, lambda done: progress(0.85 + 0.15 * done))
 
 

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..effects import EFFECTS
-from ..frames import to_body
 from ..logs import Flight
 from ..logs.columns import ACC_NED, POS, QUAT, VEL
 from ..physics.sensors.table import SENSORS
@@ -30,6 +29,7 @@ from ..residuals.gap import spectrum
 from ..vehicle import Vehicle
 from .inference.fit import Problem
 from .inference.priors import priors_of
+from .inference.sparse_regression import quantities
 from .inference.spectrum import Spectrum
 from .model.model import FlightModel, Model, candidates, missing_imu_signals, model_of
 from .model.numbers import Payloads
@@ -206,8 +206,8 @@ def compare_holdout(
     best = _best(problem, now, linear)
     gaps = []
     for i, channel in enumerate(before[0]):
-        own = (tuple(f[i] for f in flights) for flights in (before, after, daily, best))
-        gaps.append(_gap(_Four(*own), (means or {}).get(channel.name), seed, settings))
+        own = [[f[i] for f in flights] for flights in (before, after, daily, best)]
+        gaps.append(_gap(own, (means or {}).get(channel.name), seed, settings))
     gaps.sort(key=lambda g: not g.worse)
     return Comparison(tuple(gaps), model, before, after, daily, best)
 
@@ -251,31 +251,23 @@ def _best(problem: Problem, x: Array, linear: Flights) -> list[list[ChannelData]
     return left
 
 
-@dataclass(frozen=True, slots=True)
-class _Four:
-    """One channel of each flight, as `Comparison` has it."""
-
-    before: Sequence[ChannelData]
-    after: Sequence[ChannelData]
-    on_its_day: Sequence[ChannelData]
-    best: Sequence[ChannelData]
-
-
-def _gap(own: _Four, mean: float | None, seed: int, settings: HoldoutSettings) -> ChannelGap:
-    pairs = zip(own.before, own.after, strict=True)
-    sums = [_block_sums(b, a, settings.block_s) for b, a in pairs]
-    rms_before, rms_after = _rms(own.before), _rms(own.after)
-    rms_daily, rms_best = _rms(own.on_its_day), _rms(own.best)
-    about = [replace(c, residual=c.residual - (mean or 0.0)) for c in own.before]
+def _gap(
+    own: Sequence[Sequence[ChannelData]], mean: float | None, seed: int, settings: HoldoutSettings
+) -> ChannelGap:
+    """Of one channel of each flight, before, after, on its day, and with the best numbers."""
+    before = own[0]
+    sums = [_block_sums(b, a, settings.block_s) for b, a in zip(before, own[1], strict=True)]
+    rms = [_rms(flights) for flights in own]
+    about = [replace(c, residual=c.residual - (mean or 0.0)) for c in before]
     return ChannelGap(
-        name=own.before[0].name,
-        unit=own.before[0].unit,
-        n=sum(len(b.t_s) for b in own.before),
-        before=rms_before,
-        after=rms_after,
-        on_its_day=rms_daily,
+        name=before[0].name,
+        unit=before[0].unit,
+        n=sum(len(b.t_s) for b in before),
+        before=rms[0],
+        after=rms[1],
+        on_its_day=rms[2],
         fit_mean=None if mean is None else _rms(about),
-        noise_floor=min(rms_best, rms_before, rms_after, rms_daily),
+        noise_floor=min(rms),
         shrink_ci95=_shrink_interval(np.concatenate(sums), seed, settings.fewest_blocks),
     )
 
@@ -320,6 +312,19 @@ LEAST_SHARE, STRONG_SHARE = 0.1, 0.5
 strongest phase in a phase in which it acts. Made up."""
 MOST = 8
 """Places that are listed."""
+DEPENDS = {
+    "time": "time",
+    "command": "throttle",
+    "height": "height",
+    "v_x": "forward speed",
+    "v_y": "speed to the right",
+    "v_z": "sink rate",
+    "omega_x": "roll rate",
+    "omega_y": "pitch rate",
+    "omega_z": "yaw rate",
+    "voltage": "voltage",
+}
+"""Quantities on which a residual may depend, and how they are called."""
 BANDS_HZ = ((0.0, 0.5), (0.5, 2.0), (2.0, 6.0), (6.0, 18.0))
 """One of which is said to hold most of a residual."""
 
@@ -395,10 +400,8 @@ class _Rows:
 def _rows(flight: FlightModel, before: ChannelData, after: ChannelData) -> _Rows:
     grid = flight.aligned.inputs.t_s
     rows = np.rint((before.t_s - grid[0]) * GRID_HZ).astype(np.intp)
-    quantities = {name: values[rows] for name, values in _quantities(flight).items()}
-    return _Rows(
-        before.t_s, flight.aligned.phases[rows], before.residual, after.residual, quantities
-    )
+    known = {DEPENDS[k]: q.values[rows] for k, q in quantities(flight).items() if k in DEPENDS}
+    return _Rows(before.t_s, flight.aligned.phases[rows], before.residual, after.residual, known)
 
 
 def _place(
@@ -456,29 +459,6 @@ def _goes_with(
         if (share, name) > (best[1], best[0]):
             best = (name, share)
     return best if best[0] else None
-
-
-def _quantities(flight: FlightModel) -> dict[str, Array]:
-    """What a residual may depend on, on the grid."""
-    aligned = flight.aligned
-    t, motion = aligned.inputs.t_s, aligned.motion
-    found = {"time": t}
-    drives = [
-        i for i, n in enumerate(aligned.airframe.input_names) if n.startswith(("cmd_", "rotor_"))
-    ]
-    found["throttle"] = aligned.inputs.u[:, drives].mean(axis=1)
-    if motion.position is not None:
-        found["height"] = -motion.position.at(t)[:, 2]
-    if motion.velocity is not None and motion.attitude is not None:
-        speed = to_body(list(motion.attitude.at(t).T), list(motion.velocity.at(t).T))
-        names = ("forward speed", "speed to the right", "sink rate")
-        found |= dict(zip(names, map(np.asarray, speed), strict=True))
-    if motion.rates is not None:
-        rates = motion.rates.at(t).T
-        found |= dict(zip(("roll rate", "pitch rate", "yaw rate"), rates, strict=True))
-    if "vbat_v" in aligned.airframe.input_names and flight.flight.has("vbat_v"):
-        found["voltage"] = aligned.inputs.u[:, aligned.airframe.input_names.index("vbat_v")]
-    return found
 
 
 # -- where an effect acts ------------------------------------------------------------------

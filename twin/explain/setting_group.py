@@ -46,15 +46,7 @@ class Setting:
 
 
 def setting(value: T, unit: str, meaning: str, origin: str, below: float = math.inf) -> T:
-    """Field of a group; its default is `value`.
-
-    Args:
-        value: Whole numbers stay whole.
-        unit: See `About`.
-        meaning: See `About`.
-        origin: See `About`.
-        below: See `About`.
-    """
+    """Field of a group; its default is `value`."""
     about = About(unit, meaning, origin, below)
     made: T = field(default=value, metadata={"about": about})
     return made
@@ -75,11 +67,7 @@ class Group:
                 raise ModelError(f"{type(self).__name__}.{name} = {now.value}: {problem}.")
 
     def every(self, before: str = "") -> Iterator[Setting]:
-        """All settings, in the order in which they are written down.
-
-        Args:
-            before: What their names begin with.
-        """
+        """All settings, in the order in which they are written down."""
         for f in fields(self):
             value = getattr(self, f.name)
             if isinstance(value, Group):
@@ -89,9 +77,6 @@ class Group:
 
     def with_values(self: G, values: Mapping[str, Value]) -> G:
         """The same with some settings changed.
-
-        Args:
-            values: By name, see `Setting`.
 
         Raises:
             ModelError: There is no such setting, or it cannot have this value.

@@ -389,15 +389,10 @@ def covered(
     taken = 0.0
     for i, channel in enumerate(before[0]):
         if channel.name in alone.noise:
-            noise = alone.noise[channel.name]
+            noise = [alone.noise[channel.name]]
             power, left = (
-                sum(
-                    b.power
-                    for b in blocks_of(
-                        [[f[i]] for f in flights], [noise], whitened.settings
-                    ).values()
-                )
-                for flights in (before, after)
+                sum(b.power for b in blocks_of(own, noise, whitened.settings).values())
+                for own in ([[f[i]] for f in flights] for flights in (before, after))
             )
             taken += 0.5 * (power - left)
     return taken / alone.gain

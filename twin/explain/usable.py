@@ -97,11 +97,6 @@ def usable_part(
 ) -> tuple[Flight, list[str], list[str]]:
     """The part of a flight from which something can be learnt about a vehicle.
 
-    Args:
-        flight: As read.
-        vehicle: That which flew, a known mass aboard included.
-        settings: What counts as a blow, a fall, too short.
-
     Returns:
         The part; what is left out, when and why; why nothing can be learnt, empty for a usable one.
     """

@@ -92,14 +92,7 @@ def credible_interval(number: Number, value: float, half_width: float) -> tuple[
 def fitted_estimates(
     fitted: Fit, priors: Priors, effect: str, wider: float = 1.0
 ) -> list[Estimate]:
-    """The numbers of an effect in one fit.
-
-    Args:
-        fitted: Values and half widths.
-        priors: Priors of the same search.
-        effect: Identifier.
-        wider: Factor on the half widths.
-    """
+    """The numbers of an effect in one fit."""
     tension = priors.tension({n.full: fitted.values[n.full] for n in fitted.numbers})
     place = {n: i for i, n in enumerate(priors.names)}
     found = []

@@ -134,14 +134,6 @@ class LaplaceEvidence:
         priors: Priors,
         bounds: Bounds,
     ) -> None:
-        """Sum up.
-
-        Args:
-            spectrum: Residuals and slopes.
-            noise: Law of the noise.
-            priors: Priors.
-            bounds: Of the numbers, as changes.
-        """
         self.spectrum, self.priors, self._bounds = spectrum, priors, bounds
         k, f, d = len(priors.now), len(spectrum.days), len(spectrum.day_columns)
         self._k, self._f, self._d = k, f, d
@@ -254,13 +246,7 @@ class LaplaceEvidence:
         return self._likelihood.log(left, kappa) + prior.log_density(y) + prior.odds
 
     def best(self, on: Sequence[str], kappa: float, reach: Array | None = None) -> MapEstimate:
-        """The best numbers of a set, and its evidence.
-
-        Args:
-            on: Effects.
-            kappa: By how much days differ more than is usual.
-            reach: How far each entry of `x` may move at most; default: as far as it likes.
-        """
+        """The best numbers of a set, and its evidence; `reach`: how far entries of `x` may move."""
         key = tuple(sorted(on)), kappa
         if reach is not None:
             return self._solve(key[0], kappa, self.here, STEPS, reach)
@@ -406,9 +392,6 @@ class Factored:
     def of(cls, h: Array) -> "Factored":
         """Factor a positive definite matrix; one that is not, by rounding, with the eigenvalues of
         the scaled matrix raised to `LEAST_EIGENVALUE`.
-
-        Args:
-            h: Shape (m, m), its diagonal above zero.
         """
         size = 1 / np.sqrt(np.diag(h))
         scaled = h * np.outer(size, size)

@@ -123,14 +123,8 @@ class Problem:
         settings: EvidenceSettings = DEFAULT.inference.evidence,
         constants: Mapping[str, float] | None = None,
     ) -> "Problem":
-        """Flights with every number of their model.
-
-        Args:
-            model: Flights.
-            priors: Priors of its numbers.
-            settings: What is known of noise before a flight is looked at.
-            constants: Deviation between days of a channel's constant, where it is known.
-        """
+        """Flights with every number of their model; `constants`: deviation between days of those of
+        channels, where it is known."""
         numbers = [model.numbers[i] for i in priors.columns]
         bounds = Bounds.of(numbers, model.vehicle).around(priors.now)
         theta, days = np.zeros(len(numbers)), np.zeros((len(model.flights), len(priors.days)))

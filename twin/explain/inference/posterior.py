@@ -122,14 +122,7 @@ def weigh(
     seed: int = 0,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Posterior:
-    """Probabilities about the end of a search.
-
-    Args:
-        problem: What was fitted.
-        found: The end.
-        seed: Of the chain.
-        progress: Called with the share done.
-    """
+    """Probabilities about the end of a search."""
     laplace, kappa = found.laplace, found.state.kappa
     causes = problem.priors.causes
     met = met_sets(problem, found, np.random.default_rng(seed), progress)

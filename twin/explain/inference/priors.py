@@ -170,9 +170,6 @@ def _whole(key: str, number: Number, vehicle: Vehicle) -> float:
 def priors_since(model: Model) -> Priors:
     """Priors of what may have changed on an aircraft that flights have calibrated.
 
-    Args:
-        model: Of new flights, with the calibrated vehicle.
-
     Raises:
         ModelError: The vehicle holds no calibration.
     """
@@ -346,13 +343,7 @@ class Bounds:
 def edges(
     numbers: Sequence[Number], values: Mapping[str, float], vehicle: Vehicle
 ) -> Iterator[tuple[str, str]]:
-    """Effects at an edge, and which: a hint that another effect is meant.
-
-    Args:
-        numbers: That were fitted.
-        values: Of these, "effect.number" -> value.
-        vehicle: The model as it stands.
-    """
+    """Effects at an edge, and which: a hint that another effect is meant."""
     for n in numbers:
         value = values[n.full]
         at = np.isclose(value, n.about.bounds, rtol=EDGE, atol=0)

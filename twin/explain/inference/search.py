@@ -188,14 +188,7 @@ def with_instruments_of_end(
     progress: Callable[[float], None] = lambda _: None,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[Problem, SearchResult]:
-    """A search, gone on with where its instruments are trusted otherwise once its effects are in.
-
-    Args:
-        problem: What was fitted.
-        found: Its end.
-        progress: Called with the share done.
-        checkpoint: Keeps where it stands.
-    """
+    """A search, gone on with where its instruments are trusted otherwise with its effects in."""
     renewed = problem.with_instruments_at(found.state)
     if renewed.noise.trusts_as(problem.noise):
         return problem, found

@@ -183,12 +183,6 @@ def smallest_detectable(
 
     Of an effect with several numbers, or several rotors, that of the number that shows least,
     relative to what is worth a name. An effect to which no channel answers is not in it.
-
-    Args:
-        model: Numbers in the order of the search.
-        laplace: The linearisation at the end of a search.
-        state: The final set of effects.
-        sure: Probability from which on an effect is named.
     """
     b = laplace.priors
     present = {effect_of(c) for c in state.effects}

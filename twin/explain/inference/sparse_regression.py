@@ -270,13 +270,7 @@ def sparse(
     folds: Mapping[Key, int],
     settings: UnnamedSettings = DEFAULT.unnamed,
 ) -> Sparse | None:
-    """The best equation of up to `most_terms` terms; None where none gains anything.
-
-    Args:
-        blocks: Whitened sums of a channel over its candidate columns.
-        folds: Part of the time of each block.
-        settings: How many terms, and their price.
-    """
+    """The best equation of up to `most_terms` terms; None where none gains anything."""
     whole, most = _whole(blocks), settings.most_terms
     size = _size(whole)
     parts = [
@@ -326,10 +320,7 @@ def _whole(blocks: Mapping[Key, Block]) -> Block:
 
 def _sum(blocks: Sequence[Block], p: int) -> Block:
     """Sums over some blocks of `p` columns."""
-    gram, pull = np.zeros((p, p)), np.zeros(p)
-    for b in blocks:
-        gram, pull = gram + b.gram, pull + b.pull
-    return Block(gram, pull, sum(b.power for b in blocks))
+    return sum(blocks, Block(np.zeros((p, p)), np.zeros(p), 0.0))
 
 
 def _gain(block: Block, coefficients: Array) -> float:
@@ -339,13 +330,9 @@ def _gain(block: Block, coefficients: Array) -> float:
 def forward(gram: Array, pull: Array, most: int) -> IntArray:
     """Columns by what each explains beside those before it, the most first, shape (most,) or (p,).
 
-    What the columns picked so far leave of the power and of the pull of each is told by the sums
-    alone: picking is a Cholesky factorisation with pivots.
-
-    Args:
-        gram: Sums of products of the columns, shape (p, p).
-        pull: Sums of their products with what is to be explained, shape (p,).
-        most: How many are picked.
+    What the columns picked so far leave of the power and of the pull of each is told by the sums of
+    products alone, of columns, shape (p, p), and with what is to be explained, shape (p,): picking
+    is a Cholesky factorisation with pivots.
     """
     p = len(pull)
     power, left = np.diag(gram).copy(), pull.copy()

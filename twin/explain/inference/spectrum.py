@@ -72,14 +72,7 @@ class Spectrum:
     def of(
         cls, flights: Flights, theta: Array, days: Array, day_columns: NDArray[np.intp]
     ) -> "Spectrum":
-        """Transform channels with their slopes.
-
-        Args:
-            flights: Channels of each flight, the same ones in the same order.
-            theta: See above; where the channels were taken.
-            days: See above.
-            day_columns: See above.
-        """
+        """Transform channels with their slopes."""
         names = tuple(c.name for c in flights[0])
         rows = tuple(tuple(_rows(f[i]) for f in flights) for i in range(len(names)))
         return cls(names, rows, theta, days, day_columns)
@@ -96,12 +89,7 @@ class Spectrum:
         return replace(self, rows=rows, theta=theta, days=days)
 
     def renewed(self, flights: Flights, columns: NDArray[np.intp]) -> "Spectrum":
-        """The same residuals with the slopes of some columns taken anew.
-
-        Args:
-            flights: Channels with the slopes by these columns.
-            columns: Which.
-        """
+        """The same residuals with the slopes of some columns taken anew."""
         rows = tuple(
             tuple(
                 _with_slopes(r, len(self.theta), columns, transformed(f[i], f[i].slopes)[0])
@@ -151,13 +139,8 @@ def _with_slopes(rows: Rows, width: int, columns: NDArray[np.intp], slopes: Arra
 
 
 def transformed(channel: ChannelData, values: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Rows of all long enough pieces of a channel, and their bands; of what a pose implies those up
-    to `OF_POSE_HZ`.
-
-    Args:
-        channel: Whose pieces.
-        values: At its samples, shape (n, m).
-    """
+    """Rows of all long enough pieces of a channel with values at its samples, shape (n, m), and
+    their bands; of what a pose implies those up to `OF_POSE_HZ`."""
     out, bands = [], []
     pieces = [p for p in np.unique(channel.piece) if np.sum(channel.piece == p) >= SHORTEST]
     total = sum(int(np.sum(channel.piece == p)) for p in pieces)

@@ -8,7 +8,6 @@ Source: prediction-error method with a noise model, Ljung, System Identification
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,96 +119,8 @@ def _whitened(channel: ChannelData, values: Array, inverse: Array) -> Array:
     return out
 
 
-@dataclass(frozen=True)
-class Whitened:
-    """Samples of all channels of all flights, white and in units of their noise.
-
-    They are sorted by cells: by block of time, and by channel within it.
-
-    Attributes:
-        residual: Shape (n,).
-        slopes: Shape (n, k).
-        channel: Number of the channel, shape (n,).
-        block: Number of the block of time, shape (n,).
-        keys: Of the blocks.
-        n_channels: How many channels there are.
-    """
-
-    residual: Array
-    slopes: Array
-    channel: NDArray[np.intp]
-    block: NDArray[np.intp]
-    keys: tuple[Key, ...]
-    n_channels: int
-
-    __repr__ = short_repr
-
-    def per_cell(self, values: Array) -> Array:
-        """Sums over each channel in each block, shape (blocks, channels, ...)."""
-        first, cell = self._cells
-        sums = np.zeros((len(self.keys) * self.n_channels, *values.shape[1:]))
-        sums[cell] = np.add.reduceat(values, first, axis=0)
-        return sums.reshape(len(self.keys), self.n_channels, *values.shape[1:])
-
-    def grams(self) -> Array:
-        """Slopes against slopes, of each cell, shape (blocks, channels, k, k)."""
-        first, cell = self._cells
-        k = self.slopes.shape[1]
-        grams = np.zeros((len(self.keys) * self.n_channels, k, k))
-        for c, i, j in zip(cell, first, [*first[1:], len(self.residual)], strict=True):
-            grams[c] = self.slopes[i:j].T @ self.slopes[i:j]
-        return grams.reshape(len(self.keys), self.n_channels, k, k)
-
-    def blocks(self) -> dict[Key, Block]:
-        """Sums over blocks of time."""
-        pulls = self.per_cell(self.slopes * self.residual[:, None]).sum(axis=1)
-        powers = self.per_cell(self.residual**2).sum(axis=1)
-        rows = zip(self.keys, self.grams().sum(axis=1), pulls, powers, strict=True)
-        return {key: Block(gram, pull, float(power)) for key, gram, pull, power in rows}
-
-    @cached_property
-    def _cells(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """First row of each cell that has any, and its number."""
-        number = self.block * self.n_channels + self.channel
-        cell, first = np.unique(number, return_index=True)
-        return first, cell
-
-
 _FAR = 1 << 32
 """More blocks of time than any flight has."""
-
-
-def whiten(
-    flights: Flights,
-    noise: Sequence[Autoregression],
-    settings: LikelihoodSettings = DEFAULT.inference.likelihood,
-) -> Whitened:
-    """Channels through the inverse of their noise.
-
-    Args:
-        flights: Channels of each flight.
-        noise: Of each channel.
-        settings: Length of the blocks of time.
-    """
-    residuals, slopes, channels, keys = [], [], [], []
-    for f, row in enumerate(flights):
-        for i, (c, n) in enumerate(zip(row, noise, strict=True)):
-            weight = n.weights[f] / n.size
-            residuals.append(_whitened(c, c.residual, n.inverse) * weight)
-            slopes.append(_whitened(c, c.slopes, n.inverse) * weight[:, None])
-            channels.append(np.full(len(c.t_s), i, dtype=np.intp))
-            keys.append(f * _FAR + np.floor(c.t_s / settings.block_s).astype(np.intp))
-    known, block = np.unique(np.concatenate(keys), return_inverse=True)
-    channel = np.concatenate(channels)
-    order = np.lexsort((channel, block))
-    return Whitened(
-        residual=np.concatenate(residuals)[order],
-        slopes=np.concatenate(slopes)[order],
-        channel=channel[order],
-        block=block[order],
-        keys=tuple(divmod(int(k), _FAR) for k in known),
-        n_channels=len(noise),
-    )
 
 
 def blocks_of(
@@ -217,8 +128,28 @@ def blocks_of(
     noise: Sequence[Autoregression],
     settings: LikelihoodSettings = DEFAULT.inference.likelihood,
 ) -> dict[Key, Block]:
-    """Sums over blocks of time, all channels together."""
-    return whiten(flights, noise, settings).blocks()
+    """Sums over blocks of time, all channels together.
+
+    Args:
+        flights: Channels of each flight.
+        noise: Of each channel.
+        settings: Length of the blocks of time.
+    """
+    residuals, slopes, keys = [], [], []
+    for f, row in enumerate(flights):
+        for c, n in zip(row, noise, strict=True):
+            weight = n.weights[f] / n.size
+            residuals.append(_whitened(c, c.residual, n.inverse) * weight)
+            slopes.append(_whitened(c, c.slopes, n.inverse) * weight[:, None])
+            keys.append(f * _FAR + np.floor(c.t_s / settings.block_s).astype(np.intp))
+    number = np.concatenate(keys)
+    order = np.argsort(number, kind="stable")
+    y, x = np.concatenate(residuals)[order], np.concatenate(slopes)[order]
+    known, first = np.unique(number[order], return_index=True)
+    found = {}
+    for key, a, b in zip(known, np.split(x, first[1:]), np.split(y, first[1:]), strict=True):
+        found[divmod(int(key), _FAR)] = Block(a.T @ a, a.T @ b, float(b @ b))
+    return found
 
 
 @dataclass(frozen=True, slots=True)

@@ -125,14 +125,10 @@ class SensorFactor:
 def driven_apart(
     context: FlightContext, rate: bool
 ) -> list[tuple[slice, NDArray[np.bool_] | None]]:
-    """Axes of a specific force, or of an angular acceleration, with the grid points to leave out.
+    """Axes of a specific force, or of its `rate`, an angular acceleration, and grid points to omit.
 
     While a motor is at a limit its command does not tell thrust and torque; what acts across the
     thrust does not depend on it.
-
-    Args:
-        context: A flight and its twin.
-        rate: Whether of the angular acceleration.
     """
     saturated = context.aligned.saturated
     if not (saturated & context.aligned.airborne).any():
@@ -165,10 +161,6 @@ def pose_axes(context: FlightContext, rate: bool) -> list[PoseAxis]:
     An angle that was told from the force shows neither that force nor a fast turn; without a
     heading nothing across the thrust or about the vertical is known, and no turn whose angle came
     from the force.
-
-    Args:
-        context: A flight and its twin.
-        rate: Whether of the angular acceleration.
     """
     parts = driven_apart(context, rate)
     roll, pitch, yaw = (c in context.flight.derived_angles for c in EULER)
@@ -438,12 +430,7 @@ force, so that its low-pass takes nothing of it."""
 
 
 def motion_factors(context: FlightContext, missing: Collection[str]) -> list[SensorFactor]:
-    """Specific force and angular acceleration of the pose.
-
-    Args:
-        context: A flight and its twin.
-        missing: Signals of the IMU that stand in no flight, or not in every one.
-    """
+    """Specific force and angular acceleration of the pose."""
     attitude = context.aligned.motion.attitude
     if attitude is None:
         return []
@@ -502,14 +489,7 @@ def _readings(
 
 
 def _force_as_logged(q_nb: Array, numbers: Sequence[Number], force_b: Array, theta: Array) -> Array:
-    """A force in body axes, as a pose shows it.
-
-    Args:
-        q_nb: Logged attitude, shape (n, 4).
-        numbers: Every number.
-        force_b: On the grid, shape (n, 3).
-        theta: Values of the numbers.
-    """
+    """A force in body axes, as a pose shows it."""
     place_s, turn_s = (age_of(numbers, theta, signals) for signals in (PLACE, TURN))
     off_rad = float(sum(v for n, v in zip(numbers, theta, strict=True) if n.turns_pose))
     if not (place_s or turn_s or off_rad):

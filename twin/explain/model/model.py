@@ -106,7 +106,8 @@ def measured_turning(flight: Flight, aligned: AlignedFlight) -> Array | None:
 
 
 class FlightModel:
-    """One flight on a grid of `GRID_HZ`.
+    """One flight on a grid of `GRID_HZ`; the pose stands in for signals of the IMU that are
+    `missing`, by default those that it lacks.
 
     Attributes:
         flight: As read.
@@ -125,16 +126,6 @@ class FlightModel:
         numbers: Sequence[Number],
         missing: Collection[str] | None = None,
     ) -> None:
-        """Put the flight on the grid and filter its readings.
-
-        Args:
-            flight: As read.
-            vehicle: The model as it stands.
-            physics: Airframe and IMU, made with the same effects and numbers.
-            effects: Effects in the equations, all switched on.
-            numbers: Every number, in the order of the prediction's.
-            missing: Signals of the IMU for which the pose stands in; None: those that it lacks.
-        """
         self.flight, self.vehicle, self.numbers = flight, vehicle, list(numbers)
         self._physics = physics
         self._trajectory = Trajectory(flight, vehicle, physics, effects, numbers)
@@ -490,13 +481,6 @@ def model_of(
     payloads: Payloads | None = None,
 ) -> Model:
     """Put flights on their grids and differentiate the model.
-
-    Args:
-        flights: As read.
-        vehicle: The model as it stands.
-        effects: Effects whose numbers may change.
-        progress: Called with the share done.
-        payloads: Known masses aboard.
 
     Raises:
         LogError: A flight cannot be compared with this vehicle, or no flight is long enough.

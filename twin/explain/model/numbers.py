@@ -18,12 +18,7 @@ Payloads = Mapping[str, float]
 
 
 def carrying(vehicle: Vehicle, payload_kg: float) -> Vehicle:
-    """The vehicle with a small heavy thing strapped on at its centre of mass: it turns as before.
-
-    Args:
-        vehicle: Without it.
-        payload_kg: Weighed.
-    """
+    """The vehicle with a small heavy thing at its centre of mass: it turns as before."""
     return replace(vehicle, mass_kg=vehicle.mass_kg + payload_kg)
 
 

@@ -65,12 +65,7 @@ FUNCTIONS = 64
 
 
 def states_reached(component: Component, index: Sequence[int]) -> dict[str, frozenset[int]]:
-    """By parameter, which of some states answer to it: by themselves, or through another of them.
-
-    Args:
-        component: Component.
-        index: Positions of the states; what the others do is given.
-    """
+    """By parameter, which of some states answer to it, by themselves or through another of them."""
     index = list(index)
     if not index:
         return {}
@@ -118,7 +113,6 @@ class EffectStates:
     def __init__(
         self, sensor: Component, effects: Sequence[str], numbers: Sequence[Number]
     ) -> None:
-        """Ask the component."""
         self.sensor, self._effects, self._numbers = sensor, list(effects), list(numbers)
         owners = [s.name.partition(".")[0] for s in sensor.states]
         self.index = [i for i, owner in enumerate(owners) if owner in effects]
@@ -155,14 +149,6 @@ class Batch:
     def __init__(
         self, rows: Sequence[ca.SX], theta: ca.SX, readings: ca.SX, numbers: Sequence[Number]
     ) -> None:
-        """Take the expressions.
-
-        Args:
-            rows: Symbols of what differs from row to row.
-            theta: Symbols of the numbers.
-            readings: Of both.
-            numbers: What `theta` is of.
-        """
         self._rows, self._theta, self._readings = list(rows), theta, readings
         self._rest = values_of(numbers, {})
         self._answering: Mask = np.asarray(self._reached(readings).any(axis=0))
@@ -235,14 +221,6 @@ class Physics:
         effects: Sequence[str],
         numbers: Sequence[Number],
     ) -> None:
-        """Take the equations.
-
-        Args:
-            body: Airframe of the vehicle, built with the effects.
-            vehicle: The model as it stands.
-            effects: Effects to switch on.
-            numbers: All of them; those of other components are not felt.
-        """
         self.airframe, self._numbers = body, list(numbers)
         given = {e.name for e in acting_late()}  # what arrives late is in the inputs
         hidden = [
@@ -326,13 +304,6 @@ class SensorBatch:
         effects: Sequence[str],
         numbers: Sequence[Number],
     ) -> None:
-        """Take the equations.
-
-        Args:
-            sensor: Built with the effects.
-            effects: Effects to switch on.
-            numbers: All of them; those of other components are not felt.
-        """
         self._states, self._numbers = EffectStates(sensor, effects, numbers), list(numbers)
         names = [n.full for n in numbers]
         theta = ca.SX.sym("theta", len(names))
@@ -411,7 +382,6 @@ class Trajectory:
         effects: Sequence[str],
         numbers: Sequence[Number],
     ) -> None:
-        """Put the flight on the grid. Arguments as of `FlightModel`."""
         self._flight, self._vehicle, self._physics = flight, vehicle, physics
         self._effects, self._numbers = list(effects), list(numbers)
         self._observers = {name: o for name in effects if (o := EFFECTS[name].observer) is not None}

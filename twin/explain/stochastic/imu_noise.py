@@ -57,13 +57,7 @@ class _Shaken:
 def find_vibration(
     model: Model, effect: Effect, settings: StochasticSettings = DEFAULT.stochastic
 ) -> StochasticEffect | None:
-    """Lines above the body's motion, which follow the rotors or stand still.
-
-    Args:
-        model: Flights.
-        effect: Seen as lines.
-        settings: Of the spectra, and what makes a line one.
-    """
+    """Lines above the body's motion, which follow the rotors or stand still."""
     observable_as, own = effect.observable_as, settings.vibration
     assert isinstance(observable_as, Lines)
     affected = (s for s in SENSORS if s.signal in observable_as.amplitudes)
@@ -262,10 +256,6 @@ def find_noise_level(
 
     A noise level is the standard deviation of one reading, at the rate of the log: what a sensor
     averages before, the file has to know.
-
-    Args:
-        model: Flights.
-        effect: Seen as a noise floor.
     """
     observable_as, own = effect.observable_as, settings.noise_level
     assert isinstance(observable_as, NoiseFloor)
@@ -334,10 +324,6 @@ def noise_estimates(
 
     White noise of standard deviation s has the one-sided density 2 s^2 / rate. The noise of the
     last bit, bit^2 / 12, is taken off.
-
-    Args:
-        flights: Pieces of each.
-        settings: Parts of the band, and window.
 
     Returns:
         Shape (bands, 4); None where the sensor is too slow.

@@ -103,10 +103,6 @@ def without_stuck(flight: Flight, stuck: Sequence[Stuck]) -> Flight:
 
     All axes, since the flight table samples a vector whole. A sensor that is stuck from the start
     is gone for good.
-
-    Args:
-        flight: As read.
-        stuck: Of this and perhaps other flights.
     """
     own = [s for s in stuck if s.flight == flight.name]
     if not own:
@@ -124,10 +120,6 @@ def stuck_numbers(stuck: Sequence[Stuck], effect: Effect) -> Mapping[str, float]
     """Numbers of an effect, "effect.number" -> value; empty where none of its channels is stuck.
 
     The effect has one channel, stuck to the end: the one stuck so for longest.
-
-    Args:
-        stuck: Of all flights.
-        effect: Seen as repeats.
     """
     observable_as = effect.observable_as
     assert isinstance(observable_as, Repeats)
@@ -236,13 +228,7 @@ def _goes_on(y: Array, bit: float, steps: int, settings: StuckSettings) -> bool:
 def find_stochastic(
     model: Model, values: Mapping[str, float], settings: StochasticSettings = DEFAULT.stochastic
 ) -> list[StochasticEffect]:
-    """Effects without a mean that the flights show, the surest first.
-
-    Args:
-        model: Flights, stuck readings taken out.
-        values: Numbers of the effects that have been named, "effect.number" -> value.
-        settings: Of each kind.
-    """
+    """Effects without a mean that the flights show, the surest first."""
     found = []
     for effect in EFFECTS.values():
         match effect.observable_as:
@@ -314,7 +300,7 @@ def slow_parts(
     """Slow parts of one flight.
 
     Args:
-        twin: The flight on its grid.
+        aligned: The flight on its grid.
         channels: Its channels, with slopes.
         winds: Columns of the slopes that answer to the steady wind: north, east, down.
         settings: Which part is slow.
@@ -438,14 +424,7 @@ def find_gust(
     effect: Effect,
     settings: StochasticSettings = DEFAULT.stochastic,
 ) -> StochasticEffect | None:
-    """A slow random force that no curve over the motion and no effect explains.
-
-    Args:
-        model: Flights.
-        values: Numbers of the effects that have been named.
-        effect: Seen as a random force.
-        settings: Of the slow force, and what makes it a gust.
-    """
+    """A slow random force that no curve over the motion and no effect explains."""
     columns = columns_of(model.numbers, model.effects)
     flights = model.channels(columns, values)
     winds = [k for k, i in enumerate(columns) if _blows(model.numbers[i].effect)]
@@ -565,12 +544,7 @@ def _gust_numbers(
 
 
 def _time_constant(correlation: float, settings: StochasticSettings) -> tuple[float, float]:
-    """Time constant of a first-order process and the share of its power inside the slow band.
-
-    Args:
-        correlation: Of its part inside the band, over `LAG_S`.
-        settings: Of the slow force and of gusts.
-    """
+    """Time constant of a first-order process and the share of its power inside the slow band."""
     f = np.linspace(*settings.slow_force.band_hz, 200)
     times = np.geomspace(0.05, 5.0, 60)[:, None]
     density = 4 * times / (1 + (2 * np.pi * f * times) ** 2)

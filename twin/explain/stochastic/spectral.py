@@ -84,13 +84,8 @@ class Cells:
 
 
 def pieces_of(flight: FlightModel, columns: Sequence[str], window_s: float) -> list[Piece]:
-    """Readings in the air at the sensor's own rate; repeats of a slower sensor are left out.
-
-    Args:
-        flight: On its grid.
-        columns: Of the sensor.
-        window_s: Of the spectrogram; pieces shorter than four of them are left out.
-    """
+    """Readings in the air at the sensor's own rate; repeats of a slower sensor are left out, and
+    pieces shorter than four windows."""
     if not flight.flight.has(*columns):
         return []
     t, x = flight.flight.signal(columns)
