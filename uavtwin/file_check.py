@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from msgspec import UNSET, UnsetType
 
-from fmus.inspect import inspect_fmu
 from twin.draft import Hover, drives, hover_of
 from twin.draft.consistency import consistency
 from twin.errors import LogError, ModelError, TwinError
@@ -230,6 +229,8 @@ def check_file(path: str | Path, vehicle: Vehicle | None = None) -> CheckReport:
 
 
 def _check_fmu(path: Path) -> CheckReport:
+    from fmus.inspect import inspect_fmu
+
     report = inspect_fmu(path)
     uses = []
     runs_here = report.facts["platforms"] != "none"

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from ..errors import ModelError
 from ..logs import AnyFlight, Flight
@@ -161,7 +161,7 @@ def _order(apart: Array, layout: Layout, direction: Array) -> NDArray[np.intp]:
     """The row of the vehicle file that is nearest to each motor of the log; of two above each other
     that of its sense."""
     turned = (layout.direction[:, None] != direction[None]) * 1e-3
-    return np.asarray(linear_sum_assignment(apart**2 + turned)[1], dtype=np.intp)
+    return np.asarray(scipy.optimize.linear_sum_assignment(apart**2 + turned)[1], dtype=np.intp)
 
 
 def _alike(layout: Layout, direction: Array) -> bool:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfiltfilt
 
 from ..logs import AnyFlight, Flight
 from ..logs.columns import ACC, GYRO, MIN_MOTORS, POS, QUAT, VEL, motor_columns
@@ -263,12 +263,12 @@ def turning(flight: Flight, layout: Layout) -> Turning | None:
     x, y = layout.position[:, 0], layout.position[:, 1]
     moments = thrust @ np.column_stack([-y, x, -layout.direction])
     turned = np.column_stack([np.interp(grid, t_gyro, rates[:, k]) for k in range(3)])
-    band = butter(2, np.array(_BAND_HZ) * 2.0 * _GRID_S, "bandpass", output="sos")
+    band = scipy.signal.butter(2, np.array(_BAND_HZ) * 2.0 * _GRID_S, "bandpass", output="sos")
     inside = np.interp(grid, t_s, air.astype(np.float64)) > 0.5
     if inside.sum() < _LEAST_S / _GRID_S:
         return None
-    pushed = sosfiltfilt(band, moments, axis=0)[inside]
-    rose = np.gradient(sosfiltfilt(band, turned, axis=0), _GRID_S, axis=0)[inside]
+    pushed = scipy.signal.sosfiltfilt(band, moments, axis=0)[inside]
+    rose = np.gradient(scipy.signal.sosfiltfilt(band, turned, axis=0), _GRID_S, axis=0)[inside]
     return Turning(*(_correlation(pushed[:, k], rose[:, k]) for k in range(3)))
 
 

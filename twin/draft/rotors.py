@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
-from scipy.signal import butter, lfilter, sosfiltfilt
 
 from ..effects import EFFECTS, prior_of
 from ..formatting import percent
@@ -127,8 +126,8 @@ def _followed(flight: Flight, hover: Hover) -> Estimate | None:
     command = _lagged(np.interp(grid, hover.t_s, hover.cmd.mean(axis=1)))
     down = sampled(flight, ACC[2], grid)
     assert down is not None
-    low_pass = butter(2, _SLOW_HZ * 2.0 * _GRID_S, output="sos")
-    x, y = (sosfiltfilt(low_pass, values)[inside] for values in (command, -down))
+    low_pass = scipy.signal.butter(2, _SLOW_HZ * 2.0 * _GRID_S, output="sos")
+    x, y = (scipy.signal.sosfiltfilt(low_pass, values)[inside] for values in (command, -down))
     x, y = x / x.mean() - 1.0, y / y.mean() - 1.0
     both = float(np.mean(x * y))
     correlation = both / max(float(x.std() * y.std()), 1e-12)
@@ -141,7 +140,9 @@ def _followed(flight: Flight, hover: Hover) -> Estimate | None:
 def _lagged(command: Array) -> Array:
     """Behind the usual lag of a motor, on the grid."""
     keep = np.exp(-_GRID_S / _LAG_S)
-    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], command - command[0]) + command[0])
+    return np.asarray(
+        scipy.signal.lfilter([1.0 - keep], [1.0, -keep], command - command[0]) + command[0]
+    )
 
 
 def voltage_sag(hovers: Sequence[Hover], e: float, reference_v: float, command: float) -> Estimate:
@@ -185,7 +186,7 @@ def _followed_by_rotors(hover: Hover) -> Array:
     assert hover.cmd is not None
     step_s = float(np.median(np.diff(hover.t_s)))
     width = max(round(_MEAN_S / step_s), 1)
-    return np.asarray(uniform_filter1d(hover.cmd, width, axis=0, mode="nearest"))
+    return np.asarray(scipy.ndimage.uniform_filter1d(hover.cmd, width, axis=0, mode="nearest"))
 
 
 def hover_thrust_n(

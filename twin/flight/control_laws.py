@@ -13,11 +13,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
-from scipy.optimize import lsq_linear
-from scipy.stats import binom
 
 from ..component import Component, ComponentBuilder
 from ..component.portable import angle, cosine, sine
@@ -387,15 +385,17 @@ def _monotone_fit(driven: Array, root: Array, idle: float) -> Array:
     Geometric Design 29 (2012), sec. 5.
     """
     at = np.linspace(np.sqrt(idle), 1.0, _FIT_POINTS)
-    wanted = PchipInterpolator(root, driven)(at)
+    wanted = scipy.interpolate.PchipInterpolator(root, driven)(at)
     order = np.arange(INVERSE_DEGREE + 1)
-    basis = binom.pmf(order, INVERSE_DEGREE, ((at - at[0]) / (1.0 - at[0]))[:, None])
+    basis = scipy.stats.binom.pmf(order, INVERSE_DEGREE, ((at - at[0]) / (1.0 - at[0]))[:, None])
     rises = basis @ np.tril(np.ones((len(order), len(order))))
     weight = np.interp(wanted, driven, np.gradient(root**2, driven / driven[-1]))
     weight = np.maximum(weight, _LEAST_WEIGHT)
     weight[-1] = _END_WEIGHT
     least = np.where(order == 0, -np.inf, _LEAST_RISE * driven[-1])
-    found = lsq_linear(rises * weight[:, None], wanted * weight, (least, np.inf), method="bvls")
+    found = scipy.optimize.lsq_linear(
+        rises * weight[:, None], wanted * weight, (least, np.inf), method="bvls"
+    )
     return np.asarray(polynomial.polyfit(at, rises @ found.x, INVERSE_DEGREE), dtype=np.float64)
 
 

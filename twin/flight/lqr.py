@@ -36,8 +36,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import solve_continuous_are
 
 from ..component import Component, ComponentBuilder
 from ..frames import AXES, to_body
@@ -146,7 +146,7 @@ def _chain(
         b = np.vstack([np.zeros((n, 1)), [[1.0 / lag_s]]])
         weight.append(0.0)  # its own command is weighted
     q, r = np.diag(weight), np.array([[penalty]])
-    gain = np.linalg.solve(r, b.T @ solve_continuous_are(a, b, q, r)).ravel()
+    gain = np.linalg.solve(r, b.T @ scipy.linalg.solve_continuous_are(a, b, q, r)).ravel()
     return Chain(gain, np.linalg.eigvals(a - b * gain).astype(np.complex128))
 
 

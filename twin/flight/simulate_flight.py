@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from ..component import Component
 from ..component.rows import noiseless_outputs
@@ -185,7 +185,7 @@ def _recorded(
     for column, later_s in _late_columns(plant, recorder, list(known)):
         known[column] = np.interp(t_s - later_s, t_s, known[column])
     for column, width_s in _averaged_columns(plant, list(known)):
-        known[column] = gaussian_filter1d(
+        known[column] = scipy.ndimage.gaussian_filter1d(
             known[column], width_s * recorder.sampled_hz, mode="nearest"
         )
     return known

@@ -13,7 +13,6 @@ from typing import TypeVar
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from ..errors import LogError
 from .airframe import Airframe
@@ -291,8 +290,8 @@ def stamp_offsets(
     Returns:
         Per topic, shape (n,); positive: stamped later than its neighbours in the file.
     """
-    if not places:
-        return []
+    if not any(map(len, places)):
+        return [np.zeros(0, dtype=np.int64) for _ in places]
     stamps = list(stamps_us)
     place, stamp = np.concatenate(places), np.concatenate(stamps)
     owner = np.repeat(np.arange(len(places)), [len(p) for p in places])
@@ -339,8 +338,11 @@ def stray_samples(
 
 
 def _clock(stamp_us: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Median of each stamp and its neighbours, us."""
-    return np.asarray(median_filter(stamp_us, _NEIGHBOURS, mode="nearest"), dtype=np.float64)
+    """Median of each stamp and its neighbours, us, the first and the last one repeated."""
+    half = _NEIGHBOURS // 2
+    repeated = pd.Series(np.pad(stamp_us, half, mode="edge"))
+    median = repeated.rolling(_NEIGHBOURS, center=True).median().to_numpy(dtype=np.float64)
+    return np.asarray(median[half:-half])
 
 
 # -- attitude -----------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ model leaves out the axes that they are of.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
+import scipy
 
 from ..errors import LogError
 from ..frames import from_euler, rotation_vector
@@ -136,7 +136,8 @@ def _acceleration(table: Columns) -> tuple[str, Array, Array] | None:
             values = np.gradient(values, t_s, axis=0)
         rate_hz = 1 / float(np.median(np.diff(t_s)))
         share = min(TILT_HZ / rate_hz, SHARE_OF_RATE)
-        return signal, t_s, sosfiltfilt(butter(2, 2 * share, output="sos"), values, axis=0)
+        low_pass = scipy.signal.butter(2, 2 * share, output="sos")
+        return signal, t_s, scipy.signal.sosfiltfilt(low_pass, values, axis=0)
     return None
 
 

@@ -17,9 +17,8 @@ from dataclasses import dataclass
 from itertools import combinations, permutations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
-from scipy.optimize import linear_sum_assignment
 
 from ..vehicle.layouts import Layout
 from .agreement import Signals, samples, window_integrals
@@ -91,7 +90,7 @@ class _Cells:
     def fast(self, values: Array) -> Array:
         """What changes within two seconds, of the cells in the air, shape (cells in the air, k)."""
         wide = max(round(_SLOW_S / self.width_s), 3)
-        quick = values - uniform_filter1d(values, wide, axis=0, mode="nearest")
+        quick = values - scipy.ndimage.uniform_filter1d(values, wide, axis=0, mode="nearest")
         chosen = quick[self.flown]
         return np.asarray(chosen - chosen.mean(axis=0))
 
@@ -130,7 +129,7 @@ def _cells(table: Columns, there: Signals, *others: str) -> _Cells | None:
     cells = _Cells(edges, np.ones(len(edges) - 1, dtype=np.bool_))
     lifted = (cells.means(t_cmd, mean[:, None])[:, 0] > level).astype(np.float64)
     wide = max(round(_SLOW_S / width_s), 3)
-    flown = uniform_filter1d(lifted, wide, mode="nearest") > 1.0 - 0.5 / wide
+    flown = scipy.ndimage.uniform_filter1d(lifted, wide, mode="nearest") > 1.0 - 0.5 / wide
     for t in times:  # without what lies in a pause of a signal
         flown &= np.diff(np.searchsorted(t, edges)) > 0 if width_s > _CELL_S else _near(t, edges)
     return _Cells(edges, flown) if np.count_nonzero(flown) >= _FEWEST else None
@@ -188,7 +187,7 @@ def doubt_rotors(table: Columns, there: Signals) -> list[Finding]:
     moments = _moments(cells, apart, speeds - speeds.mean(axis=1, keepdims=True))
     n = len(there["cmd"])
     r2 = np.stack([moments.r2(np.eye(n), rotor) for rotor in range(n)], axis=1)
-    labels = [linear_sum_assignment(-each)[1] for each in r2]
+    labels = [scipy.optimize.linear_sum_assignment(-each)[1] for each in r2]
     best = max(range(len(r2)), key=lambda k: float(r2[k, range(n), labels[k]].sum()))
     moved = np.flatnonzero(labels[best] != np.arange(n))
     if not len(moved):
@@ -270,7 +269,7 @@ def _orders(allocation: Array, hint: Array, at: LaggedMoments) -> NDArray[np.int
         for row, (one, two) in zip(pairs, combinations(range(n), 2), strict=True):
             row[[one, two]] = two, one
         unit = allocation / np.maximum(np.linalg.norm(allocation, axis=1, keepdims=True), TINY)
-        orders = np.vstack([pairs, linear_sum_assignment(-(hint.T @ unit))[1]])
+        orders = np.vstack([pairs, scipy.optimize.linear_sum_assignment(-(hint.T @ unit))[1]])
     total = sum(at.r2(allocation[axis][orders], axis)[0] for axis in range(3))
     likely = np.argsort(-np.asarray(total))[:_LIKELY]
     moved = (orders[likely] != np.arange(n)).any(axis=1)

@@ -20,8 +20,8 @@ from typing import TypeVar
 
 import numpy as np
 import pandas as pd
+import scipy
 from numpy.typing import NDArray
-from scipy.signal import butter, lfilter, sosfiltfilt
 
 from .columns import ACC, GYRO, MAX_MOTORS, motor_columns
 from .flight import Array, Finding
@@ -283,7 +283,9 @@ class _Motor:
             return self._command
         keep, first = float(np.exp(-_LAG_STEP_S / constant_s)), self._command[0]
         new = (1.0 - keep) / 2.0  # trapezoidal: no delay of half a step
-        return np.asarray(lfilter([new, new], [1.0, -keep], self._command - first) + first)
+        return np.asarray(
+            scipy.signal.lfilter([new, new], [1.0, -keep], self._command - first) + first
+        )
 
     def products(self, lagged: Array, delay_s: float) -> tuple[Array, Array]:
         """Sums over each block of model squared and of model times speed, shape (b,) each."""
@@ -353,11 +355,11 @@ def _behind_motion(
     band = (_BAND_HZ[0], min(_BAND_HZ[1], 0.4 * slowest))
     if band[1] < 2 * band[0]:
         return None
-    filters = butter(2, band, "band", fs=1 / _GRID_S, output="sos")
+    filters = scipy.signal.butter(2, band, "band", fs=1 / _GRID_S, output="sos")
     y = np.column_stack([np.interp(grid_s, *c) for c in channels])
     y[:, :turning] = np.gradient(y[:, :turning], _GRID_S, axis=0)
     x = np.column_stack([np.interp(grid_s, t, np.square(w)) for t, w in speeds])
-    y, x = sosfiltfilt(filters, y, axis=0), sosfiltfilt(filters, x, axis=0)
+    y, x = (scipy.signal.sosfiltfilt(filters, v, axis=0) for v in (y, x))
     block = _block_of(grid_s, begins)
     for t, _ in channels:  # a block with a hole says nothing
         count = np.diff(np.searchsorted(t, np.column_stack([begins, begins + _BLOCK_S])), axis=1)

@@ -21,9 +21,8 @@ from functools import cache, cached_property
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import spline_filter1d
-from scipy.signal import butter, lfilter, lfilter_zi
 
 from ..component import Component
 from ..component.rows import OverRows
@@ -214,7 +213,7 @@ class LowPass:
         b, a, settled = _butterworth(self._cutoff_hz)
         if self._state is None:
             self._state = values[:1].T * settled
-        passed, self._state = lfilter(b, a, values.T, axis=-1, zi=self._state)
+        passed, self._state = scipy.signal.lfilter(b, a, values.T, axis=-1, zi=self._state)
         return np.asarray(passed.T, dtype=np.float64)
 
 
@@ -226,8 +225,8 @@ def low_pass(values: Array, cutoff_hz: float) -> Array:
 @cache
 def _butterworth(cutoff_hz: float) -> tuple[Array, Array, Array]:
     """Second order on the grid: coefficients, and the state that is settled on one."""
-    b, a = butter(2, cutoff_hz / (GRID_HZ / 2))
-    return b, a, lfilter_zi(b, a)
+    b, a = scipy.signal.butter(2, cutoff_hz / (GRID_HZ / 2))
+    return b, a, scipy.signal.lfilter_zi(b, a)
 
 
 def rate_over_step(values: Array) -> Array:
@@ -271,7 +270,7 @@ class GridSpline:
     @cached_property
     def _weights(self) -> Array:
         padded = np.pad(self._bridged, [(PADDED, PADDED), (0, 0)], mode="edge")
-        return np.asarray(spline_filter1d(padded, order=3, axis=0, mode="nearest"))
+        return np.asarray(scipy.ndimage.spline_filter1d(padded, order=3, axis=0, mode="nearest"))
 
     def later(self, later_s: float) -> Array:
         """The values later by a while, (N, channels), the ends held; a channel of which nothing is

@@ -11,9 +11,8 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.signal import butter, lfilter, lfilter_zi, savgol_filter
 
 from ..errors import LogError
 from ..frames import multiply, rotation_vector
@@ -290,15 +289,15 @@ def _filtered(column: Array, rate_hz: float, cutoff_hz: float) -> Array:
     start, end = (2 * column[k] - column[rows] for k, rows in ((0, _BEFORE), (-1, _AFTER)))
     passed = np.concatenate([start, column, end])
     for _ in range(2):
-        passed = lfilter(b, a, passed, zi=settled * passed[0])[0][::-1]
+        passed = scipy.signal.lfilter(b, a, passed, zi=settled * passed[0])[0][::-1]
     return np.asarray(passed[_EDGE:-_EDGE], dtype=np.float64)
 
 
 @lru_cache(256)
 def _butterworth(share: float) -> tuple[Array, Array, Array]:
     """Second order, at a share of half the rate: coefficients, and the state settled on one."""
-    b, a = butter(2, share)
-    return b, a, lfilter_zi(b, a)
+    b, a = scipy.signal.butter(2, share)
+    return b, a, scipy.signal.lfilter_zi(b, a)
 
 
 def differentiate(signal: AnySignal) -> Array:
@@ -344,7 +343,7 @@ def _signs(q: Array) -> NDArray[np.int8]:
 
 
 def _derivative(signal: AnySignal) -> Signal:
-    smooth = savgol_filter(signal.values, 9, 2, axis=0)
+    smooth = scipy.signal.savgol_filter(signal.values, 9, 2, axis=0)
     t_s = signal.t_s
     return Signal(t_s, differentiate(Signal(t_s, smooth)), signal.settled_hz)
 
@@ -490,7 +489,8 @@ def smooth_at(signal: AnySignal, t_s: Array, derivative: int = 0) -> Array:
     there = signal.between(float(np.min(t_s)) - LONGEST_GAP_S, float(np.max(t_s)) + LONGEST_GAP_S)
     if len(there.t_s) < 4:
         return np.full((len(t_s), signal.values.shape[1]), np.nan)
-    found = CubicSpline(there.t_s, there.values, bc_type="natural")(t_s, derivative)
+    spline = scipy.interpolate.CubicSpline(there.t_s, there.values, bc_type="natural")
+    found = spline(t_s, derivative)
     found[~np.isfinite(signal.at(t_s))] = np.nan
     return np.asarray(found)
 
@@ -513,7 +513,7 @@ def resample_like(values: Array, t_s: Array, signal: AnySignal, derivative: int 
     known = np.all(np.isfinite(values), axis=1)
     if np.count_nonzero(known) < 4:
         return np.full_like(values, np.nan)
-    whole = CubicSpline(t_s[known], values[known])
+    whole = scipy.interpolate.CubicSpline(t_s[known], values[known])
     if derivative:
         whole = whole.antiderivative(derivative)
     there = signal.between(float(t_s[known][0]) - SAME_S, float(t_s[known][-1]) + SAME_S)

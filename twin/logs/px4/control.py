@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.signal import lfilter
 
 from ...vehicle.layouts import FRAMES
 from ..flight import Array
@@ -95,9 +94,9 @@ def resample(gyro: Gyro, t_s: Array) -> Array:
     """
     start, end = gyro.end_s - gyro.window_s, gyro.end_s
     middle = end - 0.5 * gyro.window_s
-    bend = CubicSpline(middle, gyro.rates).derivative(2)(middle)
+    bend = scipy.interpolate.CubicSpline(middle, gyro.rates).derivative(2)(middle)
     at_middle = gyro.rates - gyro.window_s[:, None] ** 2 / 24.0 * bend  # a mean is no point value
-    bridge = CubicSpline(middle, at_middle).antiderivative()
+    bridge = scipy.interpolate.CubicSpline(middle, at_middle).antiderivative()
     touch = np.concatenate([[False], start[1:] - end[:-1] < 0.1 * gyro.window_s[1:]])
     begin = np.where(touch, np.concatenate([start[:1], end[:-1]]), start)
     turned = gyro.rates * (end - begin)[:, None]
@@ -106,7 +105,7 @@ def resample(gyro: Gyro, t_s: Array) -> Array:
     knots = np.column_stack([begin, end]).ravel()
     angles = np.stack([angle_end - turned, angle_end], axis=1).reshape(-1, 3)
     new = np.concatenate([[True], np.diff(np.maximum.accumulate(knots)) > 1e-6])
-    slope = CubicSpline(knots[new], angles[new]).derivative()
+    slope = scipy.interpolate.CubicSpline(knots[new], angles[new]).derivative()
     return np.asarray(slope(np.clip(t_s + gyro.delay_s, knots[0], end[-1])))
 
 
@@ -125,7 +124,7 @@ def low_pass(x: Array, rate_hz: float, cutoff_hz: float) -> Array:
     c = 1.0 + middle + tan * tan
     b = np.array([1.0, 2.0, 1.0]) * tan * tan / c
     a = np.array([1.0, 2.0 * (tan * tan - 1.0) / c, (1.0 - middle + tan * tan) / c])
-    return np.asarray(lfilter(b, a, x - x[0], axis=0) + x[0], dtype=np.float64)
+    return np.asarray(scipy.signal.lfilter(b, a, x - x[0], axis=0) + x[0], dtype=np.float64)
 
 
 def notch(x: Array, rate_hz: float, centre_hz: float, width_hz: float) -> Array:
@@ -135,7 +134,7 @@ def notch(x: Array, rate_hz: float, centre_hz: float, width_hz: float) -> Array:
     alpha, beta = np.tan(np.pi * width_hz / rate_hz), -np.cos(2 * np.pi * centre_hz / rate_hz)
     b = np.array([1.0, 2.0 * beta, 1.0]) / (1.0 + alpha)
     a = np.array([1.0, b[1], (1.0 - alpha) / (1.0 + alpha)])
-    return np.asarray(lfilter(b, a, x - x[0], axis=0) + x[0], dtype=np.float64)
+    return np.asarray(scipy.signal.lfilter(b, a, x - x[0], axis=0) + x[0], dtype=np.float64)
 
 
 def derivative(x: Array, t_s: Array) -> Array:
