@@ -56,7 +56,7 @@ audit: $(AUDIT_STAMP)  ## known vulnerabilities of the pinned set, as PyPI's ser
 	  || { echo 'audit: not passed. After "could not be audited" or a failed connection nothing was judged: the service cannot be reached from here.' >&2; exit 1; }
 
 bench: setup  ## the speed figures
-	$(BIN)/uavtwin bench
+	$(BIN)/python -m benchmarks.speed
 
 figures: setup  ## the same, written into docs/results
 	$(BIN)/python docs/_generate/figures.py --bench

@@ -21,12 +21,12 @@ import torch
 from plotly.subplots import make_subplots
 from torch import Tensor, nn
 
+from benchmarks.speed.compensator import CLUSTERS, onnxruntime_cost
 from learning.data.channels import CHANNELS, GROUPS, N_PHASES
 from learning.export.streaming import streaming_model
 from learning.model.compensator import untrained_compensator
 from learning.model.family import ModelInfo
 from learning.preset import BEST, PAPER
-from uavtwin.bench.compensator import CLUSTERS, onnxruntime_cost
 
 from .figures import COLOURS, styled, thin
 from .system import System, SystemPreset, begun

@@ -2,9 +2,9 @@
 
     python docs/_generate/figures.py [--bench [FILE] | --check]
 
-`--bench` measures speed anew first (`uavtwin bench`, two minutes on a quiet machine), or takes
-what `uavtwin bench --json` wrote into a file. `--check` changes nothing and exits 1 if the page is
-out of date.
+`--bench` measures speed anew first (`python -m benchmarks.speed`, two minutes on a quiet machine),
+or takes what it wrote into a file with `--json`. `--check` changes nothing and exits 1 if the page
+is out of date.
 """
 
 import argparse
@@ -26,8 +26,9 @@ INTRODUCTION = """\
 # Figures
 
 Written by `python docs/_generate/figures.py` from `docs/results/figures.toml`; `make figures`
-measures those of `uavtwin bench` anew. Two cores of a server (AMD EPYC). Times on a shared machine
-move by a third from run to run; the ratios stand. Intervals are 95 %. What is missed is said.
+measures those of `python -m benchmarks.speed` anew. Two cores of a server (AMD EPYC). Times on a
+shared machine move by a third from run to run; the ratios stand. Intervals are 95 %. What is missed
+is said.
 
 """
 
@@ -35,7 +36,7 @@ Figure = dict[str, Any]
 
 
 def measured(bench: Sequence[dict[str, Any]]) -> dict[str, float | None]:
-    """Values of the rows of `uavtwin bench --json` by name; the second of a name is "NAME (2)"."""
+    """Values of the rows of `benchmarks.speed` by name; the second of a name is "NAME (2)"."""
     seen: Counter[str] = Counter()
     values = {}
     for row in bench:
@@ -80,8 +81,10 @@ def main() -> int:
     figures: list[Figure] = store.unwrap()["figure"]
     if given.bench is not None:
         if given.bench == Path("-"):
-            command = [str(Path(sys.executable).parent / "uavtwin"), "bench", "--json"]
-            said = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+            command = [sys.executable, "-m", "benchmarks.speed", "--json"]
+            said = subprocess.run(
+                command, cwd=DOCS.parent, check=True, stdout=subprocess.PIPE, text=True
+            ).stdout
         else:
             said = given.bench.read_text("utf-8")
         for what in update(figures, measured(json.loads(said))):

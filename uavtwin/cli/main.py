@@ -21,7 +21,6 @@ import typer
 from twin.errors import TwinError
 from twin.scratch import scratch_folder
 
-from .bench import bench
 from .calibrate import calibrate
 from .check import check
 from .convert import convert
@@ -69,7 +68,7 @@ PANELS = {
     "Simulate and export": (simulate, sweep, export),
     "Fleet and live": (serve, fleet, live, replay),
     "Learn": (train, evaluate),
-    "Try and measure": (demo, bench),
+    "Try": (demo,),
 }
 """The verbs in the order of the help, by what somebody has at hand. A verb is a function in a file
 of its name, or a Typer application of further verbs, and a name here."""

@@ -1,4 +1,4 @@
-"""`uavtwin bench`: the speed figures, measured here and now.
+"""The speed figures, measured here and now.
 
 Every figure is the best of several runs, but that of the worker process, a quotient of medians;
 what is compared runs side by side. libcosim and ecos, two other co-simulation masters, are timed
@@ -24,14 +24,13 @@ from cosim.whole_twin import fused_model, system_of
 from cosim.worker import WorkerMaster
 from fmus import build, component_model
 from fmus.python_slave.build import build_python_slave
-from twin.errors import install_command
 from twin.flight.assembly import flying_twin
 from twin.physics.airframe import airframe
 from twin.physics.residual_force import FEATURES, INPUTS, ForceLaw
 from twin.physics.sensors.imu import imu
 from twin.vehicle_file import load_vehicle
 
-from .figure import Row
+from .compensator import Row, compensator_rows
 
 STEP_S = 1e-3
 """Communication step of the runs, s."""
@@ -46,7 +45,7 @@ def run_bench(progress: Callable[[float], None] = lambda _: None) -> list[Row]:
     rows: list[Row] = []
     with tempfile.TemporaryDirectory(prefix="uavtwin-") as name:
         folder = Path(name)
-        parts = (_steps, _eight, _whole_twin, _compensator)
+        parts = (_steps, _eight, _whole_twin, compensator_rows)
         for i, part in enumerate(parts):
             rows += part(folder)
             progress((i + 1) / len(parts))
@@ -179,22 +178,6 @@ def _linear_law() -> ForceLaw:
         most=np.ones(6),
         units=np.eye(6),
     )
-
-
-def _compensator(folder: Path) -> list[Row]:
-    """The learned correction, where what makes it is installed."""
-    try:
-        from .compensator import compensator_rows
-    except ModuleNotFoundError as error:
-        return [
-            Row(
-                f"compensator: skipped without {error.name}, {install_command('learn')}",
-                None,
-                "",
-                "",
-            )
-        ]
-    return compensator_rows(folder)
 
 
 def _best(run: Callable[[], None], repeats: int = REPEATS) -> float:

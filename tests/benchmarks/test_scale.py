@@ -1,4 +1,4 @@
-"""`uavtwin bench --scale`: the flights it makes, its slopes, and its children."""
+"""Verbs against length of flight: the flights that are made, its slopes, and its children."""
 
 import json
 import math
@@ -9,9 +9,9 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from benchmarks.speed import scale
+from benchmarks.speed.scale import Took, run_scale, slope, took, write_long
 from twin.errors import TwinError
-from uavtwin.bench import scale
-from uavtwin.bench.scale import Took, run_scale, slope, took, write_long
 from uavtwin.record import plain
 
 

@@ -1,4 +1,4 @@
-"""Figures of the compensator for `uavtwin bench`: time and memory of one sample.
+"""Figures of the compensator: time and memory of one sample.
 
 The network has the paper's sizes (four clusters, D = 128, K = 512, 1.3 million weights in LSTM
 cells) and random weights. Each figure comes from a process of its own that has loaded nothing else;
@@ -8,7 +8,10 @@ times are those of the best of ten runs.
 import json
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
+
+import fmpy
 
 from fmus import build
 from fmus.compensator import FILE, INT8_FILE, native_model, read_network
@@ -16,8 +19,6 @@ from learning.export.write import export_onnx
 from learning.model.compensator import ModelInfo, untrained_compensator
 from learning.preset import PAPER
 from twin.errors import FmuError
-
-from .figure import Row
 
 SAMPLES = 5000
 """Samples that the step time is measured over."""
@@ -80,14 +81,29 @@ used = None if before is None else resident() - before
 """Script that steps the FMU of the network."""
 
 
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One measured figure.
+
+    Attributes:
+        what: Was measured.
+        value: In its unit.
+        unit: Of it.
+        goal: That it is held against.
+    """
+
+    what: str
+    value: float
+    unit: str
+    goal: str
+
+
 def compensator_rows(folder: Path) -> list[Row]:
     """One sample in onnxruntime and in the native FMU, one thread.
 
     Args:
         folder: For the files.
     """
-    import fmpy
-
     model = untrained_compensator(ModelInfo(PAPER, "reconstruct", 0, 100.0, 4, CLUSTERS))
     export_onnx(model, folder)
     rows = []

@@ -1,4 +1,6 @@
-"""One verb on one flight, in a process of its own: `python -m uavtwin.bench.verb VERB FILE MODEL`.
+"""One verb on one flight, in a process of its own.
+
+    python -m benchmarks.speed.verb VERB FILE MODEL
 
 It runs as the command line runs it. The last line of its output is what that took, as JSON:
 `seconds` by the clock, `processor_s`, and `peak_mb` of resident memory, the interpreter with its

@@ -1,4 +1,4 @@
-"""`uavtwin bench --scale`: time and memory of the verbs that read logs, against length of flight.
+"""Time and memory of the verbs that read logs, against length of flight.
 
 A built-in flight is flown again and again until it is long enough; each verb then runs in a process
 of its own on each length, and the slopes of a straight line over the lengths are given.
@@ -19,10 +19,12 @@ import pyarrow.parquet as pq
 
 from twin.errors import TwinError
 from twin.vehicle_file import load_vehicle
+from uavtwin.demo.flights import IMU_S, fly, hide
 
-from ..demo.flights import IMU_S, fly, hide
 from .verb import VERBS
 
+ROOT = Path(__file__).parents[2]
+"""Of the checkout."""
 VEHICLE = "copter_default"
 """Built-in vehicle whose flight is repeated."""
 SEED = 4  # rotor drag is hidden
@@ -153,8 +155,8 @@ def took(verb: str, minutes: float, file: Path) -> Took:
     Raises:
         TwinError: It failed.
     """
-    command = [sys.executable, "-m", "uavtwin.bench.verb", verb, str(file), VEHICLE]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "benchmarks.speed.verb", verb, str(file), VEHICLE]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     if result.returncode not in (0, 1):  # 1: it has found something
         last = result.stderr.strip().splitlines()[-1:]
         raise TwinError(f"{verb} of {minutes:g} min: {''.join(last) or result.returncode}")

@@ -1,0 +1,1 @@
+"""The speed figures, measured here and now; time and memory of verbs against length of flight."""

@@ -1,1 +1,0 @@
-"""`uavtwin bench`: figures measured here and now."""
