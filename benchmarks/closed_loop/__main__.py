@@ -27,9 +27,9 @@ HEAD = """# Numbers of aircraft in closed loop
 
 The built-in quadrotor, its inertia, lag, centre of mass, thrust and yaw torque off its file, flown
 by a controller designed on the file through turbulence in force (0.5 m/s²) and moment (2 rad/s²),
-without any excitation: hover, and a tour on which it turns its nose. The log holds the velocity of
-the mission and the attitude that the position loop asks for. All numbers are fitted at once, as
-`calibrate` does.
+without any excitation: from the ground to a hover, and a tour on which it turns its nose. The log
+holds the velocity of the mission and the attitude that the position loop asks for. All numbers are
+fitted at once, as `calibrate` does.
 
 ```console
 python -m benchmarks.closed_loop --out DIR --seeds {seeds}

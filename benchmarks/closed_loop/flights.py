@@ -27,10 +27,14 @@ from uavtwin.demo.flights import Waypoints, setpoints_along
 
 Array = NDArray[np.float64]
 VEHICLE = load_vehicle("copter_default")
+_START: Waypoints = (("ground", 1.0, (0.0, 0.0, 0.0)), ("takeoff", 3.0, (0.0, 0.0, -1.5)))
+"""A record that began with the rotors at speed would be taken for one that begins in the air."""
+START_S = sum(duration_s for _, duration_s, _ in _START)
+"""When the aircraft has taken off."""
 MISSIONS: dict[str, Waypoints] = {
-    "hover": (("takeoff", 3.0, (0.0, 0.0, -1.5)), ("hover", 32.0, (0.0, 0.0, -1.5))),
+    "hover": (*_START, ("hover", 32.0, (0.0, 0.0, -1.5))),
     "tour": (
-        ("takeoff", 3.0, (0.0, 0.0, -1.5)),
+        *_START,
         *(
             ("forward", 2.0, (x, y, -1.5 - 0.3 * (k % 2)))
             for k, (x, y) in enumerate(4 * [(3.0, 0.0), (3.0, 2.0), (0.0, 2.0), (0.0, 0.0)])
@@ -100,6 +104,7 @@ def planted(seed: int) -> dict[str, dict[str, float]]:
                 numbers[name] = float(np.exp(expected.sd * off))
             else:
                 numbers[name] = expected.mean + expected.sd * off
+            numbers[name] = float(np.clip(numbers[name], *about[name].bounds))
         found[effect] = numbers
     lift = found["thrust_scale"]
     lift["scale"] = max(lift["scale"], LEAST_THRUST)
@@ -129,7 +134,7 @@ def flown(case: Case) -> Flight:
 
 def _heading(t_s: Array) -> Array:
     """Nose to and fro, from the end of the climb on, rad."""
-    since = np.clip(t_s - 3.0, 0.0, None)
+    since = np.clip(t_s - START_S, 0.0, None)
     return TURNED_RAD * np.sin(2 * np.pi * TURNED_HZ * since) ** 2
 
 

@@ -26,7 +26,10 @@ same mission, aligned in time; below 0.3 Hz, of a flight that went somewhere, th
 tells the moment of the air and no gain. The rate setpoint is none. Constants do not feel the loop.
 Noise is what is left across the instruments, and laws are inexact by a share of what is along them.
 
-Bands of angular acceleration vote in no other way; those of specific force vote as they are.
+Bands of angular acceleration vote in no other way. Of specific force along the thrust, where the
+loop of the height answers in the same way, rows vote across what commands predict: in each band the
+prediction, its quadrature and their rates of change span any gain and lag, and what is left of a
+row knows of neither. All other rows vote as they are.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,6 +37,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dgeqrf, dormqr
 from scipy.signal import hilbert, lfilter
 from scipy.stats import chi2
 
@@ -42,7 +46,7 @@ from ...representation import short_repr
 from ...residuals.channels import CHANNEL_HZ, ChannelData
 from ...residuals.measured import signal_of
 from .noise import BandLikelihood, BandNoise, Term
-from .setpoints import SOURCES, flown_across, turns
+from .setpoints import SOURCES, flown_across, lifts, turns
 from .spectrum import BANDS_HZ, Flights, transformed
 
 Array = NDArray[np.float64]
@@ -72,6 +76,10 @@ TESTED = {"mission": 1, "attitude setpoint": 4, "other flights": 4, "flown speed
 refuse: an attitude setpoint in two bands of one flight fits a gain and a delay whatever it follows.
 On an aircraft of 18 kg that made half of the inertia, 0.37 +- 0.03 of the file's; with two more
 flights of it the test refuses."""
+ANSWERED = 3
+"""First band in which a lag of commands moves specific force by more than gusts do: from 0.8 Hz."""
+BLOCK = 32
+"""Columns that LAPACK turns at a time."""
 ALIKE = 1.25
 """Factor by which two trusts may differ to be one: J is known no better. Made up."""
 INEXACT = 0.1
@@ -267,6 +275,51 @@ def _lagged(values: Array, lag_s: float) -> Array:
     return np.asarray(lfilter([1 - decay], [1.0, -decay], values))
 
 
+# -- what commands may answer for --------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """What commands predict in one band, as reflectors that turn it into the first rows.
+
+    Attributes:
+        reflectors: As of LAPACK's dgeqrf, shape (n, rank).
+        scale: Of each, shape (rank,).
+    """
+
+    reflectors: Array
+    scale: Array
+
+    __repr__ = short_repr
+
+    @classmethod
+    def of(cls, part: Array) -> "Answers":
+        """Of rows of a band, shape (n, rank)."""
+        return cls(*dgeqrf(part)[:2])
+
+    def taken_out(self, rows: Array) -> tuple[Array, int]:
+        """Rows turned, shape (n, m), and how many of the first hold what commands predict: all of
+        them in a band of hardly more rows than numbers."""
+        n, rank = self.reflectors.shape
+        if n <= 2 * rank:
+            return rows, n
+        room = rows.shape[1] * BLOCK
+        return dormqr("L", "T", self.reflectors, self.scale, rows, room)[0], rank
+
+
+def answers_of(channel: ChannelData) -> dict[int, Answers]:
+    """By band of the loop, what commands predict there with any gain and lag."""
+    predicted = channel.measured - channel.residual
+    own = np.zeros((len(predicted), 4))
+    for inside in (channel.piece == p for p in np.unique(channel.piece)):
+        moving = predicted[inside] - np.mean(predicted[inside])
+        own[inside, :2] = np.column_stack([moving, np.imag(hilbert(moving))])
+        own[inside, 2:] = np.gradient(own[inside, :2], axis=0)
+    rows, band = transformed(channel, own)
+    bands = np.unique(band[band >= ANSWERED]).tolist()
+    return {b: Answers.of(rows[band == b]) for b in bands}
+
+
 # -- the law of the noise -----------------------------------------------------------------------
 
 
@@ -283,12 +336,14 @@ class InstrumentNoise:
         bands: Law of all other rows.
         turning: Channels of angular acceleration.
         instruments: By channel and flight.
+        answers: Of specific force along the thrust, by channel and flight.
         rough: Share of an amplitude by which laws are inexact.
     """
 
     bands: BandNoise
     turning: frozenset[int]
     instruments: Mapping[tuple[int, int], Instrument]
+    answers: Mapping[tuple[int, int], Mapping[int, Answers]]
     rough: float
 
     __repr__ = short_repr
@@ -299,7 +354,13 @@ class InstrumentNoise:
     ) -> "InstrumentNoise":
         """From the residuals of the model as it stands; arguments as of `instruments_of`."""
         turning = frozenset(i for i, c in enumerate(channels[0]) if turns(c.name))
-        return cls(bands, turning, instruments_of(flights, channels), rough)
+        answers = {
+            (c, f): answers_of(channel)
+            for f, own in enumerate(channels)
+            for c, channel in enumerate(own)
+            if lifts(channel.name)
+        }
+        return cls(bands, turning, instruments_of(flights, channels), answers, rough)
 
     @property
     def mute(self) -> frozenset[int]:
@@ -321,6 +382,7 @@ class InstrumentNoise:
     ) -> list[Term]:
         """See `BandNoise`."""
         if channel not in self.turning:
+            rows, band = self._unanswered(channel, rows, band, flight)
             return self.bands.terms(channel, rows, band, flight)
         found = self.bands.terms(channel, rows, np.minimum(band, -band), flight)
         own = {f: i for (c, f), i in self.instruments.items() if c == channel and i.trust}
@@ -339,6 +401,19 @@ class InstrumentNoise:
             found.append(Along(channel, along, n, floor, False))
             found.append(Term(channel, across, n, floor, False))
         return found
+
+    def _unanswered(
+        self, channel: int, rows: Array, band: NDArray[np.intp], flight: NDArray[np.intp]
+    ) -> tuple[Array, NDArray[np.intp]]:
+        """Rows and their bands, of which those that hold what commands predict do not count."""
+        own = {f: a for (c, f), a in self.answers.items() if c == channel}
+        if own:
+            rows, band = rows.copy(), band.copy()
+        for f, b, answers in ((f, b, a) for f, bands in own.items() for b, a in bands.items()):
+            inside = np.flatnonzero((band == b) & (flight == f))
+            rows[inside], rank = answers.taken_out(rows[inside])
+            band[inside[:rank]] = -1
+        return rows, band
 
     def likelihood(self, terms: Sequence[Term]) -> "InstrumentLikelihood":
         """See `BandNoise`."""

@@ -31,6 +31,11 @@ def turns(channel: str) -> bool:
     return channel.startswith(("gyro_rate_", "motion_rate_"))
 
 
+def lifts(channel: str) -> bool:
+    """Whether a channel is of specific force along the thrust."""
+    return channel in {"acc_z", "motion_acc_z"}
+
+
 def _mission(flights: Sequence[Flight], own: Sequence[ChannelData], f: int) -> Array | None:
     """The velocity that is asked for across an axis, and its third derivative, shape (n, 2): what
     the air and what the rotors do to turn the aircraft then. Of a position one derivative more.

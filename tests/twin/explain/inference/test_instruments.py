@@ -135,6 +135,33 @@ def test_a_setpoint_that_follows_the_disturbance_is_none(seed: int) -> None:
     assert law.instruments[0, 0].trust == 0
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_the_loop_of_the_height_is_not_read_backwards(seed: int) -> None:
+    """Hover: commands answer to gusts, and what they predict votes for no gain and no lag; what is
+    read and no command answers to, as beside the centre of mass, is told all the same."""
+    gust = pushes(20 + seed, 1.0)
+    y, u, _ = looped(ZERO, gust)
+    c = replace(channel(y, u), name="acc_z")
+    law = law_of([flight(None)], [c])
+    assert directly(c) < GAIN - 0.5
+    assert vote(law, c, GAIN) == pytest.approx(vote(law, c, 1.0), abs=0.3)
+    late = replace(c, slopes=np.gradient(u)[:, None])
+    assert vote(law, late, 1.0) == pytest.approx(vote(law, late, 0.0), abs=0.3)
+    turned = slow_noise(seed, 6.0)
+    read = y + 0.5 * turned
+    c = replace(c, measured=read, residual=read - GAIN * u, slopes=turned[:, None])
+    law = law_of([flight(None)], [c])
+    assert best_gain(law, [replace(c, measured=c.residual)]) == pytest.approx(0.5, abs=0.1)
+
+
+def vote(law: InstrumentNoise, c: ChannelData, gain: float) -> float:
+    """Log likelihood of a gain of the slope, from 0.8 Hz on."""
+    rows, band = transformed(c, np.column_stack([c.measured, c.slopes]))
+    terms = law.terms(0, rows, np.where(band < 3, -1, band), np.zeros_like(band))
+    left = [np.array([1, -gain]) @ t.gram @ [1, -gain] for t in terms]
+    return law.likelihood(terms).log(np.array(left))
+
+
 def test_an_attitude_setpoint_that_two_bands_cannot_test_is_none() -> None:
     """A log of 10 Hz: of one flight it is not tested, of two it is."""
     found = []
