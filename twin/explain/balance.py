@@ -257,13 +257,9 @@ class Balance:
         if self.changed < self.sure:
             return None
         if self.damaged >= ALONE:
-            return max(self._damage, key=lambda h: h.probability)
+            damage = [h for h in self.hypotheses if h.cause in (ROTORS, VIBRATION)]
+            return max(damage, key=lambda h: h.probability)
         return self.best(LOAD) if self.probability_of(LOAD) >= ALONE else None
-
-    @property
-    def _damage(self) -> list[Hypothesis]:
-        """Hypotheses of damage, the most probable first."""
-        return [h for h in self.hypotheses if h.cause in (ROTORS, VIBRATION)]
 
     @property
     def one_of(self) -> tuple[Hypothesis, ...]:
@@ -492,12 +488,8 @@ class _Competition:
         return np.array([logsumexp(each[self._owner == k]) for k in range(count)]), each
 
     def weigh(self, change: Array, shaken: float | None = None) -> list[Hypothesis]:
-        """Posterior of all causes.
-
-        Args:
-            change: Of the means, shape (channels,).
-            shaken: Change of the log amplitude of vibration; None: not known.
-        """
+        """Posterior of all causes, given the change of the means, shape (channels,), and of the
+        log amplitude of vibration, where it is known."""
         evidence, each = self._log_evidence(change)
         found = {
             key: (float(evidence[k]), *self._posterior(change, k, each[self._owner == k]))

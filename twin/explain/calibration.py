@@ -78,9 +78,7 @@ def calibrate(
         flights: Nothing is wrong with the aircraft in them. Three or more also teach how much its
             days differ.
         vehicle: A draft: each number is believed as far as the word of its source goes.
-        progress: Called with the share done.
         payloads: Known masses aboard.
-        settings: Noise.
 
     Raises:
         LogError: A flight cannot be compared with this vehicle.
@@ -92,9 +90,7 @@ def calibrate(
     )
     problem = Problem.of(model, _of_sound(priors_of(model, trusted=False)), settings.evidence)
     found = search(
-        problem,
-        calibration_start(problem.priors),
-        progress=lambda done: progress(0.1 + 0.6 * done),
+        problem, calibration_start(problem.priors), progress=lambda done: progress(0.1 + 0.6 * done)
     )
     problem, found = with_instruments_of_end(
         problem, found, lambda done: progress(0.7 + 0.2 * done)

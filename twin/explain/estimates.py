@@ -7,9 +7,8 @@ from typing import Any
 from ..effects import EFFECTS
 from .explanation import Explanation
 from .inference.estimate import Estimate
-from .inference.fit import Fit
 from .inference.priors import effect_of
-from .inference.selection import Detectable, Naming
+from .inference.selection import Detectable
 from .model.numbers import numbers_of
 from .stochastic.spectral import StochasticEffect
 
@@ -84,11 +83,6 @@ def nothing_probability(found: Explanation) -> float | None:
     return float(none) * (1.0 if found.balance is None else found.balance.nothing)
 
 
-def best_with(naming: Naming, effect: str) -> Fit:
-    """The most probable hypothesis that an effect is part of."""
-    return next(f for f in naming.fitted if effect in f.effects)
-
-
 def reported_count(found: Explanation) -> int:
     """How many effects are told at once, those among them that something acts like."""
     resembled = () if found.naming is None else found.naming.resemblances
@@ -142,7 +136,7 @@ def rivals(found: Explanation, effect: str) -> list[dict[str, Any]]:
     if stochastic is not None:
         return [{"name": "nothing", "probability": 1 - stochastic.probability}]
     assert naming is not None
-    fitted = best_with(naming, effect)
+    fitted = next(f for f in naming.fitted if effect in f.effects)  # the most probable
     others: dict[str, dict[str, Any]] = {}
     for f, p in zip(naming.fitted, naming.probabilities, strict=True):
         if effect in f.effects:

@@ -253,8 +253,9 @@ def explain(
     found = _with_equations(found, seed)
     progress(0.75)
     found = _with_gap(found, parts.held, seed, payloads)
-    if found.comparison is not None and found.comparison.worse:
-        found = _refuted(found, FARTHER)
+    if found.verdict == "named" and found.comparison is not None and found.comparison.worse:
+        warnings = (FARTHER, *found.warnings)
+        found = replace(found, verdict="cannot_tell", refuted=FARTHER, warnings=warnings)
     progress(0.85)
     if suggest and found.verdict in ("named", "cannot_tell"):
         found = replace(found, next_manoeuvre=next_manoeuvre(naming, vehicle))
@@ -272,13 +273,6 @@ def _with_missions(
     flying = replace(found, missions=fly_missions(calm, missions, progress))
     lost = [UNSTABLE.format(m.name, m.problem) for m in flying.lost]
     return replace(flying, warnings=(*lost, *found.warnings))
-
-
-def _refuted(found: Explanation, why: str) -> Explanation:
-    """The same with names taken back."""
-    if found.verdict != "named":
-        return found
-    return replace(found, verdict="cannot_tell", refuted=why, warnings=(why, *found.warnings))
 
 
 def calibrated_on(vehicle: Vehicle) -> tuple[str, ...]:
@@ -380,10 +374,7 @@ def _drifting(naming: Naming) -> list[str]:
 
 
 def usable_of(
-    flights: Sequence[Flight],
-    vehicle: Vehicle,
-    payloads: Payloads | None,
-    settings: SearchSettings,
+    flights: Sequence[Flight], vehicle: Vehicle, payloads: Payloads | None, settings: SearchSettings
 ) -> tuple[list[Flight], list[str]]:
     """Parts of flights fit for the search, and what is left out of them, whole flights included."""
     found = [usable_part(f, flown(f, vehicle, payloads), settings.usable) for f in flights]

@@ -185,11 +185,7 @@ def compare_holdout(
         vehicle: The model as it stood.
         effects: Added.
         values: Their numbers, "effect.number" -> value.
-        seed: Of the bootstrap.
-        payloads: Known masses aboard.
         means: By channel, of the residual in the flights that were fitted.
-        settings: Of the bootstrap.
-        evidence: Of the fit of all numbers.
 
     Raises:
         LogError: A flight cannot be compared with this vehicle.
@@ -200,8 +196,7 @@ def compare_holdout(
     problem = Problem.of(model, priors_of(model), evidence)
     now = _numbers(problem, values)
     linear = problem.channels(now, range(len(problem.priors.now)))
-    before, rows = model.channels([]), model.channels([], values)
-    after = [[replace(c, slopes=c.slopes[:, :0]) for c in flight] for flight in rows]
+    before, after = model.channels([]), model.channels([], values)
     daily = replace(model, days=_days(problem, now, linear)).channels([], values)
     best = _best(problem, now, linear)
     gaps = []
@@ -357,26 +352,18 @@ class Place:
     goes_with: tuple[str, float] | None
 
 
-def localize(
-    model: Model,
-    values: Mapping[str, float],
-    floors: Mapping[str, float],
-) -> list[Place]:
-    """The places where residuals stand out most above their noise floor, the worst first.
-
-    Args:
-        model: Flights, against the model as it stands.
-        values: Numbers of the named effects, "effect.number" -> value.
-        floors: Noise floor by channel; channels without one are left out.
-    """
+def localize(model: Model, values: Mapping[str, float], floors: Mapping[str, float]) -> list[Place]:
+    """The places where residuals of the model as it stands are highest above their noise floor, the
+    worst first; channels without one are left out. `values`: those of the named effects."""
     before, after = model.channels([]), model.channels([], values)
+    known = [{k: q.values for k, q in quantities(f).items()} for f in model.flights]
     found = []
     for i, channel in enumerate(before[0]):
         if channel.name not in floors:
             continue
         parts = [
-            _rows(flight, b[i], a[i])
-            for flight, b, a in zip(model.flights, before, after, strict=True)
+            _rows(flight, own, b[i], a[i])
+            for flight, own, b, a in zip(model.flights, known, before, after, strict=True)
         ]
         phase = np.concatenate([p.phase for p in parts])
         for name in np.unique(phase):
@@ -397,19 +384,16 @@ class _Rows:
     quantities: Mapping[str, Array]
 
 
-def _rows(flight: FlightModel, before: ChannelData, after: ChannelData) -> _Rows:
+def _rows(
+    flight: FlightModel, known: Mapping[str, Array], before: ChannelData, after: ChannelData
+) -> _Rows:
     grid = flight.aligned.inputs.t_s
     rows = np.rint((before.t_s - grid[0]) * GRID_HZ).astype(np.intp)
-    known = {DEPENDS[k]: q.values[rows] for k, q in quantities(flight).items() if k in DEPENDS}
-    return _Rows(before.t_s, flight.aligned.phases[rows], before.residual, after.residual, known)
+    own = {said: known[k][rows] for k, said in DEPENDS.items() if k in known}
+    return _Rows(before.t_s, flight.aligned.phases[rows], before.residual, after.residual, own)
 
 
-def _place(
-    channel: ChannelData,
-    phase: str,
-    parts: list[_Rows],
-    floor: float,
-) -> Place:
+def _place(channel: ChannelData, phase: str, parts: list[_Rows], floor: float) -> Place:
     masks = [p.phase == phase for p in parts]
     before = np.concatenate([p.before[m] for p, m in zip(parts, masks, strict=True)])
     after = np.concatenate([p.after[m] for p, m in zip(parts, masks, strict=True)])
@@ -440,9 +424,7 @@ def _band(parts: list[_Rows], masks: list[NDArray[np.bool_]]) -> tuple[float, fl
 
 
 def _goes_with(
-    parts: list[_Rows],
-    masks: list[NDArray[np.bool_]],
-    residual: Array,
+    parts: list[_Rows], masks: list[NDArray[np.bool_]], residual: Array
 ) -> tuple[str, float] | None:
     """Quantity over which a curve takes most of the residual, about its mean."""
     about = residual - residual.mean()
@@ -489,14 +471,7 @@ def attribute_effect(
     values: Mapping[str, float],
     with_all: Sequence[Sequence[ChannelData]],
 ) -> Attribution:
-    """Where an effect acts.
-
-    Args:
-        effect: Identifier.
-        model: Flights, against the model as it stood.
-        values: Numbers of all added effects, "effect.number" -> value.
-        with_all: Channels of each flight with all of them.
-    """
+    """Where an effect acts, given the numbers of all added ones and the channels with them."""
     others = {k: v for k, v in values.items() if k.partition(".")[0] != effect}
     without = model.channels([], others)
     taken = {}

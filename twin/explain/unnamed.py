@@ -123,15 +123,7 @@ def find_equations(
     settings: UnnamedSettings = DEFAULT.unnamed,
     mute: Collection[str] = (),
 ) -> Unnamed | None:
-    """Equations for what a hypothesis leaves; None where none is worth having.
-
-    Args:
-        whitened: Flights and noise.
-        fitted: The hypothesis; no effects: what the model as it stands leaves.
-        seed: Draws which blocks of time are left out together.
-        settings: Terms, their price, and when an equation is worth having.
-        mute: Channels of which no equation is sought.
-    """
+    """Equations for what a hypothesis leaves, but in `mute` channels; None: none is worth it."""
     days = fitted.on_its_days(whitened.model).channels([], fitted.values)
     left = [[_about_its_day(c) for c in flight] for flight in days]
     keys = list(blocks_of(left, whitened.noise, whitened.settings))
@@ -358,16 +350,9 @@ def explains_better(
     settings: UnnamedSettings = DEFAULT.unnamed,
     stands: Fit | None = None,
 ) -> bool:
-    """Whether something outside the library is the better account of the flights.
-
-    Args:
-        whitened: Flights.
-        named: Hypotheses of the library that are worth considering; none of them may cover what
-            the equations explain. No effects: nothing.
-        alone: Equations for what the model as it stands leaves, see `unnamed`.
-        settings: What is enough, and what covers it.
-        stands: Numbers that the file was unsure of, with which the model stands, and its days.
-    """
+    """Whether something outside the library is the better account of the flights: equations for
+    what the model as it `stands` leaves gain enough, and none of the hypotheses that are worth
+    considering covers what they explain."""
     return (
         alone is not None
         and alone.gain > settings.enough

@@ -128,11 +128,7 @@ class LaplaceEvidence:
     """Sets of effects in one linearisation."""
 
     def __init__(
-        self,
-        spectrum: Spectrum,
-        noise: BandNoise | InstrumentNoise,
-        priors: Priors,
-        bounds: Bounds,
+        self, spectrum: Spectrum, noise: BandNoise | InstrumentNoise, priors: Priors, bounds: Bounds
     ) -> None:
         self.spectrum, self.priors, self._bounds = spectrum, priors, bounds
         k, f, d = len(priors.now), len(spectrum.days), len(spectrum.day_columns)
@@ -259,12 +255,7 @@ class LaplaceEvidence:
         return self._solve(tuple(sorted(on)), kappa, self.here, 0)
 
     def _solve(
-        self,
-        on: Sequence[str],
-        kappa: float,
-        start: Array,
-        steps: int,
-        reach: Array | None = None,
+        self, on: Sequence[str], kappa: float, start: Array, steps: int, reach: Array | None = None
     ) -> MapEstimate:
         prior = self._prior(on, kappa)
         free, mean = prior.free, prior.mean
@@ -413,8 +404,9 @@ class Factored:
         """Shape (m, m)."""
         if not len(self.size):
             return np.zeros((0, 0))
-        upper = np.triu(dpotri(self.root)[0])
-        both = upper + np.triu(upper, 1).T
+        upper = dpotri(self.root)[0]  # zeros below its diagonal, as in the root
+        both = upper + upper.T
+        both[np.diag_indices_from(both)] *= 0.5
         return np.asarray(both * np.outer(self.size, self.size))
 
     @property

@@ -491,11 +491,7 @@ class Fit:
 
 
 def fit_of(
-    problem: Problem,
-    causes: Sequence[str],
-    x: Array,
-    deviations: Array,
-    gain: float,
+    problem: Problem, causes: Sequence[str], x: Array, deviations: Array, gain: float
 ) -> Fit:
     """Fit of some causes from `MapEstimate.x`, days included, and its standard deviations."""
     on = tuple(sorted({effect_of(c) for c in causes}))

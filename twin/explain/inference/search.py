@@ -107,46 +107,25 @@ NO_CHECKPOINT = Checkpoint()
 
 def search(
     problem: Problem,
-    start: Sequence[str],
-    kappa: float = 1.0,
+    start: Sequence[str] | State,
     progress: Callable[[float], None] = lambda _: None,
     last: bool = True,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> SearchResult:
-    """Climb from a set.
+    """Climb from a set of effects, or from one that is fitted already.
 
     Args:
         problem: What is fitted.
-        start: Effects that are there at first.
-        kappa: Of the days at first.
+        start: Effects that are there at first, or the set.
         progress: Called with the share done, roughly.
         last: Whether its end is what is told: else another search goes on from it, and does what
             asks each effect of the end by itself.
         checkpoint: Keeps where it stands.
     """
-    return _search_on(problem, lambda: problem.start(start, kappa), progress, last, checkpoint)
-
-
-def search_on(
-    problem: Problem,
-    state: State,
-    progress: Callable[[float], None] = lambda _: None,
-    last: bool = True,
-    checkpoint: Checkpoint = NO_CHECKPOINT,
-) -> SearchResult:
-    """The same from a set that is fitted already."""
-    return _search_on(problem, lambda: state, progress, last, checkpoint)
-
-
-def _search_on(
-    problem: Problem,
-    start: Callable[[], State],
-    progress: Callable[[float], None],
-    last: bool,
-    checkpoint: Checkpoint,
-) -> SearchResult:
-    """The same from where it stood, else from a start."""
-    at = checkpoint.resumed() or checkpoint.keep(SearchPoint.at(start()))
+    at = checkpoint.resumed()
+    if at is None:
+        begun = start if isinstance(start, State) else problem.start(start, 1.0)
+        at = checkpoint.keep(SearchPoint.at(begun))
     laplace = problem.linearised(at.state)
     while at.moves < MOVES and not at.ended:
         progress(1 - 0.9**at.moves)
@@ -194,7 +173,7 @@ def with_instruments_of_end(
         return problem, found
     end = found.state
     state = renewed.settle(end.effects, end.kappa, found.laplace.spectrum, end.best.x)
-    return renewed, search_on(renewed, state, progress, checkpoint=checkpoint)
+    return renewed, search(renewed, state, progress, checkpoint=checkpoint)
 
 
 def score_test_candidates(problem: Problem) -> tuple[str, ...]:

@@ -54,7 +54,6 @@ from .search import (
     calibration_start,
     score_test_candidates,
     search,
-    search_on,
     with_instruments_of_end,
 )
 from .spectrum import force_shares
@@ -86,10 +85,7 @@ def misfits(
     """Of each effect the share of amplitude that it leaves in the channel that it explains most.
 
     Args:
-        model: Flights.
-        fitted: A hypothesis.
-        without: The same without one of its effects, by that effect.
-        settings: What counts as left.
+        without: The hypothesis without one of its effects, by that effect.
         usual: By channel the rms that is left in flights without the effect: it is no law's fault.
     """
     model = fitted.on_its_days(model)  # a constant of the day may stand in for an effect
@@ -375,16 +371,11 @@ def name_effects(
     silent: Collection[str] = (),
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> Naming:
-    """Find the sets of effects that flights make probable.
+    """Find the sets of effects that flights make probable; arguments as of `explain`.
 
     Args:
         flights: To fit on.
         vehicle: The model as it stands.
-        seed: Of the chain that meets the sets.
-        progress: Called with the share done.
-        payloads: Known masses aboard.
-        settings: Noise, rules.
-        since: Whether it is asked what has changed since the vehicle was calibrated.
         apart: See `since_problem`.
         silent: See `since_problem`.
         checkpoint: Keeps where the searches stand.
@@ -394,9 +385,10 @@ def name_effects(
     """
     known = candidates(flights, since)
     model = model_of(flights, vehicle, known, lambda done: progress(0.1 * done), payloads)
-    problem = (
-        since_problem(model, settings, apart, silent) if since else usual_problem(model, settings)
-    )
+    if since:
+        problem = since_problem(model, settings, apart, silent)
+    else:
+        problem = Problem.of(model, priors_of(model), settings.evidence)
     days_shown, first = len(model.flights) >= DAYS_SHOWN, problem
     if days_shown and not since:
         first = problem.acquainted(calibration_start(problem.priors))
@@ -404,7 +396,7 @@ def name_effects(
     if days_shown:
         problem = problem.with_instruments_at(found.state).accustomed(found.state)
         state = problem.settle(found.state.effects, 1.0, found.laplace.spectrum, found.state.best.x)
-        found = search_on(
+        found = search(
             problem, state, lambda done: progress(0.5 + 0.2 * done), checkpoint=checkpoint
         )
     else:
@@ -415,11 +407,6 @@ def name_effects(
     calibration = vehicle.calibration if since else None
     usual = calibration.left if calibration is not None else {}
     return _named(problem, found, posterior, settings, usual)
-
-
-def usual_problem(model: Model, settings: InferenceSettings = DEFAULT.inference) -> Problem:
-    """Everything that a model may lack."""
-    return Problem.of(model, priors_of(model), settings.evidence)
 
 
 def since_problem(
@@ -458,11 +445,11 @@ def climb(
     """
     every = calibration_start(problem.priors)
     if len(score_test_candidates(problem)) > MANY:
-        return search(problem, every, 1.0, progress, last, checkpoint)
-    found = search(problem, (), 1.0, progress, last, checkpoint)
+        return search(problem, every, progress, last, checkpoint)
+    found = search(problem, (), progress, last, checkpoint)
     if len(found.state.effects) <= MANY:
         return found
-    other = search(problem, every, 1.0, progress, last, checkpoint)
+    other = search(problem, every, progress, last, checkpoint)
     return max(found, other, key=lambda f: log_posterior(f.state))
 
 

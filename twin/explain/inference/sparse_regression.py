@@ -146,14 +146,8 @@ def terms(
     tones_hz: tuple[float, ...],
     settings: UnnamedSettings = DEFAULT.unnamed,
 ) -> list[Term]:
-    """Everything up to products of two, laws of drag and tones that may explain a channel.
-
-    Args:
-        known: Quantities of a flight.
-        channel: See `model.model`.
-        tones_hz: Frequencies at which something may shake.
-        settings: How late turning rates are where they stand for a gyroscope.
-    """
+    """Everything up to products of two quantities, laws of drag and tones that may explain a
+    channel."""
     axis, sensor = channel[-1], sensor_of(channel)
     of_rates = sensor is not None and sensor.rate is not None
     own = {

@@ -118,8 +118,8 @@ class SensorFactor:
     __repr__ = short_repr
 
     def seen(self, values: Array) -> Array:
-        """Values on the grid, shape (n, k, m), where the readings are known."""
-        return values if self.sampled is None else self.sampled(values)
+        """Values on the grid, shape (n, k, m), where the readings are known; zeros stay zeros."""
+        return values if self.sampled is None or not np.any(values) else self.sampled(values)
 
 
 def driven_apart(

@@ -32,15 +32,8 @@ from ...effects import EFFECTS, acting_late
 from ...frames import to_ned
 from ...logs import Flight
 from ...logs.columns import ACC
-from ...residuals.aligned import AlignedFlight, align_flight
-from ...residuals.channels import (
-    GRID_HZ,
-    GridSpline,
-    gyro_rate,
-    on_grid,
-    prompt_imu,
-    shifted,
-)
+from ...residuals.aligned import align_flight
+from ...residuals.channels import GRID_HZ, GridSpline, gyro_rate, on_grid, prompt_imu, shifted
 from ...residuals.measured import Signal
 from ...residuals.teacher_forced import (
     RIGID,
@@ -174,7 +167,8 @@ class Batch:
     def bent_by(self) -> Mask:
         """Whether the derivatives by a number depend on another, shape (k, k)."""
         k = self._theta.numel()
-        by_number = self._reached(ca.vec(ca.jacobian(self._readings, self._theta)))
+        with BUILDING:
+            by_number = self._reached(ca.vec(ca.jacobian(self._readings, self._theta)))
         return np.asarray(by_number.reshape(k, -1, k).any(axis=1))
 
     def _reached(self, results: ca.SX) -> Mask:
@@ -215,11 +209,7 @@ class Physics:
     """
 
     def __init__(
-        self,
-        body: Component,
-        vehicle: Vehicle,
-        effects: Sequence[str],
-        numbers: Sequence[Number],
+        self, body: Component, vehicle: Vehicle, effects: Sequence[str], numbers: Sequence[Number]
     ) -> None:
         self.airframe, self._numbers = body, list(numbers)
         given = {e.name for e in acting_late()}  # what arrives late is in the inputs
@@ -299,10 +289,7 @@ class SensorBatch:
     """A sensor alone, noise left out: `(inputs, numbers) -> outputs`."""
 
     def __init__(
-        self,
-        sensor: Component,
-        effects: Sequence[str],
-        numbers: Sequence[Number],
+        self, sensor: Component, effects: Sequence[str], numbers: Sequence[Number]
     ) -> None:
         self._states, self._numbers = EffectStates(sensor, effects, numbers), list(numbers)
         names = [n.full for n in numbers]
@@ -395,7 +382,7 @@ class Trajectory:
         self._splines: dict[tuple[str, ...], GridSpline] = {}
         self._forces: dict[tuple[str, bytes], tuple[Array, Array]] = {}
         self._courses: dict[tuple[str, bytes, tuple[float, ...]], Any] = {}
-        self._integrated: dict[Values, AlignedFlight] = {}
+        self._integrated: dict[Values, Array] = {}
         self._driven: dict[tuple[Values, Values], tuple[Array, Array]] = {}
         states = self._observed(self.aligned.states, self.aligned.inputs.u, self._now)
         inputs = replace(self.aligned.inputs, u=np.asfortranarray(self.aligned.inputs.u))
@@ -419,11 +406,10 @@ class Trajectory:
         self, own: Mapping[str, float], late: Mapping[str, float]
     ) -> tuple[Array, Array]:
         """States integrated with some numbers, and inputs, each as late as what drives them."""
-        aligned = self.aligned
+        states, inputs = self.aligned.states, self.aligned.inputs.u
         if own:
             key = tuple(sorted(own.items()))
-            aligned = remembered(self._integrated, key, lambda: self._integrated_with(own))
-        states, inputs = aligned.states, aligned.inputs.u
+            states = remembered(self._integrated, key, lambda: self._integrated_with(own))
         for signal, later in late.items():
             states, inputs = self._late_drive(states, inputs, signal, later)
         return states, inputs
@@ -466,8 +452,8 @@ class Trajectory:
             self._splines[stems] = GridSpline(rows[:, own])
         return self._splines[stems]
 
-    def _integrated_with(self, values: Mapping[str, float]) -> AlignedFlight:
-        """The flight on its grid, unmeasured states integrated with effects that move them."""
+    def _integrated_with(self, values: Mapping[str, float]) -> Array:
+        """States on the grid, unmeasured ones integrated with effects that move them."""
         effects = {name.partition(".")[0] for name in values}
         known = {v.name for v in self.aligned.airframe.parameters}
         on = {f"{e}.enabled": 1.0 for e in effects}
@@ -486,7 +472,7 @@ class Trajectory:
         followed = {i for i, s in enumerate(body.states) if _owner(s.name) in self._observers}
         if hidden := sorted(reached - {*rotors} - followed):
             states[:, hidden] = hidden_states(body, hidden, states, inputs)
-        return replace(self.aligned, airframe=body, inputs=inputs, states=states)
+        return states
 
     def _excess_force(self, theta: Array, states: Array, inputs: Array) -> tuple[Array, Array]:
         """Specific force at some numbers, and what is felt beyond it, NED, (n, 3) each.

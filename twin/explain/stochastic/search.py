@@ -69,19 +69,6 @@ class Stuck:
     to_the_end: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Runs:
-    """Exact repetitions of a reading: samples `first[k]` to `last[k]` are all the same."""
-
-    first: NDArray[np.intp]
-    last: NDArray[np.intp]
-
-    @property
-    def steps(self) -> NDArray[np.intp]:
-        """Repetitions in each."""
-        return self.last - self.first
-
-
 def stuck_channels(
     flight: Flight, settings: StuckSettings = DEFAULT.stochastic.stuck
 ) -> list[Stuck]:
@@ -139,22 +126,22 @@ def _of_channel(
 ) -> list[Stuck]:
     """Faults of one channel."""
     t, x = _samples(flight, channel)
-    runs = _runs(x)
+    starts, ends = _runs(x)
+    steps = ends - starts
     bit = _last_bit(x)
     if not others:  # nothing of its kind beside it: the IMU has to go on, and noise to move it
         others = [c for s in SENSORS if s.group == BODY for c in s.columns]
         bit = 0.0 if float(np.std(np.diff(x))) > settings.moving_bits * bit else np.inf
     neighbours = [_samples(flight, c) for c in others if flight.has(c)]
     found = []
-    for k in np.flatnonzero(t[runs.last] - t[runs.first] >= settings.shortest_s):
-        first, last = int(runs.first[k]), int(runs.last[k])
-        elsewhere = np.delete(runs.steps, k).max(initial=1)
-        if runs.steps[k] < settings.longer * elsewhere:
+    for k in np.flatnonzero(t[ends] - t[starts] >= settings.shortest_s):
+        first, last = int(starts[k]), int(ends[k])
+        if steps[k] < settings.longer * np.delete(steps, k).max(initial=1):
             continue
         if _never_measured(x, first, last) or _comes_to_rest(x, first, settings.smooth):
             continue
         inside = [y[(ty >= t[first]) & (ty <= t[last])] for ty, y in neighbours]
-        if not any(_goes_on(y, bit, runs.steps[k], settings) for y in inside):
+        if not any(_goes_on(y, bit, steps[k], settings) for y in inside):
             continue
         found.append(
             Stuck(
@@ -175,10 +162,10 @@ def _samples(flight: Flight, channel: str) -> tuple[Array, Array]:
     return t, x[:, 0]
 
 
-def _runs(x: Array) -> _Runs:
-    """Runs of equal samples, single samples included."""
+def _runs(x: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First and last sample of each run of equal ones, single ones included."""
     edges = np.flatnonzero(np.diff(x) != 0)
-    return _Runs(np.concatenate([[0], edges + 1]), np.concatenate([edges, [len(x) - 1]]))
+    return np.concatenate([[0], edges + 1]), np.concatenate([edges, [len(x) - 1]])
 
 
 def _last_bit(x: Array) -> float:
@@ -207,19 +194,13 @@ def _comes_to_rest(x: Array, first: int, smooth: float) -> bool:
 
 
 def _goes_on(y: Array, bit: float, steps: int, settings: StuckSettings) -> bool:
-    """Whether a neighbour changes meanwhile as a living sensor does.
-
-    Args:
-        y: Its readings meanwhile, shape (n,).
-        bit: Last bit of the reading that stands still.
-        steps: Repetitions of the latter.
-        settings: What counts as going on.
-    """
+    """Whether the readings `y` of a neighbour change as those of a living sensor do, while those of
+    another stand still for so many steps."""
     if len(y) < 8:
         return False
-    runs = _runs(y)
+    first, last = _runs(y)
     lively = np.std(y) > settings.moving_bits * bit
-    return bool(settings.longer * runs.steps.max() <= steps and lively)
+    return bool(settings.longer * (last - first).max() <= steps and lively)
 
 
 # -- search --------------------------------------------------------------------------------
@@ -297,14 +278,7 @@ def slow_parts(
     winds: Sequence[int],
     settings: SlowForceSettings = DEFAULT.stochastic.slow_force,
 ) -> list[Slow]:
-    """Slow parts of one flight.
-
-    Args:
-        aligned: The flight on its grid.
-        channels: Its channels, with slopes.
-        winds: Columns of the slopes that answer to the steady wind: north, east, down.
-        settings: Which part is slow.
-    """
+    """Slow parts of one flight; `winds`: columns of the slopes by a wind north, east, down."""
     acc = [c for c in channels if c.name in ACC]
     motion = aligned.motion
     if len(acc) < 3 or motion.velocity is None or motion.attitude is None:
@@ -467,9 +441,7 @@ def gust_in(
 
 
 def gust_facts(
-    pieces: Sequence[Slow],
-    left: Sequence[Array],
-    settings: StochasticSettings = DEFAULT.stochastic,
+    pieces: Sequence[Slow], left: Sequence[Array], settings: StochasticSettings = DEFAULT.stochastic
 ) -> dict[str, float]:
     """Figures by which a gust is told, of the horizontal axes."""
     own = settings.gust
@@ -503,10 +475,7 @@ def gust_facts(
 
 
 def _gust_numbers(
-    pieces: Sequence[Slow],
-    left: Sequence[Array],
-    effect: Effect,
-    settings: StochasticSettings,
+    pieces: Sequence[Slow], left: Sequence[Array], effect: Effect, settings: StochasticSettings
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Intensities and lengths from the force that is left and the model's answer to wind."""
     own = settings.gust
