@@ -15,16 +15,14 @@ only place that converts.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from pyulog import ULog
 
 from ..component import Component, ComponentBuilder
 from ..component.portable import cosine, sine
-from ..errors import LogError, ModelError
+from ..errors import ModelError
 from ..frames import AXES
 from ..logs.px4.control import geometry_scale
 from ..vehicle import GRAVITY_M_S2, Vehicle
@@ -190,19 +188,6 @@ def from_px4(values: Mapping[str, float]) -> dict[str, float]:
     }
 
 
-def log_parameters(path: Path) -> dict[str, float]:
-    """Parameters with which a PX4 log was started, in PX4's units.
-
-    Raises:
-        LogError: The log holds no parameters.
-    """
-    with path.open("rb") as file:
-        values = ULog(file, ["none"]).initial_parameters
-    if not any(name in PARAMETERS for name in values):
-        raise LogError(f"{path.name}: no multicopter parameters in the log; was it cut short?")
-    return {name: float(value) for name, value in values.items()}
-
-
 SAMPLE_PERIOD_S = 1e-3
 """Of all loops, s: the step of the co-simulation."""
 _AXES = ("ROLL", "PITCH", "YAW")  # in PX4's names
@@ -252,15 +237,6 @@ def px4_controller(vehicle: Vehicle, parameters: Mapping[str, float] | None = No
         m.update(f"cmd_{i}", ca.if_else(s.armed, new, 0.0))
         m.output(f"cmd_{i}", "1", f"Command of motor {i}, 0..1", command)
     return m.build()
-
-
-def px4_controller_of_log(vehicle: Vehicle, log: Path) -> Component:
-    """PX4's controller for a vehicle, with the parameters a log was flown with.
-
-    Raises:
-        LogError: The log holds no parameters.
-    """
-    return px4_controller(vehicle, log_parameters(log))
 
 
 def _hover_thrust(vehicle: Vehicle, factor: float) -> float:

@@ -241,10 +241,6 @@ class Replay:
         seconds = (t_us - first_us) * 1e-6
         return Played(self._messages, self._link.lost, seconds, time.monotonic() - began)
 
-    def listener_time_s(self, aircraft_s: float) -> float:
-        """This machine's monotonic clock when the aircraft's clock says a time, s."""
-        return self._due_s(round(1e6 * aircraft_s))
-
     @property
     def _pace(self) -> float:
         """Seconds of the aircraft's clock per second of ours."""

@@ -174,8 +174,8 @@ def time_group(flight: int) -> str:
 
 
 Array = NDArray[np.float64]
-MOST_CHANNELS, MOST_FLIGHTS = 2, 2
-"""Channels and flights that are drawn."""
+MOST_CHANNELS = 2
+"""Channels that are drawn."""
 MOST_DOTS = 600
 """Of a scatter; more lie on each other."""
 LONGEST_S = 20.0

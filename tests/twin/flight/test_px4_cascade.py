@@ -5,8 +5,10 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from pyulog import ULog
 from rig import with_rotors
 
+from twin.component import Component
 from twin.errors import ModelError
 from twin.flight.closed_loop import closed_loop, fly
 from twin.flight.px4 import (
@@ -14,13 +16,19 @@ from twin.flight.px4 import (
     from_px4,
     mix_airmode_off,
     px4_controller,
-    px4_controller_of_log,
 )
 from twin.logs.px4.control import Mixer, geometry_scale, low_pass, mix, mixer_scale
 from twin.physics.airframe import airframe
+from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
 
 FLOWN = ("copter_default", "feisi_x150")
+
+
+def px4_controller_of_log(vehicle: Vehicle, log: Path) -> Component:
+    """With the parameters with which a log was started."""
+    with log.open("rb") as file:
+        return px4_controller(vehicle, ULog(file, ["none"]).initial_parameters)
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.3])
