@@ -56,9 +56,10 @@ LIVELY = 4.0
 SATURATED = 0.97
 """Share of the largest body rate that counts as the end of the gyroscope's range, if it is
 reached often."""
-AT_STOP, AT_STOP_S, AT_STOP_WEIGHT = 0.95, 1.0, 0.02
-"""Command that is nearly at its upper stop, for how long that matters, and what an interval then
-weighs."""
+AT_STOP, AT_STOP_S = 0.95, 1.0
+"""Command that is nearly at its upper stop, and for how long that matters."""
+DOUBTFUL = 0.02
+"""What an interval weighs at such a stop, on the ground, and across the thrust near the ground."""
 RESTS_S, RESTS_RAD_S, RESTS_M = 0.4, 0.03, 0.3
 """An aircraft rests if it turns slower for so long, no higher above where it took off."""
 FAST_HZ = 40.0
@@ -72,8 +73,6 @@ FINE_S = 0.01
 """Interval on which commands pass their lag."""
 LIFT_SPREAD, GAIN_SD = 0.1, 1e3
 """Of the gain along z over what the weight asks for; of a gain of which nothing is known."""
-SETTLED_GAIN = np.sqrt(0.5)
-"""Arm of a rotor of an X about roll and pitch, over its distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,16 +172,22 @@ class Body:
         return np.asarray(since > 1e-9)[self.start : self.end]
 
     @cached_property
+    def low(self) -> NDArray[np.bool_]:
+        """Whether it is so low that the ground may carry it, shape (n,); false where no height is
+        logged."""
+        if "pos" not in self.frame.grid:
+            return np.zeros(len(self), dtype=np.bool_)
+        height = -self.frame.grid["pos"][:, 2]
+        ground = height[max(self.start - self.places(SETTLES_S + 1.0), 0)]
+        return np.asarray(height < ground + RESTS_M)[self.start : self.end]
+
+    @cached_property
     def _rests(self) -> NDArray[np.bool_]:
         """Whether it has come down and lies still while its motors turn, shape (n,)."""
-        grid, part = self.frame.grid, slice(self.start, self.end)
-        if "pos" not in grid:
-            return np.zeros(len(self), dtype=np.bool_)
-        over, height = max(self.places(RESTS_S), 1), -grid["pos"][:, 2]
-        ground = height[max(self.start - self.places(SETTLES_S + 1.0), 0)]
-        turning = np.linalg.norm(grid["gyro"] - grid["gyro"].mean(axis=0), axis=1)
+        gyro, over = self.frame.grid["gyro"], max(self.places(RESTS_S), 1)
+        turning = np.linalg.norm(gyro - gyro.mean(axis=0), axis=1)
         still = uniform_filter1d(turning, over) < RESTS_RAD_S
-        return np.asarray(still & (height < ground + RESTS_M))[part]
+        return np.asarray(still[self.start : self.end] & self.low)
 
     def thrust(self, curvature: float, lag_s: float) -> Array:
         """Thrust of each rotor over that at full command, shape (n, rotors)."""
@@ -226,7 +231,7 @@ class Body:
         """Of each channel, by the early part."""
         g = self.thrust(USUAL_CURVATURE, self.lag_s)
         free = ~(self.limited | self._rests)
-        share = np.where(free, 1.0, AT_STOP_WEIGHT)[:, None] * self._seen
+        share = np.where(free, 1.0, DOUBTFUL)[:, None] * self._seen
         laws, gain, weight = zip(
             *(
                 self.noise_of(self._regressors(g, j), self.measured[:, j], FLOOR[j], share[:, j])
@@ -243,6 +248,8 @@ class Body:
         floor: float,
         share: Array,
         phis: Sequence[float] = PHI,
+        *,
+        swings: bool = True,
     ) -> tuple[Law, float, Array]:
         """Law of what the early part leaves, first number of the regression, and weight of each
         interval.
@@ -253,13 +260,16 @@ class Body:
             floor: Least deviation of an innovation.
             share: Most that each interval weighs, shape (n,).
             phis: Of the law.
+            swings: Whether an interval is lively by its reading, as where what it says depends on
+                what happens; else by its innovation.
         """
         early, law = self.learned, Law(0.8, 0.0, 1.0)
         for _ in range(3):
             beta = robust_fit(law.filtered(regressors[early]), law.filtered(y[early]))
             left = (y - regressors @ beta)[early]
             law = Law.of(left - np.median(left), floor, phis)
-        lively = maximum_filter1d(np.abs(y - np.median(y[early])), 3)
+        reading = y - np.median(y[early]) if swings else law.filtered(y)
+        lively = maximum_filter1d(np.abs(reading), 3)
         excess = np.maximum(lively - LIVELY * law.sd, 0) / CLIP
         return law, float(beta[0]), share * law.sd**2 / (law.sd**2 + excess**2)
 
@@ -292,9 +302,10 @@ class Body:
 
     @cached_property
     def authority(self) -> Array:
-        """What all rotors together do to each channel in the early part, shape (4,)."""
-        g = self.thrust(USUAL_CURVATURE, self.lag_s)[self.learned]
-        return np.asarray(np.abs(self.noise.gain) * np.median(g.sum(axis=1)) * SETTLED_GAIN)
+        """What the thrust of all rotors does to each channel where all of it acts to one side, by
+        the early part, shape (4,)."""
+        thrust = np.median(self.thrust(USUAL_CURVATURE, self.lag_s)[self.learned], axis=0)
+        return np.asarray(np.abs(self.noise.gain) * (np.abs(self.signs) @ thrust))
 
     @cached_property
     def laws(self) -> "list[ThrustLaw]":

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
-from scipy.special import logsumexp
+from scipy.special import expit, logsumexp
 
 from .body import Body
 from .causes import (
@@ -29,7 +29,7 @@ from .causes import (
     SHARE,
     Name,
 )
-from .evidence import Evidence, Window
+from .evidence import BLOWS_S, Evidence, Window
 from .flight import Array
 from .noise import Places
 from .sideways import Sideways, alongside
@@ -68,8 +68,9 @@ LEVEL = {
 SCREENED = 12.0
 """Nats below its level from which on a name under one law of thrust is looked at under all."""
 LAST_WORD_NATS = 3.0
-"""The same of a rotor in the last seconds before control is lost, since something must have taken
-it: odds of 20 to 1."""
+"""The same of all but a gust in the last seconds before control is lost, since something must have
+taken it: odds of 20 to 1. Which, the competition says: what a rotor is asked for less than others
+would be told for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +149,7 @@ class Competition:
         window: tuple[int, int] | None = None,
         *,
         fine: bool = False,
+        air: tuple[Array, Array, Array] | None = None,
     ) -> "Odds":
         """Of all names at onsets.
 
@@ -157,13 +159,13 @@ class Competition:
             high: Behind the last.
             window: One for all of these onsets, so that they compare; None: each has its own.
             fine: Whether all names and sizes compete, as in `Evidence.names`.
+            air: Evidence of the axes across the thrust, if it is known.
         """
         own = self._window(onsets, low, high)
         start, end = own if window is None else (np.full_like(onsets, w) for w in window)
         w, names = Window(start, onsets, end), self.evidence.names(fine)
         sizes = self.evidence.by_size(w, fine)
-        over = self.evidence.blow_ends(w)
-        still, lasting, passing = self._sideways.evidence(start, onsets, end, over)
+        still, lasting, passing = air or self._sideways.evidence(start, onsets, end, BLOWS_S)
         sizes[Name(BLOW)] = sizes[Name(BLOW)] + passing - still[:, None]
         sizes[Name(PUSH)] = sizes[Name(PUSH)] + np.outer(lasting - still, ACROSS)
         sizes[Name(ALL)] = sizes[Name(ALL)] + self._by_voltage[onsets]
@@ -199,11 +201,11 @@ class Competition:
         return np.asarray(np.log(UNSEEN + (1 - UNSEEN) * np.exp(-0.5 * off**2)))
 
     def asked(self, names: Sequence[Name], onsets: Places) -> Array:
-        """Nats over nothing that each name needs at each onset, shape (names, onsets): fewer of a
-        rotor in the last seconds before control is lost, since something must have taken it."""
+        """Nats over nothing that each name needs at each onset, shape (names, onsets): fewer in the
+        last seconds before control is lost."""
         body = self.body
         last = (onsets > body.last - body.places(LAST_WORD_S)) & body.lost
-        soon = np.array([n.cause in FINAL for n in names])[:, None] & last
+        soon = np.array([n.cause != BLOW for n in names])[:, None] & last
         levels = np.array([LEVEL.get(n.cause, np.inf) for n in names])
         return np.where(soon, LAST_WORD_NATS, levels[:, None])
 
@@ -226,16 +228,24 @@ class Competition:
         follows, the window of the later one shows more of it."""
         reach = self.body.places(AFTER_S)
         near = tried[np.abs(tried - best) < reach]
-        over, _ = self._compared(near, low, high)
-        return int(near[np.argmax(over[1:].max(axis=0))])
+        nats, _ = self._compared(near, low, high)
+        return int(near[np.argmax(nats[1:].max(axis=0))])
 
     def _compared(
         self, near: Places, low: int, high: int, *, fine: bool = False
     ) -> tuple[Array, Odds]:
-        """Nats over what each name needs at onsets near each other."""
+        """Nats of each name over nothing at onsets near each other, shape (names, onsets)."""
         found = self.odds(near, low, high, self._about(near, low, high), fine=fine)
-        asked = self.asked(found.names, near)
-        return found.odds - found.nothing.max(axis=1)[:, None] - asked, found
+        return found.odds - found.nothing.max(axis=1)[:, None], found
+
+    def _unusual(self, near: Places, low: int, high: int) -> tuple[float, float]:
+        """Nats over their levels of gusts and of everything else, at the best of onsets near each
+        other, which say that something is unusual; all names and sizes say what. A gust has its
+        own, since gusts are usual."""
+        nats, found = self._compared(near, low, high)
+        over = (nats - self.asked(found.names, near)).max(axis=1)
+        gust = np.array([n.cause == BLOW for n in found.names])
+        return float(over[gust].max()), float(over[1:][~gust[1:]].max())
 
     def _about(self, near: Places, low: int, high: int) -> tuple[int, int]:
         start, end = self._window(near, low, high)
@@ -252,7 +262,9 @@ class Competition:
         tried = self._tried(max(low + self.body.places(FIRST_S), since), self._end(high))
         if len(tried) < 2:
             return
-        screened = [Competition(b)._over(tried, low, high) for b in self.body.screening()]
+        start, end = self._window(tried, low, high)
+        air = self._sideways.evidence(start, tried, end, BLOWS_S)
+        screened = [Competition(b)._over(tried, low, high, air) for b in self.body.screening()]
         over = np.max(screened, axis=0)
         while over.max() >= -SCREENED:
             place = int(tried[np.argmax(over)])
@@ -270,9 +282,9 @@ class Competition:
         """Place behind the last possible onset."""
         return min(high - 2, self.body.last)
 
-    def _over(self, tried: Places, low: int, high: int) -> Array:
+    def _over(self, tried: Places, low: int, high: int, air: tuple[Array, Array, Array]) -> Array:
         """Nats of the best name at each onset over its level, and over nothing near it."""
-        found = self.odds(tried, low, high)
+        found = self.odds(tried, low, high, air=air)
         nothing = maximum_filter1d(found.nothing, 2 * round(AFTER_S / COARSE_S) + 1, axis=1)
         asked = self.asked(found.names, tried)
         return np.asarray((found.odds - nothing - asked)[1:].max(axis=0))
@@ -292,28 +304,22 @@ class Competition:
     def _onset(self, near: Places, at_once: int, low: int, high: int) -> Onset | None:
         """The best of some onsets, before `at_once` of what grows alone; None: at a closer look
         none passes."""
-        passed = self._compared(near[near >= at_once], low, high)[0][1:].max()
-        if passed < 0:
+        gust, other = self._unusual(near[near >= at_once], low, high)
+        if max(gust, other) < 0:
             return None
-        over, found = self._compared(near, low, high, fine=True)
-        early = near < at_once
+        nats, found = self._compared(near, low, high, fine=True)
         grows = np.array([n.grows for n in found.names])
-        over[~grows[:, None] & early] = -np.inf
-        best = np.argmax(over, axis=1)  # of each name its own onset
+        nats[~grows[:, None] & (near < at_once)] = -np.inf
+        best = np.argmax(nats, axis=1)  # of each name its own onset
         rows = np.arange(len(best))
-        over, across = over[rows, best], found.across[rows, best]
-        weighed = np.where(over >= over[1:].max(), over + across, over)
-        weighed[0] = (
-            over[1:].max() - passed
-        )  # names are weighed by what they have over their levels
-        p = np.exp(weighed - logsumexp(weighed))
+        weighed = (nats[rows, best] + found.across[rows, best])[1:]
+        unusual = expit([gust if n.cause == BLOW else other for n in found.names[1:]])
+        p = np.exp(weighed - logsumexp(weighed)) * unusual
+        p = np.concatenate([[1.0 - p.sum()], p])
         order = np.argsort(-p, kind="stable")
         k = int(order[0])
-        if k == 0:
-            return None
         m, name = int(best[k]), found.names[k]
-        nats = float(found.odds[k, m] - found.nothing[k].max())
-        if nats < 0:
+        if k == 0 or nats[k, m] < 0:
             return None
         start, end = self._about(near, low, high)
         window = Window(*(np.array([x]) for x in (start, int(near[m]), end)))
@@ -321,7 +327,7 @@ class Competition:
         return Onset(
             int(near[m]),
             _joined((found.names[i], float(p[i])) for i in order),
-            nats,
+            float(nats[k, m]),
             sizes,
             grows_s,
         )

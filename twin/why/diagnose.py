@@ -191,6 +191,10 @@ LIKELY = 0.8
 judgement."""
 
 
+ALSO = 0.1
+"""Probability from which on the sentence names another cause, too: a judgement."""
+
+
 def _sentence(
     verdict: Verdict,
     probability: float,
@@ -220,7 +224,7 @@ def _clauses(
         names = " or ".join(f"{_named(c)} ({certainty(c.probability)})" for c in one_of)
         yield f"One of two causes: {names}."
     elif first is not None:
-        yield f"{first.text} ({certainty(first.probability)})."
+        yield f"{first.text} ({certainty(first.probability)}){_else(first)}."
     elif verdict == "cannot_tell" and lost is None:
         yield "Something may have changed since the normal flights; this log cannot tell what."
     elif verdict == "nothing_found":
@@ -233,6 +237,14 @@ def _clauses(
         yield f"Control is lost at {lost:.2f} s" + (
             "." if verdict == "found" else ", and this log does not show why."
         )
+
+
+def _else(event: Event) -> str:
+    """The cause that it could be as well, if that is probable."""
+    if not event.alternatives or event.alternatives[0].probability < ALSO:
+        return ""
+    other = event.alternatives[0]
+    return f", or {_named(other)} ({certainty(other.probability)})"
 
 
 def _named(candidate: Candidate) -> str:

@@ -35,7 +35,7 @@ from .causes import (
 from .flight import Array
 from .noise import TEMPER, Places
 
-BLOWS_S = (0.1, 0.3, 1.0)
+BLOWS_S = (0.1, 0.3, 0.6, 1.0, 1.8)
 """Lengths of a blow, alike probable."""
 GAINS = (
     np.array([1.0]),
@@ -50,7 +50,7 @@ all thrust carries the weight; `LIFT_SPREAD` is for the battery."""
 GAIN_SPREAD = 0.5
 SURELY_POSITIVE = 5.0
 """Deviations from zero from which on a gain is positive."""
-TIED = ((1.0, 0.5, 0.7, 1.0, 1.4, 2.0), (0.05, 0.25, 0.3, 0.3, 0.3, 0.3))
+TIED = ((1.0, 0.75, 0.87, 1.0, 1.15, 1.33), (0.05, 0.1, 0.1, 0.1, 0.1, 0.1))
 """Means and deviations of the gain after an onset over that before it, where commands are logged
 fast: mostly it stays; the middle of the others weighs most."""
 STAYS = 2.5
@@ -64,7 +64,12 @@ bends otherwise than any of `CURVATURES` where a rotor has to give more than bef
 LEAST_STEP = np.array([0.15 * GRAVITY_M_S2, 2.0, 2.0, 0.5])
 """Deviation of a sudden force or moment per mass or inertia, m/s^2 and rad/s^2; at least
 `STEP_SHARE` of what all rotors do."""
-STEP_SHARE = np.array([0.0, 0.05, 0.05, 0.05])
+STEP_SHARE = np.array([0.0, 0.1, 0.1, 0.05])
+LOADED = 0.5
+"""Deviation of the moment of a mass that comes or goes over that of its weight at a rotor of an X:
+it mostly sits between the rotors."""
+MOMENTS_OF = np.array([0.06, 0.15, 0.35])
+"""Changes of the mass at which that is computed."""
 TRIM_SHARE, TRIM_SHARE_SLOW = 0.007, 0.011
 """Of what all rotors do to a channel: by so much its offset may change at any onset, whatever the
 hypothesis. Wind, battery and an imperfect map of thrust do that; more where commands are logged
@@ -187,7 +192,7 @@ class Evidence:
                 found[x.name] = [g[i] for g in grown]
         heavy = channels[0].scaled(one / (1 + MASSES)[:, None])
         found[Name(ALL)] = weak
-        found[Name(MASS)] = [heavy, pushed[1], pushed[2], base[3]]
+        found[Name(MASS)] = [heavy, *(c.loaded() for c in channels[1:3]), base[3]]
         kinds = zip(pushed, base, TURNS, strict=True)
         found[Name(PUSH)] = [np.hstack([p, p if turns else b, b]) for p, b, turns in kinds]
         found[Name(BLOW)] = [c.blown(self.blow_ends(w)) for c in channels]
@@ -197,15 +202,16 @@ class Evidence:
     def trims(self) -> Array:
         """Deviation of the change of an offset under every hypothesis."""
         share = TRIM_SHARE if self.body.fast else TRIM_SHARE_SLOW
-        return np.asarray(np.maximum(share * self._authority, 1e-3))
+        return np.asarray(np.maximum(share * self.authority, 1e-3))
 
     @cached_property
     def steps(self) -> Array:
         """The same under a force or a moment."""
-        return np.asarray(np.maximum(LEAST_STEP, STEP_SHARE * self._authority))
+        return np.asarray(np.maximum(LEAST_STEP, STEP_SHARE * self.authority))
 
     @cached_property
-    def _authority(self) -> Array:
+    def authority(self) -> Array:
+        """What all rotors do to each channel, shape (4,)."""
         return np.array([GRAVITY_M_S2, *self.body.authority[1:]])
 
     def gains(self, j: int, law: ThrustLaw) -> tuple[Array, Array, Array]:
@@ -251,7 +257,16 @@ class _Channel:
 
     def pushed(self) -> Array:
         """By a force or moment that begins and stays."""
-        return self._over_gains(self._reduced(self._joined, step=True), self._sound)
+        return self._stepped(self._evidence.steps[self._j])
+
+    def loaded(self) -> Array:
+        """By the moment of a mass that comes or goes, by change of the mass."""
+        sd, least = LOADED * self._evidence.authority[self._j], self._evidence.trims[self._j]
+        near = np.argmin(np.abs(np.log(np.abs(MASSES)[:, None] / MOMENTS_OF)), axis=1)
+        return np.hstack([self._stepped(x) for x in np.maximum(sd * MOMENTS_OF, least)])[:, near]
+
+    def _stepped(self, sd: float) -> Array:
+        return self._over_gains(self._reduced(self._joined, step=sd), self._sound)
 
     def blown(self, ends: Sequence[Places]) -> Array:
         """By a force or moment that passes, by its length."""
@@ -284,7 +299,7 @@ class _Channel:
         return self._reduced(self._joined)
 
     def _reduced(
-        self, gram: Array, *, step: bool = False, passing: int = 0, growing: int = 0
+        self, gram: Array, *, step: float | None = None, passing: int = 0, growing: int = 0
     ) -> tuple[Array, Array]:
         """Per onset the Gram matrix of [S g after, 1 after, columns that grow, y] with gain before,
         damping, products, offset and its change, slopes, and a blow marginalised; and the log of
@@ -295,17 +310,17 @@ class _Channel:
 
         Args:
             gram: Shape (onsets, m, m).
-            step: Whether a force or a moment begins.
+            step: Deviation of a force or a moment that begins; None: none does.
             passing: Columns of a blow.
             growing: Columns that grow.
         """
         body, j = self._evidence.body, self._j
         n, usual = body.rotors, self._law.usual
         before = body.lift_gain(usual) if j == 0 else (0.0, GAIN_SD)
-        steps, trims = self._evidence.steps[j], self._evidence.trims[j]
+        changes = self._evidence.trims[j] if step is None else step
         k = n + 5
-        sd = [before[1], DAMPING_SD, PRODUCT_SD[j], OFFSET_SD[j], steps if step else trims]
-        sd += [steps] * passing
+        sd = [before[1], DAMPING_SD, PRODUCT_SD[j], OFFSET_SD[j], changes]
+        sd += [self._evidence.steps[j]] * passing
         inner = len(sd)
         picked = np.zeros((gram.shape[1], inner + n + 2 + growing))
         picked[[n, n + 1, n + 2, n + 3], [0, 1, 2, 3]] = 1.0

@@ -158,10 +158,36 @@ class Whitened:
         after = whole + (left * own)[:, None] * self.level[onset]
         pulse = joined[:, :, k + column] - np.concatenate([whole, after], axis=1)
         itself = pulse[:, k + column] - after[:, column] + whole[:, column] + level * own
-        out = np.empty((len(joined), 2 * k + 1, 2 * k + 1))
-        out[:, :-1, :-1], out[:, -1, :-1], out[:, :-1, -1] = joined, pulse, pulse
-        out[:, -1, -1] = itself
-        return out
+        return _joined(joined, pulse, itself)
+
+    def pulsed(self, joined: Array, envelope: Array, onset: Places, end: Places) -> Array:
+        """Gram matrices with one column more: one that has a shape from the onset on, and is over.
+
+        Args:
+            joined: As of `joined`, shape (onsets, 2 k, 2 k).
+            envelope: The shape, shape (steps,).
+            onset: Shape (onsets,).
+            end: Shape (onsets,).
+
+        Returns:
+            Shape (onsets, 2 k + 1, 2 k + 1).
+        """
+        steps = np.arange(len(envelope))[:, None]
+        at = np.minimum(onset + steps, len(self.rows) - 1)
+        inside = onset + steps < end
+        keep, scale = self.decay[at], self.scale[at] * inside
+        rows, level = np.empty(at.shape), np.zeros(len(onset))
+        for t, now in enumerate(envelope.tolist()):
+            rows[t] = (now - level) * scale[t]
+            level = np.where(inside[t], keep[t] * level + (self.phi - keep[t]) * now, level)
+        over = np.minimum(onset + len(envelope), end)
+        by_rows, by_itself = self._transient(over, end)
+        started = scale * np.exp(self.survives[at] - self.survives[onset])
+        left = np.exp(self.survives[over] - self.survives[onset])
+        whole = np.einsum("to,tok->ok", rows, self.rows[at]) - level[:, None] * by_rows
+        own = (rows * started).sum(axis=0) - level * left * by_itself
+        pulse = np.concatenate([whole, whole + own[:, None] * self.level[onset]], axis=1)
+        return _joined(joined, pulse, (rows**2).sum(axis=0) + level**2 * by_itself)
 
     def growing(
         self, joined: Array, columns: Array, over: float, onset: Places, end: Places
@@ -200,3 +226,10 @@ class Whitened:
         left = np.exp(self.survives[end] - self.survives[onset])
         by_rows = self.by_rows[onset] - left[:, None] * self.by_rows[end]
         return by_rows, self.by_itself[onset] - left**2 * self.by_itself[end]
+
+
+def _joined(gram: Array, column: Array, itself: Array) -> Array:
+    """Gram matrices, shape (n, m, m), with one column more: its products with the others, shape (n,
+    m), and with itself, shape (n,)."""
+    top = np.concatenate([gram, column[:, :, None]], axis=2)
+    return np.concatenate([top, np.append(column, itself[:, None], axis=1)[:, None]], axis=1)

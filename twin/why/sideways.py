@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ..vehicle import GRAVITY_M_S2
-from .body import Body
+from .body import DOUBTFUL, Body
 from .flight import Array, rotations
 from .noise import PHI, TEMPER, Places, Whitened
 
@@ -58,22 +58,26 @@ class Sideways:
 
     def _whitened(self, moving: Array, ones: Array, force: Array) -> Whitened:
         columns = np.column_stack([moving, ones, force])
-        law, _, weight = self.body.noise_of(columns[:, :-1], force, FLOOR_M_S2, ones, SLOW_PHI)
+        share = np.where(self.body.low, DOUBTFUL, 1.0)
+        law, _, weight = self.body.noise_of(
+            columns[:, :-1], force, FLOOR_M_S2, share, SLOW_PHI, swings=False
+        )
         return Whitened.each(law, weight, columns[:, None])[0]
 
     def evidence(
-        self, start: Places, onset: Places, end: Places, over: Sequence[Places]
+        self, start: Places, onset: Places, end: Places, gusts_s: Sequence[float]
     ) -> tuple[Array, Array, Array]:
-        """Log evidence of nothing, of a force that lasts, and of blows that are over, shape
-        (onsets,), (onsets,), (onsets, blows)."""
+        """Log evidence of nothing, of a force that lasts, and of 1-cosine gusts as large as
+        constant ones of such lengths, shape (onsets,), (onsets,), (onsets, gusts)."""
         still, lasting = np.zeros(len(onset)), np.zeros(len(onset))
-        passing = np.zeros((len(onset), len(over)))
+        passing = np.zeros((len(onset), len(gusts_s)))
+        shapes = [one_cosine(max(self.body.places(s), 1)) for s in gusts_s]
         for axis in self._axes:
             joined, one = axis.joined(start, onset, end), axis.rows.shape[1] - 2
             still += _marginal(joined, one, [TRIM_SD_M_S2])
             lasting += _marginal(joined, one, [STEP_SD_M_S2])
-            for i, places in enumerate(over):
-                blown = axis.passing(joined, one, onset, places, end)
+            for i, shape in enumerate(shapes):
+                blown = axis.pulsed(joined, shape, onset, end)
                 passing[:, i] += _marginal(blown, one, [TRIM_SD_M_S2, STEP_SD_M_S2])
         return still, lasting, passing
 
@@ -85,6 +89,13 @@ class Sideways:
                 for axis in self._axes
             )
         )
+
+
+def one_cosine(places: int) -> Array:
+    """The 1-cosine gust: it rises and falls within twice so many intervals, so that it is as large
+    as a constant one of that length, shape (steps,). Source: MIL-F-8785C, 3.7.3."""
+    phase = np.pi * (np.arange(2 * places) + 0.5) / places
+    return np.asarray(0.5 * (1 - np.cos(phase)))
 
 
 def alongside(still: Array, lasting: Array, passing: Array) -> Array:
