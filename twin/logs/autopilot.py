@@ -17,6 +17,7 @@ from .stretches import stretches_where
 
 Array = NDArray[np.float64]
 Sensor = Literal["gyro", "acc"]
+ResetOf = Literal["attitude", "yaw", "height", "position", "velocity"]
 FilterKind = Literal["low-pass", "notch", "tracking notch"]
 Level = Literal["emergency", "alert", "critical", "error", "warning", "notice", "info", "debug", ""]
 """Of a message, as syslog has them; "": not logged."""
@@ -140,6 +141,19 @@ class Setpoint:
 
 
 @dataclass(frozen=True, slots=True)
+class Reset:
+    """A step that an estimator puts into its own output, and says so.
+
+    Attributes:
+        of: Of what.
+        t_s: When, s.
+    """
+
+    of: ResetOf
+    t_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Autopilot:
     """What an autopilot says of its flight; empty where its log does not say.
 
@@ -151,6 +165,7 @@ class Autopilot:
         setpoints: At most one of each of `SETPOINTS`.
         parameters: Those that differ from their default, by name; none without defaults.
         filters: On board, by frequency; the logged signals need not have gone through them.
+        resets: Of its estimator.
     """
 
     modes: tuple[Mode, ...] = ()
@@ -160,6 +175,7 @@ class Autopilot:
     setpoints: tuple[Setpoint, ...] = ()
     parameters: tuple[Parameter, ...] = ()
     filters: tuple[Filter, ...] = ()
+    resets: tuple[Reset, ...] = ()
 
     __repr__ = short_repr
 

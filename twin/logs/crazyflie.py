@@ -21,11 +21,12 @@ from ..frames import from_euler
 from ..vehicle import GRAVITY_M_S2
 from ..vehicle.layouts import frame
 from .airframe import Airframe, SourcedValue
-from .assemble import FlightBuilder, monotonic, monotonic_samples, phases_of_table
+from .assemble import FlightBuilder, phases_of_table
 from .autopilot import Span, ground_spans
 from .columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
 from .flight import Array, Finding, FindingCollector, Flight
 from .formats import ReadOptions
+from .stamps import monotonic, monotonic_samples
 
 # -- the file -----------------------------------------------------------------------------------
 #

@@ -19,10 +19,10 @@ from .agreement import (
     samples,
     signals,
 )
-from .assemble import missing_ends, pauses
 from .columns import ACC, GYRO, MAG, POS, QUAT, VEL, Columns, other_unit
 from .flight import Array, Finding
 from .motor_checks import doubt_motors
+from .stamps import missing_ends, pauses
 from .stretches import stretches_where
 
 _FASTEST_ROTOR_RAD_S = 4500.0  # 43,000 rpm: over the fastest racing motors under load

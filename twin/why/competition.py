@@ -165,19 +165,21 @@ class Competition:
         start, end = own if window is None else (np.full_like(onsets, w) for w in window)
         w, names = Window(start, onsets, end), self.evidence.names(fine)
         sizes = self.evidence.by_size(w, fine)
-        still, lasting, passing = air or self._sideways.evidence(start, onsets, end, BLOWS_S)
+        if air is None:
+            air = self._sideways.evidence(start, onsets, end, BLOWS_S)
+        still, lasting, passing = air
         sizes[Name(BLOW)] = sizes[Name(BLOW)] + passing - still[:, None]
         sizes[Name(PUSH)] = sizes[Name(PUSH)] + np.outer(lasting - still, ACROSS)
         sizes[Name(ALL)] = sizes[Name(ALL)] + self._by_voltage[onsets]
         each = np.array([logsumexp(sizes[n], axis=1) - np.log(sizes[n].shape[1]) for n in names])
         each += _log_odds(names)[:, None]
-        body, air = self.evidence.unchanged(w), self._sideways.unchanged(start, end)
+        body, calm = self.evidence.unchanged(w), self._sideways.unchanged(start, end)
         of_air = np.array([n.cause in AIR for n in names])[:, None]
         either = alongside(still, lasting, passing) - still
         return Odds(
             names=names,
-            odds=each - body + of_air * (still - air),
-            nothing=each[0] - body + of_air * (still - air),
+            odds=each - body + of_air * (still - calm),
+            nothing=each[0] - body + of_air * (still - calm),
             across=np.where(of_air | (np.arange(len(each)) == 0)[:, None], 0.0, either),
             sizes=sizes,
         )

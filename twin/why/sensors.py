@@ -1,11 +1,11 @@
 """Sensors and state estimate: which of them began to disagree with the others, and when.
 
-Attitude turns as the gyroscope says, velocity changes as the accelerometer says, the field that the
-compass measures keeps its strength and heading, the barometer follows the height. Readings that
-stand still, or are missing, are seen in themselves. No motor command is needed.
+By their `disagreements`; readings that stand still, or are missing, are seen in themselves. A step
+that the estimator puts into its own output, and says so, is none of them. No motor command is
+needed.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,41 +13,26 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from ..formatting import number
-from ..frames import rotation_vector
+from ..logs.autopilot import Autopilot, ResetOf
 from ..logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL
 from ..logs.flight import Flight
 from ..logs.stretches import stretches_where
 from ..residuals.measured import Signal
-from ..vehicle import GRAVITY_M_S2
 from .consistency import (
     FALSE_IN_10_H,
     Budget,
     Change,
     Residual,
     changed_at,
-    running_median,
     smallest_detectable,
-    trailing_median,
 )
+from .disagreements import FEWEST, NOISE, RESIDUALS, Signals
 from .findings import Findings
-from .flight import Airborne, FlightFrame, rotations
+from .flight import Airborne, FlightFrame
 from .records import Amount, Candidate, Event, EvidenceSeries, NotVisible, Severity
 
 Array = NDArray[np.float64]
-Signals = Mapping[str, Signal]
 
-BIN_S = 0.1
-"""Least length of a bin of a residual."""
-SLOWEST_HZ = 4.0
-"""Of attitude, velocity and position that are compared with a change."""
-FAST_HZ = 15.0
-"""Least rate of gyroscope and accelerometer that are integrated, or whose noise is looked at."""
-SCALE_ERROR = 0.01
-"""Share of the body rate by which sound gyroscopes and late stamps of the attitude err."""
-CLOCK_S = 0.01
-"""By which stamps of attitude and accelerometer differ; more where attitude is logged slowly."""
-FEWEST = 20
-"""Samples of a signal that is used."""
 CLEAR_S, LANDING_S = 1.0, 3.0
 """After the aircraft is clear of the ground, and before it comes near it again."""
 TOGETHER_S = 1.0
@@ -55,16 +40,10 @@ TOGETHER_S = 1.0
 FOLLOWS_S = 10.0
 """An estimator takes so long to settle after a jump or a wrong reading: EKF2 and EKF3 reset after 5
 to 10 s of rejected measurements."""
-PRESSURE_SCALE_M = 8434.0
-"""Scale height of the atmosphere at 288 K, ISO 2533."""
-JOLT_S = 1.5
-"""Of which a touch of the ground or of a branch takes less than half, noise that sets in more."""
 AROUND_S = 8.0
 """Drawn before and after an onset."""
 MOST_POINTS = 240
 """Of a signal that is drawn."""
-NOISE = "sensor_noise_level"
-"""The cause whose size is a ratio of levels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +126,14 @@ SENSOR_CAUSES: Mapping[str, SensorCause] = {
 """By cause: effects of the library where it is one, and events of the state estimate."""
 SELF_EVIDENT = ("stuck_sensor", "sensor_dropout")
 """Causes that are seen in the reading itself, without another instrument."""
-OF_ESTIMATE = ("attitude_estimate", "velocity_estimate", "position_estimate")
+STEPS_OF: Mapping[str, tuple[ResetOf, ...]] = {
+    "attitude_estimate": ("attitude", "yaw"),
+    "velocity_estimate": ("velocity", "position", "height"),
+    "position_estimate": ("position", "height"),
+}
+"""Causes that are of no instrument, and the resets that step so: with a position that jumps, EKF2
+and EKF3 reset the velocity."""
+OF_ESTIMATE = tuple(STEPS_OF)
 """Causes that are of no instrument."""
 
 
@@ -157,10 +143,17 @@ def sensors(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Find
     hidden: dict[str, NotVisible] = {}
     for part in flight.airborne:
         residuals, found = part_events(flight, part)
-        events += found
+        events += [e for e in found if not announced(e, flight.flight.autopilot)]
         hidden |= _hidden(residuals, _budget(residuals))
     sound = np.prod([1.0 - e.probability for e in events if not e.consequence])
     return Findings(events=events, not_visible=tuple(hidden.values()), nothing=float(sound))
+
+
+def announced(event: Event, autopilot: Autopilot | None) -> bool:
+    """Whether the autopilot says itself that it put this step into its estimate."""
+    steps = STEPS_OF.get(event.cause, ())
+    resets = () if autopilot is None else autopilot.resets
+    return any(r.of in steps and abs(r.t_s - _onset(event)) <= TOGETHER_S for r in resets)
 
 
 def part_events(flight: FlightFrame, part: Airborne) -> tuple[list[Residual], list[Event]]:
@@ -334,231 +327,6 @@ def _drawn(change: Change) -> tuple[EvidenceSeries, ...]:
         )
         for what, measured, expected in series
     )
-
-
-# -- the residuals ------------------------------------------------------------------------------
-
-
-def _binned(t: Array, values: Array, step_s: float = BIN_S) -> tuple[Array, Array]:
-    """Middle of the bins, and mean of the values in each, NaN where there is none."""
-    place = ((t - t[0]) / step_s).astype(np.intp)
-    n = np.bincount(place)
-    total = np.bincount(place, weights=values)
-    mean = np.where(n > 0, total / np.maximum(n, 1), np.nan)
-    return t[0] + step_s * (0.5 + np.arange(len(n))), mean
-
-
-def _integral_at(signal: Signal, t: Array) -> Array:
-    """Integral of a signal from its first sample on, at other times, shape (len(t), k)."""
-    v = signal.values
-    area = np.diff(signal.t_s)[:, None] * (v[1:] + v[:-1]) / 2.0
-    total = np.vstack([np.zeros(v.shape[1]), np.cumsum(area, axis=0)])
-    return np.stack([np.interp(t, signal.t_s, c) for c in total.T], axis=1)
-
-
-def _attitude_at(q: Signal, t: Array) -> Array:
-    """Matrices body to NED, linear between samples of the quaternion, shape (len(t), 3, 3)."""
-    turned = (q.values[1:] * q.values[:-1]).sum(axis=1) < 0
-    sign = np.cumprod(np.append(1.0, np.where(turned, -1.0, 1.0)))
-    near = np.stack([np.interp(t, q.t_s, c) for c in (q.values * sign[:, None]).T], axis=1)
-    return rotations(near / np.linalg.norm(near, axis=1, keepdims=True))
-
-
-def _fast(signals: Signals, *names: str) -> bool:
-    """Whether signals are there and come fast enough to be compared with a change."""
-    return all(n in signals and signals[n].rate_hz >= SLOWEST_HZ for n in names)
-
-
-def _turn(signals: Signals) -> Iterator[Residual]:
-    """Rate of the gyroscope less that at which the attitude turns, per axis of the body.
-
-    Both are means between two samples of the attitude: the errors of the attitude cancel in sums.
-    """
-    if not _fast(signals, "q", "gyro") or signals["gyro"].rate_hz < FAST_HZ:
-        return
-    q = signals["q"]
-    angle = np.diff(_integral_at(signals["gyro"], q.t_s), axis=0)
-    between = np.diff(q.t_s)[:, None]
-    apart = (angle - rotation_vector(q.values[1:], q.values[:-1])) / between
-    apart = apart[slow := np.linalg.norm(angle, axis=1) < 1.0]  # farther, angles do not add up
-    if len(apart) <= FEWEST:
-        return
-    middle = (q.t_s[1:] + q.t_s[:-1])[slow] / 2
-    _, turning = _binned(middle, (np.linalg.norm(angle, axis=1) / between[:, 0])[slow])
-    for k, column in enumerate(GYRO):
-        t, r = _binned(middle, apart[:, k])
-        _, reading = _binned(middle, (angle / between)[slow, k])
-        error = SCALE_ERROR * turning
-        causes, named = ("gyro_bias", "attitude_estimate", "gyro_scale"), (column, "rate", "rad/s")
-        bins, windows = (t, r, np.nan_to_num(error)), ((1.0, 0.04), (5.0, 0.015))
-        yield from _of_windows(causes, named, bins, reading, windows, (0.1, 1.0))
-
-
-def _force(signals: Signals) -> Iterator[Residual]:
-    """Specific force less what attitude and change of velocity ask for, per axis of the body."""
-    if not _fast(signals, "q", "vel", "acc") or signals["acc"].rate_hz < FAST_HZ:
-        return
-    acc, vel = signals["acc"], signals["vel"]
-    ned = np.einsum("nij,nj->ni", _attitude_at(signals["q"], acc.t_s), acc.values)
-    ned[:, 2] += GRAVITY_M_S2
-    gained = np.diff(_integral_at(Signal(acc.t_s, ned), vel.t_s), axis=0)
-    apart = (gained - np.diff(vel.values, axis=0)) / np.diff(vel.t_s)[:, None]
-    middle, step = (vel.t_s[1:] + vel.t_s[:-1]) / 2, max(BIN_S, 1.0 / vel.rate_hz)
-    body = np.einsum("nji,nj->ni", _attitude_at(signals["q"], middle), apart)
-    _, size = _binned(middle, _turned(signals["q"], middle) * np.linalg.norm(gained, axis=1), step)
-    late = CLOCK_S + 0.1 / signals["q"].rate_hz
-    for k, column in enumerate(ACC):
-        t, r = _binned(middle, body[:, k], step)
-        _, reading = _binned(middle, np.interp(middle, acc.t_s, acc.values[:, k]), step)
-        error = late * size
-        causes = "accel_bias", "velocity_estimate", "accel_scale"
-        named, windows = (column, "acceleration", "m/s^2"), ((2.0, 0.5), (8.0, 0.2))
-        bins, sizes = (t, r, np.nan_to_num(error)), (1.0, GRAVITY_M_S2)
-        yield from _of_windows(causes, named, bins, reading, windows, sizes)
-
-
-def _of_windows(
-    causes: tuple[str, str, str],
-    named: tuple[str, str, str],
-    bins: tuple[Array, Array, Array],
-    reading: Array,
-    windows: Sequence[tuple[float, float]],
-    sizes: tuple[float, float],
-) -> list[Residual]:
-    """Residuals of one axis, for each window and least change: lasting, passing and scaling cause;
-    sensor, quantity and unit; times, differences and their errors; usual and largest size."""
-    (lasting, passing, scaled), (sensor, quantity, unit), (t, r, error) = causes, named, bins
-    usual, largest = sizes
-    return [
-        Residual(
-            lasting=lasting,
-            passing=passing,
-            scaled=scaled,
-            sensor=sensor,
-            quantity=quantity,
-            unit=unit,
-            t_s=t,
-            reading=reading,
-            difference=r,
-            error=error,
-            window_s=window_s,
-            least=least,
-            usual=usual,
-            largest=largest,
-        )
-        for window_s, least in windows
-    ]
-
-
-def _turned(q: Signal, t: Array) -> Array:
-    """How fast the attitude turns, rad/s, shape (len(t),)."""
-    rate = np.linalg.norm(rotation_vector(q.values[1:], q.values[:-1]), axis=1) / np.diff(q.t_s)
-    return np.asarray(np.interp(t, (q.t_s[1:] + q.t_s[:-1]) / 2, rate))
-
-
-def _single(
-    causes: tuple[str, str],
-    named: tuple[str, str, str],
-    bins: tuple[Array, Array],
-    reading: Array,
-    window_s: float,
-    sizes: tuple[float, float, float],
-) -> Residual:
-    """A residual that has no axes: lasting and passing cause; sensor, quantity and unit; least,
-    usual and largest size."""
-    given = (*bins, np.zeros(len(bins[0])))
-    windows = ((window_s, sizes[0]),)
-    return _of_windows((*causes, ""), named, given, reading, windows, sizes[1:])[0]
-
-
-def _field(signals: Signals) -> Iterator[Residual]:
-    """Strength of the field, and its heading by the attitude."""
-    if "mag" not in signals:
-        return
-    mag = signals["mag"]
-    strength = np.linalg.norm(mag.values, axis=1)
-    usual = float(np.median(strength))
-    if usual < 1e-6:
-        return
-    step = max(BIN_S, 1.0 / mag.rate_hz)
-    bins = _binned(mag.t_s, strength / usual - 1.0, step)
-    causes = "mag_hard_iron", "mag_disturbance"
-    named, sizes = ("compass", "field_strength", "1"), (0.25, 0.25, 2.0)
-    yield _single(causes, named, bins, bins[1] + 1.0, 2.0, sizes)
-    if "q" in signals:
-        ned = np.einsum("nij,nj->ni", _attitude_at(signals["q"], mag.t_s), mag.values)
-        bins = _binned(mag.t_s, np.unwrap(np.arctan2(ned[:, 1], ned[:, 0])), step)
-        causes = "mag_hard_iron", "attitude_estimate"
-        named, sizes = ("compass", "heading", "rad"), (0.35, 0.35, np.pi)
-        yield _single(causes, named, bins, bins[1], 3.0, sizes)
-
-
-def _height(signals: Signals) -> Iterator[Residual]:
-    """Height by the barometer less that of the estimate, quicker than either drifts; none where it
-    reads no pressure."""
-    if not {"baro", "pos"} <= signals.keys():
-        return
-    baro, pos = signals["baro"], signals["pos"]
-    if baro.values.min() <= 0.0:
-        return
-    height = -PRESSURE_SCALE_M * np.log(baro.values[:, 0] / np.median(baro.values))
-    step = max(BIN_S, 1.0 / baro.rate_hz)
-    t, apart = _binned(baro.t_s, height + np.interp(baro.t_s, pos.t_s, pos.values[:, 2]), step)
-    _, reading = _binned(baro.t_s, height, step)
-    bins = t, apart - trailing_median(apart, 20.0 / step)
-    causes = "baro_bias", "baro_disturbance"
-    named = "barometer", "height", "m"
-    yield _single(causes, named, bins, reading, 1.0, (4.0, 10.0, 100.0))
-
-
-def _place(signals: Signals) -> Iterator[Residual]:
-    """Speed by which the position changes less the velocity, per axis: a jump of either."""
-    if not _fast(signals, "pos", "vel"):
-        return
-    pos = signals["pos"]
-    between = np.diff(pos.t_s)[:, None]
-    moved = np.diff(pos.values, axis=0) / between
-    apart = moved - np.diff(_integral_at(signals["vel"], pos.t_s), axis=0) / between
-    middle, step = (pos.t_s[1:] + pos.t_s[:-1]) / 2, max(BIN_S, 1.0 / pos.rate_hz)
-    for k, column in enumerate(POS):
-        _, reading = _binned(middle, moved[:, k], step)
-        bins = _binned(middle, apart[:, k], step)
-        causes = "position_estimate", "position_estimate"
-        yield _single(causes, (column, "speed", "m/s"), bins, reading, 1.0, (1.5, 1.5, 100.0))
-
-
-def _noise(signals: Signals) -> Iterator[Residual]:
-    """Logarithm of the noise of gyroscope and accelerometer: of second differences, by fifths of a
-    second, and the median of a second of these, since a touch of the ground is a jolt, no noise."""
-    for name, sensor, floor in (("gyro", "gyroscope", 1e-4), ("acc", "accelerometer", 0.01)):
-        if name not in signals or signals[name].rate_hz < FAST_HZ:
-            continue
-        signal = signals[name]
-        quick = np.linalg.norm(np.diff(signal.values, 2, axis=0), axis=1)
-        step = max(0.2, 8.0 / signal.rate_hz)
-        t, power = _binned(signal.t_s[2:], quick**2, step)
-        level = running_median(0.5 * np.log(power + floor**2), JOLT_S / step)
-        causes = NOISE, NOISE
-        named = sensor, "noise_ratio", "1"
-        least, largest = float(np.log(4.0)), float(np.log(100.0))
-        yield _single(causes, named, (t, level), level, 1.0, (least, least, largest))
-
-
-def _voltage(signals: Signals) -> Iterator[Residual]:
-    """Voltage over that of the half minute before, less one."""
-    if "vbat" not in signals or np.median(signals["vbat"].values) < 2.0:
-        return
-    vbat = signals["vbat"]
-    step = max(0.2, 1.0 / vbat.rate_hz)
-    t, level = _binned(vbat.t_s, vbat.values[:, 0], step)
-    bins = t, level / trailing_median(level, 30.0 / step) - 1.0
-    causes = "battery_sag", "battery_sag"
-    yield _single(causes, ("battery", "voltage", "1"), bins, level, 1.0, (0.12, 0.12, 1.0))
-
-
-Maker = Callable[[Signals], Iterator[Residual]]
-RESIDUALS: tuple[Maker, ...] = (_turn, _force, _field, _height, _place, _noise, _voltage)
-"""Every comparison of two instruments, or of one with its own past."""
 
 
 # -- readings that stand still, or are missing ---------------------------------------------------

@@ -1,7 +1,7 @@
 """What happened besides, on the time axis of the events: by the autopilot's word and by the motion.
 
 Take-off and landing, motors at a stop, contact, a record that ends in the air, and what the
-autopilot says itself: arming, modes, failsafes, messages.
+autopilot says itself: arming, modes, failsafes, resets of its estimator, messages.
 """
 
 import re
@@ -143,12 +143,15 @@ def _gaps(flight: FlightFrame) -> Iterator[TimelineItem]:
 
 
 def _said(flight: FlightFrame, autopilot: Autopilot) -> Iterator[TimelineItem]:
-    """Modes, arming, failsafes and messages."""
+    """Modes, failsafes, resets of the estimator, arming and messages."""
     for mode in autopilot.modes:
         yield TimelineItem(kind="mode", t_s=mode.start_s, text=f"mode {mode.name}")
     for failsafe in autopilot.failsafes:
         times = {"t_s": failsafe.start_s, "end_s": failsafe.end_s}
         yield TimelineItem(kind="failsafe", **times, text=failsafe.name)
+    for reset in autopilot.resets:
+        text = f"the estimator resets its {reset.of}"
+        yield TimelineItem(kind="note", t_s=reset.t_s, text=text)
     yield from _arming(flight, autopilot)
     yield from _messages(flight, autopilot.messages)
 

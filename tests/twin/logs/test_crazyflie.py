@@ -16,8 +16,8 @@ from sample_logs import flown_table
 from twin.errors import LogError
 from twin.frames import from_euler
 from twin.logs import Flight, read_flight
-from twin.logs.assemble import filter_delay_us
 from twin.logs.crazyflie import read_content
+from twin.logs.stamps import filter_delay_us
 
 RECORDED = DATA / "crazyflie_motor_delay" / "log10.parquet"
 DELAY_S = {"acc": 1e-6 * filter_delay_us(30.0), "gyro": 1e-6 * filter_delay_us(80.0)}

@@ -9,12 +9,14 @@ from why_rig import ONSET_S, RATE_HZ, Table, sound
 
 from twin.frames import from_euler
 from twin.logs import Flight
+from twin.logs.autopilot import Autopilot, Reset, ResetOf
 from twin.logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL
-from twin.why import sensors as instruments
+from twin.why import disagreements
 from twin.why.consistency import FALSE_IN_10_H, Budget, Residual, changed_at, smallest_detectable
 from twin.why.flight import FlightFrame
 from twin.why.records import Event
 from twin.why.sensors import SENSOR_CAUSES, grouped, sensors, within
+from twin.why.timeline import timeline
 
 
 def after(table: Table) -> np.ndarray:
@@ -241,19 +243,34 @@ def _made(maker: Callable[..., Iterator[Residual]]) -> list[Residual]:
     return list(maker(within(frame.flight, 1.0, 44.0)))
 
 
+@pytest.mark.parametrize(
+    ("of", "late_s", "events"), [("yaw", 0.1, 0), ("height", 0.1, 1), ("yaw", 5.0, 1)]
+)
+def test_a_reset_that_the_autopilot_reports_is_an_item_and_no_event(
+    of: ResetOf, late_s: float, events: int
+) -> None:
+    table = sound()
+    _yaw_reset(table)
+    autopilot = Autopilot(resets=(Reset(of, ONSET_S + late_s),))
+    frame = FlightFrame.of(Flight("flight", pd.DataFrame(table), autopilot=autopilot))
+    found = [e for e in sensors(frame).events if e.cause == "attitude_estimate"]
+    assert len(found) == events
+    assert f"the estimator resets its {of}" in {i.text for i in timeline(frame).timeline}
+
+
 def test_every_residual_is_asked_and_has_its_signals() -> None:
     makers = {
         name: f
-        for name, f in vars(instruments).items()
+        for name, f in vars(disagreements).items()
         if callable(f) and getattr(f, "__annotations__", {}).get("return") == Iterator[Residual]
     }
     for name, maker in makers.items():
-        assert maker in instruments.RESIDUALS, f"{name} is not in RESIDUALS"
+        assert maker in disagreements.RESIDUALS, f"{name} is not in RESIDUALS"
         assert _made(maker), f"{name} finds no signal in a flight that has all"
 
 
 def test_every_cause_of_a_residual_has_words() -> None:
-    for maker in instruments.RESIDUALS:
+    for maker in disagreements.RESIDUALS:
         for r in _made(maker):
             for cause in {r.lasting, r.passing, r.scaled} - {""}:
                 assert cause in SENSOR_CAUSES, f"{cause} has no words"

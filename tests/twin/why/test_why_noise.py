@@ -50,6 +50,24 @@ def test_columns_that_grow_are_those_of_a_filter_that_saw_them_grow(
         assert found[i] == pytest.approx(inside.T @ inside, abs=1e-9)
 
 
+def test_a_shape_that_is_over_enters_as_if_it_were_a_column() -> None:
+    """Also where the record ends within it."""
+    rng = np.random.default_rng(0)
+    columns, weight = rng.standard_normal((400, 3)), rng.uniform(0.01, 1.0, 400)
+    law, shape = Law(0.95, 0.6, 0.3), np.hanning(42)[1:-1]
+    start, onset, end = np.array([10, 20]), np.array([100, 150]), np.array([300, 160])
+    whitened = Whitened.each(law, weight, columns[:, None])[0]
+    found = whitened.pulsed(whitened.joined(start, onset, end), shape, onset, end)
+    for i, begins in enumerate(onset):
+        pulse = np.zeros(400)
+        pulse[begins : begins + len(shape)] = shape
+        begun = columns * (np.arange(400) >= begins)[:, None]
+        joined = np.column_stack([columns, begun, pulse])
+        rows = Whitened.each(law, weight, joined[:, None])[0].rows
+        inside = rows[start[i] : end[i]]
+        assert found[i] == pytest.approx(inside.T @ inside, abs=1e-9)
+
+
 def test_a_step_that_lasts_counts_more_than_its_first_interval() -> None:
     """Under a slow level with white noise; an AR(1) of the same lag forgets it at once."""
     n, step = 300, np.ones((300, 1, 1))

@@ -19,9 +19,9 @@ from ..airframe import (
     decimal_year,
     positive_parameter,
 )
-from ..assemble import MotorCommands, MotorOutput, commands_of, describe_outputs
 from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array, Site
+from ..motors import MotorCommands, MotorOutput, commands_of, describe_outputs
 from .log import (
     OTHERS,
     TRICOPTER,

@@ -14,6 +14,8 @@ from ..autopilot import (
     Message,
     Mode,
     Parameter,
+    Reset,
+    ResetOf,
     Sensor,
     Setpoint,
     Span,
@@ -432,6 +434,8 @@ def _until(topic: Topic, end_s: float) -> tuple[Topic, Array]:
 
 _LASTING = (2, 3, 5, 6, 8, 9, 11, 16, 17, 18, 23, 26, 27, 29)
 """Subsystems of ERR whose code 0 says that it is over; those of the others are instants."""
+_RESETS: dict[int, ResetOf] = {60: "height", 62: "yaw"}
+"""EV of a reset of the estimator. Source: ArduPilot, libraries/AP_Logger/AP_Logger.h."""
 _LONGEST_S = 365 * 86_400.0  # a year: times beyond are damage
 _LEAST_HZ = 1.0  # of a filter that is switched on
 _LOW_PASSES: tuple[tuple[str, Sensor], ...] = (  # parameter and sensor
@@ -461,7 +465,18 @@ def from_ardupilot_autopilot(log: ArduPilotLog, end_s: float) -> Autopilot:
         setpoints(log, end_s),
         _parameters(log),
         _filters(log.params),
+        _resets(log, end_s),
     )
+
+
+def _resets(log: ArduPilotLog, end_s: float) -> tuple[Reset, ...]:
+    """Steps that the estimator put into its own output."""
+    events = log.whole("EV")
+    if events is None or not events.has("Id"):
+        return ()
+    kinds = events.raw("Id")
+    each = (Reset(of, t) for k, of in _RESETS.items() for t in events.t_s[kinds == k].tolist())
+    return tuple(r for r in each if 0.0 <= r.t_s <= end_s)
 
 
 def _modes(log: ArduPilotLog, end_s: float) -> tuple[Mode, ...]:

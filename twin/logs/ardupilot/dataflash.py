@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from ...frames import from_euler
 from ..airframe import local_ned
-from ..assemble import FlightBuilder, MotorCommands, doubt_current, note_resets
+from ..assemble import FlightBuilder
 from ..columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
 from ..doubts import lower_voltage
 from ..flight import Array, Flight
 from ..formats import ReadOptions
+from ..motors import MotorCommands, doubt_current
 from .airframe import (
     NO_MULTIROTOR,
     channels_of,
@@ -196,8 +197,6 @@ _CONTROLLERS = (
 """Message, place, rate and sign per axis of NED: since ArduPilot 4.1, Copter 3.6 to 4.0, up to 3.5;
 CTUN counts upwards."""
 _FASTER = 2.0  # ratio of rates from which on ATT is taken instead of quaternions
-_RESETS = {60: "height", 62: "yaw"}
-"""EV of a reset of the estimator."""
 
 
 def add_motion(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) -> None:
@@ -206,7 +205,6 @@ def add_motion(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) 
         flight.facts["attitude from"] = source
     if source := _add_course(log, flight, used):
         flight.facts["position from"] = source
-    _resets(log)
 
 
 def _add_attitude(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) -> str:
@@ -280,17 +278,6 @@ def _global_course(log: ArduPilotLog, flight: FlightBuilder) -> str:
     flight.add("pos", POS, topic.t_us, places)
     log.note("warning", "pos", "from latitude and longitude of POS; there is no velocity")
     return f"POS, {topic.rate_hz:.0f} Hz"
-
-
-def _resets(log: ArduPilotLog) -> None:
-    """Steps that the estimator put into its own output."""
-    events = log.topic("EV", None, "Id")
-    if events is None:
-        return
-    kinds = events.raw("Id")
-    for number, name in _RESETS.items():
-        times = events.t_s[kinds == number].tolist()
-        note_resets(log, "q" if name == "yaw" else "pos", f"its {name}", times)
 
 
 # -- rotor speeds -------------------------------------------------------------------------------

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import LogError
-from ..assemble import (
+from ..flight import Array, Finding, FindingCollector
+from ..stamps import (
     Timed,
     monotonic,
     monotonic_samples,
@@ -19,7 +20,6 @@ from ..assemble import (
     stray_samples,
     with_fields,
 )
-from ..flight import Array, Finding, FindingCollector
 from .file import MARK, Content, Damage, Messages, in_si, instance_column, read_binary, read_plain
 
 # -- units and clocks of old releases -----------------------------------------------------------

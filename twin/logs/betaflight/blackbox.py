@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...vehicle import GRAVITY_M_S2
 from ...vehicle.layouts import Layout, frame
 from ..airframe import Airframe, Place, SourcedValue, local_ned
-from ..assemble import FlightBuilder, monotonic_samples, unit_quaternions
+from ..assemble import FlightBuilder, unit_quaternions
 from ..autopilot import (
     MOST_MESSAGES,
     Autopilot,
@@ -33,6 +33,7 @@ from ..autopilot import (
 from ..columns import ACC, GYRO, MAX_MOTORS, MIN_MOTORS, POS, QUAT, VEL, motor_columns
 from ..flight import Array, Flight, Site
 from ..formats import ReadOptions
+from ..stamps import monotonic_samples
 from .frames import DISARM, MODES, SYNC_BEEP, BlackboxLog, open_blackbox
 
 # -- signals ------------------------------------------------------------------------------------

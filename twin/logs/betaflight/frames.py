@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import LogError
-from ..assemble import pauses
 from ..flight import Finding, FindingCollector
+from ..stamps import pauses
 from .header import (
     AVERAGE_2,
     HOME_COORD,

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from ...errors import LogError
 from ..airframe import NO_MULTIROTOR, Airframe, SourcedValue
-from ..assemble import FlightBuilder, monotonic_samples, phases_of_table
+from ..assemble import FlightBuilder, phases_of_table
 from ..autopilot import Span, ground_spans
 from ..flight import Array, Finding, FindingCollector, Flight
 from ..formats import ReadOptions
+from ..stamps import monotonic_samples
 from ..validate import validate
 from .decoder import LANDED, USED, MavlinkDecoder, Sample, Sources, Stamp, columns_of
 from .frames import PHASES, Frame, Link, MessageParser, dialect, frames

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from pyulog import ULog
 
 from ...errors import LogError
-from ..assemble import (
+from ..autopilot import MOST_MESSAGES, MOST_PARAMETERS, Level, Message, as_text
+from ..flight import Array, Finding, FindingCollector
+from ..stamps import (
     APART_S,
     Timed,
     missing_ends,
@@ -25,8 +27,6 @@ from ..assemble import (
     stray_samples,
     with_fields,
 )
-from ..autopilot import MOST_MESSAGES, MOST_PARAMETERS, Level, Message, as_text
-from ..flight import Array, Finding, FindingCollector
 
 # -- definitions of messages --------------------------------------------------------------------
 #

@@ -14,10 +14,11 @@ from itertools import permutations
 
 import numpy as np
 
-from ..assemble import FlightBuilder, MotorOutput, commands_of
+from ..assemble import FlightBuilder
 from ..columns import motor_columns
 from ..doubts import lower_voltage
 from ..flight import Array
+from ..motors import MotorOutput, commands_of
 from .log import Px4Log, Topic
 
 FIRST_FUNCTION, MOST_FUNCTIONS = 101, 12

@@ -7,9 +7,10 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble import MotorCommands, MotorOutput, describe_outputs, mean_rate_hz
 from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array
+from ..motors import MotorCommands, MotorOutput, describe_outputs
+from ..stamps import mean_rate_hz
 from .control import (
     Gyro,
     Mixer,

@@ -1,14 +1,17 @@
 """PX4 ULog -> Flight. All conversions from PX4's units and names stand in this package."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from ..assemble import FlightBuilder, MotorCommands, doubt_current, note_resets
+from ..assemble import FlightBuilder
 from ..autopilot import (
     Autopilot,
     Filter,
     FilterKind,
+    Reset,
+    ResetOf,
     Sensor,
     Setpoint,
     Span,
@@ -23,6 +26,7 @@ from ..autopilot import (
 from ..columns import GYRO, POS, QUAT, VEL
 from ..flight import Array, Flight
 from ..formats import ReadOptions
+from ..motors import MotorCommands, doubt_current
 from .airframe import FILTERS, from_px4_airframe, from_px4_site
 from .imu import add_barometer, add_imu, add_magnetometer
 from .log import Px4Log, Topic, open_px4
@@ -123,6 +127,17 @@ MODES = {
 
 Source: PX4, msg/vehicle_status.msg of 1.10 to 1.16.
 """
+_RESET_COUNTERS: dict[str, dict[str, ResetOf]] = {
+    "vehicle_attitude": {"quat_reset_counter": "attitude"},
+    "vehicle_local_position": {
+        "xy_reset_counter": "position",
+        "z_reset_counter": "height",
+        "vxy_reset_counter": "velocity",
+        "vz_reset_counter": "velocity",
+    },
+}
+"""Counters by topic and what they count the resets of. Source: PX4, msg/VehicleAttitude.msg,
+msg/VehicleLocalPosition.msg."""
 _ARMED = 2
 """vehicle_status.arming_state, in every release."""
 _UNIT_NORM = 0.01  # from 1, of a quaternion that is one
@@ -160,6 +175,7 @@ def from_px4_autopilot(log: Px4Log, end_s: float) -> Autopilot:
         ),
         differing(log.params, log.defaults),
         _filters(log.params),
+        tuple(r for r in _resets(log) if 0.0 <= r.t_s <= end_s),
     )
 
 
@@ -301,7 +317,6 @@ def _estimate(log: Px4Log, flight: FlightBuilder) -> None:
     if topic is None:
         log.note("warning", "q", "no vehicle_attitude in the log: no attitude")
         return
-    _resets(log, "q", topic, ("quat_reset_counter",))
     flight.add_attitude(topic.t_us, topic.array("q", 4))
 
 
@@ -318,8 +333,6 @@ def _position(log: Px4Log, flight: FlightBuilder, topic: Topic) -> None:
                 valid &= topic.data[flag].astype(bool)
         log.note("info", where, "samples left out, the estimator says they are invalid", ~valid)
         flight.add(where, names, topic.t_us[valid], values[valid])
-    counters = ("xy_reset_counter", "z_reset_counter", "vxy_reset_counter", "vz_reset_counter")
-    _resets(log, "pos", topic, counters)
     vision = int(log.params.get("EKF2_AID_MASK", 0)) & 8 or int(log.params.get("EKF2_EV_CTRL", 0))
     delay = log.params.get("EKF2_EV_DELAY" if vision else "EKF2_GPS_DELAY")
     source = "external vision" if vision else "GPS"
@@ -332,14 +345,14 @@ def _position(log: Px4Log, flight: FlightBuilder, topic: Topic) -> None:
     )
 
 
-def _resets(log: Px4Log, where: str, topic: Topic, counters: tuple[str, ...]) -> None:
-    """Steps that the estimator put into its own output."""
-    times: list[float] = []
-    for counter in counters:
-        if topic.has(counter):
-            stepped = np.flatnonzero(np.diff(topic.data[counter].astype(np.int64))) + 1
-            times += topic.t_s[stepped].tolist()
-    note_resets(log, where, "itself", times)
+def _resets(log: Px4Log) -> Iterator[Reset]:
+    """Steps that the estimator put into its own output, by its counters."""
+    for name, counters in _RESET_COUNTERS.items():
+        topic = log.aside(name)
+        for counter, of in counters.items() if topic is not None else ():
+            if topic is not None and topic.has(counter):
+                stepped = np.flatnonzero(np.diff(topic.data[counter].astype(np.int64))) + 1
+                yield from (Reset(of, float(t)) for t in topic.t_s[stepped])
 
 
 def _battery(log: Px4Log, flight: FlightBuilder, commands: MotorCommands | None) -> None:

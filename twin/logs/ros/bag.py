@@ -18,11 +18,13 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 from ...errors import LogError
-from ..assemble import FlightBuilder, MotorCommands, monotonic_samples, phases_of_table
+from ..assemble import FlightBuilder, phases_of_table
 from ..autopilot import Autopilot, ground_spans, modes_of, stretches_of
 from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array, Finding, FindingCollector, Flight
 from ..formats import ReadOptions
+from ..motors import MotorCommands
+from ..stamps import monotonic_samples
 from .sources import SOURCES, Source, mapped_sources
 
 _DEFINITION_END = "=" * 80 + "\n"

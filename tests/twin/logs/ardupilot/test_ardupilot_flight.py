@@ -318,6 +318,11 @@ def test_what_happens_is_told(tmp_path: Path) -> None:
     assert found.facts["modes"] == "Stabilize from 0.0 s, PosHold from 10.0 s, mode 77 from 20.0 s"
     assert "reset its yaw at 6.00 s" in said(found, "q", "warning")
     assert "reset its height at 9.00 s" in said(found, "pos", "warning")
+    assert found.autopilot is not None
+    assert {(r.of, round(r.t_s, 2)) for r in found.autopilot.resets} == {
+        ("yaw", 6.0),
+        ("height", 9.0),
+    }
     assert said(found, "log", "warning").startswith("battery failsafe error, code 1, at 12.00 s")
     assert "could not be logged" in said(found, "log", "warning")
     assert "at its limit" in said(found, "acc", "warning")

@@ -24,10 +24,10 @@ from sample_logs import flown_table
 
 from twin.errors import LogError
 from twin.logs import Flight, read_flight
-from twin.logs.assemble import filter_delay_us
 from twin.logs.betaflight import header as encodings
 from twin.logs.betaflight.frames import read_frames
 from twin.logs.betaflight.header import flights, read_header
+from twin.logs.stamps import filter_delay_us
 
 FIX = (50, 12, 1000, -2000, 4321, 100, 900, 150, -20, 5)
 """us after the frame, satellites, 1e-7 degrees from home, dm, cm/s, 0.1 degrees, cm/s."""

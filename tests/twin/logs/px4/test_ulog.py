@@ -14,11 +14,12 @@ from sample_logs import foreign, ulog
 
 from twin.errors import LogError, TwinError
 from twin.logs import Flight, read_flight
-from twin.logs.assemble import MotorOutput, monotonic
 from twin.logs.columns import motor_columns
+from twin.logs.motors import MotorOutput
 from twin.logs.px4.log import Topic
 from twin.logs.px4.outputs import Outputs
 from twin.logs.px4.rebuild import Match, compare
+from twin.logs.stamps import monotonic
 
 REAL = ("real_1", "real_2", "real_3")
 SIMULATED = ("sim_1", "sim_2", "sim_3")
