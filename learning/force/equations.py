@@ -5,15 +5,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.component import Component, substeps
-from twin.component.rows import OverRows
+from twin.component.along import EachRow
 from twin.frames import AXES, to_body
 from twin.physics.residual_force import FEATURES, OUTPUTS, features, motion_inputs
 from twin.residuals.teacher_forced import GRID_S, RIGID
 from twin.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-STEPS = 4
-"""Grid steps of a step: commands change every 10 ms in logs, rotors lag by 20 ms and more."""
+STEPS = 10
+"""Grid steps of a step: commands change every 10 ms in logs, rotors lag by 20 ms and more. With 4
+the rollout is no closer to the exported FMU."""
 STEP_S = STEPS * GRID_S
 """Of the rollout through which a law is fitted."""
 _N = len(RIGID)
@@ -40,23 +41,23 @@ class Equations:
             place = body.input_names.index(f"{kind}_{axis}")
             pushed[place] = u[place] + (ca.SX(self.units) @ a)[i]
         after = body.step(x, pushed, p, STEP_S)
-        self.step = OverRows(ca.Function("step", [x, u, a], [ca.densify(after)]), 3)
+        self.step = EachRow(ca.Function("step", [x, u, a], [ca.densify(after)]), 3)
         n, h = substeps(GRID_S, body.max_step_s)
         fine: ca.SX = x
         for _ in range(n):
             fine = body.step(fine, u, p, h)
         fine = ca.densify(fine[self.rigid])
-        self.after = OverRows(ca.Function("after", [x, u], [fine]), 2)
+        self.after = EachRow(ca.Function("after", [x, u], [fine]), 2)
         sees = _places(vehicle, body, x, u, p, volts)
         seen = ca.densify(features(sees))
-        self.places = OverRows(ca.Function("places", [x, u, volts], [sees]), 3)
-        self.features = OverRows(ca.Function("features", [x, u, volts], [seen]), 3)
+        self.places = EachRow(ca.Function("places", [x, u, volts], [sees]), 3)
+        self.features = EachRow(ca.Function("features", [x, u, volts], [seen]), 3)
         rate = body.derivatives(x, pushed, p)[self.rigid]
         by = ca.horzcat(ca.jacobian(rate, x)[:, self.rigid], ca.jacobian(rate, a))
         of_seen = ca.horzcat(ca.jacobian(seen, x)[:, self.rigid], ca.SX(len(FEATURES), 6))
         both = ca.vertcat(by, of_seen)
         flat = ca.vec(ca.densify(both.T))
-        self._slopes = OverRows(ca.Function("slopes", [x, u, volts, a], [flat]), 4)
+        self._slopes = EachRow(ca.Function("slopes", [x, u, volts, a], [flat]), 4)
 
     def slopes(self, x: Array, u: Array, volts: Array, a: Array) -> tuple[Array, Array, Array]:
         """Of a step of `RIGID` by `RIGID`, (w, 13, 13), and by accelerations, (w, 13, 6); of the

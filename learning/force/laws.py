@@ -16,7 +16,7 @@ from twin.representation import short_repr
 from ..data.envelope import BEYOND, Envelope
 from .equations import Equations
 from .rollout import fitted
-from .windows import FlightWindows, sizes
+from .windows import FlightWindows, accelerometer_feels, sizes
 
 Array = NDArray[np.float64]
 RIDGES = (1.0, 0.3, 0.1, 0.03)
@@ -63,12 +63,14 @@ class Taught:
         return cls(tuple(flights), equations, empty)
 
     def path(self) -> Array:
-        """Weights under each of `RIDGES`, each begun at those before, shape (ridges, 6, k)."""
+        """Weights under each of `RIDGES`, each begun at those before, shape (ridges, 6, k); of a
+        force across the thrust only where the accelerometer feels it."""
         size = sizes(self.flights)
+        outputs = range(0 if accelerometer_feels(self.flights) else 2, len(OUTPUTS))
         found: list[Array] = []
         for ridge in RIDGES:
             start = found[-1] if found else None
-            found.append(fitted(self.equations, self.flights, size, ridge, start))
+            found.append(fitted(self.equations, self.flights, size, ridge, start, outputs))
         return np.stack(found)
 
     def law(self, path: Array, choice: Choice | None) -> ForceLaw:

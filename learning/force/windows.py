@@ -18,8 +18,8 @@ from twin.logs import Flight
 from twin.physics.observer import LAG_S
 from twin.representation import short_repr
 from twin.residuals.aligned import AlignedFlight, align_flight
-from twin.residuals.channels import in_step
-from twin.residuals.measured import Signal
+from twin.residuals.channels import imu_predictor, in_step, on_grid
+from twin.residuals.measured import Signal, signal_of
 from twin.residuals.teacher_forced import GRID_S, RIGID
 from twin.vehicle import Vehicle
 
@@ -32,12 +32,12 @@ CLEAR_S = 0.5
 """So long it has been in the air before it is followed. Not chosen on flights."""
 WARM_S = 1.0
 """So long it has followed before it is left alone."""
-HORIZONS_S = (0.1, 0.2, 0.3, 0.5)
-"""At which a law is fitted, s after the twin was left alone. From a second on the cost has other
-minima: begun at nothing, the law of two circles leaves 0.63 of a helix (NanoBench), not 0.31."""
+HORIZONS_S = (0.1, 0.2, 0.5, 1.0, 2.0)
+"""At which a law is fitted, s after the twin was left alone."""
 EVERY_S = 0.5
-"""Between two windows of the fit, s: the longest horizon, so that each stretch counts once. Half of
-it takes twice as long and gives the same law (NanoBench)."""
+"""Between two windows of the fit, s."""
+ACCELEROMETER = tuple(f"acc_{a}" for a in AXES)
+"""Columns of a flight."""
 _OMEGA, _Q = (
     [RIGID.index(f"{s}_{a}") for a in names] for s, names in (("omega", AXES), ("q", "wxyz"))
 )
@@ -102,6 +102,9 @@ class FlightWindows:
         features: At all times in the air, shape (m, k).
         places: Inputs of the law at the same times, shape (m, i).
         left: What the equations lack at the same times, as `lacks`, shape (m, 6).
+        felt: Of what the motion lacks across the thrust, low-passed as by the observer: product
+            with what the accelerometer reads over the equations, and square, mean, (m/s2)^2;
+            zeros without an accelerometer.
     """
 
     name: str
@@ -114,6 +117,7 @@ class FlightWindows:
     features: Array
     places: Array
     left: Array
+    felt: tuple[float, float]
 
     __repr__ = short_repr
 
@@ -155,6 +159,7 @@ class FlightWindows:
             features=features[follows],
             places=equations.places(states, u, volts)[follows],
             left=lacks[follows],
+            felt=_felt(flight, vehicle, aligned, states, lacks, follows),
         )
 
 
@@ -177,6 +182,34 @@ def _lacks(states: Array, motion: Array, after: Array) -> Array:
     q = [motion[:, i] for i in _Q]
     force = np.stack(to_body(q, [away[:, i] for i in _VEL]), axis=-1)
     return np.asarray(np.nan_to_num(np.hstack([force, away[:, _OMEGA]])))
+
+
+def _felt(
+    flight: Flight,
+    vehicle: Vehicle,
+    aligned: AlignedFlight,
+    states: Array,
+    lacks: Array,
+    follows: BoolArray,
+) -> tuple[float, float]:
+    """`FlightWindows.felt`."""
+    if not flight.has(*ACCELEROMETER):
+        return 0.0, 0.0
+    reads = on_grid(signal_of(flight, ACCELEROMETER), aligned.inputs.t_s)[:, :2]
+    over = reads - imu_predictor(aligned.airframe, vehicle)(states, aligned.inputs.u)[:, :2]
+    known = follows & np.isfinite(over).all(axis=1)
+    over, across = (_followed(np.where(known[:, None], v[:, :2], 0.0)) for v in (over, lacks))
+    return float(np.mean(over * across)), float(np.mean(across**2))
+
+
+def accelerometer_feels(flights: Sequence[FlightWindows]) -> bool:
+    """Whether it reads most of what the motion of flights lacks across the thrust.
+
+    Then that is a force. Else the attitude that a flight has is tilted, as that of motion capture
+    is, and a law of it would be of no other flight.
+    """
+    both, square = np.sum([f.felt for f in flights], axis=0)
+    return bool(both > 0.5 * square)
 
 
 def _followed(values: Array) -> Array:

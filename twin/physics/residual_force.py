@@ -192,9 +192,9 @@ def features(x: ca.SX) -> ca.SX:
 
 def distance(law: ForceLaw, x: ca.SX) -> ca.SX:
     """Of inputs from those of the training, 1 where these end."""
-    white = ca.mtimes(ca.SX(law.whitening), (x - law.centre) / law.scale)
+    whole = law.whitening / law.scale / (law.reach * np.sqrt(len(INPUTS)))
     # Bounded below: the root has no derivative in the middle of the training.
-    return ca.sqrt(ca.fmax(ca.sumsqr(white) / len(INPUTS), 1e-30)) / law.reach
+    return ca.sqrt(ca.fmax(ca.sumsqr(ca.mtimes(ca.SX(whole), x - law.centre)), 1e-30))
 
 
 def accelerations(law: ForceLaw, x: ca.SX, linear: ca.SX, most: ca.SX) -> ca.SX:

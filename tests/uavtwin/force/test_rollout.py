@@ -52,6 +52,8 @@ ROUND: Waypoints = (
 )
 BACK: Waypoints = (("tour", 3.5, (-4.0, 3.0, -2.0)), ("tour", 3.5, (3.0, 3.0, -1.5)))
 AIR_X = FEATURES.index("air_x")
+SHORT = HORIZONS_S.index(0.5) + 1
+"""Horizons after which no twin has tumbled."""
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +84,10 @@ def _turns() -> np.ndarray:
 def test_rows_are_flown_as_by_the_exported_fmu(
     flight: Flight, taught: Taught, weights: np.ndarray, tmp_path: Path
 ) -> None:
-    """Observer and law included; the fit takes 4 ms a step, and commands as means over them."""
+    """Observer and law included; the fit takes 10 ms a step, and commands as means over them.
+
+    Up to half a second: from then on some have tumbled, which small differences decide.
+    """
     law = replace(taught.of(weights), most=np.full(len(OUTPUTS), 1e3))
     parts = driven_twin(COPTER, "command", (), taught.empty)
     fmu = build(fused_model(parts, COPTER.name), tmp_path / "twin.fmu")
@@ -90,7 +95,8 @@ def test_rows_are_flown_as_by_the_exported_fmu(
     (taught_by,) = taught.flights
     off, _ = rolled(taught.equations, taught_by, weights)
     assert off.reshape(exported.shape).shape == exported.shape
-    away = np.sqrt(np.mean((off.reshape(exported.shape) - exported) ** 2, axis=0))
+    off, exported = (v.reshape(exported.shape)[:, :SHORT] for v in (off, exported))
+    away = np.sqrt(np.mean((off - exported) ** 2, axis=0))
     assert (away < 0.03 * np.sqrt(np.mean(exported**2, axis=(0, 3), keepdims=True))[0] + 1e-4).all()
 
 
@@ -99,8 +105,12 @@ def test_slopes_are_differences(taught: Taught) -> None:
     (taught_by,) = taught.flights
     rng = np.random.default_rng(0)
     step = 1e-4 * rng.normal(size=(len(OUTPUTS), len(FEATURES)))
-    _, slopes = rolled(taught.equations, taught_by, _turns(), slopes=True)
-    more, less = (rolled(taught.equations, taught_by, _turns() + s * step)[0] for s in (1, -1))
+
+    def flown(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return rolled(taught.equations, taught_by, weights, True, HORIZONS_S[SHORT - 1])
+
+    _, slopes = flown(_turns())
+    more, less = (flown(_turns() + s * step)[0] for s in (1, -1))
     there = (more - less) / 2
     along = slopes @ step.ravel()
     assert np.sqrt(np.mean((along - there) ** 2)) < 0.05 * np.sqrt(np.mean(there**2))
