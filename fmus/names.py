@@ -102,6 +102,7 @@ BASE_UNITS: dict[str, dict[str, int]] = {
     "1/m": {"m": -1},
     "s/m": {"s": 1, "m": -1},
     "rad.s/m": {"rad": 1, "s": 1, "m": -1},
+    "rad/(m.s)": {"rad": 1, "s": -1, "m": -1},
     "kg": {"kg": 1},
     "1/rad": {"rad": -1},
     "kg/rad": {"kg": 1, "rad": -1},

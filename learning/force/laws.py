@@ -16,7 +16,7 @@ from twin.representation import short_repr
 from ..data.envelope import BEYOND, Envelope
 from .equations import Equations
 from .rollout import fitted
-from .windows import FlightWindows, accelerometer_feels, sizes
+from .windows import FlightWindows, accelerometer_confirms, sizes
 
 Array = NDArray[np.float64]
 RIDGES = (1.0, 0.3, 0.1, 0.03)
@@ -64,9 +64,9 @@ class Taught:
 
     def path(self) -> Array:
         """Weights under each of `RIDGES`, each begun at those before, shape (ridges, 6, k); of a
-        force across the thrust only where the accelerometer feels it."""
+        force across the thrust only where the accelerometer confirms it."""
         size = sizes(self.flights)
-        outputs = range(0 if accelerometer_feels(self.flights) else 2, len(OUTPUTS))
+        outputs = range(0 if accelerometer_confirms(self.flights) else 2, len(OUTPUTS))
         found: list[Array] = []
         for ridge in RIDGES:
             start = found[-1] if found else None

@@ -85,9 +85,9 @@ def rolled(
             by_weight = step @ by_weight + push @ (of_law + of_disturbance)
             of_disturbance = of_disturbance * fades
         after = equations.step(x, u, a)
-        gone = ~(np.abs(after[:, fast]) < FARTHEST).all(axis=1)
-        x = np.where(gone[:, None], x, after)
-        by_weight[gone] = 0.0
+        slow = np.all(np.abs(after[:, fast]) < FARTHEST, axis=1)[:, None]
+        x = np.where(slow, after, x)
+        by_weight = np.where(slow[..., None], by_weight, 0.0)
         disturbance = disturbance * fades
         if k + 1 in ends:
             motion = x[:, equations.rigid]

@@ -102,7 +102,7 @@ class FlightWindows:
         features: At all times in the air, shape (m, k).
         places: Inputs of the law at the same times, shape (m, i).
         left: What the equations lack at the same times, as `lacks`, shape (m, 6).
-        felt: Of what the motion lacks across the thrust, low-passed as by the observer: product
+        sensed: Of what the motion lacks across the thrust, low-passed as by the observer: product
             with what the accelerometer reads over the equations, and square, mean, (m/s2)^2;
             zeros without an accelerometer.
     """
@@ -117,7 +117,7 @@ class FlightWindows:
     features: Array
     places: Array
     left: Array
-    felt: tuple[float, float]
+    sensed: tuple[float, float]
 
     __repr__ = short_repr
 
@@ -159,7 +159,7 @@ class FlightWindows:
             features=features[follows],
             places=equations.places(states, u, volts)[follows],
             left=lacks[follows],
-            felt=_felt(flight, vehicle, aligned, states, lacks, follows),
+            sensed=_sensed(flight, vehicle, aligned, states, lacks, follows),
         )
 
 
@@ -184,7 +184,7 @@ def _lacks(states: Array, motion: Array, after: Array) -> Array:
     return np.asarray(np.nan_to_num(np.hstack([force, away[:, _OMEGA]])))
 
 
-def _felt(
+def _sensed(
     flight: Flight,
     vehicle: Vehicle,
     aligned: AlignedFlight,
@@ -192,7 +192,7 @@ def _felt(
     lacks: Array,
     follows: BoolArray,
 ) -> tuple[float, float]:
-    """`FlightWindows.felt`."""
+    """`FlightWindows.sensed`."""
     if not flight.has(*ACCELEROMETER):
         return 0.0, 0.0
     reads = on_grid(signal_of(flight, ACCELEROMETER), aligned.inputs.t_s)[:, :2]
@@ -202,13 +202,13 @@ def _felt(
     return float(np.mean(over * across)), float(np.mean(across**2))
 
 
-def accelerometer_feels(flights: Sequence[FlightWindows]) -> bool:
+def accelerometer_confirms(flights: Sequence[FlightWindows]) -> bool:
     """Whether it reads most of what the motion of flights lacks across the thrust.
 
     Then that is a force. Else the attitude that a flight has is tilted, as that of motion capture
     is, and a law of it would be of no other flight.
     """
-    both, square = np.sum([f.felt for f in flights], axis=0)
+    both, square = np.sum([f.sensed for f in flights], axis=0)
     return bool(both > 0.5 * square)
 
 

@@ -103,7 +103,7 @@ def move(
     motion: Motion,
     specific_force_b: Sequence[ca.SX],
     angular_acceleration_b: Sequence[ca.SX],
-    unfelt_b: Sequence[ca.SX],
+    unsensed_b: Sequence[ca.SX],
 ) -> None:
     """Declare how the states change, and output them with force and acceleration.
 
@@ -112,9 +112,9 @@ def move(
         motion: Its states.
         specific_force_b: Body FRD, m/s2.
         angular_acceleration_b: Body FRD, rad/s2.
-        unfelt_b: Acceleration that is no specific force, beyond gravity, body FRD, m/s2.
+        unsensed_b: Acceleration that is no specific force, beyond gravity, body FRD, m/s2.
     """
-    moved_b = [f + a for f, a in zip(specific_force_b, unfelt_b, strict=True)]
+    moved_b = [f + a for f, a in zip(specific_force_b, unsensed_b, strict=True)]
     acceleration_n = to_ned(motion.q_nb, moved_b)
     acceleration_n[2] += motion.gravity
     for i, axis in enumerate(AXES):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from rig import BUILTIN
 
+from fmus.names import base_exponents
 from twin.component import Run
 from twin.flight.closed_loop import (
     SETPOINTS,
@@ -153,11 +154,19 @@ def test_a_twin_with_weak_rotors_flies_by_its_own_numbers() -> None:
     assert max(m.worst_m for m in missions) < 0.1
 
 
+TURNED = load_vehicle("crazyflie").with_effects(
+    {"blade_flapping": {"k_rad_s_m": 0.037, "height_m": 0.044}}
+)
+"""The air turns it: drag above the centre of mass."""
+
+
 @pytest.mark.slow
 def test_a_twin_that_the_air_turns_flies_its_way() -> None:
-    """Drag above the centre of mass: without it in the controller it was 4 m off at 2 m/s."""
-    turned = load_vehicle("crazyflie").with_effects(
-        {"blade_flapping": {"k_rad_s_m": 0.037, "height_m": 0.044}}
-    )
-    missions = fly_missions(turned, ["forward", "tour"])
+    """Without that in the controller it was 4 m off at 2 m/s."""
+    missions = fly_missions(TURNED, ["forward", "tour"])
     assert max(m.worst_m for m in missions) < 0.1
+
+
+def test_an_fmu_has_the_units_of_a_controller_that_knows_what_the_air_turns() -> None:
+    units = {v.name: v.unit for v in controller(TURNED).parameters}
+    assert base_exponents(units["air_moment.x"]) == {"rad": 1, "m": -1, "s": -1}
