@@ -46,7 +46,7 @@ def times(setting: Setting, factor: float) -> Value:
     Whole numbers stay whole, and at least 1. A value that would reach its bound goes halfway there
     instead: a probability of 0.8 is doubled to 0.9.
     """
-    top, below = max(numbers(setting.value)), setting.about.below
+    top, below = max(numbers(setting.value)), setting.below
     if top * factor >= below:
         factor = (top + below) / 2 / top
     return _times(setting.value, factor)

@@ -342,7 +342,7 @@ def settings() -> str:
 
 def _setting(s: Setting) -> Sequence[str]:
     value = ", ".join(f"{x:.4g}" for x in numbers(s.value))
-    return f"`{s.name.rpartition('.')[2]}`", value, s.about.unit, s.about.meaning, s.about.origin
+    return f"`{s.name.rpartition('.')[2]}`", value, s.unit, s.meaning, s.origin
 
 
 # -- command line ---------------------------------------------------------------------------

@@ -383,13 +383,8 @@ class Suggestion:
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """What holds the numbers of an explanation near their values.
-
-    Attributes:
-        precision: Of flights so far and priors, shape (k, k).
-        low: Largest steps down, shape (k,).
-        high: Largest steps up, shape (k,).
-    """
+    """What holds the numbers of an explanation near their values: precision of flights so far and
+    priors, shape (k, k); largest steps down and up, shape (k,)."""
 
     precision: Array
     low: Array

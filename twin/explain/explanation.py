@@ -67,12 +67,7 @@ WEAKER = (
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """A flight that took no part in the fit.
-
-    Attributes:
-        flight: Its name.
-        spans: Parts of it that took no part; None: the whole flight.
-    """
+    """A flight that took no part in the fit, or the spans of it that took none."""
 
     flight: str
     spans: tuple[Span, ...] | None = None

@@ -13,10 +13,12 @@ G = TypeVar("G", bound="Group")
 
 
 @dataclass(frozen=True, slots=True)
-class About:
-    """What is known of a setting beside its value.
+class Setting:
+    """One setting of a group.
 
     Attributes:
+        name: With dots from group to group, "inference.selection.sure".
+        value: A number, or numbers that do not fall, all above zero.
         unit: "1" for a plain number.
         meaning: In a sentence.
         origin: Begins with "physics: ", "paper: ", "data sheet: ", "measured: ", "chosen on: "
@@ -24,31 +26,17 @@ class About:
         below: What every number of it stays below.
     """
 
+    name: str
+    value: Value
     unit: str
     meaning: str
     origin: str
     below: float
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """One setting of a group.
-
-    Attributes:
-        name: With dots from group to group, "inference.selection.sure".
-        value: A number, or numbers that do not fall, all above zero.
-        about: Unit, meaning, origin, bound.
-    """
-
-    name: str
-    value: Value
-    about: About
-
-
 def setting(value: T, unit: str, meaning: str, origin: str, below: float = math.inf) -> T:
     """Field of a group; its default is `value`."""
-    about = About(unit, meaning, origin, below)
-    made: T = field(default=value, metadata={"about": about})
+    made: T = field(default=value, metadata={"about": (unit, meaning, origin, below)})
     return made
 
 
@@ -73,7 +61,7 @@ class Group:
             if isinstance(value, Group):
                 yield from value.every(f"{before}{f.name}.")
             else:
-                yield Setting(before + f.name, value, f.metadata["about"])
+                yield Setting(before + f.name, value, *f.metadata["about"])
 
     def with_values(self: G, values: Mapping[str, Value]) -> G:
         """The same with some settings changed.
@@ -119,14 +107,14 @@ def _own(group: Group) -> dict[str, Setting]:
 
 def _problem(now: Setting, default: object) -> str:
     """What is wrong with a value; "" for nothing."""
-    found, below = numbers(now.value), now.about.below
+    found, below = numbers(now.value), now.below
     if isinstance(default, int) and not isinstance(now.value, int):
         return "give a whole number"
     if _shape(now.value) != _shape(default):
         return f"give as many numbers as {default} has"
     if not all(0 < x < below and math.isfinite(x) for x in found):
         limit = "" if math.isinf(below) else f" and below {below:g}"
-        return f"give finite numbers above 0{limit}, in {now.about.unit}"
+        return f"give finite numbers above 0{limit}, in {now.unit}"
     return "" if found == sorted(found) else "give numbers that do not fall"
 
 

@@ -72,13 +72,7 @@ EXCHANGED = -0.3
 
 @dataclass(frozen=True, slots=True)
 class ScoredModel:
-    """A set of effects.
-
-    Attributes:
-        effects: Sorted.
-        probability: Among all sets that matter.
-        best: Its numbers in the linearisation.
-    """
+    """A set of effects, sorted, its probability among all that matter, and its numbers."""
 
     effects: Set
     probability: float
@@ -141,47 +135,34 @@ def weigh(
     return Posterior(sets, inclusion, gained)
 
 
-def met_sets(
-    problem: Problem,
-    found: SearchResult,
-    rng: np.random.Generator,
-    progress: Callable[[float], None] = lambda _: None,
-) -> "VisitedSets":
-    """Sets that matter about the end of a search."""
-    laplace = found.laplace
-    free = [e for e in problem.priors.causes if not laplace.silent(e) and not is_time(e)]
-    met = VisitedSets(laplace, found.state.kappa)
-    _walk(met, found.state.effects, free, rng, progress)
-    return met
-
-
 class VisitedSets:
     """Sets that were met about one, with their evidence."""
 
     def __init__(self, laplace: LaplaceEvidence, kappa: float) -> None:
-        self.laplace, self._kappa = laplace, kappa
+        self._laplace, self._kappa = laplace, kappa
         self.sets: dict[Set, float] = {}
 
     def evidence(self, effects: Sequence[str]) -> float:
         """Log of the probability of a set, remembered."""
         key = tuple(sorted(effects))
         if key not in self.sets:
-            self.sets[key] = self.laplace.best(key, self._kappa).evidence
+            self.sets[key] = self._laplace.best(key, self._kappa).evidence
         return self.sets[key]
 
 
-def _walk(
-    met: VisitedSets,
-    start: Set,
-    free: Sequence[str],
+def met_sets(
+    problem: Problem,
+    found: SearchResult,
     rng: np.random.Generator,
-    progress: Callable[[float], None],
-) -> None:
-    """Meet the sets that matter: every exchange of one effect first, then the chain's."""
-    on, evidence = list(start), met.evidence
+    progress: Callable[[float], None] = lambda _: None,
+) -> VisitedSets:
+    """Sets that matter about the end of a search: exchanges of one effect, then the chain."""
+    laplace, met = found.laplace, VisitedSets(found.laplace, found.state.kappa)
+    free = [e for e in problem.priors.causes if not laplace.silent(e) and not is_time(e)]
+    on, evidence = list(found.state.effects), met.evidence
     evidence(on)
     for old in on:
-        for new in _rivals(met.laplace, old, on, free):
+        for new in _rivals(laplace, old, on, free):
             evidence([*(a for a in on if a != old), new])
     settled: dict[str, int] = {}
     for sweep in range(SWEEPS):
@@ -193,13 +174,14 @@ def _walk(
             there = rng.random() < 1 / (1 + np.exp(-np.clip(lead, -500, 500)))
             on = [*without, e] if there else without
         for old in list(on):
-            rivals = _rivals(met.laplace, old, on, free)
+            rivals = _rivals(laplace, old, on, free)
             if rivals:
                 new = rivals[int(rng.integers(len(rivals)))]
                 other = [*(a for a in on if a != old), new]
                 if np.log(rng.random()) < evidence(other) - evidence(on):
                     on = other
         progress((sweep + 1) / (SWEEPS + 2))
+    return met
 
 
 def corrected(met: VisitedSets, found: SearchResult) -> tuple[dict[str, float], dict[Set, float]]:

@@ -47,13 +47,7 @@ to be done again."""
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """A neighbour.
-
-    Attributes:
-        effects: Identifiers, sorted.
-        kappa: Of the days.
-        gain: That the linearisation promises, nats.
-    """
+    """A neighbour: effects, sorted, kappa of the days, and nats that the linearisation promises."""
 
     effects: tuple[str, ...]
     kappa: float

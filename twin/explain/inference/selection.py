@@ -221,12 +221,7 @@ Verdict = Literal["named", "nothing", "unnamed", "cannot_tell", "unusable"]
 
 @dataclass(frozen=True, slots=True)
 class Resemblance:
-    """An effect that something acts like.
-
-    Attributes:
-        effect: Identifier.
-        why: It is not believed to be the cause itself, to be read behind "acts like it: ".
-    """
+    """An effect that something acts like, and why it is not the cause, to read behind a colon."""
 
     effect: str
     why: str

@@ -127,13 +127,8 @@ RAISED = {2: "²", 3: "³", 4: "⁴"}  # how powers are shown
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """A column of the regression.
-
-    Attributes:
-        text: "|v| v_x".
-        unit: Powers of base units.
-        values: On the grid, shape (n,).
-    """
+    """A column of the regression, "|v| v_x", powers of its base units, and values on the grid,
+    shape (n,)."""
 
     text: str
     unit: Unit

@@ -26,13 +26,8 @@ Key = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Sums over one block of time, of whitened samples in units of their noise.
-
-    Attributes:
-        gram: Slopes against slopes, shape (k, k).
-        pull: Slopes against residual, shape (k,).
-        power: Residual against itself.
-    """
+    """Sums over one block of time, of whitened samples in units of their noise: slopes against
+    slopes, shape (k, k), slopes against residual, shape (k,), residual against itself."""
 
     gram: Array
     pull: Array

@@ -140,13 +140,8 @@ def driven_apart(
 
 @dataclass(frozen=True, slots=True)
 class PoseAxis:
-    """Axes of the pose that are compared together.
-
-    Attributes:
-        axes: Which of x, y and z.
-        left_out: Grid points that do not count, shape (n,); None: all count.
-        slow: Whether only slow motion is known, below `DERIVED_BAND_HZ`.
-    """
+    """Axes of the pose that are compared together, grid points to omit, shape (n,), and if only
+    motion below `DERIVED_BAND_HZ` is known."""
 
     axes: slice
     left_out: NDArray[np.bool_] | None

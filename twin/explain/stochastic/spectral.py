@@ -57,12 +57,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Uninterrupted readings of one sensor in the air, each a new one.
-
-    Attributes:
-        t_s: Times, shape (n,), nearly even.
-        values: Shape (n, 3).
-    """
+    """Uninterrupted readings of one sensor in the air, each a new one, shape (n, 3), at nearly even
+    times, shape (n,)."""
 
     t_s: Array
     values: Array
