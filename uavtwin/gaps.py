@@ -1,16 +1,18 @@
 """The gap between flights and their twin, as a result to print, tabulate and report."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
+from twin.errors import LogError
 from twin.formatting import counted, number, percent, pretty_unit
-from twin.logs import AnyFlight
+from twin.logs import AnyFlight, Flight
 from twin.residuals.flight_gap import DEFAULT_HORIZON_S, HoverDiagnosis, Mean, flight_gap
 from twin.residuals.gap import UNKNOWN_PHASE, FlightGap, Ranked, Score, band_rows, rank, summaries
 from twin.vehicle import Vehicle
+from twin.why.flight import FlightFrame
 
 from .display import PageMixin, TextTable
 from .flights import opened_flights
@@ -493,6 +495,10 @@ def _series(gap: FlightGap) -> "Series":
     return Series(gap.flight, tuple(columns), {"verb": "gap", "vehicle": gap.vehicle}, gap.origin)
 
 
+LEAST_BEFORE_S = 5.0
+"""Of a flight before it crashes that is compared alone."""
+
+
 def gap(
     flights: AnyFlight | Sequence[AnyFlight],
     vehicle: Vehicle,
@@ -520,5 +526,22 @@ def gap(
         def share(done: float, i: int = i) -> None:
             progress((i + done) / len(several))
 
-        gaps.append(flight_gap(flight, model, horizon_s, share))
+        part, cut = _until_crash(flight)
+        found = flight_gap(part, model, horizon_s, share)
+        gaps.append(replace(found, warnings=(*found.warnings, cut)) if cut else found)
     return GapResult(tuple(gaps), several)
+
+
+def _until_crash(flight: AnyFlight) -> tuple[AnyFlight, str]:
+    """What is compared of a flight, and why it is not all of it: how it tumbles says little of the
+    twin, and would outweigh how it flew. "": all of it, as of a flight that is not in memory."""
+    if not isinstance(flight, Flight):
+        return flight, ""
+    try:
+        lost_s = FlightFrame.of(flight).crash_begins_s
+    except LogError:  # its motion is not known well enough to tell
+        return flight, ""
+    if lost_s is None or lost_s - flight.time_s[0] < LEAST_BEFORE_S:
+        return flight, ""
+    cut = f"compared until {lost_s:.2f} s: there control is lost, and then it hits something"
+    return flight.between(flight.time_s[0], lost_s), cut

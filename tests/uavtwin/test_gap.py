@@ -22,6 +22,7 @@ from twin.residuals.short_horizon import READ, whole_windows, window_ends
 from twin.residuals.teacher_forced import GRID_S, predicted_readings, sensor_readings
 from twin.vehicle import GRAVITY_M_S2, Vehicle
 from twin.vehicle_file import load_vehicle
+from twin.why.flight import FlightFrame
 from uavtwin.demo.flights import (
     ACC_NOISE_M_S2,
     ATT_NOISE,
@@ -31,6 +32,7 @@ from uavtwin.demo.flights import (
     fly,
 )
 from uavtwin.file_check import check_flight
+from uavtwin.gaps import gap
 
 Array = np.ndarray
 FEISI = load_vehicle("feisi_x150")
@@ -512,3 +514,15 @@ def test_a_vehicle_of_another_size_is_doubted(short: Flight, factor: float, doub
     told = " / ".join(flight_gap(replace(short, table=table), FEISI, 20.0).warnings)
     assert ("is feisi_x150 the right vehicle file?" in told) == doubted
     assert (f"{factor:.2g} times" in told) == doubted
+
+
+@pytest.mark.parametrize("lost_s", [6.0, 3.0, None])
+def test_a_flight_that_crashes_is_compared_until_control_is_lost(
+    short: Flight, monkeypatch: pytest.MonkeyPatch, lost_s: float | None
+) -> None:
+    """With less than five seconds before it, all of it is compared."""
+    monkeypatch.setattr(FlightFrame, "crash_begins_s", lost_s)
+    found = gap(short, FEISI)
+    parts = [w for w in found.record.warnings if w.startswith("compared until")]
+    assert len(parts) == (lost_s == 6.0)
+    assert (found.record.flights[0].phases[-1].end_s < 6.1) == (lost_s == 6.0)

@@ -44,6 +44,8 @@ LOSS_TILT_RAD = np.radians(60.0)
 """Tilt that counts as lost, if it is twice what was flown until a second before."""
 LOSS_RATE_RAD_S = 4.0
 """Body rate that counts as lost, if it is three times what was flown until a second before."""
+FLIES_ON_S = 5.0
+"""In the air after a blow, which then was no crash."""
 CONTACT_M_S2 = 30.0
 """Specific force of a body that hits something, after control was lost."""
 FALLS_G = 0.5
@@ -142,6 +144,16 @@ class FlightFrame:
         if "q" in grid:
             grid["q"] /= np.linalg.norm(grid["q"], axis=1, keepdims=True)
         return cls(flight, signals, edges, grid, tuple(notes))
+
+    @property
+    def crash_begins_s(self) -> float | None:
+        """When control was lost for good, s: it then hits something, and does not fly on; None: it
+        was not."""
+        last = self.airborne[-1] if self.airborne else None
+        if last is None or last.lost is None or last.crash is None:
+            return None
+        flies_on = last.end - last.crash > self.places(FLIES_ON_S)
+        return None if flies_on else float(self.t_s[last.lost])
 
     @property
     def dt_s(self) -> float:

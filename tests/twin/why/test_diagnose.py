@@ -46,6 +46,12 @@ def test_loss_of_control_and_crash_are_found_in_time() -> None:
     assert found.verdict == "cannot_tell"
 
 
+def test_a_blow_after_which_it_flies_on_is_no_crash() -> None:
+    begins_s = FlightFrame.of(hover(lost_s=23.0)).crash_begins_s
+    assert begins_s == pytest.approx(23.45, abs=0.15)
+    assert FlightFrame.of(hover(lost_s=20.0)).crash_begins_s is None
+
+
 def test_a_hover_is_flown_to_its_end() -> None:
     found = diagnose(hover())
     assert found.verdict == "nothing_found"
