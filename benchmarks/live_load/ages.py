@@ -38,8 +38,8 @@ def ages(seconds: float, alarms: bool, vehicle_name: str = "copter_default") -> 
 
     Returns:
         Ages of what the page shows, ms: of 50 and of 99 in 100 of its pictures, each as old as it
-        became until the next; and those of what is published. `busy` is the share of its core that
-        `live`, with the processes that it started, took meanwhile.
+        became until the next; and those of what is published. `busy` is the processor that `live`,
+        with the processes that it started, took for a second of flight, what it did late included.
     """
     vehicle, listens = load_vehicle(vehicle_name), free_address()
     core, *others = sorted(os.sched_getaffinity(0))
@@ -57,6 +57,8 @@ def ages(seconds: float, alarms: bool, vehicle_name: str = "copter_default") -> 
             stderr=subprocess.DEVNULL,
             text=True,
         )
+        stdout = live.stdout
+        assert stdout is not None
         os.sched_setaffinity(live.pid, {core})
         os.sched_setaffinity(0, set(others) or {core})
         try:
@@ -66,11 +68,11 @@ def ages(seconds: float, alarms: bool, vehicle_name: str = "copter_default") -> 
                 sender = subprocess.Popen([*_COMMAND, "replay", path, "--to", f"udpout:{listens}"])
                 time.sleep(_SETTLED_S)
                 opened.run("window.live.clearAges()")
-                began, began_cpu = time.monotonic(), _processor_s(live)
+                began_cpu = _processor_s(live)
                 sender.wait()
-                busy = (_processor_s(live) - began_cpu) / (time.monotonic() - began)
                 shown = np.array(opened.run("window.live.ages()"), dtype=np.float64)
-            said, _ = live.communicate(timeout=60)
+                said = stdout.read()
+            usage = os.wait4(live.pid, 0)[2]
         finally:
             os.sched_setaffinity(0, {core, *others})
             live.kill()
@@ -78,7 +80,7 @@ def ages(seconds: float, alarms: bool, vehicle_name: str = "copter_default") -> 
     return {
         "seconds": seconds,
         "alarms_kept": alarms,
-        "busy": busy,
+        "busy": (usage.ru_utime + usage.ru_stime - began_cpu) / (seconds - _SETTLED_S),
         "pictures": len(shown),
         "shown_p50_ms": float(np.percentile(shown[:, 1], 50)),
         "shown_p99_ms": float(np.percentile(shown[:, 1], 99)),

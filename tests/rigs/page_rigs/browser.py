@@ -31,7 +31,7 @@ _FLAGS = (
     "--remote-debugging-pipe",
     "about:blank",
 )
-_PATIENCE_S = 60.0
+_PATIENCE_S = 180.0  # a machine that is busy opens a page in a minute
 
 
 @dataclass(frozen=True, slots=True)
