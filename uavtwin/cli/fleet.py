@@ -1,5 +1,7 @@
 """`uavtwin fleet`: many logs of many aircraft."""
 
+import csv
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -23,8 +25,7 @@ from .options import (
     seconds,
     vehicle_named,
 )
-from .printing import STDERR, STDOUT, print_json, progress
-from .query import ROWS, SQL, AsCsv, print_answer
+from .printing import STDERR, STDOUT, print_json, print_rows, print_table, progress
 
 if TYPE_CHECKING:
     from ..fleets.dataset import JobRows
@@ -66,13 +67,20 @@ def fleet(
     sql: Annotated[
         str | None,
         typer.Option(
-            "--sql", help=f"Ask the tables of the folder that an earlier call wrote. {SQL}."
+            "--sql",
+            help="Ask the tables of the folder that an earlier call wrote. One SELECT over "
+            "flights, channels, effects, findings, in the SQL of DuckDB.",
         ),
     ] = None,
     as_json: Annotated[
-        Json, Prints("uavtwin.fleets.result:FleetRecord", file="fleet.json", about=ROWS)
+        Json,
+        Prints(
+            "uavtwin.fleets.result:FleetRecord",
+            file="fleet.json",
+            about="A list of rows by the columns of the `SELECT`, where it is asked by `--sql`.",
+        ),
     ] = False,
-    as_csv: AsCsv = False,
+    as_csv: Annotated[bool, typer.Option("--csv", help="Print the rows of --sql as CSV.")] = False,
 ) -> None:
     """Check, diagnose, compare and explain many logs.
 
@@ -82,7 +90,7 @@ def fleet(
     fleet FOLDER --sql "SELECT ..."` asks the tables that it leaves; nothing else is read.
     """
     if sql is not None:
-        print_answer(_one_folder(logs), sql, time_limit, as_json, as_csv)
+        _print_answer(_one_folder(logs), sql, time_limit, as_json, as_csv)
         return
     if as_csv:
         raise TwinError("fleet: --csv prints the rows of --sql. Give both, or neither.")
@@ -116,6 +124,36 @@ def _one_folder(given: list[str]) -> Path:
     if len(given) != 1:
         raise TwinError(f"fleet --sql: asks one folder that fleet wrote; {len(given)} are given.")
     return Path(given[0])
+
+
+def _print_answer(folder: Path, sql: str, time_limit_s: float, as_json: bool, as_csv: bool) -> None:
+    """Ask the tables of a fleet, and print the rows as a table, JSON or CSV; a table that is wider
+    than the terminal, a line per cell."""
+    from ..display import TextTable
+    from ..fleets.query import query
+
+    if as_json and as_csv:
+        raise TwinError("--json and --csv are both given. Choose one.")
+    answer = query(folder, sql, time_limit_s)
+    if as_json:
+        print_rows(answer.records())
+    elif as_csv:
+        writer = csv.writer(sys.stdout, lineterminator="\n")
+        writer.writerow(answer.names)
+        writer.writerows(["" if v is None else v for v in row] for row in answer.rows)
+    else:
+        table = TextTable(answer.names, tuple(tuple(map(_cell, r)) for r in answer.rows))
+        if table.width <= STDOUT.width:
+            print_table(table)
+        else:
+            STDOUT.print(table.upright(), soft_wrap=True)
+
+
+def _cell(value: object) -> str:
+    """As printed in a table."""
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _found(found: "JobRows") -> None:

@@ -13,17 +13,9 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import (
-    Exit,
-    Json,
-    Prints,
-    VehicleName,
-    needed_vehicle,
-    seconds,
-    start_values,
-)
+from .options import Exit, seconds, start_values
 from .printing import STDERR, STDOUT, print_json
-from .simulate import Model, three_numbers
+from .simulate import three_numbers
 
 if TYPE_CHECKING:
     from ..hil.flying import FlyingTwin
@@ -35,7 +27,6 @@ _PANEL = "With --hil"
 """Of the help, with options that mean nothing otherwise."""
 LISTEN = "tcpin:127.0.0.1:4560"
 """Where PX4 looks for its simulator."""
-Listen = Annotated[str, typer.Option(help="Where the autopilot connects to: tcpin:HOST:PORT.")]
 Rate = Annotated[
     float,
     typer.Option(rich_help_panel=_PANEL, help="HIL_SENSOR per second: 1000 over a whole number."),
@@ -49,7 +40,6 @@ Speed = Annotated[
 Patience = Annotated[
     float, seconds("So long an answer of the autopilot may take, s.", panel=_PANEL)
 ]
-Duration = Annotated[float | None, seconds("End at this simulated time, s.")]
 Place = Annotated[
     str | None,
     typer.Option(
@@ -77,28 +67,6 @@ Starts = Annotated[
 ]
 _YEAR = 2025.5
 """Of the magnetic field, as in vehicle files that give none."""
-
-
-def hil(
-    vehicle: VehicleName = None,
-    listen: Listen = LISTEN,
-    model: Model = None,
-    rate: Rate = 250.0,
-    speed: Speed = "1",
-    patience: Patience = 10.0,
-    duration: Duration = None,
-    place: Place = None,
-    wind: Wind = "0,0,0",
-    gusts: Gusts = False,
-    seed: Seed = 0,
-    effect: Effects = None,
-    start: Starts = None,
-    as_json: Annotated[Json, Prints(about="As of `live --hil`.")] = False,
-) -> None:
-    """Former name of `uavtwin live --hil`."""
-    shape = Shape(wind, gusts, seed, effect, start, place)
-    link = Link(listen, rate, speed, patience, duration)
-    print_hil(fly_hil(needed_vehicle(vehicle, "hil"), link, shape, model), as_json)
 
 
 @dataclass(frozen=True, slots=True)

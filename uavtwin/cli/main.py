@@ -30,11 +30,9 @@ from .explain import explain
 from .export import export
 from .fleet import fleet
 from .gap import gap
-from .hil import hil
 from .live import live
 from .options import Exit
 from .printing import STDERR, STDOUT, print_error
-from .query import query
 from .replay import replay
 from .serve import serve
 from .show import show
@@ -72,9 +70,10 @@ PANELS = {
 }
 """The verbs in the order of the help, by what somebody has at hand. A verb is a function in a file
 of its name, or a Typer application of further verbs, and a name here."""
-HIDDEN = (query, hil, version)
-"""What the help does not list: the former names of `fleet --sql` and `live --hil`, kept for one
-release, and what `--version` prints."""
+HIDDEN = (version,)
+"""What the help does not list: what `--version` prints."""
+FORMER = {"hil": ("live", "--hil"), "query": ("fleet",)}
+"""Names of verbs that are kept for one release, and what these are now."""
 
 VERBS = tuple(
     verb
@@ -115,7 +114,7 @@ def main() -> None:
     os.environ.update(dict.fromkeys(_BLAS_THREADS, "1"))
     try:
         with _temporary_files():
-            app(_spread(_checked(sys.argv[1:])))
+            app(_spread(_renamed(_checked(sys.argv[1:]))))
     except KeyboardInterrupt:
         _end_interrupted()
     except Exception as error:
@@ -156,6 +155,17 @@ def _checked(arguments: list[str]) -> list[str]:
             f"{file}. What a file holds: uavtwin check {file}. All verbs: uavtwin --help."
         )
     return arguments
+
+
+def _renamed(arguments: list[str]) -> list[str]:
+    """A former name as it is now; the SELECT of `query` is that of `--sql`."""
+    if not arguments or arguments[0] not in FORMER:
+        return arguments
+    first, *rest = arguments
+    if first == "query":
+        asked = (i for i, a in enumerate(rest) if a.lstrip().lower().startswith(("select", "with")))
+        rest.insert(next(asked, len(rest)), "--sql")
+    return [*FORMER[first], *rest]
 
 
 def _spread(arguments: list[str]) -> list[str]:
