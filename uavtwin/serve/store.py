@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from twin.errors import TwinError, install_command
-from twin.logs.ros.sources import MAPPING_SUFFIX
 from twin.vehicle_file import builtin_vehicles
 
 from ..output import output_file
@@ -40,6 +39,9 @@ LONGEST_NAME = 80
 """Characters of the name of a file."""
 LONGEST_TAGS = 200
 """Characters of the tags of a flight."""
+MAPPING_SUFFIX = ".topics.toml"
+"""Ending of the mapping file of a bag, as of `twin.logs.ros.sources`, which would bring pandas into
+the server."""
 FORMAT = 1
 """Of the tables; a store of another one is not opened."""
 _TABLES = f"""

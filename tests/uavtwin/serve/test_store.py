@@ -10,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.errors import TwinError
+from twin.logs.ros.sources import MAPPING_SUFFIX
+from uavtwin.serve import store as store_module
 from uavtwin.serve.store import MOST_TRIES, SHOWN, Store, safe_name
 
 pytestmark = pytest.mark.slow
@@ -261,3 +263,12 @@ def test_names_of_others_stay_in_their_folder(name: str) -> None:
 )
 def test_names(name: str, made: str) -> None:
     assert safe_name(name) == made
+
+
+def test_the_server_starts_light() -> None:
+    assert store_module.MAPPING_SUFFIX == MAPPING_SUFFIX
+    code = (
+        "import sys, uavtwin.serve.server; print({'pandas', 'scipy', 'pyarrow'} & {*sys.modules})"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "set()"
