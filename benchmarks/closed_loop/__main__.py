@@ -38,7 +38,8 @@ python -m benchmarks.closed_loop --out DIR --page docs/results/closed_loop.md
 
 Mean of estimate minus truth in posterior deviations, share of 95 % intervals that hold the truth,
 and in brackets the median width over that of the prior (1: not told); logs with an IMU, and of the
-pose alone; {seeds} flights a cell.
+pose alone; {seeds} flights a cell. Goals: 0.90 to 0.98, and a mean of 0.5 at most. The file's own
+numbers with the width of the prior hold the truth in all cells, and tell nothing (1).
 
 """
 GOALS = {
