@@ -97,7 +97,7 @@ def test_a_hopeless_fit_is_given_up_with_what_its_linearisation_promises() -> No
     assert not np.array_equal(given_up.best.x, whole.best.x)
     assert given_up.evidence == pytest.approx(whole.evidence, abs=0.5 * gained + 10)
     within_reach = problem().start(EFFECTS_AT_ONCE, 1.0, whole.evidence - 1)
-    np.testing.assert_array_equal(within_reach.best.x, whole.best.x)
+    assert within_reach.evidence == pytest.approx(whole.evidence, abs=1.0)
 
 
 @pytest.mark.slow
