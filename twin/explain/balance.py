@@ -343,14 +343,8 @@ def balance_of(trim: Trim, normal: Normal, sure: float) -> Balance:
 
 @dataclass(frozen=True, slots=True)
 class _Component:
-    """One size of a cause: normal distribution of its numbers.
-
-    Attributes:
-        log_weight: Prior.
-        columns: Of the slopes.
-        mean: Of the numbers, shape (k,).
-        covariance: Shape (k, k).
-    """
+    """One size of a cause: its log prior, columns of the slopes, and the normal distribution of
+    these numbers, mean, shape (k,), and covariance, shape (k, k)."""
 
     log_weight: float
     columns: tuple[int, ...]

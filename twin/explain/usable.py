@@ -321,12 +321,8 @@ def _upward(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) ->
 
 @dataclass(frozen=True, slots=True)
 class ObservableEffects:
-    """What a search can look for in a flight.
-
-    Attributes:
-        effects: By the component that they act on.
-        unknown: Effects that it cannot show, by what is missing, in words.
-    """
+    """What a search can look for in a flight: effects by the component that they act on; those
+    that it cannot show by what is missing, in words."""
 
     effects: dict[str, tuple[str, ...]]
     unknown: dict[str, tuple[str, ...]]

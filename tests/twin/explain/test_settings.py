@@ -115,10 +115,10 @@ LOCAL = {
         "inference.estimate.MOST_OF_PRIOR",
         "stochastic.search.LAG_S",
         "stochastic.search.SMALLEST_DRAG_1_S",
-        "inference.instruments.ANSWERED",
     },
     "which setpoints tell of an aircraft: tests of an instrument, with their sources": {
         "inference.instruments.ALIKE",
+        "inference.instruments.ANSWERED",
         "inference.instruments.CHANCE",
         "inference.instruments.DELAYS_S",
         "inference.instruments.F_LEAST",

@@ -27,13 +27,8 @@ Tried = dict[tuple[tuple[str, ...], float], float]
 
 @dataclass(frozen=True, slots=True)
 class SearchResult:
-    """The end of a search.
-
-    Attributes:
-        state: Where it ended.
-        laplace: All sets about it.
-        tried: Evidence of every set that was fitted on the way.
-    """
+    """The end of a search: where it ended, all sets about it, and the log posterior of every set
+    that was fitted on the way."""
 
     state: State
     laplace: LaplaceEvidence

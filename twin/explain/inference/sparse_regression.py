@@ -41,13 +41,8 @@ TURNING: Unit = {"rad": 1, "s": -1}  # rad/s
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One quantity of one flight.
-
-    Attributes:
-        unit: Powers of base units.
-        values: On the grid, shape (n,).
-        degree: 2: it may be multiplied with others; 1: it stands alone.
-    """
+    """One quantity of one flight on the grid, shape (n,), with powers of its base units; of degree
+    2 it may be multiplied with others, of degree 1 it stands alone."""
 
     unit: Unit
     values: Array

@@ -55,15 +55,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class FlightContext:
-    """A flight and its twin.
-
-    Attributes:
-        flight: As read.
-        vehicle: The model as it stands.
-        aligned: On the grid.
-        effects: Effects in the equations, all switched on.
-        numbers: Every number, in the order of the prediction's.
-    """
+    """A flight as read and on the grid, the model as it stands, effects in the equations, all
+    switched on, and every number in the order of the prediction's."""
 
     flight: Flight
     vehicle: Vehicle

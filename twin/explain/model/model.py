@@ -143,6 +143,7 @@ class FlightModel:
         self._resting: dict[int, list[ChannelData]] = {}
         self._predicted: dict[tuple[int, bool], Array] = {}
         self._rates: dict[int, GridSpline] = {}
+        self._shown: dict[tuple[int, bytes], tuple[Array, Array]] = {}
         self._sensed: dict[int, dict[int, tuple[bytes, Array]]] = {}
         self._values: dict[tuple[Hashable, ...], tuple[Array, tuple[Array, ...]]] = {}
 
@@ -208,18 +209,26 @@ class FlightModel:
                 shown = self._logged(factor.as_logged, columns, theta, predicted, slopes)
                 return shown[0][:, factor.axes], shown[1][:, factor.axes]
         else:
-            # Numbers change what is clean: a scale below one would damp the noise of the pose.
-            at = factor.batch.value(theta, factor.at)
-            more = (at - self._standing(k, factor.at))[:, factor.outputs]
+            made, most = partial(self._sensed_values, k, theta), RECENT * len(self.factors)
+            predicted, at = remembered(self._shown, (k, theta.tobytes()), made, most)
             slopes = self._sensed_slopes(k, columns, theta)
-            predicted, at = self._clean(k, theta)[:, factor.outputs], at[:, factor.outputs]
-            more = factor.seen(more[:, :, None])[:, :, 0]
-            if factor.carried is not None:
-                more = more + factor.carried
-            predicted = predicted + more
             if factor.turning is not None and at_imu is not None:
                 at = at_imu[0][:, factor.outputs]
         return self._in_time(k, columns, theta, predicted, slopes, at)
+
+    def _sensed_values(self, k: int, theta: Array) -> tuple[Array, Array]:
+        """Prediction of a part that the pose predicts, and the one where its slopes are taken.
+
+        Numbers change what is clean: a scale below one would damp the noise of the pose.
+        """
+        factor = self.factors[k]
+        assert factor.batch is not None
+        at = factor.batch.value(theta, factor.at)[:, factor.outputs]
+        more = at - self._standing(k, factor.at)[:, factor.outputs]
+        more = factor.seen(more[:, :, None])[:, :, 0]
+        if factor.carried is not None:
+            more = more + factor.carried
+        return self._clean(k, theta)[:, factor.outputs] + more, at
 
     def _sensed_slopes(self, k: int, columns: Sequence[int], theta: Array) -> Array:
         """Slopes of a part that the pose predicts, where its readings are known; by a number anew

@@ -95,13 +95,8 @@ def _both(a: Mask, b: Mask) -> Mask:
 
 
 class EffectStates:
-    """States that effects have in a sensor, integrated over its inputs.
-
-    Attributes:
-        sensor: Built with the effects.
-        index: Positions of the states.
-        numbers: Positions of the numbers that they answer to.
-    """
+    """States that effects have in a sensor, integrated over its inputs: their positions, and those
+    of the numbers that they answer to."""
 
     def __init__(
         self, sensor: Component, effects: Sequence[str], numbers: Sequence[Number]

@@ -66,13 +66,8 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """Spectrogram of one piece.
-
-    Attributes:
-        t_s: Middle of each window, shape (m,).
-        f_hz: Shape (n,).
-        power: Density per window, axis and frequency, unit^2/Hz, shape (m, 3, n).
-    """
+    """Spectrogram of one piece: density per window, axis and frequency, unit^2/Hz, shape (m, 3,
+    n), at the middle of each window, shape (m,), and at frequencies, shape (n,)."""
 
     t_s: Array
     f_hz: Array
