@@ -8,6 +8,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cosim.whole_twin import fused_model
 from fmus import build
@@ -17,7 +18,7 @@ from learning.force.equations import Equations
 from learning.force.laws import RIDGES, Taught
 from learning.force.model import RidgeScore
 from learning.force.rollout import fitted, rolled
-from learning.force.windows import HORIZONS_S, FlightWindows, sizes
+from learning.force.windows import HORIZONS_S, FlightWindows, accelerometer_confirms, sizes
 from twin.flight.assembly import driven_twin
 from twin.logs import Flight
 from twin.physics.residual_force import FEATURES, OUTPUTS
@@ -114,6 +115,22 @@ def test_slopes_are_differences(taught: Taught) -> None:
     there = (more - less) / 2
     along = slopes @ step.ravel()
     assert np.sqrt(np.mean((along - there) ** 2)) < 0.05 * np.sqrt(np.mean(there**2))
+
+
+@pytest.mark.slow
+def test_the_accelerometer_tells_a_force_from_a_tilted_attitude(taught: Taught) -> None:
+    """The drag that is missing, and 3 degrees that the attitude of a flight without it is off."""
+    assert accelerometer_confirms(taught.flights)
+    own = fly(COPTER, COPTER, 1, "own", ROUND)
+    q, table = ["q_x", "q_y", "q_z", "q_w"], own.table.copy()
+    known = table[q].notna().all(axis=1)
+    tilted = Rotation.from_quat(table.loc[known, q]) * Rotation.from_euler("xy", [3, -3], True)
+    table.loc[known, q] = tilted.as_quat()
+    windows_of = FlightWindows.of(replace(own, table=table), COPTER, taught.equations)
+    lacks = np.abs(windows_of.lacks[:, :2]).mean(axis=0)
+    assert (lacks > 0.5 * COPTER.gravity_m_s2 * np.sin(np.radians(3))).all()
+    assert not accelerometer_confirms([windows_of])
+    assert not Taught.by([windows_of], taught.equations).path()[:, :2].any()
 
 
 @pytest.mark.slow
