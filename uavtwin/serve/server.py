@@ -230,8 +230,8 @@ class Site:
             last: What the last demonstration came to; "": there was none.
         """
         text = (
-            "Nothing flies: this server reads logs. The demonstration simulates an aircraft that "
-            "damages a rotor in mid-flight, and shows it here beside its twin. For your own "
+            "Nothing flies: this server reads logs. The demonstration simulates a flight in which "
+            "a rotor is damaged, and shows it here beside its twin. For your own "
             "aircraft end this server, and start uavtwin live --vehicle FILE "
             f"--store {self._store.folder.name}: the same flights, and what it hears on this page."
         )
