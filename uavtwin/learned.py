@@ -300,13 +300,13 @@ def _force_training(
     from .model_card import write_card
 
     check_force_options(
-        wanted.model,
-        wanted.preset,
-        wanted.horizon,
-        wanted.rate_hz,
-        wanted.epochs,
-        wanted.device,
-        wanted.law,
+        model=wanted.model,
+        preset=wanted.preset,
+        horizon=wanted.horizon,
+        rate=wanted.rate_hz,
+        epochs=wanted.epochs,
+        device=wanted.device,
+        law=wanted.law,
     )
     if (out / "model.json").is_file():
         raise TwinError(f"{out}: holds a compensator of the sensors. Choose another folder.")

@@ -38,29 +38,12 @@ _DEFAULTS = {
 """Options of `train` that a learned force has not."""
 
 
-def check_force_options(
-    model: str | None,
-    preset: str | None,
-    horizon: int,
-    rate: float | None,
-    epochs: int | None,
-    device: str,
-    law: Path | None,
-) -> None:
-    """Refuse options of a training that has none of them.
+def check_force_options(**given: object) -> None:
+    """Refuse options of a training that has none of them, by the names of `_DEFAULTS`.
 
     Raises:
         TwinError: One is given.
     """
-    given = {
-        "model": model,
-        "preset": preset,
-        "horizon": horizon,
-        "rate": rate,
-        "epochs": epochs,
-        "device": device,
-        "law": law,
-    }
     for name, value in given.items():
         if value != _DEFAULTS[name]:
             raise TwinError(
