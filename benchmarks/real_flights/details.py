@@ -222,16 +222,15 @@ def wishes(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
         lines.append((case["holdout"], *drag, *parts, _clocks(case), _flown(case), *said))
     head = (
         *("held out", "drag, 1/s", "by least squares"),
-        *(f"`{full.partition('.')[0]}`, where it is there" for full, _, _ in TOLD),
+        *(f"`{full.partition('.')[0]}`, if there" for full, _, _ in TOLD),
         *(CLOCKS, "missions flown"),
         *(f"`{a}` about its mean, rad/s²" for a in axes),
     )
     text = (
-        f"Drag is `rotor_drag.k_xy_1_s` and {GRAVITY:g} times `blade_flapping.k_rad_s_m` together, "
-        f"means over all sets, 0 where an effect is not there. The trivial rule beside it: least "
-        f"squares of specific force across the thrust on velocity, by nothing else. Lag is that on "
-        f"top of the file's. Clocks are those of the pose that stand out of the day, in the order "
-        f"of the flights. Wished for: at most {goal:g} rad/s² about the flight's own mean; *: more."
+        f"Drag: `rotor_drag.k_xy_1_s` and {GRAVITY:g} times `blade_flapping.k_rad_s_m` together, "
+        f"means over all sets; beside it the trivial rule, least squares of specific force on "
+        f"velocity. Lag: on top of the file's. Wished for: at most {goal:g} rad/s² about the mean; "
+        f"*: more."
     )
     return [*section(RETURNED), text, "", *table(head, lines)]
 

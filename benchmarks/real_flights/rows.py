@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import sqrt
 from pathlib import Path
 
-from .details import RETURNED, figure, table
+from .details import RETURNED, TURNING, figure, table
 
 HEAD = Path(__file__).with_name("protocol.md").read_text("utf-8")
 LABELLED = Path(__file__).parents[2] / "docs" / "results" / "labelled_flights.md"
@@ -136,13 +136,14 @@ def _overview(every: Sequence[Row]) -> list[str]:
 
 
 def _returned(every: Sequence[Row]) -> list[str]:
-    """Rotation by rotation what a scenario with a goal asks for."""
+    """Rotation by rotation what a scenario with a goal asks for, angular acceleration left out."""
     own = [r for r in every if r.get("section") == RETURNED]
     text = [r["remark"] for r in own if "remark" in r]
     lines = [{k: v for k, v in r.items() if k not in PLACE} for r in own if "remark" not in r]
     if not lines:
         return []
-    shown = table(tuple(lines[0]), (tuple(line.values()) for line in lines))
+    head = [k for k in lines[0] if not k.startswith(TURNING)]
+    shown = table(head, ([line[k] for k in head] for line in lines))
     return ["", f"## {own[0]['scenario']}: rotations", "", *text, "", *shown]
 
 
