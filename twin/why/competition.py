@@ -25,11 +25,12 @@ from .causes import (
     LOSSES_OF_ALL,
     MASS,
     MASSES,
+    NOTHING,
     PUSH,
     SHARE,
     Name,
 )
-from .evidence import BLOWS_S, Evidence, Window
+from .evidence import BLOWS_S, Evidence, Names, Window
 from .flight import Array
 from .noise import Places
 from .sideways import Sideways, alongside
@@ -148,7 +149,7 @@ class Competition:
         high: int,
         window: tuple[int, int] | None = None,
         *,
-        fine: bool = False,
+        which: Names = "coarse",
         air: tuple[Array, Array, Array] | None = None,
     ) -> "Odds":
         """Of all names at onsets.
@@ -158,19 +159,20 @@ class Competition:
             low: First interval that counts.
             high: Behind the last.
             window: One for all of these onsets, so that they compare; None: each has its own.
-            fine: Whether all names and sizes compete, as in `Evidence.names`.
+            which: Names that compete.
             air: Evidence of the axes across the thrust, if it is known.
         """
         own = self._window(onsets, low, high)
         start, end = own if window is None else (np.full_like(onsets, w) for w in window)
-        w, names = Window(start, onsets, end), self.evidence.names(fine)
-        sizes = self.evidence.by_size(w, fine)
+        w, names = Window(start, onsets, end), self.evidence.names(which)
+        sizes = self.evidence.by_size(w, which)
         if air is None:
             air = self._sideways.evidence(start, onsets, end, BLOWS_S)
         still, lasting, passing = air
-        sizes[Name(BLOW)] = sizes[Name(BLOW)] + passing - still[:, None]
-        sizes[Name(PUSH)] = sizes[Name(PUSH)] + np.outer(lasting - still, ACROSS)
-        sizes[Name(ALL)] = sizes[Name(ALL)] + self._by_voltage[onsets]
+        if which != "growing":
+            sizes[Name(BLOW)] = sizes[Name(BLOW)] + passing - still[:, None]
+            sizes[Name(PUSH)] = sizes[Name(PUSH)] + np.outer(lasting - still, ACROSS)
+            sizes[Name(ALL)] = sizes[Name(ALL)] + self._by_voltage[onsets]
         each = np.array([logsumexp(sizes[n], axis=1) - np.log(sizes[n].shape[1]) for n in names])
         each += _log_odds(names)[:, None]
         body, calm = self.evidence.unchanged(w), self._sideways.unchanged(start, end)
@@ -225,27 +227,22 @@ class Competition:
         if event.name.cause not in FINAL and body.last - event.place > body.places(AFTER_S):
             yield from self._within(event.place + body.places(APART_S[1]), high, depth + 1)
 
-    def _earliest(self, tried: Places, best: int, low: int, high: int) -> int:
+    def _earliest(
+        self, screening: Sequence["Competition"], tried: Places, best: int, low: int, high: int
+    ) -> int:
         """The best of the onsets about one, all on one window: of two onsets that each explain what
         follows, the window of the later one shows more of it."""
-        reach = self.body.places(AFTER_S)
-        near = tried[np.abs(tried - best) < reach]
-        nats, _ = self._compared(near, low, high)
-        return int(near[np.argmax(nats[1:].max(axis=0))])
-
-    def _compared(
-        self, near: Places, low: int, high: int, *, fine: bool = False
-    ) -> tuple[Array, Odds]:
-        """Nats of each name over nothing at onsets near each other, shape (names, onsets)."""
-        found = self.odds(near, low, high, self._about(near, low, high), fine=fine)
-        return found.odds - found.nothing.max(axis=1)[:, None], found
+        near = tried[np.abs(tried - best) < self.body.places(AFTER_S)]
+        window = self._about(near, low, high)
+        nats = [_over_nothing(c.odds(near, low, high, window))[1:] for c in screening]
+        return int(near[np.argmax(np.max(nats, axis=(0, 1)))])
 
     def _unusual(self, near: Places, low: int, high: int) -> tuple[float, float]:
         """Nats over their levels of gusts and of everything else, at the best of onsets near each
         other, which say that something is unusual; all names and sizes say what. A gust has its
         own, since gusts are usual."""
-        nats, found = self._compared(near, low, high)
-        over = (nats - self.asked(found.names, near)).max(axis=1)
+        found = self.odds(near, low, high, self._about(near, low, high))
+        over = (_over_nothing(found) - self.asked(found.names, near)).max(axis=1)
         gust = np.array([n.cause == BLOW for n in found.names])
         return float(over[gust].max()), float(over[1:][~gust[1:]].max())
 
@@ -266,11 +263,11 @@ class Competition:
             return
         start, end = self._window(tried, low, high)
         air = self._sideways.evidence(start, tried, end, BLOWS_S)
-        screened = [Competition(b)._over(tried, low, high, air) for b in self.body.screening()]
-        over = np.max(screened, axis=0)
+        screening = [Competition(b) for b in self.body.screening()]
+        over = np.max([c._over(tried, low, high, air) for c in screening], axis=0)
         while over.max() >= -SCREENED:
             place = int(tried[np.argmax(over)])
-            yield self._earliest(tried, place, low, high)
+            yield self._earliest(screening, tried, place, low, high)
             over[np.abs(tried - place) < self.body.places(AFTER_S)] = -np.inf
 
     def onset_at(self, place: int, low: int, high: int, since: int = 0) -> Onset | None:
@@ -309,30 +306,26 @@ class Competition:
         gust, other = self._unusual(near[near >= at_once], low, high)
         if max(gust, other) < 0:
             return None
-        nats, found = self._compared(near, low, high, fine=True)
-        grows = np.array([n.grows for n in found.names])
-        nats[~grows[:, None] & (near < at_once)] = -np.inf
-        best = np.argmax(nats, axis=1)  # of each name its own onset
-        rows = np.arange(len(best))
-        weighed = (nats[rows, best] + found.across[rows, best])[1:]
-        unusual = expit([gust if n.cause == BLOW else other for n in found.names[1:]])
+        window = self._about(near, low, high)
+        at_all: tuple[tuple[Places, Names], ...]
+        at_all = (near[near >= at_once], "fine"), (near, "growing")
+        best = [
+            b
+            for onsets, which in at_all
+            for b in _Best.each(self.odds(onsets, low, high, window, which=which), onsets)
+        ]
+        weighed = np.array([b.nats + b.across for b in best])
+        unusual = expit([gust if b.name.cause == BLOW else other for b in best])
         p = np.exp(weighed - logsumexp(weighed)) * unusual
-        p = np.concatenate([[1.0 - p.sum()], p])
         order = np.argsort(-p, kind="stable")
-        k = int(order[0])
-        m, name = int(best[k]), found.names[k]
-        if k == 0 or nats[k, m] < 0:
+        first = best[int(order[0])]
+        if p[order[0]] < 1.0 - p.sum() or first.nats < 0:
             return None
-        start, end = self._about(near, low, high)
-        window = Window(*(np.array([x]) for x in (start, int(near[m]), end)))
-        sizes, grows_s = self._sizes(name, found.sizes[name][m], window)
-        return Onset(
-            int(near[m]),
-            _joined((found.names[i], float(p[i])) for i in order),
-            float(nats[k, m]),
-            sizes,
-            grows_s,
-        )
+        at = Window(*(np.array([x]) for x in (window[0], first.place, window[1])))
+        sizes, grows_s = self._sizes(first.name, first.sizes, at)
+        named = [(best[i].name, float(p[i])) for i in order]
+        named.append((Name(NOTHING), float(1.0 - p.sum())))
+        return Onset(first.place, _joined(named), first.nats, sizes, grows_s)
 
     def _sizes(
         self, name: Name, evidence: Array, window: Window
@@ -348,6 +341,40 @@ class Competition:
             return _posterior(sizes, log_p), 0.0
         by_time = logsumexp(log_p.reshape(len(GROWS_S), -1), axis=1)
         return _posterior(sizes, log_p), GROWS_S[int(np.argmax(by_time))]
+
+
+def _over_nothing(found: Odds) -> Array:
+    """Nats of each name over nothing at onsets near each other, shape (names, onsets)."""
+    return np.asarray(found.odds - found.nothing.max(axis=1)[:, None])
+
+
+@dataclass(frozen=True, slots=True)
+class _Best:
+    """A name at the best of its onsets.
+
+    Attributes:
+        name: Which.
+        place: Interval of the onset.
+        nats: Over nothing.
+        across: As of `Odds`.
+        sizes: Log evidence of its sizes.
+    """
+
+    name: Name
+    place: int
+    nats: float
+    across: float
+    sizes: Array
+
+    @classmethod
+    def each(cls, found: Odds, onsets: Places) -> list["_Best"]:
+        """Of all names but nothing."""
+        nats = _over_nothing(found)
+        return [
+            cls(n, int(onsets[m]), float(x[m]), float(a[m]), found.sizes[n][m])
+            for n, x, a in zip(found.names[1:], nats[1:], found.across[1:], strict=True)
+            for m in [int(np.argmax(x))]
+        ]
 
 
 def _log_odds(names: Sequence[Name]) -> Array:

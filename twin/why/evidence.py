@@ -10,6 +10,7 @@ the log evidence is believed (`TEMPER`): intervals are neither Gaussian nor free
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
@@ -87,6 +88,11 @@ DISAGREES = (0.02, 0.1, 0.2, 0.4)
 """Deviations of a size by one channel from that by another, over the size, alike probable."""
 
 
+Names = Literal["coarse", "fine", "growing"]
+"""Sets of names: with few losses of one rotor, while an onset is looked for; with all losses, two
+rotors too; losses that grow alone."""
+
+
 @dataclass(frozen=True, slots=True)
 class Window:
     """What onsets are weighed on, as places; shape (onsets,) each.
@@ -112,10 +118,12 @@ class Evidence:
         self._growing = losses_of_one(body.rotors, COARSE_LOSSES, grows=True)
         self._single = (NOTHING, ALL, MASS, PUSH, BLOW)
 
-    def names(self, fine: bool) -> tuple[Name, ...]:
-        """All names, nothing first; not fine: without two rotors and without losses that grow."""
-        rotors = [*self._fine, *self._growing] if fine else self._coarse
+    def names(self, which: Names) -> tuple[Name, ...]:
+        """Those of a set, nothing first."""
         first, *rest = map(Name, self._single)
+        if which == "growing":
+            return (first, *(x.name for x in self._growing))
+        rotors = self._fine if which == "fine" else self._coarse
         return (first, *(x.name for x in rotors), *rest)
 
     def lost(self, name: Name) -> Array:
@@ -131,14 +139,14 @@ class Evidence:
         lengths = (max(self.body.places(s), 1) for s in BLOWS_S)
         return [np.minimum(window.onset + m, window.end) for m in lengths]
 
-    def by_size(self, window: Window, fine: bool) -> dict[Name, Array]:
-        """Log evidence of every size of every name, shape (onsets, sizes).
+    def by_size(self, window: Window, which: Names) -> dict[Name, Array]:
+        """Log evidence of every size of every name of a set, shape (onsets, sizes).
 
         Those of a force or moment are: of all channels; of roll and pitch alone; of none of these,
         which acts across the thrust.
         """
         by_law = [
-            {n: sum(each[1:], each[0]) for n, each in self._by_channel(law, window, fine).items()}
+            {n: sum(each[1:], each[0]) for n, each in self._by_channel(law, window, which).items()}
             for law in self.body.laws
         ]
         return {n: logsumexp([x[n] for x in by_law], axis=0) for n in by_law[0]}
@@ -146,14 +154,14 @@ class Evidence:
     def sizes_apart(self, name: Name, window: Window) -> Array:
         """Log posterior of the sizes of a name at one onset, where each channel may see another
         size: their model errors differ. Shape (sizes,)."""
-        lost = self.lost(name)
+        lost, which = self.lost(name), "growing" if name.grows else "fine"
         apart = np.linalg.norm(lost[:, None] - lost, axis=2) / np.linalg.norm(lost, axis=1)[:, None]
         if name.grows:
             group = np.repeat(np.arange(len(GROWS_S)), len(lost) // len(GROWS_S))
             apart[group[:, None] != group] = np.inf
         total = []
         for law in self.body.laws:
-            each = np.array(self._by_channel(law, window, True)[name])[:, 0]
+            each = np.array(self._by_channel(law, window, which)[name])[:, 0]
             for spread in DISAGREES:
                 near = -0.5 * (apart / spread) ** 2
                 near -= logsumexp(near, axis=1)[:, None]
@@ -171,27 +179,25 @@ class Evidence:
         laws = [sum(of(law, j) for j in range(4)) for law in self.body.laws]
         return np.asarray(logsumexp(laws, axis=0))
 
-    def _by_channel(self, law: ThrustLaw, w: Window, fine: bool) -> dict[Name, list[Array]]:
+    def _by_channel(self, law: ThrustLaw, w: Window, which: Names) -> dict[Name, list[Array]]:
         """Of each size of each name by one law, of each channel, shape (onsets, sizes)."""
-        channels = [_Channel(self, law, j, w, fine) for j in range(4)]
-        rotors = self.body.rotors
-        losses = self._fine if fine else self._coarse
-        one = np.ones((1, rotors))
+        channels = [_Channel(self, law, j, w, which != "coarse") for j in range(4)]
+        one = np.ones((1, self.body.rotors))
+        if which == "growing":
+            grown = [c.growing(self._growing) for c in channels]
+            found = {x.name: [g[i] for g in grown] for i, x in enumerate(self._growing)}
+            return {Name(NOTHING): [c.scaled(one) for c in channels]} | found
+        losses = self._fine if which == "fine" else self._coarse
         edges = np.cumsum([1, *(len(x.lost) for x in losses)])
         left = np.concatenate([one, *(1 - x.lost for x in losses)])
         scaled = [c.scaled(left) for c in channels]
         pushed = [c.pushed() for c in channels]
         base = [s[:, :1] for s in scaled]
-        weak = [c.scaled((1 - LOSSES_OF_ALL)[:, None] * one) for c in channels]
         found = {Name(NOTHING): base}
         for x, a, b in zip(losses, edges[:-1], edges[1:], strict=True):
             found[x.name] = [s[:, a:b] for s in scaled]
-        if fine:
-            grown = [c.growing(self._growing) for c in channels]
-            for i, x in enumerate(self._growing):
-                found[x.name] = [g[i] for g in grown]
         heavy = channels[0].scaled(one / (1 + MASSES)[:, None])
-        found[Name(ALL)] = weak
+        found[Name(ALL)] = [c.scaled((1 - LOSSES_OF_ALL)[:, None] * one) for c in channels]
         found[Name(MASS)] = [heavy, *(c.loaded() for c in channels[1:3]), base[3]]
         kinds = zip(pushed, base, TURNS, strict=True)
         found[Name(PUSH)] = [np.hstack([p, p if turns else b, b]) for p, b, turns in kinds]
