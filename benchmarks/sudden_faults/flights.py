@@ -27,7 +27,9 @@ from benchmarks.hidden_effects.plants.own.physics import (
 from benchmarks.hidden_effects.plants.sensing import flight_table
 from benchmarks.hidden_effects.plants.third_party import CRAZYFLIES, Crazyflies, crazyflie
 from twin.logs import Flight
+from twin.logs.airframe import Airframe
 from twin.logs.columns import ACC, GYRO, MAG, motor_columns
+from twin.vehicle import layouts
 
 from .kinds import KINDS, NOTHING, Fault
 from .rotorpy import hummingbird, hummingbird_dynamics
@@ -41,6 +43,8 @@ WIND_M_S, GUST_SHARE = 3.0, 0.1
 """Largest mean wind, and standard deviation of the turbulence over it; a third for an aircraft
 below `LIGHT_KG`."""
 LIGHT_KG = 0.1
+RING = 6
+"""Rotors of the aircraft that numbers them round the ring, as no autopilot does by itself."""
 FULL_TURN = 2 * np.pi
 
 
@@ -193,7 +197,16 @@ def _flown(plant: str, aircraft: Aircraft, keys: Sequence[Key]) -> Iterator[Flow
     for i, (key, order, fault) in enumerate(zip(keys, orders, faults, strict=True)):
         table = _table(order, trace, i, fault, key.rate_hz)
         name = f"{key.kind or 'nothing'}_{key.size:g}_{key.seed}"
-        yield Flown(Flight(name, table), fault.begins_s, tuple(r + 1 for r in fault.rotors))
+        flight = Flight(name, table, airframe=_stated(aircraft))
+        yield Flown(flight, fault.begins_s, tuple(r + 1 for r in fault.rotors))
+
+
+def _stated(aircraft: Aircraft) -> Airframe | None:
+    """What the log says of the rotors: where they are numbered in no usual order, all."""
+    if len(aircraft.nominal.hubs) != RING:
+        return None
+    hubs, direction = aircraft.nominal.hubs, aircraft.nominal.direction
+    return Airframe(layout=layouts.Layout(hubs, direction, metric=True, sd=0.0, source="stated"))
 
 
 def _drawn(aircraft: Aircraft, key: Key) -> tuple[Order, Fault]:

@@ -291,13 +291,15 @@ class Body:
             return ""
         law = self.laws[0]
         gain, margin = law.gain[1:3], SURELY * law.gain_sd[1:3]
+        order = layout.source.removesuffix("; scaled")
         if np.any(gain + margin < 0):
-            order = layout.source.removesuffix("; scaled")
             return (
                 f"the body turns against the commands, as with rotors in another order than {order}"
             )
         if np.all(gain + margin < LEAST_GAIN * GRAVITY_M_S2 / abs(law.usual[0])):
             return "the gyroscope does not follow the commands"
+        if np.any(gain - margin < 0):
+            return f"it is not sure that the body turns as rotors in the order of {order} turn it"
         return ""
 
     @cached_property

@@ -9,12 +9,13 @@ from scipy.ndimage import gaussian_filter1d
 
 from benchmarks.sudden_faults.answers import trivial_rule
 from benchmarks.sudden_faults.built_in import Planted
+from benchmarks.sudden_faults.kinds import GUST_S
 from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, POS
 from twin.vehicle.layouts import frame
 from twin.vehicle_file import load_vehicle
 from twin.why.body import Body
-from twin.why.causes import ROTOR, Name
+from twin.why.causes import BLOW, ROTOR, Name
 from twin.why.competition import Competition, drop
 from twin.why.diagnose import FINDERS, diagnose
 from twin.why.findings import Findings
@@ -95,6 +96,15 @@ def test_a_mass_that_drops(size: float, seed: int, rate_hz: float) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_gust_is_no_force_that_lasts(seed: int) -> None:
+    flight, begins_s, _ = Planted("gust", 12.0, seed).flown()
+    (first,) = found_in(flight).events
+    assert first.cause == BLOW and first.onset_s is not None
+    assert first.onset_s == pytest.approx(begins_s - 2 * GUST_S, abs=0.5)
+
+
+@pytest.mark.slow
 def test_gusts_landings_and_punches_are_no_events() -> None:
     found = found_in(Planted("", 1.0, 301, 50.0).flown()[0])
     assert found.events == []
@@ -141,6 +151,7 @@ def driven(authority: float = 60.0, jitter: float = 0.03) -> Flight:
         (driven(), [0, 1, 2, 3], ""),
         (driven(), [1, 0, 3, 2], "in another order than the vehicle file"),
         (driven(authority=0.5), [0, 1, 2, 3], "the gyroscope does not follow the commands"),
+        (driven(jitter=1e-4), [0, 1, 2, 3], "it is not sure that the body turns"),
         (driven(jitter=0.0), [0, 1, 2, 3], "the commands of the rotors never change"),
     ],
 )
