@@ -154,7 +154,8 @@ class Evidence:
     def sizes_apart(self, name: Name, window: Window) -> Array:
         """Log posterior of the sizes of a name at one onset, where each channel may see another
         size: their model errors differ. Shape (sizes,)."""
-        lost, which = self.lost(name), "growing" if name.grows else "fine"
+        lost = self.lost(name)
+        which: Names = "growing" if name.grows else "fine"
         apart = np.linalg.norm(lost[:, None] - lost, axis=2) / np.linalg.norm(lost, axis=1)[:, None]
         if name.grows:
             group = np.repeat(np.arange(len(GROWS_S)), len(lost) // len(GROWS_S))
