@@ -155,7 +155,7 @@ def _agreeing(every: Sequence[Row]) -> list[str]:
             continue
         cells = [v for k, v in row.items() if k.startswith("without ") and v != "-"]
         values = sorted(float(c.split()[0].rstrip("*")) for c in cells)
-        span = " to ".join(dict.fromkeys(figure(v) for v in (values[0], values[-1])))
+        span = "…".join(dict.fromkeys(figure(v) for v in (values[0], values[-1])))
         number = f"`{row['number']}`, {row['unit']}"
         lines.append((row["scenario"], number, span, str(len(cells))))
     head = ("scenario", "number, unit", "values", "rotations")
