@@ -4,7 +4,8 @@
     R_d = thrust along a - g, nose at the yaw setpoint
     dω/dt = k_θ θ(R -> R_d) - k_ω ω - k_α α,   lift = (a - g) . thrust axis
 
-The moment with which the air turns an aircraft that moves through it is taken off dω/dt.
+The moment with which the air turns an aircraft that moves through it is taken off dω/dt: what its
+velocity makes in still air, and what the wind adds, which the body rates tell (`_AirMoment`).
 
 For small errors this is the state feedback of `Gains` (dividing its position gains by that
 of the tilt gives k_p, k_v, k_i), so hover is optimal in its sense; the detour by a desired
@@ -254,6 +255,9 @@ LEAST_LIFT = 1.05
 """Thrust over weight that a weak vehicle uses all the same. All made up."""
 LEAST_AIR_MOMENT_RAD_M_S = 0.1
 """A smaller moment of the air tilts no aircraft at 10 m/s by as much as a gust does. Made up."""
+LEAST_AIR_MOMENT_S = 0.1
+"""Time constant with which the moment of the wind is learned behind rotors without a lag. Made up:
+gusts are slower, gyroscopes quicker."""
 RELEASE_1_S = 20.0
 """Rate at which integrals are forgotten while disarmed. Made up."""
 Vector = list[ca.SX]
@@ -277,33 +281,66 @@ def controller(vehicle: Vehicle) -> Component:
     if lag is not None:
         lift, *turn = lag.led([lift, *turn], gains)
     unit = "rad/s" if vehicle.drive == "rotor_speed" else "1"
-    air = _air_moment(m, s, hover)
-    asked = [t - a for t, a in zip(turn, air, strict=True)]
+    air = _AirMoment(m, s, hover) if _turned_by_air(hover) else None
+    asked = turn if air is None else [t - a for t, a in zip(turn, air.angular, strict=True)]
     mixed = mix(m, gains.mixer_n, inverse, unit, lift, asked)
+    settled = mixed.angular
+    if air is not None:
+        settled = [t + a for t, a in zip(mixed.angular, air.angular, strict=True)]
+        air.follow(settled if lag is None else lag.turn)
     if lag is not None:
-        settled = [mixed.lift, *(t + a for t, a in zip(mixed.angular, air, strict=True))]
-        lag.follow([ca.if_else(s.armed, v, 0.0) for v in settled])
+        lag.follow([ca.if_else(s.armed, v, 0.0) for v in (mixed.lift, *settled)])
     declare_drives(m, vehicle.drive, [ca.if_else(s.armed, v, 0.0) for v in mixed.inputs])
     return m.build()
 
 
-def _air_moment(m: ComponentBuilder, s: Signals, hover: Hover) -> Vector:
-    """Angular acceleration that the air gives at this velocity in still air, rad/s2, body axes.
+def _turned_by_air(hover: Hover) -> bool:
+    return bool(np.abs(hover.air_moment_rad_m_s).max() >= LEAST_AIR_MOMENT_RAD_M_S)
 
-    Below `LEAST_AIR_MOMENT_RAD_M_S` the controller has no parameters for it.
+
+class _AirMoment:
+    """Angular acceleration that the air gives, rad/s2, body axes: `k v + l`.
+
+    `k v` is that of the velocity in still air. `l` is what the wind adds to roll and pitch: the
+    part of the body rates that the modelled angular acceleration does not explain, times a gain,
+
+        l = (omega - z) / T,   dz/dt = modelled angular acceleration,
+
+    so that a steady wind leaves no attitude error. A quarter of T is at least the lag of the
+    rotors, with which the loop is critically damped: T lag s^2 + T s + 1 = 0 has no oscillation.
+
+    Source: disturbance observer without differentiation, Ohnishi, Shibata & Murakami, IEEE/ASME
+    Trans. Mechatronics 1 (1996), 56-67.
     """
-    roll, pitch = (float(k) for k in hover.air_moment_rad_m_s)
-    if max(abs(roll), abs(pitch)) < LEAST_AIR_MOMENT_RAD_M_S:
-        return [ca.SX(0)] * 3
-    ahead, right, _ = to_body(s.q_nb, s.vel)
-    k_roll, k_pitch = (
-        m.parameter(f"air_moment.{axis}", value, "rad/(m.s)", f"Angular acceleration about {text}")
-        for axis, value, text in (
-            ("x", roll, "forward per speed to the right"),
-            ("y", pitch, "right per speed forward"),
+
+    def __init__(self, m: ComponentBuilder, s: Signals, hover: Hover) -> None:
+        self._m, self._s = m, s
+        ahead, right, _ = to_body(s.q_nb, s.vel)
+        time = m.parameter(
+            "air_moment.time",
+            max(4.0 * hover.lag_s, LEAST_AIR_MOMENT_S),
+            "s",
+            "Time constant with which the moment of the wind is learned",
+            minimum=1e-3,
         )
-    )
-    return [k_roll * right, k_pitch * ahead, ca.SX(0)]
+        self._off, self.angular = [], []
+        of_speed = (("forward per speed to the right", right), ("right per speed forward", ahead))
+        for axis, k, (text, speed), omega in zip(
+            AXES, hover.air_moment_rad_m_s, of_speed, s.omega_b, strict=False
+        ):
+            per_speed = m.parameter(
+                f"air_moment.{axis}", float(k), "rad/(m.s)", f"Angular acceleration about {text}"
+            )
+            modelled = m.state(f"modelled_omega_{axis}", "rad/s", f"Modelled body rate, {axis}", 0)
+            self._off.append(omega - modelled)
+            self.angular.append(per_speed * speed + self._off[-1] / time)
+        self.angular.append(ca.SX(0))
+
+    def follow(self, turn: Vector) -> None:
+        """Let the modelled body rates follow the modelled angular acceleration."""
+        for axis, off, rate in zip(AXES, self._off, turn, strict=False):
+            slope = ca.if_else(self._s.armed, rate, RELEASE_1_S * off)
+            self._m.derivative(f"modelled_omega_{axis}", slope)
 
 
 class _Lag:
@@ -320,6 +357,11 @@ class _Lag:
             m.state(n, u, f"Modelled {n} behind the lag", 0.0)
             for n, u in zip(self._names, units, strict=True)
         ]
+
+    @property
+    def turn(self) -> Vector:
+        """The modelled angular acceleration."""
+        return self._now[1:]
 
     def led(self, wanted: Vector, gains: Gains) -> Vector:
         """Wanted lift and angular acceleration with the feedback of the modelled ones."""

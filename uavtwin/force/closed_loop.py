@@ -101,8 +101,12 @@ class MissionPair:
 
     @property
     def lost(self) -> bool:
-        """Whether the learned force lost it: without, it is flown."""
-        return self.learned.lost and not self.alone.lost
+        """Whether the learned force lost it: without, it is flown, and nearer by `LOST_M`.
+
+        What is all but lost without a law tells nothing of one.
+        """
+        farther = self.learned.farthest_m - self.alone.farthest_m
+        return not self.alone.lost and farther >= LOST_M
 
 
 def random_air(count: int, seed: int, wind_m_s: float = WIND_M_S) -> list[dict[str, float]]:
@@ -215,9 +219,8 @@ def lost_by(
         mission: Name of the mission.
         airs: Start values of each flight.
     """
-    with _exported(vehicle, force, mission) as tracked:
-        found = [tracked(air).lost and not tracked({**air, ENABLED: 0.0}).lost for air in airs]
-    return np.array(found, dtype=np.float64)
+    lost = [pair.lost for pair in fly_both(vehicle, force, mission, airs)]
+    return np.array(lost, dtype=np.float64)
 
 
 def at_rest(vehicle: Vehicle, laws: Sequence[ForceModel]) -> Array:

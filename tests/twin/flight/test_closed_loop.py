@@ -167,6 +167,17 @@ def test_a_twin_that_the_air_turns_flies_its_way() -> None:
     assert max(m.worst_m for m in missions) < 0.1
 
 
+@pytest.mark.slow
+def test_a_twin_that_the_air_turns_stays_where_it_is_in_wind() -> None:
+    """A moment of the wind that is not learned leaves an attitude error, and it is blown away."""
+    wind = (-1.5, 3.0, 0.0)
+    learns = ClosedLoop(TURNED, wind).fly("hover")
+    never = controller(TURNED).with_starts({"air_moment.time": 1e6})
+    assert learns.miss_m[-1] < 0.1
+    assert learns.miss_m.max() < 1.5
+    assert ClosedLoop(TURNED, wind, control=never).fly("hover").miss_m[-1] > 10.0
+
+
 def test_an_fmu_has_the_units_of_a_controller_that_knows_what_the_air_turns() -> None:
     units = {v.name: v.unit for v in controller(TURNED).parameters}
     assert base_exponents(units["air_moment.x"]) == {"rad": 1, "m": -1, "s": -1}

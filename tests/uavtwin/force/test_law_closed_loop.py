@@ -12,7 +12,14 @@ from twin.residuals.aligned import components_of
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import fly
 from uavtwin.exports.parts import LearnedForce
-from uavtwin.force.closed_loop import FLIGHTS, fly_both, flyable, random_air
+from uavtwin.force.closed_loop import (
+    FLIGHTS,
+    MissionPair,
+    MissionTrack,
+    fly_both,
+    flyable,
+    random_air,
+)
 from uavtwin.force.memory import Memory
 
 COPTER = load_vehicle("copter_default")
@@ -74,3 +81,21 @@ def test_air_is_drawn_by_its_seed() -> None:
     assert random_air(3, 1) == random_air(4, 1)[:3] != random_air(3, 2)
     (still,) = random_air(1, 1, 0.0)
     assert still["environment.wind.x"] == still["environment.gust.enabled"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("learned", "alone", "lost"),
+    [
+        (12.0, 0.3, True),
+        (12.0, 9.0, False),
+        (25.0, 9.0, True),
+        (80.0, 20.0, False),
+        (9.0, 1, False),
+    ],
+)
+def test_only_a_mission_that_is_flown_without_a_law_condemns_one(
+    learned: float, alone: float, lost: bool
+) -> None:
+    """Twins that are all but lost without a law are so by chance."""
+    pair = MissionPair(*(MissionTrack(m / 2, m, 1.0) for m in (learned, alone)))
+    assert pair.lost == lost
