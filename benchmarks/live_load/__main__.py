@@ -9,6 +9,7 @@ import argparse
 import json
 import os
 from collections.abc import Callable
+from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -54,8 +55,8 @@ def _once(out: Path, name: str, measure: Callable[[], dict[str, Any]]) -> None:
     path = out / f"{name}.json"
     if path.exists():
         return
-    load = os.getloadavg()[0]
-    path.write_text(json.dumps({**measure(), "load_before": load}), "utf-8")
+    beside = {"load_before": os.getloadavg()[0], "measured": date.today().isoformat()}
+    path.write_text(json.dumps({**measure(), **beside}), "utf-8")
     print(name, flush=True)
 
 

@@ -19,7 +19,7 @@ def page(rows: Rows) -> str:
 Written by `python -m benchmarks.live_load --out OUT --page docs/results/live_load.md`, after the
 same without `--page`. The machine has two cores, and other computations ran beside (the load
 average before each run is in the tables): shares of processor are of `live` alone; what was
-late may have been late for that.
+late may have been late for that. Measured on {_dates(rows)}.
 
 ## How old it is
 
@@ -75,6 +75,11 @@ Linux. Both go online on the twin's system; MAVSDK's attitude, position and velo
 and body rates are what was sent, in float32, 50 times a second; so is MAVProxy's telemetry log.
 QGroundControl was not tried.
 """
+
+
+def _dates(rows: Rows) -> str:
+    """Days on which rows were measured: the law of the alarms changes."""
+    return ", ".join(sorted({r["measured"] for r in rows.values()})) or "no day"
 
 
 def _ages(rows: Rows) -> str:
