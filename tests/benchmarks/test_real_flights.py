@@ -422,7 +422,7 @@ def test_the_page_shows_numbers_that_agree_and_no_others(tmp_path: Path) -> None
     effects = {"motor_lag": GOOD, "gust": GOOD, "cog_offset": vague}
     other = {"motor_lag": GOOD | {"value": 0.055}, "gust": apart, "cog_offset": vague}
     text = short([(SCENARIOS[0], [case("a", effects), case("b", other)])], tmp_path)
-    assert f"| {SCENARIOS[0].title} | `motor_lag.n`, s | 0.05 to 0.055 | 2 |" in text
+    assert f"| {SCENARIOS[0].title} | `motor_lag.n`, s | 0.05…0.055 | 2 |" in text
     assert "`gust.n`" not in text and "`cog_offset.n`" not in text
 
 
