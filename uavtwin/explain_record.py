@@ -17,6 +17,7 @@ from twin.explain.estimates import (
     nothing_probability,
     probability_of,
     rivals,
+    totals,
     undecided,
 )
 from twin.explain.explanation import Explanation
@@ -345,6 +346,26 @@ class OneOfRecord(Record, frozen=True, kw_only=True):
     probability: float
 
 
+class TotalRecord(Record, frozen=True, kw_only=True):
+    """What several effects make together.
+
+    Attributes:
+        name: What it is.
+        effects: Those that it may be, the more probable first.
+        probability: That one of them is there.
+        value: In `unit`.
+        unit: As a person reads it.
+        ci95: 95 % interval.
+    """
+
+    name: str
+    effects: tuple[str, ...]
+    probability: float
+    value: float
+    unit: str
+    ci95: tuple[float, float]
+
+
 class ExplainRecord(Section, frozen=True, kw_only=True):
     """What flights say about a model.
 
@@ -363,6 +384,7 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
             name.
         effects: For `named` and `cannot_tell`, the surest first.
         undecided: Those of `effects`, for `named`, that something else may stand for.
+        totals: What is sure in sum, though none of the effects that make it is.
         inclusion: Probability that an effect is there and worth a name, by effect; whether its law
             fits (`outside_probability`) is not in it.
         acts_like: Effects that something acts like and that are not named.
@@ -393,6 +415,7 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
     outside_probability: float | None
     effects: tuple[EffectRecord, ...]
     undecided: tuple[str, ...]
+    totals: tuple[TotalRecord, ...]
     inclusion: dict[str, float]
     acts_like: tuple[ResemblanceRecord, ...]
     calibrated: tuple[CalibratedRecord, ...]
@@ -424,6 +447,17 @@ def explain_record(found: Explanation) -> ExplainRecord:
         outside_probability=None if naming is None else naming.outside,
         effects=tuple(_effect(found, e) for e in listed_effects(found)),
         undecided=undecided(found),
+        totals=tuple(
+            TotalRecord(
+                name=t.total.name,
+                effects=t.effects,
+                probability=t.probability,
+                value=t.value,
+                unit=t.total.unit,
+                ci95=t.ci95,
+            )
+            for t in totals(found)
+        ),
         inclusion={} if naming is None else dict(naming.inclusion),
         acts_like=tuple(
             ResemblanceRecord(name=r.effect, why=r.why)

@@ -22,6 +22,7 @@ from twin.explain.estimates import (
     nothing_probability,
     probability_of,
     stochastic_effect,
+    totals,
     undecided,
 )
 from twin.explain.explanation import Explanation
@@ -84,6 +85,9 @@ def _answer(found: Explanation) -> Headline:
         tied.append(f"none ({certainty(none)})")
     if naming.outside > naming.settings.least:
         tied.append(f"a cause outside the library of effects ({certainty(naming.outside)})")
+    together = _together(found).lstrip()
+    if together:
+        return Headline(f"Missing from the model: {together}")
     return Headline(f"Several causes are consistent with these flights: {joined(tied, 'or')}.")
 
 
@@ -97,9 +101,28 @@ def _named(found: Explanation, naming: Naming) -> Headline:
     parts = [_phrase(found, e, estimates[e], most) for e in first]
     text = (
         f"{lead}Missing from the model: {'; '.join(p.text for p in parts)}"
-        f"{_sure(found, first)}{later}{_what_else(found, effects)}{_doubts(found, estimates)}"
+        f"{_sure(found, first)}{_also(found)}{later}{_what_else(found, effects)}"
+        f"{_doubts(found, estimates)}"
     )
     return Headline(text, tuple(n for p in parts for n in p.numbers))
+
+
+def _also(found: Explanation) -> str:
+    """What is sure in sum, behind names; begins with a blank."""
+    together = _together(found)
+    return f" And{together}" if together else ""
+
+
+def _together(found: Explanation) -> str:
+    """What several effects make together, where it is sure and none of them is; begins with a
+    blank."""
+    parts = [
+        f"{t.total.name}, {number(t.value)} {t.total.unit} "
+        f"({number(t.ci95[0])} to {number(t.ci95[1])}), {certainty(t.probability)} probability: "
+        f"{joined([title(e) for e in t.effects], 'or')}, which these flights do not tell apart."
+        for t in totals(found)
+    ]
+    return "".join(f" {p}" for p in parts)
 
 
 def leading(
@@ -253,7 +276,7 @@ def _since(found: Explanation, naming: Naming) -> Headline:
             for e in first
         ]
         text = (
-            f"{joined([p.text for p in parts])}{_sure(found, first)}{later}"
+            f"{joined([p.text for p in parts])}{_sure(found, first)}{_also(found)}{later}"
             f"{_what_else(found, effects)}{_doubts(found, estimates)}"
         )
         return Headline(text, tuple(n for p in parts for n in p.numbers))
@@ -338,6 +361,7 @@ def _what_else(found: Explanation, sure: Sequence[str]) -> str:
     assert found.naming is not None
     least = found.naming.settings.least
     alike = {r.effect for r in found.naming.resemblances}
+    alike |= {e for t in totals(found) for e in t.effects}
     every = {e for f in found.naming.fitted for e in f.effects} - set(sure) - alike
     chance = {e: probability_of(found, e) for e in sorted(every)}
     likely = sorted((e for e in chance if chance[e] >= least), key=lambda e: -chance[e])

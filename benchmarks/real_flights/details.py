@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from twin.effects.air import LINEAR_DRAG
+
 from .agreement import Agreement, Case, Number, agreements, alike_of, numbers_of
 from .measure import NAMES, about_mean, above
 from .scenarios import Scenario
@@ -52,9 +54,7 @@ CORRECTIONS = {
     "floor": "floor",
 }
 TURNING = "gyro_rate_"
-GRAVITY = 9.81
-ROTOR_DRAG, FLAPPING = "rotor_drag.k_xy_1_s", "blade_flapping.k_rad_s_m"
-DRAG = {ROTOR_DRAG: 1.0, FLAPPING: GRAVITY}
+DRAG = LINEAR_DRAG.weights
 """Numbers that are a drag linear in the speed, and what makes them one in 1/s."""
 TOLD = (*((full, k, "1/s") for full, k in DRAG.items()), ("motor_lag.tau_s", 1000.0, "ms"))
 """Numbers told rotation by rotation, by what they are multiplied, and their unit then."""
@@ -227,7 +227,7 @@ def wishes(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
         *(f"`{a}` about its mean, rad/s²" for a in axes),
     )
     text = (
-        f"Drag: `rotor_drag.k_xy_1_s` and {GRAVITY:g} times `blade_flapping.k_rad_s_m` together, "
+        f"Drag: {' and '.join(f'{k:.3g} times `{full}`' for full, k in DRAG.items())} together, "
         f"means over all sets; beside it the trivial rule, least squares of specific force on "
         f"velocity. Lag: on top of the file's. Wished for: at most {goal:g} rad/s² about the mean; "
         f"*: more."

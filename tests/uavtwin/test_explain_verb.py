@@ -22,6 +22,7 @@ from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
 from twin.errors import TwinError
 from twin.explain.balance import Balance, Hypothesis
 from twin.explain.design import Suggestion
+from twin.explain.estimates import totals
 from twin.explain.explanation import Explanation
 from twin.explain.inference.selection import Detectable
 from twin.explain.setting_group import Value
@@ -311,6 +312,40 @@ def test_a_tie_is_told_as_a_tie(named: Run, tmp_path: Path) -> None:
     page = (tmp_path / "report.html").read_text()
     assert "not distinguishable here" in page
     assert "Fly fast and straight." in page
+
+
+def test_drag_that_two_effects_may_be_is_told_in_sum(named: Run) -> None:
+    """Planted as rotor drag; blade flapping beside it is nearly as probable, and then each of both
+    may be none."""
+    found = named.found
+    assert found is not None and found.naming is not None
+    naming, either = found.naming, ("blade_flapping", "rotor_drag")
+    sets = naming.posterior.sets
+    both = next(s for s in sets if {*either} <= {*s.effects})
+    wide = replace(naming.conditional, half_widths=100 * np.abs(naming.conditional.half_widths))
+    tied = replace(
+        naming,
+        fitted=(naming.best, replace(naming.best, effects=either)),
+        probabilities=(0.6, 0.4),
+        posterior=replace(
+            naming.posterior,
+            sets=(replace(sets[0], probability=0.6), replace(both, probability=0.4)),
+        ),
+        conditional=wide,
+        credible={},
+    )
+    unsure = replace(found, verdict=tied.verdict, naming=tied)
+    (total,) = totals(unsure)
+    assert total.effects == either[::-1]
+    assert total.probability == pytest.approx(1.0)
+    assert total.ci95[0] < DRAG_1_S < total.ci95[1] < 1.3 * DRAG_1_S
+    text = headline(unsure).text
+    assert text.startswith("Missing from the model: drag in proportion to airspeed, 0.")
+    assert "rotor drag or blade flapping, which these flights do not tell apart" in text
+    (record,) = explain_record(unsure).json()["totals"]
+    assert record["effects"] == [*total.effects]
+    assert record["value"] == pytest.approx(total.value, rel=1e-5)
+    assert totals(found) == []  # named alone
 
 
 def test_arviz_gets_the_posterior(named: Run) -> None:

@@ -17,6 +17,7 @@ from .definition import (
     RandomForce,
     Repeats,
     Shift,
+    Total,
     prior_of,
 )
 from .parameters import EffectParameter
@@ -26,6 +27,8 @@ _MODULES = (air, propulsion, mass, sensors, timing)
 """Where effects are defined, by what they act on."""
 EFFECTS: dict[str, Effect] = {e.name: e for module in _MODULES for e in module.EFFECTS}
 """All effects by identifier."""
+TOTALS = air.TOTALS
+"""What several effects make together."""
 
 
 def advice_of(number: str) -> Advice | None:
@@ -81,6 +84,7 @@ def _shifts(vehicle: Vehicle, acts: bool) -> dict[str, float]:
 
 __all__ = [
     "EFFECTS",
+    "TOTALS",
     "Average",
     "Block",
     "Blocks",
@@ -96,6 +100,7 @@ __all__ = [
     "RandomForce",
     "Repeats",
     "Shift",
+    "Total",
     "acting_late",
     "advice_of",
     "ages",

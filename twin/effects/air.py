@@ -24,8 +24,8 @@ import numpy as np
 from ..component.portable import decay
 from ..errors import ModelError
 from ..frames import cross
-from ..vehicle import Vehicle
-from .definition import Block, Effect, Equation, Limit, RandomForce
+from ..vehicle import GRAVITY_M_S2, Vehicle
+from .definition import Block, Effect, Equation, Limit, RandomForce, Total
 from .parameters import COMMON, RARE, EffectParameter, Normal, Prior
 from .stages import Air, Thrust, Wrench
 from .wording import FLY_FOR_DRAG, Undetected, Wording, drag_clause, wind_clause
@@ -486,6 +486,16 @@ GROUND_EFFECT = Effect(
     wording=None,
     advice=None,
 )
+
+LINEAR_DRAG = Total(
+    "drag in proportion to airspeed",
+    "(m/s²)/(m/s)",
+    {"rotor_drag.k_xy_1_s": 1.0, "blade_flapping.k_rad_s_m": GRAVITY_M_S2},
+)
+"""In hover. A disc that tilts back by k v takes k v g of the weight that it carries; which of both
+it is shows where thrust changes at one airspeed."""
+TOTALS = (LINEAR_DRAG,)
+"""What effects of the air make together."""
 
 EFFECTS = (
     ROTOR_DRAG,

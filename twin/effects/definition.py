@@ -193,6 +193,27 @@ class Limit:
 
 
 @dataclass(frozen=True, slots=True)
+class Total:
+    """Numbers of several effects that do the same to a flight: it may tell what they make together,
+    and not which of them it is.
+
+    Attributes:
+        name: What they make together, in words.
+        unit: Of it, as it is told.
+        weights: "effect.number" -> what makes it that.
+    """
+
+    name: str
+    unit: str
+    weights: Mapping[str, float]
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Whose numbers these are."""
+        return tuple(dict.fromkeys(full.partition(".")[0] for full in self.weights))
+
+
+@dataclass(frozen=True, slots=True)
 class Period:
     """Time between the sample instants of memory, in a component that has none by itself."""
 

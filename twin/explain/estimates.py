@@ -2,11 +2,15 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from ..effects import EFFECTS
+import numpy as np
+
+from ..effects import EFFECTS, TOTALS, Total
 from .explanation import Explanation
 from .inference.estimate import Estimate
+from .inference.fit import INTERVAL
 from .inference.priors import effect_of
 from .inference.selection import Detectable
 from .model.numbers import numbers_of
@@ -51,6 +55,50 @@ def calibrated_effects(found: Explanation) -> list[str]:
 def undecided(found: Explanation) -> tuple[str, ...]:
     """Effects among the named ones that something else may stand for; none for other verdicts."""
     return () if found.naming is None or found.verdict != "named" else found.naming.undecided
+
+
+@dataclass(frozen=True, slots=True)
+class TotalEstimate:
+    """What several effects make together, where flights do not tell which of them it is.
+
+    Attributes:
+        total: What it is.
+        effects: Those that it may be, the more probable first.
+        probability: That one of them is there, alone or with others.
+        value: In the unit of `total`.
+        ci95: 95 % interval.
+    """
+
+    total: Total
+    effects: tuple[str, ...]
+    probability: float
+    value: float
+    ci95: tuple[float, float]
+
+
+def totals(found: Explanation) -> list[TotalEstimate]:
+    """What is sure though none of the effects that make it is: one of them is there as surely as a
+    name asks for, and the 95 % interval of their sum excludes what the model has of it."""
+    naming = found.naming
+    if naming is None or found.verdict not in ("named", "cannot_tell"):
+        return []
+    least, priors, made = naming.settings.least, naming.problem.priors, []
+    alike = {r.effect for r in naming.resemblances}
+    for total in TOTALS:
+        own = [e for e in total.effects if naming.probability_of(e) >= least]
+        if len(own) < 2 or {*own} & {*naming.named, *alike}:
+            continue
+        row = np.array([total.weights.get(name, 0.0) for name in priors.names])
+        chance, change, sd = naming.posterior.total(row, own)
+        believed = min(naming.credible.get(e, 1.0) for e in own)
+        half = naming.wider(reported_count(found)) * INTERVAL * sd
+        if chance < naming.settings.sure or not abs(change) > half:
+            continue
+        value = float(row @ priors.now) + change
+        ranked = sorted(own, key=lambda e: -naming.probability_of(e))
+        ends = (value - half, value + half)
+        made.append(TotalEstimate(total, tuple(ranked), chance * believed, value, ends))
+    return made
 
 
 def detectable(found: Explanation) -> Mapping[str, Detectable]:

@@ -73,6 +73,12 @@ class MapEstimate:
         sd[self.free] = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return sd
 
+    def variance(self, row: Array) -> float:
+        """Of a weighted sum of the first entries of `x`; weights of shape (n,)."""
+        weights = np.zeros(len(self.x))
+        weights[: len(row)] = row
+        return float(weights[self.free] @ self.covariance @ weights[self.free])
+
 
 TAIL_DEGREES = 3.0
 """Degrees of freedom of the Student prior of the numbers of an effect: the fewest with a variance.

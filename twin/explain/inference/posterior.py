@@ -7,7 +7,7 @@ end by one exchange are all met. What the linearisation gets wrong about an effe
 right by fitting the set without it again.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,6 +103,28 @@ class Posterior:
             if other != effect and _correlation(own, there, p) < EXCHANGED:
                 found.append(other)
         return tuple(found)
+
+    def total(self, row: Array, effects: Collection[str]) -> tuple[float, float, float]:
+        """What numbers of several effects make together.
+
+        Args:
+            row: What each of the numbers of the search counts in it, shape (k,).
+            effects: Whose numbers count.
+
+        Returns:
+            Probability that one of the effects is there; mean and deviation of the change of the
+            sum, over the sets with one of them.
+        """
+        own = [s for s in self.sets if set(map(effect_of, s.effects)) & set(effects)]
+        p = np.array([s.probability for s in own])
+        if not own:
+            return 0.0, 0.0, 0.0
+        change = np.array([row @ s.best.x[: len(row)] for s in own])
+        variance = np.array([s.best.variance(row) for s in own])
+        share = p / p.sum()
+        mean = float(share @ change)
+        sd = float(np.sqrt(share @ (variance + (change - mean) ** 2)))
+        return float(p.sum()), mean, sd
 
 
 def weigh(

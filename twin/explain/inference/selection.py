@@ -329,8 +329,11 @@ class Naming:
 
     def estimates(self, effect: str, reported: int) -> list[Estimate]:
         """Numbers of an effect where it is there; the more effects are reported, the wider."""
-        wider = math.sqrt(1 + self.settings.variance_per_effect * reported)
-        return fitted_estimates(self.conditional, self.problem.priors, effect, wider)
+        return fitted_estimates(self.conditional, self.problem.priors, effect, self.wider(reported))
+
+    def wider(self, reported: int) -> float:
+        """By what intervals are wider where so many effects are reported."""
+        return math.sqrt(1 + self.settings.variance_per_effect * reported)
 
     @property
     def sure(self) -> bool:
