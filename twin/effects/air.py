@@ -28,7 +28,7 @@ from ..vehicle import GRAVITY_M_S2, Vehicle
 from .definition import Block, Effect, Equation, Limit, RandomForce, Total
 from .parameters import COMMON, RARE, EffectParameter, Normal, Prior
 from .stages import Air, Thrust, Wrench
-from .wording import FLY_FOR_DRAG, Undetected, Wording, drag_clause, wind_clause
+from .wording import FLY_FOR_DRAG, Undetected, Wording, drag_clause, flapping_clause, wind_clause
 
 FOOT_M = 0.3048  # m; exact by definition
 GUST_HEIGHT_M = 6.096  # 20 ft, to which MIL-F-8785C refers its winds
@@ -389,7 +389,7 @@ BLADE_FLAPPING = Effect(
         {"k_rad_s_m": Normal(0.005, 0.01), "height_m": Normal(0.03, 0.03)},
     ),
     change=None,
-    wording=None,
+    wording=Wording(flapping_clause, secondary=("height_m",)),
     advice=None,
 )
 

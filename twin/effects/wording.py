@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..formatting import joined, number, percent, quantity
+from ..vehicle import GRAVITY_M_S2
 
 Changes = Mapping[str, float]
 """By number of an effect, by how much it differs."""
@@ -225,6 +226,14 @@ def drag_clause(change: Changes, since: bool) -> str:
         if change.get(name)
     ]
     return f"{'linear drag has changed by ' * since}{joined(parts)}" if parts else ""
+
+
+def flapping_clause(change: Changes, since: bool) -> str:
+    """Discs that tilt back, by the drag that this is in hover. See `Clause`."""
+    if not (tilt := change.get("k_rad_s_m")):
+        return ""
+    drag = f"{number(tilt * GRAVITY_M_S2)} (m/s²)/(m/s) horizontal"
+    return f"{'drag by flapping has changed by ' * since}{drag}"
 
 
 def cant_clause(change: Changes, since: bool) -> str:

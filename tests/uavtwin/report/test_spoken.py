@@ -54,6 +54,13 @@ def test_values_of_one_row_share_their_unit(unit: str, value: float, part: float
     assert readable(unit, value)[1] == name
 
 
+def test_drag_is_told_in_one_unit() -> None:
+    """Of discs that tilt back, too: 0.02 rad in a metre per second are 0.02 g of drag."""
+    assert clause("rotor_drag", {"k_xy_1_s": 0.196}, since=False) == "0.196 (m/s²)/(m/s) horizontal"
+    flapping = {"k_rad_s_m": 0.02, "height_m": 0.03}
+    assert clause("blade_flapping", flapping, since=False) == "0.196 (m/s²)/(m/s) horizontal"
+
+
 def test_only_numbers_that_a_clause_gives_are_listed() -> None:
     shift = {"x_m": -0.02, "y_m": 0.001, "z_m": 0.0}
     assert said_numbers("cog_offset", shift) == {"x_m": -0.02}
