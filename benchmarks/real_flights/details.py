@@ -214,8 +214,7 @@ def wishes(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
     lines = []
     for case in cases:
         rows = {r["name"]: r for r in _turning(case)}
-        left = [_about(rows[a], "effects") if a in rows else None for a in axes]
-        said = ["-" if v is None else f"{figure(v)}{'' if v <= goal else '*'}" for v in left]
+        said = [_left(rows[a], goal) if a in rows else "-" for a in axes]
         rule = case["braking"]
         drag = figure(drag_1_s(case)), "-" if rule is None else figure(rule)
         parts = [_told(case, full, k, unit) for full, k, unit in TOLD]
@@ -224,13 +223,13 @@ def wishes(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
         *("held out", "drag, 1/s", "by least squares"),
         *(f"`{full.partition('.')[0]}`, if there" for full, _, _ in TOLD),
         *(CLOCKS, "missions flown"),
-        *(f"`{a}` about its mean, rad/s²" for a in axes),
+        *(f"`{a}`, rad/s²" for a in axes),
     )
     text = (
         f"Drag: {' and '.join(f'{k:.3g} times `{full}`' for full, k in DRAG.items())} together, "
         f"means over all sets; beside it the trivial rule, least squares of specific force on "
-        f"velocity. Lag: on top of the file's. Wished for: at most {goal:g} rad/s² about the mean; "
-        f"*: more."
+        f"velocity. Lag: on top of the file's. Angular acceleration: rms about its mean with the "
+        f"effects, and without; wished for: at most {goal:g} rad/s²; *: more."
     )
     return [*section(RETURNED), text, "", *table(head, lines)]
 
@@ -238,6 +237,13 @@ def wishes(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
 def drag_1_s(case: Case) -> float:
     """Drag linear in the speed that predicts best, 1/s, at the rotor speed of hover."""
     return float(sum(k * case["predicted"].get(full, 0.0) for full, k in DRAG.items()))
+
+
+def _left(row: Mapping[str, Any], goal: float) -> str:
+    """What effects leave about the mean, a star where that is more than the goal, and what there
+    is without them."""
+    left = _about(row, "effects")
+    return f"{figure(left)}{'' if left <= goal else '*'} of {figure(row['own_mean'])}"
 
 
 def _told(case: Case, full: str, k: float, unit: str) -> str:

@@ -42,16 +42,11 @@ def details(found: Sequence[tuple[Scenario, Sequence[Case]]]) -> str:
 
 
 def state(found: Sequence[tuple[Scenario, Sequence[Case]]]) -> str:
-    """Versions and time of a run, in a sentence."""
+    """What a run was measured by, in a sentence."""
     every = [c for _, cases in found for c in cases]
     states = ", ".join(sorted({c["twin"] for c in every}))
     chosen = ", ".join(sorted({c["said"].get("settings", {}).get("hash", "-") for c in every}))
-    seconds = [c["seconds"] for c in every]
-    return (
-        f"State of `twin/`: {states}; of the settings: {chosen}. Time spent: "
-        f"{sum(seconds) / 60:.0f} minutes of one core, {min(seconds):.0f} to {max(seconds):.0f} s "
-        f"a rotation."
-    )
+    return f"Hash of the sources of `twin/`: {states}; of the settings: {chosen}."
 
 
 def overview(found: Sequence[tuple[Scenario, Sequence[Case]]]) -> list[str]:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import sqrt
 from pathlib import Path
 
-from .details import RETURNED, TURNING, figure, table
+from .details import RETURNED, figure, table
 
 HEAD = Path(__file__).with_name("protocol.md").read_text("utf-8")
 LABELLED = Path(__file__).parents[2] / "docs" / "results" / "labelled_flights.md"
@@ -136,14 +136,13 @@ def _overview(every: Sequence[Row]) -> list[str]:
 
 
 def _returned(every: Sequence[Row]) -> list[str]:
-    """Rotation by rotation what a scenario with a goal asks for, angular acceleration left out."""
+    """Rotation by rotation what a scenario with a goal asks for."""
     own = [r for r in every if r.get("section") == RETURNED]
     text = [r["remark"] for r in own if "remark" in r]
     lines = [{k: v for k, v in r.items() if k not in PLACE} for r in own if "remark" not in r]
     if not lines:
         return []
-    head = [k for k in lines[0] if not k.startswith(TURNING)]
-    shown = table(head, ([line[k] for k in head] for line in lines))
+    shown = table(list(lines[0]), (list(line.values()) for line in lines))
     return ["", f"## {own[0]['scenario']}: rotations", "", *text, "", *shown]
 
 
@@ -182,9 +181,9 @@ def _gaps(every: Sequence[Row]) -> list[str]:
         left = [_pooled(own, c) for c in ("none", "effects", "fit mean", "floor")]
         ends = [_ends(row["effects take"]) for row in own]
         counts = (sum(low > 0 for low, _ in ends), sum(high < 0 for _, high in ends))
-        lines.append((scenario, f"`{channel}`, {own[0]['unit']}", *left, *map(str, counts)))
+        lines.append((scenario, f"`{channel}`", *left, *map(str, counts)))
     head = (
-        *("scenario", "channel, unit", "none", "effects", "fit mean", "floor"),
+        *("scenario", "channel, m/s² or rad/s²", "none", "effects", "fit mean", "floor"),
         *("smaller", "larger"),
     )
     return ["", "## Residuals of held-out flights", "", *table(head, _once(lines))]

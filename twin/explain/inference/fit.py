@@ -381,6 +381,7 @@ def _without_means(
     """
     scales = {n: values.get(n, now[n]) for n in now if _scale(n)}
     own = [i for i, n in enumerate(names) if n in scales]
+    torque = [i for i in own if _scale(names[i]) == "torque"]
 
     def made(c: ChannelData) -> ChannelData:
         """Of one channel."""
@@ -399,7 +400,6 @@ def _without_means(
             slopes[part] += change
         return replace(c, residual=residual, slopes=slopes)
 
-    torque = [i for i in own if _scale(names[i]) == "torque"]
     return [[made(c) for c in row] for row in flights]
 
 
