@@ -38,10 +38,17 @@ python -m benchmarks.closed_loop --out DIR --page docs/results/closed_loop.md
 
 Mean of estimate minus truth in posterior deviations, share of 95 % intervals that hold the truth,
 and in brackets the median width over that of the prior (1: not told); logs with an IMU, and of the
-pose alone; {seeds} flights a cell. Goals: 0.90 to 0.98, and a mean of 0.5 at most. The file's own
-numbers with the width of the prior hold the truth in all cells, and tell nothing (1).
+pose alone; {seeds} flights a cell. Beside them the trivial rule: the file's own numbers, with the
+width of the prior. Goals: 0.90 to 0.98, and a mean of 0.5 at most; \\*: missed. On 27
+November flights came to begin on the ground, and specific force to vote across what commands answer
+for ([why](../dev/decisions/inference.md)). The lag was +0.24, 0.95 in the tour with an IMU before and
++0.45, 0.85 without, so the tour is worse now; in the hover it was +0.75, 0.95 and +1.79, 0.70.
 
 """
+MOST_OFF = 0.5
+"""Mean in deviations that is wished for at most."""
+HELD = 0.90, 0.98
+"""Share of 95 % intervals that hold the truth that is wished for."""
 GOALS = {
     "inertia": ("inertia_error.scale_x", "inertia_error.scale_y"),
     "lag": ("motor_lag.tau_s",),
@@ -76,23 +83,38 @@ def table(rows: Iterable[Mapping[str, Any]]) -> str:
     """Bias and coverage by cell, as a table in Markdown."""
     cells = [(m, log) for m in MISSIONS for log in LOGS]
     every = list(rows)
-    lines = ["| number | " + " | ".join(f"{m}, {log}" for m, log in cells) + " |"]
-    lines.append("|---" * (1 + len(cells)) + "|")
+    lines = ["| number | " + " | ".join(f"{m}, {log}" for m, log in cells) + " | the file's own |"]
+    lines.append("|---" * (2 + len(cells)) + "|")
     for goal, names in GOALS.items():
         found = [_cell([r for r in every if (r["mission"], r["log"]) == c], names) for c in cells]
-        lines.append(f"| {goal} | " + " | ".join(found) + " |")
+        trivial = _cell([_of_file(r) for r in every], names)
+        lines.append(f"| {goal} | " + " | ".join([*found, trivial]) + " |")
     return "\n".join(lines) + "\n"
 
 
+def _of_file(row: Mapping[str, Any]) -> dict[str, Any]:
+    """What the vehicle file says of the same flight, as sure as the prior."""
+    numbers = {}
+    for name, number in row["numbers"].items():
+        effect, _, parameter = name.partition(".")
+        about = next(p for p in EFFECTS[effect].parameters if p.name == parameter).sized(VEHICLE)
+        numbers[name] = {**number, "estimate": about.neutral or 0.0, "sd": number["prior"]}
+    return {**row, "numbers": numbers}
+
+
 def _cell(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
-    """Bias in deviations, coverage, and the share of the prior's width that is left."""
+    """Bias in deviations, coverage, and the share of the prior's width that is left; a star at what
+    misses its goal."""
     own = [r["numbers"][n] for r in rows for n in names if n in r["numbers"]]
     if not own:
         return "-"
     off = np.array([(n["estimate"] - n["truth"]) / n["sd"] for n in own])
     width = np.median([n["sd"] / n["prior"] for n in own])
-    held = np.mean(np.abs(off) <= INTERVAL)
-    return f"{np.mean(off):+.2f}, {held:.2f} ({width:.2f})"
+    mean, held = float(np.mean(off)), float(np.mean(np.abs(off) <= INTERVAL))
+    stars = [
+        "\\*" if missed else "" for missed in (abs(mean) > MOST_OFF, not HELD[0] <= held <= HELD[1])
+    ]
+    return f"{mean:+.2f}{stars[0]}, {held:.2f}{stars[1]} ({width:.2f})"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
