@@ -41,8 +41,8 @@ and in brackets the median width over that of the prior (1: not told); logs with
 pose alone; {seeds} flights a cell. Beside them the trivial rule: the file's own numbers, with the
 width of the prior. Goals: 0.90 to 0.98, and a mean of 0.5 at most; \\*: missed. On 27
 November flights came to begin on the ground, and specific force to vote across what commands answer
-for ([why](../dev/decisions/inference.md)). The lag was +0.24, 0.95 in the tour with an IMU before and
-+0.45, 0.85 without, so the tour is worse now; in the hover it was +0.75, 0.95 and +1.79, 0.70.
+for ([why](../dev/decisions/inference.md)). The lag was +0.24, 0.95 in the tour with an IMU before
+and +0.45, 0.85 without, so the tour is worse now; in the hover +0.75, 0.95 and +1.79, 0.70.
 
 """
 MOST_OFF = 0.5

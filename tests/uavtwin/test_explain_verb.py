@@ -604,6 +604,25 @@ def test_the_headline_and_its_numbers(named: Run) -> None:
     assert hidden["mass_offset"]["smallest_detectable"]["unit"] == "kg"
 
 
+def test_a_named_answer_says_second_which_channel_got_worse(named: Run) -> None:
+    assert named.found is not None and named.found.comparison is not None
+    compared = named.found.comparison
+    assert not any(g.worse for g in compared.gaps)
+    grown = [
+        replace(g, before=2.68, after=9.94, shrink_ci95=(-3.3, -2.2))
+        if g.name == "gyro_rate_z"
+        else g
+        for g in compared.gaps
+    ]
+    found = replace(named.found, comparison=replace(compared, gaps=tuple(grown)))
+    lines = list(ExplainResult(found).findings())
+    assert found.verdict == "named"
+    assert lines[1] == (
+        "On the held-out flights the residual in gyro_rate_z increases from 2.68 to 9.94 rad/s² "
+        "rms."
+    )
+
+
 # -- what fails after the search ---------------------------------------------------------------
 
 
