@@ -3,14 +3,17 @@
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
 import numpy as np
 
+import twin
 from twin.explain.inference.search import Checkpoint, SearchPoint
 from twin.explain.settings import DEFAULT, SearchSettings
+from twin.topic_mapping import mapping_of
 
 from .output import output_file, package_versions, sha256
 from .vehicles import Vehicle
@@ -103,13 +106,25 @@ def run_key(
         settings: Of the search.
     """
     logs = [[(p.stem, *map(sha256, _files(p))) for p in some] for some in (flights, held)]
-    decides = [package_versions(), logs, vehicle.toml(), options, settings.hash]
+    decides = [package_versions(), _sources_hash(), logs, vehicle.toml(), options, settings.hash]
     return hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest()
 
 
 def _files(log: Path) -> list[Path]:
-    """The files of a log: itself, or those of its folder."""
-    return sorted(p for p in log.rglob("*") if p.is_file()) if log.is_dir() else [log]
+    """The files of a log: itself and the mapping of its topics, or those of its folder."""
+    if log.is_dir():
+        return sorted(p for p in log.rglob("*") if p.is_file())
+    return [log, *filter(None, [mapping_of(log)])]
+
+
+@cache
+def _sources_hash() -> str:
+    """Hash of the program that reads, models and searches: of one version there are many states of
+    a checkout."""
+    found, folder = hashlib.sha256(), Path(twin.__file__).parent
+    for file in sorted(folder.rglob("*.py")):
+        found.update(f"{file.relative_to(folder).as_posix()} {sha256(file)}\n".encode())
+    return found.hexdigest()
 
 
 def _point(content: msgspec.Raw) -> SearchPoint:

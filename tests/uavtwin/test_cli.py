@@ -507,3 +507,30 @@ def test_a_file_in_the_place_of_the_verb_is_answered_with_the_verb(
     code, _, err = run(capsys, log)
     assert code == 2
     assert "uavtwin why" in err
+
+
+@pytest.mark.parametrize(
+    ("given", "now"),
+    [
+        (["selected", "SELECT 1"], ["--sql=SELECT 1", "selected"]),
+        (["f", "/* c */ SELECT 1"], ["--sql=/* c */ SELECT 1", "f"]),
+        (["f", "-- c\nFROM flights", "--json"], ["--sql=-- c\nFROM flights", "f", "--json"]),
+        (["--time-limit", "5", "f", "(SELECT 1)"], ["--sql=(SELECT 1)", "--time-limit", "5", "f"]),
+        (["--help"], ["--help"]),
+        (["f", "--sql=SELECT 1"], ["f", "--sql=SELECT 1"]),
+    ],
+)
+def test_the_former_query_asks_with_its_second_argument(given: list[str], now: list[str]) -> None:
+    assert main._renamed(["query", *given]) == ["fleet", *now]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [(("query", "folder"), "--sql"), (("bench", "--json"), "python -m benchmarks.speed")],
+)
+def test_a_former_name_says_what_it_is_now(
+    capsys: pytest.CaptureFixture[str], given: tuple[str, ...], said: str
+) -> None:
+    code, out, err = run(capsys, *given)
+    assert (code, out) == (2, "") and said in err
+    assert "bench" not in run(capsys, "--help")[1]

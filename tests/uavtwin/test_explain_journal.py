@@ -13,8 +13,9 @@ from twin.explain.inference import search
 from twin.explain.inference.search import SearchPoint
 from twin.logs import write_flight
 from twin.vehicle_file import load_vehicle
+from uavtwin import vehicles
 from uavtwin.demo.flights import Waypoints, fly
-from uavtwin.explain_journal import JOURNAL, ExplainJournal
+from uavtwin.explain_journal import JOURNAL, ExplainJournal, run_key
 from uavtwin.serve.work import LogWork
 
 pytestmark = pytest.mark.slow
@@ -152,3 +153,22 @@ def test_a_point_that_comes_back_is_written_as_it_was(
         explained(tmp_path)
     assert len(written) == 4
     assert written[0] == written[1] != written[2] == written[3]
+
+
+def test_a_mapping_and_the_sources_are_of_the_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = tmp_path / "day.mcap"
+    bag.write_bytes(b"bag")
+
+    def key() -> str:
+        return run_key([bag], [], vehicles.load_vehicle("copter_default"), ())
+
+    alone = key()
+    (tmp_path / "day.topics.toml").write_text("one")
+    one = key()
+    (tmp_path / "day.topics.toml").write_text("two")
+    two = key()
+    assert two == key()
+    monkeypatch.setattr("uavtwin.explain_journal._sources_hash", lambda: "of another state")
+    assert len({alone, one, two, key()}) == 4

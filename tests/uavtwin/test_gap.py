@@ -13,7 +13,7 @@ from fmu_gap import open_fmus, start_values, window_ends_of_fmus
 from cosim.master import Master
 from twin.errors import LogError
 from twin.frames import to_body
-from twin.logs import Flight
+from twin.logs import Flight, StoredFlight, open_flight, write_flight
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.channels import BAND_HZ, low_pass, rate_over_step
 from twin.residuals.flight_gap import end_channels, flight_gap
@@ -526,3 +526,16 @@ def test_a_flight_that_crashes_is_compared_until_control_is_lost(
     parts = [w for w in found.record.warnings if w.startswith("compared until")]
     assert len(parts) == (lost_s == 6.0)
     assert (found.record.flights[0].phases[-1].end_s < 6.1) == (lost_s == 6.0)
+
+
+def test_a_flight_that_stays_in_its_file_is_said_to_crash(
+    short: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("twin.logs.table.HELD_CELLS", 0)
+    monkeypatch.setattr(FlightFrame, "crash_begins_s", 6.0)
+    write_flight(short, tmp_path / "long.parquet")
+    stored = open_flight(tmp_path / "long.parquet")
+    assert isinstance(stored, StoredFlight)
+    found = gap(stored, FEISI).record
+    assert any("compared to its end" in w and "6.00 s" in w for w in found.warnings)
+    assert found.flights[0].phases[-1].end_s > 6.1

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from ..errors import LogError
+from ..topic_mapping import BAG_SUFFIXES
 from .doubts import doubts
 from .flight import Finding, Flight
 from .formats import (
@@ -410,7 +411,7 @@ def file_of_bag(path: Path) -> Path:
     """
     if not (path / "metadata.yaml").is_file():
         return path
-    files = sorted(f for f in path.iterdir() if f.suffix in (".mcap", ".db3", ".zstd"))
+    files = sorted(f for f in path.iterdir() if f.suffix in (*BAG_SUFFIXES, ".zstd"))
     if len(files) != 1 or files[0].suffix == ".zstd":
         raise LogError(
             f"{path}: a ROS 2 bag of {len(files)} files, or of compressed ones. Make one MCAP of "

@@ -7,6 +7,7 @@ needs them, when it runs.
 """
 
 import os
+import re
 import shlex
 import sys
 import tempfile
@@ -72,8 +73,14 @@ PANELS = {
 of its name, or a Typer application of further verbs, and a name here."""
 HIDDEN = (version,)
 """What the help does not list: what `--version` prints."""
-FORMER = {"hil": ("live", "--hil"), "query": ("fleet",)}
-"""Names of verbs that are kept for one release, and what these are now."""
+FORMER: dict[str, tuple[str, ...] | str] = {
+    "hil": ("live", "--hil"),
+    "query": ("fleet",),
+    "bench": "bench: is no verb any more. In a checkout: python -m benchmarks.speed.",
+}
+"""Names of verbs that are kept for one release, and what these are now, or where they went."""
+_OPTION = re.compile(r"--?[a-z][a-z-]*(=.*)?", re.DOTALL)
+"""What begins as a comment of SQL is none."""
 
 VERBS = tuple(
     verb
@@ -158,14 +165,38 @@ def _checked(arguments: list[str]) -> list[str]:
 
 
 def _renamed(arguments: list[str]) -> list[str]:
-    """A former name as it is now; the SELECT of `query` is that of `--sql`."""
-    if not arguments or arguments[0] not in FORMER:
+    """A former name as it is now.
+
+    Raises:
+        TwinError: It is no verb any more.
+    """
+    now = FORMER.get(arguments[0]) if arguments else None
+    if now is None:
         return arguments
+    if isinstance(now, str):
+        raise TwinError(now)
     first, *rest = arguments
-    if first == "query":
-        asked = (i for i, a in enumerate(rest) if a.lstrip().lower().startswith(("select", "with")))
-        rest.insert(next(asked, len(rest)), "--sql")
-    return [*FORMER[first], *rest]
+    return [*now, *(_asked(rest) if first == "query" else rest)]
+
+
+def _asked(arguments: list[str]) -> list[str]:
+    """Arguments of `query FOLDER SELECT` as `fleet` has them: its second positional is `--sql`."""
+    command = typer.main.get_command(app).commands["fleet"]  # type: ignore[attr-defined]
+    valued = {o for p in command.params if not getattr(p, "is_flag", True) for o in p.opts}
+    places = [
+        i
+        for i, argument in enumerate(arguments)
+        if argument != "--"
+        and not _OPTION.fullmatch(argument)
+        and (i == 0 or arguments[i - 1] not in valued)
+    ]
+    folder, sql, *_ = *(arguments[i] for i in places), "", ""
+    if len(places) > 1:
+        place = places[1]
+        return [f"--sql={sql}", *arguments[:place], *arguments[place + 1 :]]
+    if folder and not {"--sql", "--help"} & {a.partition("=")[0] for a in arguments}:
+        raise TwinError(f'query: asks nothing. Write: uavtwin fleet {folder} --sql "SELECT ...".')
+    return arguments
 
 
 def _spread(arguments: list[str]) -> list[str]:

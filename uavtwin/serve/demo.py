@@ -1,5 +1,6 @@
 """A simulated aircraft on the live page of a site that listens to none, begun by a click."""
 
+import logging
 import socket
 import threading
 from collections.abc import Callable, Sequence
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from ..live.session import LiveOptions
     from ..vehicles import Vehicle
 
+_LOG = logging.getLogger(__name__)
 VEHICLE = "copter_default"
 """That flies."""
 _SILENT_S = 5.0
@@ -101,8 +103,10 @@ class DemoFlight:
             with sent_meanwhile(flight, options.listen):
                 session.run(self._ended.is_set, feed.known)
             self._said = f"The last demonstration is over: {ending()}."
-        except TwinError as error:
-            self._said = f"The last demonstration failed: {error}"
+        except Exception as error:  # of a thread: nobody else hears of it
+            _LOG.exception("the demonstration failed")
+            what = "" if isinstance(error, TwinError) else f"{type(error).__name__}: "
+            self._said = f"The last demonstration failed: {what}{error}"
 
 
 def _free_port() -> int:

@@ -104,8 +104,9 @@ class Scheduler:
         self._kill_ended()
         self.wake()
 
-    def map_topics(self, name: str, file: Path) -> list[str]:
-        """Take a mapping file of ROS 2 bags, and read bags of its name anew: their flights."""
+    def map_topics(self, name: str, file: Path) -> dict[str, list[str]]:
+        """Take a mapping file of ROS 2 bags, and read bags of its name anew, see
+        `Store.add_mapping`."""
         flights = self._store.add_mapping(name, file)
         self._kill_ended()
         self.wake()

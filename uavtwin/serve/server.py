@@ -20,6 +20,7 @@ from starlette.routing import BaseRoute, Route
 from starlette.types import ASGIApp
 
 from twin.errors import TwinError
+from twin.topic_mapping import MOST_MAPPING
 from twin.vehicle_file import builtin_vehicles
 
 from ..output import write_json
@@ -152,19 +153,19 @@ class Site:
 
     async def _upload(self, request: Request) -> Response:
         """Take a file, block by block to the disk."""
-        most = self._limits.most_bytes
         name = str(request.path_params.get("name", "")) or "log"
+        mapping, most = is_mapping(name), self._limits.most_bytes
+        given = (MOST_MAPPING, f"of {name}, a mapping; leave out signals") if mapping else (most,)
         try:
-            if int(request.headers.get("content-length") or 0) > most:
-                raise TwinError(f"over {most / 2**20:.0f} MiB, the limit (--size-limit)")
-            with self._store.upload(most) as coming:
+            with self._store.upload(*given) as coming:
+                coming.check(int(request.headers.get("content-length") or 0))
                 async for part in request.stream():
                     coming.write(part)
-                if is_mapping(name):
+                if mapping:
                     return self._mapped(name, coming.path)
                 flight, created = self._store.add(name, coming.path, coming.sha256, coming.size)
         except (TwinError, ValueError) as error:
-            return JSONResponse({"error": str(error)}, 413, _closing())
+            return JSONResponse({"error": str(error)}, 400 if mapping else 413, _closing())
         except ClientDisconnect:
             return Response(status_code=400)
         self.changed(flight)
@@ -175,8 +176,9 @@ class Site:
     def _mapped(self, name: str, file: Path) -> Response:
         """Take a mapping file of ROS 2 bags."""
         bags = self._jobs.map_topics(name, file)
-        note = "its bag is read again" if bags else "waits for a bag of its name"
-        return JSONResponse({"flights": bags, "note": note, "created": True}, 201)
+        again = ", ".join(dict.fromkeys(kind for kinds in bags.values() for kind in kinds))
+        note = f"its bag is read again: {again}" if bags else "waits for a bag of its name"
+        return JSONResponse({"flights": list(bags), "note": note, "created": True}, 201)
 
     async def _events(self, request: Request) -> Response:
         """What is new, as long as the page is open."""

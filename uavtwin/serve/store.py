@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from twin.errors import TwinError, install_command
+from twin.topic_mapping import BAG_SUFFIXES, MAPPING_SUFFIX, read_mapping
 from twin.vehicle_file import builtin_vehicles
 
 from ..output import output_file
@@ -39,9 +40,10 @@ LONGEST_NAME = 80
 """Characters of the name of a file."""
 LONGEST_TAGS = 200
 """Characters of the tags of a flight."""
-MAPPING_SUFFIX = ".topics.toml"
-"""Ending of the mapping file of a bag, as of `twin.logs.ros.sources`, which would bring pandas into
-the server."""
+JOURNAL = "explain.part"
+"""As of `uavtwin.explain_journal`, which would bring numpy and CasADi into the server."""
+_OF_LOG = ("check", "why", "draft", "gap", "mcap", "explain")
+"""Kinds of jobs that come of a log, in the order in which they are named."""
 FORMAT = 1
 """Of the tables; a store of another one is not opened."""
 _TABLES = f"""
@@ -172,6 +174,13 @@ def is_mapping(name: str) -> bool:
     return name.lower().endswith(MAPPING_SUFFIX)
 
 
+def _is_bag(flight: FlightRow) -> bool:
+    """Whether a log is a ROS 2 bag, by its content, else by its name."""
+    if flight.format is not None:
+        return flight.format.startswith("ROS 2 bag")
+    return Path(flight.name).suffix in BAG_SUFFIXES
+
+
 @dataclass(slots=True)
 class Upload:
     """A file that is coming in.
@@ -179,16 +188,28 @@ class Upload:
     Attributes:
         path: Where it is written.
         most: Bytes that it may have.
+        limit: What sets them.
         size: Bytes that have come.
     """
 
     path: Path
     most: int
+    limit: str = "--size-limit"
     size: int = 0
     _hash: Any = field(default_factory=hashlib.sha256)
 
     def __post_init__(self) -> None:
         self.path.touch()
+
+    def check(self, size: int) -> None:
+        """Refuse a size.
+
+        Raises:
+            TwinError: It is too large.
+        """
+        if size > self.most:
+            most = f"{self.most / 2**20:.0f} MiB" if self.most >= 2**20 else f"{self.most} bytes"
+            raise TwinError(f"over {most}, the limit ({self.limit})")
 
     def write(self, part: bytes) -> None:
         """Take the next bytes.
@@ -197,8 +218,7 @@ class Upload:
             TwinError: There are too many, or the disk is full.
         """
         self.size += len(part)
-        if self.size > self.most:
-            raise TwinError(f"over {self.most / 2**20:.0f} MiB, the limit (--size-limit)")
+        self.check(self.size)
         self._hash.update(part)
         try:
             with self.path.open("ab") as file:
@@ -309,13 +329,14 @@ class Store:
     # -- logs -----------------------------------------------------------------------------------
 
     @contextlib.contextmanager
-    def upload(self, most: int) -> Iterator[Upload]:
+    def upload(self, most: int, limit: str = "--size-limit") -> Iterator[Upload]:
         """A file that is coming in; gone at the end unless it was added.
 
         Args:
             most: Bytes that it may have.
+            limit: What sets them.
         """
-        coming = Upload(self.folder / "incoming" / secrets.token_hex(8), most)
+        coming = Upload(self.folder / "incoming" / secrets.token_hex(8), most, limit)
         try:
             yield coming
         finally:
@@ -352,25 +373,52 @@ class Store:
         if mapping.is_file():
             shutil.copyfile(mapping, log.with_name(mapping.name))
 
-    def add_mapping(self, name: str, file: Path) -> list[str]:
-        """Take a mapping file of ROS 2 bags: flights of its name, which are read anew.
+    def add_mapping(self, name: str, file: Path) -> dict[str, list[str]]:
+        """Take a mapping file of ROS 2 bags: flights of its name, and the kinds of jobs that are
+        done anew for each.
 
         Args:
             name: As its owner calls it.
             file: Moved to its place.
+
+        Raises:
+            TwinError: It is no mapping, or has no name.
         """
-        stem = Path(safe_name(f"{name[: -len(MAPPING_SUFFIX)]}.bag")).stem
+        read_mapping(file, name)
+        bag = Path(safe_name(f"{name[: -len(MAPPING_SUFFIX)]}.bag"))
+        if not bag.suffix:
+            way_out = f"Call it as the bag: day{MAPPING_SUFFIX} for day.mcap"
+            raise TwinError(f"{name}: a mapping of topics without the name of its bag. {way_out}.")
         with self.lock:
-            file.replace(self.folder / "mappings" / f"{stem}{MAPPING_SUFFIX}")
-            found = self._rows(f"SELECT {_FLIGHT} FROM flights WHERE starts_with(name, ?)", (stem,))
-            bags = [f for f in (FlightRow(*row) for row in found) if Path(f.name).stem == stem]
-            for bag in bags:
-                self._map(self.log(bag))
-                self._write("DELETE FROM jobs WHERE flight = ?", (bag.id,))
-                self.note(bag.id, **dict.fromkeys(_ANSWERS))
-                for kind in ("check", *(["gap"] if bag.vehicle else [])):
-                    self.queue(bag.id, kind)
-        return [bag.id for bag in bags]
+            file.replace(self.folder / "mappings" / f"{bag.stem}{MAPPING_SUFFIX}")
+            found = self._rows(
+                f"SELECT {_FLIGHT} FROM flights WHERE starts_with(name, ?)", (bag.stem,)
+            )
+            flights = [FlightRow(*row) for row in found]
+            return {
+                f.id: self._queue_again(f)
+                for f in flights
+                if Path(f.name).stem == bag.stem and _is_bag(f)
+            }
+
+    def _queue_again(self, bag: FlightRow) -> list[str]:
+        """Forget what came of a bag, and queue it again: its kinds of jobs."""
+        self._map(self.log(bag))
+        jobs = [j for j in self.jobs(bag.id) if j.state != "cancelled"]
+        drafted = {j.kind for j in jobs if (j.kind, j.state) == ("draft", "done")}  # it is chosen
+        there = {"check", *(j.kind for j in jobs)} - drafted
+        kinds = [kind for kind in _OF_LOG if kind in there]
+        self._write(
+            "DELETE FROM jobs WHERE (flight = ? AND list_contains(?, kind)) OR "
+            "(kind = 'compare' AND ? IN (flight, other))",
+            (bag.id, list(_OF_LOG), bag.id),
+        )
+        self.note(bag.id, **dict.fromkeys(_ANSWERS))
+        (self.results(bag.id) / JOURNAL).unlink(missing_ok=True)
+        for kind in kinds:
+            if kind != "why":  # which check queues
+                self.queue(bag.id, kind)
+        return kinds
 
     def log(self, flight: FlightRow) -> Path:
         """The log of a flight."""

@@ -351,3 +351,23 @@ def test_events_begin_with_all_flights(asked: Asked) -> None:
         asked.ask(f"/flights/{flight}/tags", "POST", b"tags=fresh")
         while b"fresh" not in text:
             text += connection.recv(65536)
+
+
+@pytest.mark.parametrize("content", [b"\0nonsense", b"#" * 64_001])
+def test_what_is_no_mapping_is_refused_by_name(asked: Asked, content: bytes) -> None:
+    status, text, _ = asked.ask("/upload/day.topics.toml", "PUT", content)
+    assert status == 400
+    assert "day.topics.toml" in json.loads(text)["error"]
+
+
+def test_a_demonstration_that_breaks_says_so(
+    asked: Asked, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def broken(_: object) -> None:
+        raise MemoryError("no room")
+
+    monkeypatch.setattr("uavtwin.demo.in_flight.damaged_flight", broken)
+    assert asked.ask("/live/demo", "POST")[0] == 303
+    page = asked.wait("/live", "The last demonstration failed")
+    assert "MemoryError: no room" in page
+    assert "Traceback" in caplog.text

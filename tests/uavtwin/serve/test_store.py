@@ -4,13 +4,14 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.errors import TwinError
-from twin.logs.ros.sources import MAPPING_SUFFIX
+from uavtwin.explain_journal import JOURNAL
 from uavtwin.serve import store as store_module
 from uavtwin.serve.store import MOST_TRIES, SHOWN, Store, safe_name
 
@@ -266,9 +267,62 @@ def test_names(name: str, made: str) -> None:
 
 
 def test_the_server_starts_light() -> None:
-    assert store_module.MAPPING_SUFFIX == MAPPING_SUFFIX
+    assert store_module.JOURNAL == JOURNAL
     code = (
         "import sys, uavtwin.serve.server; print({'pandas', 'scipy', 'pyarrow'} & {*sys.modules})"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "set()"
+
+
+def mapped(
+    store: Store, name: str, content: str = '[acc]\ntopic = "/imu"\nfields = ["a"]\n'
+) -> Any:
+    with store.upload(1000) as coming:
+        coming.write(content.encode())
+        return store.add_mapping(name, coming.path)
+
+
+def test_a_mapping_has_its_bags_done_again_with_what_was_there(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    bag, other = added(store, b"bag", "day.mcap"), added(store, b"log", "day.ulg")
+    known = added(store, b"table", "day.db3")
+    store.note(known, format="flight table, Parquet", verdict="fine")
+    for flight in (bag, other):
+        store.note(flight, verdict="fine", explain_text="drag")
+        for kind in ("why", "explain", "fmu"):
+            store.queue(flight, kind)
+        while (job := store.take((*ALL, "fmu"))) is not None:
+            store.end(job, "done")
+    (store.results(bag) / JOURNAL).write_bytes(b"of the former columns")
+    assert mapped(store, "day.topics.toml") == {bag: ["check", "why", "explain"]}
+    states = {j.kind: j.state for j in store.jobs(bag)}
+    assert states == {"fmu": "done", "check": "queued", "explain": "queued"}, "check queues why"
+    assert not (store.results(bag) / JOURNAL).exists()
+    for flight, text in ((bag, None), (other, "drag")):
+        row = store.flight(flight)
+        assert row is not None and row.explain_text == text
+        assert (store.log(row).with_name("day.topics.toml")).exists() == (flight == bag)
+    assert {j.state for j in store.jobs(other)} == {"done"}
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("day.topics.toml", "\0nonsense", "day.topics.toml: no mapping of topics"),
+        ("day.topics.toml", "acc = 1", "Write a table for each signal"),
+        ("day.topics.toml", "a = " + "[" * 900, "no mapping of topics"),
+        (".topics.toml", "", "Call it as the bag"),
+    ],
+)
+def test_what_is_no_mapping_changes_nothing(
+    tmp_path: Path, name: str, content: str, said: str
+) -> None:
+    store = Store(tmp_path)
+    flight = added(store, b"bag", "day.mcap")
+    store.note(flight, verdict="fine")
+    with pytest.raises(TwinError, match=said):
+        mapped(store, name, content)
+    row = store.flight(flight)
+    assert row is not None and row.verdict == "fine"
+    assert not list((tmp_path / "mappings").iterdir())

@@ -7,21 +7,18 @@ REP 103 and 105, body forward, left, up; world east, north, up; quaternions x, y
 
 import math
 import re
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
 from ...errors import LogError
 from ...frames import multiply, rotation_matrix
+from ...topic_mapping import MappedSignal, mapping_of, read_mapping
 from ..columns import ACC, GYRO, MAG, MAX_MOTORS, MIN_MOTORS, POS, QUAT, VEL, motor_columns
 from ..flight import Array
 
-MAPPING_SUFFIX = ".topics.toml"
-"""Ending of the mapping file of a bag: `flight.mcap` has `flight.topics.toml`."""
 _HALF = float(np.sqrt(0.5))
 _Q_NED_ENU, _Q_FLU_FRD = (0.0, _HALF, _HALF, 0.0), (0.0, 1.0, 0.0, 0.0)
 """Rotations between the frames of ROS and those of a flight, w, x, y, z."""
@@ -245,27 +242,6 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
 """SI units in a unit that the signal may have; of commands `low` and `high` are in it too."""
 
 
-class Mapped(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A signal in a mapping file.
-
-    Attributes:
-        topic: Name.
-        fields: Of a message, by path: "linear_acceleration.x", "channels[0]"; of an attitude w, x,
-            y, z in the frame NED-FRD, x, y, z, w in ENU-FLU.
-        frame: Of a vector or an attitude.
-        unit: Of the values; that of the flight table where it is left out.
-        low: Value of command 0, of `cmd`.
-        high: Value of command 1, of `cmd`.
-    """
-
-    topic: str
-    fields: list[str]
-    frame: str = ""
-    unit: str = ""
-    low: float = 0.0
-    high: float = 1.0
-
-
 def mapped_sources(bag: Path, types: Mapping[str, str]) -> tuple[Source, ...]:
     """Sources of the mapping file of a bag; none where there is no such file.
 
@@ -276,18 +252,14 @@ def mapped_sources(bag: Path, types: Mapping[str, str]) -> tuple[Source, ...]:
     Raises:
         LogError: The file is no mapping, or names what the bag does not have.
     """
-    file = bag.with_suffix(MAPPING_SUFFIX)
-    if not file.is_file():
+    file = mapping_of(bag)
+    if file is None:
         return ()
-    try:
-        content = tomllib.loads(file.read_text("utf-8"))
-        named = msgspec.convert(content, dict[str, Mapped])
-    except (OSError, ValueError, msgspec.ValidationError) as error:
-        raise LogError(f"{file.name}: no mapping of topics: {error}.") from error
+    named = read_mapping(file, file.name)
     return tuple(_mapped(file.name, s, m, types) for s, m in named.items())
 
 
-def _mapped(file: str, signal: str, given: Mapped, types: Mapping[str, str]) -> Source:
+def _mapped(file: str, signal: str, given: MappedSignal, types: Mapping[str, str]) -> Source:
     """The source of one entry."""
 
     def wrong(text: str) -> LogError:
