@@ -1,16 +1,20 @@
 """Where two instruments disagree, or one with its own past: residuals over a part in the air.
 
 Attitude turns as the gyroscope says, velocity changes as the accelerometer says, the field that the
-compass measures keeps its strength and heading, the barometer follows the height.
+compass measures keeps its strength and heading, the barometer follows the height. Steps that the
+estimator reports itself are taken out.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..frames import rotation_vector
+from ..logs.autopilot import Reset, ResetOf
 from ..logs.columns import ACC, GYRO, POS
+from ..logs.stretches import stretches_where
 from ..residuals.measured import Signal
 from ..vehicle import GRAVITY_M_S2
 from .consistency import Residual, running_median, trailing_median
@@ -37,6 +41,22 @@ JOLT_S = 1.5
 """Of which a touch of the ground or of a branch takes less than half, noise that sets in more."""
 NOISE = "sensor_noise_level"
 """The cause whose size is a ratio of levels."""
+HEIGHT_S = 20.0
+"""Of height by the barometer less that of the estimate, whose median is what is usual."""
+STEPPED_BY: Mapping[str, tuple[ResetOf, ...]] = {
+    "attitude_estimate": ("attitude", "yaw"),
+    "velocity_estimate": ("velocity", "position", "height"),
+    "position_estimate": ("position", "height"),
+    "baro_disturbance": ("height",),
+}
+"""By the passing cause of a residual, the resets that step it: with a position that jumps, EKF2 and
+EKF3 reset the velocity."""
+STEP_LASTS_S: Mapping[str, float] = {"heading": np.inf, "height": HEIGHT_S / 2.0}
+"""By quantity, for how long a step of the estimate moves a residual that compares levels: for good,
+or until it is the median. Others compare changes, which are off in its bin alone."""
+BESIDE_S, NEAR_BINS = 1.0, 3
+"""Before and after a reset, of whose medians the step of a level is the difference; bins that it
+steps at most: its own and one on either side, since clocks of messages and samples differ."""
 
 
 def _binned(t: Array, values: Array, step_s: float = BIN_S) -> tuple[Array, Array]:
@@ -205,7 +225,7 @@ def _height(signals: Signals) -> Iterator[Residual]:
     step = max(BIN_S, 1.0 / baro.rate_hz)
     t, apart = _binned(baro.t_s, height + np.interp(baro.t_s, pos.t_s, pos.values[:, 2]), step)
     _, reading = _binned(baro.t_s, height, step)
-    bins = t, apart - trailing_median(apart, 20.0 / step)
+    bins = t, apart - trailing_median(apart, HEIGHT_S / step)
     causes = "baro_bias", "baro_disturbance"
     named = "barometer", "height", "m"
     yield _single(causes, named, bins, reading, 1.0, (4.0, 10.0, 100.0))
@@ -259,3 +279,37 @@ def _voltage(signals: Signals) -> Iterator[Residual]:
 Maker = Callable[[Signals], Iterator[Residual]]
 RESIDUALS: tuple[Maker, ...] = (_turn, _force, _field, _height, _place, _noise, _voltage)
 """Every comparison of two instruments, or of one with its own past."""
+
+
+def without_resets(r: Residual, resets: Sequence[Reset]) -> Residual:
+    """A residual without the steps that the estimator reports itself.
+
+    Within one bin of a reset it is what it is on both sides, and a level goes on where it was: what
+    begins before, or goes on after, stays. Resets without a pause of a bin, for longer than the
+    running mean, are no steps, and stay.
+    """
+    of = STEPPED_BY.get(r.passing, ())
+    at = np.array([x.t_s for x in resets if x.of in of])
+    begin, end = (np.searchsorted(r.t_s, at + k * r.step_s) for k in (-1.5, 1.5))
+    rest, near = r.difference.copy(), np.zeros(len(r.t_s), dtype=np.bool_)
+    for a, b in zip(begin.tolist(), end.tolist(), strict=True):
+        near[a:b] = True
+    for a, b in stretches_where(near):
+        if b - a <= max(r.width, NEAR_BINS):
+            _take_out(r.t_s, rest, (a, b), STEP_LASTS_S.get(r.quantity, 0.0))
+    return replace(r, difference=rest)
+
+
+def _take_out(t_s: Array, rest: Array, step: tuple[int, int], lasts_s: float) -> None:
+    """Take the step within some bins out of a residual, in place; of a level while it lasts."""
+    a, b = step
+    before = rest[:a][(t_s[:a] >= t_s[a] - BESIDE_S) & np.isfinite(rest[:a])]
+    after = rest[b:][(t_s[b:] <= t_s[b - 1] + BESIDE_S) & np.isfinite(rest[b:])]
+    if not (len(before) and len(after)):
+        rest[a:b] = np.nan
+    elif lasts_s > 0.0:
+        moved = (t_s >= t_s[b]) & (t_s <= t_s[a] + lasts_s)
+        rest[moved] -= np.median(after) - np.median(before)
+        rest[a:b] = np.median(before)
+    else:
+        rest[a:b] = min(before[-1], after[0], key=abs)

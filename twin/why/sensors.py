@@ -1,7 +1,7 @@
 """Sensors and state estimate: which of them began to disagree with the others, and when.
 
 By their `disagreements`; readings that stand still, or are missing, are seen in themselves. A step
-that the estimator puts into its own output, and says so, is none of them. No motor command is
+that the estimator puts into its own output, and says so, is taken out of them. No motor command is
 needed.
 """
 
@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from ..formatting import number
-from ..logs.autopilot import Autopilot, ResetOf
+from ..logs.autopilot import Reset
 from ..logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL
 from ..logs.flight import Flight
 from ..logs.stretches import stretches_where
@@ -26,7 +26,7 @@ from .consistency import (
     changed_at,
     smallest_detectable,
 )
-from .disagreements import FEWEST, NOISE, RESIDUALS, Signals
+from .disagreements import FEWEST, NOISE, RESIDUALS, STEPPED_BY, Signals, without_resets
 from .findings import Findings
 from .flight import Airborne, FlightFrame
 from .records import Amount, Candidate, Event, EvidenceSeries, NotVisible, Severity
@@ -126,14 +126,7 @@ SENSOR_CAUSES: Mapping[str, SensorCause] = {
 """By cause: effects of the library where it is one, and events of the state estimate."""
 SELF_EVIDENT = ("stuck_sensor", "sensor_dropout")
 """Causes that are seen in the reading itself, without another instrument."""
-STEPS_OF: Mapping[str, tuple[ResetOf, ...]] = {
-    "attitude_estimate": ("attitude", "yaw"),
-    "velocity_estimate": ("velocity", "position", "height"),
-    "position_estimate": ("position", "height"),
-}
-"""Causes that are of no instrument, and the resets that step so: with a position that jumps, EKF2
-and EKF3 reset the velocity."""
-OF_ESTIMATE = tuple(STEPS_OF)
+OF_ESTIMATE = ("attitude_estimate", "velocity_estimate", "position_estimate")
 """Causes that are of no instrument."""
 
 
@@ -143,29 +136,37 @@ def sensors(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Find
     hidden: dict[str, NotVisible] = {}
     for part in flight.airborne:
         residuals, found = part_events(flight, part)
-        events += [e for e in found if not announced(e, flight.flight.autopilot)]
+        events += found
         hidden |= _hidden(residuals, _budget(residuals))
     sound = np.prod([1.0 - e.probability for e in events if not e.consequence])
     return Findings(events=events, not_visible=tuple(hidden.values()), nothing=float(sound))
-
-
-def announced(event: Event, autopilot: Autopilot | None) -> bool:
-    """Whether the autopilot says itself that it put this step into its estimate."""
-    steps = STEPS_OF.get(event.cause, ())
-    resets = () if autopilot is None else autopilot.resets
-    return any(r.of in steps and abs(r.t_s - _onset(event)) <= TOGETHER_S for r in resets)
 
 
 def part_events(flight: FlightFrame, part: Airborne) -> tuple[list[Residual], list[Event]]:
     """Residuals of a part in the air, and its events."""
     start = float(flight.t_s[part.start]) + CLEAR_S
     end = float(flight.t_s[part.flown - 1]) - (LANDING_S if part.lost is None else 0.0)
-    signals = within(flight.flight, start, end)
-    residuals = [r for make in RESIDUALS for r in make(signals)]
+    signals, autopilot = within(flight.flight, start, end), flight.flight.autopilot
+    resets = () if autopilot is None else autopilot.resets
+    residuals = [without_resets(r, resets) for make in RESIDUALS for r in make(signals)]
     budget = _budget(residuals)
     found = [c for r in residuals if (c := changed_at(r, budget)) is not None]
     standing = [*frozen(signals, budget), *missing(signals, end)]
-    return residuals, grouped([*map(_of_change, found), *standing])
+    events = grouped([*map(_of_change, found), *standing])
+    return residuals, [_then_reset(e, resets) for e in events]
+
+
+def _then_reset(event: Event, resets: Sequence[Reset]) -> Event:
+    """An error of the estimate with the reset that ends it, if the autopilot reports one."""
+    if event.cause not in OF_ESTIMATE:
+        return event
+    of = STEPPED_BY[event.cause]
+    late = [r for r in resets if r.of in of and 0.0 <= r.t_s - _onset(event) <= FOLLOWS_S]
+    if not late:
+        return event
+    r = min(late, key=lambda r: r.t_s)
+    text = f"{event.text}, then the estimator resets its {r.of} at {r.t_s:.2f} s"
+    return replace(event, text=text)
 
 
 def _budget(residuals: Sequence[Residual]) -> Budget:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..formatting import number
-from ..logs.autopilot import Autopilot, Message
+from ..logs.autopilot import Autopilot, Message, Reset
 from ..logs.stretches import stretches_where
 from .findings import Findings
 from .flight import CONTACT_M_S2, Airborne, FlightFrame, lift
@@ -26,9 +26,9 @@ JOINED_S = 0.5
 MOST_STOPS = 12
 """Of each motor; more say no more."""
 MOST_MESSAGES = 60
-"""On the time axis; `report` lists all."""
+"""On the time axis, and as many resets of the estimator; `report` lists all messages."""
 REPEATED_S = 10.0
-"""The same message within that time is shown once."""
+"""The same message, or reset, within that time is shown once."""
 MARGIN_S = 2.0
 """Before take-off and after landing, for messages."""
 LAND_DETECTOR = re.compile(r"(Takeoff|Landing) detected")
@@ -149,11 +149,30 @@ def _said(flight: FlightFrame, autopilot: Autopilot) -> Iterator[TimelineItem]:
     for failsafe in autopilot.failsafes:
         times = {"t_s": failsafe.start_s, "end_s": failsafe.end_s}
         yield TimelineItem(kind="failsafe", **times, text=failsafe.name)
-    for reset in autopilot.resets:
-        text = f"the estimator resets its {reset.of}"
-        yield TimelineItem(kind="note", t_s=reset.t_s, text=text)
+    yield from _resets(autopilot.resets)
     yield from _arming(flight, autopilot)
     yield from _messages(flight, autopilot.messages)
+
+
+def _resets(resets: Sequence[Reset]) -> list[TimelineItem]:
+    """Resets of the estimator; those of one kind that follow each other are one item."""
+    rows: list[list[Reset]] = []
+    for reset in sorted(resets, key=lambda r: (r.of, r.t_s)):
+        last = rows[-1][-1] if rows else reset
+        if not rows or reset.of != last.of or reset.t_s - last.t_s >= REPEATED_S:
+            rows.append([])
+        rows[-1].append(reset)
+    shown = sorted(rows, key=lambda row: row[0].t_s)[:MOST_MESSAGES]
+    return [
+        TimelineItem(
+            kind="note",
+            t_s=row[0].t_s,
+            end_s=row[-1].t_s if len(row) > 1 else None,
+            text=f"the estimator resets its {row[0].of}"
+            + (f" {len(row)} times" if len(row) > 1 else ""),
+        )
+        for row in shown
+    ]
 
 
 def _arming(flight: FlightFrame, autopilot: Autopilot) -> Iterator[TimelineItem]:

@@ -13,10 +13,11 @@ from twin.logs.autopilot import Autopilot, Reset, ResetOf
 from twin.logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL
 from twin.why import disagreements
 from twin.why.consistency import FALSE_IN_10_H, Budget, Residual, changed_at, smallest_detectable
+from twin.why.diagnose import diagnose
 from twin.why.flight import FlightFrame
 from twin.why.records import Event
 from twin.why.sensors import SENSOR_CAUSES, grouped, sensors, within
-from twin.why.timeline import timeline
+from twin.why.timeline import MOST_MESSAGES, timeline
 
 
 def after(table: Table) -> np.ndarray:
@@ -50,12 +51,21 @@ def _missing(table: Table) -> None:
         table[column] = np.where(after(table), np.nan, table[column])
 
 
-def _yaw_reset(table: Table) -> None:
+def _turned(table: Table, where: np.ndarray) -> None:
     turn = from_euler(0.0, 0.0, 0.9)
     w, x, y, z = (table[c] for c in QUAT)
     turned = [turn[0] * w - turn[3] * z, turn[0] * x - turn[3] * y, turn[0] * y + turn[3] * x]
     for column, value in zip(QUAT, [*turned, turn[0] * z + turn[3] * w], strict=True):
-        table[column] = np.where(after(table), value, table[column])
+        table[column] = np.where(where, value, table[column])
+
+
+def _yaw_reset(table: Table) -> None:
+    _turned(table, after(table))
+
+
+def _yaw_mended(table: Table) -> None:
+    """A yaw that is wrong from the start, and is reset to the right one."""
+    _turned(table, ~after(table))
 
 
 def _shakes(table: Table) -> None:
@@ -243,19 +253,82 @@ def _made(maker: Callable[..., Iterator[Residual]]) -> list[Residual]:
     return list(maker(within(frame.flight, 1.0, 44.0)))
 
 
+def _height_jump(table: Table) -> None:
+    _add(POS[2], 6.0)(table)
+
+
+def reset_at(table: Table, of: ResetOf, *times_s: float) -> Flight:
+    """A flight whose autopilot reports resets."""
+    autopilot = Autopilot(resets=tuple(Reset(of, t) for t in times_s))
+    return Flight("flight", pd.DataFrame(table), autopilot=autopilot)
+
+
 @pytest.mark.parametrize(
-    ("of", "late_s", "events"), [("yaw", 0.1, 0), ("height", 0.1, 1), ("yaw", 5.0, 1)]
+    ("step", "cause", "of", "late_s", "events"),
+    [
+        (_yaw_mended, "attitude_estimate", "yaw", 0.1, 0),
+        (_yaw_mended, "attitude_estimate", "height", 0.1, 1),
+        (_yaw_mended, "attitude_estimate", "yaw", 5.0, 1),
+        (_height_jump, "position_estimate", "height", 0.0, 0),
+        (_height_jump, "position_estimate", "yaw", 0.0, 1),
+    ],
 )
 def test_a_reset_that_the_autopilot_reports_is_an_item_and_no_event(
-    of: ResetOf, late_s: float, events: int
+    step: Callable[[Table], None], cause: str, of: ResetOf, late_s: float, events: int
 ) -> None:
-    table = sound()
-    _yaw_reset(table)
-    autopilot = Autopilot(resets=(Reset(of, ONSET_S + late_s),))
-    frame = FlightFrame.of(Flight("flight", pd.DataFrame(table), autopilot=autopilot))
-    found = [e for e in sensors(frame).events if e.cause == "attitude_estimate"]
-    assert len(found) == events
+    """Compass and barometer, held against the estimate that steps, are not blamed either."""
+    step(table := sound())
+    frame = FlightFrame.of(reset_at(table, of, ONSET_S + late_s))
+    found = sensors(frame)
+    assert [e.cause for e in found.events if not e.consequence] == [cause] * events
+    assert events or (not found.events and found.nothing == 1.0)
     assert f"the estimator resets its {of}" in {i.text for i in timeline(frame).timeline}
+
+
+def test_what_follows_a_reported_reset_is_no_consequence_of_nothing() -> None:
+    _yaw_mended(table := sound())
+    table["baro_pa"] = table["baro_pa"] - 150.0 * (table["time"] >= ONSET_S + 4.0)
+    found = diagnose(reset_at(table, "yaw", ONSET_S), finders=(sensors,))
+    assert [e.cause for e in found.events if not e.consequence] == ["baro_bias"]
+    assert found.verdict == "found" and found.probability > 0.5
+    assert found.events[0].onset_s == pytest.approx(ONSET_S + 4.0, abs=0.3)
+
+
+def test_an_error_that_a_reset_ends_keeps_its_place() -> None:
+    """The velocity runs away by 5 m/s2 for 1.5 s, and steps back."""
+    table, led_s = sound(), 1.5
+    away = (table["time"] - ONSET_S) * (after(table) & (table["time"] < ONSET_S + led_s))
+    table["vel_z"] = table["vel_z"] + 5.0 * away
+    frame = FlightFrame.of(reset_at(table, "velocity", ONSET_S + led_s))
+    event, *rest = sensors(frame).events
+    assert not event.consequence and all(e.consequence for e in rest)
+    assert event.cause == "velocity_estimate"
+    assert event.onset_s == pytest.approx(ONSET_S, abs=0.3)
+    assert event.severity is not None
+    assert abs(event.severity.value) == pytest.approx(5.0, rel=0.15)
+    assert event.text.endswith(", then the estimator resets its velocity at 26.50 s")
+
+
+def test_a_reset_hides_no_fault_that_begins_with_it() -> None:
+    _yaw_mended(table := sound())
+    _add("gyro_y", 0.08)(table)
+    events = sensors(FlightFrame.of(reset_at(table, "yaw", ONSET_S))).events
+    assert [(e.cause, e.sensor) for e in events] == [("gyro_bias", "gyro_y")]
+
+
+def test_an_estimator_that_resets_all_the_time_hides_nothing_and_is_said_once() -> None:
+    _yaw_mended(table := sound())
+    frame = FlightFrame.of(reset_at(table, "yaw", *np.arange(5.0, 40.0, 0.01).tolist()))
+    assert "attitude_estimate" in {e.cause for e in sensors(frame).events if not e.consequence}
+    (item,) = [i for i in timeline(frame).timeline if "resets" in i.text]
+    assert item.text == "the estimator resets its yaw 3500 times"
+    assert (item.t_s, item.end_s) == pytest.approx((5.0, 39.99))
+
+
+def test_resets_far_apart_are_items_and_not_endless() -> None:
+    frame = FlightFrame.of(reset_at(sound(), "height", *np.arange(-3000.0, 45.0, 15.0).tolist()))
+    items = [i for i in timeline(frame).timeline if "resets" in i.text]
+    assert len(items) == MOST_MESSAGES and all(i.end_s is None for i in items)
 
 
 def test_every_residual_is_asked_and_has_its_signals() -> None:

@@ -136,8 +136,10 @@ _RESET_COUNTERS: dict[str, dict[str, ResetOf]] = {
         "vz_reset_counter": "velocity",
     },
 }
-"""Counters by topic and what they count the resets of. Source: PX4, msg/VehicleAttitude.msg,
-msg/VehicleLocalPosition.msg."""
+"""Counters by topic and what they count the resets of, uint8. Source: PX4,
+msg/VehicleAttitude.msg, msg/VehicleLocalPosition.msg."""
+_MOST_RESETS = 8
+"""Between two logged samples; what counts further, or back, is a restart or a damaged byte."""
 _ARMED = 2
 """vehicle_status.arming_state, in every release."""
 _UNIT_NORM = 0.01  # from 1, of a quaternion that is one
@@ -351,7 +353,8 @@ def _resets(log: Px4Log) -> Iterator[Reset]:
         topic = log.aside(name)
         for counter, of in counters.items() if topic is not None else ():
             if topic is not None and topic.has(counter):
-                stepped = np.flatnonzero(np.diff(topic.data[counter].astype(np.int64))) + 1
+                forward = np.mod(np.diff(topic.data[counter].astype(np.int64)), 256)
+                stepped = np.flatnonzero((forward > 0) & (forward <= _MOST_RESETS)) + 1
                 yield from (Reset(of, float(t)) for t in topic.t_s[stepped])
 
 

@@ -120,6 +120,33 @@ def test_bad_samples_are_left_out_and_counted(tmp_path: Path) -> None:
     assert counted(flight, "gyro", "beyond") == 1
 
 
+@pytest.mark.parametrize(
+    ("counts", "steps"),
+    [
+        ((3, 4), 1),
+        ((3, 4, 4, 6), 2),
+        ((255, 0), 1),
+        ((254, 1), 1),
+        ((4, 3), 0),
+        ((200, 0), 0),
+        ((2, 77, 2), 0),
+        ((0, 0), 0),
+    ],
+    ids=["step", "steps", "wraps", "wraps by 3", "back", "restart", "damaged byte", "none"],
+)
+def test_counters_of_resets_count_small_steps_forward(
+    tmp_path: Path, counts: tuple[int, ...], steps: int
+) -> None:
+    """Each count for 100 samples of 4 ms, the last one to the end."""
+    each = np.array(counts, dtype=np.uint8)[np.minimum(np.arange(500) // 100, len(counts) - 1)]
+    flight = saved(tmp_path, ulog(damaged("vehicle_local_position", vxy_reset_counter=each)))
+    assert flight.autopilot is not None
+    resets = flight.autopilot.resets
+    assert len(resets) == steps and {r.of for r in resets} <= {"velocity"}
+    if counts == (3, 4):
+        assert resets[0].t_s == pytest.approx(0.4, abs=0.01)
+
+
 def test_backward_and_repeated_times_are_dropped_and_counted(tmp_path: Path) -> None:
     blob = ulog(modern())
     mark = b"".join([(1_000_000 + 4000 * k).to_bytes(8, "little") for k in (100,)])
