@@ -54,7 +54,7 @@ EKF3 reset the velocity."""
 STEP_LASTS_S: Mapping[str, float] = {"heading": np.inf, "height": HEIGHT_S / 2.0}
 """By quantity, for how long a step of the estimate moves a residual that compares levels: for good,
 or until it is the median. Others compare changes, which are off in its bin alone."""
-BESIDE_S, NEAR_BINS = 1.0, 3
+NEARBY_S, NEAR_BINS = 1.0, 3
 """Before and after a reset, of whose medians the step of a level is the difference; bins that it
 steps at most: its own and one on either side, since clocks of messages and samples differ."""
 
@@ -303,8 +303,8 @@ def without_resets(r: Residual, resets: Sequence[Reset]) -> Residual:
 def _take_out(t_s: Array, rest: Array, step: tuple[int, int], lasts_s: float) -> None:
     """Take the step within some bins out of a residual, in place; of a level while it lasts."""
     a, b = step
-    before = rest[:a][(t_s[:a] >= t_s[a] - BESIDE_S) & np.isfinite(rest[:a])]
-    after = rest[b:][(t_s[b:] <= t_s[b - 1] + BESIDE_S) & np.isfinite(rest[b:])]
+    before = rest[:a][(t_s[:a] >= t_s[a] - NEARBY_S) & np.isfinite(rest[:a])]
+    after = rest[b:][(t_s[b:] <= t_s[b - 1] + NEARBY_S) & np.isfinite(rest[b:])]
     if not (len(before) and len(after)):
         rest[a:b] = np.nan
     elif lasts_s > 0.0:
