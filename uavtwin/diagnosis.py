@@ -13,9 +13,8 @@ from twin.formatting import joined, pretty_unit
 from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
 from twin.why.diagnose import diagnose
-from twin.why.disagreements import NOISE
+from twin.why.disagreements import NOISE, SENSOR_CAUSES
 from twin.why.records import Candidate, Diagnosis, Event, NotVisible
-from twin.why.sensors import SENSOR_CAUSES
 
 from .display import PageMixin, TextTable
 from .flights import checked_flights

@@ -6,7 +6,6 @@ needed.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from msgspec.structs import replace
@@ -14,8 +13,7 @@ from numpy.typing import NDArray
 
 from ..formatting import number
 from ..logs.autopilot import Reset
-from ..logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL
-from ..logs.flight import Flight
+from ..logs.columns import ACC, GYRO, MAG
 from ..logs.stretches import stretches_where
 from ..residuals.measured import Signal
 from .consistency import (
@@ -26,7 +24,15 @@ from .consistency import (
     changed_at,
     smallest_detectable,
 )
-from .disagreements import FEWEST, NOISE, RESIDUALS, STEPPED_BY, Signals, without_resets
+from .disagreements import (
+    NOISE,
+    RESIDUALS,
+    SENSOR_CAUSES,
+    STEPPED_BY,
+    Signals,
+    within,
+    without_resets,
+)
 from .findings import Findings
 from .flight import Airborne, FlightFrame
 from .records import Amount, Candidate, Event, EvidenceSeries, NotVisible, Severity
@@ -46,84 +52,6 @@ MOST_POINTS = 240
 """Of a signal that is drawn."""
 
 
-@dataclass(frozen=True, slots=True)
-class SensorCause:
-    """What is said of a cause.
-
-    Attributes:
-        text: A sentence; {sensor}, {size} and {t} are filled in.
-        bench_check: What to check on the bench.
-    """
-
-    text: str
-    bench_check: str
-
-
-SENSOR_CAUSES: Mapping[str, SensorCause] = {
-    "gyro_bias": SensorCause(
-        "From {t} s on {sensor} is off by {size} against the attitude",
-        "Leave the aircraft at rest for a minute, warm and cold: the gyroscope should read less "
-        "than 0.01 rad/s.",
-    ),
-    "gyro_scale": SensorCause(
-        "From {t} s on {sensor} reads {size} too much in proportion",
-        "Turn the aircraft by a full turn about that axis: the integral should be 360 degrees.",
-    ),
-    "attitude_estimate": SensorCause(
-        "At {t} s the attitude estimate turns {size} unlike {sensor}",
-        "Read the estimator's messages about that time: a reset of yaw, a change of compass or of "
-        "the estimator in use.",
-    ),
-    "accel_bias": SensorCause(
-        "From {t} s on {sensor} is off by {size} against the change of velocity",
-        "Lay the aircraft on each of its sides: the accelerometer should read 9.81 m/s2.",
-    ),
-    "accel_scale": SensorCause(
-        "From {t} s on {sensor} reads {size} too much in proportion",
-        "Lay the aircraft on each of its sides: the accelerometer should read 9.81 m/s2.",
-    ),
-    "velocity_estimate": SensorCause(
-        "At {t} s the velocity estimate changes by {size} unlike {sensor}",
-        "Look for a jump of the satellite position, or for another source of velocity.",
-    ),
-    "position_estimate": SensorCause(
-        "At {t} s {sensor} moves {size} unlike the velocity",
-        "Look for a jump of the satellite position: few satellites, or a reset of the estimator.",
-    ),
-    "mag_hard_iron": SensorCause(
-        "From {t} s on the {sensor} is off by {size}",
-        "Look for something magnetic that was carried or moved, and calibrate the compass.",
-    ),
-    "mag_disturbance": SensorCause(
-        "At {t} s the {sensor} is disturbed by {size}",
-        "Look for steel or a current near the place, and for power cables near the compass.",
-    ),
-    "baro_bias": SensorCause(
-        "From {t} s on the {sensor} is off by {size} against the height",
-        "Look at the foam over the barometer: light or a stream of air moves its reading.",
-    ),
-    "baro_disturbance": SensorCause(
-        "At {t} s the {sensor} is off by {size} against the height",
-        "Look at the foam over the barometer: light or a stream of air moves its reading.",
-    ),
-    NOISE: SensorCause(
-        "From {t} s on the {sensor} shakes more, {size}",
-        "Look for something loose at the board, then at propellers, bells and screws.",
-    ),
-    "battery_sag": SensorCause(
-        "At {t} s the voltage leaves that of the half minute before by {size}",
-        "Measure the resistance of the cells, look at the plug and its solder.",
-    ),
-    "stuck_sensor": SensorCause(
-        "From {t} s on {sensor} stays exactly the same for {size}",
-        "Look at plug and bus of the sensor: a driver that repeats its last reading hides a fault.",
-    ),
-    "sensor_dropout": SensorCause(
-        "From {t} s on no sample of the {sensor} comes for {size}",
-        "Look at plug, bus and supply of the sensor.",
-    ),
-}
-"""By cause: effects of the library where it is one, and events of the state estimate."""
 SELF_EVIDENT = ("stuck_sensor", "sensor_dropout")
 """Causes that are seen in the reading itself, without another instrument."""
 OF_ESTIMATE = ("attitude_estimate", "velocity_estimate", "position_estimate")
@@ -236,21 +164,6 @@ def _not_visible(cause: str, size: float, r: Residual) -> NotVisible:
     reason = "a smaller change is within what the instruments differ by anyhow"
     amount = Amount(value=float(share), unit=r.unit)
     return NotVisible(cause=cause, smallest_detectable=amount, reason=reason)
-
-
-def within(flight: Flight, start_s: float, end_s: float) -> dict[str, Signal]:
-    """Signals as logged within a span; derived ones would agree with what they are derived of."""
-    found: dict[str, Signal] = {}
-    named: dict[str, tuple[str, ...]] = {"acc": ACC, "gyro": GYRO, "mag": MAG, "q": QUAT}
-    named |= {"pos": POS, "vel": VEL}
-    named |= {"baro": ("baro_pa",), "vbat": ("vbat_v",)}
-    for name, columns in named.items():
-        if flight.has(*columns):
-            t, values = flight.signal(columns)
-            inside = (t >= start_s) & (t <= end_s)
-            if inside.sum() > FEWEST:
-                found[name] = Signal(t[inside], values[inside])
-    return found
 
 
 # -- as events ----------------------------------------------------------------------------------

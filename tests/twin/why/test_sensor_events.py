@@ -14,9 +14,10 @@ from twin.logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL
 from twin.why import disagreements
 from twin.why.consistency import FALSE_IN_10_H, Budget, Residual, changed_at, smallest_detectable
 from twin.why.diagnose import diagnose
+from twin.why.disagreements import SENSOR_CAUSES, within
 from twin.why.flight import FlightFrame
 from twin.why.records import Event
-from twin.why.sensors import SENSOR_CAUSES, grouped, sensors, within
+from twin.why.sensors import grouped, sensors
 from twin.why.timeline import MOST_MESSAGES, timeline
 
 
