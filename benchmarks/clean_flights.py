@@ -30,8 +30,8 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from twin.errors import TwinError
 from twin.flight.closed_loop import STEP_S
 from twin.logs import Flight, read_flight
-from twin.why import diagnose
 from twin.why.causes import AIR
+from twin.why.diagnose import diagnose
 
 from .sudden_faults.answers import trivial_rule
 from .sudden_faults.built_in import Planted

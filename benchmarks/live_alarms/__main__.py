@@ -20,7 +20,7 @@ from benchmarks.sudden_faults.built_in import Planted
 from twin.errors import TwinError
 from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
-from twin.why import diagnose
+from twin.why.diagnose import diagnose
 from twin.why.flight import FlightFrame
 from twin.why.records import Event
 from twin.why.rules import parted_outputs

@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from twin.logs import Flight
 from twin.logs.columns import motor_columns
-from twin.why import diagnose
+from twin.why.diagnose import diagnose
 from twin.why.rules import RuleReading, parted
 from twin.why.speeds import CHECKS
 
