@@ -368,7 +368,7 @@ def test_drag_is_that_of_either_effect_in_1_s() -> None:
     nano = next(s for s in SCENARIOS if s.name == "nanobench")
     found = case("circle", {})
     found["predicted"] = {"rotor_drag.k_xy_1_s": 0.1, "blade_flapping.k_rad_s_m": 0.02}
-    assert drag_1_s(found) == pytest.approx(0.1 + 9.81 * 0.02)
+    assert drag_1_s(found) == pytest.approx(0.1 + 9.80665 * 0.02)
     row = found["channels"][0] | {"unit": "rad/s²", "effects": 10.0}
     for axis, mean in zip("xyz", (9.0, 0.0, 8.0), strict=True):
         found["channels"].append(
