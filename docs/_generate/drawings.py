@@ -51,6 +51,7 @@ WORDS = {
     "twin.frames": "NED, FRD, rotations",
     "twin.formatting": "numbers as text",
     "twin.representation": "values in a line or two",
+    "twin.topic_mapping": "names of topics of a ROS 2 bag",
     "twin.scratch": "temporary files, swept",
 }
 """What each room of the list of layers holds."""
