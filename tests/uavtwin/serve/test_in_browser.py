@@ -110,6 +110,7 @@ def test_two_tabs_show_the_same(served: Process, opened: Browser, flight: str) -
         opened.run("document.querySelector('form[action$=tags] button').click()")
         opened.wait("document.getElementById('words').defaultValue === 'second tab'")
     opened.wait("document.querySelector('#rows').innerText.includes('second tab')")
+    assert opened.complaints == []
 
 
 def test_the_keyboard_alone_reaches_everything(
@@ -151,6 +152,7 @@ def test_a_job_is_cancelled_killed_with_its_server_and_goes_on_with_the_next(
     opened.wait("document.querySelector('progress')")
     opened.run("document.getElementById('cancel-explain').click()")
     opened.wait("document.body.innerText.includes('Cancelled.')")
+    assert opened.run("document.querySelectorAll('progress').length") == 0
 
 
 def test_a_log_that_is_dropped_while_the_server_is_away_waits_for_it(
@@ -162,6 +164,7 @@ def test_a_log_that_is_dropped_while_the_server_is_away_waits_for_it(
     opened.wait("document.getElementById('uploads').innerText.includes('waits for the server')")
     served.start()
     opened.wait("document.getElementById('rows').innerText.includes('waits.csv')")
+    assert "waits for the server" not in opened.run("document.body.innerText")
 
 
 def test_beyond_this_machine_the_printed_address_lets_in(opened: Browser, tmp_path: Path) -> None:
