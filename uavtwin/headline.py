@@ -80,14 +80,15 @@ def _answer(found: Explanation) -> Headline:
         return _named(found, naming)
     if found.verdict == "unnamed":
         return Headline(f"The cause of the residual is {_outside(found)}.")
-    tied = _candidates(found)
+    summed = {e for t in totals(found) for e in t.effects}
+    tied = _candidates(found, summed)
     if (none := nothing_probability(found) or 0.0) > 0.01:
         tied.append(f"none ({certainty(none)})")
     if naming.outside > naming.settings.least:
         tied.append(f"a cause outside the library of effects ({certainty(naming.outside)})")
-    together = _together(found).lstrip()
-    if together:
-        return Headline(f"Missing from the model: {together}")
+    if summed:
+        others = f" Also possible: {joined(tied, 'or')}." if tied else ""
+        return Headline(f"Missing from the model:{_together(found)}{others}")
     return Headline(f"Several causes are consistent with these flights: {joined(tied, 'or')}.")
 
 
@@ -228,9 +229,10 @@ def _number(estimate: Estimate) -> str:
     return f"{text})"
 
 
-def _candidates(found: Explanation) -> list[str]:
-    """Listed effects, each with its probability."""
-    return [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed_effects(found)]
+def _candidates(found: Explanation, without: Collection[str] = ()) -> list[str]:
+    """Listed effects but for some, each with its probability."""
+    listed = [e for e in listed_effects(found) if e not in without]
+    return [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed]
 
 
 def _sure(found: Explanation, effects: Sequence[str]) -> str:

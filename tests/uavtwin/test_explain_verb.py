@@ -341,7 +341,11 @@ def test_drag_that_two_effects_may_be_is_told_in_sum(named: Run) -> None:
     assert total.ci95[0] < DRAG_1_S < total.ci95[1] < 1.3 * DRAG_1_S
     text = headline(unsure).text
     assert text.startswith("Missing from the model: drag in proportion to airspeed, 0.")
-    assert "rotor drag or blade flapping, which these flights do not tell apart" in text
+    assert text.endswith("rotor drag or blade flapping, which these flights do not tell apart.")
+    third = replace(naming.best, effects=("ground_effect", "rotor_drag"))
+    more = replace(tied, fitted=(*tied.fitted, third), probabilities=(0.4, 0.3, 0.3))
+    also = headline(replace(unsure, naming=more)).text
+    assert also.endswith("tell apart. Also possible: ground effect (30 %).")
     (record,) = explain_record(unsure).json()["totals"]
     assert record["effects"] == [*total.effects]
     assert record["value"] == pytest.approx(total.value, rel=1e-5)
