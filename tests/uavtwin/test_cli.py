@@ -526,7 +526,11 @@ def test_the_former_query_asks_with_its_second_argument(given: list[str], now: l
 
 @pytest.mark.parametrize(
     ("given", "said"),
-    [(("query", "folder"), "--sql"), (("bench", "--json"), "python -m benchmarks.speed")],
+    [
+        (("query", "folder"), "--sql"),
+        (("bench", "--json"), "python -m benchmarks.speed"),
+        (("generate", "model", "--seed", "1"), "simulate MISSION --model FOLDER"),
+    ],
 )
 def test_a_former_name_says_what_it_is_now(
     capsys: pytest.CaptureFixture[str], given: tuple[str, ...], said: str

@@ -76,6 +76,8 @@ HIDDEN = (version,)
 FORMER: dict[str, tuple[str, ...] | str] = {
     "hil": ("live", "--hil"),
     "query": ("fleet",),
+    "generate": "generate: is no verb any more. A mission flown by what was trained: uavtwin "
+    "simulate MISSION --model FOLDER.",
     "bench": "bench: is no verb any more. In a checkout: python -m benchmarks.speed.",
 }
 """Names of verbs that are kept for one release, and what these are now, or where they went."""
