@@ -40,15 +40,19 @@ def test_gap_writes_its_files(
     capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    code, said, _ = run(capsys, "gap", table, "--vehicle", VEHICLE, "--out", out)
+    code, said, _ = run(capsys, "gap", table, "--vehicle", VEHICLE, "--tables", "--out", out)
     assert code == 0
     assert "acc_z" in said.splitlines()[0]
-    assert {p.name for p in out.iterdir()} == {"gap.json", "report.html", "run.json", "series"}
+    files = {"gap.json", "report.html", "run.json", "series", "tables"}
+    assert {p.name for p in out.iterdir()} == files
     assert [p.name for p in (out / "series").iterdir()] == ["flight.parquet"]
     gap = json.loads((out / "gap.json").read_text())
     # To hover 10 % heavier takes 10 % more thrust: the twin expects 0.1 g too much of it.
     assert gap["channels"]["acc_z"]["mean"] == pytest.approx(0.1 * 9.80665, rel=0.05)
     assert set(gap) >= {"flights", "channels", "warnings"}
+    channels = pd.read_csv(out / "tables" / "channels.csv", index_col="name")
+    assert channels.at["acc_z", "mean"] == gap["channels"]["acc_z"]["mean"]
+    assert len(pd.read_csv(out / "tables" / "worst.csv")) == len(gap["worst"])
     record = json.loads((out / "run.json").read_text())
     assert record["verb"] == "gap"
     assert [i["name"] for i in record["inputs"]] == ["flight.parquet"]

@@ -19,6 +19,7 @@ from .options import (
     Payload,
     Prints,
     Rebuild,
+    Tables,
     TrustVehicle,
     named_numbers,
     vehicle_named,
@@ -63,6 +64,7 @@ def explain(
     out: Out = Path("explain"),
     csv: Csv = False,
     mcap: Mcap = False,
+    tables: Tables = False,
     force: Force = False,
     as_json: Annotated[
         Json,
@@ -142,6 +144,7 @@ def explain(
         flights=[*fit, *away],
         series=found.series(),
         forms=forms,
+        tables=tables,
         seed=seed,
         journal=JOURNAL,
     )

@@ -14,6 +14,7 @@ from .options import (
     Out,
     Prints,
     Rebuild,
+    Tables,
     TrustVehicle,
     VehicleName,
     needed_vehicle,
@@ -30,6 +31,7 @@ def gap(
     trust_vehicle: TrustVehicle = False,
     csv: Csv = False,
     mcap: Mcap = False,
+    tables: Tables = False,
     force: Force = False,
     as_json: Annotated[
         Json,
@@ -75,4 +77,5 @@ def gap(
         flights=flights,
         series=found.series(),
         forms=forms,
+        tables=tables,
     )

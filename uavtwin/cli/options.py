@@ -145,6 +145,10 @@ class Prints:
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 Csv = Annotated[bool, typer.Option("--csv", help="Series as CSV, not Parquet.")]
+Tables = Annotated[
+    bool,
+    typer.Option("--tables", help="The lists of the JSON as CSV too, for pandas: tables/."),
+]
 Mcap = Annotated[
     bool, typer.Option("--mcap", help="Series as MCAP, for Foxglove and PlotJuggler, not Parquet.")
 ]

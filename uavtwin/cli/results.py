@@ -65,6 +65,23 @@ def write_page(found: Paged, folder: Path, name: str) -> list[str]:
     return ["report.html", name]
 
 
+TABLES = "tables"
+"""Folder of the tables in one of results."""
+
+
+def write_tables(record: "Record", folder: Path) -> None:
+    """Write each list of a record, or its parts by name, as CSV: a row each, `a.b` for b in a."""
+    import pandas as pd
+
+    folder.mkdir()
+    for key, value in record.json().items():
+        parts = value
+        if isinstance(value, dict):
+            parts = [{"name": k, **v} for k, v in value.items() if isinstance(v, dict) and v]
+        if isinstance(parts, list) and parts and all(isinstance(p, dict) for p in parts):
+            pd.json_normalize(parts).to_csv(folder / f"{key}.csv", index=False)
+
+
 def conclude(
     verb: str,
     found: Printable,
@@ -79,6 +96,7 @@ def conclude(
     flights: "Sequence[AnyFlight]" = (),
     series: "Sequence[Series]" = (),
     forms: "Sequence[Form]" = (),
+    tables: bool = False,
     seed: int | None = None,
     journal: str = "",
 ) -> None:
@@ -98,6 +116,7 @@ def conclude(
         flights: That were read.
         series: Of the folder.
         forms: Of these.
+        tables: Whether the lists of the record are written as tables too.
         seed: Of what is drawn.
         journal: Name of a file of the folder that the run leaves if it is killed; "": none.
     """
@@ -109,6 +128,9 @@ def conclude(
         written = write(folder, steps, step)
         if steps.run("series", folder, lambda place: write_all_series(series, place, forms)):
             written.append("series/")
+        if tables:
+            write_tables(found.record, folder / TABLES)
+            written.append(f"{TABLES}/")
         read = [p for p in inputs if p.is_file()]
         write_run(folder, verb, options, read, seed, incomplete=steps.incomplete)
     if not as_json:
