@@ -54,6 +54,8 @@ need, and the air brakes it by less until 10 m/s."""
 CLEAR_FALL_M = 0.5
 """Fall behind a flight that no ground stopped, whatever its height says: a landing that rebounds
 falls by 0.05 m (nanobench B5). By judgement."""
+GROUND_S = 2.0
+"""Before it is clear of the ground and after, within which it stands on it."""
 LEAST_COMMAND = 0.02
 """Command below which its logarithm is held."""
 FRAME_LAG_S = 0.2
@@ -237,6 +239,23 @@ class FlightFrame:
             for a, z in clear
             if (z - a) * self.dt_s > SHORTEST_S
         )
+
+    @cached_property
+    def above_ground_m(self) -> Array:
+        """Height over the ground where it took off and lands, between them linear since barometers
+        drift, shape (n,); infinity where neither is in the log, or no height."""
+        above, near = np.full(len(self.t_s), np.inf), self.places(GROUND_S)
+        if "pos" not in self.grid:
+            return above
+        height = -self.grid["pos"][:, 2]
+        for part in self.airborne:
+            ends = (part.start, max(part.start - near, 0)), (part.end, part.end)
+            known = [(k, height[a : a + near].min()) for k, a in ends if 0 < k < len(height)]
+            if known:
+                rows = np.arange(part.start, part.end)
+                at, ground = np.array(known).T
+                above[rows] = height[rows] - np.interp(rows, at, ground)
+        return above
 
     def fall(self, start: int, end: int) -> tuple[float, int, int]:
         """Longest fall that begins within places, by the specific force alone, from rest: its

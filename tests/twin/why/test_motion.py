@@ -128,11 +128,12 @@ def test_a_part_that_shows_nothing_hides_no_event_of_another(first: bool) -> Non
     assert len(hidden) == 1 and "the gyroscope stands still" in hidden.pop()
 
 
-def driven(authority: float = 60.0, jitter: float = 0.03) -> Flight:
-    """A climb in which random commands about hover turn an X by its signs; a gyroscope's noise."""
+def driven(authority: float = 60.0, jitter: float = 0.03, last: float = 1.0) -> Flight:
+    """A climb in which random commands about hover turn an X by its signs; a gyroscope's noise. The
+    last rotor is driven by so much more than the others."""
     rng, t = np.random.default_rng(2), np.arange(0.0, 18.0, 0.01)
     slow = gaussian_filter1d(rng.standard_normal((len(t), 4)), 5.0, axis=0)
-    commands = 0.5 + jitter * slow / slow.std(axis=0)
+    commands = 0.5 + jitter * slow / slow.std(axis=0) * [1.0, 1.0, 1.0, last]
     asked = (lift(commands) - lift(np.array(0.5))) @ moment_signs(frame("x")).T
     rates = 0.01 * np.cumsum(authority * asked[:, 1:], axis=0)
     rates -= gaussian_filter1d(rates, 100.0, axis=0)
@@ -150,6 +151,8 @@ def driven(authority: float = 60.0, jitter: float = 0.03) -> Flight:
     [
         (driven(), [0, 1, 2, 3], ""),
         (driven(), [1, 0, 3, 2], "in another order than the vehicle file"),
+        (driven(last=2.2), [0, 1, 2, 3], ""),
+        (driven(last=2.2), [1, 2, 0, 3], "otherwise than in the order of the vehicle file"),
         (driven(authority=0.5), [0, 1, 2, 3], "the gyroscope does not follow the commands"),
         (driven(jitter=1e-4), [0, 1, 2, 3], "it is not sure that the body turns"),
         (driven(jitter=0.0), [0, 1, 2, 3], "the commands of the rotors never change"),
@@ -169,6 +172,23 @@ def test_why_a_body_shows_nothing_is_said_of_a_log_and_live(
     watch.push({str(c): v for c, v in flight.columns.items()})
     watch.evaluate()
     assert reason in watch.rests and bool(watch.rests) == bool(reason)
+
+
+def test_height_is_over_the_ground_where_it_took_off_and_lands() -> None:
+    """A barometer drifts by a metre; a record of what was flown alone knows no ground."""
+    flown, t = driven().table, np.arange(0.0, 24.0, 0.01)
+    height = np.interp(t, [0.0, 3.0, 5.0, 19.0, 21.0, 24.0], [0.0, 0.0, 5.0, 5.0, 1.0, 1.0])
+    rows = np.clip(np.arange(len(t)) - 300, 0, len(flown) - 1)
+    idle = dict.fromkeys((c for c in flown if c[:4] == "cmd_"), 0.05)
+    table = flown.iloc[rows].reset_index(drop=True).assign(time=t, pos_z=-height)
+    table.loc[(t < 3.0) | (t >= 21.0), list(idle)] = 0.05
+    frame = FlightFrame.of(Flight("whole", table))
+    (part,) = frame.airborne
+    above = frame.above_ground_m[part.start : part.end]
+    assert above[[0, -1]] == pytest.approx(0.77, abs=0.1)  # clear of it by 15 % of its reach
+    assert above.max() == pytest.approx(4.8, abs=0.2)
+    cut = FlightFrame.of(Flight("in the air", table[(t > 6.0) & (t < 18.0)]))
+    assert cut.airborne and np.all(np.isinf(cut.above_ground_m))
 
 
 def test_a_log_without_commands_says_what_it_cannot_show() -> None:
