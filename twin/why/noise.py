@@ -21,6 +21,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_banded
 from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
@@ -60,10 +61,13 @@ class Law:
             floor: Added to the deviation.
             phis: Of the level, among which is chosen.
         """
-        laws = ((p, t) for p in phis for t in THETA if t <= p)
-        scale = {law: _scale(cls(*law, 1.0).filtered(left)) for law in laws}
-        phi, theta = min(scale, key=lambda law: scale[law])
-        return cls(phi, theta, scale[phi, theta] + floor)
+        laws = [(p, t) for p in phis for t in THETA if t <= p]
+        slow = {t: lfilter([1.0], [1.0, -t], left) for t in THETA}
+        scale = _scales(
+            np.stack([slow[t] - p * np.concatenate([[0.0], slow[t][:-1]]) for p, t in laws])
+        )
+        best = int(np.argmin(scale))
+        return cls(*laws[best], float(scale[best]) + floor)
 
     def filtered(self, values: Array) -> Array:
         """Innovations with no interval lively, along the first axis."""
@@ -71,10 +75,22 @@ class Law:
         return np.asarray(whole)
 
 
-def _scale(innovations: Array) -> float:
-    """Root of the mean square of clipped innovations."""
-    most = OUTLIER * 1.4826 * float(np.median(np.abs(innovations)))
-    return float(np.sqrt(np.mean(np.clip(innovations, -most, most) ** 2)))
+def _scales(innovations: Array) -> Array:
+    """Root of the mean square of clipped innovations, shape (laws, n), of each law."""
+    most = OUTLIER * 1.4826 * np.median(np.abs(innovations), axis=1, keepdims=True)
+    return np.asarray(np.sqrt(np.mean(np.clip(innovations, -most, most) ** 2, axis=1)))
+
+
+def _carried(keep: Array, given: Array) -> Array:
+    """Levels l_t+1 = keep_t l_t + given_t, from zero on, shape (n + 1, ...): a bidiagonal system.
+
+    Args:
+        keep: Shape (n,).
+        given: Shape (n, ...).
+    """
+    band = np.stack([np.ones(len(keep)), -np.append(keep[1:], 0.0)])
+    level = solve_banded((1, 0), band, given.reshape(len(given), -1), check_finite=False)
+    return np.concatenate([np.zeros((1, *given.shape[1:])), level.reshape(given.shape)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,15 +129,10 @@ class Whitened:
         """
         follow = (law.phi - law.theta) * weight
         decay, scale = law.phi - follow, np.sqrt(weight) / law.sd
-        level = np.zeros((len(columns) + 1, *columns.shape[1:]))
-        for t, (keep, take) in enumerate(zip(decay.tolist(), follow.tolist(), strict=True)):
-            level[t + 1] = keep * level[t] + take * columns[t]
+        level = _carried(decay, follow[:, None, None] * columns)
         rows = (columns - level[:-1]) * scale[:, None, None]
-        by_rows, by_itself = np.zeros_like(level), np.zeros(len(level))
-        given, square = rows * scale[:, None, None], scale**2
-        for t in range(len(rows) - 1, -1, -1):
-            by_rows[t] = given[t] + decay[t] * by_rows[t + 1]
-            by_itself[t] = square[t] + decay[t] ** 2 * by_itself[t + 1]
+        by_rows = _carried(decay[::-1], (rows * scale[:, None, None])[::-1])[::-1]
+        by_itself = _carried(decay[::-1] ** 2, scale[::-1] ** 2)[::-1]
         lost = np.log(np.maximum(np.abs(decay), 1e-9))
         survives = np.concatenate([[0.0], np.cumsum(lost)])
         return [
