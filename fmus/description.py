@@ -1,10 +1,13 @@
 """`modelDescription.xml` of FMI 2.0 and FMI 3.0 from one interface table."""
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from datetime import UTC, datetime
 
 from lxml import etree
 
 from twin.component import Enumeration, Variable
+from twin.errors import FmuError
 
 from .documentation import project
 from .model import Entry, ExchangeState, FmuModel, check_interface
@@ -35,6 +38,8 @@ def model_description(model: FmuModel, fmi: int, token: str, sources: Sequence[s
     """
     check_interface(model)
     root = _fmi2(model, token, sources) if fmi == 2 else _fmi3(model, token)
+    if token:  # which the date is no part of
+        root.attrib.update(_dated())
     return _bytes(root)
 
 
@@ -199,7 +204,7 @@ def _array(element: etree._Element, entry: Entry) -> None:
 
 
 def _made_by() -> dict[str, str]:
-    """Attributes of either version; no date, so that the same model gives the same bytes."""
+    """Attributes of either version."""
     made = project()
     return {
         "author": made.author,
@@ -208,6 +213,24 @@ def _made_by() -> dict[str, str]:
         "license": made.licence,
         "generationTool": made.name,
     }
+
+
+def _dated() -> dict[str, str]:
+    """`generationDateAndTime`, where SOURCE_DATE_EPOCH gives one (reproducible-builds.org).
+
+    Raises:
+        FmuError: It is no number of seconds since 1970.
+    """
+    text = os.environ.get("SOURCE_DATE_EPOCH")
+    if not text:
+        return {}
+    try:
+        made = datetime.fromtimestamp(int(text), UTC)
+    except (ValueError, OverflowError, OSError):
+        raise FmuError(
+            f"SOURCE_DATE_EPOCH={text}: give whole seconds since 1970, or none."
+        ) from None
+    return {"generationDateAndTime": made.strftime("%Y-%m-%dT%H:%M:%SZ")}
 
 
 def _computed(variable: Variable) -> bool:

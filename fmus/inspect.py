@@ -22,6 +22,7 @@ from twin.errors import FmuError
 from twin.representation import short_repr
 
 from .archive import DESCRIPTION, Archive, open_archive, repeated_entries
+from .experiments import VERSION, read_experiments, related_problems
 from .names import shown
 
 _ARCHITECTURES = (
@@ -225,7 +226,7 @@ def inspect_fmu(path: Path) -> FmuReport:
     problems = [*archive.problems, *wrong, *name_problems(description)]
     problems += [*_number_problems(archive.root), *repeated_entries(archive.members)]
     if not archive.problems:  # else its members are not read
-        problems += _member_problems(archive)
+        problems += [*_member_problems(archive), *related_problems(archive)]
     platforms = sorted(
         {n.split("/")[1] for n in archive.names if n.startswith("binaries/") and n.count("/") >= 2}
     )
@@ -240,6 +241,7 @@ def inspect_fmu(path: Path) -> FmuReport:
         "platforms": brief(", ".join(platforms) or "none"),
         "sources": "inside" if sources else "not inside",
         **_variables(description),
+        **_experiments(archive, problems),
         "saves its state": "yes" if _saves_state(description) else "no",
         "size": f"{path.stat().st_size} bytes, {unpacked} unpacked",
     }
@@ -347,6 +349,17 @@ def _variables(description: ModelDescription) -> dict[str, str]:
         "documented": f"{described} of {len(variables)} described, "
         f"{sum(bool(v.unit) for v in real)} of {len(real)} real numbers with unit",
     }
+
+
+def _experiments(archive: Archive, problems: list[str]) -> dict[str, str]:
+    """Reference results of an FMU; what is wrong with them goes to the problems."""
+    try:
+        found = read_experiments(archive)
+    except FmuError as error:
+        problems.append(str(error))
+        return {}
+    names = ", ".join(e.name for e in found)
+    return {"reference results": f"{brief(names)} (FMI-LS-REF {VERSION})"} if found else {}
 
 
 def _saves_state(description: ModelDescription) -> bool:

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from .diagnosis import WhyResult, why
     from .explanation import ExplainResult, explain
     from .exports.parts import Twin, compensator, component, learned_force, replay, twin
+    from .exports.verify import VerifyResult, verify
     from .exports.write import export
     from .file_check import check_file as check
     from .fleets.fleet import fleet
@@ -64,6 +65,7 @@ __all__ = [
     "Twin",
     "TwinError",
     "Vehicle",
+    "VerifyResult",
     "WhyResult",
     "__version__",
     "builtin_vehicles",
@@ -91,6 +93,7 @@ __all__ = [
     "train",
     "twin",
     "vehicle",
+    "verify",
     "why",
     "write_flight",
 ]
@@ -111,6 +114,7 @@ _HOME = {
     "Twin": "uavtwin.exports.parts",
     "TwinError": "twin.errors",
     "Vehicle": "uavtwin.vehicles",
+    "VerifyResult": "uavtwin.exports.verify",
     "WhyResult": "uavtwin.diagnosis",
     "builtin_vehicles": "twin.vehicle_file",
     "check": "uavtwin.file_check:check_file",
@@ -136,6 +140,7 @@ _HOME = {
     "train": "uavtwin.learned",
     "twin": "uavtwin.exports.parts",
     "vehicle": "uavtwin.vehicles",
+    "verify": "uavtwin.exports.verify",
     "why": "uavtwin.diagnosis",
     "write_flight": "twin.logs",
 }

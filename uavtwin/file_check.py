@@ -241,6 +241,8 @@ def _check_fmu(path: Path) -> CheckReport:
         if runs_here and not report.problems and kind in report.facts["format"]:
             command = f"fmpy simulate {path.name}{option}"
             uses.append(f"{kind} on {report.facts['platforms']}: {command}")
+    if uses and "reference results" in report.facts:
+        uses.append(f"to be rerun against its reference results: uavtwin verify {path.name}")
     return CheckReport(path.name, report.facts, report.problems, (), (), tuple(uses))
 
 

@@ -41,6 +41,7 @@ from .simulate import simulate
 from .sweep import sweep
 from .train import train
 from .vehicle import vehicle
+from .verify import verify
 from .why import why
 
 
@@ -64,7 +65,7 @@ another order and end in other bits; one is as fast for matrices of this size.""
 PANELS = {
     "Your flights": (check, why, gap, explain, convert),
     "Your aircraft": (vehicle, calibrate, show),
-    "Simulate and export": (simulate, sweep, export),
+    "Simulate and export": (simulate, sweep, export, verify),
     "Fleet and live": (serve, fleet, live, replay),
     "Learn": (train, evaluate),
     "Try": (demo,),

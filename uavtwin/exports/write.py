@@ -14,6 +14,7 @@ from fmus.compensator import NetworkFile, UnsupportedNetworkError, native_model
 from fmus.model import with_real_outputs
 from fmus.platforms import Platform, compilers, select_platforms
 from fmus.python_slave.build import build_network_slave, build_python_slave
+from fmus.reference_results import add_reference_results
 from twin.component import Component, unknown_name
 from twin.errors import TwinError
 from twin.formatting import counted
@@ -148,8 +149,10 @@ def products_of(
 
 
 def _native(model: FmuModel) -> Product:
-    def write(path: Path, fmi: int, platforms: Sequence[str]) -> Path:
-        return build(model, path, fmi, platforms)
+    def write(path: Path, fmi: int, platforms: Sequence[str]) -> None:
+        build(model, path, fmi, platforms)
+        if not model.arrays:  # the tables of the experiments have scalars
+            add_reference_results(path, model, fmi)
 
     return Product(f"{model.name}.fmu", write, model=model)
 

@@ -460,6 +460,7 @@ def test_export_of_the_corrected_twin(
 ) -> None:
     """Descriptions alone: the sensors, the commands and the phase feed the compensator."""
     monkeypatch.setattr("fmus.builder._compile", lambda *_: b"")
+    monkeypatch.setattr("uavtwin.exports.write.add_reference_results", lambda *_: None)
     rows = export(["corrected-twin"], tmp_path / "out", vehicle=VEHICLE, model=folder_of("track"))
     assert [row.file for row in rows] == ["corrected_twin.fmu", "corrected_twin.ssp"]
     parts = read_ssp(tmp_path / "out" / "corrected_twin.ssp")
@@ -543,6 +544,7 @@ def test_start_values_are_baked_in(
     folder_of: Folder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("fmus.builder._compile", lambda *_: b"")
+    monkeypatch.setattr("uavtwin.exports.write.add_reference_results", lambda *_: None)
     export(
         ["compensator"],
         tmp_path / "out",

@@ -65,6 +65,7 @@ def test_command_line_gives_it_inputs_and_no_pilot(
 ) -> None:
     """Its description alone."""
     monkeypatch.setattr("fmus.builder._compile", lambda *_: b"")
+    monkeypatch.setattr("uavtwin.exports.write.add_reference_results", lambda *_: None)
     choice = Choice(VEHICLE, drive="commands", start=["airframe.mass=0.03"])
     export_components(["corrected-twin"], choice)(tmp_path, lambda _: None)
     table = fmpy.read_model_description(str(tmp_path / "corrected_twin.fmu")).modelVariables

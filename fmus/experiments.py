@@ -1,0 +1,251 @@
+"""Experiments inside an FMU, with the outputs that belong to them: read, rerun, compared.
+
+Source: FMI Layered Standard References (FMI-LS-REF), draft 1.0.0-alpha.1, and the Experiments
+Format of the Modelica Association, a draft without a version: its schema as of commit 2b88754 of
+modelica/ma-hs-experiments, where the times stand in `TransientSimulation`.
+
+Neither says how results are compared. Here `tolerance` of an experiment is the largest deviation of
+an output over the largest magnitude of its reference, at the times of the reference.
+"""
+
+import csv
+import hashlib
+import io
+import posixpath
+import tempfile
+import zipfile
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import fmpy
+import numpy as np
+from lxml import etree
+from numpy.typing import NDArray
+
+from twin.errors import FmuError
+
+from .archive import Archive, open_archive, unpack
+from .names import shown
+
+Array = NDArray[np.float64]
+Table = dict[str, Array]
+"""Values by name, `time` in s first."""
+
+VERSION = "1.0.0-alpha.1"
+"""Of FMI-LS-REF."""
+NAME = "org.fmi-standard.fmi-ls-ref"
+FOLDER = f"extra/{NAME}"
+MANIFEST = f"{FOLDER}/fmi-ls-manifest.xml"
+TYPE = "application/x-ma-hs-experiments"
+TOLERANCE = 1e-4
+"""Of what is written, and where an experiment gives none. Other processors and compilers leave
+less; a mass that is 3 % off leaves 1e-2. Made up."""
+_ROLES = ("experiment", "experiment/smoke-test", "experiment/validation")
+"""Of files with experiments that are rerun."""
+_LEAST = 1e-9
+"""Magnitude below which a reference counts as zero."""
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """One to be rerun.
+
+    Attributes:
+        name: Of the experiment.
+        start_s: Time at which it begins.
+        stop_s: Time at which it ends.
+        step_s: Between two exchanges of values.
+        tolerance: Largest deviation over the largest magnitude of the reference.
+        stimuli: Inputs over time; empty: they stay at their start values.
+        references: Outputs over time.
+    """
+
+    name: str
+    start_s: float
+    stop_s: float
+    step_s: float
+    tolerance: float
+    stimuli: Table
+    references: Table
+
+
+@dataclass(frozen=True, slots=True)
+class Deviation:
+    """How far a rerun is from its reference.
+
+    Attributes:
+        experiment: Its name.
+        output: That is farthest off, in parts of its reference.
+        share: By how much; infinite: it gave no number.
+        tolerance: Of the experiment.
+        outputs: How many were compared.
+    """
+
+    experiment: str
+    output: str
+    share: float
+    tolerance: float
+    outputs: int
+
+    @property
+    def passed(self) -> bool:
+        """Whether all of them are within the tolerance."""
+        return self.share <= self.tolerance
+
+
+def run(path: Path, experiment: Experiment, outputs: Iterable[str]) -> Table:
+    """Outputs of an experiment, by FMPy, at each of its steps.
+
+    Raises:
+        FmuError: The FMU is unsafe, or it fails.
+    """
+    stimuli = experiment.stimuli
+    given = None
+    if stimuli:
+        given = np.zeros(len(stimuli["time"]), [(n, np.float64) for n in stimuli])
+        for name, values in stimuli.items():
+            given[name] = values
+    wanted = list(outputs)
+    with tempfile.TemporaryDirectory() as folder:
+        unpack(path, Path(folder))
+        try:
+            found = fmpy.simulate_fmu(
+                folder,
+                start_time=experiment.start_s,
+                stop_time=experiment.stop_s,
+                output_interval=experiment.step_s,
+                fmi_type="CoSimulation",
+                input=given,
+                output=wanted,
+            )
+        except Exception as error:  # FMPy raises many kinds
+            raise FmuError(f"{path.name}: {experiment.name} cannot be run: {error}") from error
+    return {name: np.asarray(found[name], float) for name in ("time", *wanted)}
+
+
+def verify(path: Path) -> list[Deviation]:
+    """Rerun every experiment that an FMU holds.
+
+    Raises:
+        FmuError: It holds none, they cannot be read, or the FMU cannot be run.
+    """
+    experiments = read_experiments(open_archive(path))
+    if not experiments:
+        raise FmuError(f"{path.name}: holds no reference results (FMI-LS-REF). Export it again.")
+    return [
+        _deviation(e, run(path, e, [n for n in e.references if n != "time"])) for e in experiments
+    ]
+
+
+def _deviation(experiment: Experiment, found: Table) -> Deviation:
+    """The output that is farthest off."""
+    at = experiment.references["time"]
+    shares = {"": 0.0}
+    for name, wanted in experiment.references.items():
+        if name == "time":
+            continue
+        off = np.abs(np.interp(at, found["time"], found[name]) - wanted).max()
+        share = off / max(float(np.abs(wanted).max()), _LEAST)
+        shares[name] = float(share) if np.isfinite(share) else np.inf
+    worst = max(shares, key=shares.__getitem__)
+    return Deviation(experiment.name, worst, shares[worst], experiment.tolerance, len(shares) - 1)
+
+
+def related_problems(archive: Archive) -> list[str]:
+    """Files of the manifest that are not there, or have another checksum."""
+    problems = []
+    with zipfile.ZipFile(archive.path) as opened:
+        for element in _related(archive, opened):
+            member = _member(MANIFEST, element.get("source", ""))
+            wanted = element.get("checksum")
+            kind = element.get("checksumType", "SHA3-256").lower().replace("sha-", "sha")
+            if member not in archive.names:
+                problems.append(f"{MANIFEST} names {shown(member)}, which is not there")
+            elif wanted is not None:
+                digest = hashlib.new(kind.replace("sha3-", "sha3_"), opened.read(member))
+                if digest.hexdigest() != wanted.lower():
+                    problems.append(f"{shown(member)} has another checksum than {MANIFEST} says")
+    return problems
+
+
+def read_experiments(archive: Archive) -> list[Experiment]:
+    """Experiments of an FMU, in order; none: it has no manifest, or no experiments.
+
+    Raises:
+        FmuError: They cannot be read, or want more than inputs, times and references.
+    """
+    found = []
+    with zipfile.ZipFile(archive.path) as opened:
+        for element in _related(archive, opened):
+            if element.get("role") in _ROLES and element.get("type") == TYPE:
+                member = _member(MANIFEST, element.get("source", ""))
+                root = _parsed(archive, opened, member)
+                found += [_experiment(archive, opened, member, e) for e in root.iter("Experiment")]
+    return found
+
+
+def _related(archive: Archive, opened: zipfile.ZipFile) -> list[etree._Element]:
+    if archive.problems or MANIFEST not in archive.names:
+        return []
+    return list(_parsed(archive, opened, MANIFEST).iter("Related"))
+
+
+def _experiment(
+    archive: Archive, opened: zipfile.ZipFile, member: str, element: etree._Element
+) -> Experiment:
+    name, times = element.get("name", ""), element.find("TransientSimulation")
+    where = f"{archive.path.name}: {member}: {shown(name)}"
+    references = element.find("References")
+    if times is None or references is None or element.find("Parameters") is not None:
+        raise FmuError(
+            f"{where}: only a TransientSimulation with References and without Parameters is rerun."
+        )
+
+    def table(part: etree._Element | None) -> Table:
+        if part is None:
+            return {}
+        if part.get("type", "text/csv") != "text/csv":
+            raise FmuError(f"{where}: {part.get('type')} is not read; text/csv is.")
+        return _table(archive, opened, _member(member, part.get("source", "")))
+
+    try:
+        numbers = [float(times.get(k, d)) for k, d in (("startTime", "0"), ("stopTime", "nan"))]
+        numbers.append(float(times.get("stepSize", "nan")))
+        tolerance = float(element.get("tolerance", TOLERANCE))
+    except ValueError as error:
+        raise FmuError(f"{where}: {error}.") from None
+    start, stop, step = numbers
+    if not (np.isfinite(start) and start < stop < np.inf and 0 < step <= stop - start):
+        raise FmuError(f"{where}: from {start} to {stop} in steps of {step} is no experiment.")
+    if not tolerance > 0:
+        raise FmuError(f"{where}: a tolerance of {tolerance} is none.")
+    return Experiment(
+        name, start, stop, step, tolerance, table(element.find("Stimuli")), table(references)
+    )
+
+
+def _table(archive: Archive, opened: zipfile.ZipFile, member: str) -> Table:
+    """Columns of a CSV; the first is the time."""
+    try:
+        rows = list(csv.reader(io.StringIO(opened.read(member).decode())))
+        values = np.array(rows[1:], float)
+        columns = dict(zip(["time", *rows[0][1:]], values.T, strict=True))
+    except (KeyError, IndexError, ValueError) as error:
+        raise FmuError(f"{archive.path.name}: {shown(member)}: no table: {error}.") from None
+    if not len(columns["time"]) or not np.isfinite(values).all():
+        raise FmuError(f"{archive.path.name}: {shown(member)}: no rows, or no finite numbers.")
+    return columns
+
+
+def _member(base: str, source: str) -> str:
+    """Name in the archive of what a file there names."""
+    return posixpath.normpath(posixpath.join(posixpath.dirname(base), source))
+
+
+def _parsed(archive: Archive, opened: zipfile.ZipFile, member: str) -> etree._Element:
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
+    try:
+        return etree.fromstring(opened.read(member), parser)
+    except (KeyError, etree.XMLSyntaxError) as error:
+        raise FmuError(f"{archive.path.name}: {shown(member)}: {error}.") from None

@@ -1,0 +1,151 @@
+"""Reference results of a built FMU: what it gave where it was built, as `experiments` reads it."""
+
+import csv
+import hashlib
+import io
+import tempfile
+import zipfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+from lxml import etree
+
+from twin.component import Variable
+
+from .builder import build, write_archive
+from .experiments import (
+    FOLDER,
+    MANIFEST,
+    NAME,
+    TOLERANCE,
+    TYPE,
+    VERSION,
+    Array,
+    Experiment,
+    Table,
+    run,
+)
+from .model import FmuModel
+from .names import usual_size
+from .platforms import DEFAULT
+
+_NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
+_ABOUT = "Layered Standard providing information on related files included in an FMU."
+_STOP_S, _STEP_S = 5.0, 0.05
+"""Long enough for a take-off. Made up."""
+_DIGITS = 9
+"""Significant ones of a number: four more than `TOLERANCE` asks for."""
+_EXCITED = 0.02
+"""Amplitude of an input over its usual size. Made up: what it drives is still near its start."""
+
+
+def add_reference_results(path: Path, model: FmuModel, fmi: int) -> None:
+    """Run an FMU that `build` has written, and put experiment and outputs into it.
+
+    Args:
+        path: Of the FMU, which is replaced.
+        model: What it was built of; without arrays.
+        fmi: Its version.
+    """
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    time = np.linspace(0.0, _STOP_S, round(_STOP_S / _STEP_S) + 1)
+    inputs = [v for v in model.variables if v.causality == "input"]
+    experiment = Experiment(
+        "made_up", 0.0, _STOP_S, _STEP_S, TOLERANCE, _stimuli(inputs, time), {"time": time}
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        runnable = Path(folder, path.name)
+        build(model, runnable, fmi, DEFAULT)  # of the cache, where it is for this platform
+        found = run(runnable, experiment, model.output_names)
+    write_archive(path, members | _members(experiment, found))
+
+
+def _stimuli(inputs: Iterable[Variable], time: Array) -> Table:
+    """Real inputs around their start values, each with a frequency of its own; others as they are.
+
+    Numbers are those that the file has.
+    """
+    waves: Table = {}
+    for k, v in enumerate(inputs):
+        size = _EXCITED * usual_size(v.unit, v.start) if v.real else 0.0
+        wave = float(v.start) + size * np.sin(2 * np.pi * (0.3 + 0.07 * k) * time)
+        waves[v.name] = np.array([float(_number(x)) for x in wave])
+    return {"time": time, **waves} if waves else {}
+
+
+def _number(value: float) -> str:
+    return f"{value:.{_DIGITS}g}"
+
+
+def _members(experiment: Experiment, found: Table) -> dict[str, bytes]:
+    """Files of the layered standard."""
+    files = {"reference_out.csv": (_csv(found), "text/csv", "result", "Outputs of made_up")}
+    if experiment.stimuli:
+        files["reference_in.csv"] = (
+            *(_csv(experiment.stimuli), "text/csv", "other"),
+            "Inputs of made_up: around their start values, held between two rows",
+        )
+    files["reference.exp"] = (
+        *(_experiments(experiment), TYPE, "experiment/smoke-test"),
+        "What this FMU gave where it was built: rerun it to see that it gives the same here",
+    )
+    manifest = etree.Element("fmiReferences", nsmap={"fmi-ls": _NAMESPACE})
+    for key, text in (("name", NAME), ("version", VERSION), ("description", _ABOUT)):
+        manifest.set(f"{{{_NAMESPACE}}}fmi-ls-{key}", text)
+    for name, (content, kind, role, description) in files.items():
+        etree.SubElement(
+            manifest,
+            "Related",
+            type=kind,
+            source=name,
+            role=role,
+            description=description,
+            checksum=hashlib.sha3_256(content).hexdigest(),
+            checksumType="SHA3-256",
+        )
+    about = (
+        f"Reference results, FMI-LS-REF {VERSION} (draft), in {FOLDER}.\n\n"
+        f"made_up: {_STOP_S:g} s from the start values, inputs as reference_in.csv has them where "
+        "there are some.\nIt is no flight: it shows that the FMU computes here what it computed "
+        "where it was built.\n"
+        f"An output passes if it is nowhere farther from its reference than {TOLERANCE:g} of the "
+        "reference's largest magnitude.\n\nuavtwin verify FILE reruns it.\n"
+    )
+    return {
+        MANIFEST: _xml(manifest),
+        "documentation/fmi-ls-ref.txt": about.encode(),
+        **{f"{FOLDER}/{name}": content for name, (content, *_) in files.items()},
+    }
+
+
+def _experiments(experiment: Experiment) -> bytes:
+    root = etree.Element("Experiments", name="smoke test")
+    one = etree.SubElement(
+        root, "Experiment", name=experiment.name, tolerance=_number(experiment.tolerance)
+    )
+    etree.SubElement(
+        one,
+        "TransientSimulation",
+        startTime=_number(experiment.start_s),
+        stopTime=_number(experiment.stop_s),
+        stepSize=_number(experiment.step_s),
+    )
+    if experiment.stimuli:
+        etree.SubElement(one, "Stimuli", type="text/csv", source="reference_in.csv")
+    etree.SubElement(one, "References", type="text/csv", source="reference_out.csv")
+    return _xml(root)
+
+
+def _xml(root: etree._Element) -> bytes:
+    text: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
+    return text
+
+
+def _csv(table: Mapping[str, Array]) -> bytes:
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(table)
+    rows.writerows([_number(x) for x in row] for row in zip(*table.values(), strict=True))
+    return text.getvalue().encode()

@@ -1,0 +1,145 @@
+"""Reference results inside an FMU: rerun by FMPy, told from another twin, refused where damaged."""
+
+import csv
+import zipfile
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from lxml import etree
+
+from fmus import build
+from fmus.archive import open_archive
+from fmus.builder import write_archive
+from fmus.experiments import FOLDER, MANIFEST, read_experiments, related_problems, verify
+from fmus.reference_results import add_reference_results
+from twin.errors import FmuError
+from twin.vehicle_file import load_vehicle
+from uavtwin.exports.parts import twin
+from uavtwin.exports.write import Starts, products_of
+
+pytestmark = pytest.mark.slow
+COPTER = load_vehicle("copter_default")
+
+
+def written(folder: Path, mass: float = 1.0, fmi: int = 2, driven: bool = True) -> Path:
+    """The twin of a copter of so many times its mass."""
+    vehicle = COPTER.with_mass(mass * COPTER.mass_kg)
+    made = products_of(twin(vehicle, drive="command" if driven else None), Starts({}), [fmi])
+    model = made[0].model
+    assert model is not None
+    path = folder / f"{mass}_{fmi}_{driven}.fmu"
+    build(model, path, fmi)
+    add_reference_results(path, model, fmi)
+    return path
+
+
+def members(path: Path) -> dict[str, bytes]:
+    with zipfile.ZipFile(path) as archive:
+        return {n: archive.read(n) for n in archive.namelist()}
+
+
+def changed(path: Path, others: dict[str, bytes]) -> Path:
+    """The same with other members."""
+    new = path.with_name("changed.fmu")
+    write_archive(new, members(path) | others)
+    return new
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("plant"))
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("driven", [True, False])
+def test_another_mass_is_told(tmp_path: Path, fmi: int, driven: bool) -> None:
+    own, heavier = (written(tmp_path, mass, fmi, driven) for mass in (1.0, 1.03))
+    (same,) = verify(own)
+    assert same.passed and 0 < same.share < 1e-8 and same.outputs > 50
+    old = {n: c for n, c in members(own).items() if n.startswith(FOLDER)}
+    (other,) = verify(changed(heavier, old))
+    assert not other.passed and other.share > 1e-2
+
+
+def test_ten_lines_of_fmpy_say_the_same(plant: Path) -> None:
+    folder = fmpy.extract(str(plant))
+    place = Path(folder, FOLDER)
+    times = etree.parse(place / "reference.exp").find(".//TransientSimulation")
+    assert times is not None
+    given = fmpy.util.read_csv(str(place / "reference_in.csv"))
+    wanted = fmpy.util.read_csv(str(place / "reference_out.csv"))
+    names = [n for n in wanted.dtype.names if n != "time"]
+    step, stop = float(times.get("stepSize", "")), float(times.get("stopTime", ""))
+    found = fmpy.simulate_fmu(
+        folder, stop_time=stop, output_interval=step, input=given, output=names
+    )
+    off = [np.abs(found[n] - wanted[n]).max() / max(np.abs(wanted[n]).max(), 1e-9) for n in names]
+    assert max(off) < 1e-4
+
+
+def test_the_same_model_gives_the_same_bytes_and_the_date_that_is_asked_for(
+    plant: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert written(tmp_path).read_bytes() == plant.read_bytes()
+    assert b"generationDateAndTime" not in open_archive(plant).description
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    dated = open_archive(written(tmp_path))
+    assert dated.root.get("generationDateAndTime") == "2023-11-14T22:13:20Z"
+    assert dated.root.get("guid") == open_archive(plant).root.get("guid")
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
+    with pytest.raises(FmuError, match="SOURCE_DATE_EPOCH=yesterday: give whole seconds"):
+        written(tmp_path)
+
+
+def test_the_manifest_is_what_the_draft_asks_for(plant: Path) -> None:
+    content = members(plant)
+    root = etree.fromstring(content[MANIFEST])
+    space = "{http://fmi-standard.org/fmi-ls-manifest}fmi-ls-"
+    assert root.get(f"{space}name") == "org.fmi-standard.fmi-ls-ref"
+    assert root.get(f"{space}version") == "1.0.0-alpha.1"
+    files = {e.get("source"): e.get("role") for e in root.iter("Related")}
+    assert files["reference.exp"] == "experiment/smoke-test"
+    assert {f"{FOLDER}/{f}" for f in files} <= content.keys()
+    (experiment,) = read_experiments(open_archive(plant))
+    assert experiment.stop_s == 5.0 and set(experiment.stimuli) >= {"time", "airframe.cmd_1"}
+    assert related_problems(open_archive(plant)) == []
+
+
+def test_a_changed_reference_is_told(plant: Path) -> None:
+    name = f"{FOLDER}/reference_out.csv"
+    rows = list(csv.reader(members(plant)[name].decode().splitlines()))
+    rows[50][1] = str(float(rows[50][1]) + 1.0)
+    text = "\n".join(",".join(row) for row in rows) + "\n"
+    new = changed(plant, {name: text.encode()})
+    assert related_problems(open_archive(new)) == [
+        f"'{name}' has another checksum than {MANIFEST} says"
+    ]
+    assert not verify(new)[0].passed
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (b'source="reference_out.csv"/>', b'source="../../../etc/passwd"/>', "no table"),
+        (b'stepSize="0.05"', b'stepSize="0"', "is no experiment"),
+        (b'stopTime="5"', b'stopTime="soon"', "soon"),
+        (b'tolerance="0.0001"', b'tolerance="nan"', "a tolerance of nan"),
+        (b"<References", b'<Parameters source="x.ssv"/><References', "without Parameters"),
+        (b"<Experiments", b"<Experiments <", "reference.exp"),
+    ],
+)
+def test_what_cannot_be_rerun_is_refused(plant: Path, old: bytes, new: bytes, said: str) -> None:
+    name = f"{FOLDER}/reference.exp"
+    text = members(plant)[name]
+    assert old in text
+    with pytest.raises(FmuError, match=said):
+        verify(changed(plant, {name: text.replace(old, new)}))
+
+
+def test_without_reference_results_it_is_said(plant: Path, tmp_path: Path) -> None:
+    bare = tmp_path / "bare.fmu"
+    write_archive(bare, {n: c for n, c in members(plant).items() if not n.startswith("extra")})
+    with pytest.raises(FmuError, match="holds no reference results"):
+        verify(bare)

@@ -1,0 +1,102 @@
+"""An FMU rerun against the reference results that it holds."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from fmus.experiments import Deviation
+from fmus.experiments import verify as rerun
+
+from ..display import DisplayMixin, TextTable
+from ..record import Record
+
+
+class ExperimentRecord(Record, frozen=True, kw_only=True):
+    """An experiment of an FMU, and how far it is from its reference here.
+
+    Attributes:
+        name: Of the experiment.
+        passed: Whether every output is within the tolerance.
+        outputs: How many were compared.
+        worst: Output that is farthest off.
+        deviation: Of that, over the largest magnitude of its reference; null: no number came out.
+        tolerance: Of the experiment.
+    """
+
+    name: str
+    passed: bool
+    outputs: int
+    worst: str
+    deviation: float
+    tolerance: float
+
+
+class VerifyRecord(Record, frozen=True, kw_only=True):
+    """What `verify` found.
+
+    Attributes:
+        file: Name of the FMU.
+        passed: Whether all experiments did.
+        experiments: In the order of the FMU.
+    """
+
+    file: str
+    passed: bool
+    experiments: tuple[ExperimentRecord, ...]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class VerifyResult(DisplayMixin):
+    """What `verify` found.
+
+    Attributes:
+        file: Name of the FMU.
+        deviations: One of each experiment.
+    """
+
+    file: str
+    deviations: tuple[Deviation, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether all experiments did."""
+        return all(d.passed for d in self.deviations)
+
+    @property
+    def record(self) -> VerifyRecord:
+        """The content of `--json`."""
+        experiments = tuple(
+            ExperimentRecord(
+                name=d.experiment,
+                passed=d.passed,
+                outputs=d.outputs,
+                worst=d.output,
+                deviation=d.share,
+                tolerance=d.tolerance,
+            )
+            for d in self.deviations
+        )
+        return VerifyRecord(file=self.file, passed=self.passed, experiments=experiments)
+
+    def findings(self) -> Iterable[str | TextTable]:
+        """A sentence per experiment."""
+        for d in self.deviations:
+            said = "comes out the same" if d.passed else "comes out otherwise"
+            yield (
+                f"{self.file}: {d.experiment} {said}: of {d.outputs} outputs {d.output} is most "
+                f"off, {d.share:.2g} of its reference ({d.tolerance:g} allowed)."
+            )
+
+    def brief(self) -> str:
+        """Whether it passed."""
+        return f"{type(self).__name__}: {self.file}, {'passed' if self.passed else 'failed'}"
+
+
+def verify(path: str | Path) -> VerifyResult:
+    """Rerun the experiments of an FMU, whose code is executed, and compare its outputs.
+
+    Raises:
+        FmuError: It holds no reference results, or cannot be run.
+    """
+    path = Path(path)
+    return VerifyResult(path.name, tuple(rerun(path)))
