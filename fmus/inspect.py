@@ -77,7 +77,7 @@ def library_problem(content: bytes, platform: str) -> str | None:
     system, processors = _PLATFORMS[platform]
     try:
         header = _header(content)
-    except struct.error:
+    except (struct.error, OverflowError):  # an offset beyond what fits, or beyond any file
         return f"is cut: {len(content)} bytes end within its headers"
     if header is None:
         return "is no shared library: neither ELF, PE nor Mach-O"

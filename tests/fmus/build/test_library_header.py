@@ -4,7 +4,7 @@ from pathlib import Path
 
 import fmpy
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from fmus.inspect import library_problem, library_suffix
@@ -59,6 +59,7 @@ def test_what_is_no_library(content: bytes) -> None:
     assert library_problem(content, "linux64") is not None
 
 
+@example("linux64", [(39, 128)])
 @given(
     st.sampled_from(sorted(SHIPPED)), st.lists(st.tuples(st.integers(0, 500), st.integers(0, 255)))
 )
