@@ -32,7 +32,8 @@ LEAST_LAG_S = 2.5e-3
 
 
 LEAST_SHARE = 1e-3
-"""Thrust over that in hover below which its map keeps its shape: a root has no slope at zero."""
+"""Thrust over that in hover, or over that of a whole rotor, below which a power of it is constant:
+a root has no slope at zero."""
 
 
 def _hover_momentum(vehicle: Vehicle) -> float:
@@ -75,9 +76,9 @@ def _spare_lag(vehicle: Vehicle) -> float:
 
 
 def _rotor_efficiency_loss(r: Thrust, p: Block) -> Thrust:
-    lost = p.each("loss")
-    torque = [q * (1 - p["torque_share"] * k) for q, k in zip(r.torque, lost, strict=True)]
-    return replace(_scaled(r, [1 - k for k in lost]), torque=torque)
+    left, share = [1 - k for k in p.each("loss")], p["torque_share"]
+    torque = [q * ca.fmax(k, LEAST_SHARE) ** share for q, k in zip(r.torque, left, strict=True)]
+    return replace(_scaled(r, left), torque=torque)
 
 
 def _rotor_inertia_torque(r: Thrust, p: Block) -> Thrust:
@@ -256,7 +257,7 @@ ROTOR_EFFICIENCY_LOSS = Effect(
         EffectParameter(
             "torque_share",
             "1",
-            "share of the reaction torque lost per share of the thrust lost",
+            "power of the share of the thrust left that is left of the reaction torque",
             1.0,
             (0, 1.5),
             neutral=None,
@@ -264,8 +265,9 @@ ROTOR_EFFICIENCY_LOSS = Effect(
         ),
     ),
     ("acc", "gyro"),
-    "definition: one factor per rotor; thrust and torque of a rotor that turns more slowly go with "
-    "the square of its speed, one with a damaged blade may keep more of its torque",
+    "definition: one factor per rotor, and a power of it on its torque, which stays positive; thrust "
+    "and torque of a rotor that turns more slowly go with the square of its speed (power 1), one "
+    "with a damaged blade may keep more of its torque",
     _rotor_efficiency_loss,
     observable_as=Equation(mistaken_for=("cog_offset", "thrust_scale", "mass_offset")),
     prior=Prior(

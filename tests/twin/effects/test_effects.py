@@ -300,8 +300,25 @@ def test_a_weak_rotor_drops_its_corner() -> None:
 def test_a_weak_rotor_loses_reaction_torque_as_well(share: float) -> None:
     added = change(plain(), "rotor_efficiency_loss", {}, loss_2=0.1, torque_share=share)
     torque = 0.02 * 1.2 * 9.80665 / 4  # of a rotor that turns counter-clockwise: the body's is +
-    assert added["omega_z"] == pytest.approx(-share * 0.1 * torque / 0.036)
+    assert added["omega_z"] == pytest.approx((0.9**share - 1) * torque / 0.036)
     assert added["vel_z"] == pytest.approx(0.1 * 9.80665 / 4)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.7, 1.5])
+def test_a_weak_rotor_never_twists_the_other_way(share: float) -> None:
+    """At a small loss it loses `share` of its torque per share of its thrust, at any loss it keeps
+    some: a rotor that has lost all of its torque leaves no authority in yaw."""
+    torque = 0.02 * 1.2 * 9.80665 / 4 / 0.036
+
+    def lost(loss: float) -> float:
+        """Share of its reaction torque."""
+        added = change(plain(), "rotor_efficiency_loss", {}, loss_2=loss, torque_share=share)
+        return -added["omega_z"] / torque
+
+    assert lost(1e-4) == pytest.approx(1e-4 * share, rel=1e-3, abs=1e-9)
+    some = [lost(loss) for loss in (-0.3, 0.0, 0.3, 0.65, 0.9, 1.0)]
+    assert np.all(np.diff(some) >= 0)
+    assert max(some) < 1.0
 
 
 @pytest.mark.parametrize("at_speed", [False, True])
