@@ -347,10 +347,10 @@ class OneOfRecord(Record, frozen=True, kw_only=True):
 
 
 class TotalRecord(Record, frozen=True, kw_only=True):
-    """What several effects make together.
+    """What the effects of a family make together.
 
     Attributes:
-        name: What it is.
+        name: Of the family.
         effects: Those that it may be, the more probable first.
         probability: That one of them is there.
         value: In `unit`.
@@ -384,7 +384,8 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
             name.
         effects: For `named` and `cannot_tell`, the surest first.
         undecided: Those of `effects`, for `named`, that something else may stand for.
-        totals: What is sure in sum, though none of the effects that make it is.
+        totals: What is sure of families of effects. Where none of a family is sure by itself, its
+            first stands for it in `effects`, with this probability and figure.
         inclusion: Probability that an effect is there and worth a name, by effect; whether its law
             fits (`outside_probability`) is not in it.
         acts_like: Effects that something acts like and that are not named.
@@ -449,11 +450,11 @@ def explain_record(found: Explanation) -> ExplainRecord:
         undecided=undecided(found),
         totals=tuple(
             TotalRecord(
-                name=t.total.name,
+                name=t.family.name,
                 effects=t.effects,
                 probability=t.probability,
                 value=t.value,
-                unit=t.total.unit,
+                unit=t.family.unit,
                 ci95=t.ci95,
             )
             for t in totals(found)

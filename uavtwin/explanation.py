@@ -13,7 +13,7 @@ from twin.component import unknown_name
 from twin.effects import EFFECTS
 from twin.errors import TwinError
 from twin.explain import explanation as inner
-from twin.explain.estimates import UNDETERMINED, estimates_of
+from twin.explain.estimates import UNDETERMINED, estimates_alone, estimates_of
 from twin.explain.explanation import Explanation
 from twin.explain.inference.search import NO_CHECKPOINT, Checkpoint
 from twin.explain.model.numbers import numbers_of, with_effects
@@ -488,7 +488,7 @@ def explained_vehicle(found: Explanation) -> vehicles.Vehicle:
     flights, sources = " and ".join(found.flights), dict(found.vehicle.sources)
     deviations = dict(found.vehicle.deviations)
     for effect in found.effects:
-        certainties = {e.number.name: e.ci95 for e in estimates_of(found, effect)}
+        certainties = {e.number.name: e.ci95 for e in estimates_alone(found, effect)}
         for name, value in found.added.effects.get(effect, {}).items():
             key, ci95 = f"effects.{effect}.{name}", certainties.get(name)
             sources[key] = f"uavtwin explain, {flights}, {_certainty(ci95)}"

@@ -13,7 +13,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from twin.effects import EFFECTS
+from twin.effects import EFFECTS, FAMILIES
 from twin.explain.balance import CAUSES, LOAD, ROTORS, Balance, Hypothesis
 from twin.explain.estimates import (
     detectable,
@@ -22,7 +22,6 @@ from twin.explain.estimates import (
     nothing_probability,
     probability_of,
     stochastic_effect,
-    totals,
     undecided,
 )
 from twin.explain.explanation import Explanation
@@ -80,15 +79,11 @@ def _answer(found: Explanation) -> Headline:
         return _named(found, naming)
     if found.verdict == "unnamed":
         return Headline(f"The cause of the residual is {_outside(found)}.")
-    summed = {e for t in totals(found) for e in t.effects}
-    tied = _candidates(found, summed)
+    tied = _candidates(found)
     if (none := nothing_probability(found) or 0.0) > 0.01:
         tied.append(f"none ({certainty(none)})")
     if naming.outside > naming.settings.least:
         tied.append(f"a cause outside the library of effects ({certainty(naming.outside)})")
-    if summed:
-        others = f" Also possible: {joined(tied, 'or')}." if tied else ""
-        return Headline(f"Missing from the model:{_together(found)}{others}")
     return Headline(f"Several causes are consistent with these flights: {joined(tied, 'or')}.")
 
 
@@ -97,33 +92,34 @@ def _named(found: Explanation, naming: Naming) -> Headline:
     effects = [e for e in listed_effects(found) if e not in undecided(found)]
     lead = _acts_like(found, naming, effects)
     estimates = {e: estimates_of(found, e) for e in effects}
-    first, later = leading(effects, naming.shares, _determined(estimates))
+    first, later = leading(effects, _shares(naming), _determined(estimates))
     most = MOST_NUMBERS if len(first) == 1 else 1
     parts = [_phrase(found, e, estimates[e], most) for e in first]
     text = (
         f"{lead}Missing from the model: {'; '.join(p.text for p in parts)}"
-        f"{_sure(found, first)}{_also(found)}{later}{_what_else(found, effects)}"
+        f"{_sure(found, first)}{_which(naming)}{later}{_what_else(found, effects)}"
         f"{_doubts(found, estimates)}"
     )
     return Headline(text, tuple(n for p in parts for n in p.numbers))
 
 
-def _also(found: Explanation) -> str:
-    """What is sure in sum, behind names; begins with a blank."""
-    together = _together(found)
-    return f" And{together}" if together else ""
-
-
-def _together(found: Explanation) -> str:
-    """What several effects make together, where it is sure and none of them is; begins with a
-    blank."""
+def _which(naming: Naming) -> str:
+    """What flights do not tell of a family of effects that is sure; begins with a blank."""
     parts = [
-        f"{t.total.name}, {number(t.value)} {t.total.unit} "
-        f"({number(t.ci95[0])} to {number(t.ci95[1])}), {certainty(t.probability)} probability: "
-        f"{joined([title(e) for e in t.effects], 'or')}, which these flights do not tell apart."
-        for t in totals(found)
+        (t.family.name, joined([title(e) for e in t.effects if e != effect]))
+        for effect, t in naming.standing.items()
     ]
-    return "".join(f" {p}" for p in parts)
+    return "".join(f" How much of the {a} is {b}, these flights do not tell." for a, b in parts)
+
+
+def _shares(naming: Naming) -> dict[str, tuple[float, str]]:
+    """By effect the largest share of a force or moment channel, and the channel; of one that stands
+    for its family that of the family."""
+    none = (0.0, "")
+    whole = {
+        e: max(naming.shares.get(m, none) for m in t.effects) for e, t in naming.standing.items()
+    }
+    return {**naming.shares, **whole}
 
 
 def leading(
@@ -161,7 +157,8 @@ def _acts_like(found: Explanation, naming: Naming, named: Sequence[str]) -> str:
         return ""
     effect = max(share, key=lambda e: share[e][0])
     size, channel = share[effect]
-    if size <= max((naming.shares.get(e, (0.0, ""))[0] for e in named), default=0.0):
+    shares = _shares(naming)
+    if size <= max((shares.get(e, (0.0, ""))[0] for e in named), default=0.0):
         return ""
     why = next(r.why for r in naming.resemblances if r.effect == effect)
     return (
@@ -188,8 +185,16 @@ def _phrase(
 def amount(effect: str, size: str) -> str:
     """An effect and its size: a number follows the name, a clause stands in brackets."""
     if not size or not size[0].isalpha():
-        return f"{title(effect)} {size}".rstrip()
-    return f"{title(effect)} ({size.removeprefix('it is ')})"
+        return f"{called(effect)} {size}".rstrip()
+    return f"{called(effect)} ({size.removeprefix('it is ')})"
+
+
+def called(effect: str) -> str:
+    """An effect by the name of its family, where it has one, and its own."""
+    family = next((f for f in FAMILIES if effect in f.effects), None)
+    if family is None or effect == family.first:
+        return title(effect)
+    return f"{family.name} by {title(effect)}"
 
 
 def sizes(effect: str, estimates: Sequence[Estimate], most: int, since: bool = False) -> Headline:
@@ -278,7 +283,7 @@ def _since(found: Explanation, naming: Naming) -> Headline:
             for e in first
         ]
         text = (
-            f"{joined([p.text for p in parts])}{_sure(found, first)}{_also(found)}{later}"
+            f"{joined([p.text for p in parts])}{_sure(found, first)}{later}"
             f"{_what_else(found, effects)}{_doubts(found, estimates)}"
         )
         return Headline(text, tuple(n for p in parts for n in p.numbers))
@@ -362,9 +367,9 @@ def _what_else(found: Explanation, sure: Sequence[str]) -> str:
         return ""
     assert found.naming is not None
     least = found.naming.settings.least
-    alike = {r.effect for r in found.naming.resemblances}
-    alike |= {e for t in totals(found) for e in t.effects}
-    every = {e for f in found.naming.fitted for e in f.effects} - set(sure) - alike
+    told = {r.effect for r in found.naming.resemblances} | {*sure}
+    told |= {e for t in found.naming.standing.values() for e in t.effects}
+    every = {e for f in found.naming.fitted for e in f.effects} - told
     chance = {e: probability_of(found, e) for e in sorted(every)}
     likely = sorted((e for e in chance if chance[e] >= least), key=lambda e: -chance[e])
     if not likely:

@@ -22,7 +22,7 @@ from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
 from twin.errors import TwinError
 from twin.explain.balance import Balance, Hypothesis
 from twin.explain.design import Suggestion
-from twin.explain.estimates import totals
+from twin.explain.estimates import estimates_of, totals
 from twin.explain.explanation import Explanation
 from twin.explain.inference.selection import Detectable
 from twin.explain.setting_group import Value
@@ -42,7 +42,7 @@ from uavtwin.explain_record import explain_record
 from uavtwin.explanation import ExplainResult, explained_vehicle, vehicle_today
 from uavtwin.exports.parts import component, twin
 from uavtwin.exports.write import Starts, products_of
-from uavtwin.headline import headline
+from uavtwin.headline import amount, headline
 
 pytestmark = pytest.mark.slow
 COPTER = load_vehicle("copter_default")
@@ -337,19 +337,39 @@ def test_drag_that_two_effects_may_be_is_told_in_sum(named: Run) -> None:
     unsure = replace(found, verdict=tied.verdict, naming=tied)
     (total,) = totals(unsure)
     assert total.effects == either[::-1]
+    assert unsure.verdict == "named"
+    assert tied.named == ("rotor_drag",)
+    assert not tied.undecided
     assert total.probability == pytest.approx(1.0)
     assert total.ci95[0] < DRAG_1_S < total.ci95[1] < 1.3 * DRAG_1_S
     text = headline(unsure).text
-    assert text.startswith("Missing from the model: drag in proportion to airspeed, 0.")
-    assert text.endswith("rotor drag or blade flapping, which these flights do not tell apart.")
+    assert text.startswith(f"Missing from the model: rotor drag {total.value:.3g} (m/s²)/(m/s) ")
+    which = "How much of the rotor drag is blade flapping, these flights do not tell."
+    assert text.endswith(which)
     third = replace(naming.best, effects=("ground_effect", "rotor_drag"))
     more = replace(tied, fitted=(*tied.fitted, third), probabilities=(0.4, 0.3, 0.3))
     also = headline(replace(unsure, naming=more)).text
-    assert also.endswith("tell apart. Also possible: ground effect (30 %).")
-    (record,) = explain_record(unsure).json()["totals"]
+    assert also.endswith(which)
+    told = explain_record(unsure).json()
+    (record,) = told["totals"]
     assert record["effects"] == [*total.effects]
     assert record["value"] == pytest.approx(total.value, rel=1e-5)
-    assert totals(found) == []  # named alone
+    first = told["effects"][0]
+    assert (first["name"], first["probability"]) == ("rotor_drag", record["probability"])
+    assert first["parameters"]["k_xy_1_s"]["value"] == record["value"]
+    assert first["parameters"]["k_xy_1_s"]["ci95"] == record["ci95"]
+    assert "blade_flapping" in first["one_of"]
+    (alone,) = totals(found)  # the figure is that of the one that is named
+    assert alone.effects == ("rotor_drag",)
+    own = {t.number.name: t.value for t in estimates_of(found, "rotor_drag")}
+    assert alone.value == pytest.approx(own["k_xy_1_s"], rel=0.02)
+
+
+def test_drag_of_discs_that_tilt_back_has_the_name_of_its_family() -> None:
+    assert amount("blade_flapping", "0.2 (m/s²)/(m/s) horizontal") == (
+        "rotor drag by blade flapping 0.2 (m/s²)/(m/s) horizontal"
+    )
+    assert amount("rotor_drag", "0.2 1/s") == "rotor drag 0.2 1/s"
 
 
 def test_arviz_gets_the_posterior(named: Run) -> None:

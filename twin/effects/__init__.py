@@ -9,6 +9,7 @@ from .definition import (
     ComponentName,
     Effect,
     Equation,
+    Family,
     Limit,
     Lines,
     NoiseFloor,
@@ -17,7 +18,6 @@ from .definition import (
     RandomForce,
     Repeats,
     Shift,
-    Total,
     prior_of,
 )
 from .parameters import EffectParameter
@@ -27,8 +27,8 @@ _MODULES = (air, propulsion, mass, sensors, timing)
 """Where effects are defined, by what they act on."""
 EFFECTS: dict[str, Effect] = {e.name: e for module in _MODULES for e in module.EFFECTS}
 """All effects by identifier."""
-TOTALS = air.TOTALS
-"""What several effects make together."""
+FAMILIES = air.FAMILIES
+"""Laws that are of several effects."""
 
 
 def advice_of(number: str) -> Advice | None:
@@ -84,7 +84,7 @@ def _shifts(vehicle: Vehicle, acts: bool) -> dict[str, float]:
 
 __all__ = [
     "EFFECTS",
-    "TOTALS",
+    "FAMILIES",
     "Average",
     "Block",
     "Blocks",
@@ -92,6 +92,7 @@ __all__ = [
     "Effect",
     "EffectParameter",
     "Equation",
+    "Family",
     "Limit",
     "Lines",
     "NoiseFloor",
@@ -100,7 +101,6 @@ __all__ = [
     "RandomForce",
     "Repeats",
     "Shift",
-    "Total",
     "acting_late",
     "advice_of",
     "ages",

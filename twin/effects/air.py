@@ -25,7 +25,7 @@ from ..component.portable import decay
 from ..errors import ModelError
 from ..frames import cross
 from ..vehicle import GRAVITY_M_S2, Vehicle
-from .definition import Block, Effect, Equation, Limit, RandomForce, Total
+from .definition import Block, Effect, Equation, Family, Limit, RandomForce
 from .parameters import COMMON, RARE, EffectParameter, Normal, Prior
 from .stages import Air, Thrust, Wrench
 from .wording import FLY_FOR_DRAG, Undetected, Wording, drag_clause, flapping_clause, wind_clause
@@ -487,15 +487,17 @@ GROUND_EFFECT = Effect(
     advice=None,
 )
 
-LINEAR_DRAG = Total(
-    "drag in proportion to airspeed",
+LINEAR_DRAG = Family(
+    "rotor drag",
     "(m/s²)/(m/s)",
     {"rotor_drag.k_xy_1_s": 1.0, "blade_flapping.k_rad_s_m": GRAVITY_M_S2},
 )
-"""In hover. A disc that tilts back by k v takes k v g of the weight that it carries; which of both
-it is shows where thrust changes at one airspeed."""
-TOTALS = (LINEAR_DRAG,)
-"""What effects of the air make together."""
+"""In hover: a force across the rotors, against the airspeed v, that grows with a power p of their
+thrust T, m k v (T / m g)^p. Drag of the blades has p from 0 to 1/2 (`spin_share`). A disc that
+tilts back by k v has p = 1: it takes k v g of the weight that it carries. Which of both it is shows
+where thrust changes at one airspeed."""
+FAMILIES = (LINEAR_DRAG,)
+"""Laws of the air that are of several effects."""
 
 EFFECTS = (
     ROTOR_DRAG,

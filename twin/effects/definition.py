@@ -193,14 +193,14 @@ class Limit:
 
 
 @dataclass(frozen=True, slots=True)
-class Total:
-    """Numbers of several effects that do the same to a flight: it may tell what they make together,
-    and not which of them it is.
+class Family:
+    """Effects of one law with different powers: a flight may tell what they make together, and not
+    which of them it is. They share a name and a figure, those of the first.
 
     Attributes:
         name: What they make together, in words.
-        unit: Of it, as it is told.
-        weights: "effect.number" -> what makes it that.
+        unit: Of the figure, as it is told.
+        weights: "effect.number" -> what makes it that; 1 for the number of the first.
     """
 
     name: str
@@ -211,6 +211,11 @@ class Total:
     def effects(self) -> tuple[str, ...]:
         """Whose numbers these are."""
         return tuple(dict.fromkeys(full.partition(".")[0] for full in self.weights))
+
+    @property
+    def first(self) -> str:
+        """The effect as which it is told where flights do not tell which it is."""
+        return self.effects[0]
 
 
 @dataclass(frozen=True, slots=True)

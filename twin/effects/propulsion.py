@@ -265,9 +265,9 @@ ROTOR_EFFICIENCY_LOSS = Effect(
         ),
     ),
     ("acc", "gyro"),
-    "definition: one factor per rotor, and a power of it on its torque, which stays positive; thrust "
-    "and torque of a rotor that turns more slowly go with the square of its speed (power 1), one "
-    "with a damaged blade may keep more of its torque",
+    "definition: one factor per rotor, and a power of it on its torque, which stays positive; "
+    "thrust and torque of a rotor that turns more slowly go with the square of its speed (power "
+    "1), one with a damaged blade may keep more of its torque",
     _rotor_efficiency_loss,
     observable_as=Equation(mistaken_for=("cog_offset", "thrust_scale", "mass_offset")),
     prior=Prior(

@@ -1,18 +1,15 @@
 """What a result reports of each effect, to programs and to people alike."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from ..effects import EFFECTS, TOTALS, Total
+from ..effects import EFFECTS
 from .explanation import Explanation
 from .inference.estimate import Estimate
-from .inference.fit import INTERVAL
 from .inference.priors import effect_of
-from .inference.selection import Detectable
+from .inference.selection import Detectable, Total
 from .model.numbers import numbers_of
 from .stochastic.spectral import StochasticEffect
 
@@ -37,6 +34,8 @@ def listed_effects(found: Explanation) -> list[str]:
     added: dict[str, float] = {}
     for cause, nats in naming.posterior.without.items():
         added[effect_of(cause)] = max(nats, added.get(effect_of(cause), 0.0))
+    for effect, total in naming.standing.items():
+        added[effect] = max(added.get(e, 0.0) for e in total.effects)
     return sorted(
         effects, key=lambda e: (-round(probability_of(found, e), 1), -added.get(e, 0.0), e)
     )
@@ -57,48 +56,15 @@ def undecided(found: Explanation) -> tuple[str, ...]:
     return () if found.naming is None or found.verdict != "named" else found.naming.undecided
 
 
-@dataclass(frozen=True, slots=True)
-class TotalEstimate:
-    """What several effects make together, where flights do not tell which of them it is.
-
-    Attributes:
-        total: What it is.
-        effects: Those that it may be, the more probable first.
-        probability: That one of them is there, alone or with others.
-        value: In the unit of `total`.
-        ci95: 95 % interval.
-    """
-
-    total: Total
-    effects: tuple[str, ...]
-    probability: float
-    value: float
-    ci95: tuple[float, float]
+def totals(found: Explanation) -> Sequence[Total]:
+    """What is sure of families of effects."""
+    told = found.naming is not None and found.verdict in ("named", "cannot_tell")
+    return found.naming.totals if found.naming is not None and told else ()
 
 
-def totals(found: Explanation) -> list[TotalEstimate]:
-    """What is sure though none of the effects that make it is: one of them is there as surely as a
-    name asks for, and the 95 % interval of their sum excludes what the model has of it."""
-    naming = found.naming
-    if naming is None or found.verdict not in ("named", "cannot_tell"):
-        return []
-    least, priors, made = naming.settings.least, naming.problem.priors, []
-    alike = {r.effect for r in naming.resemblances}
-    for total in TOTALS:
-        own = [e for e in total.effects if naming.probability_of(e) >= least]
-        if len(own) < 2 or {*own} & {*naming.named, *alike}:
-            continue
-        row = np.array([total.weights.get(name, 0.0) for name in priors.names])
-        chance, change, sd = naming.posterior.total(row, own)
-        believed = min(naming.credible.get(e, 1.0) for e in own)
-        half = naming.wider(reported_count(found)) * INTERVAL * sd
-        if chance < naming.settings.sure or not abs(change) > half:
-            continue
-        value = float(row @ priors.now) + change
-        ranked = sorted(own, key=lambda e: -naming.probability_of(e))
-        ends = (value - half, value + half)
-        made.append(TotalEstimate(total, tuple(ranked), chance * believed, value, ends))
-    return made
+def standing_for(found: Explanation, effect: str) -> Total | None:
+    """The family that an effect stands for, where flights do not tell which of it it is."""
+    return None if found.naming is None else found.naming.standing.get(effect)
 
 
 def detectable(found: Explanation) -> Mapping[str, Detectable]:
@@ -138,11 +104,28 @@ def reported_count(found: Explanation) -> int:
 
 
 def estimates_of(found: Explanation, effect: str) -> list[Estimate]:
-    """The numbers of an effect that is listed, where it is there.
+    """The numbers of an effect that is listed, where it is there; of one that stands for its family
+    the figure of that.
 
     The more effects are told, the more is open beside what the posterior holds, which
     `SelectionSettings.stochastic` counts.
     """
+    own, total = estimates_alone(found, effect), standing_for(found, effect)
+    if total is None:
+        return own
+    assert found.naming is not None
+    priors = found.naming.problem.priors
+    slab = dict(zip(priors.names, priors.slab, strict=True))
+    return [
+        replace(t, value=total.value, ci95=total.ci95, prior_share=total.sd / slab[t.number.full])
+        if t.number.full in total.family.weights
+        else t
+        for t in own
+    ]
+
+
+def estimates_alone(found: Explanation, effect: str) -> list[Estimate]:
+    """The same by the effect alone, of whatever family it is."""
     stochastic = stochastic_effect(found, effect)
     if stochastic is not None:
         numbers = numbers_of([EFFECTS[effect]], found.vehicle)

@@ -35,6 +35,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ...effects import FAMILIES, Family
 from ...logs import Flight
 from ...physics.sensors.table import BODY, sensor_of
 from ...representation import short_repr
@@ -45,7 +46,7 @@ from ..model.numbers import Payloads
 from ..settings import DEFAULT, AdequacySettings, InferenceSettings, SelectionSettings
 from .estimate import Estimate, fitted_estimates
 from .evidence import LaplaceEvidence, MapEstimate
-from .fit import Fit, Problem, State, fit_of, fit_of_best, substantial_effects
+from .fit import INTERVAL, Fit, Problem, State, fit_of, fit_of_best, substantial_effects
 from .posterior import Posterior, SearchResult, log_posterior, weigh
 from .priors import edges, effect_of, priors_of, priors_since
 from .search import (
@@ -228,6 +229,27 @@ class Resemblance:
 
 
 @dataclass(frozen=True, slots=True)
+class Total:
+    """What the effects of a family make together.
+
+    Attributes:
+        family: Of which effects.
+        effects: Those that it may be, the more probable first.
+        probability: That one of them is there, alone or with others.
+        value: In the unit of the family.
+        sd: Standard deviation of it.
+        ci95: 95 % interval.
+    """
+
+    family: Family
+    effects: tuple[str, ...]
+    probability: float
+    value: float
+    sd: float
+    ci95: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Naming:
     """What the flights say about a model.
 
@@ -290,19 +312,50 @@ class Naming:
         return tuple(f for f, p in pairs if p >= self.settings.least)
 
     def probability_of(self, effect: str) -> float:
-        """That an effect is missing, alone or with others."""
-        return self.joint_probability([effect])
+        """That an effect is missing, alone or with others; of one that stands for its family, that
+        one of the family is."""
+        total = self.standing.get(effect)
+        return self.joint_probability([effect]) if total is None else total.probability
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Effects that are sure."""
-        return tuple(e for e in self.best.effects if self._is_sure(e))
+        """Effects that are sure, and those that stand for a family that is."""
+        sure = (e for e in self.best.effects if self._is_sure(e))
+        return (*sure, *self.standing)
 
     @property
     def undecided(self) -> tuple[str, ...]:
         """Effects of the most probable set that are not sure, but may be the cause."""
-        alike = {r.effect for r in self.resemblances}
-        return tuple(e for e in self.best.effects if e not in alike and not self._is_sure(e))
+        told = {r.effect for r in self.resemblances} | {*self.named}
+        told |= {e for t in self.standing.values() for e in t.effects}
+        return tuple(e for e in self.best.effects if e not in told)
+
+    @property
+    def totals(self) -> tuple[Total, ...]:
+        """What is sure of families: one of the effects is there as surely as a name asks for, and
+        the 95 % interval of their sum excludes what the model has of it."""
+        alike, least, made = {r.effect for r in self.resemblances}, self.settings.least, []
+        priors, half = self.problem.priors, self.wider(len(self.best.effects) + self.further)
+        for family in FAMILIES:
+            chance = {e: self.joint_probability([e]) for e in family.effects}
+            own = sorted((e for e in chance if chance[e] >= least), key=lambda e: -chance[e])
+            row = np.array([family.weights.get(name, 0.0) for name in priors.names])
+            there, change, sd = self.posterior.total(row, own)
+            wide = half * INTERVAL * sd
+            if alike & {*own} or there < self.settings.sure or not abs(change) > wide:
+                continue
+            believed = min(self.credible.get(e, 1.0) for e in own)
+            value = float(row @ priors.now) + change
+            ends = value - wide, value + wide
+            made.append(Total(family, tuple(own), there * believed, value, sd, ends))
+        return tuple(made)
+
+    @property
+    def standing(self) -> dict[str, Total]:
+        """Families that are sure while it is open which of their effects it is, by the effect that
+        stands for them."""
+        several = (t for t in self.totals if len(t.effects) > 1)
+        return {t.family.first: t for t in several if not any(map(self._is_sure, t.effects))}
 
     @property
     def verdict(self) -> Verdict:
@@ -354,7 +407,9 @@ class Naming:
     def one_of(self, effect: str) -> tuple[str, ...]:
         """Other causes that may stand in the place of one: effects, or "effect:rotor"."""
         own = [c for c in self.problem.priors.causes if effect_of(c) == effect]
-        return tuple(dict.fromkeys(o for c in own for o in self.posterior.exchangeable(c)))
+        members = self.standing[effect].effects if effect in self.standing else ()
+        others = (o for c in own for o in self.posterior.exchangeable(c))
+        return tuple(dict.fromkeys(o for o in (*members, *others) if o != effect))
 
 
 def name_effects(
