@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 from fmu_gap import window_ends_of_fmus
 
+from cosim.master import Master
+from cosim.system import System
+from fmus import build, component_model
 from twin.component import Component, Run
 from twin.effects import EFFECTS
 from twin.flight import closed_loop
@@ -100,6 +103,28 @@ def test_windows_start_where_the_teacher_forced_twin_is(
     for stem, bound in (("vel", 0.04), ("att", 0.02), ("gyro", 0.08)):
         for axis in "xyz":
             assert rms(found[f"{stem}_{axis}"].residual) < bound, f"{stem}_{axis}"
+
+
+@pytest.mark.parametrize("loss", [0.65, 1.0])
+def test_an_fmu_has_the_torque_of_a_weak_rotor(loss: float, tmp_path: Path) -> None:
+    """Of one that lost most of its thrust, and all of it."""
+    body, steps = airframe(having("copter_default", "rotor_efficiency_loss")), 50
+    numbers = {
+        f"rotor_efficiency_loss.{n}": v for n, v in (("loss_2", loss), ("torque_share", 1.5))
+    }
+    fmu = build(component_model(body), tmp_path / "airframe.fmu")
+    starts = {f"airframe.{name}": value for name, value in numbers.items()}
+    with Master(System({"airframe": fmu}, [], starts=starts)) as master:
+        master.initialize(0.0, {})
+        turned = master.run(steps * GRID_S, GRID_S, "settled")["airframe.omega_z"]
+    p, names = body.parameter_values(), [v.name for v in body.parameters]
+    p[[names.index(n) for n in numbers]] = [*numbers.values()]
+    run = Run(body, body.input_values(), p, 0.0)
+    for k in range(steps):
+        run.step(k * GRID_S, GRID_S, body.input_values())
+    exact = run.x[[s.name for s in body.states].index("omega_z")]
+    assert turned[-1] == pytest.approx(exact, rel=1e-9)
+    assert abs(exact) > 0.01
 
 
 @pytest.mark.slow
