@@ -25,7 +25,7 @@ from .inference.search import CLEAR, calibration_start, search, with_instruments
 from .inference.selection import coherent, days_of, shares_of
 from .model.model import candidates, model_of
 from .model.numbers import Payloads, with_effects
-from .settings import DEFAULT, AdequacySettings, InferenceSettings
+from .settings import DEFAULT, InferenceSettings
 
 Array = NDArray[np.float64]
 
@@ -109,15 +109,17 @@ def calibrate(
         if (s > UNDETERMINED or name in unclear) and name not in shapes
     ]
     undetermined += _undetermined_beyond(priors, found.laplace, state)
+    every = zip(*problem.channels(state.best.x), strict=True)  # each flight on its day
+    of_records = {f"{e}.{p.name}" for e in fit.effects for p in EFFECTS[e].of_logs}
     reported = Calibration(
         tuple(f.name for f in flights),
         tuple(priors.names[i] for i in free),
         _shared_covariance(state, free, sd),
         problem.between_days(state),
         problem.constants_between_days(state),
-        _of_records(fit),
+        {n: v for n, v in fit.values.items() if n in of_records},
         *_trim(problem, state),
-        _left(problem, state, settings.adequacy),
+        {o[0].name: math.sqrt(coherent(o, settings.adequacy)[0]) for o in every},
     )
     made = replace(with_effects(vehicle, fit.effects, fit.values), calibration=reported)
     days, shares = days_of(problem, best), shares_of(problem, state)
@@ -246,18 +248,6 @@ def _trim(problem: Problem, state: State) -> tuple[dict[str, float], dict[str, f
     x[len(problem.priors.now) :] = 0.0
     trim = trim_of(problem.model, problem.values(x), slopes=False)
     return ({}, {}) if trim is None else trim.by_name()
-
-
-def _left(problem: Problem, state: State, settings: AdequacySettings) -> dict[str, float]:
-    """`Calibration.left`: of each channel, all flights together, each on its day."""
-    every = zip(*problem.channels(state.best.x), strict=True)
-    return {own[0].name: math.sqrt(coherent(own, settings)[0]) for own in every}
-
-
-def _of_records(fit: Fit) -> dict[str, float]:
-    """Numbers that the vehicle itself cannot hold."""
-    held = {f"{e}.{p.name}" for e in fit.effects for p in EFFECTS[e].of_logs}
-    return {n: v for n, v in fit.values.items() if n in held}
 
 
 def _shared_covariance(state: State, free: Sequence[int], sd: Array) -> Array:

@@ -394,7 +394,7 @@ class Held:
 def next_manoeuvre(naming: Naming, vehicle: Vehicle) -> Suggestion | None:
     """The manoeuvre that separates the two leading explanations best; None where the name is sure,
     or where no manoeuvre of the list would help."""
-    if naming.sure:
+    if naming.verdict != "cannot_tell" and not naming.undecided:
         return None
     best = suggestions(naming, vehicle)[0]
     return best if best.separation >= ENOUGH_NAT else None
@@ -439,7 +439,8 @@ def _parting(
     """What one explanation predicts for a flight beyond another, by blocks of time."""
     union = {*truth.effects, *other.effects}
     model = model_of([flight], vehicle, [e for e in EFFECTS.values() if e.name in union])
-    noise = dict(zip(_names(naming.whitened.model), naming.whitened.noise, strict=True))
+    known = naming.whitened.model.channels([])[0]
+    noise = {c.name: n for c, n in zip(known, naming.whitened.noise, strict=True)}
     true = {c.name: c.residual for c in model.channels([], truth.values)[0]}
     rows = [
         replace(c, residual=c.residual - true[c.name])
@@ -499,10 +500,6 @@ def _numbers(model: Model, fitted: Fit) -> list[Number]:
     """Numbers of an explanation in the order of the model, then its shapes."""
     own = [n for n in model.numbers if n.effect in fitted.effects and n.full in fitted.values]
     return sorted(own, key=lambda n: n.shape)
-
-
-def _names(model: Model) -> list[str]:
-    return [c.name for c in model.channels([])[0]]
 
 
 # -- flying ---------------------------------------------------------------------------------

@@ -58,13 +58,9 @@ def undecided(found: Explanation) -> tuple[str, ...]:
 
 def totals(found: Explanation) -> Sequence[Total]:
     """What is sure of families of effects."""
-    told = found.naming is not None and found.verdict in ("named", "cannot_tell")
-    return found.naming.totals if found.naming is not None and told else ()
-
-
-def standing_for(found: Explanation, effect: str) -> Total | None:
-    """The family that an effect stands for, where flights do not tell which of it it is."""
-    return None if found.naming is None else found.naming.standing.get(effect)
+    if found.naming is None or found.verdict not in ("named", "cannot_tell"):
+        return ()
+    return found.naming.totals
 
 
 def detectable(found: Explanation) -> Mapping[str, Detectable]:
@@ -110,11 +106,10 @@ def estimates_of(found: Explanation, effect: str) -> list[Estimate]:
     The more effects are told, the more is open beside what the posterior holds, which
     `SelectionSettings.stochastic` counts.
     """
-    own, total = estimates_alone(found, effect), standing_for(found, effect)
-    if total is None:
+    own = estimates_alone(found, effect)
+    if found.naming is None or effect not in found.naming.standing:
         return own
-    assert found.naming is not None
-    priors = found.naming.problem.priors
+    total, priors = found.naming.standing[effect], found.naming.problem.priors
     slab = dict(zip(priors.names, priors.slab, strict=True))
     return [
         replace(t, value=total.value, ci95=total.ci95, prior_share=total.sd / slab[t.number.full])

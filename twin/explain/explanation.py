@@ -9,6 +9,7 @@ import numpy as np
 from ..effects import EFFECTS, RandomForce
 from ..errors import LogError, ModelError
 from ..flight.closed_loop import Mission, fly_missions
+from ..formatting import joined
 from ..logs import AnyFlight, Flight, Site
 from ..representation import short_repr
 from ..residuals.flight_gap import HoverDiagnosis, diagnosis_of
@@ -32,6 +33,7 @@ from .holdout import (
     Span,
     attribute_effect,
     compare_holdout,
+    farther_by,
     held_out_spans,
     hidden,
     localize,
@@ -39,8 +41,8 @@ from .holdout import (
 from .inference.fit import Fit
 from .inference.priors import UNCALIBRATED, effect_of
 from .inference.search import NO_CHECKPOINT, Checkpoint
-from .inference.selection import Naming, Verdict, coherent, name_effects
-from .model.model import Model, channel_names
+from .inference.selection import Naming, Resemblance, Verdict, coherent, name_effects
+from .model.model import channel_names
 from .model.numbers import Payloads, visible, with_effects
 from .settings import DEFAULT, SearchSettings
 from .stochastic.search import Stuck, find_stochastic, find_stuck, stuck_channels, without_stuck
@@ -57,6 +59,8 @@ UNKNOWN_SITE = (
 )  # warning; its gap is filled by names of flights
 UNSTABLE = "the model with what was named does not fly {} in closed loop: {}"
 """Warning; mission, problem."""
+REFUTED = "with it held-out flights are farther from the model in {}, and nearer in no force"
+"""Why an effect is not named; forces and moments."""
 FARTHER = "flights that were held out are farther from the model with it than without"
 """Why names are taken back."""
 WEAKER = (
@@ -248,6 +252,7 @@ def explain(
     found = _with_equations(found, seed)
     progress(0.75)
     found = _with_gap(found, parts.held, seed, payloads)
+    found = _without_refuted(found, parts.held, seed, payloads)
     if found.verdict == "named" and found.comparison is not None and found.comparison.worse:
         warnings = (FARTHER, *found.warnings)
         found = replace(found, verdict="cannot_tell", refuted=FARTHER, warnings=warnings)
@@ -379,23 +384,32 @@ def usable_of(
 
 def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explanation:
     """The same with the effects that were found, and their numbers."""
-    shown, settings = _shown(naming), found.settings.stochastic
+    shown, settings = naming.shown if naming.shown.effects else None, found.settings.stochastic
     model, steady = naming.whitened.model, {} if shown is None else shown.values
     every = (*find_stuck(stuck, settings), *find_stochastic(model, steady, settings))
     stochastic = (*found.stochastic, *(u for u in every if u.log_odds > 0))
     naming = replace(naming, further=len(stochastic))
-    verdict = _verdict(naming, found.balance, bool(stochastic))
-    exact = dict(steady) | {k: v for u in stochastic for k, v in u.values.items()}
-    values = {k: float(f"{v:.{DIGITS}g}") for k, v in exact.items()}
-    alike = [f"something acts like {r.effect}: {r.why}" for r in naming.resemblances]
+    return _told(replace(found, stochastic=stochastic, shown=shown), naming)
+
+
+def _told(found: Explanation, naming: Naming, alike: Sequence[Resemblance] = ()) -> Explanation:
+    """The same with what a search says of the effects that are shown, but for some more that
+    something acts like."""
+    shown, gone = found.shown, {r.effect for r in alike}
+    if shown is not None and gone:
+        shown = replace(shown, effects=tuple(e for e in shown.effects if e not in gone))
+    steady = {} if shown is None else shown.values
+    exact = dict(steady) | {k: v for u in found.stochastic for k, v in u.values.items()}
+    exact = {k: v for k, v in exact.items() if k.partition(".")[0] not in gone}
+    new = alike or naming.resemblances
+    naming = replace(naming, resemblances=(*naming.resemblances, *alike))
     return replace(
         found,
-        verdict=verdict,
+        verdict=_verdict(naming, found.balance, bool(found.stochastic)),
         naming=naming,
         shown=shown,
-        stochastic=stochastic,
-        values=values,
-        warnings=(*alike, *found.warnings),
+        values={k: float(f"{v:.{DIGITS}g}") for k, v in exact.items()},
+        warnings=(*(f"something acts like {r.effect}: {r.why}" for r in new), *found.warnings),
     )
 
 
@@ -504,15 +518,22 @@ def _stands(naming: Naming) -> Fit:
     return replace(naming.nothing, values=values, days=(naming.nothing if named else shown).days)
 
 
-def _shown(naming: Naming) -> Fit | None:
-    """The numbers whose gap is shown; None where they are none."""
-    return naming.shown if naming.shown.effects else None
-
-
-def _means(model: Model) -> dict[str, float]:
-    """Mean residual of the model as it stands, by channel."""
-    every = zip(*model.channels([]), strict=True)
-    return {c[0].name: float(np.mean(np.concatenate([f.residual for f in c]))) for c in every}
+def _without_refuted(
+    found: Explanation, held: Sequence[Flight], seed: int, payloads: Payloads | None
+) -> Explanation:
+    """The same without effects by which the flights of the fit come nearer to the model, and
+    held-out ones do not."""
+    naming, compared, settings = found.naming, found.comparison, found.settings.holdout
+    if naming is None or compared is None or found.verdict != "named":
+        return found
+    told = {*naming.named, *naming.undecided} - {*naming.standing}
+    own = {a.effect: a for a in found.attributions if a.effect in told}
+    refuted = {e: farther_by(a, compared.after, seed, settings) for e, a in own.items()}
+    alike = [Resemblance(e, REFUTED.format(joined(c))) for e, c in refuted.items() if c]
+    if not alike:
+        return found
+    rest = tuple(w for w in found.warnings if w not in compared.warnings)
+    return _with_gap(_told(replace(found, warnings=rest), naming, alike), held, seed, payloads)
 
 
 def _with_gap(
@@ -529,7 +550,8 @@ def _with_gap(
     if not held:
         problem = "no gap can be shown: of what is held out, no reading is known for long enough"
         return replace(found, warnings=(*found.warnings, problem))
-    settings = found.settings
+    settings, every = found.settings, zip(*found.naming.problem.model.channels([]), strict=True)
+    means = {c[0].name: float(np.mean(np.concatenate([f.residual for f in c]))) for c in every}
     steady = {k: v for k, v in found.values.items() if k.partition(".")[0] in effects}
     try:
         comparison = compare_holdout(
@@ -539,7 +561,7 @@ def _with_gap(
             steady,
             seed,
             payloads,
-            _means(found.naming.problem.model),
+            means,
             settings.holdout,
             settings.inference.evidence,
         )

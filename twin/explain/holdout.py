@@ -30,7 +30,7 @@ from ..vehicle import Vehicle
 from .inference.fit import Problem
 from .inference.priors import priors_of
 from .inference.sparse_regression import quantities
-from .inference.spectrum import Spectrum
+from .inference.spectrum import FORCE_CHANNELS, Spectrum
 from .model.model import FlightModel, Model, candidates, missing_imu_signals, model_of
 from .model.numbers import Payloads
 from .settings import DEFAULT, EvidenceSettings, HoldoutSettings
@@ -485,6 +485,19 @@ def attribute_effect(
     channels = tuple(name for name in ranked if taken[name] >= LEAST_SHARE) or tuple(ranked[:1])
     phases = _phases(channels[0], model, without, with_all, STRONG_SHARE)
     return Attribution(effect, channels, phases, without)
+
+
+def farther_by(
+    attribution: Attribution, after: Flights, seed: int, settings: HoldoutSettings
+) -> list[str]:
+    """Forces and moments in which flights are farther from the model with an effect (`after`) than
+    without, beyond doubt; none where they are nearer in another one beyond doubt."""
+    each = zip(zip(*attribution.without, strict=True), zip(*after, strict=True), strict=True)
+    gaps = [_gap([b, a, a, a], None, seed, settings) for b, a in each]
+    gaps = [g for g in gaps if g.name.startswith(FORCE_CHANNELS)]
+    if any(g.shrink_ci95[0] > 0 for g in gaps):
+        return []
+    return [g.name for g in gaps if g.worse]
 
 
 def _phases(

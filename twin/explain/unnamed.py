@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..physics.sensors.table import BODY, SENSORS, sensor_of
-from ..residuals.channels import CHANNEL_HZ, ChannelData, Measured
+from ..residuals.channels import CHANNEL_HZ, ChannelData
 from .inference.fit import Fit
 from .inference.sparse_regression import (
     Quantity,
@@ -139,7 +139,7 @@ def find_equations(
         if found is None:
             continue
         equation, best, noise = found
-        if not _is_substantial(equation, whitened, settings):
+        if equation.share < settings.least_share or equation.rms < smallest(first.name, whitened):
             continue
         equations.append(equation)
         noises[first.name] = noise
@@ -268,13 +268,9 @@ def _channel(
     for channel, own, flight in zip(flights, known, whitened.model.flights, strict=True):
         columns = terms(own, name, tones_hz if _of_body(name) else (), settings)
         readings = next(p.readings for p in flight.factors if name in p.readings.names)
-        made.append(replace(channel, slopes=_filtered(readings, columns)))
+        values = np.stack([t.values for t in columns], axis=-1)
+        made.append(replace(channel, slopes=readings.filtered(values, readings.filters_hz)))
     return _Channel(name, flights[0].unit, tuple(columns), tuple(made))
-
-
-def _filtered(readings: Measured, columns: Sequence[Term]) -> Array:
-    values = np.stack([t.values for t in columns], axis=-1)
-    return readings.filtered(values, readings.filters_hz)
 
 
 def _tones(left: Sequence[Sequence[ChannelData]], settings: UnnamedSettings) -> tuple[float, ...]:
@@ -299,8 +295,8 @@ def _tone(channels: Sequence[Sequence[ChannelData]], between_hz: tuple[float, fl
     for flights in channels:
         parts = [_differenced(c) for c in flights]
         rms = max(float(np.sqrt(np.mean(np.concatenate([v for _, v in parts]) ** 2))), 1e-300)
-        wave = sum(_transform(trial, t, v / rms) for t, v in parts)
-        power += np.abs(wave) ** 2
+        wave = sum(v @ np.exp(-2j * np.pi * np.outer(t, trial)) for t, v in parts)
+        power += np.abs(wave / rms) ** 2
     return float(trial[int(np.argmax(power))])
 
 
@@ -309,20 +305,7 @@ def _differenced(c: ChannelData) -> tuple[Array, Array]:
     return (c.t_s[1:] + c.t_s[:-1])[same] / 2, np.diff(c.residual)[same]
 
 
-def _transform(trial_hz: Array, t_s: Array, values: Array) -> Array:
-    return np.array([values @ np.exp(-2j * np.pi * hz * t_s) for hz in trial_hz])
-
-
 # -- decision ---------------------------------------------------------------------------------
-
-
-def _is_substantial(
-    equation: Equation, whitened: WhitenedFlights, settings: UnnamedSettings
-) -> bool:
-    """Whether an equation explains enough, of something large enough to speak of."""
-    return equation.share >= settings.least_share and equation.rms >= smallest(
-        equation.channel, whitened
-    )
 
 
 def smallest(channel: str, whitened: WhitenedFlights) -> float:

@@ -139,6 +139,7 @@ def with_readings(
             reasons.append(str(error))
     complete = [any(name.startswith(_BODY_CHANNELS) for name in names) for _, names in named]
     every = {n for _, names in named for n in names if n.startswith(_BODY_CHANNELS)}
+    made_of = {n: s.columns for n in sorted(every) if (s := sensor_of(n)) is not None}
     for (flight, names), body in zip(named, complete, strict=True):
         if not names:
             reasons.append(f"{flight.name}: no reading is known for long enough in the air")
@@ -147,7 +148,7 @@ def with_readings(
                 f"{flight.name}: neither accelerometer, gyroscope nor pose with attitude is known "
                 f"for long enough in the air, as in other flights"
             )
-        elif lost := [n for n in sorted(every - {*names}) if _has_read(flight, n)]:
+        elif lost := [n for n, c in made_of.items() if n not in names and flight.has(*c)]:
             reasons.append(
                 f"{flight.name}: {', '.join(lost)} are not known for long enough with no motor at "
                 f"a limit, as in other flights"
@@ -155,12 +156,6 @@ def with_readings(
         else:
             retained.append(flight)
     return retained, reasons
-
-
-def _has_read(flight: Flight, channel: str) -> bool:
-    """Whether a flight has the readings that a channel of the IMU is made of."""
-    sensor = sensor_of(channel)
-    return sensor is not None and flight.has(*sensor.columns)
 
 
 def flown(flight: Flight, vehicle: Vehicle, payloads: Payloads | None) -> Vehicle:

@@ -114,7 +114,7 @@ def test_an_fmu_has_the_torque_of_a_weak_rotor(loss: float, tmp_path: Path) -> N
     }
     fmu = build(component_model(body), tmp_path / "airframe.fmu")
     starts = {f"airframe.{name}": value for name, value in numbers.items()}
-    with Master(System({"airframe": fmu}, [], starts=starts)) as master:
+    with Master(System({"airframe": fmu}, (), starts=starts)) as master:
         master.initialize(0.0, {})
         turned = master.run(steps * GRID_S, GRID_S, "settled")["airframe.omega_z"]
     p, names = body.parameter_values(), [v.name for v in body.parameters]

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS, EffectParameter, Limit, Shift, prior_of
+from ...effects import EFFECTS, EffectParameter, Shift, prior_of
 from ...errors import ModelError
 from ...representation import short_repr
 from ...vehicle import Vehicle, relative_deviation
@@ -355,15 +355,10 @@ def edges(
             )
     for effect in dict.fromkeys(n.effect for n in numbers):
         for limit in EFFECTS[effect].limits(vehicle):
-            if _on_edge(effect, limit, values):
+            parts = [w * values[f"{effect}.{k}"] for k, w in limit.weights.items()]
+            if sum(parts) <= EDGE * sum(map(abs, parts)):  # they use up what it leaves them
                 yield (
                     effect,
                     f"{effect} is at the edge of what is possible: {limit.meaning}; another "
                     f"effect may be meant",
                 )
-
-
-def _on_edge(effect: str, limit: Limit, values: Mapping[str, float]) -> bool:
-    """Whether numbers use up what a limit leaves them."""
-    parts = [w * values[f"{effect}.{k}"] for k, w in limit.weights.items()]
-    return sum(parts) <= EDGE * sum(map(abs, parts))

@@ -388,11 +388,6 @@ class Naming:
         """By what intervals are wider where so many effects are reported."""
         return math.sqrt(1 + self.settings.variance_per_effect * reported)
 
-    @property
-    def sure(self) -> bool:
-        """Whether there is nothing left to tell apart."""
-        return self.verdict != "cannot_tell" and not self.undecided
-
     def joint_probability(self, effects: Collection[str]) -> float:
         """That some effects are missing, all of them, and each cause is of the library."""
         pairs = zip(self.fitted, self.probabilities, strict=True)

@@ -155,18 +155,14 @@ def lacking(effect: Effect, flight: AnyFlight) -> tuple[str, ...]:
     airframe is told from the pose; an effect of the IMU is not, nor is one whose states are
     followed by what is felt, nor one without a mean.
     """
+    whole = on_the_body(effect) or not flight.derived_angles  # attitude that an effect finds
     return tuple(
         need
         for need in effect.needs
-        if not (has_signal(flight, need) and _is_logged(effect, need, flight))
+        if not (has_signal(flight, need) and (whole or need not in TURN))
         and not (need == "vel" and flight.has(*POS))
         and not (on_the_body(effect) and pose_shows(need, flight))
     )
-
-
-def _is_logged(effect: Effect, need: str, flight: AnyFlight) -> bool:
-    """Whether an effect of a sensor finds the whole attitude in the record."""
-    return need not in TURN or on_the_body(effect) or not flight.derived_angles
 
 
 def pose_shows(signal: str, flight: AnyFlight) -> bool:

@@ -464,7 +464,8 @@ class Trajectory:
                 self._rotors[key] = RotorStates(body, inputs.step_s, own)
             states[:, rotors] = self._rotors[key].settled(inputs.u, values)
             inputs = replace(inputs, rotor_states=states[:, rotors])
-        followed = {i for i, s in enumerate(body.states) if _owner(s.name) in self._observers}
+        owners = [s.name.partition(".")[0] for s in body.states]
+        followed = {i for i, owner in enumerate(owners) if owner in self._observers}
         if hidden := sorted(reached - {*rotors} - followed):
             states[:, hidden] = hidden_states(body, hidden, states, inputs)
         return states
@@ -543,8 +544,3 @@ def remembered(
             del retained[next(iter(retained))]
         retained[key] = make()
     return retained[key]
-
-
-def _owner(state: str) -> str:
-    """Effect that a state belongs to; of others, something else."""
-    return state.partition(".")[0]

@@ -127,8 +127,8 @@ def _of_channel(
     """Faults of one channel."""
     t, x = _samples(flight, channel)
     starts, ends = _runs(x)
-    steps = ends - starts
-    bit = _last_bit(x)
+    steps, moves = ends - starts, np.abs(np.diff(x))
+    bit = float(moves[moves > 0].min(initial=np.inf)) if np.any(moves > 0) else 0.0
     if not others:  # nothing of its kind beside it: the IMU has to go on, and noise to move it
         others = [c for s in SENSORS if s.group == BODY for c in s.columns]
         bit = 0.0 if float(np.std(np.diff(x))) > settings.moving_bits * bit else np.inf
@@ -166,12 +166,6 @@ def _runs(x: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """First and last sample of each run of equal ones, single ones included."""
     edges = np.flatnonzero(np.diff(x) != 0)
     return np.concatenate([[0], edges + 1]), np.concatenate([edges, [len(x) - 1]])
-
-
-def _last_bit(x: Array) -> float:
-    """Smallest step between two different readings; 0 for a constant."""
-    steps = np.abs(np.diff(x))
-    return float(steps[steps > 0].min(initial=np.inf)) if np.any(steps > 0) else 0.0
 
 
 def _never_measured(x: Array, first: int, last: int) -> bool:
@@ -401,18 +395,13 @@ def find_gust(
     """A slow random force that no curve over the motion and no effect explains."""
     columns = columns_of(model.numbers, model.effects)
     flights = model.channels(columns, values)
-    winds = [k for k, i in enumerate(columns) if _blows(model.numbers[i].effect)]
+    winds = [k for k, i in enumerate(columns) if EFFECTS[model.numbers[i].effect].stage is Air]
     pieces = [
         piece
         for flight, channels in zip(model.flights, flights, strict=True)
         for piece in slow_parts(flight.aligned, channels, winds, settings.slow_force)
     ]
     return gust_in(pieces, effect, settings) if pieces else None
-
-
-def _blows(effect: str) -> bool:
-    """Whether an effect moves the air: its numbers are those of a wind, north, east and down."""
-    return EFFECTS[effect].stage is Air
 
 
 def gust_in(
