@@ -44,7 +44,7 @@ from .explain_record import (
     explain_record,
 )
 from .flights import opened_flights
-from .headline import got_worse
+from .headline import called, got_worse
 from .output import OptionalSteps, write_json
 from .record import Headline
 from .wording import hover_sentence
@@ -174,7 +174,7 @@ class ExplainResult(PageMixin):
             first = next(iter(effect.rivals), None)
             rival = "" if first is None else f"{title(first.name)} {certainty(first.probability)}"
             for i, (name, p) in enumerate(effect.parameters.items()):
-                head = (title(effect.name), certainty(effect.probability))
+                head = (called(effect.name), certainty(effect.probability))
                 value, unit, ends = number_cells(p.value, p.unit, p.ci95)
                 rows.append(
                     (

@@ -314,7 +314,7 @@ def test_a_tie_is_told_as_a_tie(named: Run, tmp_path: Path) -> None:
     assert "Fly fast and straight." in page
 
 
-def test_drag_that_two_effects_may_be_is_told_in_sum(named: Run) -> None:
+def test_drag_that_two_effects_may_be_is_told_in_sum(named: Run, tmp_path: Path) -> None:
     """Planted as rotor drag; blade flapping beside it is nearly as probable, and then each of both
     may be none."""
     found = named.found
@@ -359,6 +359,8 @@ def test_drag_that_two_effects_may_be_is_told_in_sum(named: Run) -> None:
     assert first["parameters"]["k_xy_1_s"]["value"] == record["value"]
     assert first["parameters"]["k_xy_1_s"]["ci95"] == record["ci95"]
     assert "blade_flapping" in first["one_of"]
+    ExplainResult(unsure).report(tmp_path / "report.html")
+    assert which in (tmp_path / "report.html").read_text()
     (alone,) = totals(found)  # the figure is that of the one that is named
     assert alone.effects == ("rotor_drag",)
     own = {t.number.name: t.value for t in estimates_of(found, "rotor_drag")}

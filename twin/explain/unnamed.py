@@ -293,16 +293,12 @@ def _tone(channels: Sequence[Sequence[ChannelData]], between_hz: tuple[float, fl
     trial = np.arange(low, high, 1 / (FINER * longest))
     power = np.zeros(len(trial))
     for flights in channels:
-        parts = [_differenced(c) for c in flights]
+        steps = [(c, np.diff(c.piece) == 0) for c in flights]
+        parts = [((c.t_s[1:] + c.t_s[:-1])[s] / 2, np.diff(c.residual)[s]) for c, s in steps]
         rms = max(float(np.sqrt(np.mean(np.concatenate([v for _, v in parts]) ** 2))), 1e-300)
         wave = sum(v @ np.exp(-2j * np.pi * np.outer(t, trial)) for t, v in parts)
         power += np.abs(wave / rms) ** 2
     return float(trial[int(np.argmax(power))])
-
-
-def _differenced(c: ChannelData) -> tuple[Array, Array]:
-    same = np.diff(c.piece) == 0
-    return (c.t_s[1:] + c.t_s[:-1])[same] / 2, np.diff(c.residual)[same]
 
 
 # -- decision ---------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from twin.formatting import certainty, number, number_cells, percent, pretty_uni
 
 from ..explain_record import EffectRecord
 from ..explanation import ExplainResult, alternatives, shrink_words, why_lost
+from ..headline import called
 from .autopilot import Strip, autopilot_content, strip
 from .drawing import Budget, fitted
 from .evidence import (
@@ -67,7 +68,7 @@ def _effect(result: ExplainResult, effect: EffectRecord, budget: Budget) -> dict
     descriptions = result.descriptions(effect.name)
     least = result.details.settings.inference.selection.least
     return {
-        "name": title(effect.name),
+        "name": called(effect.name),
         "meaning": _meaning(effect.name),
         "certainty": certainty(effect.probability),
         "numbers": [
