@@ -5,7 +5,7 @@ Of a flight the kind of aircraft, its hover and its battery come first.
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -200,17 +200,61 @@ class CheckReport(DisplayMixin):
         return f"{type(self).__name__}: {self.file}, {counted(self.problems, 'problem')}"
 
 
-def check_file(path: str | Path, vehicle: Vehicle | None = None) -> CheckReport:
+def check_file(
+    path: str | Path, vehicle: Vehicle | None = None, key: str | Path | None = None
+) -> CheckReport:
     """Look at one file, whatever it is.
 
     Args:
         path: The file, or the folder of a ROS 2 bag.
         vehicle: Whose hover is compared with that of a flight.
+        key: Public key of minisign that its detached signature, `FILE.minisig`, has to be of.
 
     Raises:
-        TwinError: It cannot be read as anything known, or the flight cannot be compared with the
-            vehicle.
+        TwinError: It cannot be read as anything known, the flight cannot be compared with the
+            vehicle, or the key is none.
     """
+    found = _checked(path, vehicle)
+    facts, problems = _signature(Path(path), None if key is None else Path(key))
+    return replace(found, facts={**found.facts, **facts}, problems=(*problems, *found.problems))
+
+
+SIGNATURE = ".minisig"
+"""Ending of a detached signature, https://jedisct1.github.io/minisign."""
+_MOST_BYTES = 10_000  # of a signature or key, which have 400
+
+
+def _signature(path: Path, key: Path | None) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Fact and problem of the signature of a file."""
+    beside = path.with_name(path.name + SIGNATURE)
+    if key is None:
+        return (
+            ({"signature": "there, not verified: give --key"}, ()) if beside.is_file() else ({}, ())
+        )
+    try:
+        import minisign
+    except ImportError:
+        raise TwinError("--key needs py-minisign: pip install 'uavtwin[sign]'.") from None
+    try:
+        public = minisign.PublicKey.from_bytes(_short(key))
+    except (OSError, ValueError) as error:
+        raise TwinError(f"{key}: no public key of minisign: {error}.") from None
+    try:
+        signature = minisign.Signature.from_bytes(_short(beside))
+        public.verify_file(path, signature)
+    except OSError:
+        return {}, (f"not signed: there is no {beside.name}",)
+    except ValueError as error:
+        return {}, (f"{beside.name} is no signature of this file by {key.name}: {error}",)
+    return {"signature": f"by {key.name}, {signature.trusted_comment!r}"}, ()
+
+
+def _short(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(_MOST_BYTES)
+
+
+def _checked(path: str | Path, vehicle: Vehicle | None) -> CheckReport:
     path = file_of_bag(Path(path))
     if path.is_dir():
         raise TwinError(f"{path}: is a folder; name the files in it.")

@@ -55,7 +55,7 @@ def test_all_is_printed_on_demand(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     long = report(0, 40)
-    monkeypatch.setattr("uavtwin.file_check.check_file", lambda path, vehicle: long)
+    monkeypatch.setattr("uavtwin.file_check.check_file", lambda path, vehicle, key: long)
     _, short, _ = run(capsys, "check", "flight.ulg")
     _, whole, _ = run(capsys, "check", "flight.ulg", "--all")
     assert "odd 39" not in short and short.splitlines()[-1].endswith("more lines: --all")

@@ -29,6 +29,13 @@ def check(
         str | None,
         typer.Option(help="Vehicle whose hover is compared with that of each flight."),
     ] = None,
+    key: Annotated[
+        Path | None,
+        typer.Option(
+            help="Public key of minisign: the signature beside each file, FILE.minisig, has to be "
+            "of it, and of every byte."
+        ),
+    ] = None,
     every: Annotated[
         bool, typer.Option("--all", help="Print every line, not the first of them.")
     ] = False,
@@ -44,7 +51,7 @@ def check(
     reports, worst = [], Exit.FINE
     for path in files:
         try:
-            report = check_file(path, model)
+            report = check_file(path, model, key)
         except Exception as error:  # one that cannot be read hides none of the others
             worst = max(worst, print_error(error, f"check {path}"))
             reports.append(CheckRecord(file=path.name, error=str(error)))
