@@ -28,7 +28,7 @@ LOSSES = np.linspace(0.1, 1.0, 37)
 """Of the thrust of one rotor, alike probable: up to the full stop."""
 COARSE_LOSSES = LOSSES[::4]
 """The same while an onset is looked for, and of a loss that grows."""
-PAIR_LOSSES = np.array([0.2, 0.3, 0.45, 0.6, 0.8, 1.0])
+PAIR_LOSSES = np.linspace(0.1, 1.0, 10)
 """Of the thrust of each of two rotors."""
 LOSSES_OF_ALL = np.array([0.08, 0.15, 0.25, 0.4, 0.6, 0.8, 1.0])
 """Of the thrust of all rotors."""
