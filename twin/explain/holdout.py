@@ -493,8 +493,8 @@ def farther_by(
     """Forces and moments in which flights are farther from the model with an effect (`after`) than
     without, beyond doubt; none where they are nearer in another one beyond doubt."""
     each = zip(zip(*attribution.without, strict=True), zip(*after, strict=True), strict=True)
-    gaps = [_gap([b, a, a, a], None, seed, settings) for b, a in each]
-    gaps = [g for g in gaps if g.name.startswith(FORCE_CHANNELS)]
+    own = [(b, a) for b, a in each if b[0].name.startswith(FORCE_CHANNELS)]
+    gaps = [_gap([b, a, a, a], None, seed, settings) for b, a in own]
     if any(g.shrink_ci95[0] > 0 for g in gaps):
         return []
     return [g.name for g in gaps if g.worse]

@@ -125,7 +125,11 @@ def find_equations(
 ) -> Unnamed | None:
     """Equations for what a hypothesis leaves, but in `mute` channels; None: none is worth it."""
     days = fitted.on_its_days(whitened.model).channels([], fitted.values)
-    left = [[_about_its_day(c) for c in flight] for flight in days]
+    # What is the weather's, or the place's, goes without its mean, which no law says.
+    left = [
+        [c if _of_body(c.name) else replace(c, residual=c.residual - c.residual.mean()) for c in f]
+        for f in days
+    ]
     keys = list(blocks_of(left, whitened.noise, whitened.settings))
     search = _Search(fold_of(keys, seed, settings), settings, whitened.settings)
     known = _shared([quantities(f) for f in whitened.model.flights])
@@ -296,8 +300,9 @@ def _tone(channels: Sequence[Sequence[ChannelData]], between_hz: tuple[float, fl
         steps = [(c, np.diff(c.piece) == 0) for c in flights]
         parts = [((c.t_s[1:] + c.t_s[:-1])[s] / 2, np.diff(c.residual)[s]) for c, s in steps]
         rms = max(float(np.sqrt(np.mean(np.concatenate([v for _, v in parts]) ** 2))), 1e-300)
-        wave = sum(v @ np.exp(-2j * np.pi * np.outer(t, trial)) for t, v in parts)
-        power += np.abs(wave / rms) ** 2
+        for k, hz in enumerate(trial):  # one by one: of a long flight all are too many at once
+            wave = sum(v @ np.exp(-2j * np.pi * hz * t) for t, v in parts)
+            power[k] += np.abs(wave / rms) ** 2
     return float(trial[int(np.argmax(power))])
 
 
@@ -309,11 +314,6 @@ def smallest(channel: str, whitened: WhitenedFlights) -> float:
     sensor = sensor_of(channel)
     assert sensor is not None, channel
     return SMALLEST * sensor.size(whitened.model.vehicle)[sensor.channels.index(channel)]
-
-
-def _about_its_day(c: ChannelData) -> ChannelData:
-    """Without its mean where that is the weather's, or the place's: no law says it."""
-    return c if _of_body(c.name) else replace(c, residual=c.residual - c.residual.mean())
 
 
 def _of_body(channel: str) -> bool:
