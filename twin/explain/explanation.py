@@ -253,9 +253,6 @@ def explain(
     progress(0.75)
     found = _with_gap(found, parts.held, seed, payloads)
     found = _without_refuted(found, parts.held, seed, payloads)
-    if found.verdict == "named" and found.comparison is not None and found.comparison.worse:
-        warnings = (FARTHER, *found.warnings)
-        found = replace(found, verdict="cannot_tell", refuted=FARTHER, warnings=warnings)
     progress(0.85)
     if suggest and found.verdict in ("named", "cannot_tell"):
         found = replace(found, next_manoeuvre=next_manoeuvre(naming, vehicle))
@@ -522,7 +519,7 @@ def _without_refuted(
     found: Explanation, held: Sequence[Flight], seed: int, payloads: Payloads | None
 ) -> Explanation:
     """The same without effects by which the flights of the fit come nearer to the model, and
-    held-out ones do not."""
+    held-out ones do not; nothing is named where these are all, or all together do the same."""
     naming, compared, settings = found.naming, found.comparison, found.settings.holdout
     if naming is None or compared is None or found.verdict != "named":
         return found
@@ -530,10 +527,15 @@ def _without_refuted(
     own = {a.effect: a for a in found.attributions if a.effect in told}
     refuted = {e: farther_by(a, compared.after, seed, settings) for e, a in own.items()}
     alike = [Resemblance(e, REFUTED.format(joined(c))) for e, c in refuted.items() if c]
-    if not alike:
+    left = not alike or {*naming.named} - {r.effect for r in alike}
+    if alike and left:
+        rest = tuple(w for w in found.warnings if w not in compared.warnings)
+        found = _told(replace(found, warnings=rest), naming, alike)
+        found = _with_gap(found, held, seed, payloads)
+    if left and not (found.comparison and found.comparison.worse):
         return found
-    rest = tuple(w for w in found.warnings if w not in compared.warnings)
-    return _with_gap(_told(replace(found, warnings=rest), naming, alike), held, seed, payloads)
+    warnings = (FARTHER, *found.warnings)
+    return replace(found, verdict="cannot_tell", refuted=FARTHER, warnings=warnings)
 
 
 def _with_gap(

@@ -136,10 +136,12 @@ def search(
 def _move(problem: Problem, laplace: LaplaceEvidence, at: SearchPoint, last: bool) -> State | None:
     """A set that is better; None where none is; `last` as of `search`."""
     state, tried, begun = at.state, at.tried, at.begun
+    effects = state.effects  # where a clock is not missed, no other is sought for it
+    no_clock = [(tuple(a for a in effects if a != e), None) for e in effects if is_time(e)]
     better = (
         _better(problem, laplace, state, tried, at.again, at.short)
         or _followed(problem, laplace, state, tried, begun, MIN_GAIN)
-        or _verified(problem, laplace, state, tried, _without_clocks(state))
+        or _verified(problem, laplace, state, tried, no_clock)
         or _verified(problem, laplace, state, tried, _clocks(problem, laplace, state))
     )
     if better is not None or not last:
@@ -256,11 +258,6 @@ def _different(moves: Sequence[Move], on: Sequence[str]) -> Iterator[Move]:
 
 Trial = tuple[tuple[str, ...], Array | None]
 """A set, and the numbers to begin with; None: those of the state."""
-
-
-def _without_clocks(state: State) -> list[Trial]:
-    """The set without each delay or lag: where it is not missed, no other is sought for it."""
-    return [(tuple(a for a in state.effects if a != e), None) for e in state.effects if is_time(e)]
 
 
 def _clocks(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Trial]:
