@@ -297,6 +297,17 @@ def _run(name: str, command: Sequence[str], folder: str) -> None:
         raise FmuError(f"{name}: the C compiler failed: {' '.join(command)}\n{result.stderr}")
 
 
+def extend_archive(path: Path, members: Mapping[str, bytes]) -> None:
+    """Put members into an archive of ours, in the place of those of their names.
+
+    Raises:
+        FmuError: One would land outside the folder that it is unpacked into.
+    """
+    with zipfile.ZipFile(path) as archive:
+        own = {name: archive.read(name) for name in archive.namelist()}
+    write_archive(path, own | dict(members))
+
+
 def write_archive(path: Path, members: Mapping[str, bytes]) -> None:
     """A zip whose bytes depend on the members alone: sorted, fixed times, fixed modes.
 

@@ -4,7 +4,6 @@ import csv
 import hashlib
 import io
 import tempfile
-import zipfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from lxml import etree
 
 from twin.component import Variable
 
-from .builder import build, write_archive
+from .builder import build, extend_archive
 from .experiments import (
     FOLDER,
     MANIFEST,
@@ -48,8 +47,6 @@ def add_reference_results(path: Path, model: FmuModel, fmi: int) -> None:
         model: What it was built of; without arrays.
         fmi: Its version.
     """
-    with zipfile.ZipFile(path) as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
     time = np.linspace(0.0, _STOP_S, round(_STOP_S / _STEP_S) + 1)
     inputs = [v for v in model.variables if v.causality == "input"]
     experiment = Experiment(
@@ -59,7 +56,7 @@ def add_reference_results(path: Path, model: FmuModel, fmi: int) -> None:
         runnable = Path(folder, path.name)
         build(model, runnable, fmi, DEFAULT)  # of the cache, where it is for this platform
         found = run(runnable, experiment, model.output_names)
-    write_archive(path, members | _members(experiment, found))
+    extend_archive(path, _members(experiment, found))
 
 
 def _stimuli(inputs: Iterable[Variable], time: Array) -> Table:

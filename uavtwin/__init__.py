@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from .calibration import CalibrateResult, calibrate
     from .diagnosis import WhyResult, why
     from .explanation import ExplainResult, explain
+    from .exports.credibility import credibility
     from .exports.parts import Twin, compensator, component, learned_force, replay, twin
     from .exports.verify import VerifyResult, verify
     from .exports.write import export
@@ -74,6 +75,7 @@ __all__ = [
     "compensator",
     "component",
     "convert_vehicle",
+    "credibility",
     "draft_vehicle",
     "evaluate",
     "explain",
@@ -121,6 +123,7 @@ _HOME = {
     "compensator": "uavtwin.exports.parts",
     "component": "uavtwin.exports.parts",
     "convert_vehicle": "uavtwin.vehicles",
+    "credibility": "uavtwin.exports.credibility",
     "draft_vehicle": "uavtwin.vehicle_draft",
     "evaluate": "uavtwin.learned",
     "explain": "uavtwin.explanation",

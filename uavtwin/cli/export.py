@@ -142,6 +142,20 @@ def export(
     ] = "typed",
     platform: Platforms = "linux64",
     start: Starts = None,
+    evidence: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder that `explain` wrote, whose vehicle.toml it is: what the card of "
+            "credibility rests on."
+        ),
+    ] = None,
+    require: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="FACTOR=LEVEL, e.g. validation=2: refuse to export below it. Factors: those of "
+            "the card."
+        ),
+    ] = None,
     out: Out = Path("fmus_out"),
     force: Force = False,
     as_json: Annotated[
@@ -153,7 +167,7 @@ def export(
 
     check_folder(out, force)
     choice = Choice(
-        vehicle or default_vehicle(model),
+        vehicle or _default(model, evidence),
         fmi,
         platform,
         drive,
@@ -170,6 +184,8 @@ def export(
         outputs,
         observer,
         noise,
+        evidence,
+        require or [],
     )
     plan = export_components(components, choice)
     with results_folder(out, force) as folder, progress("building") as step:
@@ -205,6 +221,8 @@ class Choice:
         outputs: "typed", or "real" where every output is to be a real number.
         observer: Whether a driven twin has its disturbance observer on.
         noise: Whether the noise of a learned force is drawn.
+        evidence: Folder of `explain`; None: none.
+        require: "FACTOR=LEVEL" texts.
     """
 
     vehicle: str = "copter_default"
@@ -224,11 +242,13 @@ class Choice:
     outputs: str = "typed"
     observer: bool = False
     noise: bool = False
+    evidence: Path | None = None
+    require: Sequence[str] = ()
 
     def recorded(self) -> dict[str, Any]:
         """For `run.json`, which lists files that were read among its inputs."""
         read = {f.name: getattr(self, f.name) for f in fields(self)}
-        chosen = {k: v for k, v in read.items() if k not in ("flight", "model")}
+        chosen = {k: v for k, v in read.items() if k not in ("flight", "model", "evidence")}
         return {**chosen, "vehicle": Path(self.vehicle).name}
 
     def inputs(self) -> list[Path]:
@@ -238,7 +258,8 @@ class Choice:
 
         files = (INT8_FILE if self.int8 else FILE, FORCE_FILE)
         trained = [] if self.model is None else [self.model / n for n in files]
-        given = (Path(self.vehicle), self.flight, *trained)
+        proof = [] if self.evidence is None else [self.evidence / "explain.json"]
+        given = (Path(self.vehicle), self.flight, *trained, *proof)
         return [p for p in given if p is not None and p.is_file()]
 
 
@@ -258,6 +279,7 @@ def export_components(
     from twin.component import unknown_name
     from twin.flight.assembly import COMPONENTS
 
+    from ..exports.credibility import check_required, credibility
     from ..exports.write import export_parts
     from ..vehicles import load_vehicle
 
@@ -272,7 +294,14 @@ def export_components(
     platforms = [name.strip() for name in choice.platform.split(",")]
     starts = start_values(choice.start)
     forms = choice.python_slave, choice.arrays, choice.outputs == "real"
-    return export_parts(parts, versions, platforms, starts, *forms)
+    card = credibility(vehicle, choice.evidence)
+    check_required(card, choice.require)
+    return export_parts(parts, versions, platforms, starts, *forms, card)
+
+
+def _default(model: Path | None, evidence: Path | None) -> str:
+    """Vehicle where none is given: that of the evidence, else of the model, else a default."""
+    return default_vehicle(model) if evidence is None else str(evidence / "vehicle.toml")
 
 
 def default_vehicle(model: Path | None) -> str:

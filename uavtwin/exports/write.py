@@ -10,6 +10,7 @@ from pathlib import Path
 from cosim.ssp import write_ssp
 from cosim.whole_twin import COMPENSATOR, fused_model, parts_of, system_of
 from fmus import FmuModel, build, component_model
+from fmus.builder import extend_archive
 from fmus.compensator import NetworkFile, UnsupportedNetworkError, native_model
 from fmus.model import with_real_outputs
 from fmus.platforms import Platform, compilers, select_platforms
@@ -23,6 +24,7 @@ from ..display import DisplayMixin, TextTable
 from ..output import results_folder, sha256
 from ..record import Record
 from ..vehicles import GROUNDED
+from .credibility import CredibilityRecord, members
 from .parts import Twin
 
 Exportable = Component | FmuModel | NetworkFile | Twin
@@ -231,8 +233,10 @@ def write_products(
     platforms: Sequence[Platform],
     out: Path,
     progress: Callable[[float], None],
+    card: Mapping[str, bytes],
 ) -> list[WrittenFile]:
-    """Write everything; several FMI versions each into a folder of their own, `fmi2`, `fmi3`."""
+    """Write everything, a card of credibility into each where there is one; several FMI versions
+    each into a folder of their own, `fmi2`, `fmi3`."""
     names = tuple(p.name for p in platforms)
     written: list[WrittenFile] = []
     for version in versions:
@@ -241,6 +245,8 @@ def write_products(
         for product in products:
             path = folder / product.file
             product.write(path, version, names)
+            if card:
+                extend_archive(path, card)
             written.append(
                 WrittenFile(
                     str(path.relative_to(out)),
@@ -304,6 +310,7 @@ def export(
     python_slave: bool = False,
     arrays: bool = False,
     real_outputs: bool = False,
+    card: CredibilityRecord | None = None,
     progress: Progress = lambda _: None,
 ) -> ExportResult:
     """Write an FMU, or the whole twin as an `.ssp`.
@@ -320,6 +327,7 @@ def export(
             no `.ssp`.
         real_outputs: Whether every output is a real number, for importers that know no other; no
             `.ssp`.
+        card: Of `credibility`, to go along; None: none does.
         progress: Called with the share done, 0..1.
 
     Returns:
@@ -338,7 +346,7 @@ def export(
     product = replace(products[path.suffix], file=path.name)
     path.parent.mkdir(parents=True, exist_ok=True)  # others may export into it at the same time
     with results_folder(path.parent, force=True) as folder:
-        written = write_products([product], versions, on, folder, progress)
+        written = write_products([product], versions, on, folder, progress, _card(card))
     return ExportResult(path.parent, tuple(written))
 
 
@@ -350,6 +358,7 @@ def export_parts(
     python_slave: bool = False,
     arrays: bool = False,
     real_outputs: bool = False,
+    card: CredibilityRecord | None = None,
 ) -> Callable[[Path, Progress], list[WrittenFile]]:
     """Check everything, then return the function that writes several into one folder.
 
@@ -361,6 +370,7 @@ def export_parts(
         python_slave: As for `export`.
         arrays: As for `export`.
         real_outputs: As for `export`.
+        card: As for `export`.
 
     Raises:
         TwinError: As `export`.
@@ -373,7 +383,12 @@ def export_parts(
         for p in products_of(part, known, versions, python_slave, arrays, real_outputs)
     ]
     known.check()
-    return lambda out, progress: write_products(products, versions, on, out, progress)
+    along = _card(card)
+    return lambda out, progress: write_products(products, versions, on, out, progress, along)
+
+
+def _card(card: CredibilityRecord | None) -> dict[str, bytes]:
+    return {} if card is None else members(card)
 
 
 def checked_versions(fmi: int | Iterable[int]) -> tuple[int, ...]:

@@ -1,0 +1,101 @@
+"""The card of credibility: levels by rule, honest zeros, refused below what is asked for."""
+
+import json
+import zipfile
+from pathlib import Path
+
+import pytest
+from cli_rig import run
+
+import uavtwin as ut
+from twin.errors import TwinError
+from twin.vehicle_file import vehicle_text
+from uavtwin.exports.credibility import FILE, PAGE, check_required, members
+
+COPTER = "copter_default"
+CHANNEL = {"before": 0.5, "after": 0.02, "shrink": 0.96, "shrink_ci95": [0.9, 0.97]}
+WORSE = {"before": 0.5, "after": 0.7, "shrink": -0.4, "shrink_ci95": [-0.6, -0.2]}
+
+
+def explained(
+    folder: Path, spans: object = None, channel: object = CHANNEL, stable: bool = True
+) -> Path:
+    """A folder as `explain` leaves it."""
+    folder.mkdir()
+    text = vehicle_text(COPTER)[0].replace("made up: ", "measured: ")
+    effect = '\n[effects.rotor_drag]\nk_xy_1_s = {value = 0.5, unit = "1/s", sd = 0.01, '
+    (folder / "vehicle.toml").write_text(f'{text}{effect}source = "uavtwin explain, a"}}\n')
+    found = {
+        "holdout": [{"flight": "b", "spans_s": spans}],
+        "gap": {"acc_x": channel},
+        "closed_loop": {"stable": stable, "missions": {"hover": {}, "tour": {}}},
+    }
+    (folder / "explain.json").write_text(json.dumps(found))
+    inputs = [{"name": "a.ulg", "sha256": "0" * 64}]
+    (folder / "run.json").write_text(json.dumps({"inputs": inputs}))
+    return folder
+
+
+def levels(folder: Path) -> dict[str, int]:
+    card = ut.credibility(ut.load_vehicle(folder / "vehicle.toml"), folder)
+    return {name: factor.level for name, factor in card.factors.items()}
+
+
+def test_nothing_known_is_zero() -> None:
+    factors = ut.credibility(ut.load_vehicle(COPTER)).factors
+    assert len(factors) == 8
+    assert {n for n, f in factors.items() if f.level} == {"verification"}
+    assert "made up: body.leg_height" in factors["data_pedigree"].because
+
+
+def test_a_held_out_flight_that_is_closer_gives_two(tmp_path: Path) -> None:
+    found = levels(explained(tmp_path / "a"))
+    assert found["validation"] == found["data_pedigree"] == 2
+    assert found["uncertainty_characterization"] == found["results_robustness"] == 1
+    assert found["process_management"] == 1
+    assert found["input_pedigree"] == found["history"] == 0
+
+
+def test_less_evidence_gives_less(tmp_path: Path) -> None:
+    assert levels(explained(tmp_path / "spans", spans=[[1.0, 2.0]]))["validation"] == 1
+    assert levels(explained(tmp_path / "worse", channel=WORSE))["validation"] == 1
+    assert levels(explained(tmp_path / "lost", stable=False))["results_robustness"] == 0
+
+
+def test_evidence_of_another_vehicle_is_refused(tmp_path: Path) -> None:
+    folder = explained(tmp_path / "a")
+    with pytest.raises(TwinError, match=r"not the vehicle of the export, copter_default"):
+        ut.credibility(ut.load_vehicle(COPTER), folder)
+    (folder / "explain.json").write_text("{")
+    with pytest.raises(TwinError, match=r"explain\.json: .*--evidence takes a folder"):
+        ut.credibility(ut.load_vehicle(folder / "vehicle.toml"), folder)
+
+
+@pytest.mark.parametrize("text", ["validation", "validation=5", "fame=1", "validation=-1"])
+def test_what_is_no_requirement_is_said(text: str) -> None:
+    with pytest.raises(TwinError, match="write FACTOR=LEVEL, 0 to 4"):
+        check_required(ut.credibility(ut.load_vehicle(COPTER)), [text])
+
+
+def test_the_page_says_what_the_numbers_say(tmp_path: Path) -> None:
+    folder = explained(tmp_path / "a")
+    card = ut.credibility(ut.load_vehicle(folder / "vehicle.toml"), folder)
+    written = members(card)
+    assert json.loads(written[FILE])["evidence"]["a.ulg"] == "0" * 64
+    page = written[PAGE].decode()
+    assert all(f"<td>{name}</td>" in page for name in card.factors)
+
+
+@pytest.mark.slow
+def test_the_card_goes_along_or_the_export_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    folder, out = explained(tmp_path / "a"), tmp_path / "out"
+    proof = ("--evidence", folder, "--out", out)
+    code, _, err = run(capsys, "export", "imu", *proof, "--require", "history=1")
+    assert code == 2 and "history has level 0, 1 is required: earlier uses" in err
+    assert not out.exists()
+    assert run(capsys, "export", "imu", *proof, "--require", "validation=2")[0] == 0
+    with zipfile.ZipFile(out / "imu.fmu") as archive:
+        assert json.loads(archive.read(FILE))["factors"]["validation"]["level"] == 2
+    assert ut.verify(out / "imu.fmu").passed

@@ -1,0 +1,225 @@
+"""What is known of a twin's credibility: eight factors with a level and what it rests on.
+
+Factors and the scale 0 to 4 are named after NASA-STD-7009B (2024). Its own text decides what a
+level means; the rules here are this program's, from files alone. They end at 2: what they cannot
+see, a person has to judge. A factor of which nothing is known has 0.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from twin.errors import TwinError
+from twin.vehicle.vehicle import DEFAULT
+
+from ..display import TextTable
+from ..output import json_text, sha256
+from ..record import Record
+from ..vehicles import Vehicle, checked_vehicle, load_vehicle
+
+FILE, PAGE = "documentation/credibility.json", "documentation/credibility.html"
+"""Members of an archive."""
+HIGHEST = 4
+"""Level of the standard; none of ours is over 2."""
+_MADE_UP = "made up"
+_OF_FLIGHTS = ("uavtwin calibrate,", "uavtwin explain,")
+"""How sources begin that flights have given."""
+_MOST_BYTES = 64 * 2**20  # of a result that is read
+
+
+class FactorRecord(Record, frozen=True, kw_only=True):
+    """A factor of credibility.
+
+    Attributes:
+        level: 0 to 4; 0: nothing is known.
+        because: What the level rests on.
+    """
+
+    level: int
+    because: str
+
+
+class CredibilityRecord(Record, frozen=True, kw_only=True):
+    """Credibility of a twin, as far as files show it.
+
+    Attributes:
+        standard: That names the factors and the scale.
+        vehicle: Name of the vehicle.
+        factors: By name.
+        evidence: SHA-256 of files that the levels rest on, by name; flights among them.
+    """
+
+    standard: str
+    vehicle: str
+    factors: dict[str, FactorRecord]
+    evidence: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """What `explain` left in a folder.
+
+    Attributes:
+        content: Of explain.json.
+        files: SHA-256 by name.
+    """
+
+    content: Mapping[str, Any]
+    files: Mapping[str, str]
+
+
+def credibility(vehicle: Vehicle, folder: Path | None = None) -> CredibilityRecord:
+    """What is known of a vehicle's twin.
+
+    Args:
+        vehicle: Whose.
+        folder: That `uavtwin explain` wrote, and whose vehicle.toml it is; None: there is none.
+
+    Raises:
+        TwinError: The folder is none of `explain`, or of another vehicle.
+    """
+    found = None if folder is None else _read(folder, vehicle)
+    return CredibilityRecord(
+        standard="NASA-STD-7009B",
+        vehicle=vehicle.name,
+        factors={
+            "data_pedigree": _data_pedigree(vehicle),
+            "verification": FactorRecord(
+                level=1, because="reference results inside; uavtwin verify reruns them"
+            ),
+            "validation": _validation(found),
+            "input_pedigree": _nothing("who uses the twin knows its inputs"),
+            "uncertainty_characterization": _uncertainty(vehicle),
+            "results_robustness": _robustness(found),
+            "history": _nothing("earlier uses are not recorded"),
+            "process_management": _process(found),
+        },
+        evidence={} if found is None else dict(found.files),
+    )
+
+
+def _nothing(because: str) -> FactorRecord:
+    return FactorRecord(level=0, because=because)
+
+
+def _data_pedigree(vehicle: Vehicle) -> FactorRecord:
+    """1: every number that the file gives has a source; 2: flights gave some of them too."""
+    given = {k: s for k, s in vehicle.sources.items() if not s.startswith(DEFAULT)}
+    made_up = [k for k, s in given.items() if not s or _MADE_UP in s.lower()]
+    measured = sum(s.startswith(_OF_FLIGHTS) for s in given.values())
+    said = f"{measured} of {len(given)} numbers from flights"
+    if made_up:
+        return _nothing(f"{said}; made up: {', '.join(made_up)}")
+    return FactorRecord(level=2 if measured else 1, because=f"{said}, a source for each other")
+
+
+def _validation(found: _Found | None) -> FactorRecord:
+    """1: parts of the flights were held out; 2: whole flights, and no channel got worse there."""
+    if found is None:
+        return _nothing("no flights compared: --evidence names the folder of explain")
+    held = found.content.get("holdout") or []
+    if not held:
+        return _nothing("no flight was held out")
+    gap = found.content.get("gap") or {}
+    worse = [n for n, c in gap.items() if (c["shrink_ci95"] or (0.0, c["shrink"]))[1] < 0.0]
+    names = ", ".join(h["flight"] for h in held)
+    if any(h["spans_s"] for h in held):
+        return FactorRecord(level=1, because=f"parts of {names} held out of the fit")
+    if worse:
+        because = f"{names} held out; worse there than before: {', '.join(worse)}"
+        return FactorRecord(level=1, because=because)
+    return FactorRecord(level=2, because=f"{names} held out of the fit; no channel is worse there")
+
+
+def _uncertainty(vehicle: Vehicle) -> FactorRecord:
+    """1: some numbers have a standard deviation."""
+    if not vehicle.deviations:
+        return _nothing("no number has a standard deviation")
+    known = len(vehicle.deviations)
+    return FactorRecord(level=1, because=f"{known} numbers have a standard deviation; outputs none")
+
+
+def _robustness(found: _Found | None) -> FactorRecord:
+    """1: the missions are flown with the numbers that were found."""
+    flown = None if found is None else found.content.get("closed_loop")
+    if not flown:
+        return _nothing("no missions were flown with what was found")
+    if not flown["stable"]:
+        return _nothing("a mission is lost with what was found")
+    because = f"{len(flown['missions'])} missions flown, none lost; numbers were not varied"
+    return FactorRecord(level=1, because=because)
+
+
+def _process(found: _Found | None) -> FactorRecord:
+    """1: what made the numbers can be made again."""
+    if found is None:
+        return _nothing("what made the numbers is not recorded")
+    return FactorRecord(level=1, because="inputs, options and versions in run.json, hashes here")
+
+
+def _read(folder: Path, vehicle: Vehicle) -> _Found:
+    """Results of `explain`, with the hashes of what it read."""
+    parts: dict[str, Any] = {}
+    for name in ("explain.json", "run.json"):
+        try:
+            with (folder / name).open("rb") as file:
+                parts[name] = msgspec.json.decode(file.read(_MOST_BYTES), type=dict[str, Any])
+        except (OSError, msgspec.DecodeError) as error:
+            raise TwinError(
+                f"{folder / name}: {error}. --evidence takes a folder that uavtwin explain wrote."
+            ) from None
+    own = load_vehicle(folder / "vehicle.toml")
+    if own.toml() != checked_vehicle(vehicle, "credibility").toml():
+        raise TwinError(
+            f"{folder}: its vehicle.toml is not the vehicle of the export, {vehicle.name}: the "
+            f"evidence is of another twin. Give --vehicle {folder / 'vehicle.toml'}."
+        )
+    names = ("explain.json", "run.json", "vehicle.toml")
+    files = {i["name"]: i["sha256"] for i in parts["run.json"].get("inputs", ())}
+    return _Found(parts["explain.json"], files | {n: sha256(folder / n) for n in names})
+
+
+def check_required(found: CredibilityRecord, wanted: Iterable[str]) -> None:
+    """Refuse a twin below levels that are asked for.
+
+    Args:
+        found: Of the twin.
+        wanted: "FACTOR=LEVEL" texts.
+
+    Raises:
+        TwinError: A text is not of that form, or a factor has a lower level.
+    """
+    for text in wanted:
+        name, _, number = text.partition("=")
+        if name not in found.factors or not number.isdigit() or int(number) > HIGHEST:
+            known = ", ".join(found.factors)
+            raise TwinError(
+                f"--require {text}: write FACTOR=LEVEL, 0 to {HIGHEST}, of {known}; e.g. "
+                f"validation=2."
+            )
+        factor = found.factors[name]
+        if factor.level < int(number):
+            raise TwinError(
+                f"{found.vehicle}: {name} has level {factor.level}, {number} is required: "
+                f"{factor.because}."
+            )
+
+
+def members(found: CredibilityRecord) -> dict[str, bytes]:
+    """The card as members of an archive: for machines and for people."""
+    rows = tuple((n, str(f.level), f.because) for n, f in found.factors.items())
+    tables = (
+        TextTable(("factor", "level, 0 to 4", "because"), rows).html(),
+        TextTable(("file", "SHA-256"), tuple(found.evidence.items())).html(),
+    )
+    page = (
+        "<!DOCTYPE html><html lang='en'><meta charset='utf-8'><title>Credibility</title>"
+        f"<h1>Credibility of {escape(found.vehicle)}</h1><p>Factors of {found.standard}. "
+        f"Levels are by rules of uavtwin, from files alone; a person has to judge the rest.</p>"
+        f"{''.join(tables)}</html>\n"
+    )
+    return {FILE: json_text(found.json()).encode(), PAGE: page.encode()}
