@@ -7,9 +7,11 @@ Channels j are the specific force along z and the angular accelerations about x,
 S: signs of the frame. g: thrust by command, of several curvatures and lags, over which is
 marginalised. eta: share of its thrust that a rotor has left, 1 while it is sound. s_j absorbs mass,
 inertia, arm, voltage and thrust map; K_j is the usual sum, so that the offset b_j does not depend
-on s_j; d_j damping, k_j gyroscopic products (wx^2 + wy^2 for z); e_j is of `noise`. Errors of the
-model grow with what happens, for all hypotheses alike: a lively interval weighs little, so that a
-crash cannot outvote an onset.
+on s_j; w_j body rates, along z the speed along the axis of the rotors, with which their thrust
+falls (Leishman, Principles of Helicopter Aerodynamics, 2006, ch. 2.13), d_j their damping; k_j
+gyroscopic products (wx^2 + wy^2 for z); e_j is of `noise`. Errors of the model grow with what
+happens, for all hypotheses alike: a lively interval weighs little, so that a crash cannot outvote
+an onset.
 """
 
 from collections.abc import Sequence
@@ -151,9 +153,12 @@ class Body:
     @cached_property
     def _rates(self) -> tuple[Array, Array]:
         """Damping and gyroscopic regressors of each channel, shape (n, 4) each."""
-        w = self.frame.grid["gyro"][self.start : self.end]
+        grid, part = self.frame.grid, slice(self.start, self.end)
+        w, along = grid["gyro"][part], np.zeros(len(self))
+        if "vel" in grid and "q" in grid:
+            along = np.einsum("ti,ti->t", self.frame.attitude[part, :, 2], grid["vel"][part])
         x, y, z = w.T
-        damping = np.column_stack([np.zeros(len(w)), w])
+        damping = np.column_stack([along, w])
         return damping, np.column_stack([x**2 + y**2, y * z, x * z, x * y])
 
     @cached_property

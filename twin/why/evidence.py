@@ -82,8 +82,8 @@ OFFSET_SD = np.array([3.0 * GRAVITY_M_S2, 30.0, 30.0, 30.0])
 """Of an offset of a channel, m/s^2 and rad/s^2."""
 PRODUCT_SD = np.array([0.1, 1.0, 1.0, 1.0])
 """Of the gyroscopic products: 1 for bodies, the lever of the accelerometer for z, m."""
-DAMPING_SD = 30.0
-"""Of damping, 1/s."""
+DAMPING_SD = np.array([0.5, 30.0, 30.0, 30.0])
+"""Of damping, 1/s: along z by the speed along the rotors' axis."""
 DISAGREES = (0.02, 0.1, 0.2, 0.4)
 """Deviations of a size by one channel from that by another, over the size, alike probable."""
 
@@ -239,7 +239,7 @@ class Evidence:
         """Log evidence of one gain, damping, products and offset."""
         lifted = self.body.lift_gain(usual) if j == 0 else (0.0, GAIN_SD)
         gram = expecting(gram[:, self.body.rotors :, self.body.rotors :], 0, *lifted)
-        sd = np.array([lifted[1], DAMPING_SD, PRODUCT_SD[j], OFFSET_SD[j]])
+        sd = np.array([lifted[1], DAMPING_SD[j], PRODUCT_SD[j], OFFSET_SD[j]])
         inside = gram[:, :4, :4] + np.diag([0.0, *(1 / sd[1:] ** 2)])
         cross = gram[:, :4, -1:]
         left = gram[:, -1, -1] - np.sum(cross * np.linalg.solve(inside, cross), axis=(1, 2))
@@ -326,7 +326,7 @@ class _Channel:
         before = body.lift_gain(usual) if j == 0 else (0.0, GAIN_SD)
         changes = self._evidence.trims[j] if step is None else step
         k = n + 5
-        sd = [before[1], DAMPING_SD, PRODUCT_SD[j], OFFSET_SD[j], changes]
+        sd = [before[1], DAMPING_SD[j], PRODUCT_SD[j], OFFSET_SD[j], changes]
         sd += [self._evidence.steps[j]] * passing
         inner = len(sd)
         picked = np.zeros((gram.shape[1], inner + n + 2 + growing))

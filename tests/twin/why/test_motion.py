@@ -11,7 +11,7 @@ from benchmarks.sudden_faults.answers import trivial_rule
 from benchmarks.sudden_faults.built_in import Planted
 from benchmarks.sudden_faults.kinds import GUST_S
 from twin.logs import Flight
-from twin.logs.columns import ACC, GYRO, POS
+from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL
 from twin.vehicle.layouts import frame
 from twin.vehicle_file import load_vehicle
 from twin.why.body import Body
@@ -172,6 +172,17 @@ def test_why_a_body_shows_nothing_is_said_of_a_log_and_live(
     watch.push({str(c): v for c, v in flight.columns.items()})
     watch.evaluate()
     assert reason in watch.rests and bool(watch.rests) == bool(reason)
+
+
+def test_thrust_falls_with_the_speed_along_the_axis_of_the_rotors() -> None:
+    table = driven().table
+    down = 2.0 * np.sin(1.3 * table["time"].to_numpy())
+    table = table.assign(**dict.fromkeys((*VEL, *QUAT), 0.0)).assign(q_w=1.0, vel_z=down)
+    table["acc_z"] -= 0.4 * down
+    frame = FlightFrame.of(Flight("up and down", table))
+    body = Body.of(frame, frame.airborne[0])
+    left = (body.measured - body.expected())[:, 0]
+    assert left.std() < 0.1 < (0.4 * down).std()
 
 
 def test_height_is_over_the_ground_where_it_took_off_and_lands() -> None:
