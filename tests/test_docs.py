@@ -183,6 +183,9 @@ def test_links_of_the_files_at_the_top_lead_somewhere() -> None:
 QUESTIONS = {
     "where do I drop a log and read what happened": ("guide/serve", "no account, no vehicle file"),
     "does my log leave my machine": ("guide/serve", "Nothing leaves the machine"),
+    "where are my flights kept": ("guide/serve", "the folder `uavtwin-store`"),
+    "does the FMU compute at mine what it did at yours": ("reference/evidence", "uavtwin verify"),
+    "who signed this FMU": ("reference/evidence", "minisign"),
     "does it run on Windows or a Mac": ("index", "use WSL 2"),
     "which settings must my autopilot log with": ("guide/log_formats", "SDLOG_PROFILE"),
     "I do not know the inertia of my aircraft": ("guide/own_log", "inertia 30 %"),
