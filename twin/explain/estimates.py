@@ -45,8 +45,7 @@ def calibrated_effects(found: Explanation) -> list[str]:
     """Effects whose numbers the file was unsure of, and that lack nothing beyond that."""
     if found.naming is None or found.shown is None:
         return []
-    priors = found.naming.problem.priors
-    unsure = {effect_of(c) for c, sd in zip(priors.cause, priors.spike, strict=True) if sd > 0}
+    unsure = found.naming.problem.priors.unsure
     reported = {*listed_effects(found), *(r.effect for r in found.naming.resemblances)}
     return [e for e in found.shown.effects if e in unsure and e not in reported]
 

@@ -39,7 +39,7 @@ from .holdout import (
     localize,
 )
 from .inference.fit import Fit
-from .inference.priors import UNCALIBRATED, effect_of
+from .inference.priors import UNCALIBRATED
 from .inference.search import NO_CHECKPOINT, Checkpoint
 from .inference.selection import Naming, Resemblance, Verdict, coherent, name_effects
 from .model.model import channel_names
@@ -141,15 +141,6 @@ class Explanation:
         return (*steady, *(u.effect for u in self.stochastic))
 
     @property
-    def _unsure(self) -> frozenset[str]:
-        """Effects with a number that the vehicle file is unsure of."""
-        if self.naming is None:
-            return frozenset()
-        priors = self.naming.problem.priors
-        rows = zip(priors.cause, priors.spike, strict=True)
-        return frozenset(effect_of(cause) for cause, sd in rows if sd > 0)
-
-    @property
     def added(self) -> Vehicle | None:
         """The model with the effects that it lacks and the numbers that its file was unsure of;
         None where nothing is named and nothing was unsure, and where nothing has changed since a
@@ -157,7 +148,8 @@ class Explanation:
         conclusive = ("named",) if self.since is not None else ("named", "nothing")
         if self.verdict not in conclusive or not self.effects:
             return None
-        if self.verdict == "nothing" and not {*self.effects} & self._unsure:
+        unsure = frozenset() if self.naming is None else self.naming.problem.priors.unsure
+        if self.verdict == "nothing" and not {*self.effects} & unsure:
             return None
         made = with_effects(self.vehicle, self.effects, self.values)
         return replace(made, calibration=None)

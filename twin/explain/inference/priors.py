@@ -85,6 +85,13 @@ class Priors:
         return np.asarray(np.sqrt(np.diag(self.file)))
 
     @property
+    def unsure(self) -> frozenset[str]:
+        """Effects with a number that the vehicle file is unsure of."""
+        return frozenset(
+            effect_of(c) for c, sd in zip(self.cause, self.spike, strict=True) if sd > 0
+        )
+
+    @property
     def days(self) -> NDArray[np.intp]:
         """Columns that differ between flights."""
         return np.flatnonzero(self.day > 0)
