@@ -1,0 +1,58 @@
+"""Laws that several effects share: one name and one figure, whichever of them was planted."""
+
+import pytest
+
+from twin.effects import EFFECTS, FAMILIES
+from twin.effects.air import LINEAR_DRAG
+from twin.explain.explanation import explain
+from twin.logs import Flight
+from twin.vehicle import GRAVITY_M_S2
+from twin.vehicle_file import load_vehicle
+from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.explain_record import explain_record
+from uavtwin.headline import called
+
+COPTER = load_vehicle("copter_default")
+DRAG_1_S = 0.3
+PLANTED = {
+    "rotor_drag": {"k_xy_1_s": DRAG_1_S, "k_z_1_s": 0.0, "height_m": 0.02, "spin_share": 0.5},
+    "blade_flapping": {"k_rad_s_m": DRAG_1_S / GRAVITY_M_S2, "height_m": 0.03},
+}
+LEGS: Waypoints = (
+    ("ground", 0.5, (0.0, 0.0, 0.0)),
+    ("takeoff", 3.0, (0.0, 0.0, -1.0)),
+    ("forward", 3.0, (2.0, 1.0, -1.0)),
+    ("forward", 3.0, (-1.0, 2.0, -1.0)),
+    ("forward", 3.0, (0.0, 0.0, -1.3)),
+    ("hover", 1.5, (0.0, 0.0, -1.3)),
+)
+
+
+def test_numbers_of_a_family_are_those_of_its_effects() -> None:
+    for family in FAMILIES:
+        assert family.weights[f"{family.first}.k_xy_1_s"] == 1.0
+        for full in family.weights:
+            effect, _, name = full.partition(".")
+            assert name in {p.name for p in EFFECTS[effect].parameters}
+    assert called("blade_flapping") == "rotor drag by blade flapping"
+    assert called("rotor_drag") == LINEAR_DRAG.name == "rotor drag"
+
+
+def flown(effect: str, seed: int) -> Flight:
+    plant = COPTER.with_effects({effect: PLANTED[effect]})
+    return fly(COPTER, plant, seed, f"flight {seed}", LEGS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", PLANTED)
+def test_drag_has_one_name_and_one_figure_by_either_law(effect: str) -> None:
+    fit, held = [flown(effect, 1), flown(effect, 2)], [flown(effect, 3)]
+    found = explain(fit, held, COPTER, missions=("hover",), indoors=True, suggest=False)
+    said = explain_record(found)
+    assert said.verdict == "named"
+    (total,) = said.totals
+    assert total.name == "rotor drag"
+    assert total.value == pytest.approx(DRAG_1_S, rel=0.05)
+    assert total.ci95[0] < DRAG_1_S < total.ci95[1]
+    assert said.headline.text.startswith("Missing from the model: rotor drag")
+    assert said.effects[0].name in total.effects
