@@ -166,6 +166,7 @@ def force_shares(
 ) -> dict[str, tuple[float, str]]:
     """By effect, the largest share of the power of a force or moment channel that it takes, and the
     channel: one minus the power with all effects over that without this one, in the linearisation.
+    A constant, one row, has the power of all samples.
 
     Args:
         spectrum: Residuals with all effects, and slopes.
@@ -176,13 +177,14 @@ def force_shares(
     for name, own in zip(spectrum.channels, spectrum.rows, strict=True):
         if not name.startswith(FORCE_CHANNELS):
             continue
-        left = sum(float(r.residual @ r.residual) for r in own)
+        counts = [np.where(r.band == 0, len(r.band), 1) for r in own]
+        left = sum(float(n @ r.residual**2) for n, r in zip(counts, own, strict=True))
         for effect in dict.fromkeys(effects):
             without = 0.0
-            for r in own:
+            for n, r in zip(counts, own, strict=True):
                 mine = np.array([effects[i] == effect for i in r.active], dtype=np.bool_)
                 row = r.residual + r.slopes[:, mine] @ x[r.active[mine]]
-                without += float(row @ row)
+                without += float(n @ row**2)
             share = max(0.0, 1 - left / without) if without > 0 else 0.0
             if share > taken.get(effect, (0.0, ""))[0]:
                 taken[effect] = share, name

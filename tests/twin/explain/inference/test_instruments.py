@@ -97,16 +97,23 @@ def law_of(flights: Sequence[Flight], channels: Sequence[ChannelData]) -> Instru
     return InstrumentNoise.of(flights, rows, BandNoise.of(rest, [1.0]), 0.02)
 
 
-def best_gain(law: InstrumentNoise, channels: Sequence[ChannelData]) -> float:
-    """Where the likelihood of a gain is largest."""
+GAINS = np.linspace(-2, 4, 601)
+
+
+def votes(law: InstrumentNoise, channels: Sequence[ChannelData]) -> Array:
+    """Log likelihood of each of `GAINS`."""
     parts = [transformed(c, np.column_stack([c.measured, c.slopes])) for c in channels]
     flight = np.repeat(np.arange(len(parts)), [len(p[1]) for p in parts])
     rows, band = (np.concatenate([p[i] for p in parts]) for i in (0, 1))
     terms = law.terms(0, rows, np.where(band == 0, -1, band), flight)
-    gains = np.linspace(-2, 4, 601)
-    rss = np.array([np.array([1, -g]) @ t.gram @ [1, -g] for g in gains for t in terms])
+    rss = np.array([np.array([1, -g]) @ t.gram @ [1, -g] for g in GAINS for t in terms])
     log = law.likelihood(terms).log
-    return float(gains[np.argmax([log(r) for r in rss.reshape(len(gains), -1)])])
+    return np.array([log(r) for r in rss.reshape(len(GAINS), -1)])
+
+
+def best_gain(law: InstrumentNoise, channels: Sequence[ChannelData]) -> float:
+    """Where the likelihood of a gain is largest."""
+    return float(GAINS[np.argmax(votes(law, channels))])
 
 
 def directly(c: ChannelData) -> float:
@@ -175,6 +182,28 @@ def test_an_attitude_setpoint_that_two_bands_cannot_test_is_none() -> None:
     assert len(alone.instruments[0, 0].bases) == 2
     assert alone.instruments[0, 0].trust == 0
     assert all(both.instruments[0, f].trust > 0.2 for f in (0, 1))
+
+
+def test_a_setpoint_that_follows_in_part_tells_no_confident_gain() -> None:
+    """Two logs of 10 Hz whose attitude setpoint is half of the mission's and half of the position
+    loop's: the test lets them pass with a first stage of 60, and the gain comes out small."""
+    off = []
+    for seed in range(12):
+        found = []
+        for k in (seed, 50 + seed):
+            y, u, setpoint = looped(0.1 * slow_noise(k, 1.0), pushes(100 + k, 3.0), follows=0.2)
+            one = flight(rolled(setpoint), name=str(k))
+            slow = one.table.assign(cmd_1=np.where(np.arange(len(T_S)) % 5, np.nan, 0.0))
+            found.append((replace(one, table=slow), channel(y, u)))
+        flights, channels = zip(*found, strict=True)
+        law = law_of(flights, channels)
+        if law.instruments[0, 0].trust:
+            logs = votes(law, channels)
+            true = np.interp(GAIN, GAINS, logs)
+            off.append((GAINS[np.argmax(logs)] - GAIN, 2 * (logs.max() - true)))
+    away, ratio = np.array(off).T
+    assert len(away) >= 4 and away.mean() < -0.2
+    assert np.mean(ratio < 1.96**2) >= 0.75
 
 
 @pytest.mark.parametrize("seed", range(3))

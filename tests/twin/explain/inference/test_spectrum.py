@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from twin.explain.inference.spectrum import BANDS_HZ, SHORTEST, Spectrum
+from twin.explain.inference.spectrum import BANDS_HZ, SHORTEST, Spectrum, force_shares
 from twin.explain.model.factors import POSE_PASSES
 from twin.residuals.channels import (
     CHANNEL_HZ,
@@ -137,3 +137,14 @@ def _log_power(name: str, values: Array) -> float:
     made = replace(channel(values[:: round(GRID_HZ / CHANNEL_HZ), 0]), name=name)
     power = of(made).power()
     return sum(n * float(np.log(p / n)) for (_, band), (p, n) in power.items() if band)
+
+
+@pytest.mark.parametrize("pieces", [(), (200, 100)])
+def test_what_turns_in_the_mean_takes_its_share_of_the_power(pieces: Sequence[int]) -> None:
+    """A constant of 2 beside an oscillation of rms 1, and noise of rms 0.5."""
+    t, noise = np.arange(300), 0.5 * np.random.default_rng(1).standard_normal(300)
+    steady, moves = np.full(300, 2.0), np.sqrt(2) * np.sin(0.3 * t)
+    left = channel(noise, np.column_stack([steady, moves]), pieces)
+    shares = force_shares(of(left), ["rotor_cant", "rotor_drag"], np.array([1.0, 1.0]))
+    assert shares["rotor_cant"] == (pytest.approx(4 / 4.25, abs=0.02), "acc_x")
+    assert shares["rotor_drag"] == (pytest.approx(1 / 1.25, abs=0.04), "acc_x")
