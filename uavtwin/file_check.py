@@ -414,8 +414,18 @@ def _uses(flight: AnyFlight, hover: Hover | None) -> tuple[tuple[str, ...], tupl
 
 def _unfit(flight: AnyFlight) -> tuple[str, ...]:
     """What the flight does not allow, and why."""
-    missing = _missing(flight) if drives(flight) else []
-    return (f"no gap at a short horizon: no {' and no '.join(missing)}",) if missing else ()
+    if not drives(flight):
+        return ()
+    missing, autopilot = _missing(flight), flight.autopilot
+    unfit = [f"no gap at a short horizon: no {' and no '.join(missing)}"] if missing else []
+    asked = [c for c in (QUAT, VEL, POS) if autopilot is not None and autopilot.setpoint(c)]
+    if QUAT not in asked:
+        axes = "yaw" if asked else "roll, pitch or yaw"
+        unfit.append(
+            f"no setpoint of {axes}: how the aircraft answers there, its lag and inertia, is told "
+            f"by other flights of the same mission alone"
+        )
+    return tuple(unfit)
 
 
 def _missing(flight: AnyFlight) -> list[str]:

@@ -22,6 +22,7 @@ from twin.explain.estimates import (
     nothing_probability,
     probability_of,
     stochastic_effect,
+    unasked,
     undecided,
 )
 from twin.explain.explanation import Explanation
@@ -31,7 +32,7 @@ from twin.explain.inference.selection import Detectable, Naming
 from twin.formatting import certainty, joined, number, percent, pretty_unit, quantity, title
 
 from .record import Headline
-from .wording import BLIND_ORDER, blind_clause, clause, said, said_numbers
+from .wording import BLIND_ORDER, TURNS, blind_clause, clause, said, said_numbers
 
 if TYPE_CHECKING:
     from twin.explain.calibration import Calibrated
@@ -74,7 +75,7 @@ def _answer(found: Explanation) -> Headline:
     if found.verdict == "nothing":
         sure = certainty(nothing_probability(found) or 0.0)
         text = f"Nothing detectable is missing from the model, {sure} probability."
-        return Headline(text + blind(detectable(found), since=False))
+        return Headline(text + blind(detectable(found), False, unasked(found)))
     if found.verdict == "named":
         return _named(found, naming)
     if found.verdict == "unnamed":
@@ -269,7 +270,7 @@ def _since(found: Explanation, naming: Naming) -> Headline:
     if found.verdict == "nothing":
         sure = certainty(nothing_probability(found) or 0.0)
         text = f"no change is detectable, {sure} probability."
-        return Headline(text + blind(detectable(found), since=True))
+        return Headline(text + blind(detectable(found), True, unasked(found)))
     if found.verdict == "unnamed":
         return Headline(f"the cause of the change is {_outside(found)}.")
     if found.verdict == "named":
@@ -437,22 +438,28 @@ def undetermined(none: Sequence[str], unsized: Sequence[str]) -> str:
     return text
 
 
-def blind(smallest: Mapping[str, Detectable], since: bool) -> str:
-    """How large an effect may be and still not show; begins with a blank, "" where nothing is
-    known.
+def blind(smallest: Mapping[str, Detectable], since: bool, axes: str = "") -> str:
+    """How large an effect may be and still not show, and what is not told at all; begins with a
+    blank, "" where nothing is known.
 
     Args:
         smallest: By effect the smallest change that would show.
         since: Whether it is a change since a calibration.
+        axes: Of "xyz" those about which no flight asks the aircraft to turn.
     """
     known = {e: smallest[e] for e in BLIND_ORDER if e in smallest}
     texts = [
         blind_clause(e, d.value, d.unit, since) for e, d in known.items() if d.value is not None
     ]
-    if not texts:
-        return ""
-    first = joined(texts[:MOST_BLIND], "or")
-    return f" {first[0].upper()}{first[1:]} would not show in these flights."
+    text = ""
+    if texts:
+        first = joined(texts[:MOST_BLIND], "or")
+        text = f" {first[0].upper()}{first[1:]} would not show in these flights."
+    if axes:
+        turns = joined([TURNS[a] for a in axes])
+        text += f" These flights do not tell how the aircraft answers in {turns}: "
+        text += "nothing asks for it."
+    return text
 
 
 def got_worse(found: Explanation) -> str:

@@ -192,7 +192,7 @@ def _of_sensor(sensor: Sensor) -> list[Kind]:
     if len(sensor.columns) == 1:
         axes, axis = "", {}
     elif sensor.rate is not None:
-        axes, axis = _ROLL, _TURN
+        axes, axis = _ROLL, TURNS
     else:
         axes, axis = _FRD if sensor.group == BODY else "body axes", _BODY
     of_rate = [] if sensor.rate is None else [("rate_", sensor.rate.title, sensor.rate.words)]
@@ -203,7 +203,8 @@ def _of_sensor(sensor: Sensor) -> list[Kind]:
 
 
 _BODY = {"x": "forward axis", "y": "right axis", "z": "down axis"}  # words for axes
-_TURN = {"x": "roll", "y": "pitch", "z": "yaw"}  # words for rotations
+TURNS = {"x": "roll", "y": "pitch", "z": "yaw"}
+"""Rotations in words, by axis."""
 _EARTH = {"x": "north", "y": "east", "z": "down"}
 """Axes in words, by letter: of the body, of turns, of the earth."""
 _FRD, _ROLL = "body axes: x forward, y right, z down", "body axes: x roll, y pitch, z yaw"
@@ -214,7 +215,7 @@ KINDS = (
     *(kind for s in SENSORS if s.group == BODY for kind in _of_sensor(s)),
     Kind("vel_", "Velocity", _NED, "velocity", _EARTH),
     Kind("pos_", "Position", _NED, "position", _EARTH),
-    Kind("att_", "Attitude", "x roll, y pitch, z yaw", "attitude", _TURN),
+    Kind("att_", "Attitude", "x roll, y pitch, z yaw", "attitude", TURNS),
     Kind("q_", "Attitude (quaternion)", "body to NED"),
     *(kind for s in SENSORS if s.group != BODY for kind in _of_sensor(s)),
     Kind("", "Other channels"),

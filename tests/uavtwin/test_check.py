@@ -1,9 +1,17 @@
 """What `check` prints: the verdict first, one screen, all of it on demand."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from cli_rig import run
 
-from uavtwin.file_check import CheckReport
+from twin.frames import from_euler
+from twin.logs.autopilot import Autopilot, Setpoint
+from twin.logs.columns import QUAT, VEL
+from twin.vehicle_file import load_vehicle
+from uavtwin.demo.flights import fly
+from uavtwin.file_check import CheckReport, check_flight
 
 SCREEN = 24
 """Lines of a terminal."""
@@ -60,6 +68,19 @@ def test_all_is_printed_on_demand(
     _, whole, _ = run(capsys, "check", "flight.ulg", "--all")
     assert "odd 39" not in short and short.splitlines()[-1].endswith("more lines: --all")
     assert "odd 39" in whole and len(whole.splitlines()) == 1 + len(long.lines())
+
+
+def test_what_no_setpoint_asks_for_is_noted() -> None:
+    copter = load_vehicle("copter_default")
+    flight = fly(copter, copter, seed=1, waypoints=(("ground", 1.0, (0, 0, 0)),))
+    t_s = np.arange(0.0, 1.0, 0.1)
+    mission = Setpoint(VEL, t_s, np.zeros((10, 3)))
+    level = np.zeros(10)
+    lean = Setpoint(QUAT, t_s, from_euler(level, level, level).T)
+    for asked, axes in (((), "roll, pitch or yaw"), ((mission,), "yaw"), ((mission, lean), "")):
+        told = replace(flight, autopilot=Autopilot(setpoints=asked))
+        notes = [n for n in check_flight(told, "one").notes if n.startswith("no setpoint of")]
+        assert [n.partition(":")[0] for n in notes] == [f"no setpoint of {axes}"] * bool(axes)
 
 
 def test_gap_without_a_vehicle_names_the_ways_out(

@@ -10,6 +10,7 @@ from .explanation import Explanation
 from .inference.estimate import Estimate
 from .inference.priors import effect_of
 from .inference.selection import Detectable, Total
+from .inference.setpoints import turns
 from .model.numbers import numbers_of
 from .stochastic.spectral import StochasticEffect
 
@@ -67,6 +68,16 @@ def detectable(found: Explanation) -> Mapping[str, Detectable]:
     that of the balance of forces and moments by the balance."""
     shown = {} if found.naming is None else found.naming.detectable
     return {**shown, **({} if found.balance is None else found.balance.detectable)}
+
+
+def unasked(found: Explanation) -> str:
+    """Axes, of "xyz", about which no flight asks the aircraft to turn, or that none shows: how it
+    answers there is not told."""
+    if found.naming is None:
+        return ""
+    problem = found.naming.problem
+    names = [n for c, n in enumerate(problem.rest.channels) if c not in problem.noise.mute]
+    return "".join(a for a in "xyz" if not any(turns(n) and n[-1] == a for n in names))
 
 
 def probability_of(found: Explanation, effect: str) -> float:

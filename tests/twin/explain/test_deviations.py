@@ -98,6 +98,24 @@ def test_what_is_large_and_alone_is_named_with_its_size() -> None:
 
 
 @pytest.mark.slow
+def test_no_vehicle_carries_what_something_only_acts_like() -> None:
+    """A gyroscope 35 % off is more than its scale can be; the drag beside it is named."""
+    dragged = COPTER.with_effects({"rotor_drag": {"k_xy_1_s": 0.4}})
+    flight = fly(COPTER, dragged, seed=3, name="flown", waypoints=LEGS)
+    table = flight.table.copy()
+    for a in "xyz":
+        table[f"gyro_{a}"] *= 1.35
+    with library(FEW):
+        found = explain([replace(flight, table=table)], [], COPTER, missions=[])
+    naming = found.naming
+    assert found.verdict == "named" and naming is not None and found.added is not None
+    assert "gyro_scale" in [r.effect for r in naming.resemblances]
+    assert "gyro_scale" in naming.conditional.effects
+    assert "gyro_scale" not in {*found.effects, *found.added.effects}
+    assert found.added.effects["rotor_drag"]["k_xy_1_s"] == pytest.approx(0.4, rel=0.1)
+
+
+@pytest.mark.slow
 def test_a_number_at_its_edge_is_of_something_that_acts_like_its_effect() -> None:
     flight = fly(COPTER, COPTER, seed=3, name="flown", waypoints=LEGS)
     problem = against(flight, COPTER, "gyro_scale")

@@ -1,6 +1,8 @@
 """Intervals of numbers inside their physical range, and which of them a headline may give."""
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.stats import truncnorm
 
 from twin.effects import EFFECTS
+from twin.explain.estimates import unasked
 from twin.explain.inference.estimate import Estimate, credible_interval
 from twin.explain.inference.fit import INTERVAL
 from twin.explain.model.numbers import Number, numbers_of
@@ -94,3 +97,12 @@ def test_a_number_that_only_the_prior_knows_is_not_determined() -> None:
     assert not estimate(scale, 1.4, 0.1, 0.6).may_be_none
     assert estimate(scale, 1.05, 0.1, 0.4).may_be_none
     assert not estimate(NUMBERS["slung_load.length_m"], 0.7, 0.1, 0.1).determined
+
+
+def test_what_no_flight_asks_for_or_shows_is_not_told() -> None:
+    """A mute channel knows of the controller alone; of another axis there is none."""
+    rest = SimpleNamespace(channels=("acc_z", "gyro_rate_x", "gyro_rate_y"))
+    for mute, axes in (((), "z"), ((1,), "xz"), ((1, 2), "xyz")):
+        problem = SimpleNamespace(rest=rest, noise=SimpleNamespace(mute=frozenset(mute)))
+        found: Any = SimpleNamespace(naming=SimpleNamespace(problem=problem))
+        assert unasked(found) == axes

@@ -109,3 +109,6 @@ def test_nothing_says_how_blind_it_is() -> None:
     )
     assert "that has changed by less than 3 mm" in blind(seen, since=True)
     assert blind({}, since=False) == ""
+    assert blind({}, since=True, axes="xz") == (
+        " These flights do not tell how the aircraft answers in roll and yaw: nothing asks for it."
+    )
