@@ -11,7 +11,9 @@ orthonormal basis of z in the n rows of each flight, and T how far it is trusted
 
     log L(theta) = -1/2 sum_k n_k log(1 + T |Q'e|^2 / |e - QQ'e|^2),    by Anderson & Rubin (1949)
     J = min over gain and lag of sum_k n_k log(1 + |Q'e|^2 / |e - QQ'e|^2) / (sum_k rank Q_k - 3)
-    T = 1 / max(1, J);  0 where such a J is improbable, and where the first stage is weak
+    T = 1 / max(1.2, J) / (1 + c n_k / rank Q);  0 where such a J is improbable, and where the first
+    stage is weak; c: what share of a disturbance may follow z (Conley, Hansen & Rossi, Rev. Econ.
+    Stat. 94, 2012), so that more rows of a setpoint in the loop tell no more
 
 J is computed against the model as it stands, and once more with the effects of the end of a search:
 what the model lacks is no disturbance. Of a mission it leaves a moment in proportion to the flown
@@ -52,9 +54,7 @@ from .spectrum import BANDS_HZ, Flights, transformed
 Array = NDArray[np.float64]
 F_LEAST = {"mission": 3.0, "attitude setpoint": 15.0, "other flights": 10.0, "flown speed": 0.0}
 """Of the first stage. Staiger & Stock, Econometrica 65 (1997), ask for 10, where intervals are
-those of a normal distribution; these are not. That of an attitude setpoint in hover, which J does
-not always drop, was 7 to 11 in simulation and 5 to 14 on an aircraft of 18 kg; on the way 20 to 70.
-"""
+those of a normal distribution; these are not. Simulated hover of 36 s has 7 to 11."""
 SLOWEST = 2
 """First band in which what is asked turns the aircraft: from 0.3 Hz. Below, that takes a thousandth
 of the moment of the air, and wind moves all but a mission."""
@@ -74,18 +74,16 @@ CHANCE = {"mission": 0.005, "attitude setpoint": 0.05, "other flights": 0.05, "f
 TESTED = {"mission": 1, "attitude setpoint": 4, "other flights": 4, "flown speed": 0}
 """Degrees of freedom of the overidentification test of all flights together, below which it cannot
 refuse: an attitude setpoint in two bands of one flight fits a gain and a delay whatever it follows.
-On an aircraft of 18 kg that made half of the inertia, 0.37 +- 0.03 of the file's; with two more
-flights of it the test refuses."""
+"""
 ANSWERED = 3
 """First band in which a lag of commands moves specific force by more than gusts do: from 0.8 Hz."""
 FOLLOWED = {"mission": 0.0, "attitude setpoint": 0.15, "other flights": 0.0, "flown speed": 0.15}
-"""Share of the power of a disturbance that may follow what asks, a deviation. By `python -m
-benchmarks.closed_loop`, an attitude setpoint in hover shares 0.06 to 0.33 with moments from 0.3 to
-4.5 Hz, in a tour 0.01; two or three bands do not tell these apart, and F grows with the length of
-a flight in both."""
+"""Share of the power of a disturbance that may follow what asks. In simulated loops an attitude
+setpoint in hover shares 0.06 to 0.33 with the moment from 0.3 to 4.5 Hz, on a tour 0.01; two bands
+do not tell which it is, and F grows with the length of either."""
 UNEVEN = 1.2
-"""By how much a disturbance has more power along a mission than across it in one band: both have
-more at its slower end. The same simulation, 0.3 to 10 Hz: 1.0 to 1.4."""
+"""Power of a disturbance along a mission over that across it: both have more of it at the slower
+end of a band. In simulated tours, 0.3 to 10 Hz: 1.0 to 1.4."""
 BLOCK = 32
 """Columns that LAPACK turns at a time."""
 ALIKE = 1.25

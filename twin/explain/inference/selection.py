@@ -501,6 +501,8 @@ def climb(
     return max(found, other, key=lambda f: log_posterior(f.state))
 
 
+LEFT = "it leaves much of what its law should take"
+"""Why something only acts like an effect."""
 UNKNOWN_CONSTANT = 1e6
 """Deviation of a constant that says nothing, in the unit of any channel."""
 DAYS_SHOWN = 3
@@ -652,14 +654,9 @@ def _resemblances(
     believable: Mapping[str, float],
     rules: SelectionSettings,
 ) -> Sequence[Resemblance]:
-    at_edge = dict(edges(conditional.numbers, conditional.values, problem.model.vehicle))
-    found = []
-    for e in best.effects:
-        if e in at_edge:
-            found.append(Resemblance(e, at_edge[e]))
-        elif believable.get(e, 1.0) < rules.credible:
-            found.append(Resemblance(e, "it leaves much of what its law should take"))
-    return found
+    why = {e: LEFT for e in best.effects if believable.get(e, 1.0) < rules.credible}
+    why |= dict(edges(conditional.numbers, conditional.values, problem.model.vehicle))
+    return [Resemblance(e, why[e]) for e in best.effects if e in why]
 
 
 def shares_of(problem: Problem, state: State) -> dict[str, tuple[float, str]]:
@@ -670,15 +667,14 @@ def shares_of(problem: Problem, state: State) -> dict[str, tuple[float, str]]:
 
 def days_of(problem: Problem, best: MapEstimate) -> dict[str, dict[str, tuple[float, float]]]:
     """What stands out of each flight's day: flight -> "effect.number" -> value and deviation."""
-    b = problem.priors
-    k, d, sd = len(b.now), len(b.days), best.deviations()
-    conditional: dict[str, dict[str, tuple[float, float]]] = {}
+    b, sd = problem.priors, best.deviations()
+    found = {}
     for f, flight in enumerate(problem.model.flights):
+        first = len(b.now) + f * len(b.days)
         own = {}
-        for j, column in enumerate(b.days):
-            i = k + f * d + j
-            number = problem.model.numbers[b.columns[column]]
-            if abs(best.x[i]) > max(2 * sd[i], number.about.smallest):
+        for i, column in enumerate(b.days, first):
+            smallest = problem.model.numbers[b.columns[column]].about.smallest
+            if abs(best.x[i]) > max(2 * sd[i], smallest):
                 own[b.names[column]] = float(best.x[i]), float(sd[i])
-        conditional[flight.flight.name] = own
-    return conditional
+        found[flight.flight.name] = own
+    return found

@@ -174,16 +174,17 @@ def force_shares(
         x: Change of each of these numbers from the model as it stands, shape (k,).
     """
     taken: dict[str, tuple[float, str]] = {}
+    of = np.array(effects)
     for name, own in zip(spectrum.channels, spectrum.rows, strict=True):
         if not name.startswith(FORCE_CHANNELS):
             continue
-        counts = [np.where(r.band == 0, len(r.band), 1) for r in own]
-        left = sum(float(n @ r.residual**2) for n, r in zip(counts, own, strict=True))
+        rows = [(r, np.where(r.band == 0, len(r.band), 1)) for r in own]
+        left = sum(float(n @ r.residual**2) for r, n in rows)
         for effect in dict.fromkeys(effects):
             without = 0.0
-            for n, r in zip(counts, own, strict=True):
-                mine = np.array([effects[i] == effect for i in r.active], dtype=np.bool_)
-                row = r.residual + r.slopes[:, mine] @ x[r.active[mine]]
+            for r, n in rows:
+                mine = r.active[of[r.active] == effect]
+                row = r.residual + r.slopes[:, np.isin(r.active, mine)] @ x[mine]
                 without += float(n @ row**2)
             share = max(0.0, 1 - left / without) if without > 0 else 0.0
             if share > taken.get(effect, (0.0, ""))[0]:
