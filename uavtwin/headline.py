@@ -2,9 +2,9 @@
 
 A headline gives a number only where its 95 % interval excludes "no effect" and the flights say more
 of it than the prior (`Estimate.determined`). That the new model does not fly is said before all
-else. Of the effects that act on the flight, that which takes the largest share of a force or moment
-channel leads, even where something only acts like it; sensors and records come after. An effect
-whose numbers are not determined is named without them, and a further sentence says so.
+else. Of the effects that act on the flight, that which surely takes the largest share of a force or
+moment channel leads, even where something only acts like it; sensors and records come after. An
+effect whose numbers are not determined is named without them, and a further sentence says so.
 `Headline.numbers` lists what the text gives, so that a program can hold the sentence against its
 numbers.
 """
@@ -93,7 +93,8 @@ def _named(found: Explanation, naming: Naming) -> Headline:
     effects = [e for e in listed_effects(found) if e not in undecided(found)]
     lead = _acts_like(found, naming, effects)
     estimates = {e: estimates_of(found, e) for e in effects}
-    first, later = leading(effects, _shares(naming), _determined(estimates))
+    shares = sure_shares(_shares(naming), estimates)
+    first, later = leading(effects, shares, _determined(estimates))
     most = MOST_NUMBERS if len(first) == 1 else 1
     parts = [_phrase(found, e, estimates[e], most) for e in first]
     text = (
@@ -130,19 +131,41 @@ def leading(
     blank.
 
     Those that act on the flight come first, by the share of a force or moment channel that they
-    take; of these the first leads, and the others follow as far as their numbers are determined.
+    surely take; the first leads, and the others follow as far as their numbers are determined.
 
     Args:
         effects: Named ones.
         shares: By effect, share and channel.
         determined: Effects with a number that a headline may give.
     """
-    share = {e: round(shares.get(e, (0.0, ""))[0], 2) for e in effects}
+    share = {e: round(shares.get(e, (0.0, ""))[0], 3) for e in effects}
     in_order = sorted(effects, key=lambda e: (not EFFECTS[e].in_the_air, -share[e]))
     alike = [e for e in in_order if EFFECTS[e].in_the_air] or in_order
     first = [alike[0], *[e for e in alike[1:] if e in determined][: MOST_EFFECTS - 1]]
     later = [e for e in in_order if e not in first]
     return first, f" Further: {joined([title(e) for e in later])}." if later else ""
+
+
+def sure_shares(
+    shares: Mapping[str, tuple[float, str]], estimates: Mapping[str, Sequence[Estimate]]
+) -> dict[str, tuple[float, str]]:
+    """Shares of a force or moment channel that effects take at least: with the clearest number at
+    the end of its interval that is nearest to no effect. One that may be none takes nothing.
+
+    Args:
+        shares: By effect, share and channel.
+        estimates: By effect, its numbers; none: all of the share is sure.
+    """
+    least = {e: max((_nearest(t) for t in own), default=1.0) for e, own in estimates.items()}
+    return {e: (least.get(e, 1.0) ** 2 * size, channel) for e, (size, channel) in shares.items()}
+
+
+def _nearest(estimate: Estimate) -> float:
+    """Nearest end of the interval of a change over the change; 0 where it may be none."""
+    low, high = estimate.ci95 or (0.0, 0.0)
+    if not estimate.determined or estimate.no_effect is None:
+        return 0.0
+    return min(abs(low - estimate.no_effect), abs(high - estimate.no_effect)) / abs(estimate.change)
 
 
 def _determined(estimates: Mapping[str, Sequence[Estimate]]) -> set[str]:
@@ -276,7 +299,8 @@ def _since(found: Explanation, naming: Naming) -> Headline:
     if found.verdict == "named":
         effects = [e for e in listed_effects(found) if e not in undecided(found)]
         estimates = {e: estimates_of(found, e) for e in effects}
-        first, later = leading(effects, naming.shares, _determined(estimates))
+        shares = sure_shares(_shares(naming), estimates)
+        first, later = leading(effects, shares, _determined(estimates))
         parts = [
             _phrase(found, e, estimates[e], 1)
             if stochastic_effect(found, e) is not None and e not in CAUSES
@@ -405,7 +429,7 @@ def calibrated_headline(found: "Calibrated", lead: str) -> Headline:
     effects = [e for e in own if e in known]
     if not effects:
         return Headline(f"{lead}.")
-    first, _ = leading(effects, found.shares, known)
+    first, _ = leading(effects, sure_shares(found.shares, own), known)
     parts = [_calibrated(e, own[e]) for e in first]
     numbers = tuple(n for p in parts for n in p.numbers)
     return Headline(f"{lead}: {'; '.join(p.text for p in parts)}.", numbers)

@@ -9,9 +9,13 @@ import numpy as np
 import plotly.graph_objects as go
 import pytest
 
+from twin.effects import EFFECTS
+from twin.explain.inference.estimate import Estimate
+from twin.explain.model.numbers import numbers_of
 from twin.residuals.gap import Channel, FlightGap, rank, summaries
+from twin.vehicle_file import load_vehicle
 from uavtwin.gaps import claim
-from uavtwin.headline import leading
+from uavtwin.headline import leading, sure_shares
 from uavtwin.report.drawing import Budget, unpacked
 from uavtwin.report.gap import channel_figures, write_gap_report
 from uavtwin.wording import describe
@@ -200,6 +204,20 @@ def test_empty_channels_do_not_break_the_page(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["acc_z", "gyro_rate_x", "pos_y@0.5s", "baro_pa", "odd"])
 def test_channel_names_have_words(name: str) -> None:
     assert "_" not in describe(name)
+
+
+def test_what_is_sure_and_large_leads_before_what_is_large() -> None:
+    """A cant that may be half of what is told surely takes a quarter of its share."""
+    numbers = {n.full: n for n in numbers_of(EFFECTS.values(), load_vehicle("copter_default"))}
+    cant = Estimate(numbers["rotor_cant.yaw_m"], 4e-3, 0.0, (2e-3, 6e-3), 0.1)
+    drag = Estimate(numbers["rotor_drag.k_xy_1_s"], 0.4, 0.0, (0.36, 0.44), 0.1)
+    flapping = Estimate(numbers["flapping_moment.k_n_s"], 0.8, 0.0, (-0.1, 1.7), 0.5)
+    shares = {e: (0.8, "acc_x") for e in ("rotor_cant", "rotor_drag", "flapping_moment", "gust")}
+    told = {"rotor_cant": [cant], "rotor_drag": [drag], "flapping_moment": [flapping], "gust": []}
+    sure = {e: size for e, (size, _) in sure_shares(shares, told).items()}
+    assert sure == pytest.approx(
+        {"rotor_cant": 0.2, "rotor_drag": 0.648, "flapping_moment": 0.0, "gust": 0.8}
+    )
 
 
 def test_what_changes_the_flight_leads_the_claim() -> None:

@@ -125,7 +125,7 @@ class Instrument:
     def trust_in(self, band: int) -> float:
         """The same of one band, as far as a disturbance may follow what asks."""
         n, rank = self.bases[band].shape
-        return self.trust / (1 + FOLLOWED[self.source] * n / rank)
+        return self.trust / float(1 + FOLLOWED[self.source] * n / rank)
 
 
 def instruments_of(
