@@ -38,6 +38,8 @@ LONGEST_TIME_CONSTANT_S = 0.2
 0.1 s (Quiver PT1, measured here); twice that, by judgement."""
 LEAST_R2 = 0.3
 """Below it a regression says nothing."""
+LATE = "time stamps were late"
+"""How the finding on speeds begins that a link has delayed."""
 _SURE = 2.0
 """Standard deviations by which a delay is beyond a limit."""
 _BLOCK_S = 2.0  # of the jackknife: several time constants
@@ -109,6 +111,12 @@ class SpeedLag:
         )
 
 
+def delayed(flight: AnyFlight) -> bool:
+    """Whether a link has delayed the speeds of a flight: what it delays by tenths of a second, it
+    smooths as well."""
+    return any(f.where == "rotor" and f.message.startswith(LATE) for f in flight.findings)
+
+
 def align_speed_stamps(flight: _F) -> _F:
     """The flight with the stamps of its rotor speeds earlier by what no motor can have.
 
@@ -128,7 +136,7 @@ def align_speed_stamps(flight: _F) -> _F:
         )
         return _noted(flight, Finding("warning", "rotor", message))
     message = (
-        f"time stamps were late and are set {1e3 * late_s:.0f} ms earlier: the speeds come {lag}; "
+        f"{LATE} and are set {1e3 * late_s:.0f} ms earlier: the speeds come {lag}; "
         f"a motor has a pure delay of at most {1e3 * LONGEST_DEAD_TIME_S:.0f} ms. What is left of "
         "it is clock_offset.rotor_s"
     )

@@ -24,6 +24,7 @@ from ..errors import LogError
 from ..frames import AXES
 from ..logs import AnyFlight
 from ..logs.columns import is_known, motor_columns
+from ..logs.rotor_lag import delayed
 from ..physics.rotors import Drive
 from ..representation import short_repr
 from ..vehicle import Vehicle
@@ -217,6 +218,10 @@ class Inputs:
 def choose_drive(flight: AnyFlight, vehicle: Vehicle) -> Drive:
     """Measured rotor speeds where vehicle and flight allow it, else commands.
 
+    Speeds that a link has delayed are smoothed, and make an aircraft look as light as they are
+    small: of an 18 kg aircraft the moment of its speeds is half of that of its commands from 0.8 to
+    3 Hz, which told 0.6 of its inertia. There the commands drive it, where there are any.
+
     Raises:
         LogError: The flight has neither, or not for each rotor of the vehicle.
         ModelError: The log states other rotors than the vehicle has.
@@ -230,9 +235,10 @@ def choose_drive(flight: AnyFlight, vehicle: Vehicle) -> Drive:
                 f"{flight.name}: has more {what} than the {n} rotors of {vehicle.name}; "
                 f"choose the vehicle file of this aircraft."
             )
-    if vehicle.rotors.from_speed and flight.has(*rotors):
+    commanded = vehicle.drive == "command" and flight.has(*commands)
+    if vehicle.rotors.from_speed and flight.has(*rotors) and not (commanded and delayed(flight)):
         return "rotor_speed"
-    if vehicle.drive == "command" and flight.has(*commands):
+    if commanded:
         return "command"
     needed = rotors if vehicle.drive == "rotor_speed" else commands
     missing = [c for c in needed if not flight.has(c)]

@@ -14,7 +14,7 @@ from twin.logs import Flight, StoredFlight, open_flight, read_flight
 from twin.logs.columns import motor_columns
 from twin.logs.rotor_lag import LEAST_R2, LONGEST_DEAD_TIME_S, align_speed_stamps, speed_lag
 from twin.logs.table import write_flight
-from twin.residuals.teacher_forced import drive_warnings
+from twin.residuals.teacher_forced import choose_drive, drive_warnings
 from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
@@ -220,6 +220,17 @@ def test_a_table_left_in_its_file_is_set_earlier_too(
     assert any("time stamps were late" in f.message for f in read.findings)
     lag = speed_lag(read)
     assert lag is not None and abs(lag.delay_s) < 0.01
+
+
+def test_commands_drive_where_a_link_has_delayed_the_speeds() -> None:
+    """It smooths them, too; a vehicle that is driven by speeds alone has nothing else."""
+    vehicle = load_vehicle("copter_default")
+    assert vehicle.rotors.from_speed and vehicle.drive == "command"
+    late, right = (align_speed_stamps(made(d, duration_s=20.0)) for d in (0.2, 0.0))
+    assert choose_drive(late, vehicle) == "command"
+    assert choose_drive(right, vehicle) == "rotor_speed"
+    no_map = replace(vehicle, rotors=replace(vehicle.rotors, speed_rad_s=()))
+    assert choose_drive(late, no_map) == "rotor_speed"
 
 
 QUIVER = DATA / "quiver_pt1"
