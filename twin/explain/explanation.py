@@ -382,16 +382,16 @@ def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explan
 
 
 def _told(found: Explanation, naming: Naming, alike: Sequence[Resemblance] = ()) -> Explanation:
-    """The same with what a search says of the effects that are shown, but for some more that
-    something acts like."""
-    shown, gone = found.shown, {r.effect for r in alike}
+    """The same with what a search says of the effects that are shown, but for those that something
+    acts like, some more among them: beside a name no vehicle carries them."""
+    new = alike or naming.resemblances
+    naming = replace(naming, resemblances=(*naming.resemblances, *alike))
+    shown, gone = found.shown, {r.effect for r in naming.resemblances if naming.named or alike}
     if shown is not None and gone:
         shown = replace(shown, effects=tuple(e for e in shown.effects if e not in gone))
     steady = {} if shown is None else shown.values
     exact = dict(steady) | {k: v for u in found.stochastic for k, v in u.values.items()}
     exact = {k: v for k, v in exact.items() if k.partition(".")[0] not in gone}
-    new = alike or naming.resemblances
-    naming = replace(naming, resemblances=(*naming.resemblances, *alike))
     return replace(
         found,
         verdict=_verdict(naming, found.balance, bool(found.stochastic)),

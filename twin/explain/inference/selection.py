@@ -541,9 +541,6 @@ def _named(
     fitted, probabilities = tuple(fits[k] for k in order), tuple(chances[k] for k in order)
     shown, conditional = _averaged(problem, posterior, causes[order[0]], rules)
     believable = _credible(problem, found, fitted[0], settings, usual)
-    alike = tuple(_resemblances(problem, conditional, fitted[0], believable, rules))
-    if gone := {*fitted[0].effects} & {r.effect for r in alike}:
-        shown = _without(problem, found, gone) if gone < {*fitted[0].effects} else shown
     return Naming(
         fitted,
         probabilities,
@@ -551,7 +548,7 @@ def _named(
         shown,
         conditional,
         believable,
-        alike,
+        tuple(_resemblances(problem, conditional, fitted[0], believable, rules)),
         posterior,
         problem,
         WhitenedFlights.of(shown.on_its_days(problem.model), shown.values, settings.likelihood),
@@ -561,16 +558,6 @@ def _named(
         smallest_detectable(problem.model, laplace, found.state, rules.sure),
         rules,
     )
-
-
-def _without(problem: Problem, found: SearchResult, gone: Collection[str]) -> Fit:
-    """The end of a search, fitted again without some effects, with what the file is unsure of: no
-    vehicle carries what something only acts like, nor numbers that make up for it."""
-    end, b = found.state, problem.priors
-    causes = [c for c in end.effects if effect_of(c) not in gone]
-    best = problem.settle(causes, end.kappa, found.laplace.spectrum, end.best.x).best
-    doubted = [c for c in dict.fromkeys(b.cause) if np.any(b.spike[b.of([c])])]
-    return fit_of_best(problem, [*dict.fromkeys([*causes, *doubted])], best, 0.0)
 
 
 def _silent(problem: Problem, posterior: Posterior, rules: SelectionSettings) -> frozenset[str]:
