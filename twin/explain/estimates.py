@@ -71,10 +71,8 @@ def detectable(found: Explanation) -> Mapping[str, Detectable]:
 
 
 def unasked(found: Explanation) -> str:
-    """Axes, of "xyz", about which no flight asks the aircraft to turn, or that none shows: how it
-    answers there is not told."""
-    if found.naming is None:
-        return ""
+    """Axes, of "xyz", about which no flight asks the aircraft to turn, or that none shows."""
+    assert found.naming is not None
     problem = found.naming.problem
     names = [n for c, n in enumerate(problem.rest.channels) if c not in problem.noise.mute]
     return "".join(a for a in "xyz" if not any(turns(n) and n[-1] == a for n in names))

@@ -72,9 +72,8 @@ LAGS_S = 0.0, -0.06, -0.03, -0.015, 0.015, 0.03, 0.06
 CHANCE = {"mission": 0.005, "attitude setpoint": 0.05, "other flights": 0.05, "flown speed": 0.005}
 """Least probability of the overidentification test."""
 TESTED = {"mission": 1, "attitude setpoint": 4, "other flights": 4, "flown speed": 0}
-"""Degrees of freedom of the overidentification test of all flights together, below which it cannot
-refuse: an attitude setpoint in two bands of one flight fits a gain and a delay whatever it follows.
-"""
+"""Degrees of freedom of the test of all flights, below which it cannot refuse: in two bands
+of one flight an attitude setpoint fits a gain and a delay whatever it follows."""
 ANSWERED = 3
 """First band in which a lag of commands moves specific force by more than gusts do: from 0.8 Hz."""
 FOLLOWED = {"mission": 0.0, "attitude setpoint": 0.15, "other flights": 0.0, "flown speed": 0.15}
@@ -90,8 +89,7 @@ ALIKE = 1.25
 """Factor by which two trusts may differ to be one: J is known no better. Made up."""
 INEXACT = 0.1
 """Share of an amplitude by which laws are inexact before anything is fitted: of what was measured,
-or of the larger one of measured and predicted where a speed is asked for, as rotors answer to the
-air more than to the turning. Made up."""
+and where a speed is asked for of what was predicted, if that is larger. Made up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,53 +227,38 @@ def _test(
     for b, q in bases.items():
         inside = rows[band == b]
         part = q.T @ inside
-        along, across = _Left.of(part), _Left.of(inside).less(_Left.of(part))
+        along = _left(part)
+        across = _left(inside) - along
         power[b] = float(np.mean(part[:, 0] ** 2))
         known = [0] if moved is None else [0, still]
         larger = float(np.mean(part[:, known] ** 2, axis=0).max())
         floor = len(inside) * INEXACT**2 * larger + 1e-12 * float(np.sum(inside[:, 0] ** 2))
-        weight = len(inside) / (across.square + floor)
-        moment, weighed = moment + weight * along.step, weighed + weight * along.speed
+        weight = len(inside) / (across[0] + floor)
+        moment, weighed = moment + weight * along[1], weighed + weight * along[2]
         forms.append((len(inside), along, across, floor))
         share = np.sum(part[:, still] ** 2) / max(np.sum(inside[:, still] ** 2), 1e-300)
         taken, left = taken + len(inside) * share, left + len(inside) * (1 - share)
         n, ranks = n + len(inside), ranks + len(part)
     moment = moment / np.maximum(weighed, 1e-300)
     misfit = sum(
-        size * np.log1p(along.at(moment) / (across.at(moment) + floor))
+        size * np.log1p(_with_speed(along, moment) / (_with_speed(across, moment) + floor))
         for size, along, across, floor in forms
     )
     return np.asarray(misfit), power, float(taken / ranks / max(left / (n - ranks), 1e-300))
 
 
-@dataclass(frozen=True, slots=True)
-class _Left:
-    """Sums of squares of what a gain times a prediction and a number times a speed leave.
+def _left(rows: Array) -> Array:
+    """What a gain times a prediction and a number times a speed leave of rows: first column
+    measured, second the speed, each other one a prediction. Square without the speed, product of
+    what is left and the speed, square of the speed; shape (3, predictions, gains)."""
+    y, v, x = rows[:, 0], rows[:, 1], rows[:, 2:]
+    square = y @ y - 2 * np.outer(y @ x, GAINS) + np.outer(np.sum(x * x, axis=0), GAINS**2)
+    return np.array([square, y @ v - np.outer(v @ x, GAINS), np.full_like(square, v @ v)])
 
-    Attributes:
-        square: Without a moment of the speed, (predictions, gains).
-        step: Product of that remainder and the speed, (predictions, gains).
-        speed: Square of the speed.
-    """
 
-    square: Array
-    step: Array
-    speed: float
-
-    @classmethod
-    def of(cls, rows: Array) -> "_Left":
-        """Of rows: first column measured, second the speed, each other one a prediction."""
-        y, v, x = rows[:, 0], rows[:, 1], rows[:, 2:]
-        square = y @ y - 2 * np.outer(y @ x, GAINS) + np.outer(np.sum(x * x, axis=0), GAINS**2)
-        return cls(square, y @ v - np.outer(v @ x, GAINS), float(v @ v))
-
-    def less(self, other: "_Left") -> "_Left":
-        """Of the rows that are not among the others, which these hold."""
-        return _Left(self.square - other.square, self.step - other.step, self.speed - other.speed)
-
-    def at(self, moment: Array) -> Array:
-        """With a number of the speed for each prediction and gain."""
-        return np.maximum(self.square - 2 * moment * self.step + moment**2 * self.speed, 0.0)
+def _with_speed(left: Array, number: Array) -> Array:
+    """The same with a number of the speed for each prediction and gain."""
+    return np.asarray(np.maximum(left[0] - 2 * number * left[1] + number**2 * left[2], 0.0))
 
 
 def _lagged(values: Array, lag_s: float) -> Array:

@@ -162,9 +162,7 @@ class VisitedSets:
     def evidence(self, effects: Sequence[str]) -> float:
         """Log of the probability of a set, remembered."""
         key = tuple(sorted(effects))
-        if key not in self.sets:
-            self.sets[key] = self._laplace.best(key, self._kappa).evidence
-        return self.sets[key]
+        return self.sets.setdefault(key, self._laplace.best(key, self._kappa).evidence)
 
 
 def met_sets(
