@@ -10,7 +10,7 @@ from ..errors import LogError
 from ..formatting import certainty
 from ..logs import Flight
 from ..vehicle import Vehicle
-from .causes import CAUSES, CUT
+from .causes import AIR, CAUSES, CUT
 from .cut import cut
 from .findings import Finder, Findings
 from .flight import FlightFrame, of_vehicle
@@ -27,6 +27,11 @@ CONSEQUENCE_S = 15.0
 """A body that was pushed or lost a rotor upsets sensors and estimator for that long."""
 BEFORE_S = 0.5
 """By which a finder of sensors may place an onset too early."""
+
+
+BIASED, TOGETHER_S = ("accel_bias", "accel_scale"), 1.0
+"""Causes with which specific force and change of velocity disagree; within so much of them a force
+across the thrust is none."""
 
 
 def control(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
@@ -152,9 +157,22 @@ def blind(hidden: Sequence[NotVisible]) -> str:
 
 def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
     """Those that are probable, by time, those without onset last; what instruments show after a
-    cause that moves the body is a consequence, and what the body shows after a cut of commands."""
+    cause that moves the body is a consequence, and what the body shows after a cut of commands, or
+    with an accelerometer that is off."""
     likely = [e for e in events if e.probability >= NAMED]
-    moved = [(e.cause, e.onset_s) for e in likely if e.cause in CAUSES and e.onset_s is not None]
+    biased = [e.onset_s for e in likely if e.cause in BIASED and e.onset_s is not None]
+
+    def misread(event: Event) -> bool:
+        """Whether the accelerometer alone shows a force: velocity does not change with it."""
+        if event.onset_s is None or event.cause not in AIR:
+            return False
+        return any(abs(event.onset_s - t) <= TOGETHER_S for t in biased)
+
+    moved = [
+        (e.cause, e.onset_s)
+        for e in likely
+        if e.cause in CAUSES and e.onset_s is not None and not misread(e)
+    ]
 
     def follows(event: Event) -> bool:
         """Whether it begins with what moved the body or cut the commands, or soon after."""
@@ -163,7 +181,7 @@ def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
         known = [t for cause, t in moved if event.cause not in CAUSES or cause == CUT]
         return any(-BEFORE_S <= event.onset_s - t <= CONSEQUENCE_S for t in known)
 
-    marked = [replace(e, consequence=e.consequence or follows(e)) for e in likely]
+    marked = [replace(e, consequence=e.consequence or misread(e) or follows(e)) for e in likely]
     return tuple(sorted(marked, key=lambda e: float("inf") if e.onset_s is None else e.onset_s))
 
 

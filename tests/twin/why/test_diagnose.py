@@ -10,7 +10,7 @@ from why_rig import sound
 from twin.errors import LogError
 from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, QUAT
-from twin.why.diagnose import FINDERS, blind, diagnose
+from twin.why.diagnose import FINDERS, blind, diagnose, in_order
 from twin.why.findings import Findings
 from twin.why.flight import FlightFrame, moment_signs
 from twin.why.records import Amount, Event, NotVisible
@@ -123,6 +123,17 @@ def test_what_a_lost_rotor_explains_is_a_consequence() -> None:
     assert [e.cause for e in found.events] == ["compass", "rotor_failure", "attitude_estimate"]
     assert [e.consequence for e in found.events] == [False, False, True]
     assert found.verdict == "found"
+
+
+@pytest.mark.parametrize(("bias_s", "first"), [(20.1, "accel_bias"), (24.0, "force_or_moment")])
+def test_a_force_that_does_not_change_the_velocity_is_the_accelerometer(
+    bias_s: float, first: str
+) -> None:
+    events = [
+        Event(cause="force_or_moment", onset_s=20.0, probability=0.99, text="force"),
+        Event(cause="accel_bias", sensor="acc_x", onset_s=bias_s, probability=0.8, text="bias"),
+    ]
+    assert [e.cause for e in in_order(events) if not e.consequence] == [first]
 
 
 def test_a_cause_that_is_not_named_explains_nothing() -> None:
