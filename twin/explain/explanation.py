@@ -59,7 +59,7 @@ UNKNOWN_SITE = (
 )  # warning; its gap is filled by names of flights
 UNSTABLE = "the model with what was named does not fly {} in closed loop: {}"
 """Warning; mission, problem."""
-REFUTED = "with it held-out flights are farther from the model in {}, and nearer in no force"
+REFUTED = "with it held-out flights are farther from the model in {}, and in forces as a whole"
 """Why an effect is not named; forces and moments."""
 FARTHER = "flights that were held out are farther from the model with it than without"
 """Why names are taken back."""

@@ -35,7 +35,8 @@ def residual(name: str, rms: float) -> ChannelData:
     ("after", "where"),
     [
         ((1.0, 2.0, 1.0), ["gyro_rate_z"]),
-        ((0.5, 2.0, 1.0), []),  # pays for itself in another force
+        ((0.4, 2.0, 1.0), []),  # pays for itself in another force
+        ((0.9, 2.0, 1.0), ["gyro_rate_z"]),
         ((1.0, 1.0, 1.0), []),
         ((1.0, 1.0, 3.0), []),  # no force and no moment
         ((1.5, 2.0, 1.0), ["acc_x", "gyro_rate_z"]),
