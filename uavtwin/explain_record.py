@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import msgspec
 from msgspec import UNSET, UnsetType, field
 
-from twin.explain.balance import LOAD, ROTORS, Balance
+from twin.explain.balance import Balance
 from twin.explain.estimates import (
     calibrated_effects,
     channels_and_phases,
@@ -333,12 +333,13 @@ class SettingsRecord(Record, frozen=True, kw_only=True):
 
 
 class OneOfRecord(Record, frozen=True, kw_only=True):
-    """One of two causes that flights cannot tell apart.
+    """One of some causes that flights cannot tell apart.
 
     Attributes:
         cause: Effect.
         rotor: Rotors that it is of, from 1; null: none in particular.
-        probability: Of the cause, whichever rotors it is of.
+        probability: Of the cause, whichever rotors it is of; of these rotors where rotors alone
+            compete.
     """
 
     cause: str
@@ -379,7 +380,7 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
             asked what the model lacks.
         vehicle: Name of the model.
         nothing_probability: That no effect which changes a mean is missing.
-        one_of_causes: Two causes, one of which it is, and that these flights cannot tell apart.
+        one_of_causes: Causes, one of which it is, and that these flights cannot tell apart.
         outside_probability: That a cause is none of the library, though the best set gives it a
             name.
         effects: For `named` and `cannot_tell`, the surest first.
@@ -484,9 +485,8 @@ def explain_record(found: Explanation) -> ExplainRecord:
 
 
 def _one_of(balance: Balance) -> tuple[OneOfRecord, ...]:
-    chance = {ROTORS: balance.damaged, LOAD: balance.probability_of(LOAD)}
     return tuple(
-        OneOfRecord(cause=h.cause, rotor=h.rotors or None, probability=chance[h.cause])
+        OneOfRecord(cause=h.cause, rotor=h.rotors or None, probability=h.probability)
         for h in balance.one_of
     )
 

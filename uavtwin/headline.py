@@ -14,7 +14,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from twin.effects import EFFECTS, FAMILIES
-from twin.explain.balance import CAUSES, LOAD, ROTORS, Balance, Hypothesis
+from twin.explain.balance import CAUSES, LOAD, ROTORS, VIBRATION, Balance, Hypothesis
 from twin.explain.estimates import (
     detectable,
     estimates_of,
@@ -331,6 +331,12 @@ def _since(found: Explanation, naming: Naming) -> Headline:
 def _of_balance(balance: Balance) -> str:
     """What may have changed in the balance, where it is one of several: first the place, then the
     causes."""
+    if balance.one_of and LOAD not in {h.cause for h in balance.one_of}:
+        suspects = [f"{_damage(h)} ({certainty(h.probability)})" for h in balance.one_of]
+        return (
+            f"a propeller is damaged ({certainty(balance.damaged)}): {joined(suspects, 'or')}. "
+            f"These flights cannot tell which."
+        )
     rotors, load = balance.best(ROTORS), balance.best(LOAD)
     causes = [
         (said(ROTORS, _by_number(rotors), since=True), balance.damaged),
@@ -347,6 +353,13 @@ def _of_balance(balance: Balance) -> str:
         )
     none = f"nothing has changed ({certainty(balance.nothing)})"
     return f"either {joined([none, *tied], 'or')}: these flights cannot tell."
+
+
+def _damage(hypothesis: Hypothesis) -> str:
+    """A damaged propeller, in words."""
+    if hypothesis.cause == VIBRATION:
+        return "one vibrates and none has lost thrust"
+    return said(ROTORS, _by_number(hypothesis), since=True)
 
 
 def _by_number(hypothesis: Hypothesis) -> dict[str, float]:

@@ -15,6 +15,9 @@ changed; W: what the wind may do. n: flights. All of it is Gaussian but for the 
 Damaged propellers shake: the power above the motion of the body, where an acceleration is logged
 fast enough, is a fifth reading, which a load does not raise.
 
+That a propeller is damaged and which one are two questions: shaking answers the first alone, and
+four means tell eight rotors apart less well than four.
+
 Two rotors that lost alike and a load at their side are one and the same in these means but for yaw,
 and propellers of another session turn yaw as far: such causes are told apart by nothing, and said
 as "this or that".
@@ -22,7 +25,7 @@ as "this or that".
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -76,6 +79,8 @@ SHAKEN_LEAST_HZ = 40.0
 ALONE = 0.95
 """Probability from which on a rotor, or a load, is named alone: only yaw parts the two, and what
 yaw does between sessions is known from one aircraft. Chosen on CrazyPAD's E9."""
+SUSPECT = 0.1
+"""Probability from which on a rotor is named among those of which one is damaged."""
 STEADY_SD, SHAKEN, SHAKEN_SD, SHAKES = 0.3, 0.7, 0.6, 0.4
 """Change of the log of the amplitude of vibration: deviation between flights; mean and deviation of
 a damaged propeller that shakes, and how many do. Chosen on CrazyPAD's E9."""
@@ -240,6 +245,12 @@ class Balance:
         """Probability of damaged propellers: thrust is lost, or they shake."""
         return self.probability_of(ROTORS) + self.probability_of(VIBRATION)
 
+    def lost_by(self, rotor: int) -> float:
+        """Probability that a rotor, from 1, has lost thrust, alone or with another."""
+        return sum(
+            h.probability for h in self.hypotheses if h.cause == ROTORS and rotor in h.rotors
+        )
+
     @property
     def changed(self) -> float:
         """Probability that something has changed."""
@@ -253,20 +264,30 @@ class Balance:
 
     @property
     def _alone(self) -> Hypothesis | None:
-        """The cause that no other stands for; None: there is none."""
+        """The cause that no other stands for; None: there is none. Damage is that of the rotors
+        that are sure to have lost thrust, each with all that speaks for it."""
         if self.changed < self.sure:
             return None
         if self.damaged >= ALONE:
-            damage = [h for h in self.hypotheses if h.cause in (ROTORS, VIBRATION)]
-            return max(damage, key=lambda h: h.probability)
+            sure = [i + 1 for i in range(len(self.more)) if self.lost_by(i + 1) >= self.sure]
+            damage = [h for h in self.hypotheses if h.rotors and set(h.rotors) == set(sure)]
+            return replace(damage[0], probability=min(map(self.lost_by, sure))) if damage else None
         return self.best(LOAD) if self.probability_of(LOAD) >= ALONE else None
 
     @property
     def one_of(self) -> tuple[Hypothesis, ...]:
-        """A rotor and a load, where it is one of them and nobody can tell which."""
+        """Causes of which it is one and nobody can tell which, the most probable first: a rotor and
+        a load, or propellers one of which is surely damaged; none: something else is told."""
         if self._alone is not None or self.changed < self.sure:
             return ()
-        return self.best(ROTORS), self.best(LOAD)
+        if self.damaged < ALONE:
+            rotors = replace(self.best(ROTORS), probability=self.damaged)
+            return rotors, replace(self.best(LOAD), probability=self.probability_of(LOAD))
+        every = [h for h in self.hypotheses if len(h.rotors) == 1]
+        suspects = [replace(h, probability=self.lost_by(h.rotors[0])) for h in every]
+        suspects += [h for h in self.hypotheses if h.cause == VIBRATION]
+        suspects.sort(key=lambda h: -h.probability)
+        return tuple(h for h in suspects if h.probability >= SUSPECT) or (suspects[0],)
 
     @property
     def nothing(self) -> float:
@@ -573,11 +594,9 @@ def _log_shaking(cause: str, shaken: float | None) -> float:
 
 
 def effect_of_balance(balance: Balance, vehicle: Vehicle, trim: Trim) -> StochasticEffect | None:
-    """The cause that is named, in the form of effects found beside the search; None: none is, or
-    only that a propeller shakes.
-    """
+    """The cause that is named, in the form of effects found beside the search; None: none is."""
     named = balance.named
-    if named is None or named.cause == VIBRATION:
+    if named is None:
         return None
     before = {n.full: n.now for n in numbers_of([EFFECTS[named.cause]], vehicle)}
     values = {n: v + named.values.get(n, 0.0) for n, v in before.items()}
@@ -585,7 +604,6 @@ def effect_of_balance(balance: Balance, vehicle: Vehicle, trim: Trim) -> Stochas
         n: (values[n] - INTERVAL * sd, values[n] + INTERVAL * sd)
         for n, sd in named.deviations.items()
     }
-    chance = balance.damaged if named.cause == ROTORS else balance.probability_of(LOAD)
-    chance = min(chance, 1 - 1e-9)
+    chance = min(named.probability, 1 - 1e-9)
     log_odds = math.log(chance / (1 - chance))
     return StochasticEffect(named.cause, log_odds, values, intervals, trim.channels, 1.0, before)

@@ -156,6 +156,44 @@ def test_shaking_speaks_for_a_rotor_and_stillness_for_neither() -> None:
     assert judged(np.zeros(4), shaken=1.2).damaged > 0.5
 
 
+def octorotor() -> tuple[Trim, Normal]:
+    """Nothing but slopes, of an octorotor whose neighbours turn both ways, in shares of weight,
+    arm and reaction torque; three flights before."""
+    angles = np.deg2rad(22.5 + 45 * np.arange(8))
+    x, y, turns = np.cos(angles), np.sin(angles), np.array([1, 1, -1, -1] * 2)
+    losses = np.array([np.ones(8), y, -x, turns]) / 8
+    loads = np.array([(1, 0, 0, 0), (0, 0, -1, 0), (0, 1, 0, 0), (0,) * 4], dtype=np.float64).T
+    names = (*(f"{ROTORS}.loss_{i + 1}" for i in range(8)), *NAMES[N:])
+    trim = Trim(BALANCED, np.zeros((1, 4)), np.hstack([losses, loads]), names, np.zeros(1))
+    scatter = dict(zip(BALANCED, DAY.tolist(), strict=True))
+    means = dict.fromkeys(BALANCED, 0.0) | {VIBRATION: -1.0}
+    hubs = np.column_stack([x, y, np.zeros(8)])
+    return trim, Normal(3, means, scatter, 1.0, 1.0, hubs, np.zeros((4, 4)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("loss", "told"), [(0.06, False), (0.4, True)])
+def test_a_propeller_that_shakes_is_that_of_a_rotor_only_where_the_means_tell_which(
+    loss: float, told: bool
+) -> None:
+    """Damage is sure by the shaking alone; of eight rotors a small loss does not tell which."""
+    trim, normal = octorotor()
+    change = trim.slopes[:, 2] * loss
+    found = balance_of(replace(trim, means=change[None], vibration=np.array([0.5])), normal, SURE)
+    assert found.damaged > balance.ALONE
+    if told:
+        assert found.named is not None
+        assert found.named.rotors == (3,)
+        assert found.named.probability == found.lost_by(3) >= SURE
+        return
+    assert found.named is None
+    assert max(map(found.lost_by, range(1, 9))) < SURE
+    assert {h.cause for h in found.one_of} <= {ROTORS, VIBRATION}
+    chances = [h.probability for h in found.one_of]
+    assert chances == sorted(chances, reverse=True)
+    assert all(h.probability == found.lost_by(h.rotors[0]) for h in found.one_of if h.rotors)
+
+
 @pytest.mark.parametrize("share", [0.2, 0.7, 1.0, 1.5])
 def test_a_heavy_load_is_told_in_full(share: float) -> None:
     named = judged(of(f"{LOAD}.mass_kg", share * COPTER.mass_kg)).named
