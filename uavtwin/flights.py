@@ -2,7 +2,7 @@
 
 import glob
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -245,6 +245,25 @@ def check_names(flights: Iterable[Flight]) -> None:
                 f"of them."
             )
         seen.add(flight.name)
+
+
+def check_untaught(flights: Iterable[Flight], model: Path, taught: Mapping[str, str]) -> None:
+    """Refuse flights of the training of a model, whatever they are called now.
+
+    Args:
+        flights: To evaluate it on.
+        model: Its folder.
+        taught: Names of its flights by their fingerprints.
+
+    Raises:
+        TwinError: One is of the training.
+    """
+    for flight in flights:
+        if (name := taught.get(flight.fingerprint)) is not None:
+            raise TwinError(
+                f"{flight.source or flight.name}: {model} was trained on this flight, named "
+                f"{name} then. Evaluate on others."
+            )
 
 
 _HOW = "Read it first: read_flight(FILE), or read_flights(PATTERN) for several."

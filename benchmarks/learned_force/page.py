@@ -39,11 +39,6 @@ CLOSED = (
     "the same in still air, against the same flight without it. Lost: farther than 10 m from "
     "where the mission wants it, and not so without the law."
 )
-HOVERING = (
-    "Mean command, and rms about the mean of velocity, tilt and body rates: of the flight, and of "
-    "the fused FMU that hovers by itself, in air that is still."
-)
-STEADY = (("command", "0..1"), ("velocity", "m/s"), ("tilt", "rad"), ("rates", "rad/s"))
 WORSE = 0.1
 """Share farther off, that the column counts."""
 HEAD = """\
@@ -61,7 +56,7 @@ are: [the compensator](../guide/compensator.md#force-and-moment).
 
 def page(cases: Sequence[dict[str, Any]]) -> str:
     """All of it, as Markdown."""
-    lines = [HEAD, *_summary(cases), *section("In closed loop"), *_closed(cases), *_hovering(cases)]
+    lines = [HEAD, *_summary(cases), *section("In closed loop"), *_closed(cases)]
     for group, own in groupby(cases, lambda c: c["group"]):
         lines += ["", f"## {TITLES[group]}", "", ABOUT[group]]
         for case in own:
@@ -139,21 +134,6 @@ def _closed(cases: Sequence[dict[str, Any]]) -> list[str]:
         "inside, median flight",
     )
     return [CLOSED, "", *table(head, lines)]
-
-
-def _hovering(cases: Sequence[dict[str, Any]]) -> list[str]:
-    """A row per flight that hovered and twin that hovers by itself; [] without one."""
-    rows = [
-        (
-            case["name"],
-            name,
-            *(figure(hover[k]) if hover[k] is not None else "-" for k, _ in STEADY),
-        )
-        for case in cases
-        for name, hover in case["evaluation"]["hovers"].items()
-    ]
-    head = ("held out", "hovers", *(f"{name}, {unit}" for name, unit in STEADY))
-    return [*section("Hovering by itself"), HOVERING, "", *table(head, rows)] if rows else []
 
 
 def _off(case: dict[str, Any], model: str, quantity: str) -> float:

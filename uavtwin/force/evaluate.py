@@ -2,34 +2,31 @@
 
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 
 from learning.force.model import VEHICLE_FILE, ForceModel
-from twin.errors import TwinError
 from twin.formatting import counted, number, percent, pretty_unit
 from twin.frames import AXES
 from twin.logs import Flight
 from twin.physics.rotors import Drive
 from twin.residuals.teacher_forced import choose_drive
 
-from ..display import DisplayMixin, TextTable
+from ..display import PageMixin, TextTable
 from ..exports.parts import LearnedForce, learned_force, twin
 from ..exports.write import export
-from ..flights import check_names
-from ..output import output_file
+from ..flights import check_names, check_untaught
 from ..record import Record
 from ..report.learning_figures import horizons_figure
 from ..report.page import plot, render
 from ..series.files import CORRECTED, TWIN, Column, Series, residual_of
 from ..series.files import EXPLAINED as EXPLAINED_SIDE
 from ..vehicles import Vehicle, load_vehicle
-from .closed_loop import Steadiness, hovers
 from .hover_noise import HoverLevel, hover_levels, noise_claim
 from .open_loop import DISTANCE, HORIZONS_S, QUANTITIES, OpenLoop, Replay
 
@@ -55,8 +52,6 @@ class ForceRecord(Record, frozen=True, kw_only=True):
         inside: At each of `horizons_s`, how often the corrected twin was inside the envelope then,
             by flight.
         windows: How often twins were left alone, by flight.
-        hovers: Of each flight that hovered, and of `explained` and `corrected` hovering by
-            themselves in closed loop.
         noise: Readings of hovers by third-octave, of each flight and of `corrected` hovering by
             itself, its noise drawn and not; empty where it has none.
         summary: Of each `model` and `horizon_s` the rms of `position` (m), `velocity` (m/s),
@@ -72,14 +67,13 @@ class ForceRecord(Record, frozen=True, kw_only=True):
     horizons_s: tuple[float, ...]
     inside: dict[str, tuple[float, ...]]
     windows: dict[str, int]
-    hovers: dict[str, Steadiness]
     noise: tuple[HoverLevel, ...]
     summary: tuple[dict[str, Any], ...]
     cells: tuple[dict[str, Any], ...]
 
 
 @dataclass(frozen=True, repr=False)
-class ForceEvaluation(DisplayMixin):
+class ForceEvaluation(PageMixin):
     """What exported twins made of flights.
 
     Attributes:
@@ -89,8 +83,6 @@ class ForceEvaluation(DisplayMixin):
         inside: By flight: at each of `HORIZONS_S` after it was left alone, how often the corrected
             twin was inside the envelope of the training, shares.
         windows: By flight: how often the twins were left alone.
-        hovers: How each flight hovered, and each twin that flies by itself, by name; empty where no
-            flight did.
         noise: Of hovers, by third-octave.
         flown: By flight and twin: what the twin was off, each time that it was left alone.
     """
@@ -99,9 +91,9 @@ class ForceEvaluation(DisplayMixin):
     table: pd.DataFrame
     inside: Mapping[str, tuple[float, ...]]
     windows: Mapping[str, int]
-    hovers: Mapping[str, Steadiness]
     noise: tuple[HoverLevel, ...] = ()
     flown: Mapping[str, Mapping[str, OpenLoop]] = field(default_factory=dict)
+    page: ClassVar[str] = __name__
 
     @property
     def claim(self) -> str:
@@ -143,7 +135,6 @@ class ForceEvaluation(DisplayMixin):
             horizons_s=HORIZONS_S,
             inside=dict(self.inside),
             windows=dict(self.windows),
-            hovers=dict(self.hovers),
             noise=self.noise,
             summary=tuple(summary(self.table).to_dict("records")),
             cells=tuple(self.table.to_dict("records")),
@@ -152,12 +143,6 @@ class ForceEvaluation(DisplayMixin):
     def json(self) -> dict[str, Any]:
         """The content of `evaluation.json`."""
         return self.record.json()
-
-    def report(self, path: str | Path) -> Path:
-        """Write the page, one HTML file that opens offline; returns its path."""
-        with output_file(Path(path)) as file:
-            write_force_report(self, file)
-        return Path(path)
 
     def findings(self) -> Iterable[str | TextTable]:
         """The claim, and how far each twin is off."""
@@ -203,7 +188,8 @@ def evaluate_force(
     """
     force, vehicle = learned_force(folder), load_vehicle(folder / VEHICLE_FILE)
     model = force.model
-    _check_new(flights, folder, model)
+    check_names(flights)
+    check_untaught(flights, folder, {f.sha256: f.name for f in model.flights})
     rows, inside, windows, by_flight = [], {}, {}, {}
     with tempfile.TemporaryDirectory() as place:
         fleet = _Fleet(force, vehicle, physics, Path(place))
@@ -224,15 +210,9 @@ def evaluate_force(
             inside[flight.name] = tuple(near.tolist())
             windows[flight.name] = len(flown[SHIPPED].t_s)
             by_flight[flight.name] = flown
-    steady = hovers(flights, {EXPLAINED: (vehicle, None), SHIPPED: (vehicle, force)})
     noise = hover_levels(flights, vehicle, force)
     progress(1.0)
-    return ForceEvaluation(model, pd.DataFrame(rows), inside, windows, steady, noise, by_flight)
-
-
-def _numbers(hover: Steadiness) -> dict[str, float | None]:
-    """As JSON content: what is not known is null."""
-    return {k: v if np.isfinite(v) else None for k, v in asdict(hover).items()}
+    return ForceEvaluation(model, pd.DataFrame(rows), inside, windows, noise, by_flight)
 
 
 class _Fleet:
@@ -265,18 +245,6 @@ class _Fleet:
             own, force = self._vehicles[name], self._forces[name]
             export(twin(own, drive=drive, force=force, observer=name == UNTRAINED), path)
         return path
-
-
-def _check_new(flights: Sequence[Flight], folder: Path, model: ForceModel) -> None:
-    """Refuse flights of the training, whatever they are called now, and two of one name."""
-    check_names(flights)
-    taught = {f.sha256: f.name for f in model.flights}
-    for flight in flights:
-        if (name := taught.get(flight.fingerprint)) is not None:
-            raise TwinError(
-                f"{flight.source or flight.name}: {folder} was taught by this flight, named "
-                f"{name} then. Evaluate on others."
-            )
 
 
 def _rows(model: str, flight: str, flown: OpenLoop) -> list[dict[str, Any]]:
@@ -345,7 +313,7 @@ def shown_table(table: pd.DataFrame) -> TextTable:
     )
 
 
-def write_force_report(found: ForceEvaluation, path: Path) -> None:
+def write_page(found: ForceEvaluation, path: Path) -> None:
     """Write the page; an existing one is replaced."""
     rows = summary(found.table)
     figure = horizons_figure(rows, QUANTITIES)
@@ -364,7 +332,6 @@ def write_force_report(found: ForceEvaluation, path: Path) -> None:
         ],
         quantities=QUANTITIES,
         rows=rows.to_dict("records"),
-        hovers=[{"name": name, **_numbers(h)} for name, h in found.hovers.items()],
         figure=plot("horizons", "How far twins are off after they were left alone", figure),
     )
     path.write_text(page, encoding="utf-8")

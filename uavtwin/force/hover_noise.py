@@ -25,13 +25,14 @@ from scipy.signal import welch
 from twin.formatting import percent
 from twin.frames import AXES
 from twin.logs import Flight
-from twin.physics.residual_force import NOISE_HZ, NOISE_PERIOD_S, OUTPUTS, noise_values
-from twin.residuals.aligned import align_flight
+from twin.physics.residual_force import NOISE_HZ, OUTPUTS, noise_values
+from twin.residuals.aligned import AlignedFlight, align_flight
+from twin.residuals.teacher_forced import GRID_S
 
 from ..exports.parts import NOISE, LearnedForce, twin
 from ..exports.write import export
 from ..vehicles import Vehicle
-from .closed_loop import HOVER, flown, hover_rows
+from .closed_loop import HOVER, flown
 
 Array = NDArray[np.float64]
 READINGS = tuple(f"{stem}_{a}" for stem in ("acc", "gyro") for a in AXES)
@@ -45,8 +46,14 @@ ROUNDS, MOST = 4, 100.0
 """Of the equalisation, and the largest change of a power in one. Not chosen on flights."""
 SEEDS = (1, 2)
 """Of the hovers of a round."""
+READ_S = 5e-3
+"""Between two readings of a hover that is flown: a fifth of the shortest period of `NOISE_HZ`."""
 FLOWN_S, MEASURED_S = 45.0, 30.0
 """Of a hover, and its end of which the spectrum is taken: the take-off has settled by then."""
+SETTLED_S = 1.0
+"""At either end of a hover that is not looked at. Not chosen on flights."""
+SHORTEST_S = 3.0
+"""A hover that is left by it, to be told of."""
 _GYRO_X, _GYRO_Y = READINGS.index("gyro_x"), READINGS.index("gyro_y")
 _EDGE = 2 ** (1 / 6)  # a third-octave ends so far from its middle
 _PART = "residual_force."  # in front of a parameter's name
@@ -92,6 +99,15 @@ def levels(x: Array, rate_hz: float) -> Array:
             there = [np.interp(middle, f, p) for p in power.T]
             found[:, k] = power[inside].mean(axis=0) if inside.any() else there
     return found
+
+
+def hover_rows(aligned: AlignedFlight) -> list[NDArray[np.intp]]:
+    """Rows of each hover in the air, its ends left out."""
+    there = (aligned.phases == HOVER) & aligned.airborne
+    pieces = np.split(np.arange(len(there)), np.flatnonzero(np.diff(there)) + 1)
+    settled = round(SETTLED_S / GRID_S)
+    inner = [p[settled : len(p) - settled] for p in pieces if there[p[0]]]
+    return [p for p in inner if len(p) >= SHORTEST_S / GRID_S]
 
 
 def flight_levels(flight: Flight, vehicle: Vehicle) -> Array | None:
@@ -143,12 +159,10 @@ def _hovering(
             found = []
             for seed in SEEDS:
                 seeds = {f"{_PART}seed": float(seed), "imu.seed": float(seed)}
-                rows = flown(fmu, FLOWN_S, {**starts, **seeds}, reads, NOISE_PERIOD_S)
+                rows = flown(fmu, FLOWN_S, {**starts, **seeds}, reads, READ_S)
                 if not np.isfinite(rows).all():
                     return None
-                found.append(
-                    levels(rows[-round(MEASURED_S / NOISE_PERIOD_S) :], 1 / NOISE_PERIOD_S)
-                )
+                found.append(levels(rows[-round(MEASURED_S / READ_S) :], 1 / READ_S))
             return np.asarray(np.mean(found, axis=0))
 
         yield hovered

@@ -25,8 +25,8 @@ from twin.physics.residual_force import (
     FEATURES,
     INPUTS,
     NOISE_HZ,
-    NOISE_PERIOD_S,
     OUTPUTS,
+    PERIOD_S,
     ForceLaw,
     noise_values,
     residual_force,
@@ -73,6 +73,11 @@ def motion(**values: float) -> dict[str, float]:
     return {**{f"spin_{i}": 1.0 for i in range(1, 5)}, "pos_z": -1e6, **values}
 
 
+def said(rig: Rig, u: Array) -> dict[str, float]:
+    """Outputs of a law that has just been evaluated on inputs."""
+    return rig.outputs(np.asarray(rig.component.initial(u, rig.p)).ravel(), u)
+
+
 three = st.tuples(*[st.floats(-0.6, 0.6)] * 3)
 
 
@@ -86,7 +91,7 @@ def test_within_the_envelope_it_is_its_formula(
     one, rig = law(seed=seed), Rig(residual_force(VEHICLE, law(seed=seed)))
     given_now = motion(**vec("vel", vel), **vec("omega", omega))
     given_now |= {f"spin_{i}": s for i, s in enumerate(spin, start=1)}
-    found = rig.outputs(np.zeros(0), rig.inputs(given_now))
+    found = said(rig, rig.inputs(given_now))
     square, hubs = np.square(spin), VEHICLE.rotors.position_m / VEHICLE.arm_m
     turning = [
         np.mean(-hubs[:, 1] * square),
@@ -97,10 +102,10 @@ def test_within_the_envelope_it_is_its_formula(
     x = np.array([*vel, *omega, mean, *turning, 0.0, 0.0])
     (wx, wy, wz), v = omega, np.array(vel)
     products = [*(mean * v), *(np.linalg.norm(v) * v), mean**2, wy * wz, wx * wz, wx * wy]
-    said = one.linear @ np.array([1.0, *x, *products])
+    whole = one.linear @ np.array([1.0, *x, *products])
     assert found["distance"] == pytest.approx(np.sqrt(np.mean(x**2)), abs=1e-9)
     np.testing.assert_allclose(
-        [found[n] for n in NAMES], units(VEHICLE) @ said, rtol=1e-9, atol=1e-9
+        [found[n] for n in NAMES], units(VEHICLE) @ whole, rtol=1e-9, atol=1e-9
     )
 
 
@@ -115,7 +120,7 @@ def test_neither_heading_nor_place_takes_part(turn: float, vel: Array, place: Ar
     for about in (Rotation.identity(), Rotation.from_euler("z", turn)):
         x, y, z, w = (about * tilt).as_quat()
         now = motion(**q([w, x, y, z]), **vec("vel", about.apply(vel)), pos_z=-2.0)
-        answer = rig.outputs(np.zeros(0), rig.inputs(now))
+        answer = said(rig, rig.inputs(now))
         found.append([answer[n] for n in NAMES])
     np.testing.assert_allclose(found[0], found[1], atol=1e-9)
     assert not {"pos_x", "pos_y"} & set(rig.component.input_names)
@@ -132,13 +137,13 @@ def test_noise_has_the_level_of_its_third_octave_and_is_off_by_default() -> None
     run, u = Run(rig.component, rig.inputs(motion()), rig.p), rig.inputs(motion())
     drawn = np.zeros((8000, len(NAMES)))
     for i in range(len(drawn)):
-        run.step(i * NOISE_PERIOD_S, NOISE_PERIOD_S, u)
+        run.step(i * PERIOD_S, PERIOD_S, u)
         y = np.asarray(rig.component.outputs(run.x, u, rig.p)).ravel()
         drawn[i] = [y[rig.component.output_names.index(n)] for n in NAMES]
     force = drawn[:, 2] / VEHICLE.mass_kg
     assert not np.delete(drawn, 2, axis=1).any()
     assert np.std(force) == pytest.approx(level, rel=0.1)
-    f, power = welch(force, 1 / NOISE_PERIOD_S, nperseg=2000)
+    f, power = welch(force, 1 / PERIOD_S, nperseg=2000)
     edge = 2 ** (1 / 6)
     inside = (f > NOISE_HZ[k] / edge) & (f < NOISE_HZ[k] * edge)
     assert power[inside].sum() > 0.4 * power.sum(), "half of it, between half-power points"
@@ -146,9 +151,23 @@ def test_noise_has_the_level_of_its_third_octave_and_is_off_by_default() -> None
     plain = Rig(residual_force(VEHICLE, made))
     quiet = Run(plain.component, u, plain.p)
     for i in range(20):
-        quiet.step(i * NOISE_PERIOD_S, NOISE_PERIOD_S, u)
-    assert not quiet.x.any()
+        quiet.step(i * PERIOD_S, PERIOD_S, u)
+    assert not quiet.x[[n.startswith("noise.") for n in plain.names]].any()
     assert set(noise_values(noise)) >= {"noise.force_z.1"}
+
+
+def test_a_law_is_held_between_two_instants() -> None:
+    rig = Rig(residual_force(VEHICLE, alone(force_x__air_x=1.0)))
+    u, place = rig.inputs(motion()), rig.component.output_names.index("force_x")
+    run, seen = Run(rig.component, u, rig.p), []
+    for k in range(20):
+        u[rig.component.input_names.index("vel_x")] = 0.1 * k
+        run.step(1e-3 * k, 1e-3, u)
+        seen.append(run.outputs(u)[place] / VEHICLE.mass_kg)
+    every = round(PERIOD_S / 1e-3)
+    changes = np.flatnonzero(np.diff(seen)) + 2  # steps at whose ends it was evaluated
+    assert changes.tolist() == [k for k in range(2, 21) if k % every == 0]
+    assert seen[every - 1] == pytest.approx(0.1 * (every - 1))
 
 
 def test_it_fades_without_a_step_and_ends_at_zero() -> None:
@@ -156,8 +175,8 @@ def test_it_fades_without_a_step_and_ends_at_zero() -> None:
     speeds = np.linspace(0, 1.2 * FADED * np.sqrt(len(INPUTS)), 4001)
     u = np.tile(rig.inputs(motion())[:, None], len(speeds))
     u[rig.component.input_names.index("vel_x")] = speeds
-    x = np.zeros((0, len(speeds)))
-    y = np.asarray(rig.component.outputs(x, u, np.tile(rig.p[:, None], len(speeds)))).T
+    p = np.tile(rig.p[:, None], len(speeds))
+    y = np.asarray(rig.component.outputs(rig.component.initial(u, p), u, p)).T
     acts = y[:, [rig.component.output_names.index(n) for n in NAMES]]
     away = y[:, rig.component.output_names.index("distance")]
     assert np.all(acts[away >= FADED] == 0)
@@ -174,15 +193,15 @@ def test_nothing_is_said_beyond_what_may_be(vel: Array, most: float, seed: int) 
     free = replace(law(seed=seed), units=np.eye(6))
     bound = replace(free, most=np.linspace(0, most, len(NAMES)))
     rigs = [Rig(residual_force(VEHICLE, one)) for one in (free, bound)]
-    both = [r.outputs(np.zeros(0), r.inputs(motion(**vec("vel", vel)))) for r in rigs]
-    said, held = (np.array([answer[n] for n in NAMES]) for answer in both)
-    np.testing.assert_array_equal(held, np.clip(said, -bound.most, bound.most))
+    both = [said(r, r.inputs(motion(**vec("vel", vel)))) for r in rigs]
+    whole, held = (np.array([answer[n] for n in NAMES]) for answer in both)
+    np.testing.assert_array_equal(held, np.clip(whole, -bound.most, bound.most))
 
 
 def test_wind_is_no_ground_speed() -> None:
     rig = Rig(residual_force(VEHICLE, alone(force_x__air_x=-0.5)))
-    still = rig.outputs(np.zeros(0), rig.inputs(motion(vel_x=2.0)))
-    blown = rig.outputs(np.zeros(0), rig.inputs(motion(wind_x=-2.0)))
+    still = said(rig, rig.inputs(motion(vel_x=2.0)))
+    blown = said(rig, rig.inputs(motion(wind_x=-2.0)))
     assert still["force_x"] == pytest.approx(-1.0 * VEHICLE.mass_kg)
     assert blown["force_x"] == still["force_x"]
 
@@ -219,8 +238,8 @@ def test_laws_of_other_numbers_have_the_kernels_of_one_compilation() -> None:
 
 @pytest.mark.slow
 def test_fused_fmu_flies_by_the_law(tmp_path: Path) -> None:
-    """Against airframe and law in Python, outputs exchanged at each millisecond (Jacobi): in a step
-    the law answers what it was given at the start of the one before."""
+    """Against airframe and law in Python, outputs exchanged at each millisecond (Jacobi): every
+    `PERIOD_S` the law answers what it was given at the start of the step."""
     one = replace(law(), linear=0.2 * law().linear, reach=3.0)
     parts = driven_twin(VEHICLE, "command", (), one).parts
     body, beyond = parts["airframe"], Rig(parts["residual_force"])
@@ -240,18 +259,20 @@ def test_fused_fmu_flies_by_the_law(tmp_path: Path) -> None:
         """Of the law to the airframe's present motion."""
         y = dict(zip(body.output_names, run.outputs(u), strict=True))
         known = {n: y[n] for n in beyond.component.input_names if n in y}
-        acts = beyond.outputs(np.zeros(0), beyond.inputs(known))
+        acts = said(beyond, beyond.inputs(known))
         return [acts[n] for n in NAMES]
 
-    late = answer()
+    every = round(PERIOD_S / 1e-3)
+    u[[index[n] for n in NAMES]] = answer()
     for k in range(300):
         u[[index[n] for n in air]] = [instance.get(f"environment.{n}") for n in air]
-        u[[index[n] for n in NAMES]], late = late, answer()
+        late = answer() if (k + 1) % every == 0 else u[[index[n] for n in NAMES]]
         turn = 0.4 + 0.01 * np.sin(0.05 * k + np.arange(4))
         instance.set({f"airframe.cmd_{i + 1}": float(c) for i, c in enumerate(turn)})
         u[:4] = turn
         instance.step(1e-3 * k)
         run.step(1e-3 * k, 1e-3, u)
+        u[[index[n] for n in NAMES]] = late
         for name in ("pos_x", "vel_y", "omega_z", "q_x"):
             mine = run.x[[s.name for s in body.states].index(name)]
             assert instance.get(f"airframe.{name}") == pytest.approx(mine, rel=1e-8, abs=1e-9)

@@ -211,7 +211,7 @@ def test_a_mission_is_flown_with_the_law(model: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda m, logs, t: ("evaluate", m, _renamed(logs["one"], t)), "taught by this flight"),
+        (lambda m, logs, t: ("evaluate", m, _renamed(logs["one"], t)), "trained on this flight"),
         (
             lambda m, logs, t: ("evaluate", m, logs["three"], "--explained", "copter_default"),
             "explained does not go with",
