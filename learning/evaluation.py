@@ -30,8 +30,10 @@ from twin.errors import ModelError
 
 from .data.channels import CHANNELS, GROUPS, N_PHASES, PHASE_CODES, UNITS
 from .data.flights import ResidualFlight
+from .data.sequences import check_protocol
 from .model.baselines import fit_baselines, phase_means
 from .model.family import Corrected, Model
+from .preset import Protocol
 
 _MEANS = (
     "mse",
@@ -58,17 +60,11 @@ class Task:
         horizon: Age of the newest residual that may be seen, samples; 0 but in `track`.
     """
 
-    protocol: str
+    protocol: Protocol
     horizon: int = 0
 
     def __post_init__(self) -> None:
-        if self.protocol not in ("reconstruct", "track", "free"):
-            raise ModelError(f"protocol {self.protocol!r}: choose reconstruct, track or free.")
-        if (self.horizon >= 1) != (self.protocol == "track"):
-            raise ModelError(
-                f"protocol {self.protocol}, horizon {self.horizon} samples: track needs 1 or more, "
-                f"the others 0."
-            )
+        check_protocol(self.protocol, self.horizon)
 
 
 def evaluate(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import wraps
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
 
 from twin.errors import TwinError, install_command
 from twin.formatting import counted
@@ -245,18 +245,7 @@ def _sensor_training(
 
     if is_force(out):
         raise TwinError(f"{out}: holds a learned force. Choose another folder, and give it as law.")
-    plan = training.plan_training(
-        wanted.model,
-        wanted.preset,
-        cast("Protocol", wanted.protocol),
-        wanted.horizon,
-        wanted.epochs,
-        wanted.seed,
-        wanted.device,
-        out,
-        force,
-        wanted.law,
-    )
+    plan = training.plan_training(wanted, out, force)
     usual_hz = training.imu_rate_hz(flights) if plan.protocol == "free" else DEFAULT_RATE_HZ
     rate_hz = wanted.rate_hz or usual_hz
     options = {
@@ -299,15 +288,7 @@ def _force_training(
     from .force.train import check_force_options, force_claim, train_force
     from .model_card import write_card
 
-    check_force_options(
-        model=wanted.model,
-        preset=wanted.preset,
-        horizon=wanted.horizon,
-        rate=wanted.rate_hz,
-        epochs=wanted.epochs,
-        device=wanted.device,
-        law=wanted.law,
-    )
+    check_force_options(wanted)
     if (out / "model.json").is_file():
         raise TwinError(f"{out}: holds a compensator of the sensors. Choose another folder.")
     check_folder(out, force, CHECKPOINT)
@@ -366,7 +347,7 @@ def evaluate(
     """Measure a compensator on other flights, against trivial baselines.
 
     Args:
-        model: What `train` returned, or the folder that it wrote.
+        model: What `train` returned, the folder that it wrote, or the name of a shipped model.
         flights: That it was not trained on.
         explained: Vehicle that `explain` found, drawn with the model's own.
         physics: Of a learned force: the vehicle before it was explained, flown with it.
@@ -378,8 +359,10 @@ def evaluate(
     """
     from learning.force.model import is_force
 
+    from .exports.parts import model_folder
+
     several = checked_flights(flights, "evaluate")
-    folder = model.folder if isinstance(model, TrainResult) else Path(model)
+    folder = model.folder if isinstance(model, TrainResult) else model_folder(model)
     if is_force(folder):
         from .force.evaluate import evaluate_force
 

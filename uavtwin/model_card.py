@@ -272,7 +272,7 @@ def envelope(about: Mapping[str, Any]) -> Table | None:
     return ["input", "centre", "scale"], [[n, number(c), number(s)] for n, c, s in each]
 
 
-def _validation(about: Mapping[str, Any]) -> dict[str, Mapping[str, float]]:
+def validation_errors(about: Mapping[str, Any]) -> dict[str, Mapping[str, float]]:
     """By channel, on time kept out of the training: error of the linear prediction, and with the
     network; of channels that have such time."""
     said = about.get("metrics", {}).get("validation_mse", {})
@@ -283,7 +283,7 @@ def validation_table(about: Mapping[str, Any]) -> Table | None:
     """The same to show; None where there is none."""
     rows = [
         [channel, number(e["linear"]), number(e["with_network"])]
-        for channel, e in _validation(about).items()
+        for channel, e in validation_errors(about).items()
     ]
     return (["channel", "linear prediction", "with the network"], rows) if rows else None
 
@@ -301,7 +301,7 @@ def limits(about: Mapping[str, Any], result: Result | None) -> list[str]:
             found.append("Refused: the untrained observer or the last motion needs no law for it.")
         if all(o["law"] == NONE for o in about["outputs"].values()):
             found.append("It has no law: what is shipped is the twin with its observer.")
-    shut = [c for c, e in _validation(about).items() if e["with_network"] >= e["linear"]]
+    shut = [c for c, e in validation_errors(about).items() if e["with_network"] >= e["linear"]]
     if shut:
         found.append(
             f"The network adds nothing to the linear prediction in {', '.join(shut)}: its gates "

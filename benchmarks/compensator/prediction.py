@@ -25,7 +25,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -44,7 +43,7 @@ from learning.export.write import export_onnx
 from learning.model.compensator import LINEAR_PART, Compensator
 from learning.model.family import Model, TrainingTask
 from learning.model.registry import family_row
-from learning.preset import BEST, Preset, Protocol
+from learning.preset import BEST, Preset
 from learning.training.train import fit_model
 from twin.explain.explanation import explain
 from twin.logs import Flight, read_flight
@@ -75,7 +74,7 @@ class Split:
 
 def before_s(task: Task) -> float:
     """How long before a reading the twin of a task was at the measured state, s."""
-    return restart_before_s(task.protocol, task.horizon, DEFAULT_RATE_HZ)  # type: ignore[arg-type]
+    return restart_before_s(task.protocol, task.horizon, DEFAULT_RATE_HZ)
 
 
 def residuals_of(logs: Sequence[Flight], vehicle: Vehicle, task: Task) -> list[ResidualFlight]:
@@ -113,7 +112,7 @@ def shipped(
 ) -> Iterator[tuple[Compensator, CompiledCompensator]]:
     """The compensator of a split and its FMU; one that is trained already is taken."""
     folder = out / f"{split.name.replace(' ', '_')}-{task.protocol}{task.horizon}-{seed}"
-    wanted = TrainingTask(cast(Protocol, task.protocol), task.horizon, seed)
+    wanted = TrainingTask(task.protocol, task.horizon, seed)
     trained = fit_model(split.train, family_row("svq"), preset, wanted, folder)
     assert isinstance(trained, Compensator)
     export_onnx(trained, folder)

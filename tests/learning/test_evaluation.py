@@ -170,12 +170,10 @@ def test_pooled_by_phase_agrees_with_the_whole() -> None:
 
 @pytest.mark.slow
 def test_what_is_refused() -> None:
-    with pytest.raises(ModelError, match="track needs 1 or more"):
+    with pytest.raises(ModelError, match="needs 1 or more"):
         Task("track", 0)
-    with pytest.raises(ModelError, match="the others 0"):
+    with pytest.raises(ModelError, match="leave it 0"):
         Task("free", 3)
-    with pytest.raises(ModelError, match="'predict': choose reconstruct"):
-        Task("predict")
     with pytest.raises(ModelError, match="0 training and 2 test"):
         evaluate(None, [], TEST, FREE)
     with pytest.raises(ModelError, match=r"'flight 0'.*split by flight"):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import Csv, Force, Json, Mcap, Out, Prints, Rebuild, TrustVehicle
+from .options import Csv, Force, Json, Mcap, Out, Prints, Rebuild, TrustVehicle, trained
 from .printing import progress
 
 if TYPE_CHECKING:
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def evaluate(
-    model: Annotated[Path, typer.Argument(help="Folder that `uavtwin train` wrote.")],
+    model: Annotated[Path, trained("Folder that `uavtwin train` wrote.", typer.Argument)],
     flights: Annotated[list[Path], typer.Argument(help="Flights that it was not trained on.")],
     explained: Annotated[
         str | None,

@@ -17,6 +17,7 @@ from .options import (
     Out,
     Prints,
     start_values,
+    trained,
     vehicle_named,
 )
 from .printing import print_files, print_json, progress
@@ -85,7 +86,7 @@ def export(
     ] = None,
     model: Annotated[
         Path | None,
-        typer.Option(help="Folder that `train` wrote, for compensator and corrected-twin."),
+        trained("Folder that `train` wrote, for compensator and corrected-twin."),
     ] = None,
     fmi: Annotated[str, typer.Option(help="FMI versions: 2, 3 or 2,3.")] = "2",
     flight: Annotated[Path | None, typer.Option(help="Flight for the replay component.")] = None,

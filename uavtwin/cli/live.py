@@ -28,7 +28,7 @@ from .hil import (
     fly_hil,
     print_hil,
 )
-from .options import VEHICLE_VARIABLE, Exit, Horizon, Json, Prints, seconds
+from .options import VEHICLE_VARIABLE, Exit, Horizon, Json, Prints, seconds, trained
 from .printing import STDERR, STDOUT, print_json
 
 if TYPE_CHECKING:
@@ -141,8 +141,8 @@ Flights = Annotated[
 ]
 Model = Annotated[
     Path | None,
-    typer.Option(
-        help="Folder of a compensator of the sensors, of train: its correction and its anomaly "
+    trained(
+        "Folder of a compensator of the sensors, of train: its correction and its anomaly "
         "score each two seconds of flight. With --hil also a learned force; it acts on the twin."
     ),
 ]

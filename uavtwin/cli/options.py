@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -82,6 +82,23 @@ def of_unit(unit: str, metavar: str, *names: str, help: str, panel: str | None =
 def seconds(help: str, *names: str, panel: str | None = None) -> Any:
     """An option in seconds: 90, 90s, 1.5min, 20ms."""
     return of_unit("s", "SECONDS", *names, help=help, panel=panel)
+
+
+def trained(help: str, kind: Callable[..., Any] = typer.Option) -> Any:
+    """An option, or argument, whose value is the folder of a trained model.
+
+    Args:
+        help: What it is.
+        kind: `typer.Option` or `typer.Argument`.
+    """
+
+    def parser(text: Any) -> Path:
+        from ..exports.parts import model_folder
+
+        return model_folder(text)
+
+    said = f"{help} Or the name of a model that is shipped: copter_drag."
+    return kind(help=said, parser=parser, metavar="MODEL")
 
 
 def named_numbers(

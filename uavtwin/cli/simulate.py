@@ -27,6 +27,7 @@ from .options import (
     Wind,
     seconds,
     start_values,
+    trained,
     vehicle_named,
 )
 from .printing import STDERR, STDOUT, print_incomplete, print_json, print_written, progress
@@ -46,8 +47,8 @@ ScenarioName = Annotated[
 ]
 Model = Annotated[
     Path | None,
-    typer.Option(
-        help="Folder of what train wrote: a learned force, or a compensator of the sensors that "
+    trained(
+        "Folder of what train wrote: a learned force, or a compensator of the sensors that "
         "sees no measurement."
     ),
 ]

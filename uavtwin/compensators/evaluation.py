@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -18,16 +18,14 @@ from learning.evaluation import WHOLE, Task, evaluate, pooled
 from learning.model.compensator import LINEAR_PART, Compensator
 from learning.model.family import Corrected, Model, TrainedModel, no_alarm
 from learning.model.folder import load
-from twin.errors import TwinError
 from twin.formatting import counted, number, percent, pretty_unit
 from twin.logs import Flight
 from twin.residuals.teacher_forced import choose_drive
 from twin.vehicle import Vehicle as TwinVehicle
 
-from ..display import DisplayMixin, TextTable
+from ..display import PageMixin, TextTable
 from ..exports.parts import learned
-from ..flights import check_names
-from ..output import output_file
+from ..flights import check_names, check_untaught
 from ..record import Record
 from ..report.drawing import Budget, fitted
 from ..report.learning_figures import anomaly_figure, correction_figure
@@ -98,7 +96,7 @@ class EvaluationRecord(Record, frozen=True, kw_only=True):
 
 
 @dataclass(frozen=True, repr=False)
-class Evaluation(DisplayMixin):
+class Evaluation(PageMixin):
     """A model and what it makes of flights.
 
     Attributes:
@@ -119,6 +117,7 @@ class Evaluation(DisplayMixin):
     corrected: tuple[Corrected, ...]
     runs: str
     in_use: InUseRecord | None = None
+    page: ClassVar[str] = __name__
 
     @property
     def claim(self) -> str:
@@ -160,12 +159,6 @@ class Evaluation(DisplayMixin):
     def json(self) -> dict[str, Any]:
         """The content of `evaluation.json`."""
         return self.record.json()
-
-    def report(self, path: str | Path) -> Path:
-        """Write the page, one HTML file that opens offline; returns its path."""
-        with output_file(Path(path)) as file:
-            write_evaluation_report(self, file)
-        return Path(path)
 
     def findings(self) -> Iterable[str | TextTable]:
         """The claim, and what is left in use, or by each model of prepared rows."""
@@ -219,7 +212,7 @@ def evaluate_model(
     train = read_residuals(folder / RESIDUALS)
     vehicle = load_vehicle(folder / VEHICLE_FILE)
     check_names(given)
-    check_new(given, folder, model)
+    check_untaught(given, folder, {f["log_sha256"]: f["name"] for f in model.info.flights})
     vehicles = [vehicle] if explained is None else [vehicle, explained]
     residuals: list[list[ResidualFlight]] = [[] for _ in vehicles]
     rate_hz = model.info.rate_hz
@@ -285,17 +278,6 @@ class _StoredCorrections:
     def run(self, flight: ResidualFlight) -> Corrected:
         """Of a flight."""
         return self.corrected[flight.name]
-
-
-def check_new(flights: Sequence[Flight], folder: Path, model: TrainedModel) -> None:
-    """Raise TwinError where a flight is one of the training, whatever its name is now."""
-    trained = {said["log_sha256"]: said["name"] for said in model.info.flights}
-    for flight in flights:
-        if (name := trained.get(flight.fingerprint)) is not None:
-            raise TwinError(
-                f"{flight.source or flight.name}: {folder} was trained on this flight, named "
-                f"{name} then; evaluate on others."
-            )
 
 
 def by_group(found: Evaluation) -> pd.DataFrame:
@@ -370,7 +352,7 @@ def _anomaly(flight: ResidualFlight, corrected: Corrected) -> dict[str, Any]:
     }
 
 
-def write_evaluation_report(found: Evaluation, path: Path) -> None:
+def write_page(found: Evaluation, path: Path) -> None:
     """Write the page; an existing one is replaced."""
     page = fitted(lambda budget: _page(found, budget), len(found.flights))
     path.write_text(page, encoding="utf-8")

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import numpy as np
@@ -32,11 +32,15 @@ from twin.residuals.teacher_forced import choose_drive
 
 from ..exports.parts import LearnedForce, learned_force
 from ..flights import check_names
+from ..model_card import validation_errors
 from ..output import check_folder
 from ..report.learning_figures import curve_figure
 from ..report.page import Plot, plot, render
 from ..vehicles import Vehicle
 from .in_use import Corrections, InUseRecord, UsedFlight, driven_fmu, harmful, record_of
+
+if TYPE_CHECKING:
+    from ..learned import Wanted
 
 RESIDUALS, REPORT = "training.parquet", "report.html"  # files in the folder of a training
 IN_USE = "in_use.json"
@@ -79,18 +83,7 @@ def _epochs(preset: Any) -> int | None:
     return getattr(preset, "epochs", None) if getattr(preset, "network", True) else None
 
 
-def plan_training(
-    model: str | None,
-    preset: str | None,
-    protocol: Protocol,
-    horizon: int,
-    epochs: int | None,
-    seed: int | None,
-    device: str,
-    out: Path,
-    force: bool,
-    law: Path | None = None,
-) -> Plan:
+def plan_training(wanted: "Wanted", out: Path, force: bool) -> Plan:
     """Check everything that can be wrong before the work begins.
 
     Raises:
@@ -98,20 +91,22 @@ def plan_training(
             has no epochs, a law that does not, or a folder that holds something else than an
             interrupted training.
     """
-    if model is None and preset is None and epochs is None and protocol == "free":
+    model, protocol, epochs = wanted.model, cast("Protocol", wanted.protocol), wanted.epochs
+    if model is None and wanted.preset is None and epochs is None and protocol == "free":
         model = "linear"  # no network has said more of a flight that was not its own
-    family, made = chosen(model, preset)
+    family, made = chosen(model, wanted.preset)
     check_preset(family, made, protocol)
     if epochs is not None:
         if _epochs(made) is None:
             raise TwinError(f"preset {made.name} is in closed form and has no epochs; give none")
         made = replace(made, epochs=epochs)
+    law = wanted.law
     if law is not None and (protocol != "free" or not family.onnx):
         raise TwinError(f"law {law}: acts in the exported twin, which protocol free corrects alone")
-    found = device_named(device)
+    found = device_named(wanted.device)
     check_folder(out, force, CHECKPOINT)
-    drawn = SEEDS.get(made.name, 0) if seed is None else seed
-    ahead = horizon if protocol == "track" else 0
+    drawn = SEEDS.get(made.name, 0) if wanted.seed is None else wanted.seed
+    ahead = wanted.horizon if protocol == "track" else 0
     return Plan(family, made, protocol, ahead, drawn, found.type, law)
 
 
@@ -324,27 +319,18 @@ def _task(about: dict[str, Any]) -> str:
 
 
 def _validation(about: dict[str, Any]) -> list[dict[str, Any]]:
-    """Channels with validation samples: error of the linear prediction and with the network.
-
-    None from a family that keeps no time for validation.
-    """
-    rows = []
-    said = about["metrics"].get("validation_mse", {})
-    for channel, unit in zip(CHANNELS, UNITS, strict=True) if said else ():
-        errors = said[channel]
-        before, after = errors["linear"], errors["with_network"]
-        if before > 0:
-            removed = 1 - float(np.sqrt(after / before))
-            rows.append(
-                {
-                    "channel": channel,
-                    "unit": unit,
-                    "before": before,
-                    "after": after,
-                    "removed": removed,
-                }
-            )
-    return rows
+    """Channels with validation samples: error of the linear prediction and with the network."""
+    units = dict(zip(CHANNELS, UNITS, strict=True))
+    return [
+        {
+            "channel": channel,
+            "unit": units[channel],
+            "before": errors["linear"],
+            "after": errors["with_network"],
+            "removed": 1 - float(np.sqrt(errors["with_network"] / errors["linear"])),
+        }
+        for channel, errors in validation_errors(about).items()
+    ]
 
 
 def _write_page(out: Path, residuals: Sequence[ResidualFlight]) -> None:

@@ -195,7 +195,7 @@ def compensator(folder: str | Path, int8: bool = False) -> NetworkFile:
     Raises:
         FmuError: The folder holds none.
     """
-    return read_network(Path(folder), INT8_FILE if int8 else FILE)
+    return read_network(model_folder(folder), INT8_FILE if int8 else FILE)
 
 
 def check_compensator(network: NetworkFile, vehicle: Vehicle) -> None:
@@ -248,7 +248,20 @@ def learned_force(folder: str | Path) -> LearnedForce:
     """
     from learning.force.model import load_force
 
-    return LearnedForce(load_force(Path(folder)), Path(folder))
+    place = model_folder(folder)
+    return LearnedForce(load_force(place), place)
+
+
+PRETRAINED = Path(__file__).parent.parent / "pretrained"
+"""Holds the folder of each model that is shipped, by name."""
+
+
+def model_folder(given: str | Path) -> Path:
+    """Folder of a model: that of a path, or of a model that is shipped, by its name."""
+    shipped = PRETRAINED / Path(given).name
+    if Path(given).exists() or str(given) != shipped.name or not shipped.is_dir():
+        return Path(given)
+    return shipped
 
 
 def learned(folder: Path, int8: bool = False) -> tuple[NetworkFile | None, LearnedForce | None]:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from learning.force.model import (
     FILE,
@@ -24,31 +25,27 @@ from .hover_noise import hover_noise
 from .learn import ACCEPTED, ALONE_S, BETTER, WORSE, Progress, best, learn_force
 from .memory import Memory
 
+if TYPE_CHECKING:
+    from ..learned import Wanted
+
 REPORT = "report.html"  # in the folder of a law
 _LEARNED = 0.95  # share of the work that is done when the law is, about
-_DEFAULTS = {
-    "model": None,
-    "preset": None,
-    "horizon": 1,
-    "rate": None,
-    "epochs": None,
-    "device": "cpu",
-    "law": None,
-}
+_SENSORS = ("model", "preset", "horizon", "rate_hz", "epochs", "device", "law")
 """Options of `train` that a learned force has not."""
 
 
-def check_force_options(**given: object) -> None:
-    """Refuse options of a training that has none of them, by the names of `_DEFAULTS`.
+def check_force_options(wanted: "Wanted") -> None:
+    """Refuse options of a training that has none of them.
 
     Raises:
         TwinError: One is given.
     """
-    for name, value in given.items():
-        if value != _DEFAULTS[name]:
+    usual = type(wanted)()
+    for name in _SENSORS:
+        if (value := getattr(wanted, name)) != getattr(usual, name):
             raise TwinError(
-                f"{name} {value}: protocol force has no such choice, its law is chosen by flying "
-                f"it. Leave it out."
+                f"{name.removesuffix('_hz')} {value}: protocol force has no such choice, its law "
+                f"is chosen by flying it. Leave it out."
             )
 
 
