@@ -28,9 +28,12 @@ Array = NDArray[np.float64]
 WIND = frozenset(e.name for e in EFFECTS.values() if e.of_weather and e.component == "airframe")
 """Effects that are a wind, the same all flight."""
 OF_AIR = frozenset(
-    e.name for e in EFFECTS.values() if e.in_the_air and not e.of_weather and "vel" in e.needs
+    e.name
+    for e in EFFECTS.values()
+    if e.in_the_air and not e.of_weather and "vel" in e.needs and e.change is None
 )
-"""Effects by which a wind may change thrust and moments: those of the velocity."""
+"""Effects of a sound aircraft by which a wind may change thrust and moments: those of the velocity.
+What comes with a change, as a slung load, is no doubt about the air."""
 
 
 def wind_of(shown: Fit) -> dict[str, tuple[float, float]]:

@@ -11,7 +11,9 @@ from twin.effects import EFFECTS
 from twin.explain import explanation
 from twin.explain.balance import CAUSES, Balance, Normal, balance_of, trim_of
 from twin.explain.explanation import Explanation
+from twin.explain.inference.estimate import fitted_estimates
 from twin.explain.inference.fit import INTERVAL, Fit
+from twin.explain.inference.priors import priors_since
 from twin.explain.inference.selection import coherent, misfits
 from twin.explain.model.model import Model, model_of
 from twin.explain.stochastic.spectral import StochasticEffect
@@ -106,6 +108,7 @@ def test_only_what_the_wind_changes_is_uncertain() -> None:
     assert np.all(np.abs(still) < 1e-6 * np.abs(windier).max())
     pitch = trim.channels.index("gyro_rate_y")
     drag = DRAG["k_xy_1_s"] * AIR_M_S * PLANT.mass_kg / PLANT.inertia_kg_m2[1, 1]
+    assert "slung_load" not in OF_AIR  # may be there or not, and is no doubt about the air
     assert windier[pitch, pitch] > (0.9 * 0.02 * drag) ** 2  # height of the drag, 20 mm
 
 
@@ -115,6 +118,21 @@ def test_the_wind_of_a_search_has_its_deviation() -> None:
     ((value, sd),) = wind_of(fit).values()
     assert value == 4.0
     assert sd == pytest.approx(0.6)
+
+
+def test_a_number_that_a_calibration_does_not_move_is_told_by_its_prior() -> None:
+    """As the voltage in hover of `battery_sag`: part of an effect whose other numbers may move."""
+    numbers = tuple(n for n in windy().numbers if n.effect == "rotor_drag")
+    values, widths = {n.full: n.now for n in numbers}, np.zeros(len(numbers))
+    priors = priors_since(windy())
+    assert {*priors.slab[priors.of(["rotor_drag"])]} == {0.0, 0.02}
+    found = fitted_estimates(
+        Fit(("rotor_drag",), values, numbers, widths, 0.0), priors, "rotor_drag"
+    )
+    share = {e.number.name: e.prior_share for e in found}
+    assert share.pop("height_m") == 0.0
+    assert set(share.values()) == {1.0}
+    assert {e.tension for e in found} == {0.0}
 
 
 @pytest.mark.slow

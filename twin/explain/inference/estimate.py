@@ -92,7 +92,7 @@ def credible_interval(number: Number, value: float, half_width: float) -> tuple[
 def fitted_estimates(
     fitted: Fit, priors: Priors, effect: str, wider: float = 1.0
 ) -> list[Estimate]:
-    """The numbers of an effect in one fit."""
+    """The numbers of an effect in one fit; one that is held is told by its prior alone."""
     tension = priors.tension({n.full: fitted.values[n.full] for n in fitted.numbers})
     place = {n: i for i, n in enumerate(priors.names)}
     found = []
@@ -100,13 +100,14 @@ def fitted_estimates(
         if n.effect != effect:
             continue
         i, value = place[n.full], fitted.values[n.full]
+        slab = float(priors.slab[i])
         found.append(
             Estimate(
                 n,
                 value,
                 None if n.shape else float(priors.now[i] + priors.held[i]),
                 credible_interval(n, value, wider * float(w)),
-                min(1.0, float(w) / INTERVAL / float(priors.slab[i])),
+                min(1.0, float(w) / INTERVAL / slab) if slab > 0 else 1.0,
                 tension[n.full],
             )
         )

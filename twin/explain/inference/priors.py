@@ -111,14 +111,16 @@ class Priors:
 
     def tension(self, values: Mapping[str, float]) -> dict[str, float]:
         """By number, how many prior deviations a value is away from what was expected; of a number
-        that cannot be zero, such as a factor, in its logarithm."""
+        that cannot be zero, such as a factor, in its logarithm; 0 of one that is held."""
         place = {n: i for i, n in enumerate(self.names)}
         found = {}
         for name, value in values.items():
             if (i := place.get(name)) is None:
                 continue
             mean, sd = self.mean[i], self.slab[i]
-            if min(self.low[i], mean, value) > 0:
+            if sd == 0:
+                found[name] = 0.0
+            elif min(self.low[i], mean, value) > 0:
                 found[name] = float(abs(np.log(value / mean)) / (sd / mean))
             else:
                 found[name] = float(abs(value - mean) / sd)
