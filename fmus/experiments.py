@@ -141,7 +141,7 @@ def verify(path: Path) -> list[Deviation]:
 def _deviation(experiment: Experiment, found: Table) -> Deviation:
     """The output that is farthest off."""
     at = experiment.references["time"]
-    shares = {"": 0.0}
+    shares: dict[str, float] = {}
     for name, wanted in experiment.references.items():
         if name == "time":
             continue
@@ -149,7 +149,7 @@ def _deviation(experiment: Experiment, found: Table) -> Deviation:
         share = off / max(float(np.abs(wanted).max()), _LEAST)
         shares[name] = float(share) if np.isfinite(share) else np.inf
     worst = max(shares, key=shares.__getitem__)
-    return Deviation(experiment.name, worst, shares[worst], experiment.tolerance, len(shares) - 1)
+    return Deviation(experiment.name, worst, shares[worst], experiment.tolerance, len(shares))
 
 
 def related_problems(archive: Archive) -> list[str]:
@@ -218,11 +218,12 @@ def _experiment(
     start, stop, step = numbers
     if not (np.isfinite(start) and start < stop < np.inf and 0 < step <= stop - start):
         raise FmuError(f"{where}: from {start} to {stop} in steps of {step} is no experiment.")
+    wanted = table(references)
+    if len(wanted) < 2:
+        raise FmuError(f"{where}: its references hold no output.")
     if not tolerance > 0:
         raise FmuError(f"{where}: a tolerance of {tolerance} is none.")
-    return Experiment(
-        name, start, stop, step, tolerance, table(element.find("Stimuli")), table(references)
-    )
+    return Experiment(name, start, stop, step, tolerance, table(element.find("Stimuli")), wanted)
 
 
 def _table(archive: Archive, opened: zipfile.ZipFile, member: str) -> Table:

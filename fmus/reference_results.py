@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import io
+import re
 import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -31,8 +32,11 @@ from .platforms import DEFAULT
 
 _NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
 _ABOUT = "Layered Standard providing information on related files included in an FMU."
-_STOP_S, _STEP_S = 5.0, 0.05
-"""Long enough for a take-off. Made up."""
+_CLOSED, _OPEN = (5.0, 0.05), (1.0, 0.02)
+"""End and step, s, long enough for a take-off, and of what is driven from outside. Made up: without
+a controller a Crazyflie tumbles, and what 1e-12 of its inputs leaves grows from 1e-6 after 1 s to
+all of it after 5 s."""
+_MOTOR = re.compile(r"(^|\.)(cmd|rotor)_\d+$")  # input of what is driven from outside
 _DIGITS = 9
 """Significant ones of a number: four more than `TOLERANCE` asks for."""
 _EXCITED = 0.02
@@ -47,10 +51,11 @@ def add_reference_results(path: Path, model: FmuModel, fmi: int) -> None:
         model: What it was built of; without arrays.
         fmi: Its version.
     """
-    time = np.linspace(0.0, _STOP_S, round(_STOP_S / _STEP_S) + 1)
     inputs = [v for v in model.variables if v.causality == "input"]
+    stop_s, step_s = _OPEN if any(_MOTOR.search(v.name) for v in inputs) else _CLOSED
+    time = np.array([float(_number(k * step_s)) for k in range(round(stop_s / step_s) + 1)])
     experiment = Experiment(
-        "made_up", 0.0, _STOP_S, _STEP_S, TOLERANCE, _stimuli(inputs, time), {"time": time}
+        "made_up", 0.0, stop_s, step_s, TOLERANCE, _stimuli(inputs, time), {"time": time}
     )
     with tempfile.TemporaryDirectory() as folder:
         runnable = Path(folder, path.name)
@@ -104,9 +109,9 @@ def _members(experiment: Experiment, found: Table) -> dict[str, bytes]:
         )
     about = (
         f"Reference results, FMI-LS-REF {VERSION} (draft), in {FOLDER}.\n\n"
-        f"made_up: {_STOP_S:g} s from the start values, inputs as reference_in.csv has them where "
-        "there are some.\nIt is no flight: it shows that the FMU computes here what it computed "
-        "where it was built.\n"
+        f"made_up: {experiment.stop_s:g} s from the start values, inputs as reference_in.csv has "
+        "them, where there are some.\nIt is no flight: it shows that the FMU computes here what it "
+        "computed where it was built.\n"
         f"An output passes if it is nowhere farther from its reference than {TOLERANCE:g} of the "
         "reference's largest magnitude.\n\nuavtwin verify FILE reruns it.\n"
     )

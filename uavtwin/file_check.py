@@ -226,10 +226,10 @@ _MOST_BYTES = 10_000  # of a signature or key, which have 400
 
 def _signature(path: Path, key: Path | None) -> tuple[dict[str, str], tuple[str, ...]]:
     """Fact and problem of the signature of a file."""
-    beside = path.with_name(path.name + SIGNATURE)
+    place = path.with_name(path.name + SIGNATURE)
     if key is None:
         return (
-            ({"signature": "there, not verified: give --key"}, ()) if beside.is_file() else ({}, ())
+            ({"signature": "there, not verified: give --key"}, ()) if place.is_file() else ({}, ())
         )
     try:
         import minisign
@@ -240,12 +240,12 @@ def _signature(path: Path, key: Path | None) -> tuple[dict[str, str], tuple[str,
     except (OSError, ValueError) as error:
         raise TwinError(f"{key}: no public key of minisign: {error}.") from None
     try:
-        signature = minisign.Signature.from_bytes(_short(beside))
+        signature = minisign.Signature.from_bytes(_short(place))
         public.verify_file(path, signature)
     except OSError:
-        return {}, (f"not signed: there is no {beside.name}",)
+        return {}, (f"not signed: there is no {place.name}",)
     except ValueError as error:
-        return {}, (f"{beside.name} is no signature of this file by {key.name}: {error}",)
+        return {}, (f"{place.name} is no signature of this file by {key.name}: {error}",)
     return {"signature": f"by {key.name}, {signature.trusted_comment!r}"}, ()
 
 

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import pytest
 from cli_rig import run
+from lxml import etree
 
 import uavtwin as ut
 from twin.errors import TwinError
 from twin.vehicle_file import vehicle_text
-from uavtwin.exports.credibility import FILE, PAGE, check_required, members
+from uavtwin.exports.credibility import FILE, PAGE, SRMD, check_required, members
 
 COPTER = "copter_default"
 CHANNEL = {"before": 0.5, "after": 0.02, "shrink": 0.96, "shrink_ci95": [0.9, 0.97]}
@@ -84,6 +85,10 @@ def test_the_page_says_what_the_numbers_say(tmp_path: Path) -> None:
     assert json.loads(written[FILE])["evidence"]["a.ulg"] == "0" * 64
     page = written[PAGE].decode()
     assert all(f"<td>{name}</td>" in page for name in card.factors)
+    entries = etree.fromstring(written[SRMD]).iter("{*}ClassificationEntry")
+    values = {e.get("keyword"): e.text for e in entries}
+    assert values["effects.rotor_drag.k_xy_1_s"] == "uavtwin explain, a"
+    assert values["a.ulg"] == "0" * 64 and values["validation"].startswith("2: b held out")
 
 
 @pytest.mark.slow

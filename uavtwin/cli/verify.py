@@ -10,7 +10,7 @@ from .printing import print_json, print_sections
 
 
 def verify(
-    fmus: Annotated[list[Path], typer.Argument(help="FMUs that hold reference results.")],
+    fmus: Annotated[list[Path], typer.Argument(help="FMUs that hold reference results, or .ssp.")],
     as_json: Annotated[
         Json,
         Prints(

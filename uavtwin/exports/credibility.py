@@ -3,6 +3,9 @@
 Factors and the scale 0 to 4 are named after NASA-STD-7009B (2024). Its own text decides what a
 level means; the rules here are this program's, from files alone. They end at 2: what they cannot
 see, a person has to judge. A factor of which nothing is known has 0.
+
+The same goes along as simulation resource meta data (SRMD), with the source of every number of the
+vehicle: SSP Layered Standard Traceability 1.0-rc.1, sections SRMD and packaging.
 """
 
 from collections.abc import Iterable, Mapping
@@ -12,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from lxml import etree
 
 from twin.errors import TwinError
 from twin.vehicle.vehicle import DEFAULT
@@ -22,7 +26,13 @@ from ..record import Record
 from ..vehicles import Vehicle, checked_vehicle, load_vehicle
 
 FILE, PAGE = "documentation/credibility.json", "documentation/credibility.html"
-"""Members of an archive."""
+SRMD = "extra/org.ssp-standard.ssp-traceability.srmd/resourceMetaData.srmd"
+"""Members of an archive, FMU or SSP."""
+_SRMD_VERSION = "1.0.0-rc.1"
+_SPACES = {
+    k: f"http://ssp-standard.org/SSPTraceability1/{v}"
+    for k, v in (("srmd", "SimulationResourceMetaData"), ("stc", "SSPTraceabilityCommon"))
+}
 HIGHEST = 4
 """Level of the standard; none of ours is over 2."""
 _MADE_UP = "made up"
@@ -51,12 +61,14 @@ class CredibilityRecord(Record, frozen=True, kw_only=True):
         vehicle: Name of the vehicle.
         factors: By name.
         evidence: SHA-256 of files that the levels rest on, by name; flights among them.
+        sources: Where each number of the vehicle is from, by its key in the file.
     """
 
     standard: str
     vehicle: str
     factors: dict[str, FactorRecord]
     evidence: dict[str, str]
+    sources: dict[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +111,7 @@ def credibility(vehicle: Vehicle, folder: Path | None = None) -> CredibilityReco
             "process_management": _process(found),
         },
         evidence={} if found is None else dict(found.files),
+        sources=dict(vehicle.sources),
     )
 
 
@@ -222,4 +235,27 @@ def members(found: CredibilityRecord) -> dict[str, bytes]:
         f"Levels are by rules of uavtwin, from files alone; a person has to judge the rest.</p>"
         f"{''.join(tables)}</html>\n"
     )
-    return {FILE: json_text(found.json()).encode(), PAGE: page.encode()}
+    return {FILE: json_text(found.json()).encode(), PAGE: page.encode(), SRMD: _srmd(found)}
+
+
+def _srmd(found: CredibilityRecord) -> bytes:
+    """Keywords with their values, in a classification for each kind."""
+    root = etree.Element(
+        f"{{{_SPACES['srmd']}}}SimulationResourceMetaData",
+        nsmap=_SPACES,
+        version=_SRMD_VERSION,
+        name=found.vehicle,
+        generationTool="uavtwin",
+    )
+    kinds = {
+        "sources": found.sources,
+        "credibility": {n: f"{f.level}: {f.because}" for n, f in found.factors.items()},
+        "evidence.sha256": found.evidence,
+    }
+    for kind, entries in kinds.items():
+        part = etree.SubElement(root, f"{{{_SPACES['stc']}}}Classification", type=f"uavtwin.{kind}")
+        for keyword, value in entries.items():
+            tag = f"{{{_SPACES['stc']}}}ClassificationEntry"
+            etree.SubElement(part, tag, keyword=keyword).text = value
+    text: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
+    return text

@@ -1,7 +1,7 @@
 """An FMU rerun against the reference results that it holds."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fmus.experiments import Deviation
@@ -35,9 +35,9 @@ class VerifyRecord(Record, frozen=True, kw_only=True):
     """What `verify` found.
 
     Attributes:
-        file: Name of the FMU.
+        file: Name of the FMU or .ssp.
         passed: Whether all experiments did.
-        experiments: In the order of the FMU.
+        experiments: In the order of the FMU; of an .ssp with the name of the part in front.
     """
 
     file: str
@@ -50,7 +50,7 @@ class VerifyResult(DisplayMixin):
     """What `verify` found.
 
     Attributes:
-        file: Name of the FMU.
+        file: Name of the FMU or .ssp.
         deviations: One of each experiment.
     """
 
@@ -93,10 +93,22 @@ class VerifyResult(DisplayMixin):
 
 
 def verify(path: str | Path) -> VerifyResult:
-    """Rerun the experiments of an FMU, whose code is executed, and compare its outputs.
+    """Rerun the experiments of an FMU, or of each in an .ssp, and compare the outputs.
+
+    Their code is executed.
 
     Raises:
-        FmuError: It holds no reference results, or cannot be run.
+        FmuError: One holds no reference results, or cannot be run.
     """
     path = Path(path)
-    return VerifyResult(path.name, tuple(rerun(path)))
+    if path.suffix != ".ssp":
+        return VerifyResult(path.name, tuple(rerun(path)))
+    from cosim.ssp import read_ssp
+
+    system = read_ssp(path)  # whose files live as long as it does
+    found = [
+        replace(d, experiment=f"{name}.{d.experiment}", output=f"{name}.{d.output}")
+        for name, fmu in system.fmus.items()
+        for d in rerun(fmu)
+    ]
+    return VerifyResult(path.name, tuple(found))

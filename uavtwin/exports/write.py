@@ -211,9 +211,11 @@ def _twin_products(twin: Twin, starts: Starts) -> list[Product]:
     def write(path: Path, fmi: int, platforms: Sequence[str]) -> None:
         """The `.ssp`, its FMUs built next to it and removed."""
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=".parts") as folder:
-            write_ssp(
-                system_of(assembly, Path(folder), fmi, platforms, compensator=compensator), path
-            )
+            system = system_of(assembly, Path(folder), fmi, platforms, compensator=compensator)
+            for name, part in parts_of(assembly, compensator).items():
+                model = component_model(part) if isinstance(part, Component) else part
+                add_reference_results(system.fmus[name], model, fmi)
+            write_ssp(system, path)
 
     fused = fused_model(assembly, twin.name, compensator)
     note = f"{GROUNDED}{twin.grounded}" if twin.grounded else ""

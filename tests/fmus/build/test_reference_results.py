@@ -2,6 +2,7 @@
 
 import csv
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import fmpy
@@ -9,10 +10,11 @@ import numpy as np
 import pytest
 from lxml import etree
 
+import uavtwin as ut
 from fmus import build
 from fmus.archive import open_archive
 from fmus.builder import write_archive
-from fmus.experiments import FOLDER, MANIFEST, read_experiments, related_problems, verify
+from fmus.experiments import FOLDER, MANIFEST, read_experiments, related_problems, run, verify
 from fmus.reference_results import add_reference_results
 from twin.errors import FmuError
 from twin.vehicle_file import load_vehicle
@@ -63,6 +65,19 @@ def test_another_mass_is_told(tmp_path: Path, fmi: int, driven: bool) -> None:
     assert not other.passed and other.share > 1e-2
 
 
+def test_the_last_bits_of_an_input_decide_nothing(tmp_path: Path) -> None:
+    """The least stable of what is exported: a Crazyflie without a controller."""
+    path = ut.export(ut.twin(ut.load_vehicle("crazyflie"), drive="command"), tmp_path / "x.fmu")
+    (experiment,) = read_experiments(open_archive(path.paths[0]))
+    moved = {n: w if n == "time" else w * (1 + 1e-12) for n, w in experiment.stimuli.items()}
+    names = [n for n in experiment.references if n != "time"]
+    found = run(path.paths[0], replace(experiment, stimuli=moved), names)
+    for name in names:
+        wanted = experiment.references[name]
+        off = np.abs(found[name] - wanted).max()
+        assert off <= 1e-5 * max(np.abs(wanted).max(), 1e-9), name
+
+
 def test_ten_lines_of_fmpy_say_the_same(plant: Path) -> None:
     folder = fmpy.extract(str(plant))
     place = Path(folder, FOLDER)
@@ -103,7 +118,7 @@ def test_the_manifest_is_what_the_draft_asks_for(plant: Path) -> None:
     assert files["reference.exp"] == "experiment/smoke-test"
     assert {f"{FOLDER}/{f}" for f in files} <= content.keys()
     (experiment,) = read_experiments(open_archive(plant))
-    assert experiment.stop_s == 5.0 and set(experiment.stimuli) >= {"time", "airframe.cmd_1"}
+    assert experiment.stop_s == 1.0 and set(experiment.stimuli) >= {"time", "airframe.cmd_1"}
     assert related_problems(open_archive(plant)) == []
 
 
@@ -123,8 +138,8 @@ def test_a_changed_reference_is_told(plant: Path) -> None:
     ("old", "new", "said"),
     [
         (b'source="reference_out.csv"/>', b'source="../../../etc/passwd"/>', "no table"),
-        (b'stepSize="0.05"', b'stepSize="0"', "is no experiment"),
-        (b'stopTime="5"', b'stopTime="soon"', "soon"),
+        (b'stepSize="0.02"', b'stepSize="0"', "is no experiment"),
+        (b'stopTime="1"', b'stopTime="soon"', "soon"),
         (b'tolerance="0.0001"', b'tolerance="nan"', "a tolerance of nan"),
         (b"<References", b'<Parameters source="x.ssv"/><References', "without Parameters"),
         (b"<Experiments", b"<Experiments <", "reference.exp"),
@@ -136,6 +151,19 @@ def test_what_cannot_be_rerun_is_refused(plant: Path, old: bytes, new: bytes, sa
     assert old in text
     with pytest.raises(FmuError, match=said):
         verify(changed(plant, {name: text.replace(old, new)}))
+
+
+def test_references_without_outputs_are_refused(plant: Path) -> None:
+    with pytest.raises(FmuError, match="hold no output"):
+        verify(changed(plant, {f"{FOLDER}/reference_out.csv": b"time\n0\n1\n"}))
+
+
+def test_each_fmu_of_an_ssp_is_rerun(tmp_path: Path) -> None:
+    found = ut.export(ut.twin(ut.load_vehicle("crazyflie")), tmp_path / "twin.ssp")
+    result = ut.verify(found.paths[0])
+    assert result.passed and {"airframe.made_up", "imu.made_up"} <= {
+        e.name for e in result.record.experiments
+    }
 
 
 def test_without_reference_results_it_is_said(plant: Path, tmp_path: Path) -> None:
