@@ -18,6 +18,7 @@ from ..residuals.teacher_forced import drive_warnings
 from ..vehicle import Vehicle
 from .balance import (
     CAUSES,
+    VIBRATION,
     Balance,
     Normal,
     balance_of,
@@ -376,7 +377,7 @@ def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explan
     shown, settings = naming.shown if naming.shown.effects else None, found.settings.stochastic
     model, steady = naming.whitened.model, {} if shown is None else shown.values
     every = (*find_stuck(stuck, settings), *find_stochastic(model, steady, settings))
-    stochastic = (*found.stochastic, *(u for u in every if u.log_odds > 0))
+    stochastic = (*found.stochastic, *_beyond(found, every))
     naming = replace(naming, further=len(stochastic))
     return _told(replace(found, stochastic=stochastic, shown=shown), naming)
 
@@ -400,6 +401,14 @@ def _told(found: Explanation, naming: Naming, alike: Sequence[Resemblance] = ())
         values={k: float(f"{v:.{DIGITS}g}") for k, v in exact.items()},
         warnings=(*(f"something acts like {r.effect}: {r.why}" for r in new), *found.warnings),
     )
+
+
+def _beyond(found: Explanation, every: Sequence[StochasticEffect]) -> list[StochasticEffect]:
+    """Those that are there; since a calibration whose flights shook as well, whether more shakes
+    now is told by the balance."""
+    known = found.vehicle.calibration
+    judged = found.balance is not None and known is not None and VIBRATION in known.means
+    return [u for u in every if u.log_odds > 0 and not (judged and u.effect == VIBRATION)]
 
 
 def _verdict(naming: Naming, balance: Balance | None, stochastic: bool) -> Verdict:

@@ -31,6 +31,7 @@ from twin.explain.balance import (
 )
 from twin.explain.explanation import Explanation
 from twin.explain.inference.selection import Verdict
+from twin.explain.stochastic.spectral import StochasticEffect
 from twin.vehicle import Calibration
 from twin.vehicle.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
@@ -169,6 +170,20 @@ def octorotor() -> tuple[Trim, Normal]:
     means = dict.fromkeys(BALANCED, 0.0) | {VIBRATION: -1.0}
     hubs = np.column_stack([x, y, np.zeros(8)])
     return trim, Normal(3, means, scatter, 1.0, 1.0, hubs, np.zeros((4, 4)))
+
+
+@pytest.mark.parametrize(("read", "left"), [(True, ["stuck"]), (False, [VIBRATION, "stuck"])])
+def test_vibration_that_the_calibration_had_is_no_change(read: bool, left: list[str]) -> None:
+    """Every aircraft shakes: the balance tells whether this one shakes more than before."""
+    every = [StochasticEffect(e, o, {}, {}, (), 1.0) for e, o in ((VIBRATION, 9), ("stuck", 5))]
+    every += [StochasticEffect("gust", -1.0, {}, {}, (), 1.0)]
+    vehicle = calibrated(vibration=read)
+    found = Explanation(
+        "nothing", vehicle, ("one",), since=FLIGHTS, balance=judged(np.zeros(4), shaken=0.0)
+    )
+    assert [u.effect for u in explanation._beyond(found, every)] == left
+    asked = replace(found, since=None, balance=None)
+    assert [u.effect for u in explanation._beyond(asked, every)] == [VIBRATION, "stuck"]
 
 
 @pytest.mark.slow
