@@ -483,7 +483,7 @@ def attribute_effect(
         taken[channel.name] = 1 - left / power if power > 0 else 0.0
     ranked = sorted(taken, key=lambda name: -taken[name])
     channels = tuple(name for name in ranked if taken[name] >= LEAST_SHARE) or tuple(ranked[:1])
-    phases = _phases(channels[0], model, without, with_all, STRONG_SHARE)
+    phases = _phases(channels[0], model, without, with_all)
     return Attribution(effect, channels, phases, without)
 
 
@@ -504,7 +504,6 @@ def _phases(
     model: Model,
     without: Sequence[Sequence[ChannelData]],
     with_all: Sequence[Sequence[ChannelData]],
-    strong: float,
 ) -> tuple[str, ...]:
     """Phases in which an effect changes a channel most."""
     i = next(i for i, c in enumerate(with_all[0]) if c.name == name)
@@ -516,4 +515,6 @@ def _phases(
     names, values = np.concatenate(phase), np.concatenate(change)
     size = {str(p): float(np.sqrt(np.mean(values[names == p] ** 2))) for p in np.unique(names)}
     strongest = max(size.values())
-    return tuple(p for p in sorted(size, key=lambda p: -size[p]) if size[p] >= strong * strongest)
+    return tuple(
+        p for p in sorted(size, key=lambda p: -size[p]) if size[p] >= STRONG_SHARE * strongest
+    )

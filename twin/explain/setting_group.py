@@ -49,7 +49,7 @@ class Group:
     """
 
     def __post_init__(self) -> None:
-        for name, now in _own(self).items():
+        for name, now in {s.name: s for s in self.every() if "." not in s.name}.items():
             problem = _problem(now, type(self).__dataclass_fields__[name].default)
             if problem:
                 raise ModelError(f"{type(self).__name__}.{name} = {now.value}: {problem}.")
@@ -98,11 +98,6 @@ class Group:
 def numbers(value: Value) -> list[float]:
     """All numbers of a value, in order."""
     return [x for v in value for x in numbers(v)] if isinstance(value, tuple) else [float(value)]
-
-
-def _own(group: Group) -> dict[str, Setting]:
-    """Settings of the group itself, without those of groups inside it."""
-    return {s.name: s for s in group.every() if "." not in s.name}
 
 
 def _problem(now: Setting, default: object) -> str:

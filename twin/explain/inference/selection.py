@@ -563,16 +563,9 @@ def _named(
 def _silent(problem: Problem, posterior: Posterior, rules: SelectionSettings) -> frozenset[str]:
     """Causes for which the flights do not speak: what odds they have are those that they had, or
     less, which is no sign that they are there."""
-    odds = problem.priors.odds
-
-    def silent(cause: str) -> bool:
-        """Whether they do not speak for one."""
-        chance = posterior.inclusion[cause]
-        if not rules.least <= chance < 0.5:
-            return False
-        return math.log(chance / (1 - chance)) < odds[cause] + math.log(rules.moved)
-
-    return frozenset(c for c in problem.priors.causes if silent(c))
+    odds, moved = problem.priors.odds, math.log(rules.moved)
+    unsure = {c: p for c, p in posterior.inclusion.items() if rules.least <= p < 0.5}
+    return frozenset(c for c, p in unsure.items() if math.log(p / (1 - p)) < odds[c] + moved)
 
 
 def _averaged(

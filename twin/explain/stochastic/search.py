@@ -293,6 +293,8 @@ def slow_parts(
         curves = _curves(aligned, at, spin, force)  # (n, c)
         features = np.concatenate([slopes, np.repeat(curves[:, None, :], 3, axis=1)], axis=2)
         speed = np.linalg.norm(motion.velocity.at(t), axis=1)
+        cells = cells_of(Piece(t, residual), CHANNEL_HZ, settings.window_s, "hann")
+        quiet = (cells.f_hz >= settings.floor_hz[0]) & (cells.f_hz <= settings.floor_hz[1])
         found.append(
             Slow(
                 t[::every],
@@ -300,7 +302,7 @@ def slow_parts(
                 sosfiltfilt(sos, features, axis=0)[::every],
                 slopes[::every][:, :, list(winds)],
                 speed[::every],
-                _floor(t, residual, settings),
+                level(cells.power[:, :, quiet], (0, 2)),
             )
         )
     return found
@@ -345,14 +347,6 @@ def _curves(aligned: AlignedFlight, at: NDArray[np.intp], spin: Array, force: Ar
         ],
         axis=1,
     )
-
-
-def _floor(t_s: Array, residual: Array, settings: SlowForceSettings) -> Array:
-    """White floor of the channels per axis, from where nothing else is, shape (3,)."""
-    c = cells_of(Piece(t_s, residual), CHANNEL_HZ, settings.window_s, "hann")
-    low, high = settings.floor_hz
-    inside = (c.f_hz >= low) & (c.f_hz <= high)
-    return level(c.power[:, :, inside], (0, 2))
 
 
 def left_over(
