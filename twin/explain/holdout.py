@@ -514,7 +514,5 @@ def _phases(
         change.append(a[i].residual - b[i].residual)
     names, values = np.concatenate(phase), np.concatenate(change)
     size = {str(p): float(np.sqrt(np.mean(values[names == p] ** 2))) for p in np.unique(names)}
-    strongest = max(size.values())
-    return tuple(
-        p for p in sorted(size, key=lambda p: -size[p]) if size[p] >= STRONG_SHARE * strongest
-    )
+    least = STRONG_SHARE * max(size.values())
+    return tuple(p for p in sorted(size, key=lambda p: -size[p]) if size[p] >= least)

@@ -87,9 +87,7 @@ class Priors:
     @property
     def unsure(self) -> frozenset[str]:
         """Effects with a number that the vehicle file is unsure of."""
-        return frozenset(
-            effect_of(c) for c, sd in zip(self.cause, self.spike, strict=True) if sd > 0
-        )
+        return frozenset(effect_of(self.cause[i]) for i in np.flatnonzero(self.spike > 0))
 
     @property
     def days(self) -> NDArray[np.intp]:

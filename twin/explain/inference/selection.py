@@ -68,8 +68,7 @@ def credible(misfit: float, settings: AdequacySettings = DEFAULT.inference.adequ
 
     By Bayes: what a right name leaves is normal about zero, with the deviation `law`. A wrong name
     may leave anything, or as little as a right one: that little is left speaks for no name, that
-    much is speaks against it. (In the half of the benchmark that tunes all four wrong names of 24
-    left less than `law`.)
+    much is speaks against it.
     """
     law, outside = settings.law, settings.outside
     right = 2 / (law * np.sqrt(2 * np.pi)) * np.exp(-0.5 * (misfit / law) ** 2)
@@ -320,8 +319,7 @@ class Naming:
     @property
     def named(self) -> tuple[str, ...]:
         """Effects that are sure, and those that stand for a family that is."""
-        sure = (e for e in self.best.effects if self._is_sure(e))
-        return (*sure, *self.standing)
+        return (*filter(self._is_sure, self.best.effects), *self.standing)
 
     @property
     def undecided(self) -> tuple[str, ...]:
