@@ -26,9 +26,10 @@ from twin.explain.estimates import (
     undecided,
 )
 from twin.explain.explanation import Explanation
+from twin.explain.inference.detection import Detectable
 from twin.explain.inference.estimate import Estimate, fitted_estimates
 from twin.explain.inference.fit import Fit
-from twin.explain.inference.selection import Detectable, Naming
+from twin.explain.inference.selection import Naming
 from twin.formatting import certainty, joined, number, percent, pretty_unit, quantity, title
 
 from .record import Headline
@@ -405,9 +406,9 @@ def _what_else(found: Explanation, sure: Sequence[str]) -> str:
         return ""
     assert found.naming is not None
     least = found.naming.settings.least
-    told = {r.effect for r in found.naming.resemblances} | {*sure}
-    told |= {e for t in found.naming.standing.values() for e in t.effects}
-    every = {e for f in found.naming.fitted for e in f.effects} - told
+    placed = {r.effect for r in found.naming.resemblances} | {*sure}
+    placed |= {e for t in found.naming.standing.values() for e in t.effects}
+    every = {e for f in found.naming.fitted for e in f.effects} - placed
     chance = {e: probability_of(found, e) for e in sorted(every)}
     likely = sorted((e for e in chance if chance[e] >= least), key=lambda e: -chance[e])
     if not likely:

@@ -24,7 +24,7 @@ from twin.explain.balance import Balance, Hypothesis
 from twin.explain.design import Suggestion
 from twin.explain.estimates import estimates_of, totals
 from twin.explain.explanation import Explanation
-from twin.explain.inference.selection import Detectable
+from twin.explain.inference.detection import Detectable
 from twin.explain.setting_group import Value
 from twin.explain.settings import DEFAULT
 from twin.explain.unnamed import Equation

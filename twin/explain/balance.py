@@ -40,8 +40,8 @@ from ..logs.columns import ACC, ACC_NED
 from ..representation import short_repr
 from ..residuals.channels import ChannelData
 from ..vehicle import Vehicle
+from .inference.detection import POWER_95, Detectable
 from .inference.fit import INTERVAL
-from .inference.selection import POWER_95, Detectable
 from .model.model import FlightModel, Model
 from .model.numbers import numbers_of
 from .stochastic.spectral import StochasticEffect, pieces_of, rate_of

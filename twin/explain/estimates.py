@@ -7,9 +7,10 @@ from typing import Any
 
 from ..effects import EFFECTS
 from .explanation import Explanation
+from .inference.detection import Detectable
 from .inference.estimate import Estimate
 from .inference.priors import effect_of
-from .inference.selection import Detectable, Total
+from .inference.selection import Total
 from .inference.setpoints import turns
 from .model.numbers import numbers_of
 from .stochastic.spectral import StochasticEffect

@@ -379,10 +379,10 @@ def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explan
     every = (*find_stuck(stuck, settings), *find_stochastic(model, steady, settings))
     stochastic = (*found.stochastic, *_beyond(found, every))
     naming = replace(naming, further=len(stochastic))
-    return _told(replace(found, stochastic=stochastic, shown=shown), naming)
+    return _as_named(replace(found, stochastic=stochastic, shown=shown), naming)
 
 
-def _told(found: Explanation, naming: Naming, alike: Sequence[Resemblance] = ()) -> Explanation:
+def _as_named(found: Explanation, naming: Naming, alike: Sequence[Resemblance] = ()) -> Explanation:
     """The same with what a search says of the effects that are shown, but for those that something
     acts like, some more among them: beside a name no vehicle carries them."""
     new = alike or naming.resemblances
@@ -524,14 +524,14 @@ def _without_refuted(
     naming, compared, settings = found.naming, found.comparison, found.settings.holdout
     if naming is None or compared is None or found.verdict != "named":
         return found
-    told = {*naming.named, *naming.undecided} - {*naming.standing}
-    own = {a.effect: a for a in found.attributions if a.effect in told}
+    placed = {*naming.named, *naming.undecided} - {*naming.standing}
+    own = {a.effect: a for a in found.attributions if a.effect in placed}
     refuted = {e: farther_by(a, compared.after, seed, settings) for e, a in own.items()}
     alike = [Resemblance(e, REFUTED.format(joined(c))) for e, c in refuted.items() if c]
     left = not alike or {*naming.named} - {r.effect for r in alike}
     if alike and left:
         rest = tuple(w for w in found.warnings if w not in compared.warnings)
-        found = _told(replace(found, warnings=rest), naming, alike)
+        found = _as_named(replace(found, warnings=rest), naming, alike)
         found = _with_gap(found, held, seed, payloads)
     if left and not (found.comparison and found.comparison.worse):
         return found

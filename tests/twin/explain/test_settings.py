@@ -122,10 +122,12 @@ LOCAL = {
         "inference.instruments.CHANCE",
         "inference.instruments.DELAYS_S",
         "inference.instruments.F_LEAST",
+        "inference.instruments.FOLLOWED",
         "inference.instruments.GAINS",
         "inference.instruments.INEXACT",
         "inference.instruments.LAGS_S",
         "inference.instruments.TESTED",
+        "inference.instruments.UNEVEN",
         "inference.setpoints.ALIKE",
         "inference.setpoints.FEWEST",
     },
@@ -146,6 +148,7 @@ LOCAL = {
             "SHAKES_ABOVE_HZ",
             "SIZES",
             "STEADY_SD",
+            "SUSPECT",
         )
     },
     "a prior of physics: what it is, stands beside it": {
@@ -160,7 +163,7 @@ LOCAL = {
     },
     "mathematics": {
         "inference.fit.INTERVAL",  # 95 % intervals
-        "inference.selection.POWER_95",
+        "inference.detection.POWER_95",
         "inference.estimate._CREDIBLE",
         "inference.whitening._FAR",
         "stochastic.spectral.SURE",

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twin.effects import EFFECTS
-from twin.explain.inference.selection import Detectable
+from twin.explain.inference.detection import Detectable
 from twin.formatting import quantity, readable
 from uavtwin.headline import blind, undetermined
 from uavtwin.wording import clause, said, said_numbers

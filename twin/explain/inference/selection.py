@@ -11,20 +11,6 @@
 samples; what remains correlated over longer lags is a cause. An effect of the right name explains
 nearly all of that, as its law is about right. One that merely resembles the cause leaves a part of
 it, and the cause may be none of the library.
-
-*Detection limit*: how large an absent effect would have to be to show. A flight in which an effect
-of size a is present gives an estimate that is normal about a, with the variance s^2 that the noise
-leaves, all other free numbers integrated out. Its log Bayes factor against no effect, in the
-linearisation at the end of the search, is that of two normal distributions about 0 and about the
-prior mean m,
-
-    ln B(a) = (1/2) ln(v0 / v1) + a^2 / (2 v0) - (a - m)^2 / (2 v1),
-
-v0 = s^2 + (standard deviation by the file)^2, v1 = s^2 + (prior standard deviation)^2. The critical
-size is where ln B plus the log prior odds reaches the odds from which on a name is given; the
-smallest detectable one lies 1.645 s beyond it, where 95 of 100 flights are named.
-
-Source: Currie, Anal. Chem. 40 (1968) 586-593.
 """
 
 import math
@@ -44,8 +30,9 @@ from ...vehicle import Vehicle
 from ..model.model import Model, candidates, model_of
 from ..model.numbers import Payloads
 from ..settings import DEFAULT, AdequacySettings, InferenceSettings, SelectionSettings
+from .detection import Detectable, smallest_detectable
 from .estimate import Estimate, fitted_estimates
-from .evidence import LaplaceEvidence, MapEstimate
+from .evidence import MapEstimate
 from .fit import INTERVAL, Fit, Problem, State, fit_of, fit_of_best, substantial_effects
 from .posterior import Posterior, SearchResult, log_posterior, weigh
 from .priors import edges, effect_of, priors_of, priors_since
@@ -125,92 +112,6 @@ def coherent(
             power += float(values[lag:] @ values[lag:])
             n += max(len(values) - lag, 0)
     return max(total, 0.0) / max(n, 1), power / max(n, 1) / float(np.sqrt(max(n, 1) / lag))
-
-
-# -- detection limit -----------------------------------------------------------------------
-
-
-POWER_95 = 1.645
-"""One-sided 95 % quantile of the normal distribution."""
-
-
-@dataclass(frozen=True, slots=True)
-class Detectable:
-    """The smallest change of a number of an effect that flights would show.
-
-    Attributes:
-        number: "effect.number": of several of the effect the one that shows least.
-        value: Change from no effect, positive, in `unit`; None: not within the range of the number.
-        unit: SI unit.
-    """
-
-    number: str
-    value: float | None
-    unit: str
-
-
-def critical_size(
-    noise_var: float, none_var: float, mean: float, there_var: float, needed: float
-) -> float:
-    """Smallest positive estimate whose log Bayes factor reaches a threshold.
-
-    Args:
-        noise_var: Variance of the estimate by noise alone.
-        none_var: Prior variance where no effect is there.
-        mean: Prior mean of the change where the effect is there.
-        there_var: Prior variance about it.
-        needed: Log Bayes factor, nats.
-    """
-    v0, v1 = noise_var + none_var, noise_var + there_var
-    a = 0.5 / v0 - 0.5 / v1
-    b = mean / v1
-    c = 0.5 * math.log(v0 / v1) - 0.5 * mean**2 / v1 - needed
-    if c >= 0:
-        return 0.0
-    if a <= 0:
-        return math.inf
-    return (-b + math.sqrt(b * b - 4 * a * c)) / (2 * a)
-
-
-def smallest_detectable(
-    model: Model, laplace: LaplaceEvidence, state: State, sure: float
-) -> Mapping[str, Detectable]:
-    """By effect that is not in the final set, the smallest one that flights would show.
-
-    Of an effect with several numbers, or several rotors, that of the number that shows least,
-    relative to what is worth a name. An effect to which no channel answers is not in it.
-    """
-    b = laplace.priors
-    present = {effect_of(c) for c in state.effects}
-    found: dict[str, tuple[float, Detectable]] = {}
-    for cause in (c for c in b.causes if effect_of(c) not in present and not laplace.silent(c)):
-        own = [int(i) for i in b.of([cause]) if b.cause[i] == cause and not b.shape[i]]
-        sd = laplace.best((*state.effects, cause), state.kappa).deviations()
-        informed = np.array([sd[i] < (1 - 1e-6) * b.slab[i] for i in own])
-        noise = {i: 1 / (sd[i] ** -2.0 - b.slab[i] ** -2.0) for i in np.array(own)[informed]}
-        penalty = {
-            i: 0.5 * math.log((v + b.file[i, i]) / (v + b.slab[i] ** 2)) for i, v in noise.items()
-        }
-        for i in own:
-            number = model.numbers[b.columns[i]]
-            size = math.inf
-            if i in noise:
-                needed = math.log(sure / (1 - sure)) - b.odds[cause]
-                needed -= sum(v for k, v in penalty.items() if k != i)
-                shift = float(b.mean[i] - b.now[i] - b.held[i])
-                both = b.low[i] < b.now[i] + b.held[i]
-                size = max(
-                    critical_size(noise[i], b.file[i, i], m, b.slab[i] ** 2, needed)
-                    for m in ((shift, -shift) if both else (shift,))
-                )
-                size = max(size, number.about.smallest) + POWER_95 * math.sqrt(noise[i])
-            room = float(b.high[i] - b.now[i] - b.held[i])
-            value = size if size <= max(room, 0.0) else None
-            detected = Detectable(number.full, value, number.about.unit)
-            effect, rank = number.effect, size / number.about.smallest
-            if effect not in found or rank > found[effect][0]:
-                found[effect] = rank, detected
-    return {effect: detected for effect, (_, detected) in found.items()}
 
 
 # -- from probabilities to names -------------------------------------------------------------
@@ -324,9 +225,9 @@ class Naming:
     @property
     def undecided(self) -> tuple[str, ...]:
         """Effects of the most probable set that are not sure, but may be the cause."""
-        told = {r.effect for r in self.resemblances} | {*self.named}
-        told |= {e for t in self.standing.values() for e in t.effects}
-        return tuple(e for e in self.best.effects if e not in told)
+        placed = {r.effect for r in self.resemblances} | {*self.named}
+        placed |= {e for t in self.standing.values() for e in t.effects}
+        return tuple(e for e in self.best.effects if e not in placed)
 
     @property
     def totals(self) -> tuple[Total, ...]:

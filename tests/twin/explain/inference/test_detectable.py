@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 from search_rigs.hypotheses import against, nothing_of
 
-from twin.explain.inference.selection import POWER_95, critical_size, smallest_detectable
+from twin.explain.inference.detection import POWER_95, critical_size, smallest_detectable
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
