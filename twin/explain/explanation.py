@@ -456,8 +456,9 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
 
     Since a calibration they never overrule a name, that nothing has changed, or a change of the
     balance of forces and moments, and are of more than the flights of the calibration had: what
-    these had and no effect explains is no change. A model that lacks many things at once is not
-    asked for one: they would be written down together with the constants of days.
+    these had and no effect explains is no change. Nor are they of a mean, which is the balance's or
+    the day's. A model that lacks many things at once is not asked for one: they would be written
+    down together with the constants of days.
     """
     naming = found.naming
     assert naming is not None
@@ -471,7 +472,7 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
     stands = _stands(naming)
     noise, names = naming.problem.noise, naming.problem.rest.channels
     mute = frozenset(names[c] for c in noise.mute)
-    alone = find_equations(whitened, stands, seed, settings, mute)
+    alone = find_equations(whitened, stands, seed, settings, mute, means=found.since is None)
     if alone is None or not explains_better(whitened, naming.likely, alone, settings, stands):
         return found
     if found.since is not None and not _new(found, naming, stands, alone):

@@ -122,12 +122,19 @@ def find_equations(
     seed: int = 0,
     settings: UnnamedSettings = DEFAULT.unnamed,
     mute: Collection[str] = (),
+    means: bool = True,
 ) -> Unnamed | None:
-    """Equations for what a hypothesis leaves, but in `mute` channels; None: none is worth it."""
+    """Equations for what a hypothesis leaves, but in `mute` channels; None: none is worth it.
+
+    What is the weather's, or the place's, goes without its mean, which no law says; where `means`
+    is false all channels do, because what the day does to a force or a moment is judged elsewhere.
+    """
     days = fitted.on_its_days(whitened.model).channels([], fitted.values)
-    # What is the weather's, or the place's, goes without its mean, which no law says.
     left = [
-        [c if _of_body(c.name) else replace(c, residual=c.residual - c.residual.mean()) for c in f]
+        [
+            c if means and _of_body(c.name) else replace(c, residual=c.residual - c.residual.mean())
+            for c in f
+        ]
         for f in days
     ]
     keys = list(blocks_of(left, whitened.noise, whitened.settings))

@@ -90,6 +90,18 @@ def test_a_foreign_drag_is_found_with_coefficient_and_unit(quiet: Flight) -> Non
 
 
 @pytest.mark.slow
+def test_a_constant_has_no_equation_where_means_are_judged_elsewhere(quiet: Flight) -> None:
+    steady, _ = fitted(planted(quiet, lambda t, _: np.full(len(t), 0.5)))
+    assert find_equations(steady, NOTHING) is not None
+    assert find_equations(steady, NOTHING, means=False) is None
+    varied, _ = fitted(planted(quiet, lambda _, v: 0.5 + CUBIC_S_M2 * (v * v).sum(axis=0) * v[0]))
+    found = find_equations(varied, NOTHING, means=False)
+    assert found is not None
+    values = {term: value for term, value, _ in found.equations[0].terms}
+    assert values["|v|² v_x"] == pytest.approx(CUBIC_S_M2, rel=0.1)
+
+
+@pytest.mark.slow
 def test_a_shaking_is_found_with_its_frequency(quiet: Flight) -> None:
     whitened, _ = fitted(planted(quiet, lambda t, _: 0.4 * np.sin(2 * np.pi * TONE_HZ * t)))
     found = find_equations(whitened, NOTHING)
