@@ -28,8 +28,9 @@ from twin.explain.estimates import (
 from twin.explain.explanation import Explanation
 from twin.explain.inference.detection import Detectable
 from twin.explain.inference.estimate import Estimate, fitted_estimates
-from twin.explain.inference.fit import Fit
+from twin.explain.inference.fit import INTERVAL, Fit
 from twin.explain.inference.selection import Naming
+from twin.explain.weather import WIND
 from twin.formatting import certainty, joined, number, percent, pretty_unit, quantity, title
 
 from .record import Headline
@@ -72,7 +73,8 @@ def _answer(found: Explanation) -> Headline:
     if found.since is not None:
         since = _since(found, naming)
         text = f"Since the calibration on {joined(list(found.since))}: {since.text}"
-        return Headline(text, since.numbers)
+        named = found.verdict == "named" and not WIND.isdisjoint(listed_effects(found))
+        return Headline(text + ("" if named else wind(naming.days)), since.numbers)
     if found.verdict == "nothing":
         sure = certainty(nothing_probability(found) or 0.0)
         text = f"Nothing detectable is missing from the model, {sure} probability."
@@ -498,6 +500,26 @@ def blind(smallest: Mapping[str, Detectable], since: bool, axes: str = "") -> st
         text += f" These flights do not tell how the aircraft answers in {turns}: "
         text += "nothing asks for it."
     return text
+
+
+def wind(days: Mapping[str, Mapping[str, tuple[float, float]]]) -> str:
+    """The strongest mean wind that stands out of the day of a flight; begins with a blank, "" where
+    none does.
+
+    Args:
+        days: Flight -> "effect.number" -> difference from the calibration, and its deviation.
+    """
+    blown = {
+        flight: [own[n] for n in own if n.partition(".")[0] in WIND] for flight, own in days.items()
+    }
+    speeds = {f: math.hypot(*(v for v, _ in parts)) for f, parts in blown.items() if parts}
+    if not speeds:
+        return ""
+    flight = max(speeds, key=lambda f: speeds[f])
+    speed = speeds[flight]
+    sd = math.hypot(*(v / speed * sd for v, sd in blown[flight]))
+    half = quantity(float(f"{INTERVAL * sd:.2g}"), "m/s")
+    return f" The wind in {flight} was {quantity(float(f'{speed:.3g}'), 'm/s')} (± {half})."
 
 
 def got_worse(found: Explanation) -> str:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from twin.effects import EFFECTS
 from twin.explain.inference.detection import Detectable
 from twin.formatting import quantity, readable
-from uavtwin.headline import blind, undetermined
+from uavtwin.headline import blind, undetermined, wind
 from uavtwin.wording import clause, said, said_numbers
 
 UNITS = sorted(
@@ -112,3 +112,12 @@ def test_nothing_says_how_blind_it_is() -> None:
     assert blind({}, since=True, axes="xz") == (
         " These flights do not tell how the aircraft answers in roll and yaw: nothing asks for it."
     )
+
+
+def test_the_strongest_wind_of_the_days_has_a_sentence() -> None:
+    still = {"cog_offset.x_m": (-0.005, 0.002)}
+    breeze = {"steady_wind.north_m_s": (1.0, 0.1), **still}
+    strong = {"steady_wind.north_m_s": (-3.0, 0.3), "steady_wind.east_m_s": (4.0, 0.1)}
+    assert wind({}) == wind({"one": still}) == ""
+    text = wind({"one": still, "two": breeze, "three": strong})
+    assert text == " The wind in three was 5 m/s (± 0.39 m/s)."
