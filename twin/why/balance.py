@@ -19,7 +19,6 @@ from ..explain.balance import (
     ROTORS,
     SHAKEN_LEAST_HZ,
     SHAKES_ABOVE_HZ,
-    VIBRATION,
     Balance,
     Hypothesis,
     Normal,
@@ -145,11 +144,15 @@ def findings_of(balance: Balance, usually: str, mass_unit: str) -> Findings:
         event = _event(balance, named, usually, mass_unit)
         return Findings(events=[event], nothing=balance.nothing, not_visible=hidden)
     if balance.one_of:
-        rotors = _rotors(balance)
-        both = balance.damaged, balance.probability_of(LOAD)
+        placed = LOAD in {h.cause for h in balance.one_of}
+        rotors = _rotors(balance) if placed else None
         candidates = [
-            Candidate(cause=h.cause, rotor=rotors, probability=p)
-            for h, p in zip(balance.one_of, both, strict=True)
+            Candidate(
+                cause=h.cause,
+                rotor=rotors if placed else h.rotors or None,
+                probability=h.probability,
+            )
+            for h in balance.one_of
         ]
         candidates.sort(key=lambda c: -c.probability)
         return Findings(one_of_causes=candidates, nothing=balance.nothing, not_visible=hidden)
@@ -202,30 +205,18 @@ def _slopes(give: Array, channels: int) -> tuple[tuple[str, ...], Array]:
 
 def _event(balance: Balance, named: Hypothesis, usually: str, mass_unit: str) -> Event:
     """The cause that is named."""
-    load = named.cause == LOAD
-    which = _rotors(balance) if named.cause == ROTORS else None
-    chance = balance.probability_of(LOAD) if load else balance.damaged
-    rotors = " and ".join(map(str, which or ()))
+    rotors = " and ".join(map(str, named.rotors))
     text = f"It carries a load that it did not carry {usually}"
     check = "Weigh the aircraft; look what was added, and where."
-    if which:
-        plural = "s" if len(which) > 1 else ""
-        text = f"Rotor{plural} {rotors} gives less thrust than {usually}"
-        text = text.replace("gives", "give") if plural else text
-        check = f"Rotor{plural} {rotors}: look for cuts and dirt on the propeller, turn the motor."
-    elif named.cause == ROTORS:
-        text = f"A rotor gives less thrust than {usually}; which one is not clear"
-        check = "All propellers: look for cuts and dirt."
-    if named.cause == VIBRATION:
-        text, check = (
-            f"A propeller shakes more than {usually}",
-            "Balance the propellers.",
-        )
+    if named.rotors:
+        one, gives = ("Rotor", "gives") if len(named.rotors) == 1 else ("Rotors", "give")
+        text = f"{one} {rotors} {gives} less thrust than {usually}"
+        check = f"{one} {rotors}: look for cuts and dirt on the propeller, turn the motor."
     return Event(
         cause=named.cause,
-        rotor=which,
+        rotor=named.rotors or None,
         severity=_severity(named, mass_unit),
-        probability=chance,
+        probability=named.probability,
         alternatives=tuple(_others(balance, named)),
         text=text,
         bench_check=check,
@@ -248,7 +239,8 @@ def _severity(named: Hypothesis, mass_unit: str) -> Severity | None:
 
 def _others(balance: Balance, named: Hypothesis) -> Iterator[Candidate]:
     for h in balance.hypotheses:
-        if h is not named and h.probability > SAID and h.values:
+        same = (h.cause, h.rotors) == (named.cause, named.rotors)
+        if not same and h.probability > SAID and h.values:
             yield Candidate(cause=h.cause, rotor=h.rotors or None, probability=h.probability)
 
 

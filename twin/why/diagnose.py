@@ -196,7 +196,7 @@ def _verdict(
     """What is found, and how probable that is."""
     causes = [e.probability for e in events if not e.consequence]
     if one_of:
-        return "found", sum(c.probability for c in one_of)
+        return "found", 1.0 - nothing
     if causes:
         return "found", max(causes)
     if lost or not decided:
@@ -240,7 +240,7 @@ def _clauses(
         yield "The log holds no flight of five seconds or more."
     elif one_of:
         names = " or ".join(f"{_named(c)} ({certainty(c.probability)})" for c in one_of)
-        yield f"One of two causes: {names}."
+        yield f"Most probable: {names}."
     elif first is not None:
         yield f"{first.text} ({certainty(first.probability)}){_else(first)}."
     elif verdict == "cannot_tell" and lost is None:

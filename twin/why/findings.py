@@ -14,7 +14,7 @@ class Findings:
     Attributes:
         events: At an instant, or without onset where it was there all the time.
         timeline: What happened besides.
-        one_of_causes: Two causes that the flight does not tell apart; else empty.
+        one_of_causes: Causes that the flight does not tell apart; else empty.
         not_visible: What the log would not have shown.
         nothing: Probability that there is nothing of what it looks for.
         notes: What was assumed, and what the log lacks.

@@ -155,7 +155,7 @@ class Diagnosis(Struct, frozen=True, kw_only=True):
         probability: Of the verdict.
         text: The answer as a sentence.
         events: First causes first, in order of time; what was there all the time comes last.
-        one_of_causes: Two causes of one change that the flight does not tell apart; else empty.
+        one_of_causes: Causes of one change that the flight does not tell apart; else empty.
         loss_of_control_s: When tilt or rates left all that was flown; null: they did not.
         crash_s: When it hit something after that, or after a cut of commands; null: it did not.
         timeline: What happened besides, in order of time.

@@ -290,7 +290,7 @@ def _next_steps(record: WhyRecord, frame: FlightFrame | None) -> Iterator[str]:
     if any(e.consequence is False and e.probability >= 0.5 for e in record.events):
         yield "Do not fly again before the checks below are done."
     if record.one_of_causes:
-        yield "The flight does not tell two causes apart: check both."
+        yield "The flight does not tell these causes apart: check each."
     if frame is not None and frame.rate_hz("command") < 40.0:
         yield (
             "Log the motor outputs faster next time: from 40 Hz on a loss of thrust is measured, "

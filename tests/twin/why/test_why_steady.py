@@ -4,9 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from twin.explain.balance import NOTHING, ROTORS, VIBRATION, Balance, Hypothesis
 from twin.logs import Flight
 from twin.logs.columns import ACC, MAG, POS, QUAT, VEL
 from twin.vehicle.layouts import frame, frames_of
+from twin.why.balance import findings_of
+from twin.why.findings import Findings
 from twin.why.flight import FlightFrame
 from twin.why.steady import steady
 
@@ -98,6 +101,31 @@ def test_without_normal_flights_no_rotor_is_named_however_weak() -> None:
     assert not found.events and not found.one_of_causes
     assert "rotor 3 is asked for" in found.notes[0] and "--reference" in found.notes[0]
     assert found.not_visible[0].smallest_detectable.value is None
+
+
+def said_of(**probabilities: float) -> Findings:
+    """Of a balance with these causes: rotors by their numbers."""
+    causes = []
+    for name, p in probabilities.items():
+        kind, *numbers = name.split("_")
+        cause = {"nothing": NOTHING, "vibration": VIBRATION}.get(kind, ROTORS)
+        values, widths = ({"loss": v} if numbers else {} for v in (0.2, 0.01))
+        causes.append(Hypothesis(cause, tuple(map(int, numbers)), p, values, widths))
+    return findings_of(Balance(tuple(causes), {}, (0.0,) * 4, 0.8), "usually", "1")
+
+
+def test_a_damaged_propeller_lists_each_rotor_that_it_may_be_of() -> None:
+    found = said_of(vibration=0.5, rotors_3=0.3, rotors_4=0.16, nothing=0.04)
+    told = [(c.cause, c.rotor, c.probability) for c in found.one_of_causes]
+    assert told == [(VIBRATION, None, 0.5), (ROTORS, (3,), 0.3), (ROTORS, (4,), 0.16)]
+    assert not found.events
+
+
+def test_a_rotor_has_all_that_speaks_for_it_and_is_no_alternative_to_itself() -> None:
+    (event,) = said_of(rotors_3=0.85, rotors_3_4=0.11, nothing=0.04).events
+    assert event.rotor == (3,)
+    assert event.probability == pytest.approx(0.96)
+    assert [(c.rotor, c.probability) for c in event.alternatives] == [((3, 4), 0.11)]
 
 
 def _leaning(angle: float, of_board: bool, turns: float) -> FlightFrame:
