@@ -50,7 +50,7 @@ from .stochastic.search import Stuck, find_stochastic, find_stuck, stuck_channel
 from .stochastic.spectral import StochasticEffect
 from .unnamed import Equation, Unnamed, explains_better, find_equations
 from .usable import flown, part_read, usable_part, with_readings
-from .weather import blown, wind_of
+from .weather import WIND, acting_of, uncertain
 
 DIGITS = 6
 """Significant ones that a fitted number is given with."""
@@ -438,14 +438,16 @@ def _balanced(
 def _with_balance(found: Explanation, naming: Naming) -> Explanation:
     """The same with what has changed in the balance of forces and moments."""
     model = naming.problem.model
-    wind = wind_of(naming.shown)
-    trim = trim_of(model, {n: value for n, (value, _) in wind.items()})
+    others = acting_of(naming.shown)
+    trim = trim_of(model, {n: value for n, (value, _) in others.items()})
     if trim is None:
         return found
     indoors = all(f.flight.indoors for f in model.flights)
     normal = Normal.of(trim, found.vehicle, indoors)
-    if wind:
-        normal = replace(normal, disturbed=blown(model, trim.channels, wind))
+    if others:
+        calm = not any(n.partition(".")[0] in WIND for n in others)
+        doubt = uncertain(model, trim.channels, others) + calm * normal.disturbed
+        normal = replace(normal, disturbed=doubt)
     balance = balance_of(trim, normal, naming.settings.sure)
     named = effect_of_balance(balance, found.vehicle, trim)
     return replace(found, balance=balance, stochastic=() if named is None else (named,))

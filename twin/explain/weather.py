@@ -1,15 +1,15 @@
-"""What the wind of a flight does to the balance of forces and moments.
+"""What the wind of a flight, and a load on a rope, do to the balance of forces and moments.
 
-The search tells the wind by readings that the balance leaves alone. The balance is then judged in
-that wind, and less sharply: a calibration in calm air does not tell how the aircraft answers to the
-air,
+The search tells them by readings that the balance leaves alone. The balance is then judged in that
+wind and with that load, and less sharply: neither is known exactly, and a calibration in calm air
+does not tell how the aircraft answers to the air,
 
-    W = S_w P S_w' + (S_a - S_a0) Q (S_a - S_a0)'
+    W = S_b P S_b' + (S_a - S_a0) Q (S_a - S_a0)'
 
-S_w: slopes of the means by the wind, P: its variance; S_a: slopes by the numbers of the air's
-effects, S_a0: the same without the wind, Q: variance of these numbers by the calibration, and what
-is expected before any flight where that does not hold them: of what many aircraft have as if this
-one had it, of what is rare by its odds.
+S_b: slopes of the means by the numbers that the search told, P: their variance; S_a: slopes by the
+numbers of the air's effects, S_a0: the same without wind and load, Q: variance of these numbers by
+the calibration, and what is expected before any flight where that does not hold them: of what many
+aircraft have as if this one had it, of what is rare by its odds.
 """
 
 import math
@@ -27,6 +27,8 @@ from .model.numbers import Number
 Array = NDArray[np.float64]
 WIND = frozenset(e.name for e in EFFECTS.values() if e.of_weather and e.component == "airframe")
 """Effects that are a wind, the same all flight."""
+ACTING = WIND | {"slung_load"}
+"""Effects that change the balance, and that a search tells without it."""
 OF_AIR = frozenset(
     e.name
     for e in EFFECTS.values()
@@ -36,35 +38,39 @@ OF_AIR = frozenset(
 What comes with a change, as a slung load, is no doubt about the air."""
 
 
-def wind_of(shown: Fit) -> dict[str, tuple[float, float]]:
-    """Wind that a search found: "effect.number" -> value and standard deviation; none: calm."""
+def acting_of(shown: Fit) -> dict[str, tuple[float, float]]:
+    """Wind and load on a rope that a search found: "effect.number" -> value and standard deviation;
+    none: calm."""
     pairs = zip(shown.numbers, shown.half_widths, strict=True)
     return {
         n.full: (shown.values[n.full], float(half) / INTERVAL)
         for n, half in pairs
-        if n.effect in WIND
+        if n.effect in ACTING
     }
 
 
-def blown(model: Model, channels: Sequence[str], wind: Mapping[str, tuple[float, float]]) -> Array:
+def uncertain(
+    model: Model, channels: Sequence[str], found: Mapping[str, tuple[float, float]]
+) -> Array:
     """W of a model's flights.
 
     Args:
         model: Flights with the calibrated vehicle.
         channels: Of the balance.
-        wind: As of `wind_of`.
+        found: As of `acting_of`.
 
     Returns:
         In the units of the channels, shape (channels, channels).
     """
-    wanted = OF_AIR | WIND
+    there = {n.partition(".")[0] for n in found}
+    wanted = OF_AIR | there
     columns = [i for i, n in enumerate(model.numbers) if n.effect in wanted and not n.shape]
     numbers = [model.numbers[i] for i in columns]
-    windy = _slopes(model, columns, channels, {n: value for n, (value, _) in wind.items()})
-    calm = _slopes(model, columns, channels, {})
-    calm[:, [n.effect in WIND for n in numbers]] = 0.0
-    deviations = [wind[n.full][1] if n.full in wind else _usual(n, model) for n in numbers]
-    moved = (windy - calm) * np.array(deviations)
+    now = _slopes(model, columns, channels, {n: value for n, (value, _) in found.items()})
+    without = _slopes(model, columns, channels, {})
+    without[:, [n.effect in there for n in numbers]] = 0.0
+    deviations = [found[n.full][1] if n.full in found else _usual(n, model) for n in numbers]
+    moved = (now - without) * np.array(deviations)
     return np.asarray(moved @ moved.T)
 
 

@@ -17,7 +17,7 @@ from twin.explain.inference.priors import priors_since
 from twin.explain.inference.selection import coherent, misfits
 from twin.explain.model.model import Model, model_of
 from twin.explain.stochastic.spectral import StochasticEffect
-from twin.explain.weather import OF_AIR, blown, wind_of
+from twin.explain.weather import OF_AIR, acting_of, uncertain
 from twin.logs import Flight
 from twin.vehicle import Calibration, Vehicle
 from twin.vehicle_file import load_vehicle
@@ -71,7 +71,7 @@ def judged(model: Model, wind: dict[str, tuple[float, float]], wide: bool) -> Ba
     assert trim is not None
     normal = Normal.of(trim, calibrated(), indoors=True)
     if wide:
-        normal = replace(normal, disturbed=blown(model, trim.channels, wind))
+        normal = replace(normal, disturbed=uncertain(model, trim.channels, wind))
     return balance_of(trim, normal, 0.8)
 
 
@@ -100,11 +100,33 @@ def test_a_load_shows_in_a_wind_that_is_known() -> None:
 
 
 @pytest.mark.slow
+def test_a_load_on_a_rope_that_is_known_is_no_payload_as_well() -> None:
+    hung = {"mass_kg": 0.3 * PLANT.mass_kg, "length_m": 0.5}
+    flying = PLANT.with_effects({**PLANT.effects, "slung_load": hung})
+    payload = replace(flying, mass_kg=1.5 * PLANT.mass_kg)
+    effects = [EFFECTS[e] for e in (*CAUSES, WIND, *OF_AIR, "slung_load")]
+    swinging, both = (
+        model_of(
+            [fly(replace(COPTER, mass_kg=v.mass_kg), v, 7, "hung", LEGS)], calibrated(), effects
+        )
+        for v in (flying, payload)
+    )
+    rope = {f"slung_load.{n}": (v, 0.05 * v) for n, v in hung.items()}
+    assert judged(swinging, {}, False).probability_of("payload_cg") > 0.8
+    told = judged(swinging, rope, True)
+    assert told.nothing > 0.8
+    named = judged(both, rope, True).named
+    assert named is not None
+    assert named.cause == "payload_cg"
+    assert named.values["payload_cg.mass_kg"] == pytest.approx(0.5 * PLANT.mass_kg, rel=0.3)
+
+
+@pytest.mark.slow
 def test_only_what_the_wind_changes_is_uncertain() -> None:
     calm = {n: (0.0, 1e-6) for n in BLOWS}
     trim = trim_of(windy())
     assert trim is not None
-    still, windier = (blown(windy(), trim.channels, w) for w in (calm, BLOWS))
+    still, windier = (uncertain(windy(), trim.channels, w) for w in (calm, BLOWS))
     assert np.all(np.abs(still) < 1e-6 * np.abs(windier).max())
     pitch = trim.channels.index("gyro_rate_y")
     drag = DRAG["k_xy_1_s"] * AIR_M_S * PLANT.mass_kg / PLANT.inertia_kg_m2[1, 1]
@@ -115,7 +137,7 @@ def test_only_what_the_wind_changes_is_uncertain() -> None:
 def test_the_wind_of_a_search_has_its_deviation() -> None:
     number = next(n for n in windy().numbers if n.full == f"{WIND}.north_m_s")
     fit = Fit((WIND,), {number.full: 4.0}, (number,), np.array([0.6 * INTERVAL]), 0.0)
-    ((value, sd),) = wind_of(fit).values()
+    ((value, sd),) = acting_of(fit).values()
     assert value == 4.0
     assert sd == pytest.approx(0.6)
 
