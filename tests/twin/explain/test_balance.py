@@ -359,7 +359,7 @@ def test_equations_overrule_no_change_of_the_balance(
     """A load that doubles the weight is an equation in the thrust as well."""
     seen: list[bool] = []
     monkeypatch.setattr(explanation, "_stands", lambda _: None)
-    monkeypatch.setattr(explanation, "find_equations", lambda *_: seen.append(True))
+    monkeypatch.setattr(explanation, "find_equations", lambda *_, **__: seen.append(True))
     rest = SimpleNamespace(channels=())
     problem = SimpleNamespace(noise=SimpleNamespace(mute=()), rest=rest)
     best = SimpleNamespace(effects=())
