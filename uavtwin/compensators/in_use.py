@@ -35,7 +35,7 @@ from twin.vehicle import Vehicle as TwinVehicle
 from ..display import TextTable
 from ..exports.parts import OBSERVER, LearnedForce, twin
 from ..exports.write import export
-from ..force.open_loop import PREFIX, driving_inputs
+from ..force.open_loop import PREFIX, driving_inputs, taken_by
 from ..record import Record
 from ..vehicles import Vehicle
 
@@ -224,8 +224,7 @@ class UsedFlight:
         given = driving_inputs(
             self.flight, self._vehicle, self.aligned, np.flatnonzero(follows), compensated
         )
-        inputs = [n for n in given.dtype.names or () if n != "time"]
-        values = np.column_stack([given[n] for n in inputs]).astype(np.float64)
+        inputs, values = taken_by(slave, given)
         found = np.full((len(values), len(names)), np.nan)
         slave.reset()
         slave.bind(inputs, names, np.zeros(len(inputs)), np.zeros(len(names)))

@@ -28,6 +28,7 @@ from twin.residuals.teacher_forced import GRID_S, RIGID, SPIN_RATE
 from twin.vehicle import Vehicle
 
 Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 VOLTAGE = "vbat_v"
 """Column of the battery voltage, V."""
 PREFIX = "airframe."
@@ -109,11 +110,8 @@ class Replay:
     def _drive(self, flight: Flight, vehicle: Vehicle) -> AlignedFlight:
         """Take the inputs of a vehicle's twin over a flight, which is returned on its grid."""
         aligned = align_flight(flight, vehicle)
-        whole = driving_inputs(flight, vehicle, aligned, np.flatnonzero(clear(aligned)))
-        self._names = [n for n in whole.dtype.names or () if n != "time"]
-        self._given = np.column_stack([whole[n] for n in self._names])
-        self._restart = self._names.index(f"{PREFIX}restart")
-        self._changes = _changes(self._names, self._given)
+        self._table = driving_inputs(flight, vehicle, aligned, np.flatnonzero(clear(aligned)))
+        self._changes = _changes(self._table)
         return aligned
 
     def through(
@@ -130,19 +128,20 @@ class Replay:
             watch: Other outputs to be kept at the horizons.
         """
         reads = (*(PREFIX + s for s in RIGID), *watch)
-        sent, received = np.zeros(len(self._names)), np.zeros(len(reads))
         slave, found = Slave("driven", fmu), []
         try:
-            slave.bind(self._names, reads, sent, received)
+            names, given = taken_by(slave, self._table)
+            slave.bind(names, reads, np.zeros(len(names)), np.zeros(len(reads)))
+            alone = np.array(names) != f"{PREFIX}restart"
             slave.initialize(0.0, starts or {})
             slave.finish_initialization()
             state, due = slave.save(), set(self._left.tolist())
             for row in range(int(self._left[-1]) + 1):
                 if row in due:
                     slave.save(state)
-                    found.append(self._alone(slave, row))
+                    found.append(self._alone(slave, given, alone, row))
                     slave.restore(state)
-                self._step(slave, row, 1, follow=True)
+                _step(slave, row, 1, given[row])
         finally:
             slave.close()
         values = np.array(found)
@@ -177,26 +176,29 @@ class Replay:
         left_s = np.asarray(GRID_S * self._left, dtype=np.float64)
         return OpenLoop(left_s, apart(motion, measured), nothing if watched is None else watched)
 
-    def _alone(self, slave: Slave, row: int) -> list[Array]:
-        """Outputs at the horizons after a row; from one change of an input to the next at once."""
+    def _alone(self, slave: Slave, given: Array, kept: BoolArray, row: int) -> list[Array]:
+        """Outputs at the horizons after a row; from one change of an input to the next at once.
+
+        Inputs that are not `kept`, shape (k,), are 0.
+        """
         first = np.searchsorted(self._changes, row + 1)
         last = np.searchsorted(self._changes, row + self._steps[-1])
         stops = {*(self._changes[first:last] - row).tolist(), *self._steps}
         rows, now = [], 0
         for stop in sorted(stops):
-            self._step(slave, row + now, stop - now, follow=False)
+            _step(slave, row + now, stop - now, given[row + now] * kept)
             now = stop
             if now in self._steps:
                 slave.read_outputs()
                 rows.append(slave.outputs.copy())
         return rows
 
-    def _step(self, slave: Slave, row: int, steps: int, follow: bool) -> None:
-        """From a row to a later one, with the inputs of the first."""
-        slave.inputs[:] = self._given[row]
-        slave.inputs[self._restart] *= follow
-        slave.write_inputs()
-        slave.step(row * GRID_S, steps * GRID_S)
+
+def _step(slave: Slave, row: int, steps: int, inputs: Array) -> None:
+    """From a row to a later one, with the inputs of the first."""
+    slave.inputs[:] = inputs
+    slave.write_inputs()
+    slave.step(row * GRID_S, steps * GRID_S)
 
 
 def driving_inputs(
@@ -246,10 +248,22 @@ def driving_inputs(
     return table
 
 
-def _changes(names: Sequence[str], given: Array) -> NDArray[np.intp]:
+def taken_by(slave: Slave, table: NDArray[Any]) -> tuple[list[str], Array]:
+    """Of a table of `driving_inputs` what a driven twin takes: names, and values, shape (n, k).
+
+    The voltage is no input of a twin in which nothing depends on it.
+    """
+    names = [n for n in table.dtype.names or () if n != "time"]
+    if PREFIX + VOLTAGE not in slave.interface.ports:
+        names = [n for n in names if n != PREFIX + VOLTAGE]
+    return names, np.column_stack([table[n] for n in names]).astype(np.float64)
+
+
+def _changes(table: NDArray[Any]) -> NDArray[np.intp]:
     """Rows at which an input changes that matters to a twin that is left alone."""
-    columns = [i for i, n in enumerate(names) if not n.startswith(f"{PREFIX}restart")]
-    return np.flatnonzero(np.any(np.diff(given[:, columns], axis=0) != 0, axis=1)) + 1
+    names = [n for n in table.dtype.names or () if n != "time"]
+    matter = [n for n in names if not n.startswith(f"{PREFIX}restart")]
+    return np.flatnonzero(np.any([np.diff(table[n]) != 0 for n in matter], axis=0)) + 1
 
 
 def _median_speed(motion: Array) -> float:

@@ -1,19 +1,24 @@
 """A flight as inputs of a driven twin."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from rig import plain
 
+from cosim.interface import read_interface
 from learning.force.windows import true_motion
 from twin.logs import Flight
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.measured import Signal
 from twin.residuals.teacher_forced import GRID_S, RIGID
 from twin.vehicle_file import load_vehicle
+from uavtwin.compensators.in_use import UsedFlight
 from uavtwin.demo.flights import fly
-from uavtwin.force.open_loop import driving_inputs
+from uavtwin.exports.parts import twin
+from uavtwin.exports.write import export
+from uavtwin.force.open_loop import Replay, driving_inputs
 
 LEGS = (("ground", 0.5, (0.0, 0.0, 0.0)), ("takeoff", 2.0, (0.5, 0.0, -1.0)))
 DELAYED = plain().with_effects({"command_delay": {"delay_s": 0.02}})
@@ -88,3 +93,20 @@ def test_rotor_speeds_come_with_their_rates() -> None:
     table = driving_inputs(flight, spun, aligned, np.zeros(0, dtype=np.intp))
     assert "airframe.rotor_4" in (table.dtype.names or ())
     assert np.abs(table["airframe.spin_rate_4"]).max() > 0
+
+
+@pytest.mark.slow
+def test_a_twin_takes_the_voltage_of_a_log_where_it_has_that_input(tmp_path: Path) -> None:
+    """The thrust of one vehicle depends on it, that of the other does not."""
+    fixed = plain()
+    sags = plain(rotors=replace(fixed.rotors, reference_voltage_v=15.0))
+    legs = (*LEGS, ("forward", 2.0, (0.5, 0.0, -1.0)))
+    flight = fly(fixed, fixed, 3, waypoints=legs)
+    volts = np.linspace(16.0, 14.0, len(flight.table))
+    flight = replace(flight, table=flight.table.assign(vbat_v=volts))
+    for vehicle, asks in ((fixed, False), (sags, True)):
+        fmu = export(twin(vehicle, drive="command"), tmp_path / f"{asks}.fmu").paths[0]
+        assert ("airframe.vbat_v" in read_interface(fmu).ports) == asks
+        assert np.isfinite(Replay(flight, vehicle, (0.1,)).through(fmu).off).all()
+        used = UsedFlight(flight, vehicle).through(fmu, ["airframe.pos_x"])
+        assert any(flown.any() for flown in used.flown)
