@@ -61,9 +61,10 @@ reached often."""
 AT_STOP, AT_STOP_S = 0.95, 1.0
 """Command that is nearly at its upper stop, and for how long that matters."""
 DOUBTFUL = 0.02
-"""What an interval weighs at such a stop, and near the ground."""
+"""What an interval weighs at such a stop."""
 CARRIED_M = 0.3
-"""Height below which the ground may carry it: legs touch in a gust or a hard landing."""
+"""Height below which the ground may carry it, and an interval says nothing: legs take all the
+moment that the controller asks for."""
 FAST_HZ = 40.0
 """Rate of commands from which on their jitter does not hide the gain."""
 SURELY = 2.0
@@ -226,8 +227,7 @@ class Body:
     def noise(self) -> "Noise":
         """Of each channel, by the early part."""
         g = self.thrust(USUAL_CURVATURE, self.lag_s)
-        free = ~(self.limited | self.low)
-        share = np.where(free, 1.0, DOUBTFUL)[:, None] * self._seen
+        share = (np.where(self.limited, DOUBTFUL, 1.0) * ~self.low)[:, None] * self._seen
         laws, gain, weight = zip(
             *(
                 self.noise_of(self._regressors(g, j), self.measured[:, j], FLOOR[j], share[:, j])

@@ -21,19 +21,21 @@ from .causes import (
     BLOW,
     CAUSES,
     FINAL,
+    FORCES,
     GROWS_S,
+    LOADS,
     LOSSES_OF_ALL,
     MASS,
-    MASSES,
     NOTHING,
     PUSH,
+    ROTOR,
     SHARE,
     Name,
 )
 from .evidence import BLOWS_S, Evidence, Names, Window
 from .flight import Array
 from .noise import Places
-from .sideways import Sideways, alongside
+from .sideways import COINCIDENT, WITH_ROTOR, Sideways, alongside
 
 BEFORE_S, AFTER_S = 60.0, 6.0
 """What an onset is weighed on: before it and after it."""
@@ -49,11 +51,9 @@ DEPTH = 4
 """Of the recursion."""
 GREW_S = 3.0
 """Before the strongest onset, in which a loss that grows may have begun."""
-ACROSS = (1.0, 0.0, 1.0)
-"""Which forces or moments act across the thrust, in the order of `Evidence.by_size`."""
 UNSEEN = 0.05
-"""Probability that all rotors lose thrust with no voltage that falls as it should: by half as much
-as the thrust, since that goes with its square."""
+"""Probability that all rotors lose thrust with no voltage that falls as it should, by half as much
+as the thrust, since that goes with its square; and that it falls where they do not."""
 VOLTAGE_SD, VOLTAGE_SPREAD = 0.01, 0.2
 """Deviation of such a fall over the voltage, and over what is expected."""
 SAGS_S = 2.0
@@ -171,18 +171,19 @@ class Competition:
         still, lasting, passing = air
         if which != "growing":
             sizes[Name(BLOW)] = sizes[Name(BLOW)] + passing - still[:, None]
-            sizes[Name(PUSH)] = sizes[Name(PUSH)] + np.outer(lasting - still, ACROSS)
+            sizes[Name(PUSH)] = sizes[Name(PUSH)] + np.outer(lasting - still, FORCES[:, 4])
             sizes[Name(ALL)] = sizes[Name(ALL)] + self._by_voltage[onsets]
         each = np.array([logsumexp(sizes[n], axis=1) - np.log(sizes[n].shape[1]) for n in names])
         each += _log_odds(names)[:, None]
         body, calm = self.evidence.unchanged(w), self._sideways.unchanged(start, end)
         of_air = np.array([n.cause in AIR for n in names])[:, None]
-        either = alongside(still, lasting, passing) - still
+        none, rotor, other = 0 * still, *(alongside(air, x) for x in (WITH_ROTOR, COINCIDENT))
+        beside = {c: none for c in (NOTHING, *AIR)} | {ROTOR: rotor}
         return Odds(
             names=names,
             odds=each - body + of_air * (still - calm),
             nothing=each[0] - body + of_air * (still - calm),
-            across=np.where(of_air | (np.arange(len(each)) == 0)[:, None], 0.0, either),
+            across=np.array([beside.get(n.cause, other) for n in names]),
             sizes=sizes,
         )
 
@@ -200,9 +201,11 @@ class Competition:
             return np.zeros((len(body), len(LOSSES_OF_ALL)))
         volts, back = grid["vbat"][:, 0], body.places(SAGS_S)
         fallen = drop(volts, back)[body.start : body.end] / max(float(np.median(volts)), 1e-9)
-        expected = 1 - np.sqrt(1 - LOSSES_OF_ALL)
-        off = (fallen[:, None] - expected) / (VOLTAGE_SD + VOLTAGE_SPREAD * expected)
-        return np.asarray(np.log(UNSEEN + (1 - UNSEEN) * np.exp(-0.5 * off**2)))
+        expected = 1 - np.sqrt(1 - np.array([0.0, *LOSSES_OF_ALL]))
+        off = np.maximum(fallen, 0.0)[:, None] - expected
+        off /= VOLTAGE_SD + VOLTAGE_SPREAD * expected
+        log_p = np.log(UNSEEN + (1 - UNSEEN) * np.exp(-0.5 * off**2))
+        return np.asarray(log_p[:, 1:] - log_p[:, :1])
 
     def asked(self, names: Sequence[Name], onsets: Places) -> Array:
         """Nats over nothing that each name needs at each onset, shape (names, onsets): fewer in the
@@ -293,12 +296,13 @@ class Competition:
         return max(self.body.places(COARSE_S), 1)
 
     def _tried(self, first: int, last: int) -> Places:
-        """Onsets that are tried within places: none where a command has just been at its stop."""
+        """Onsets that are tried within places: none where a command has just been at its stop, or
+        where the ground may carry it."""
         tried = np.arange(first, last, self._stride)
         if self.body.lost:
             fine = max(self.body.last - self.body.places(FINELY_S), first)
             tried = np.unique(np.concatenate([tried, np.arange(fine, last)]))
-        return tried[~self.body.limited[tried]]
+        return tried[~(self.body.limited | self.body.low)[tried]]
 
     def _onset(self, near: Places, at_once: int, low: int, high: int) -> Onset | None:
         """The best of some onsets, before `at_once` of what grows alone; None: at a closer look
@@ -332,7 +336,7 @@ class Competition:
     ) -> tuple[tuple[tuple[float, float], ...], float]:
         """Sizes of a name with their posterior, and the time in which it grows."""
         if name.cause == MASS:
-            return _posterior(MASSES, evidence), 0.0
+            return _posterior(LOADS, evidence), 0.0
         if name.cause not in FINAL:
             return (), 0.0
         lost, log_p = self.evidence.lost(name), self.evidence.sizes_apart(name, window)

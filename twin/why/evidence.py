@@ -21,7 +21,9 @@ from .causes import (
     ALL,
     BLOW,
     COARSE_LOSSES,
+    FORCES,
     GROWS_S,
+    LOADS,
     LOSSES,
     LOSSES_OF_ALL,
     MASS,
@@ -75,9 +77,6 @@ TRIM_SHARE, TRIM_SHARE_SLOW = 0.007, 0.011
 """Of what all rotors do to a channel: by so much its offset may change at any onset, whatever the
 hypothesis. Wind, battery and an imperfect map of thrust do that; more where commands are logged
 slowly, since what they did in between is not known."""
-TURNS = (False, True, True, False)
-"""Channels that a mass changes which moves: a force or moment is one of all channels, of these, or
-of none, but across the thrust; see `by_size`."""
 OFFSET_SD = np.array([3.0 * GRAVITY_M_S2, 30.0, 30.0, 30.0])
 """Of an offset of a channel, m/s^2 and rad/s^2."""
 PRODUCT_SD = np.array([0.1, 1.0, 1.0, 1.0])
@@ -140,11 +139,7 @@ class Evidence:
         return [np.minimum(window.onset + m, window.end) for m in lengths]
 
     def by_size(self, window: Window, which: Names) -> dict[Name, Array]:
-        """Log evidence of every size of every name of a set, shape (onsets, sizes).
-
-        Those of a force or moment are: of all channels; of roll and pitch alone; of none of these,
-        which acts across the thrust.
-        """
+        """Log evidence of every size of every name of a set, shape (onsets, sizes)."""
         by_law = [
             {n: sum(each[1:], each[0]) for n, each in self._by_channel(law, window, which).items()}
             for law in self.body.laws
@@ -197,11 +192,11 @@ class Evidence:
         found = {Name(NOTHING): base}
         for x, a, b in zip(losses, edges[:-1], edges[1:], strict=True):
             found[x.name] = [s[:, a:b] for s in scaled]
-        heavy = channels[0].scaled(one / (1 + MASSES)[:, None])
+        heavy = channels[0].scaled(one / (1 + LOADS)[:, None])
         found[Name(ALL)] = [c.scaled((1 - LOSSES_OF_ALL)[:, None] * one) for c in channels]
         found[Name(MASS)] = [heavy, *(c.loaded() for c in channels[1:3]), base[3]]
-        kinds = zip(pushed, base, TURNS, strict=True)
-        found[Name(PUSH)] = [np.hstack([p, p if turns else b, b]) for p, b, turns in kinds]
+        kinds = zip(pushed, base, FORCES.T[:4], strict=True)
+        found[Name(PUSH)] = [np.where(acts, p, b) for p, b, acts in kinds]
         found[Name(BLOW)] = [c.blown(self.blow_ends(w)) for c in channels]
         return found
 
@@ -267,10 +262,13 @@ class _Channel:
         return self._stepped(self._evidence.steps[self._j])
 
     def loaded(self) -> Array:
-        """By the moment of a mass that comes or goes, by change of the mass."""
+        """By a mass that comes or goes, see `LOADS`."""
         sd, least = LOADED * self._evidence.authority[self._j], self._evidence.trims[self._j]
         near = np.argmin(np.abs(np.log(np.abs(MASSES)[:, None] / MOMENTS_OF)), axis=1)
-        return np.hstack([self._stepped(x) for x in np.maximum(sd * MOMENTS_OF, least)])[:, near]
+        turned = np.hstack([self._stepped(x) for x in np.maximum(sd * MOMENTS_OF, least)])
+        return np.hstack(
+            [np.repeat(self.scaled(self._sound), len(MASSES), axis=1), turned[:, near]]
+        )
 
     def _stepped(self, sd: float) -> Array:
         return self._over_gains(self._reduced(self._joined, step=sd), self._sound)

@@ -15,7 +15,8 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ..vehicle import GRAVITY_M_S2
-from .body import DOUBTFUL, Body
+from .body import Body
+from .causes import BLOW, CAUSES, PUSH
 from .flight import Array, rotations
 from .noise import PHI, TEMPER, Places, Whitened
 
@@ -29,9 +30,12 @@ OFFSET_SD_M_S2, TRIM_SD_M_S2 = 1.0, 0.007 * GRAVITY_M_S2
 """Of the offset, and of its change at any onset, as along z."""
 STEP_SD_M_S2 = 0.15 * GRAVITY_M_S2
 """Of a sudden force per mass, as along z."""
-ALONGSIDE = np.log((0.8, 0.1, 0.1))
-"""A rotor or a mass may come with nothing, a force or a gust across the thrust: what takes a rotor
-may push as well, and a body that tumbles meets the air in another way."""
+WITH_ROTOR = np.log((0.8, 0.1, 0.1))
+"""A rotor may fail with nothing, a force or a gust across the thrust: what takes it may push as
+well, and a body that tumbles meets the air in another way."""
+COINCIDENT = np.array([0.0, CAUSES[PUSH].log_odds, CAUSES[BLOW].log_odds])
+COINCIDENT -= logsumexp(COINCIDENT)
+"""The same of a mass, or of all rotors: two causes at one instant."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ class Sideways:
 
     def _whitened(self, moving: Array, ones: Array, force: Array) -> Whitened:
         columns = np.column_stack([moving, ones, force])
-        share = np.where(self.body.low, DOUBTFUL, 1.0)
+        share = (~self.body.low).astype(float)
         law, _, weight = self.body.noise_of(
             columns[:, :-1], force, FLOOR_M_S2, share, SLOW_PHI, swings=False
         )
@@ -98,10 +102,13 @@ def one_cosine(places: int) -> Array:
     return np.asarray(0.5 * (1 - np.cos(phase)))
 
 
-def alongside(still: Array, lasting: Array, passing: Array) -> Array:
-    """Log evidence of the axes where something else happens to the body, shape (onsets,)."""
+def alongside(each: tuple[Array, Array, Array], log_odds: Array) -> Array:
+    """Log evidence of the axes over nothing there, where something else happens to the body, shape
+    (onsets,): by that of nothing, of a force and of gusts, and their log odds."""
+    still, lasting, passing = each
     blown = logsumexp(passing, axis=1) - np.log(passing.shape[1])
-    return np.asarray(logsumexp(np.stack([still, lasting, blown]) + ALONGSIDE[:, None], axis=0))
+    either = np.stack([still, lasting, blown]) + log_odds[:, None]
+    return np.asarray(logsumexp(either, axis=0) - still)
 
 
 def _marginal(gram: Array, one: int, changes: Sequence[float]) -> Array:

@@ -9,13 +9,14 @@ from scipy.ndimage import gaussian_filter1d
 
 from benchmarks.sudden_faults.answers import trivial_rule
 from benchmarks.sudden_faults.built_in import Planted
+from benchmarks.sudden_faults.flights import Key, flown
 from benchmarks.sudden_faults.kinds import GUST_S
 from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL
 from twin.vehicle.layouts import frame
 from twin.vehicle_file import load_vehicle
 from twin.why.body import Body
-from twin.why.causes import BLOW, ROTOR, Name
+from twin.why.causes import ALL, BLOW, MASS, PUSH, ROTOR, Name
 from twin.why.competition import Competition, drop
 from twin.why.diagnose import FINDERS, diagnose
 from twin.why.findings import Findings
@@ -105,8 +106,10 @@ def test_a_gust_is_no_force_that_lasts(seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_gusts_landings_and_punches_are_no_events() -> None:
-    found = found_in(Planted("", 1.0, 301, 50.0).flown()[0])
+@pytest.mark.parametrize("seed", [301, 2168, 2180])
+def test_gusts_landings_and_punches_are_no_events(seed: int) -> None:
+    """On the ground the controller asks for moments that legs take."""
+    found = found_in(Planted("", 1.0, seed, 50.0).flown()[0])
     assert found.events == []
 
 
@@ -183,6 +186,42 @@ def test_thrust_falls_with_the_speed_along_the_axis_of_the_rotors() -> None:
     body = Body.of(frame, frame.airborne[0])
     left = (body.measured - body.expected())[:, 0]
     assert left.std() < 0.1 < (0.4 * down).std()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "size", "seed", "cause"),
+    [
+        ("rope", 0.2, 2052, PUSH),
+        ("rope", 0.3, 11, PUSH),
+        ("load gained", 0.2, 2053, MASS),
+        ("battery", 0.2, 2052, ALL),
+    ],
+)
+def test_what_acts_at_the_centre_of_mass_is_no_loss_of_all_rotors(
+    kind: str, size: float, seed: int, cause: str
+) -> None:
+    """A rope and a load may bring no moment; the voltage speaks for all rotors, and against."""
+    ((_, flight),) = flown([Key("own", kind, size, seed, 200.0)])
+    first = found_in(flight.flight).events[0]
+    assert first.cause == cause
+    assert first.onset_s == pytest.approx(flight.begins_s, abs=0.1)
+
+
+def test_a_voltage_that_falls_speaks_for_all_rotors_and_one_that_stays_against() -> None:
+    """By more than a nat against a log without a voltage."""
+    table = driven().table
+    after = table["time"].to_numpy() > 12.0
+    table.loc[after, "acc_z"] *= 0.8
+    odds = []
+    for volts in ({}, {"vbat_v": 16.0 * (1 - 0.106 * after)}, {"vbat_v": 16.0 + 0.0 * after}):
+        frame = FlightFrame.of(Flight("less", table.assign(**volts)))
+        body = Body.of(frame, frame.airborne[0])
+        onset = np.array([int(np.searchsorted(body.t_s, 12.0))])
+        found = Competition(body).odds(onset, 0, len(body))
+        odds.append(found.odds[found.names.index(Name(ALL)), 0])
+    unknown, falls, stays = odds
+    assert falls > unknown + 1 > stays + 2
 
 
 def test_height_is_over_the_ground_where_it_took_off_and_lands() -> None:
