@@ -77,8 +77,9 @@ SHAKES_ABOVE_HZ = 12.0
 SHAKEN_LEAST_HZ = 40.0
 """Rate of an acceleration from which on vibration is read in it."""
 ALONE = 0.95
-"""Probability from which on a rotor, or a load, is named alone: only yaw parts the two, and what
-yaw does between sessions is known from one aircraft. Chosen on CrazyPAD's E9."""
+"""Probability, given that something has changed, from which on a rotor, or a load, is named alone:
+only yaw parts the two, and what yaw does between sessions is known from one aircraft. Chosen on
+CrazyPAD's E9. That nothing has changed is no rival of either: `sure` is for that."""
 SUSPECT = 0.1
 """Probability from which on a rotor is named among those of which one is damaged."""
 STEADY_SD, SHAKEN, SHAKEN_SD, SHAKES = 0.3, 0.7, 0.6, 0.4
@@ -262,17 +263,19 @@ class Balance:
         alone = self._alone
         return alone if alone is not None and alone.clear else None
 
+    def _parted(self, chance: float) -> bool:
+        """Whether a cause of some probability is sure, and any other of the change is not."""
+        return chance >= max(self.sure, ALONE * self.changed)
+
     @property
     def _alone(self) -> Hypothesis | None:
         """The cause that no other stands for; None: there is none. Damage is that of the rotors
         that are sure to have lost thrust, each with all that speaks for it."""
-        if self.changed < self.sure:
-            return None
-        if self.damaged >= ALONE:
+        if self._parted(self.damaged):
             sure = [i + 1 for i in range(len(self.more)) if self.lost_by(i + 1) >= self.sure]
             damage = [h for h in self.hypotheses if h.rotors and set(h.rotors) == set(sure)]
             return replace(damage[0], probability=min(map(self.lost_by, sure))) if damage else None
-        return self.best(LOAD) if self.probability_of(LOAD) >= ALONE else None
+        return self.best(LOAD) if self._parted(self.probability_of(LOAD)) else None
 
     @property
     def one_of(self) -> tuple[Hypothesis, ...]:
@@ -280,7 +283,7 @@ class Balance:
         a load, or propellers one of which is surely damaged; none: something else is told."""
         if self._alone is not None or self.changed < self.sure:
             return ()
-        if self.damaged < ALONE:
+        if not self._parted(self.damaged):
             rotors = replace(self.best(ROTORS), probability=self.damaged)
             return rotors, replace(self.best(LOAD), probability=self.probability_of(LOAD))
         every = [h for h in self.hypotheses if len(h.rotors) == 1]

@@ -30,6 +30,7 @@ from twin.explain.balance import (
     channels_of_balance,
 )
 from twin.explain.explanation import Explanation
+from twin.explain.inference.fit import INTERVAL
 from twin.explain.inference.selection import Verdict
 from twin.explain.stochastic.spectral import StochasticEffect
 from twin.vehicle import Calibration
@@ -125,6 +126,39 @@ def test_a_load_in_the_middle_is_a_load() -> None:
     assert found.named.cause == LOAD
     mass = found.named.values[f"{LOAD}.mass_kg"]
     assert mass == pytest.approx(0.3 * COPTER.mass_kg, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("nothing", "rotor", "load", "told"),
+    [
+        (0.05, 0.02, 0.93, {LOAD}),
+        (0.12, 0.03, 0.85, {LOAD}),
+        (0.12, 0.85, 0.03, {ROTORS}),
+        (0.00, 0.06, 0.94, {LOAD, ROTORS}),
+        (0.05, 0.05, 0.90, {LOAD, ROTORS}),
+        (0.19, 0.02, 0.79, {LOAD, ROTORS}),  # that something has changed is sure, no cause is
+        (0.22, 0.01, 0.77, set()),
+    ],
+)
+def test_a_name_has_other_causes_for_rivals_and_not_that_nothing_has_changed(
+    nothing: float, rotor: float, load: float, told: set[str]
+) -> None:
+    found = judged(of(f"{LOAD}.mass_kg", 0.12 * COPTER.mass_kg))
+    chances = {NOTHING: nothing, ROTORS: rotor, LOAD: load}
+    clear = (replace(found.best(c), probability=p, values={}) for c, p in chances.items())
+    found = replace(found, hypotheses=tuple(clear))
+    named = () if found.named is None else (found.named,)
+    assert {h.cause for h in (*named, *found.one_of)} == told
+    assert bool(named) == (len(told) == 1)
+
+
+def test_a_load_in_the_middle_is_named_as_soon_as_it_is_sure() -> None:
+    """No rotor does the same, however near nothing is."""
+    found = judged(of(f"{LOAD}.mass_kg", 0.12 * COPTER.mass_kg))
+    assert found.named is not None
+    assert SURE <= found.named.probability < balance.ALONE
+    mass, sd = (v[f"{LOAD}.mass_kg"] for v in (found.named.values, found.named.deviations))
+    assert mass == pytest.approx(0.12 * COPTER.mass_kg, abs=INTERVAL * sd)
 
 
 def test_a_load_at_a_hub_without_yaw_is_this_or_that() -> None:
