@@ -12,6 +12,7 @@ from twin.errors import TwinError
 from twin.formatting import joined, pretty_unit
 from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
+from twin.why.causes import ROTOR
 from twin.why.diagnose import diagnose
 from twin.why.disagreements import NOISE, SENSOR_CAUSES
 from twin.why.records import Candidate, Diagnosis, Event, NotVisible
@@ -185,7 +186,8 @@ def least_in_words(hidden: NotVisible) -> str:
     if least.value is None or least.value > most:
         return "of any size"
     if least.unit == "1":
-        return f"below {100 * least.value:.0f} %"
+        of_what = " of a rotor's thrust" if hidden.cause == ROTOR else ""
+        return f"below {100 * least.value:.0f} %{of_what}"
     return f"below {least.value:.3g} {pretty_unit(least.unit)}"
 
 

@@ -353,8 +353,8 @@ def _sized(m: Making, layout: Layout) -> Layout:
     if arm is None and not layout.metric:
         raise ModelError(
             f"{m.flights[0].name}: how its rotors are arranged is known ({layout.source}), how far "
-            "apart they are is not. Give the distance of two motors across (--wheelbase 480mm) or "
-            "from the centre to a motor (--arm 240mm)."
+            "apart they are is not. Give the wheelbase, the distance of two motors across "
+            "(--wheelbase 480mm), or from the centre to a motor (--arm 240mm)."
         )
     if arm is None:
         return layout

@@ -216,6 +216,17 @@ class Competition:
         levels = np.array([LEVEL.get(n.cause, np.inf) for n in names])
         return np.where(soon, LAST_WORD_NATS, levels[:, None])
 
+    def shown(self) -> Array:
+        """Nats over its level that the loss of a rotor would have, had the rotor that shows least
+        lost each of `LOSSES`, shape (onsets, losses), at onsets `FIRST_S` apart."""
+        body, step = self.body, self.body.places(FIRST_S)
+        onsets = np.arange(step, body.last - step, step)
+        onsets = onsets[~body.limited[onsets]]
+        start, end = self._window(onsets, 0, len(body))
+        names = [Name(NOTHING), *(Name(ROTOR, (i + 1,)) for i in range(body.rotors))]
+        asked = LEVEL[ROTOR] - _log_odds(names)[1:, None]
+        return np.asarray((self.evidence.planted(Window(start, onsets, end)) - asked).min(axis=1))
+
     def onsets(self) -> list[Onset]:
         """All events, in order of time."""
         return list(self._within(0, len(self.body), 0))

@@ -94,19 +94,20 @@ def diagnose(
     lost = next((i.t_s for i in timeline if i.kind == "loss_of_control"), None)
     crash = next((i.t_s for i in timeline if i.kind == "crash"), None)
     airborne_s = sum(p.end - p.start for p in frame.airborne) * frame.dt_s
+    hidden = tuple(v for f in found for v in f.not_visible)
+    unseen = blind(hidden)
     verdict, probability = _verdict(
         events,
         one_of,
         nothing,
         lost=lost is not None,
-        decided=airborne_s > 0 and not any(f.undecided for f in found),
+        decided=airborne_s > 0 and not unseen and not any(f.undecided for f in found),
     )
-    hidden = tuple(v for f in found for v in f.not_visible)
     return Diagnosis(
         flight=flight.name,
         verdict=verdict,
         probability=probability,
-        text=_sentence(verdict, probability, events, one_of, lost, airborne_s, blind(hidden)),
+        text=_sentence(verdict, probability, events, one_of, lost, airborne_s, unseen),
         events=events,
         one_of_causes=one_of,
         loss_of_control_s=lost,
@@ -243,18 +244,23 @@ def _clauses(
         yield f"Most probable: {names}."
     elif first is not None:
         yield f"{first.text} ({certainty(first.probability)}){_else(first)}."
+    elif unseen and lost is None:
+        yield f"This log can show little: rotors, mass, forces are not judged, since {unseen}."
+        yield f"{_nothing(1.0 - probability, 'else ')}."
     elif verdict == "cannot_tell" and lost is None:
         yield "Something may have changed since the normal flights; this log cannot tell what."
     elif verdict == "nothing_found":
-        nothing = "Nothing" if probability >= LIKELY else "Probably nothing"
-        if unseen:
-            yield f"This log can show little: rotors, mass, forces are not judged, since {unseen}."
-            nothing += " else"
-        yield f"{nothing} went wrong that this log can show ({certainty(probability)})."
+        yield f"{_nothing(probability)}."
     if lost is not None:
         yield f"Control is lost at {lost:.2f} s" + (
             "." if verdict == "found" else ", and this log does not show why."
         )
+
+
+def _nothing(probability: float, other: str = "") -> str:
+    """How sure it is that nothing, or nothing else, went wrong."""
+    nothing = "Nothing" if probability >= LIKELY else "Probably nothing"
+    return f"{nothing} {other}went wrong that this log can show ({certainty(probability)})"
 
 
 def _else(event: Event) -> str:

@@ -10,6 +10,7 @@ the log evidence is believed (`TEMPER`): intervals are neither Gaussian nor free
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -164,6 +165,18 @@ class Evidence:
                 total.append(logsumexp(near + each[:, None], axis=2).sum(axis=0))
         return np.asarray(logsumexp(total, axis=0))
 
+    def planted(self, window: Window) -> Array:
+        """Log evidence over nothing that each rotor would have, had it lost each of `LOSSES` at the
+        onset, by the most probable law, shape (onsets, rotors, losses)."""
+        law, n = self.body.laws[0], self.body.rotors
+        channels = [_Channel(self, law, j, window, True) for j in range(4)]
+        found = np.empty((len(window.onset), n, len(LOSSES)))
+        for (i, losses), (k, lost) in product(enumerate(self._coarse), enumerate(LOSSES)):
+            left = 1 - np.concatenate([np.zeros((1, n)), losses.lost])
+            each = np.sum([c.planted(i, lost, left) for c in channels], axis=0)
+            found[:, i, k] = logsumexp(each[:, 1:], axis=1) - np.log(len(losses.lost)) - each[:, 0]
+        return found
+
     def unchanged(self, window: Window) -> Array:
         """Log evidence that nothing changes at all, not even gain and offset: what different
         onsets are measured by, since it does not depend on them."""
@@ -256,6 +269,13 @@ class _Channel:
     def scaled(self, left: Array) -> Array:
         """By shares of thrust that rotors have left, shape (sizes, rotors)."""
         return self._over_gains(self._base, left)
+
+    def planted(self, rotor: int, lost: float, left: Array) -> Array:
+        """As `scaled`, had a rotor lost a share of its thrust at the onset."""
+        gram, cost = self._base
+        shift = np.eye(gram.shape[1])
+        shift[rotor, -1] = -lost * max(self._law.gain[self._j], 0.0)
+        return self._over_gains((shift.T @ gram @ shift, cost), left)
 
     def pushed(self) -> Array:
         """By a force or moment that begins and stays."""

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .body import Body
 from .causes import CAUSES, CUT, LOSSES, NOTHING, ROTOR
@@ -31,23 +32,40 @@ def moved(frame: FlightFrame, references: Sequence[FlightFrame] = ()) -> Finding
     if frame.drive is None or frame.layout is None or missing:
         lacking = ", ".join(missing) or "motor commands whose rotors are known"
         return Findings(not_visible=[_hidden(c, None, f"the log has no {lacking}") for c in CAUSES])
-    events, nothing = [], 1.0
-    hidden = [_hidden(ROTOR, float(LOSSES[0]), "smaller sudden losses look like a gust")]
+    events, nothing, hidden, shown = [], 1.0, [], []
     for body, first in _bodies(frame):
         if body.unanswered:
             hidden += _unseen(body, first)
             continue
         competition = Competition(body)
+        shown.append(competition.shown())
         for onset in competition.onsets():
             if body.t_s[onset.place] >= first:
                 events.append(event_of(body, onset))
                 nothing *= 1.0 - events[-1].probability
+    if shown:
+        hidden.append(_least_loss(np.concatenate(shown)))
+    elif not hidden:
+        reason = f"the log has no {LEAST_S:g} s in the air"
+        hidden = [_hidden(cause, None, reason) for cause in CAUSES if cause != CUT]
     return Findings(
         events=events,
         nothing=nothing,
         not_visible=hidden,
         notes=[f"rotors: {frame.layout.source}"],
     )
+
+
+def _least_loss(nats: NDArray[np.float64]) -> NotVisible:
+    """The least loss of a rotor that passes its level at half of the onsets.
+
+    Args:
+        nats: Of `Competition.shown`, of all stretches.
+    """
+    passes = LOSSES[np.median(nats, axis=0) > 0] if len(nats) else LOSSES[:0]
+    if not len(passes):
+        return _hidden(ROTOR, None, "no loss is known to stand out of the noise of this log")
+    return _hidden(ROTOR, float(passes[0]), "a smaller one does not stand out of the noise")
 
 
 def _unseen(body: Body, first_s: float) -> Iterator[NotVisible]:

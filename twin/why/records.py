@@ -124,7 +124,7 @@ class Amount(Struct, frozen=True, kw_only=True):
     """A size.
 
     Attributes:
-        value: Null: no size would have been detected.
+        value: Null: no size is known that would have been detected.
         unit: Of the value, "1" for a share.
     """
 
@@ -137,7 +137,7 @@ class NotVisible(Struct, frozen=True, kw_only=True):
 
     Attributes:
         cause: Its name.
-        smallest_detectable: Size that would have been found in 95 of 100 such flights.
+        smallest_detectable: Size that would have been found; of a rotor at half of the instants.
         reason: Why smaller ones do not show.
     """
 
@@ -152,7 +152,8 @@ class Diagnosis(Struct, frozen=True, kw_only=True):
     Attributes:
         flight: Its name.
         verdict: Whether something was found, nothing was, or the log cannot tell.
-        probability: Of the verdict.
+        probability: Of the verdict; of `cannot_tell`, that something went wrong that the log can
+            show.
         text: The answer as a sentence.
         events: First causes first, in order of time; what was there all the time comes last.
         one_of_causes: Causes of one change that the flight does not tell apart; else empty.

@@ -179,7 +179,12 @@ def _overview(frame: FlightFrame) -> Iterator[tuple[str, list[Curve]]]:
         turning = np.linalg.norm(frame.grid["gyro"], axis=1)
         yield "turning, rad/s", [("turning", BLACK, t, turning)]
     if frame.drive is not None:
-        yield f"{frame.drive.replace('_', ' ')}, 1", _rotors(frame, t[0], t[-1])
+        yield _drive(frame.drive), _rotors(frame, t[0], t[-1])
+
+
+def _drive(name: str) -> str:
+    """Title of the commands, 0 to 1, or of the speeds of the rotors."""
+    return "command, 0 to 1" if name == "command" else name.replace("_", " ")
 
 
 def _rotors(frame: FlightFrame, start_s: float, end_s: float) -> list[Curve]:
@@ -261,7 +266,7 @@ def _titles(name: str, unit: str) -> Iterator[str]:
 def _around(frame: FlightFrame, start: float, end: float) -> Iterator[tuple[str, list[Curve]]]:
     """Commands, body rates and specific force within a span."""
     if frame.drive is not None:
-        yield f"{frame.drive.replace('_', ' ')}, 1", _rotors(frame, start, end)
+        yield _drive(frame.drive), _rotors(frame, start, end)
     for name, title, columns in (
         ("gyro", "body rate, rad/s", GYRO),
         ("acc", "specific force, m/s²", ("acc_x", "acc_y", "acc_z")),
@@ -276,13 +281,14 @@ def _around(frame: FlightFrame, start: float, end: float) -> Iterator[tuple[str,
 
 
 def _rule(frame: FlightFrame | None) -> str:
-    """What the rule of one line says of the flight."""
-    if frame is None or frame.drive != "command":
-        return ""
-    read = parted_outputs(frame)
+    """The rule of one line, and what it says of the flight."""
+    read = None if frame is None else parted_outputs(frame)
     if read is None or read.t_s is None:
-        return "does not fire"
-    return f"says: rotor {read.rotor} failed at {read.t_s:.2f} s"
+        return ""
+    return (
+        "Where outputs part by 150 µs, it takes the highest for the failed rotor, in most normal "
+        f"flights too: here rotor {read.rotor}, at {read.t_s:.2f} s."
+    )
 
 
 def _next_steps(record: WhyRecord, frame: FlightFrame | None) -> Iterator[str]:
@@ -297,6 +303,11 @@ def _next_steps(record: WhyRecord, frame: FlightFrame | None) -> Iterator[str]:
             "not only seen (PX4: SDLOG_PROFILE bit 4, ArduPilot: LOG_BITMASK fast attitude)."
         )
     if "--reference" in " ".join(record.notes):
-        yield "Give normal flights of this aircraft: uavtwin why LOG --reference GOOD."
-    if record.verdict == "cannot_tell":
+        yield (
+            "Compare with normal flights of this aircraft, on the command line: "
+            "uavtwin why LOG --reference GOOD."
+        )
+    if record.verdict == "cannot_tell" and record.loss_of_control_s is None:
+        yield "Log the motor commands, from 40 Hz on: what is not judged is not known to be sound."
+    elif record.verdict == "cannot_tell":
         yield "Ask the pilot what was seen, and look at the wreck: the log does not decide."

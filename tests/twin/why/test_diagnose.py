@@ -53,7 +53,7 @@ def test_a_blow_after_which_it_flies_on_is_no_crash() -> None:
 
 
 def test_a_hover_is_flown_to_its_end() -> None:
-    found = diagnose(hover())
+    found = diagnose(hover(), finders=FINDERS[:1])
     assert found.verdict == "nothing_found"
     assert found.loss_of_control_s is None and found.crash_s is None
     assert found.airborne_s == pytest.approx(24.0, abs=1.0)
@@ -94,7 +94,7 @@ def test_a_newer_firmware_and_a_log_that_states_nothing_are_no_other_aircraft() 
 def test_a_log_without_commands_says_first_that_it_can_show_little() -> None:
     table = {name: v for name, v in sound().items() if not name.startswith("cmd_")}
     found = diagnose(Flight("f", pd.DataFrame(table)))
-    assert found.verdict == "nothing_found"
+    assert found.verdict == "cannot_tell" and found.probability == pytest.approx(0.0, abs=0.2)
     assert found.text.startswith("This log can show little: rotors, mass, forces are not judged")
     least = Amount(value=0.1, unit="1")
     assert not blind([NotVisible(cause="rotor_failure", smallest_detectable=least, reason="r")])

@@ -177,6 +177,19 @@ def test_why_a_body_shows_nothing_is_said_of_a_log_and_live(
     assert reason in watch.rests and bool(watch.rests) == bool(reason)
 
 
+def test_the_least_loss_that_shows_is_that_of_the_noise_of_the_log() -> None:
+    def least(noise: float) -> float:
+        flight = driven()
+        noisy = noise * np.random.default_rng(0).standard_normal((len(flight.table), 6))
+        table = flight.table.copy()
+        table[[*GYRO, *ACC]] += noisy
+        found = found_in(Flight("noisy", table)).not_visible
+        (known,) = [v.smallest_detectable.value for v in found if v.cause == ROTOR]
+        return np.inf if known is None else known
+
+    assert 0.1 < least(0.0) < least(0.2) < least(5.0) == np.inf
+
+
 def test_thrust_falls_with_the_speed_along_the_axis_of_the_rotors() -> None:
     table = driven().table
     down = 2.0 * np.sin(1.3 * table["time"].to_numpy())
@@ -247,6 +260,12 @@ def test_a_log_without_commands_says_what_it_cannot_show() -> None:
     found = found_in(Flight("imu", table))
     assert not found.events
     assert all(v.smallest_detectable.value is None for v in found.not_visible)
+
+
+def test_a_hop_is_too_short_to_judge_rotors() -> None:
+    table = driven().table
+    found = found_in(Flight("hop", table[table["time"] < 7.0]))
+    assert {v.reason for v in found.not_visible} == {"the log has no 8 s in the air"}
 
 
 def test_the_trivial_rule_takes_the_highest_output() -> None:

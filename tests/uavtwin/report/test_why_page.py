@@ -69,9 +69,19 @@ def test_the_page_says_what_when_what_to_check_and_quotes(
 
 def test_a_page_of_nothing_says_what_it_could_not_have_shown(tmp_path: Path) -> None:
     found = why(Flight("sound", pd.DataFrame(sound())))
-    assert found.record.verdict == "nothing_found"
+    assert found.record.verdict == "cannot_tell"  # its commands never change
     page = found.report(tmp_path / "why.html").read_text("utf-8")
     assert "it is not excluded" in page and "below" in page
+
+
+def test_the_trivial_rule_of_a_clean_flight_stands_below_the_answer(tmp_path: Path) -> None:
+    table = sound()
+    table["cmd_1"] = table["cmd_1"] + 0.2 * (abs(table["time"] - ONSET_S) < 0.05)
+    found = why(Flight("parted", pd.DataFrame(table)))
+    page = found.report(tmp_path / "why.html").read_text("utf-8")
+    box, rest = page.split("<dt>in the air</dt>")[1].split("</dl>", 1)
+    assert "rule" not in box and "rotor" not in box
+    assert "A trivial rule, no finding:" in rest and "here rotor 1, at" in rest
 
 
 def test_senseless_limits_and_hopeless_alternatives_are_not_listed(result: WhyResult) -> None:
@@ -91,7 +101,10 @@ def test_senseless_limits_and_hopeless_alternatives_are_not_listed(result: WhyRe
     (table,) = [p for p in parts if not isinstance(p, str)]
     assert table.rows[0][-1] == "a 10 %"
     (line,) = [p for p in parts if isinstance(p, str) and "Not visible" in p]
-    assert line.startswith("Not visible: rotor failure below 10 %.") and "gyro" not in line
+    assert (
+        line.startswith("Not visible: rotor failure below 10 % of a rotor's thrust.")
+        and "gyro" not in line
+    )
 
 
 def test_a_result_without_its_flight_has_a_page(result: WhyResult, tmp_path: Path) -> None:
@@ -182,11 +195,11 @@ def test_several_logs_have_a_result_each_and_a_table(
     code, said, _ = run(capsys, "why", *logs)
     assert code == 1 and said.count("To check:") == 1
     table = said[said.index("control lost") :]
-    assert "gyro bias, gyro_y" in table and "nothing found" in table
+    assert "gyro bias, gyro_y" in table and "cannot tell" in table
     code, said, error = run(capsys, "why", *logs, tmp_path / "absent.ulg", "--json")
     assert code == 2 and "absent" in error
     *read, unread = json.loads(said)
-    assert [r["verdict"] for r in read] == ["found", "nothing_found"]
+    assert [r["verdict"] for r in read] == ["found", "cannot_tell"]
     assert unread.keys() == {"flight", "error"} and unread["flight"] == "absent"
     assert "absent.ulg" in unread["error"]
     code, said, _ = run(capsys, "why", tmp_path / "absent.ulg", logs[1])

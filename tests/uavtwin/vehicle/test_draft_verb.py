@@ -140,7 +140,11 @@ def test_several_flights_are_put_together(copter: ut.Flight) -> None:
 @pytest.mark.parametrize(
     ("change", "given", "told"),
     [
-        ({}, {"frame": None, "arm_m": None}, "Give the distance of two motors across"),
+        (
+            {},
+            {"frame": None, "arm_m": None},
+            "Give the wheelbase, the distance of two motors across",
+        ),
         ({}, {"frame": "hex x"}, "'hex x' is none with 4 rotors. Those are: x, "),
         ({}, {"mass_kg": -1.0}, "give the mass as it flew"),
         ({}, {"wheelbase_m": 0.45}, "say the same; give one of them"),
@@ -256,7 +260,10 @@ def test_the_verb_writes_a_file_and_says_what_next(
             ("--mass", "1.4", "--wheelbase", "450"),
             "--wheelbase 450: '450' has no unit such as m: write 480mm or 0.48m",
         ),
-        (("--mass", "1.4"), "Give the distance of two motors across (--wheelbase 480mm)"),
+        (
+            ("--mass", "1.4"),
+            "Give the wheelbase, the distance of two motors across (--wheelbase 480mm)",
+        ),
     ],
 )
 def test_what_the_verb_lacks_is_told(
