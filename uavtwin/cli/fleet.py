@@ -94,7 +94,7 @@ def fleet(
         return
     if as_csv:
         raise TwinError("fleet: --csv prints the rows of --sql. Give both, or neither.")
-    from ..fleets.fleet import FleetRequest, Work, run_fleet
+    from ..fleets.fleet import FOLDER, FleetRequest, Work, run_fleet
     from ..jobs.process import Allowed
 
     named = None if per_aircraft else vehicle_named(vehicle, "") or None
@@ -112,7 +112,7 @@ def fleet(
     if not as_json:
         STDOUT.print(
             f"written: {out / 'report.html'}, flights, channels, effects, findings (.parquet), "
-            f"vehicles/, fleet.json, run.json"
+            f"{f'{FOLDER}/, ' if (out / FOLDER).is_dir() else ''}fleet.json, run.json"
         )
     said = (result.misfits, result.differing, result.drifting, result.spreads)
     if result.bad or result.went_wrong or any(said):

@@ -99,8 +99,10 @@ def doors_of(host: str, port: int, token: str | None = None) -> Doors:
 
 
 def address_of(host: str, port: int, token: str | None) -> str:
-    """For a browser."""
+    """For a browser; by the machine's name where it is served at all its addresses."""
     shown = f"[{host}]" if ":" in host else host
+    if host in ("0.0.0.0", "::"):
+        shown = socket.gethostname()
     return f"http://{shown}:{port}/{f'?token={quote(token)}' if token else ''}"
 
 

@@ -1,5 +1,6 @@
 """The page as a real browser shows it: dropped, read, cancelled, killed, started again."""
 
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -169,10 +170,10 @@ def test_a_log_that_is_dropped_while_the_server_is_away_waits_for_it(
 
 def test_beyond_this_machine_the_printed_address_lets_in(opened: Browser, tmp_path: Path) -> None:
     with Process(tmp_path / "store", "0.0.0.0") as served:
-        assert served.said.startswith(f"http://0.0.0.0:{served.port}/?token=")
+        assert served.said.startswith(f"http://{socket.gethostname()}:{served.port}/?token=")
         opened.visit(served.address, WIDE)
         assert "needs its token" in opened.run("document.body.innerText")
-        opened.visit(served.said.replace("0.0.0.0", "127.0.0.1"), WIDE)
+        opened.visit(served.said.replace(socket.gethostname(), "127.0.0.1"), WIDE)
         opened.wait("document.documentElement.dataset.connected")
         assert opened.run("location.href") == f"{served.address}/"
         opened.visit(served.address, WIDE)

@@ -21,7 +21,7 @@ from uavtwin.serve.opened import open_site
 from uavtwin.serve.store import Store
 from uavtwin.site import server
 from uavtwin.site.doors import Doors
-from uavtwin.site.server import Guarded, SiteServer, doors_of, listening
+from uavtwin.site.server import Guarded, SiteServer, address_of, doors_of, listening
 
 pytestmark = pytest.mark.slow
 HOSTILE = '"><img src=x onerror=alert(1)><script>alert(1)</script>.ulg'
@@ -171,6 +171,11 @@ def test_names_and_pages_of_others_are_refused(
 ) -> None:
     assert asked.ask("/", headers=headers)[0] == status
     assert (asked.ask("/upload/a", "PUT", b"x", headers)[0] == 403) == (status == 403)
+
+
+def test_the_address_of_a_site_at_all_addresses_has_the_name_of_the_machine() -> None:
+    assert address_of("0.0.0.0", 80, "t") == f"http://{socket.gethostname()}:80/?token=t"
+    assert address_of("192.0.2.7", 80, None) == "http://192.0.2.7:80/"
 
 
 COOKIE = doors_of("0.0.0.0", 8080).cookie
