@@ -32,7 +32,8 @@ def moved(frame: FlightFrame, references: Sequence[FlightFrame] = ()) -> Finding
     if frame.drive is None or frame.layout is None or missing:
         lacking = ", ".join(missing) or "motor commands whose rotors are known"
         return Findings(not_visible=[_hidden(c, None, f"the log has no {lacking}") for c in CAUSES])
-    events, nothing, hidden, shown = [], 1.0, [], []
+    events, nothing, shown = [], 1.0, []
+    hidden: list[NotVisible] = []
     for body, first in _bodies(frame):
         if body.unanswered:
             hidden += _unseen(body, first)
