@@ -53,10 +53,6 @@ def _case(group: str, off: dict[str, float]) -> dict[str, Any]:
         "windows": {"one": 40},
         "summary": summary(table).to_dict("records"),
         "cells": table.to_dict("records"),
-        "hovers": {
-            "one": {"command": None, "velocity": 0.05, "tilt": 0.01, "rates": 0.1},
-            SHIPPED: {"command": 0.34, "velocity": 0.01, "tilt": 0.001, "rates": 0.0003},
-        },
     }
     flown = [
         {
@@ -86,6 +82,4 @@ def test_figures_of_the_page() -> None:
     text = page([case])
     assert "| 1 | 0.12 | 0.12 | 0.433 to 0.433 | 97 to 97 % | 90 % |" in text
     assert "is off, 75 % is gone" in text
-    assert f"| one | {SHIPPED} | 0.34 | 0.01 | 0.001 | 0.0003 |" in text
-    assert "| one | one | - | 0.05 | 0.01 | 0.1 |" in text
     assert f"| {SHIPPED} | 3 | 0 | 1.000 | 1.200 | 1 |" in text

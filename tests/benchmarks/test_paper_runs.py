@@ -177,7 +177,7 @@ def test_usage_is_that_of_the_process_that_runs(tmp_path: Path) -> None:
     used = usage(tmp_path / "small.onnx", seconds=2.0)
     assert used.t_s[-1] > 2.0 and len(used.t_s) == len(used.processor) == len(used.memory_mb)
     assert 20 < used.memory_mb[-1] < 500
-    assert max(used.processor) > 2 * used.processor[-1]  # it loads, then mostly waits
+    assert max(used.processor) > 1.5 * used.processor[-1]  # it loads, then mostly waits
     assert [t.name for t in usage_figure({"small": used}).data] == ["small", "small"]
 
 
