@@ -226,7 +226,7 @@ def inspect_fmu(path: Path) -> FmuReport:
     problems = [*archive.problems, *wrong, *name_problems(description)]
     problems += [*_number_problems(archive.root), *repeated_entries(archive.members)]
     if not archive.problems:  # else its members are not read
-        problems += [*_member_problems(archive), *related_problems(archive)]
+        problems += _member_problems(archive)
     platforms = sorted(
         {n.split("/")[1] for n in archive.names if n.startswith("binaries/") and n.count("/") >= 2}
     )
@@ -354,6 +354,7 @@ def _variables(description: ModelDescription) -> dict[str, str]:
 def _experiments(archive: Archive, problems: list[str]) -> dict[str, str]:
     """Reference results of an FMU; what is wrong with them goes to the problems."""
     try:
+        problems += related_problems(archive)
         found = read_experiments(archive)
     except FmuError as error:
         problems.append(str(error))

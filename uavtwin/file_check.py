@@ -216,7 +216,7 @@ def check_file(
     """
     found = _checked(path, vehicle)
     facts, problems = _signature(Path(path), None if key is None else Path(key))
-    return replace(found, facts={**found.facts, **facts}, problems=(*problems, *found.problems))
+    return replace(found, facts={**facts, **found.facts}, problems=(*problems, *found.problems))
 
 
 SIGNATURE = ".minisig"

@@ -11,7 +11,8 @@ from lxml import etree
 import uavtwin as ut
 from twin.errors import TwinError
 from twin.vehicle_file import vehicle_text
-from uavtwin.exports.credibility import FILE, PAGE, SRMD, check_required, members
+from uavtwin.exports.credibility import FILE, PAGE, SRMD, check_required, members, of_file
+from uavtwin.exports.write import export_parts
 
 COPTER = "copter_default"
 CHANNEL = {"before": 0.5, "after": 0.02, "shrink": 0.96, "shrink_ci95": [0.9, 0.97]}
@@ -45,7 +46,7 @@ def levels(folder: Path) -> dict[str, int]:
 def test_nothing_known_is_zero() -> None:
     factors = ut.credibility(ut.load_vehicle(COPTER)).factors
     assert len(factors) == 8
-    assert {n for n, f in factors.items() if f.level} == {"verification"}
+    assert not any(f.level for f in factors.values())
     assert "made up: body.leg_height" in factors["data_pedigree"].because
 
 
@@ -61,6 +62,74 @@ def test_less_evidence_gives_less(tmp_path: Path) -> None:
     assert levels(explained(tmp_path / "spans", spans=[[1.0, 2.0]]))["validation"] == 1
     assert levels(explained(tmp_path / "worse", channel=WORSE))["validation"] == 1
     assert levels(explained(tmp_path / "lost", stable=False))["results_robustness"] == 0
+
+
+def test_nothing_compared_is_zero(tmp_path: Path) -> None:
+    folder = explained(tmp_path / "a")
+    found = json.loads((folder / "explain.json").read_text()) | {"gap": {}}
+    (folder / "explain.json").write_text(json.dumps(found))
+    assert levels(folder)["validation"] == 0
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "said"),
+    [
+        ("explain.json", '[{"flight": "b", "spans_s": null}]', "[{}]", "missing required field"),
+        ("explain.json", '[{"flight": "b", "spans_s": null}]', '"x"', "Expected `array`"),
+        ("explain.json", '"missions": {"hover": {}, "tour": {}}', '"a": 1', "`missions`"),
+        ("run.json", '"sha256"', '"md5"', "missing required field `sha256`"),
+    ],
+)
+def test_damaged_evidence_is_refused(
+    tmp_path: Path, file: str, old: str, new: str, said: str
+) -> None:
+    folder = explained(tmp_path / "a")
+    text = (folder / file).read_text()
+    assert old in text
+    (folder / file).write_text(text.replace(old, new))
+    with pytest.raises(TwinError, match=f"{file}: .*{said}.*--evidence takes"):
+        levels(folder)
+
+
+def test_a_name_that_xml_may_not_have_is_printed(tmp_path: Path) -> None:
+    folder = explained(tmp_path / "a")
+    (folder / "run.json").write_text(json.dumps({"inputs": [{"name": "\x1b[31m", "sha256": "0"}]}))
+    card = ut.credibility(ut.load_vehicle(folder / "vehicle.toml"), folder)
+    assert b'keyword="?[31m"' in members(card)[SRMD]
+
+
+def test_another_twin_than_the_compared_has_no_validation(tmp_path: Path) -> None:
+    folder = explained(tmp_path / "a")
+    vehicle = ut.load_vehicle(folder / "vehicle.toml")
+    card, driven = ut.credibility(vehicle, folder), ut.twin(vehicle, drive="command")
+    export_parts([driven], card=card, require=["validation=2"])
+    for starts in ({"airframe.mass": 4.2}, {"airframe.rotor_drag.enabled": 0.0}):
+        with pytest.raises(TwinError, match=r"validation has level 0, .* not the twin"):
+            export_parts([driven], starts=starts, card=card, require=["validation=2"])
+    with pytest.raises(TwinError, match="results_robustness has level 0"):
+        observed = ut.twin(vehicle, drive="command", observer=True)
+        export_parts([observed], card=card, require=["results_robustness=1"])
+
+
+def test_a_learned_force_is_another_twin_and_is_listed() -> None:
+    force = ut.learned_force("copter_drag")
+    vehicle = ut.load_vehicle(force.folder / "vehicle.toml")
+    made = ut.twin(vehicle, drive="command", force=force)
+    assert {"fit_1", "fit_2", "force.json"} <= made.evidence.keys()
+    assert all(len(digest) == 64 for digest in made.evidence.values())
+    found = of_file(ut.credibility(vehicle), True, made.changes, made.evidence)
+    assert "a learned force" in found.factors["validation"].because
+    assert found.evidence.keys() >= {"fit_1", "force.json"}
+
+
+def test_verification_is_of_files_with_reference_results() -> None:
+    card, wanted = ut.credibility(ut.load_vehicle(COPTER)), ["verification=1"]
+    body = ut.component("imu", ut.load_vehicle(COPTER))
+    export_parts([body], card=card, require=wanted)
+    with pytest.raises(TwinError, match="verification has level 0"):
+        export_parts([body], python_slave=True, card=card, require=wanted)
+    with pytest.raises(TwinError, match="verification has level 0"):
+        export_parts([body], 3, arrays=True, card=card, require=wanted)
 
 
 def test_evidence_of_another_vehicle_is_refused(tmp_path: Path) -> None:

@@ -280,7 +280,7 @@ def export_components(
     from twin.component import unknown_name
     from twin.flight.assembly import COMPONENTS
 
-    from ..exports.credibility import check_required, credibility
+    from ..exports.credibility import credibility
     from ..exports.write import export_parts
     from ..vehicles import load_vehicle
 
@@ -296,8 +296,7 @@ def export_components(
     starts = start_values(choice.start)
     forms = choice.python_slave, choice.arrays, choice.outputs == "real"
     card = credibility(vehicle, choice.evidence)
-    check_required(card, choice.require)
-    return export_parts(parts, versions, platforms, starts, *forms, card)
+    return export_parts(parts, versions, platforms, starts, *forms, card, choice.require)
 
 
 def _default(model: Path | None, evidence: Path | None) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import msgspec
 from lxml import etree
@@ -21,7 +21,7 @@ from twin.errors import TwinError
 from twin.vehicle.vehicle import DEFAULT
 
 from ..display import TextTable
-from ..output import json_text, sha256
+from ..output import InputRecord, json_text, sha256
 from ..record import Record
 from ..vehicles import Vehicle, checked_vehicle, load_vehicle
 
@@ -71,6 +71,50 @@ class CredibilityRecord(Record, frozen=True, kw_only=True):
     sources: dict[str, str]
 
 
+_T = TypeVar("_T")
+
+
+class _Channel(msgspec.Struct, frozen=True):
+    """What is read of a `ChannelRecord`."""
+
+    shrink: float | None
+    shrink_ci95: tuple[float, float] | None
+
+    @property
+    def worse(self) -> bool:
+        """Whether the gap grew, by the best case of its interval."""
+        best = self.shrink if self.shrink_ci95 is None else self.shrink_ci95[1]
+        return best is None or best < 0.0
+
+
+class _HeldOut(msgspec.Struct, frozen=True):
+    """What is read of a `HeldOutRecord`."""
+
+    flight: str
+    spans_s: tuple[tuple[float, float], ...] | None
+
+
+class _ClosedLoop(msgspec.Struct, frozen=True):
+    """What is read of a `ClosedLoopRecord`."""
+
+    stable: bool
+    missions: dict[str, msgspec.Raw]
+
+
+class _Explained(msgspec.Struct, frozen=True):
+    """What is read of explain.json."""
+
+    gap: dict[str, _Channel]
+    holdout: tuple[_HeldOut, ...]
+    closed_loop: _ClosedLoop | None
+
+
+class _Run(msgspec.Struct, frozen=True):
+    """What is read of run.json."""
+
+    inputs: tuple[InputRecord, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class _Found:
     """What `explain` left in a folder.
@@ -80,12 +124,12 @@ class _Found:
         files: SHA-256 by name.
     """
 
-    content: Mapping[str, Any]
+    content: _Explained
     files: Mapping[str, str]
 
 
 def credibility(vehicle: Vehicle, folder: Path | None = None) -> CredibilityRecord:
-    """What is known of a vehicle's twin.
+    """What is known of a vehicle's twin; `of_file` says it of a file that holds it.
 
     Args:
         vehicle: Whose.
@@ -100,9 +144,7 @@ def credibility(vehicle: Vehicle, folder: Path | None = None) -> CredibilityReco
         vehicle=vehicle.name,
         factors={
             "data_pedigree": _data_pedigree(vehicle),
-            "verification": FactorRecord(
-                level=1, because="reference results inside; uavtwin verify reruns them"
-            ),
+            "verification": _nothing("no file with reference results"),
             "validation": _validation(found),
             "input_pedigree": _nothing("who uses the twin knows its inputs"),
             "uncertainty_characterization": _uncertainty(vehicle),
@@ -112,6 +154,33 @@ def credibility(vehicle: Vehicle, folder: Path | None = None) -> CredibilityReco
         },
         evidence={} if found is None else dict(found.files),
         sources=dict(vehicle.sources),
+    )
+
+
+def of_file(
+    card: CredibilityRecord,
+    references: bool,
+    changes: Iterable[str] = (),
+    evidence: Mapping[str, str] | None = None,
+) -> CredibilityRecord:
+    """The card of one file.
+
+    Args:
+        card: Of the twin as its vehicle file has it.
+        references: Whether reference results are inside.
+        changes: In what the file is another twin than that.
+        evidence: SHA-256 of files that the changes rest on, by name.
+    """
+    own = dict(card.factors)
+    if references:
+        own["verification"] = FactorRecord(
+            level=1, because="reference results inside; uavtwin verify reruns them"
+        )
+    if other := ", ".join(changes):
+        for name in ("validation", "results_robustness"):
+            own[name] = _nothing(f"this is not the twin that flights were held against: {other}")
+    return msgspec.structs.replace(
+        card, factors=own, evidence={**card.evidence, **(evidence or {})}
     )
 
 
@@ -134,13 +203,14 @@ def _validation(found: _Found | None) -> FactorRecord:
     """1: parts of the flights were held out; 2: whole flights, and no channel got worse there."""
     if found is None:
         return _nothing("no flights compared: --evidence names the folder of explain")
-    held = found.content.get("holdout") or []
+    held, gap = found.content.holdout, found.content.gap
     if not held:
         return _nothing("no flight was held out")
-    gap = found.content.get("gap") or {}
-    worse = [n for n, c in gap.items() if (c["shrink_ci95"] or (0.0, c["shrink"]))[1] < 0.0]
-    names = ", ".join(h["flight"] for h in held)
-    if any(h["spans_s"] for h in held):
+    names = ", ".join(h.flight for h in held)
+    if not gap:
+        return _nothing(f"{names} held out of the fit, but no channel was compared there")
+    worse = [n for n, c in gap.items() if c.worse]
+    if any(h.spans_s for h in held):
         return FactorRecord(level=1, because=f"parts of {names} held out of the fit")
     if worse:
         because = f"{names} held out; worse there than before: {', '.join(worse)}"
@@ -158,12 +228,12 @@ def _uncertainty(vehicle: Vehicle) -> FactorRecord:
 
 def _robustness(found: _Found | None) -> FactorRecord:
     """1: the missions are flown with the numbers that were found."""
-    flown = None if found is None else found.content.get("closed_loop")
-    if not flown:
+    flown = None if found is None else found.content.closed_loop
+    if flown is None or not flown.missions:
         return _nothing("no missions were flown with what was found")
-    if not flown["stable"]:
+    if not flown.stable:
         return _nothing("a mission is lost with what was found")
-    because = f"{len(flown['missions'])} missions flown, none lost; numbers were not varied"
+    because = f"{len(flown.missions)} missions flown, none lost; numbers were not varied"
     return FactorRecord(level=1, because=because)
 
 
@@ -176,15 +246,10 @@ def _process(found: _Found | None) -> FactorRecord:
 
 def _read(folder: Path, vehicle: Vehicle) -> _Found:
     """Results of `explain`, with the hashes of what it read."""
-    parts: dict[str, Any] = {}
-    for name in ("explain.json", "run.json"):
-        try:
-            with (folder / name).open("rb") as file:
-                parts[name] = msgspec.json.decode(file.read(_MOST_BYTES), type=dict[str, Any])
-        except (OSError, msgspec.DecodeError) as error:
-            raise TwinError(
-                f"{folder / name}: {error}. --evidence takes a folder that uavtwin explain wrote."
-            ) from None
+    explained, run = (
+        _content(folder, "explain.json", _Explained),
+        _content(folder, "run.json", _Run),
+    )
     own = load_vehicle(folder / "vehicle.toml")
     if own.toml() != checked_vehicle(vehicle, "credibility").toml():
         raise TwinError(
@@ -192,8 +257,19 @@ def _read(folder: Path, vehicle: Vehicle) -> _Found:
             f"evidence is of another twin. Give --vehicle {folder / 'vehicle.toml'}."
         )
     names = ("explain.json", "run.json", "vehicle.toml")
-    files = {i["name"]: i["sha256"] for i in parts["run.json"].get("inputs", ())}
-    return _Found(parts["explain.json"], files | {n: sha256(folder / n) for n in names})
+    files = {i.name: i.sha256 for i in run.inputs}
+    return _Found(explained, files | {n: sha256(folder / n) for n in names})
+
+
+def _content(folder: Path, name: str, kind: type[_T]) -> _T:
+    """What is read of a result."""
+    try:
+        with (folder / name).open("rb") as file:
+            return msgspec.json.decode(file.read(_MOST_BYTES), type=kind)
+    except (OSError, msgspec.DecodeError) as error:
+        raise TwinError(
+            f"{folder / name}: {error}. --evidence takes a folder that uavtwin explain wrote."
+        ) from None
 
 
 def check_required(found: CredibilityRecord, wanted: Iterable[str]) -> None:
@@ -244,7 +320,7 @@ def _srmd(found: CredibilityRecord) -> bytes:
         f"{{{_SPACES['srmd']}}}SimulationResourceMetaData",
         nsmap=_SPACES,
         version=_SRMD_VERSION,
-        name=found.vehicle,
+        name=_printed(found.vehicle),
         generationTool="uavtwin",
     )
     kinds = {
@@ -256,6 +332,11 @@ def _srmd(found: CredibilityRecord) -> bytes:
         part = etree.SubElement(root, f"{{{_SPACES['stc']}}}Classification", type=f"uavtwin.{kind}")
         for keyword, value in entries.items():
             tag = f"{{{_SPACES['stc']}}}ClassificationEntry"
-            etree.SubElement(part, tag, keyword=keyword).text = value
+            etree.SubElement(part, tag, keyword=_printed(keyword)).text = _printed(value)
     text: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
     return text
+
+
+def _printed(text: str) -> str:
+    """The same with a question mark for each character that XML may not have."""
+    return "".join(c if c.isprintable() else "?" for c in text)

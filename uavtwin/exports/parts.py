@@ -1,8 +1,8 @@
 """What can be exported: components of a vehicle, the whole twin, a replay, a compensator."""
 
 import hashlib
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -23,6 +23,7 @@ from twin.representation import short_repr
 from twin.vehicle import Vehicle
 
 from ..flights import checked_flights
+from ..output import sha256
 from ..vehicles import GROUNDED, checked_vehicle
 
 if TYPE_CHECKING:
@@ -44,12 +45,16 @@ class Twin:
         assembly: Components and who feeds whom.
         compensator: Correction of the sensors; None: without.
         grounded: Why it does not fly, as the vehicle file says; "": it does not say so.
+        changes: In what it is another twin than the vehicle file has.
+        evidence: SHA-256 of what that rests on, by name; flights among them.
     """
 
     name: str
     assembly: Assembly
     compensator: NetworkFile | None = None
     grounded: str = ""
+    changes: tuple[str, ...] = ()
+    evidence: Mapping[str, str] = field(default_factory=dict)
 
     __repr__ = short_repr
 
@@ -119,7 +124,30 @@ def twin(
             assembly = assembly.with_starts({OBSERVER: 1.0})
     if noise:
         assembly = assembly.with_starts({NOISE: 1.0})
-    return Twin(model.name, assembly, compensator, model.grounded)
+    changes, evidence = _taught(compensator, force)
+    if observer:
+        changes.append("an observer acts on it")
+    if noise:
+        changes.append("noise of the force is drawn")
+    return Twin(model.name, assembly, compensator, model.grounded, tuple(changes), evidence)
+
+
+def _taught(
+    compensator: NetworkFile | None, force: LearnedForce | None
+) -> tuple[list[str], dict[str, str]]:
+    """What was learned is in it; hashes of the model and of the flights that taught it."""
+    changes, evidence = [], {}
+    if compensator is not None:
+        changes.append("a trained compensator corrects its sensors")
+        evidence[compensator.path.name] = sha256(compensator.path)
+    if force is not None:
+        from learning.force.model import FILE as FORCE_FILE
+
+        changes.append("a learned force acts on it")
+        evidence |= {f.name: f.sha256 for f in force.model.flights}
+        if (force.folder / FORCE_FILE).is_file():
+            evidence[FORCE_FILE] = sha256(force.folder / FORCE_FILE)
+    return changes, evidence
 
 
 def component(

@@ -24,7 +24,7 @@ from ..display import DisplayMixin, TextTable
 from ..output import results_folder, sha256
 from ..record import Record
 from ..vehicles import GROUNDED
-from .credibility import CredibilityRecord, members
+from .credibility import CredibilityRecord, check_required, members, of_file
 from .parts import Twin
 
 Exportable = Component | FmuModel | NetworkFile | Twin
@@ -69,12 +69,16 @@ class Product:
         write: `(path, FMI version, platforms)`: write it.
         note: What the user should know of it, or "".
         model: Of a native FMU; None: it is something else.
+        references: Whether reference results go into it.
+        card: Of its credibility; None: none goes along.
     """
 
     file: str
     write: Callable[[Path, int, Sequence[str]], object]
     note: str = ""
     model: FmuModel | None = None
+    references: bool = False
+    card: CredibilityRecord | None = None
 
 
 class WrittenFile(Record, frozen=True, kw_only=False, omit_defaults=True):
@@ -156,7 +160,7 @@ def _native(model: FmuModel) -> Product:
         if not model.arrays:  # the tables of the experiments have scalars
             add_reference_results(path, model, fmi)
 
-    return Product(f"{model.name}.fmu", write, model=model)
+    return Product(f"{model.name}.fmu", write, model=model, references=not model.arrays)
 
 
 def _with_arrays(model: FmuModel, note: str) -> Product:
@@ -220,7 +224,8 @@ def _twin_products(twin: Twin, starts: Starts) -> list[Product]:
     fused = fused_model(assembly, twin.name, compensator)
     note = f"{GROUNDED}{twin.grounded}" if twin.grounded else ""
     fused = replace(fused, description=f"{fused.description} {note}".rstrip())
-    return [replace(p, note=note) for p in (_native(fused), Product(f"{fused.name}.ssp", write))]
+    system = Product(f"{fused.name}.ssp", write, references=True)
+    return [replace(p, note=note) for p in (_native(fused), system)]
 
 
 def _grounded(description: str) -> str:
@@ -235,9 +240,8 @@ def write_products(
     platforms: Sequence[Platform],
     out: Path,
     progress: Callable[[float], None],
-    card: Mapping[str, bytes],
 ) -> list[WrittenFile]:
-    """Write everything, a card of credibility into each where there is one; several FMI versions
+    """Write everything, each with its card of credibility where it has one; several FMI versions
     each into a folder of their own, `fmi2`, `fmi3`."""
     names = tuple(p.name for p in platforms)
     written: list[WrittenFile] = []
@@ -247,8 +251,8 @@ def write_products(
         for product in products:
             path = folder / product.file
             product.write(path, version, names)
-            if card:
-                extend_archive(path, card)
+            if product.card is not None:
+                extend_archive(path, members(product.card))
             written.append(
                 WrittenFile(
                     str(path.relative_to(out)),
@@ -345,10 +349,10 @@ def export(
     known.check()
     if path.suffix not in products:
         raise TwinError(f"{path}: this is written as {' or '.join(products)}; name such a file.")
-    product = replace(products[path.suffix], file=path.name)
+    product = replace(_with_card(products[path.suffix], what, known, card), file=path.name)
     path.parent.mkdir(parents=True, exist_ok=True)  # others may export into it at the same time
     with results_folder(path.parent, force=True) as folder:
-        written = write_products([product], versions, on, folder, progress, _card(card))
+        written = write_products([product], versions, on, folder, progress)
     return ExportResult(path.parent, tuple(written))
 
 
@@ -361,6 +365,7 @@ def export_parts(
     arrays: bool = False,
     real_outputs: bool = False,
     card: CredibilityRecord | None = None,
+    require: Iterable[str] = (),
 ) -> Callable[[Path, Progress], list[WrittenFile]]:
     """Check everything, then return the function that writes several into one folder.
 
@@ -373,24 +378,36 @@ def export_parts(
         arrays: As for `export`.
         real_outputs: As for `export`.
         card: As for `export`.
+        require: Levels that the card of each file must have, as "FACTOR=LEVEL".
 
     Raises:
-        TwinError: As `export`.
+        TwinError: As `export`, or a level is lower.
     """
     known = Starts(dict(starts or {}))
     versions, on = checked_versions(fmi), _platforms(platforms)
     products = [
-        p
+        _with_card(p, part, known, card)
         for part in parts
         for p in products_of(part, known, versions, python_slave, arrays, real_outputs)
     ]
     known.check()
-    along = _card(card)
-    return lambda out, progress: write_products(products, versions, on, out, progress, along)
+    for product in products:
+        if product.card is not None:
+            check_required(product.card, require)
+    return lambda out, progress: write_products(products, versions, on, out, progress)
 
 
-def _card(card: CredibilityRecord | None) -> dict[str, bytes]:
-    return {} if card is None else members(card)
+def _with_card(
+    product: Product, what: Exportable, starts: Starts, card: CredibilityRecord | None
+) -> Product:
+    """The product with the card of its file."""
+    if card is None:
+        return product
+    changes = [f"{name} = {value:g}" for name, value in starts.values.items()]
+    evidence: Mapping[str, str] = {}
+    if isinstance(what, Twin):
+        changes, evidence = [*changes, *what.changes], what.evidence
+    return replace(product, card=of_file(card, product.references, changes, evidence))
 
 
 def checked_versions(fmi: int | Iterable[int]) -> tuple[int, ...]:
