@@ -385,7 +385,7 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
             name.
         effects: For `named` and `cannot_tell`, the surest first.
         undecided: Those of `effects`, for `named`, that something else may stand for.
-        totals: What is sure of families of effects. Where none of a family is sure by itself, its
+        totals: What is sure of families of effects. Where several of a family may be there, its
             first stands for it in `effects`, with this probability and figure.
         inclusion: Probability that an effect is there and worth a name, by effect; whether its law
             fits (`outside_probability`) is not in it.

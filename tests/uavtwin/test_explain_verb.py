@@ -327,6 +327,7 @@ def test_drag_that_two_effects_may_be_is_told_in_sum(named: Run, tmp_path: Path)
         naming,
         fitted=(naming.best, replace(naming.best, effects=either)),
         probabilities=(0.6, 0.4),
+        inclusion={**naming.inclusion, "rotor_drag": 1.0, "blade_flapping": 0.4},
         posterior=replace(
             naming.posterior,
             sets=(replace(sets[0], probability=0.6), replace(both, probability=0.4)),

@@ -171,10 +171,11 @@ def rivals(found: Explanation, effect: str) -> list[dict[str, Any]]:
     if stochastic is not None:
         return [{"name": "nothing", "probability": 1 - stochastic.probability}]
     assert naming is not None
-    fitted = next(f for f in naming.fitted if effect in f.effects)  # the most probable
+    own = {effect, *(naming.standing[effect].effects if effect in naming.standing else ())}
+    fitted = next(f for f in naming.fitted if own & {*f.effects})  # the most probable
     others: dict[str, dict[str, Any]] = {}
     for f, p in zip(naming.fitted, naming.probabilities, strict=True):
-        if effect in f.effects:
+        if own & {*f.effects}:
             continue
         for name in f.effects or ("nothing",):
             if name in fitted.effects:

@@ -1,4 +1,8 @@
-"""Laws that several effects share: one name and one figure, whichever of them was planted."""
+"""Laws that several effects share: one name and one figure, whichever of them was planted, or both
+at once."""
+
+import re
+from collections.abc import Mapping
 
 import pytest
 
@@ -38,15 +42,16 @@ def test_numbers_of_a_family_are_those_of_its_effects() -> None:
     assert called("rotor_drag") == LINEAR_DRAG.name == "rotor drag"
 
 
-def flown(effect: str, seed: int) -> Flight:
-    plant = COPTER.with_effects({effect: PLANTED[effect]})
+def flown(effects: Mapping[str, Mapping[str, float]], seed: int) -> Flight:
+    plant = COPTER.with_effects(effects)
     return fly(COPTER, plant, seed, f"flight {seed}", LEGS)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", PLANTED)
 def test_drag_has_one_name_and_one_figure_by_either_law(effect: str) -> None:
-    fit, held = [flown(effect, 1), flown(effect, 2)], [flown(effect, 3)]
+    plant = {effect: PLANTED[effect]}
+    fit, held = [flown(plant, 1), flown(plant, 2)], [flown(plant, 3)]
     found = explain(fit, held, COPTER, missions=("hover",), indoors=True, suggest=False)
     said = explain_record(found)
     assert said.verdict == "named"
@@ -56,3 +61,28 @@ def test_drag_has_one_name_and_one_figure_by_either_law(effect: str) -> None:
     assert total.ci95[0] < DRAG_1_S < total.ci95[1]
     assert said.headline.text.startswith("Missing from the model: rotor drag")
     assert said.effects[0].name in total.effects
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("k_xy_1_s", "height_m"), [(0.25, 0.02), (0.2, 0.0)])
+def test_both_laws_at_once_are_told_in_sum(k_xy_1_s: float, height_m: float) -> None:
+    """Be one of them sure by itself or not, the sentence has the figure of both."""
+    flapping = {"k_rad_s_m": 0.02, "height_m": height_m}
+    plant = {"rotor_drag": {"k_xy_1_s": k_xy_1_s, "height_m": height_m}, "blade_flapping": flapping}
+    planted = k_xy_1_s + flapping["k_rad_s_m"] * GRAVITY_M_S2
+    fit, held = [flown(plant, 1), flown(plant, 2)], [flown(plant, 3)]
+    said = explain_record(
+        explain(fit, held, COPTER, missions=("hover",), indoors=True, suggest=False)
+    )
+    (total,) = said.totals
+    assert total.value == pytest.approx(planted, rel=0.03)
+    (first,) = said.effects
+    assert first.name in total.effects
+    assert first.probability == total.probability
+    text = said.headline.text
+    figure = re.match(r"Missing from the model: rotor drag (by blade flapping )?([\d.]+) ", text)
+    assert figure is not None, text
+    assert float(figure[2]) == pytest.approx(planted, rel=0.03)
+    assert "Also possible" not in text
+    if len(total.effects) > 1:
+        assert "How much of the rotor drag is blade flapping, these flights do not tell." in text

@@ -220,7 +220,9 @@ class Naming:
     @property
     def named(self) -> tuple[str, ...]:
         """Effects that are sure, and those that stand for a family that is."""
-        return (*filter(self._is_sure, self.best.effects), *self.standing)
+        of_families = {e for t in self.standing.values() for e in t.effects}
+        alone = (e for e in self.best.effects if e not in of_families and self._is_sure(e))
+        return (*alone, *self.standing)
 
     @property
     def undecided(self) -> tuple[str, ...]:
@@ -236,7 +238,7 @@ class Naming:
         alike, least, made = {r.effect for r in self.resemblances}, self.settings.least, []
         priors, half = self.problem.priors, self.wider(len(self.best.effects) + self.further)
         for family in FAMILIES:
-            chance = {e: self.joint_probability([e]) for e in family.effects}
+            chance = {e: self.inclusion.get(e, 0.0) for e in family.effects}
             own = sorted((e for e in chance if chance[e] >= least), key=lambda e: -chance[e])
             row = np.array([family.weights.get(name, 0.0) for name in priors.names])
             there, change, sd = self.posterior.total(row, own)
@@ -251,10 +253,9 @@ class Naming:
 
     @property
     def standing(self) -> dict[str, Total]:
-        """Families that are sure while it is open which of their effects it is, by the effect that
-        stands for them."""
-        several = (t for t in self.totals if len(t.effects) > 1)
-        return {t.family.first: t for t in several if not any(map(self._is_sure, t.effects))}
+        """Families that are sure while it is open how much each of their effects makes, be one of
+        them sure or not, by the effect that stands for them."""
+        return {t.family.first: t for t in self.totals if len(t.effects) > 1}
 
     @property
     def verdict(self) -> Verdict:
