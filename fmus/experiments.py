@@ -121,6 +121,10 @@ def run(path: Path, experiment: Experiment, outputs: Iterable[str]) -> Table:
             )
         except Exception as error:  # FMPy raises many kinds
             raise FmuError(f"{path.name}: {experiment.name} cannot be run: {error}") from error
+    if unknown := [name for name in wanted if name not in found.dtype.names]:
+        raise FmuError(
+            f"{path.name}: {experiment.name}: no output {', '.join(map(shown, unknown))}."
+        )
     return {name: np.asarray(found[name], float) for name in ("time", *wanted)}
 
 

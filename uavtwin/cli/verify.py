@@ -5,8 +5,10 @@ from typing import Annotated
 
 import typer
 
+from twin.errors import TwinError
+
 from .options import Exit, Json, Prints
-from .printing import print_json, print_sections
+from .printing import print_error, print_json, print_sections
 
 
 def verify(
@@ -23,13 +25,22 @@ def verify(
 
     Their code is executed. Exit code 1: one is not the same.
     """
+    from ..exports.verify import VerifyRecord
     from ..exports.verify import verify as rerun
 
-    found = [rerun(path) for path in fmus]
-    if as_json:
-        print_json([f.record for f in found])
-    else:
-        for result in found:
+    records, worst = [], Exit.FINE
+    for path in fmus:
+        try:
+            result = rerun(path)
+        except TwinError as error:  # one that cannot be rerun hides none of the others
+            worst = max(worst, print_error(error, f"verify {path}"))
+            records.append(VerifyRecord(file=path.name, passed=False, experiments=()))
+            continue
+        if not result.passed:
+            worst = max(worst, Exit.FINDINGS)
+        records.append(result.record)
+        if not as_json:
             print_sections(result.findings())
-    if not all(f.passed for f in found):
-        raise typer.Exit(Exit.FINDINGS)
+    if as_json:
+        print_json(records)
+    raise typer.Exit(worst)

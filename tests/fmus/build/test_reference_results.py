@@ -8,6 +8,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from cli_rig import run as run_verb
 from lxml import etree
 
 import uavtwin as ut
@@ -151,6 +152,30 @@ def test_what_cannot_be_rerun_is_refused(plant: Path, old: bytes, new: bytes, sa
     assert old in text
     with pytest.raises(FmuError, match=said):
         verify(changed(plant, {name: text.replace(old, new)}))
+
+
+@pytest.mark.parametrize("law", ["controller", "controller_px4"])
+def test_references_of_a_controller_tell_another(tmp_path: Path, law: str) -> None:
+    own, other = (
+        ut.export(ut.component(law, ut.load_vehicle(name)), tmp_path / f"{name}.fmu")
+        for name in ("copter_default", "crazyflie")
+    )
+    assert verify(own.paths[0])[0].passed
+    old = {n: c for n, c in members(own.paths[0]).items() if n.startswith(FOLDER)}
+    assert not verify(changed(other.paths[0], old))[0].passed
+
+
+def test_a_renamed_output_is_refused(plant: Path) -> None:
+    name = f"{FOLDER}/reference_out.csv"
+    text = members(plant)[name].replace(b"airframe.pos_x", b"airframe.pos_q")
+    with pytest.raises(FmuError, match=r"no output .*pos_q|cannot be run"):
+        verify(changed(plant, {name: text}))
+
+
+def test_each_file_has_a_verdict(capsys: pytest.CaptureFixture[str], plant: Path) -> None:
+    bare = changed(plant, {MANIFEST: b""})
+    code, said, err = run_verb(capsys, "verify", bare, plant)
+    assert code == 2 and "comes out the same" in said and "changed.fmu" in err
 
 
 def test_references_without_outputs_are_refused(plant: Path) -> None:
