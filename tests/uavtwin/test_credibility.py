@@ -12,6 +12,7 @@ import uavtwin as ut
 from twin.errors import TwinError
 from twin.vehicle_file import vehicle_text
 from uavtwin.exports.credibility import FILE, PAGE, SRMD, check_required, members, of_file
+from uavtwin.exports.parts import learned
 from uavtwin.exports.write import export_parts
 
 COPTER = "copter_default"
@@ -120,6 +121,11 @@ def test_a_learned_force_is_another_twin_and_is_listed() -> None:
     found = of_file(ut.credibility(vehicle), True, made.changes, made.evidence)
     assert "a learned force" in found.factors["validation"].because
     assert found.evidence.keys() >= {"fit_1", "force.json"}
+
+
+def test_an_unknown_model_is_said_with_those_that_are_shipped() -> None:
+    with pytest.raises(TwinError, match=r"copter_dragg: no such folder, .* shipped: copter_drag\."):
+        learned(Path("copter_dragg"))
 
 
 def test_verification_is_of_files_with_reference_results() -> None:

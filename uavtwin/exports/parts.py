@@ -305,6 +305,9 @@ def learned(folder: Path, int8: bool = False) -> tuple[NetworkFile | None, Learn
     from learning.force.model import FILE as FORCE_FILE
     from learning.force.model import is_force
 
+    if not folder.is_dir():
+        shipped = ", ".join(sorted(p.name for p in PRETRAINED.iterdir() if p.is_dir()))
+        raise TwinError(f"{folder}: no such folder, and no model that is shipped: {shipped}.")
     force = learned_force(folder) if (folder / FORCE_FILE).is_file() else None
     return None if is_force(folder) else compensator(folder, int8), force
 
