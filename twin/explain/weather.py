@@ -27,8 +27,11 @@ from .model.numbers import Number
 Array = NDArray[np.float64]
 WIND = frozenset(e.name for e in EFFECTS.values() if e.of_weather and e.component == "airframe")
 """Effects that are a wind, the same all flight."""
-ACTING = WIND | {"slung_load"}
-"""Effects that change the balance, and that a search tells without it."""
+ACTING = frozenset(
+    e.name for e in EFFECTS.values() if e.in_the_air and "vel" in e.needs and e.change is not None
+)
+"""Effects that change the balance and that a search tells without it, by what depends on the
+velocity: a wind, a load on a rope."""
 OF_AIR = frozenset(
     e.name
     for e in EFFECTS.values()

@@ -178,12 +178,12 @@ class Competition:
         body, calm = self.evidence.unchanged(w), self._sideways.unchanged(start, end)
         of_air = np.array([n.cause in AIR for n in names])[:, None]
         none, rotor, other = 0 * still, *(alongside(air, x) for x in (WITH_ROTOR, COINCIDENT))
-        beside = {c: none for c in (NOTHING, *AIR)} | {ROTOR: rotor}
+        across = {c: none for c in (NOTHING, *AIR)} | {ROTOR: rotor}
         return Odds(
             names=names,
             odds=each - body + of_air * (still - calm),
             nothing=each[0] - body + of_air * (still - calm),
-            across=np.array([beside.get(n.cause, other) for n in names]),
+            across=np.array([across.get(n.cause, other) for n in names]),
             sizes=sizes,
         )
 

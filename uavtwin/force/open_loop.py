@@ -176,17 +176,17 @@ class Replay:
         left_s = np.asarray(GRID_S * self._left, dtype=np.float64)
         return OpenLoop(left_s, apart(motion, measured), nothing if watched is None else watched)
 
-    def _alone(self, slave: Slave, given: Array, kept: BoolArray, row: int) -> list[Array]:
+    def _alone(self, slave: Slave, given: Array, taken: BoolArray, row: int) -> list[Array]:
         """Outputs at the horizons after a row; from one change of an input to the next at once.
 
-        Inputs that are not `kept`, shape (k,), are 0.
+        Inputs that are not `taken`, shape (k,), are 0.
         """
         first = np.searchsorted(self._changes, row + 1)
         last = np.searchsorted(self._changes, row + self._steps[-1])
         stops = {*(self._changes[first:last] - row).tolist(), *self._steps}
         rows, now = [], 0
         for stop in sorted(stops):
-            _step(slave, row + now, stop - now, given[row + now] * kept)
+            _step(slave, row + now, stop - now, given[row + now] * taken)
             now = stop
             if now in self._steps:
                 slave.read_outputs()
