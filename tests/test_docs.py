@@ -353,7 +353,7 @@ SAYS = {
     "fly_tour_in_wind.py": r"still air .* rms(.|\n)*5 m/s, gusts .* rms",
     "ab_effect.py": r"False: nose 0\.\d+ degrees up(.|\n)*True : nose [89]\.\d+ degrees up",
     "swap_controller.py": r"lqr  0\.\d+ m rms(.|\n)*px4  0\.\d+ m rms",
-    "replay_beside_twin.py": r"the twin is 0\.\d+ m off",
+    "replay_and_twin.py": r"the twin is 0\.\d+ m off",
     "live_from_replay.py": r"Rotor 3 loses (1[89]|2[0-4]) % of its thrust at 1[56]\.",
     "replay_through_corrected_twin.py": r"15 times(.|\n)*pos +0\.1\d+ +0\.0\d+ m(.|\n)*omega +0\.0",
     "ecos_hover.py": r"100% of its mass: motor command 0\.\d+(.|\n)*110% .* command 0\.\d+",

@@ -476,7 +476,16 @@ def _limits(page: Path) -> str:
     return f"## [{title}]({link})\n\n{_LINK.sub(moved, found.group(1)).strip()}"
 
 
+def examples() -> str:
+    """Each script of `examples/`, whole."""
+    return "\n".join(
+        f"\n## {path.name}\n\n```python\n{path.read_text('utf-8').rstrip()}\n```"
+        for path in sorted((DOCS.parent / "examples").glob("*.py"))
+    )
+
+
 DOCUMENTS = {
+    "reference/examples.md": examples,
     "reference/limits.md": limits,
     "reference/flight_table.md": flight_table,
     "reference/vehicle_fields.md": vehicle,

@@ -1,7 +1,7 @@
 """Replay a flight beside the twin: from the measured state, both on the motor commands of the log.
 
 You will see how far the two are apart after half a second, and what the accelerometer says of lift:
-    python examples/replay_beside_twin.py [LOG VEHICLE SECOND]
+    python examples/replay_and_twin.py [LOG VEHICLE SECOND]
 Without a log, a built-in flight in which an effect is hidden.
 """
 
