@@ -209,6 +209,7 @@ def _experiment(
         )
 
     def table(part: etree._Element | None) -> Table:
+        """Columns that a part of the experiment names; {} without one."""
         if part is None:
             return {}
         if part.get("type", "text/csv") != "text/csv":
@@ -227,8 +228,10 @@ def _experiment(
     wanted = table(references)
     if len(wanted) < 2:
         raise FmuError(f"{where}: its references hold no output.")
-    if not tolerance > 0:
-        raise FmuError(f"{where}: a tolerance of {tolerance} is none.")
+    if not 0 < tolerance < 1:
+        raise FmuError(
+            f"{where}: a tolerance of {tolerance} is none: with 1 or more, zeros would pass."
+        )
     return Experiment(name, start, stop, step, tolerance, table(element.find("Stimuli")), wanted)
 
 

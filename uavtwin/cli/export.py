@@ -73,6 +73,20 @@ Starts = Annotated[
         help="Start value baked into the FMU: NAME=VALUE, in the corrected twin PART.NAME=VALUE."
     ),
 ]
+Evidence = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder that `explain` wrote, whose vehicle.toml it is: what the card of "
+        "credibility rests on."
+    ),
+]
+Required = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="FACTOR=LEVEL, e.g. validation=2: refuse to export below it. Factors: those of "
+        "the card."
+    ),
+]
 
 
 def export(
@@ -143,20 +157,8 @@ def export(
     ] = "typed",
     platform: Platforms = "linux64",
     start: Starts = None,
-    evidence: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder that `explain` wrote, whose vehicle.toml it is: what the card of "
-            "credibility rests on."
-        ),
-    ] = None,
-    require: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="FACTOR=LEVEL, e.g. validation=2: refuse to export below it. Factors: those of "
-            "the card."
-        ),
-    ] = None,
+    evidence: Evidence = None,
+    require: Required = None,
     out: Out = Path("fmus_out"),
     force: Force = False,
     as_json: Annotated[

@@ -142,6 +142,7 @@ def test_a_changed_reference_is_told(plant: Path) -> None:
         (b'stepSize="0.02"', b'stepSize="0"', "is no experiment"),
         (b'stopTime="1"', b'stopTime="soon"', "soon"),
         (b'tolerance="0.0001"', b'tolerance="nan"', "a tolerance of nan"),
+        (b'tolerance="0.0001"', b'tolerance="inf"', "zeros would pass"),
         (b"<References", b'<Parameters source="x.ssv"/><References', "without Parameters"),
         (b"<Experiments", b"<Experiments <", "reference.exp"),
     ],

@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping
 
 import pytest
+from search_rigs.courses import TRIANGLE
 
 from twin.effects import EFFECTS, FAMILIES
 from twin.effects.air import LINEAR_DRAG
@@ -12,7 +13,7 @@ from twin.explain.explanation import explain
 from twin.logs import Flight
 from twin.vehicle import GRAVITY_M_S2
 from twin.vehicle_file import load_vehicle
-from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.demo.flights import fly
 from uavtwin.explain_record import explain_record
 from uavtwin.headline import called
 
@@ -22,14 +23,6 @@ PLANTED = {
     "rotor_drag": {"k_xy_1_s": DRAG_1_S, "k_z_1_s": 0.0, "height_m": 0.02, "spin_share": 0.5},
     "blade_flapping": {"k_rad_s_m": DRAG_1_S / GRAVITY_M_S2, "height_m": 0.03},
 }
-LEGS: Waypoints = (
-    ("ground", 0.5, (0.0, 0.0, 0.0)),
-    ("takeoff", 3.0, (0.0, 0.0, -1.0)),
-    ("forward", 3.0, (2.0, 1.0, -1.0)),
-    ("forward", 3.0, (-1.0, 2.0, -1.0)),
-    ("forward", 3.0, (0.0, 0.0, -1.3)),
-    ("hover", 1.5, (0.0, 0.0, -1.3)),
-)
 
 
 def test_numbers_of_a_family_are_those_of_its_effects() -> None:
@@ -44,7 +37,7 @@ def test_numbers_of_a_family_are_those_of_its_effects() -> None:
 
 def flown(effects: Mapping[str, Mapping[str, float]], seed: int) -> Flight:
     plant = COPTER.with_effects(effects)
-    return fly(COPTER, plant, seed, f"flight {seed}", LEGS)
+    return fly(COPTER, plant, seed, f"flight {seed}", TRIANGLE)
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from search_rigs.courses import TRIANGLE
 
 from twin.explain.explanation import Explanation, explain
 from twin.explain.holdout import Attribution, farther_by
@@ -10,17 +11,9 @@ from twin.logs import Flight
 from twin.residuals.channels import CHANNEL_HZ, ChannelData
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
-from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.demo.flights import fly
 
 COPTER = load_vehicle("copter_default")
-LEGS: Waypoints = (
-    ("ground", 0.5, (0.0, 0.0, 0.0)),
-    ("takeoff", 3.0, (0.0, 0.0, -1.0)),
-    ("forward", 3.0, (2.0, 1.0, -1.0)),
-    ("forward", 3.0, (-1.0, 2.0, -1.0)),
-    ("forward", 3.0, (0.0, 0.0, -1.3)),
-    ("hover", 1.5, (0.0, 0.0, -1.3)),
-)
 DRAG_1_S, CANT_M = 0.5, 0.004
 
 
@@ -55,7 +48,7 @@ def flown(name: str, seed: int, cant_m: float) -> Flight:
     """With drag, and rotors that are canted."""
     drag = {"k_xy_1_s": DRAG_1_S, "k_z_1_s": 0.0, "height_m": 0.0, "spin_share": 0.0}
     plant: Vehicle = COPTER.with_effects({"rotor_drag": drag, "rotor_cant": {"yaw_m": cant_m}})
-    return fly(COPTER, plant, seed, name, LEGS)
+    return fly(COPTER, plant, seed, name, TRIANGLE)
 
 
 def explained(held_out_m: float) -> Explanation:
