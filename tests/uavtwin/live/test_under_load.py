@@ -67,8 +67,9 @@ def test_a_megabyte_a_second_beside_the_aircraft(kind: str, tmp_path: Path) -> N
         aircraft.play(Flight("flown", flown_table().iloc[:2]))  # it is the one that is heard first
         with flooding(where, kind, 1e6) as flood:
             aircraft.play(Flight("flown", flown_table().iloc[2:ROWS]))
+            sent = flood.sent_bytes()
         aircraft.close()
-        assert flood.sent_bytes() > 4e5
+    assert sent > 1e5  # as many as the flight's duration allows, which the machine decides
     status = loud[0]
     assert status.link.lost == 0 and status.link.late == 0
     table = read_flight(tmp_path / "rec" / "flight.parquet").table
@@ -76,7 +77,7 @@ def test_a_megabyte_a_second_beside_the_aircraft(kind: str, tmp_path: Path) -> N
     for name, rms in quiet[0].rms.items():
         assert status.rms[name] == pytest.approx(rms, rel=1e-6), name
     strange = status.link.garbage + 80 * (status.link.wrong + sum(status.link.others.values()))
-    assert strange > 3e5
+    assert strange > 0.75 * sent
 
 
 def test_random_bytes_are_no_aircraft() -> None:
