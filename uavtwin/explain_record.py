@@ -391,6 +391,7 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
             fits (`outside_probability`) is not in it.
         acts_like: Effects that something acts like and that are not named.
         calibrated: Effects that lack nothing beyond the uncertainty that the file states.
+        driven_by: What drives the twin of each flight, and why.
         hover: Of each flight that hovers.
         not_visible: Effects that are not in the final set.
         per_flight: What stands out of a day: flight, then "effect.number".
@@ -421,6 +422,7 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
     inclusion: dict[str, float]
     acts_like: tuple[ResemblanceRecord, ...]
     calibrated: tuple[CalibratedRecord, ...]
+    driven_by: dict[str, str]
     hover: tuple[HoverRecord, ...]
     not_visible: tuple[NotVisibleRecord, ...]
     per_flight: dict[str, dict[str, DayRecord]]
@@ -469,6 +471,7 @@ def explain_record(found: Explanation) -> ExplainRecord:
             CalibratedRecord(effect=e, parameters=_parameters(found, e))
             for e in calibrated_effects(found)
         ),
+        driven_by=dict(found.driven_by),
         hover=tuple(map(hover_record, found.hovers)),
         not_visible=tuple(_not_visible(found)),
         per_flight={} if naming is None else _per_flight(naming),

@@ -47,7 +47,7 @@ from .flights import opened_flights
 from .headline import called, got_worse
 from .output import OptionalSteps, write_json
 from .record import Headline
-from .wording import hover_sentence
+from .wording import drive_sentence, hover_sentence
 
 if TYPE_CHECKING:
     import arviz
@@ -97,8 +97,16 @@ class ExplainResult(PageMixin):
     @property
     def hover(self) -> tuple[str, ...]:
         """Diagnosis of the vehicle as it stood in the hover of each flight, a sentence each."""
-        name = self.details.vehicle.name
-        return tuple(f"{h.flight}: {hover_sentence(name, h)}" for h in self.details.hovers)
+        name, driven_by = self.details.vehicle.name, self.details.driven_by
+        return tuple(
+            f"{h.flight}: {hover_sentence(name, h, driven_by.get(h.flight, ''))}"
+            for h in self.details.hovers
+        )
+
+    @property
+    def drive(self) -> str:
+        """What drives the twin, and why, in one sentence; "" where nothing was fitted."""
+        return drive_sentence(self.details.driven_by)
 
     @property
     def got_worse(self) -> str:
@@ -303,11 +311,10 @@ class ExplainResult(PageMixin):
         return self.record.json()
 
     def findings(self) -> Iterable[str | TextTable]:
-        """The sentence, what got worse, hover, candidates, what to fly next, before and after, what
-        was in doubt."""
+        """The sentence, what got worse, drive, hover, candidates, what to fly next, before and
+        after, what was in doubt."""
         yield self.sentence
-        if self.got_worse:
-            yield self.got_worse
+        yield from filter(None, (self.got_worse, self.drive))
         yield from self.hover
         if self.effects:
             yield self.candidates_table()

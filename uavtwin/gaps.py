@@ -18,7 +18,7 @@ from .display import PageMixin, TextTable
 from .flights import opened_flights
 from .record import Headline, Record, Section
 from .vehicles import checked_vehicle
-from .wording import describe, hover_sentence
+from .wording import describe, drive_sentence, hover_sentence
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -152,6 +152,7 @@ class GapFlight(Record, frozen=True, kw_only=True):
         phases: Of the flight.
         facts: Of its log, as text.
         hover: Null where it does not hover.
+        driven_by: What drives the twin, and why where its log has rotor speeds that do not.
     """
 
     name: str
@@ -161,6 +162,7 @@ class GapFlight(Record, frozen=True, kw_only=True):
     phases: tuple[PhaseRecord, ...]
     facts: dict[str, str]
     hover: HoverRecord | None
+    driven_by: str
 
 
 class ScoreRecord(Record, frozen=True, kw_only=True):
@@ -340,6 +342,7 @@ def _flight(gap: FlightGap) -> GapFlight:
         phases=tuple(PhaseRecord(name=n, start_s=a, end_s=b) for n, a, b in gap.phases),
         facts=dict(gap.facts),
         hover=None if gap.hover is None else hover_record(gap.hover),
+        driven_by=gap.driven_by,
     )
 
 
@@ -373,10 +376,17 @@ class GapResult(PageMixin):
         return self.headline.text
 
     @property
+    def drive(self) -> str:
+        """What drives the twin, and why, in one sentence."""
+        return drive_sentence({g.flight: g.driven_by for g in self.flights})
+
+    @property
     def hover(self) -> tuple[str, ...]:
         """What the hover of each flight says of the twin, a sentence each."""
         return tuple(
-            f"{g.flight}: {hover_sentence(g.vehicle, g.hover)}" for g in self.flights if g.hover
+            f"{g.flight}: {hover_sentence(g.vehicle, g.hover, g.driven_by)}"
+            for g in self.flights
+            if g.hover
         )
 
     @property
@@ -464,8 +474,10 @@ class GapResult(PageMixin):
         return self.record.json()
 
     def findings(self) -> Iterable[str | TextTable]:
-        """Claim, hover, table, and how far rebuilt commands match those of the log."""
+        """Claim, drive, hover, table, and how far rebuilt commands match those of the log."""
         yield self.claim
+        if self.drive:
+            yield self.drive
         yield from self.hover
         if self.record.worst:
             yield self.table()

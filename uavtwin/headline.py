@@ -4,7 +4,8 @@ A headline gives a number only where its 95 % interval excludes "no effect" and 
 of it than the prior (`Estimate.determined`). That the new model does not fly is said before all
 else. Of the effects that act on the flight, that which surely takes the largest share of a force or
 moment channel leads, even where something only acts like it; sensors and records come after. An
-effect whose numbers are not determined is named without them, and a further sentence says so.
+effect whose numbers are not determined is named without them, and a further sentence says so. A
+sensor that is off by far more than usual follows what leads, with its size.
 `Headline.numbers` lists what the text gives, so that a program can hold the sentence against its
 numbers.
 """
@@ -14,6 +15,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from twin.effects import EFFECTS, FAMILIES
+from twin.effects.parameters import UNMEASURED
 from twin.explain.balance import CAUSES, LOAD, ROTORS, VIBRATION, Balance, Hypothesis
 from twin.explain.estimates import (
     detectable,
@@ -29,12 +31,13 @@ from twin.explain.explanation import Explanation
 from twin.explain.inference.detection import Detectable
 from twin.explain.inference.estimate import Estimate, fitted_estimates
 from twin.explain.inference.fit import INTERVAL, Fit
+from twin.explain.inference.priors import effect_of
 from twin.explain.inference.selection import Naming
 from twin.explain.weather import WIND
 from twin.formatting import certainty, joined, number, percent, pretty_unit, quantity, title
 
 from .record import Headline
-from .wording import BLIND_ORDER, TURNS, blind_clause, clause, said, said_numbers
+from .wording import BLIND_ORDER, TURNS, blind_clause, clause, said, said_numbers, unit_of
 
 if TYPE_CHECKING:
     from twin.explain.calibration import Calibrated
@@ -43,6 +46,10 @@ MOST_NUMBERS = 3
 """Numbers of an effect that a headline gives; of several effects, one each."""
 MOST_EFFECTS = 3
 """Effects that it gives numbers of."""
+STRIKING = 3.0
+"""Prior deviations of a number from which on a sensor is said with its size beside the flight."""
+MOST_VARIED = 2
+"""Effects that differ between flights, and flights of each, that it gives."""
 MOST_BLIND = 3
 """Effects of which it says how small they may be to stay unseen."""
 
@@ -97,15 +104,86 @@ def _named(found: Explanation, naming: Naming) -> Headline:
     lead = _acts_like(found, naming, effects)
     estimates = {e: estimates_of(found, e) for e in effects}
     shares = sure_shares(_shares(naming), estimates)
-    first, later = leading(effects, shares, _determined(estimates))
+    first, later = leading(effects, shares, _determined(estimates), _striking(estimates))
     most = MOST_NUMBERS if len(first) == 1 else 1
     parts = [_phrase(found, e, estimates[e], most) for e in first]
     text = (
         f"{lead}Missing from the model: {'; '.join(p.text for p in parts)}"
-        f"{_sure(found, first)}{_which(naming)}{later}{_what_else(found, effects)}"
-        f"{_doubts(found, estimates)}"
+        f"{_sure(found, first)}{_varied(naming)}{_which(naming)}{later}"
+        f"{_what_else(found, effects)}"
+        f"{_doubts(found, estimates)}{_not_told(found, naming)}"
     )
     return Headline(text, tuple(n for p in parts for n in p.numbers))
+
+
+def _not_told(found: Explanation, naming: Naming) -> str:
+    """`not_told` of what vehicle files seldom know and nothing is said of."""
+    priors = naming.problem.priors
+    said = {*listed_effects(found), *(r.effect for r in naming.resemblances)}
+    said |= {e for t in naming.standing.values() for e in t.effects}
+    seldom_known = {effect_of(c) for c, odds in priors.odds.items() if odds >= UNMEASURED} - said
+    smallest = {e: d for e, d in naming.detectable.items() if e in seldom_known}
+    return not_told(smallest, dict(zip(priors.names, priors.slab, strict=True)))
+
+
+def not_told(smallest: Mapping[str, Detectable], usual: Mapping[str, float]) -> str:
+    """Effects that flights would not show at a usual size; begins with a blank, "" of none.
+
+    Args:
+        smallest: By effect the smallest change that would show.
+        usual: Standard deviation of what is expected, by "effect.number".
+    """
+    parts = [
+        title(e) if d.value is None else blind_clause(e, d.value, d.unit, since=False)
+        for e in BLIND_ORDER
+        if (d := smallest.get(e)) and (d.value is None or d.value > usual[d.number])
+    ]
+    return f" These flights do not tell {joined(parts, 'or')}." if parts else ""
+
+
+def varied(
+    days: Mapping[str, Mapping[str, tuple[float, float]]],
+    usual: Mapping[str, float],
+    without: Collection[str],
+) -> str:
+    """What of an aircraft differs between flights by far more than usual, in those that stand out;
+    begins with a blank, "" where nothing does, and of one flight.
+
+    Args:
+        days: Flight -> "effect.number" -> difference from the others, and its deviation.
+        usual: Standard deviation between flights, by "effect.number".
+        without: Effects that are left out.
+    """
+    apart: dict[str, dict[str, float]] = {}
+    for flight, own in days.items():
+        for name, (difference, _) in own.items():
+            known = _of_aircraft(name) and name.partition(".")[0] not in without
+            if known and abs(difference) > STRIKING * usual[name]:
+                apart.setdefault(name, {})[flight] = difference
+    if not apart or len(days) < 2:
+        return ""
+    far = {n: max(map(abs, own.values())) / usual[n] for n, own in apart.items()}
+    texts = []
+    for name in sorted(far, key=lambda n: -far[n])[:MOST_VARIED]:
+        effect, _, number_name = name.partition(".")
+        unit = unit_of(effect, number_name)
+        each = sorted(apart[name].items(), key=lambda item: -abs(item[1]))[:MOST_VARIED]
+        where = [f"{'+' * (v > 0)}{quantity(v, unit)} in {f}" for f, v in each]
+        texts.append(f"{title(effect)} ({joined(where)})")
+    return f" Between these flights differs {joined(texts)}."
+
+
+def _of_aircraft(name: str) -> bool:
+    """Whether a number, "effect.number", is of the aircraft; else of a log or the weather."""
+    effect, _, own = name.partition(".")
+    about = EFFECTS[effect]
+    return not about.of_weather and any(own.startswith(p.name) for p in about.parameters)
+
+
+def _varied(naming: Naming) -> str:
+    """`varied`, but for what something only acts like."""
+    usual = dict(zip(naming.problem.priors.names, naming.problem.priors.day, strict=True))
+    return varied(naming.days, usual, {r.effect for r in naming.resemblances})
 
 
 def _which(naming: Naming) -> str:
@@ -128,23 +206,30 @@ def _shares(naming: Naming) -> dict[str, tuple[float, str]]:
 
 
 def leading(
-    effects: Sequence[str], shares: Mapping[str, tuple[float, str]], determined: Collection[str]
+    effects: Sequence[str],
+    shares: Mapping[str, tuple[float, str]],
+    determined: Collection[str],
+    striking: Collection[str] = (),
 ) -> tuple[list[str], str]:
     """Effects that a headline leads with, and a sentence about the others, which begins with a
     blank.
 
     Those that act on the flight come first, by the share of a force or moment channel that they
-    surely take; the first leads, and the others follow as far as their numbers are determined.
+    surely take; the first leads, and the others follow as far as their numbers are determined; then
+    the first striking sensor.
 
     Args:
         effects: Named ones.
         shares: By effect, share and channel.
         determined: Effects with a number that a headline may give.
+        striking: Those of them with one that is far from what was expected.
     """
     share = {e: round(shares.get(e, (0.0, ""))[0], 3) for e in effects}
     in_order = sorted(effects, key=lambda e: (not EFFECTS[e].in_the_air, -share[e]))
     alike = [e for e in in_order if EFFECTS[e].in_the_air] or in_order
     first = [alike[0], *[e for e in alike[1:] if e in determined][: MOST_EFFECTS - 1]]
+    own = (e for e in in_order if not EFFECTS[e].in_the_air and EFFECTS[e].of_vehicle)
+    first += [e for e in own if e in striking and e not in first][:1]
     later = [e for e in in_order if e not in first]
     return first, f" Further: {joined([title(e) for e in later])}." if later else ""
 
@@ -174,6 +259,15 @@ def _nearest(estimate: Estimate) -> float:
 def _determined(estimates: Mapping[str, Sequence[Estimate]]) -> set[str]:
     """Effects with a number that a headline may give, and those without any number."""
     return {e for e, own in estimates.items() if not own or any(t.determined for t in own)}
+
+
+def _striking(estimates: Mapping[str, Sequence[Estimate]]) -> set[str]:
+    """Effects with a number that a headline may give and that was not expected to be so large."""
+    return {
+        e
+        for e, own in estimates.items()
+        if any(t.determined and (t.tension or 0.0) > STRIKING for t in own)
+    }
 
 
 def _acts_like(found: Explanation, naming: Naming, named: Sequence[str]) -> str:
@@ -303,7 +397,7 @@ def _since(found: Explanation, naming: Naming) -> Headline:
         effects = [e for e in listed_effects(found) if e not in undecided(found)]
         estimates = {e: estimates_of(found, e) for e in effects}
         shares = sure_shares(_shares(naming), estimates)
-        first, later = leading(effects, shares, _determined(estimates))
+        first, later = leading(effects, shares, _determined(estimates), _striking(estimates))
         parts = [
             _phrase(found, e, estimates[e], 1)
             if stochastic_effect(found, e) is not None and e not in CAUSES

@@ -10,6 +10,7 @@ from twin.formatting import joined, percent, quantity
 from twin.physics.sensors.table import BODY, SENSORS, Sensor
 from twin.residuals.flight_gap import HoverDiagnosis, Mean
 from twin.residuals.gap import Channel
+from twin.residuals.teacher_forced import COMMANDS, SPEEDS
 
 SMALL = 0.25
 """Share of the largest change of its kind below which one is not spoken of."""
@@ -94,6 +95,21 @@ def blind_clause(effect: str, value: float, unit: str, since: bool) -> str:
     return text.replace("that is off by", "that has changed by") if since else text
 
 
+def drive_sentence(driven_by: Mapping[str, str]) -> str:
+    """What drives the twins of some flights; "" of none, and where there was no choice.
+
+    Args:
+        driven_by: By flight, as of `twin.residuals.teacher_forced.driven_by`.
+    """
+    flights = {w: [f for f, own in driven_by.items() if own == w] for w in driven_by.values() if w}
+    if {*flights} == {COMMANDS}:
+        return ""
+    if len(flights) < 2:
+        return "".join(f"The twin is driven by {what}." for what in flights)
+    parts = [f"that of {joined(names)} by {what}" for what, names in flights.items()]
+    return f"Twins are driven differently: {'; '.join(parts)}."
+
+
 LEAST_M, LEAST_RAD, LEAST_LOSS = 5e-4, math.radians(0.5), 0.02
 """A centre of mass, an angle, a loss below these is not said."""
 
@@ -119,11 +135,12 @@ def misfit(carried: float | None, vehicle: str) -> str:
     )
 
 
-def hover_sentence(vehicle: str, hover: HoverDiagnosis) -> str:
+def hover_sentence(vehicle: str, hover: HoverDiagnosis, driven_by: str = COMMANDS) -> str:
     """The weight that a twin carries at the logged commands, where its centre of mass seems to be,
     and how its thrust leans; what is within two standard errors of zero is left out."""
     text = (
-        f"At the logged commands {vehicle} carries {100 * hover.carried.value:.0f} % of its weight"
+        f"At the {'measured rotor speeds' if driven_by == SPEEDS else 'logged commands'} {vehicle} "
+        f"carries {100 * hover.carried.value:.0f} % of its weight"
     )
     off = _parts(
         (

@@ -305,7 +305,7 @@ ROTOR_DRAG = Effect(
     ),
     change=None,
     wording=Wording(
-        drag_clause, undetected=Undetected(8, "rotor drag below {}"), secondary=("height_m",)
+        drag_clause, undetected=Undetected(9, "rotor drag below {}"), secondary=("height_m",)
     ),
     advice={"": FLY_FOR_DRAG},
 )
@@ -453,7 +453,7 @@ STEADY_WIND = Effect(
         {"": Normal(0.0, 4.0), "down_m_s": Normal(0.0, 0.3)},
         indoors={"": Normal(0.0, 0.3), "down_m_s": Normal(0.0, 0.05)},
     ),
-    wording=Wording(wind_clause, undetected=Undetected(9, "a steady wind below {}")),
+    wording=Wording(wind_clause, undetected=Undetected(10, "a steady wind below {}")),
     advice=None,
 )
 

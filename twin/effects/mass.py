@@ -435,7 +435,7 @@ SLUNG_LOAD = Effect(
         {"mass_kg": Normal(0.1, 0.1), "length_m": Normal(0.7, 0.7)},
         one_sided=True,
     ),
-    wording=Wording(load_clause, undetected=Undetected(7, "a slung load below {}")),
+    wording=Wording(load_clause, undetected=Undetected(8, "a slung load below {}")),
     advice=None,
 )
 

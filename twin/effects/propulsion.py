@@ -6,6 +6,7 @@ import casadi as ca
 
 from ..frames import cross
 from ..vehicle import Vehicle
+from ..vehicle.vehicle import voltage_power
 from .definition import Block, Effect, Equation
 from .parameters import COMMON, RARE, UNMEASURED, EffectParameter, Normal, Prior
 from .stages import Motors, Thrust, Wrench
@@ -186,7 +187,14 @@ BATTERY_SAG = Effect(
     "airframe",
     Thrust,
     (
-        EffectParameter("slope", "1", "relative thrust per relative voltage", 1.5, (0, 4)),
+        EffectParameter(
+            "slope",
+            "1",
+            "relative thrust per relative voltage, on top of the model's",
+            1.5,
+            (0, 4),
+            floor=lambda v: -voltage_power(v),
+        ),
         EffectParameter(
             "reference_v",
             "V",
@@ -205,6 +213,8 @@ BATTERY_SAG = Effect(
         COMMON,
         "slope 1 to 2 (Podhradsky et al. 2014) on every motor controller without compensation",
         {"slope": Normal(1.3, 0.6), "reference_v": Normal(1.0, 0.05)},
+        corrects="rotors.voltage_exponent",
+        already=voltage_power,
         unsaid=lambda v: not v.states_voltage,
     ),
     change=None,
@@ -241,7 +251,10 @@ MOTOR_LAG = Effect(
         least=lambda v: None if v.rotors.follows else QUICKEST_LAG_S,
     ),
     change=None,
-    wording=Wording(delay_clause("its rotors follow")),
+    wording=Wording(
+        delay_clause("its rotors follow"),
+        undetected=Undetected(7, "a motor lag that is off by less than {}"),
+    ),
     advice={"": FLY_FOR_INERTIA},
 )
 

@@ -249,4 +249,6 @@ def cant_clause(change: Changes, since: bool) -> str:
 def sag_clause(change: Changes, since: bool) -> str:
     """Thrust lost with battery voltage. See `Clause`."""
     slope = change.get("slope", 0.0)
-    return f"each 1 % of battery voltage costs {number(slope)} %{' more' * since} thrust"
+    more = "more" if slope > 0 else "less"
+    before = "before" if since else "the model's"
+    return f"each 1 % of battery voltage costs {number(abs(slope))} % {more} thrust than {before}"

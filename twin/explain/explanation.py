@@ -14,7 +14,7 @@ from ..logs import AnyFlight, Flight, Site
 from ..representation import short_repr
 from ..residuals.flight_gap import HoverDiagnosis, diagnosis_of
 from ..residuals.measured import clock_doubt
-from ..residuals.teacher_forced import drive_warnings
+from ..residuals.teacher_forced import drive_warnings, driven_by
 from ..vehicle import Vehicle
 from .balance import (
     CAUSES,
@@ -108,6 +108,7 @@ class Explanation:
         balance: What has changed in the balance of forces and moments since the calibration; None:
             that is not asked, or not shown by these flights.
         hovers: Diagnosis of the model as it stood in the hover of each of them that hovers.
+        driven_by: What drives the model of each of them, and why.
     """
 
     verdict: Verdict
@@ -132,6 +133,7 @@ class Explanation:
     recorded: tuple[AnyFlight, ...] = ()
     hovers: tuple[HoverDiagnosis, ...] = ()
     balance: Balance | None = None
+    driven_by: Mapping[str, str] = field(default_factory=dict)
 
     __repr__ = short_repr
 
@@ -240,6 +242,7 @@ def explain(
         found,
         warnings=(*found.warnings, *_not_observable(naming), *_drifting(naming)),
         hovers=hovers_of(found.recorded, vehicle),
+        driven_by={f.name: driven_by(f, vehicle) for f in (*parts.fit, *parts.held)},
     )
     progress(0.65)
     found = _with_equations(found, seed)

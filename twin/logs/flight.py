@@ -107,6 +107,8 @@ class Flight:
         settled: What was settled while it was recorded; None: it is all of one piece.
         derived_angles: Columns of Euler angles that were not logged: the attitude has them from
             the acceleration (`twin.logs.attitude`).
+        speeds_late_s: By how much the stamps of rotor speeds were late and are set earlier, s
+            (`twin.logs.rotor_lag`): the link that delayed the speeds has smoothed them as well.
     """
 
     name: str
@@ -119,6 +121,7 @@ class Flight:
     autopilot: Autopilot | None = None
     settled: Settled | None = None
     derived_angles: tuple[str, ...] = ()
+    speeds_late_s: float = 0.0
 
     __repr__ = short_repr
 

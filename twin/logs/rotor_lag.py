@@ -24,7 +24,7 @@ import scipy
 from numpy.typing import NDArray
 
 from .columns import ACC, GYRO, MAX_MOTORS, motor_columns
-from .flight import Array, Finding
+from .flight import Array, Finding, Flight
 from .lags import Blocks, LaggedMoments, best_lag
 from .stored import AnyFlight, StoredFlight
 
@@ -38,8 +38,6 @@ LONGEST_TIME_CONSTANT_S = 0.2
 0.1 s (Quiver PT1, measured here); twice that, by judgement."""
 LEAST_R2 = 0.3
 """Below it a regression says nothing."""
-LATE = "time stamps were late"
-"""How the finding on speeds begins that a link has delayed."""
 _SURE = 2.0
 """Standard deviations by which a delay is beyond a limit."""
 _BLOCK_S = 2.0  # of the jackknife: several time constants
@@ -111,12 +109,6 @@ class SpeedLag:
         )
 
 
-def delayed(flight: AnyFlight) -> bool:
-    """Whether a link has delayed the speeds of a flight: what it delays by tenths of a second, it
-    smooths as well."""
-    return any(f.where == "rotor" and f.message.startswith(LATE) for f in flight.findings)
-
-
 def align_speed_stamps(flight: _F) -> _F:
     """The flight with the stamps of its rotor speeds earlier by what no motor can have.
 
@@ -136,11 +128,19 @@ def align_speed_stamps(flight: _F) -> _F:
         )
         return _noted(flight, Finding("warning", "rotor", message))
     message = (
-        f"{LATE} and are set {1e3 * late_s:.0f} ms earlier: the speeds come {lag}; "
+        f"time stamps were late and are set {1e3 * late_s:.0f} ms earlier: the speeds come {lag}; "
         f"a motor has a pure delay of at most {1e3 * LONGEST_DEAD_TIME_S:.0f} ms. What is left of "
         "it is clock_offset.rotor_s"
     )
-    return _noted(_earlier(flight, late_s), Finding("warning", "rotor", message))
+    moved = replace(_earlier(flight, late_s), speeds_late_s=flight.speeds_late_s + late_s)
+    return _noted(moved, Finding("warning", "rotor", message))
+
+
+def as_stamped(flight: Flight) -> Flight:
+    """The flight with its rotor speeds at the times at which they were stamped."""
+    if flight.speeds_late_s == 0.0:
+        return flight
+    return replace(_earlier(flight, -flight.speeds_late_s), speeds_late_s=0.0)
 
 
 def _noted(flight: _F, finding: Finding) -> _F:

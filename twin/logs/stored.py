@@ -251,7 +251,7 @@ class StoredFlight:
         known: Columns with a finite sample.
         autopilot: What the autopilot says of the flight; None: nothing.
         settled: What was settled while it was recorded; None: it is all of one piece.
-        derived_angles: As of `Flight`.
+        derived_angles, speeds_late_s: As of `Flight`.
     """
 
     name: str
@@ -267,6 +267,7 @@ class StoredFlight:
     autopilot: Autopilot | None = None
     settled: Settled | None = None
     derived_angles: tuple[str, ...] = ()
+    speeds_late_s: float = 0.0
 
     __repr__ = short_repr
 

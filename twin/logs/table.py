@@ -25,6 +25,7 @@ from .autopilot import Autopilot, check_autopilot
 from .columns import ALIASES, COLUMNS, EULER, MAX_MOTORS, in_order, is_known, motor_columns, over
 from .flight import Array, Finding, Flight, Settled, Site
 from .formats import ReadOptions
+from .rotor_lag import as_stamped
 from .stored import ParquetColumns, StoredFlight, as_log_error, opened
 from .validate import check_columns, validate
 
@@ -47,6 +48,7 @@ class Notes:
     autopilot: Autopilot | None = None
     settled: Settled | None = None
     derived_angles: tuple[str, ...] = ()
+    speeds_late_s: float = 0.0
 
     @classmethod
     def of(cls, flight: Flight) -> "Notes":
@@ -94,6 +96,8 @@ def _check(notes: Notes) -> None:
     if settled is not None and not all(0.0 < r < 1e6 for r in settled.rates_hz.values()):
         raise ValueError("a rate that is none")
     layout = None if notes.airframe is None else notes.airframe.layout
+    if not 0.0 <= notes.speeds_late_s < np.inf:
+        raise ValueError("a delay that is none")
     if any(f.count < 1 for f in notes.findings):
         raise ValueError("a finding is counted less than once")
     if layout is not None:
@@ -134,7 +138,8 @@ def write_flight(flight: Flight, path: str | Path) -> None:
     """Write the table of a flight; an existing file is replaced.
 
     Args:
-        flight: Flight; its notes go along in Parquet, CSV has no room for them.
+        flight: Flight; its notes go along in Parquet, CSV has no room for them, so that late rotor
+            speeds keep their stamps there, and are found late again.
         path: File ending in `.parquet` or `.csv`.
     """
     path = Path(path)
@@ -145,7 +150,7 @@ def write_flight(flight: Flight, path: str | Path) -> None:
             arrow = arrow.replace_schema_metadata(Notes.of(flight).metadata())
             pq.write_table(arrow, path)
         else:
-            flight.table.to_csv(path, index=False, lineterminator="\n")
+            as_stamped(flight).table.to_csv(path, index=False, lineterminator="\n")
     except OSError as error:
         raise LogError(f"{path}: cannot be written: {error}.") from None
 
@@ -237,6 +242,7 @@ def open_parquet(path: Path) -> StoredFlight | None:
         notes.autopilot,
         notes.settled,
         notes.derived_angles,
+        notes.speeds_late_s,
     )
 
 

@@ -40,7 +40,7 @@ from .channels import GRID_HZ, OF_IMU, SHORTEST_S, imu_channels
 from .gap import Channel, FlightGap
 from .measured import LONGEST_GAP_INTERVALS, LONGEST_GAP_S
 from .short_horizon import READ, window_ends, window_starts
-from .teacher_forced import GRID_S
+from .teacher_forced import GRID_S, driven_by
 
 Array = NDArray[np.float64]
 _BLOCK_S, _FEWEST_BLOCKS = 1.0, 2
@@ -288,6 +288,7 @@ def flight_gap(
         facts=dict(flight.facts),
         hover=diagnose(channels, vehicle, hover_of(flight)),
         origin=origin_of(flight.airframe),
+        driven_by=driven_by(flight, vehicle),
     )
 
 

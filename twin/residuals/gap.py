@@ -175,6 +175,7 @@ class FlightGap:
         facts: Printable facts of the log (rates, match of the rebuilt commands, ...).
         hover: Diagnosis of the twin in hover; None: it has none.
         origin: From where its positions are counted; None: not known.
+        driven_by: What drives the twin, and why; "": not known.
     """
 
     flight: str
@@ -185,6 +186,7 @@ class FlightGap:
     facts: dict[str, str]
     hover: "HoverDiagnosis | None" = None
     origin: Place | None = None
+    driven_by: str = ""
 
     __repr__ = short_repr
 

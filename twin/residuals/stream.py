@@ -79,7 +79,8 @@ class Recent(Flight):
         """
         known = frozenset(c for c in rows if c == "phase" or not np.isnan(rows[c]).all())
         of_flight: dict[str, Any] = {"name": name, "findings": (), "facts": {}, "settled": settled}
-        of_flight |= dict.fromkeys(("source", "site", "autopilot")) | {"airframe": airframe}
+        of_flight |= dict.fromkeys(("source", "site", "autopilot"))
+        of_flight |= {"airframe": airframe, "speeds_late_s": 0.0}
         for key, value in {**of_flight, "_by": rows, "_known": known}.items():
             object.__setattr__(self, key, value)
 

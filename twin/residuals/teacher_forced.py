@@ -24,7 +24,6 @@ from ..errors import LogError
 from ..frames import AXES
 from ..logs import AnyFlight
 from ..logs.columns import is_known, motor_columns
-from ..logs.rotor_lag import delayed
 from ..physics.rotors import Drive
 from ..representation import short_repr
 from ..vehicle import Vehicle
@@ -236,7 +235,8 @@ def choose_drive(flight: AnyFlight, vehicle: Vehicle) -> Drive:
                 f"choose the vehicle file of this aircraft."
             )
     commanded = vehicle.drive == "command" and flight.has(*commands)
-    if vehicle.rotors.from_speed and flight.has(*rotors) and not (commanded and delayed(flight)):
+    late = commanded and flight.speeds_late_s > 0
+    if vehicle.rotors.from_speed and flight.has(*rotors) and not late:
         return "rotor_speed"
     if commanded:
         return "command"
@@ -246,6 +246,22 @@ def choose_drive(flight: AnyFlight, vehicle: Vehicle) -> Drive:
         f"{flight.name}: no samples of {', '.join(missing)}, which drive the {n} rotors of "
         f"{vehicle.name}. The flight has: {', '.join(c for c in flight.columns if flight.has(c))}."
     )
+
+
+SPEEDS, COMMANDS = "measured rotor speeds", "motor commands"
+"""What drives a twin, in words."""
+
+
+def driven_by(flight: AnyFlight, vehicle: Vehicle) -> str:
+    """What drives the twin of a flight, in words, and why, where its log has rotor speeds that do
+    not; raises as `choose_drive`."""
+    if choose_drive(flight, vehicle) == "rotor_speed":
+        return SPEEDS
+    if not flight.has("rotor_1"):
+        return COMMANDS
+    if vehicle.rotors.from_speed and flight.speeds_late_s > 0:
+        return f"{COMMANDS}: a link has delayed the rotor speeds"
+    return f"{COMMANDS}: the vehicle file has no thrust by rotor speed"
 
 
 def drive_warnings(flight: AnyFlight, vehicle: Vehicle) -> list[str]:

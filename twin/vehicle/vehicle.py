@@ -485,6 +485,26 @@ def hover_level(vehicle: Vehicle) -> float:
     return first_reaching(rotors.thrust_n, vehicle.hover_thrust_n, high)
 
 
+def voltage_power(vehicle: Vehicle) -> float:
+    """Power of the battery voltage that the thrust of a command in hover goes with, by the maps; 0
+    where they know no voltage."""
+    rotors = vehicle.rotors
+    if rotors.reference_voltage_v is None or vehicle.drive != "command":
+        return 0.0
+    command = level = hover_level(vehicle)
+    slope = 1.0
+    if rotors.speed_rad_s:
+        command = first_reaching(rotors.speed_rad_s, level, 1.0)
+        slope = _slope(rotors.speed_rad_s, command)
+    growth = slope * _slope(rotors.thrust_n, level) / polynomial(rotors.thrust_n, level)
+    return float(rotors.voltage_exponent * command * growth)
+
+
+def _slope(coefficients: Sequence[float], argument: float) -> float:
+    """Derivative of a polynomial."""
+    return float(np.polynomial.Polynomial(coefficients).deriv()(argument))
+
+
 def first_reaching(coefficients: Sequence[float], value: float, high: float) -> float:
     """First argument from 0 to `high`, on a grid of 2001, where a polynomial reaches a value."""
     grid = np.linspace(0.0, high, 2001)

@@ -51,6 +51,7 @@ def _page(result: ExplainResult, budget: Budget) -> str:
         found=record,
         claim=record.headline.text,
         got_worse=result.got_worse,
+        drive=result.drive,
         hover=result.hover,
         shrinking=result.shrinking,
         effects=[_effect(result, e, budget) for e in listed],

@@ -30,7 +30,7 @@ from twin.residuals.gap import (
 )
 
 from ..gaps import GapResult, claim
-from ..wording import KINDS, Kind, describe, grouped, hover_sentence, mode
+from ..wording import KINDS, Kind, describe, drive_sentence, grouped, hover_sentence, mode
 from .autopilot import autopilot_content
 from .drawing import DENSE_HZ, GAP_PX, TREND_HZ, Axis, Budget, Panels, Spans, fitted, thinned
 from .overview import Overview, overview, overview_plots
@@ -108,6 +108,7 @@ class _Scored:
             {"number": number, "percent": percent, "unit": pretty_unit, "words": describe},
             claim=claim(places),
             detail=_detail(places),
+            drive=drive_sentence({g.flight: g.driven_by for g in gaps}),
             hover=[_hover(gaps[i], f"{gaps[i].flight}: ") for i in drawn if gaps[i].hover],
             places=places[:6],
             slow_hz=SLOW_HZ,
@@ -191,7 +192,7 @@ def _furthest_first(
 
 def _hover(gap: FlightGap, before: str = "") -> str:
     """What the hover of a flight says of the twin."""
-    return before + hover_sentence(gap.vehicle, gap.hover) if gap.hover else ""
+    return before + hover_sentence(gap.vehicle, gap.hover, gap.driven_by) if gap.hover else ""
 
 
 def _detail(places: Sequence[Ranked]) -> str:

@@ -12,10 +12,17 @@ from scipy.signal import lfilter
 
 from twin.logs import Flight, StoredFlight, open_flight, read_flight
 from twin.logs.columns import motor_columns
-from twin.logs.rotor_lag import LEAST_R2, LONGEST_DEAD_TIME_S, align_speed_stamps, speed_lag
+from twin.logs.rotor_lag import (
+    LEAST_R2,
+    LONGEST_DEAD_TIME_S,
+    align_speed_stamps,
+    as_stamped,
+    speed_lag,
+)
 from twin.logs.table import write_flight
-from twin.residuals.teacher_forced import choose_drive, drive_warnings
+from twin.residuals.teacher_forced import choose_drive, drive_warnings, driven_by
 from twin.vehicle_file import load_vehicle
+from uavtwin.wording import drive_sentence
 
 Array = NDArray[np.float64]
 PLANT_HZ = 1000.0
@@ -231,6 +238,46 @@ def test_commands_drive_where_a_link_has_delayed_the_speeds() -> None:
     assert choose_drive(right, vehicle) == "rotor_speed"
     no_map = replace(vehicle, rotors=replace(vehicle.rotors, speed_rad_s=()))
     assert choose_drive(late, no_map) == "rotor_speed"
+
+
+@pytest.mark.parametrize("suffix", ["parquet", "csv"])
+def test_that_speeds_came_late_is_known_of_a_copy(tmp_path: Path, suffix: str) -> None:
+    """Parquet notes it; CSV keeps the stamps, so that they are found late again."""
+    flight = made(0.2, duration_s=20.0)
+    read = align_speed_stamps(flight)
+    read = replace(read, table=read.table[["time", *read.table.columns.drop("time")]])
+    assert read.speeds_late_s == pytest.approx(0.2, abs=0.03)
+    write_flight(read, tmp_path / f"copy.{suffix}")
+    copy = read_flight(tmp_path / f"copy.{suffix}")
+    assert copy.speeds_late_s == pytest.approx(read.speeds_late_s, abs=2e-3)
+    assert choose_drive(copy, load_vehicle("copter_default")) == "command"
+    speeds = list(motor_columns("rotor", 4))
+    known = as_stamped(read).table.dropna(subset=speeds)
+    was = flight.table.dropna(subset=speeds)
+    was = was[was["time"] >= known["time"].iloc[0] - 1e-6]
+    np.testing.assert_allclose(known["time"], was["time"], atol=2e-6)
+    np.testing.assert_array_equal(known[speeds], was[speeds])
+
+
+def test_what_drives_the_twin_is_said_with_its_reason() -> None:
+    vehicle = load_vehicle("copter_default")
+    late, right = (align_speed_stamps(made(d, duration_s=20.0)) for d in (0.2, 0.0))
+    of_commands = replace(right, table=right.table.drop(columns=["rotor_1"]))
+    said = {
+        "late": driven_by(late, vehicle),
+        "right": driven_by(right, vehicle),
+        "none": driven_by(of_commands, vehicle),
+    }
+    assert said == {
+        "late": "motor commands: a link has delayed the rotor speeds",
+        "right": "measured rotor speeds",
+        "none": "motor commands",
+    }
+    assert drive_sentence({}) == "" == drive_sentence({"a": said["none"], "b": ""})
+    assert drive_sentence({"a": said["right"], "b": said["right"]}) == (
+        "The twin is driven by measured rotor speeds."
+    )
+    assert drive_sentence(said).startswith("Twins are driven differently: that of late by motor")
 
 
 QUIVER = DATA / "quiver_pt1"

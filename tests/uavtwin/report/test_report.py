@@ -236,3 +236,9 @@ def test_what_changes_the_flight_leads_the_claim() -> None:
     first, later = leading(many, {"cog_offset": (0.5, "gyro_rate_x")}, ["rotor_drag"])
     assert first == ["cog_offset", "rotor_drag"]
     assert later == " Further: mass offset, motor lag and clock offset."
+    own = ["clock_offset", "rotor_drag", "baro_bias", "heading_offset"]
+    assert leading(own, {}, own, own) == (
+        ["rotor_drag", "baro_bias"],
+        " Further: clock offset and heading offset.",
+    )
+    assert leading(own, {}, own, ["heading_offset"])[0] == ["rotor_drag", "heading_offset"]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from twin.effects import EFFECTS
 from twin.explain.inference.detection import Detectable
 from twin.formatting import quantity, readable
-from uavtwin.headline import blind, undetermined, wind
+from uavtwin.headline import blind, not_told, undetermined, varied, wind
 from uavtwin.wording import clause, said, said_numbers
 
 UNITS = sorted(
@@ -112,6 +112,36 @@ def test_nothing_says_how_blind_it_is() -> None:
     assert blind({}, since=True, axes="xz") == (
         " These flights do not tell how the aircraft answers in roll and yaw: nothing asks for it."
     )
+
+
+def test_what_flights_would_not_show_at_its_usual_size_is_said_beside_a_name() -> None:
+    seen = {
+        "motor_lag": Detectable("motor_lag.tau_s", 0.12, "s"),
+        "thrust_scale": Detectable("thrust_scale.scale", 0.05, "1"),
+        "mass_offset": Detectable("mass_offset.mass_kg", None, "kg"),
+    }
+    usual = {"motor_lag.tau_s": 0.04, "thrust_scale.scale": 0.3, "mass_offset.mass_kg": 0.1}
+    assert not_told(seen, usual) == (
+        " These flights do not tell mass offset or a motor lag that is off by less than 0.12 s."
+    )
+    assert not_told({"motor_lag": seen["motor_lag"]}, {"motor_lag.tau_s": 0.2}) == ""
+
+
+def test_what_differs_between_flights_has_a_sentence() -> None:
+    usual = {"heading_offset.yaw_rad": 0.15, "baro_bias.pa": 20.0, "clock_offset.pose_s": 0.02}
+    usual |= {"cog_offset.x_m": 0.01, "heading_offset.pose_rad": 0.1}
+    day = {
+        "one": {"heading_offset.yaw_rad": (0.62, 0.1), "clock_offset.pose_s": (1.0, 0.1)},
+        "two": {"heading_offset.yaw_rad": (-0.5, 0.05), "cog_offset.x_m": (0.025, 0.001)},
+        "three": {"heading_offset.yaw_rad": (0.2, 0.05), "heading_offset.pose_rad": (1.0, 0.1)},
+    }
+    assert varied(day, usual, ()) == (
+        " Between these flights differs heading offset (+35.5° in one and \N{MINUS SIGN}28.6° in "
+        "two)."
+    )
+    assert varied(day, usual, ["heading_offset"]) == varied({"one": day["one"]}, usual, ()) == ""
+    weather = {"three": {"baro_bias.pa": (658.0, 4.0)}}
+    assert "differs baro bias (+6.58 hPa in three) and heading" in varied(day | weather, usual, ())
 
 
 def test_the_strongest_wind_of_the_days_has_a_sentence() -> None:

@@ -20,7 +20,7 @@ from ...effects import EFFECTS, EffectParameter, Shift, prior_of
 from ...errors import ModelError
 from ...representation import short_repr
 from ...vehicle import Vehicle, relative_deviation
-from ...vehicle.vehicle import hover_level
+from ...vehicle.vehicle import hover_level, voltage_power
 from ..model.model import Model
 from ..model.numbers import Number
 
@@ -166,6 +166,8 @@ def _whole(key: str, number: Number, vehicle: Vehicle) -> float:
     rotors = vehicle.rotors
     if key == "rotors.lag":
         return rotors.lag_up_s
+    if key == "rotors.voltage_exponent":
+        return voltage_power(vehicle)
     if key in ("rotors.reaction_inertia", "rotors.spin_inertia"):
         reaction = key == "rotors.reaction_inertia"
         inertia = rotors.reaction_inertia_kg_m2 if reaction else rotors.spin_inertia_kg_m2

@@ -10,9 +10,9 @@ from search_rigs.hypotheses import against, fit_set
 from twin.component.rows import OverRows, noiseless_outputs
 from twin.effects import EFFECTS
 from twin.explain.inference import selection as search
-from twin.explain.inference.fit import Fit, substantial_effects
+from twin.explain.inference.fit import Fit, Problem, substantial_effects
 from twin.explain.inference.posterior import Posterior, ScoredModel, SearchResult
-from twin.explain.inference.priors import Bounds, edges
+from twin.explain.inference.priors import Bounds, edges, priors_of
 from twin.explain.inference.search import search as climbed
 from twin.explain.inference.selection import (
     Naming,
@@ -23,6 +23,7 @@ from twin.explain.inference.selection import (
     name_effects,
 )
 from twin.explain.inference.whitening import WhitenedFlights
+from twin.explain.model.model import model_of
 from twin.explain.model.numbers import at_voltage, numbers_of
 from twin.explain.settings import DEFAULT
 from twin.logs import Flight
@@ -30,6 +31,7 @@ from twin.physics.airframe import airframe
 from twin.physics.sensors.barometer import barometer
 from twin.physics.sensors.magnetometer import magnetometer
 from twin.residuals.channels import CHANNEL_HZ, ChannelData
+from twin.vehicle.vehicle import first_reaching, hover_level, polynomial, voltage_power
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
@@ -173,6 +175,27 @@ def test_a_voltage_comes_from_the_flights_where_the_vehicle_has_none(quiet: Flig
     assert at_voltage(number, [flight], battery) is number
     dead = replace(quiet, table=quiet.table.assign(vbat_v=0.0))
     assert at_voltage(number, [dead], COPTER) is number
+
+
+def test_a_voltage_exponent_of_the_file_is_taken_back(quiet: Flight) -> None:
+    """The thrust of a command does not fall with the battery, where the file says that it does."""
+    falling = np.linspace(15.8, 14.2, len(quiet.table))
+    flight = replace(quiet, table=quiet.table.assign(vbat_v=falling))
+    stated = replace(COPTER.rotors, reference_voltage_v=15.0, voltage_exponent=0.5)
+    vehicle = replace(COPTER, rotors=stated)
+    model = model_of([flight], vehicle, [EFFECTS["battery_sag"]])
+    problem = Problem.of(model, priors_of(model))
+    without, found = (problem.start(s, kappa=1.0) for s in ([], ["battery_sag"]))
+    assert found.evidence > without.evidence + 10
+    whole = voltage_power(vehicle)
+    assert problem.values(found.best.x)["battery_sag.slope"] == pytest.approx(-whole, abs=0.05)
+    assert stated.speed_rad_s is not None
+    command = first_reaching(stated.speed_rad_s, hover_level(COPTER), 1.0)
+    thrust = [
+        polynomial(stated.thrust_n, polynomial(stated.speed_rad_s, k * command))
+        for k in (1.01, 1 / 1.01)
+    ]
+    assert whole == pytest.approx(0.5 * np.log(thrust[0] / thrust[1]) / np.log(1.01**2), rel=1e-3)
 
 
 @pytest.mark.slow
