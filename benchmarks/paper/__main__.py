@@ -4,8 +4,8 @@
 
 D holds the paper's residual tables (takeoff_flight1.parquet, ...). A run that is done is not done
 again; rows of the tables replace those in docs/results/paper_scores.jsonl, from which
-docs/_generate/paper.py prints the pages. `--figures` writes OUT/figures.html, the paper's figures
-5 to 13.
+docs/_generate/paper.py prints the pages. `--figures` trains for no table, but what the paper's
+figures 5 to 13 are drawn from, and writes them: OUT/figures.html.
 """
 
 import argparse
@@ -21,7 +21,6 @@ from .figures import (
     Figures,
     FlightCorrections,
     best_systems,
-    by_sensor,
     by_share,
     comparison,
     figures_page,
@@ -48,10 +47,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=1, help="trainings at a time, one thread each")
     parser.add_argument("--device", default="cpu", choices=("cpu", "cuda", "auto"))
     parser.add_argument("--scores", type=Path, default=paper.SCORES, help="file of the rows")
-    parser.add_argument("--figures", action="store_true", help="write OUT/figures.html, too")
+    parser.add_argument("--figures", action="store_true", help="write OUT/figures.html instead")
     given = parser.parse_args(arguments)
     shares = tuple(given.share or paper.SHARES["table2"])
     options = paper.Options(given.epochs, given.seeds, shares, given.seeds_paper)
+    if given.figures:
+        page = figures_page(figures(given.data, given.out, given.epochs, given.jobs))
+        (given.out / "figures.html").write_text(page, "utf-8")
+        return 0
     commit = _commit()
     for table in given.only or (*paper.TABLES, EDGE):
         print(f"Table {table}:", file=sys.stderr)
@@ -65,22 +68,28 @@ def main(arguments: list[str] | None = None) -> int:
             found = run_all(given.data, given.out, runs, given.jobs, given.device)
             rows = paper.rows_of(table, found, commit)
         paper.write_rows(rows, given.scores)
-    if given.figures:
-        page = figures_page(figures(given.data, given.out, given.jobs))
-        (given.out / "figures.html").write_text(page, "utf-8")
     return 0
 
 
-def figures(tables: Path, work: Path, jobs: int) -> Figures:
-    """All of the paper's that are drawn, of trainings that are done but for the missions'."""
+def figures(tables: Path, work: Path, epochs: int | None, jobs: int) -> Figures:
+    """All of the paper's that are drawn; what has not been trained yet is.
+
+    Args:
+        tables: Folder of the paper's tables.
+        work: Folder of what is half done.
+        epochs: Of every run; None: the preset's.
+        jobs: Trainings at a time.
+    """
     flights = paper_flights(tables)
-    options = paper.Options(None, seeds=1, shares=(1.0,))
+    options = paper.Options(epochs, seeds=1, shares=(1.0,))
     runs = {r.name: r for r in paper.table2(options) if r.role == "reconstruct"}
+    run_all(tables, work, list(runs.values()), jobs)
     said = paper.corrections(list(runs.values()), work)
     ours = (PAPER.name, BEST.name)
     compared = {n: s for n, s in said.items() if n in (*ours, *SYSTEMS)}
     best = FlightCorrections.of(flights, compared).best()
     aged = [r for r in paper.needed(options) if r.role == "track" and r.name == BEST.name]
+    run_all(tables, work, aged, jobs)
     folder = work / "missions"
     asked = [runs[n] for n in dict.fromkeys([*ours, *best])]
     seen = {**real_missions(flights, said), **simulated_missions(folder, asked, jobs)}
@@ -88,29 +97,23 @@ def figures(tables: Path, work: Path, jobs: int) -> Figures:
         **real_missions(flights, paper.corrections(aged, work, "track")),
         **simulated_missions(folder, aged, jobs),
     }
-    variants = [r for r in paper.ablations(options) if r.name.startswith(f"{BEST.name}: ")]
-    used = {n: usage(work / "onnx" / f"{n}.onnx") for n in ours}
+    rows = [r for r in paper.read_rows() if r["table"] == "ablations"]
+    variants = [r for r in rows if r["row"].startswith(f"{BEST.name}: ")]
+    made = {c.name for c in costs(work / "onnx")}
+    used = {n: usage(work / "onnx" / f"{n}.onnx") for n in ours if f"{n}, ours" in made}
     ways = {
         f"{BEST.name}, given the residual": (seen, BEST.name),
         f"{PAPER.name}, given the residual": (seen, PAPER.name),
         f"{BEST.name}, given that of ten samples ago": (late, BEST.name),
     }
-    epochs = paper.ABLATION_EPOCHS
-    return [
-        *comparison(flights, said),
-        (f"Figure 9: four missions, {BEST.name}", timelines(seen, BEST.name)),
-        ("Figure 10: improvement per sensor", improvements(ways)),
-        ("Figure 11: the four best systems", best_systems(seen, best)),
-        (
-            f"Figure 12: variants, sensor by sensor, {epochs} epochs",
-            by_sensor(FlightCorrections.of(flights, paper.corrections(variants, work))),
-        ),
-        (
-            f"Figure 12: variants by share of the data, {epochs} epochs",
-            by_share(paper.rows_of("ablations", run_all(tables, work, variants), "")),
-        ),
-        ("Figure 13: processor and memory over a run, onnxruntime", usage_figure(used)),
-    ]
+    return {
+        **comparison(flights, said),
+        "missions": ("Figure 9: four missions, as corrected by best", timelines(seen, BEST.name)),
+        "improvements": ("Figure 10: improvement per sensor", improvements(ways)),
+        "best_systems": ("Figure 11: the four best systems", best_systems(seen, best)),
+        "ablations": ("Figure 12: variants of best by share of the data", by_share(variants)),
+        "usage": ("Figure 13: processor and memory over a run, onnxruntime", usage_figure(used)),
+    }
 
 
 def _commit() -> str:

@@ -16,18 +16,11 @@ from plotly.subplots import make_subplots
 
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES, UNITS
 from learning.data.flights import ResidualFlight
-from learning.evaluation import mse, rmse
+from learning.evaluation import rmse
 from uavtwin.report.page import plot, render
 
 from .missions import MISSIONS, CorrectedMission
 from .trainings import GAUSS_T, MODALITIES, rows_of, units
-
-# ----------------------------------------------------------------------------------------
-# The paper's figures 5 to 8 and 12, of trainings that are done, and the page of all of them.
-#
-# Each figure can be saved as PNG or SVG by its buttons. Error of a channel: measured residual
-# minus what a system said of it, over the spread of the training residual. Flight 3, which no
-# training saw.
 
 Array = NDArray[np.float64]
 BINS = 80
@@ -69,13 +62,13 @@ class FlightCorrections:
         return list(self.errors())[:BEST]
 
 
-Figures = Sequence[tuple[str, go.Figure]]
-"""Each with its title."""
+Figures = Mapping[str, tuple[str, go.Figure]]
+"""By their names, each with its title."""
 
 
 def figures_page(figures: Figures) -> str:
     """One page that needs nothing else."""
-    drawn = [(title, plot(f"f{i}", title, figure)) for i, (title, figure) in enumerate(figures)]
+    drawn = [(title, plot(name, title, figure)) for name, (title, figure) in figures.items()]
     return render("paper_figures.html.j2", {}, Path(__file__).parent, figures=drawn)
 
 
@@ -87,13 +80,14 @@ def comparison(flights: Sequence[ResidualFlight], by_system: Mapping[str, Array]
         by_system: What each system said of it, shape (n, 15).
     """
     said = FlightCorrections.of(flights, by_system)
-    return [
-        ("Figure 5: distributions of what sensors and twin read", readings(flights)),
-        ("Figure 5: distributions of the residual", residuals(flights)),
-        (f"Figure 6: reconstruction of flight 3, {BEST} best systems", reconstructions(said)),
-        ("Figure 7: distribution of the error", error_distributions(said)),
-        ("Figure 8: mean and variance of the error", error_moments(said)),
-    ]
+    best = f"Figure 6: reconstruction of flight 3, {BEST} best systems"
+    return {
+        "readings": ("Figure 5: distributions of what sensors and twin read", readings(flights)),
+        "residuals": ("Figure 5: distributions of the residual", residuals(flights)),
+        "reconstructions": (best, reconstructions(said)),
+        "errors": ("Figure 7: distribution of the error", error_distributions(said)),
+        "moments": ("Figure 8: mean and variance of the error", error_moments(said)),
+    }
 
 
 def readings(flights: Sequence[ResidualFlight]) -> go.Figure:
@@ -177,17 +171,6 @@ def error_moments(said: FlightCorrections) -> go.Figure:
     for row, title in enumerate(("size of the mean", "variance"), start=1):
         figure.update_yaxes(title_text=title, type="log", row=row, col=1)
     return styled(figure, 560)
-
-
-def by_sensor(said: FlightCorrections) -> go.Figure:
-    """Mean square error of each variant, sensor by sensor."""
-    figure = go.Figure()
-    errors = said.errors()
-    for (name, error), colour in zip(errors.items(), colours(len(errors)), strict=True):
-        values = [mse(error[:, columns].ravel()) for columns in GROUPS.values()]
-        figure.add_bar(x=list(GROUPS), y=thin(values), name=name, marker_color=colour)
-    figure.update_yaxes(title_text="mean square error, standardised", type="log")
-    return styled(figure, 520)
 
 
 def by_share(found: Sequence[Mapping[str, Any]]) -> go.Figure:

@@ -2,11 +2,12 @@
 
     python docs/_generate/pictures.py [--work FOLDER]
     python docs/_generate/pictures.py --logs LOG...
-    python docs/_generate/pictures.py --paper TABLES
+    python docs/_generate/pictures.py --paper TABLES --epochs 50 --work FOLDER
 
 writes the picture of the README, of the report of `uavtwin demo`, and that of docs/guide/live.md,
 the page of `uavtwin live --demo` after its alarm; with logs that of docs/guide/serve.md alone, the
-list of them; with the paper's residual tables those of docs/results/paper.md that need no training.
+list of them; with the paper's residual tables those of docs/results/paper.md, the paper's figures
+5 to 13, for which it trains what FOLDER does not hold yet.
 """
 
 import argparse
@@ -29,8 +30,8 @@ CONVINCES = "#before-after + details"
 """Its part of the report: measured, model before and after, and what both leave."""
 LIVE = (1000, 1150)
 """Size of the picture of a flight under way."""
-PAPER = {"paper_readings": 1090, "paper_residuals": 1090, "paper_ablations": 660}
-"""Pictures of the paper's figures 5, twice, and 12, with their heights."""
+CARD = 140
+"""Height of a figure's card on a page beyond that of the figure, pixels."""
 SERVED = (1000, 830)
 """Size of the picture of the list of flights."""
 SERVES, LISTENS = "127.0.0.1:8079", "udpin:127.0.0.1:14579"
@@ -122,26 +123,25 @@ def photograph_served(logs: list[Path], picture: Path, size: tuple[int, int]) ->
         opened.picture(picture, size[1])
 
 
-def photograph_paper(tables: Path) -> None:
-    """The paper's figures that need no training, as PNG: of its tables, and of kept scores.
+def photograph_paper(tables: Path, work: Path, epochs: int | None) -> None:
+    """The paper's figures as PNG: of its tables, of trainings, and of kept scores.
 
     Args:
         tables: Folder of the residual tables.
+        work: Folder of the trainings; what it holds is not trained again.
+        epochs: Of each training; None: the preset's.
     """
     sys.path.insert(0, str(DOCS.parent))
-    from benchmarks.paper import comparison, figures
-    from benchmarks.paper.trainings import paper_flights
+    from benchmarks.paper.__main__ import figures
+    from benchmarks.paper.figures import figures_page
 
-    flights = paper_flights(tables)
-    variants = [r for r in comparison.read_rows() if r["table"] == "ablations"]
-    best = [r for r in variants if r["row"].startswith("best: ")]
-    drawn = (figures.readings(flights), figures.residuals(flights), figures.by_share(best))
+    drawn = figures(tables, work, epochs, jobs=1)
     with tempfile.TemporaryDirectory() as folder:
-        for (name, height), figure in zip(PAPER.items(), drawn, strict=True):
+        for name, (title, figure) in drawn.items():
             page = Path(folder, f"{name}.html")
-            page.write_text(figures.figures_page([(name, figure)]), "utf-8")
-            picture = DOCS / "results" / "pictures" / f"{name}.png"
-            photograph(page, picture, (1000, height), ".card")
+            page.write_text(figures_page({name: (title, figure)}), "utf-8")
+            picture = DOCS / "results" / "pictures" / f"paper_{name}.png"
+            photograph(page, picture, (1000, figure.layout.height + CARD), ".card")
 
 
 def main() -> None:
@@ -150,9 +150,11 @@ def main() -> None:
     parser.add_argument("--work", type=Path, help="folder to work in; default: a temporary one")
     parser.add_argument("--logs", type=Path, nargs="+", help="logs of the picture of serve")
     parser.add_argument("--paper", type=Path, help="the paper's residual tables")
+    parser.add_argument("--epochs", type=int, help="of its systems; default: their presets'")
     given = parser.parse_args()
     if given.paper:
-        photograph_paper(given.paper)
+        with tempfile.TemporaryDirectory() as temporary:
+            photograph_paper(given.paper, given.work or Path(temporary), given.epochs)
         return
     if given.logs:
         photograph_served(given.logs, DOCS / "pictures" / "serve.png", SERVED)
