@@ -40,16 +40,14 @@ from ..exports.parts import OBSERVER
 from ..vehicles import Vehicle
 from .closed_loop import flyable
 from .memory import Memory
-from .open_loop import QUANTITIES, Replay
+from .open_loop import HORIZONS_S, QUANTITIES, Replay
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Progress = Callable[[float], None]
-AHEAD_S = (0.2, 0.5, 1.0)
-"""Horizons over which a law is judged, s."""
 TUMBLED_RAD = 1.0
-"""Attitude that the twin without a law is off (rms), from which on a horizon of a flight does not
-count: how a twin tumbles is no forecast. Not chosen on flights."""
+"""Attitude that the twin without a law is off (rms), from which on no law is worse than that: how a
+twin tumbles is no forecast. Not chosen on flights."""
 ALONE_S = 0.5
 """That of the comparison with the last motion, s."""
 BETTER = 0.01
@@ -146,7 +144,7 @@ def left_out(
             path = memory.array(f"without {flight.name}", taught.path)
             fmu = Path(place, f"{k}.fmu")
             build(fused_model(driven_twin(vehicle, drive, (), taught.empty), vehicle.name), fmu)
-            folds.append(Fold(Replay(flight, vehicle, AHEAD_S), taught, path, fmu, memory))
+            folds.append(Fold(Replay(flight, vehicle), taught, path, fmu, memory))
             progress((k + 1) / len(flights))
         yield folds
 
@@ -164,13 +162,15 @@ def score(choice: Choice, squares: Array, without: Array) -> RidgeScore:
         squares: As of `mean_squares`.
         without: The same without it.
     """
-    logs = np.log((squares + _TINY) / (without + _TINY))[upright(without)] / 2
-    worst = logs.mean(axis=0).max()
+    logs = np.log((squares + _TINY) / (without + _TINY)) / 2
+    fallen = np.broadcast_to(~upright(without)[..., None], logs.shape)
+    worst = np.ma.masked_array(logs, fallen).mean(axis=0).max()
     return RidgeScore(*choice, float(np.exp(logs.mean())), float(np.exp(worst)))
 
 
 def upright(without: Array) -> BoolArray:
-    """Horizons of flights that count, shape (flights, horizons); all where none would.
+    """Horizons of flights at which a law may be worse, shape (flights, horizons); all where it
+    could nowhere.
 
     Args:
         without: Mean squares of the twin without a law, as of `mean_squares`.
@@ -206,7 +206,7 @@ def accepted(folds: Sequence[Fold], choice: Choice) -> Acceptance:
     touched = over[np.abs(over - 1) > _UNTOUCHED]
     over_observer = float(np.median(touched)) if len(touched) else 1.0
     last = np.stack([f.last_motion for f in folds]).sum(-1)
-    at = AHEAD_S.index(ALONE_S)
+    at = HORIZONS_S.index(ALONE_S)
     ratios = np.log((own[:, at, :2] + _TINY) / (last[:, at, :2] + _TINY)) / 2
     quick = [f.fast for f in folds]
     fast = float(np.exp(ratios[quick].mean())) if any(quick) else None

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cosim.slave import Slave
 from learning.data.channels import phase_codes
-from learning.force.windows import WARM_S, apart, clear, left_alone, true_motion
+from learning.force.windows import EVERY_S, WARM_S, apart, clear, left_alone, true_motion
 from twin.errors import LogError
 from twin.frames import AXES, multiply
 from twin.logs import Flight
@@ -35,8 +35,6 @@ PREFIX = "airframe."
 """Of inputs and outputs of the airframe in the fused FMU."""
 HORIZONS_S = (0.05, 0.2, 0.5, 1.0, 2.0)
 """For how long a twin flies alone, s."""
-EVERY_S = 0.25
-"""Between two starts, s: half of the horizon of the claim. Made up."""
 DISTANCE = "residual_force.distance"
 """Output of a twin with a learned force: 1 where the training ends."""
 QUANTITIES = (("position", "m"), ("velocity", "m/s"), ("attitude", "rad"), ("rates", "rad/s"))
