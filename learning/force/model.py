@@ -4,8 +4,9 @@ import hashlib
 import json
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -119,69 +120,64 @@ class StoredArray:
     values: tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class ForceFile:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """How a law was come by.
+
+    Attributes:
+        vehicle: Name of the vehicle.
+        vehicle_sha256: Of its file.
+        seed: Of the air of the missions that it had to fly.
+        flights: That taught it.
+        tried: Ridges, as flown over flights left out; empty where a single flight was given.
+        acceptance: What the law was held against, on flights left out.
+        closed_loop: Missions in random air, flown before the law was shipped.
+    """
+
+    vehicle: str
+    vehicle_sha256: str
+    seed: int
+    flights: tuple[TrainingFlight, ...]
+    tried: tuple[RidgeScore, ...] = ()
+    acceptance: Acceptance = Acceptance()
+    closed_loop: MissionCheck = MissionCheck()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceFile(Origin):
     """What `uavtwin train --protocol force` writes beside `vehicle.toml`.
 
     Attributes:
         format: Version of the layout.
         protocol: "force".
-        vehicle: Name of the vehicle.
-        vehicle_sha256: Of its file.
-        seed: Of the air of the missions that it had to fly.
-        flights: That taught it.
         inputs: Names of what the law sees.
         features: Names of what its linear part is linear in.
         outputs: Of each of the six, by name.
-        tried: Ridges, as flown over flights left out; empty where a single flight was given.
-        acceptance: What the law was held against, on flights left out.
-        closed_loop: Missions in random air, flown before the law was shipped.
         law: Its arrays, by name.
         module_sha256: Of `force.onnx`; missing where no output is a module.
     """
 
     format: int
     protocol: str
-    vehicle: str
-    vehicle_sha256: str
-    seed: int
-    flights: tuple[TrainingFlight, ...]
     inputs: tuple[str, ...]
     features: tuple[str, ...]
     outputs: dict[str, Output]
-    tried: tuple[RidgeScore, ...]
-    acceptance: Acceptance
-    closed_loop: MissionCheck
     law: dict[str, StoredArray]
     module_sha256: str | UnsetType = UNSET
 
 
-@dataclass(frozen=True, slots=True)
-class ForceModel:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceModel(Origin):
     """A law, and how it was come by; a driven twin has the untrained observer alongside it.
 
     Attributes:
         law: As it is used.
-        flights: That taught it.
-        vehicle: Name of the vehicle.
-        vehicle_sha256: Of its file.
-        seed: Of the air of the missions that it had to fly.
         ridge: Under which it was fitted; None: there is none, or it is a module.
-        tried: Every ridge, as flown.
-        acceptance: What it was held against.
-        closed_loop: Missions that it had to fly.
         onnx: File of the law's module; empty where it has none.
     """
 
     law: ForceLaw
-    flights: tuple[TrainingFlight, ...]
-    vehicle: str
-    vehicle_sha256: str
-    seed: int
     ridge: float | None = None
-    tried: tuple[RidgeScore, ...] = ()
-    acceptance: Acceptance = Acceptance()
-    closed_loop: MissionCheck = MissionCheck()
     onnx: bytes = b""
 
     __repr__ = short_repr
@@ -203,18 +199,12 @@ class ForceModel:
 def save_force(model: ForceModel, folder: Path) -> None:
     """Write `force.json` and, of a module, `force.onnx`; the same model gives the same bytes."""
     content = ForceFile(
+        **_origin(model),
         format=FORMAT,
         protocol="force",
-        vehicle=model.vehicle,
-        vehicle_sha256=model.vehicle_sha256,
-        seed=model.seed,
-        flights=model.flights,
         inputs=tuple(name for name, _ in INPUTS),
         features=tuple(FEATURES),
         outputs=model.outputs,
-        tried=model.tried,
-        acceptance=model.acceptance,
-        closed_loop=model.closed_loop,
         law=_plain(model.law),
         module_sha256=_sha256(model.onnx) if model.onnx else UNSET,
     )
@@ -291,17 +281,13 @@ def _model(content: ForceFile) -> ForceModel:
             raise ModelError(f"{key} is {getattr(content, key)}, not {value}")
     if tuple(content.outputs) != _OUTPUTS:
         raise ModelError(f"outputs are {list(content.outputs)}, not {list(_OUTPUTS)}")
-    return ForceModel(
-        law=_law(content.law),
-        ridge=next((o.ridge for o in content.outputs.values() if o.ridge), None),
-        tried=content.tried,
-        acceptance=content.acceptance,
-        closed_loop=content.closed_loop,
-        flights=content.flights,
-        vehicle=content.vehicle,
-        vehicle_sha256=content.vehicle_sha256,
-        seed=content.seed,
-    )
+    ridge = next((o.ridge for o in content.outputs.values() if o.ridge), None)
+    return ForceModel(**_origin(content), law=_law(content.law), ridge=ridge)
+
+
+def _origin(of: Origin) -> dict[str, Any]:
+    """What both kinds have in common."""
+    return {f.name: getattr(of, f.name) for f in fields(Origin)}
 
 
 def _plain(law: ForceLaw) -> dict[str, StoredArray]:

@@ -51,7 +51,14 @@ def _model(
     for output, feature, weight in weights:
         linear[names.index(output), FEATURES.index(feature)] = weight
     arrays = {**empty.arrays(), "linear": linear, "most": np.full(len(OUTPUTS), 1e3)}
-    return ForceModel(ForceLaw.of(arrays), (), COPTER.name, "", 0, ridge)
+    return ForceModel(
+        law=ForceLaw.of(arrays),
+        flights=(),
+        vehicle=COPTER.name,
+        vehicle_sha256="",
+        seed=0,
+        ridge=ridge,
+    )
 
 
 @pytest.mark.long

@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from cosim.whole_twin import fused_model
 from fmus import build
 from learning.data.envelope import BEYOND
-from learning.force import windows
 from learning.force.equations import Equations
 from learning.force.laws import RIDGES, Taught
 from learning.force.model import RidgeScore
@@ -25,9 +24,7 @@ from twin.physics.residual_force import FEATURES, OUTPUTS
 from twin.residuals.aligned import components_of
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
-from uavtwin.force import open_loop
 from uavtwin.force.learn import (
-    AHEAD_S,
     Fold,
     accepted,
     best,
@@ -36,6 +33,7 @@ from uavtwin.force.learn import (
     ranked,
     score,
 )
+from uavtwin.force.open_loop import HORIZONS_S as JUDGED_S
 from uavtwin.force.open_loop import Replay
 
 COPTER = load_vehicle("copter_default")
@@ -65,11 +63,9 @@ def flight() -> Flight:
 
 @pytest.fixture(scope="module")
 def taught(flight: Flight) -> Taught:
-    """By that flight, in windows as close as those of the replay."""
+    """By that flight, in windows that begin where those of the replay do."""
     equations = Equations(COPTER, components_of(COPTER, "command")[0])
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(windows, "EVERY_S", open_loop.EVERY_S)
-        return Taught.by([FlightWindows.of(flight, COPTER, equations)], equations)
+    return Taught.by([FlightWindows.of(flight, COPTER, equations)], equations)
 
 
 def _turns() -> np.ndarray:
@@ -163,14 +159,25 @@ def test_the_strongest_ridge_that_is_as_good_is_taken() -> None:
     assert ranked([*scores, RidgeScore("both", 0.1, 0.7, 1.1)]) == [("force", 0.1), ("both", 1.0)]
 
 
-def test_a_twin_that_has_tumbled_is_no_forecast() -> None:
-    without = np.full((2, len(AHEAD_S), 4), 0.1)
-    without[0, -1] = 4.0
+def test_a_law_is_as_bad_as_its_worst_quantity_at_any_horizon() -> None:
+    without = np.full((2, len(JUDGED_S), 4), 0.1)
     squares = 0.25 * without
-    squares[0, -1] = 400.0
+    squares[:, 0, 3] = 1.21 * without[:, 0, 3]
     found = score(("both", 1.0), squares, without)
-    assert found.ratio == pytest.approx(0.5) and found.worst == pytest.approx(0.5)
-    assert score(("both", 1.0), 100.0 * without, 40.0 * without).ratio == pytest.approx(2.5**0.5)
+    assert found.worst == pytest.approx(1.1) and found.ratio < 0.6
+
+
+def test_a_twin_that_has_tumbled_is_no_forecast() -> None:
+    """No law is worse than that; but how far each is off there tells laws from each other."""
+    without = np.full((2, len(JUDGED_S), 4), 0.1)
+    without[:, -1] = 4.0
+    squares = 0.25 * without
+    flies = score(("both", 1.0), squares, without)
+    squares[:, -1] = 400.0
+    tumbles = score(("both", 1.0), squares, without)
+    assert flies.worst == tumbles.worst == pytest.approx(0.5)
+    assert flies.ratio == pytest.approx(0.5) and tumbles.ratio > 0.9
+    assert score(("both", 1.0), 100.0 * without, 40.0 * without).worst == pytest.approx(2.5**0.5)
 
 
 LAW = ("both", 1.0)
@@ -178,7 +185,7 @@ LAW = ("both", 1.0)
 
 def _fold(law: float, observer: float, motion: float, fast: bool) -> Fold:
     """Errors of every cell: with the law, with the untrained observer, of the last motion."""
-    cells = (len(AHEAD_S), 4, 3)
+    cells = (len(JUDGED_S), 4, 3)
     flown = SimpleNamespace(off=np.full((2, *cells), motion))
     replay = SimpleNamespace(speed_m_s=1.0 if fast else 0.1, last_motion=lambda: flown)
     with_law = {None: np.full(cells, observer**2), LAW: np.full(cells, law**2)}

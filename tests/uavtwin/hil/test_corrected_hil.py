@@ -67,7 +67,7 @@ def pushed_forward(mass_kg: float) -> ForceModel:
         most=np.full(len(OUTPUTS), 1e3),
         units=mass_kg * np.eye(len(OUTPUTS)),
     )
-    return ForceModel(law, (), VEHICLE, "", 0, ridge=1.0)
+    return ForceModel(law=law, flights=(), vehicle=VEHICLE, vehicle_sha256="", seed=0, ridge=1.0)
 
 
 @pytest.mark.slow
