@@ -11,7 +11,6 @@ flight) as one model left it:
 | rmse_before, removed | uncorrected rms, and the share of it that is gone |
 | spread_before, spread_left | both about their own mean in this row: what a constant leaves |
 | removed_beyond_constant | the share of the former that is gone |
-| *_std | in units of the training residual's spread in this channel |
 | inside | share of samples within the model's envelope |
 | within_1, within_2 | share of samples within one and two predicted spreads |
 """
@@ -28,24 +27,14 @@ from scipy.stats import wasserstein_distance
 
 from twin.errors import ModelError
 
-from .data.channels import CHANNELS, GROUPS, N_PHASES, PHASE_CODES, UNITS
+from .data.channels import CHANNELS, GROUPS, PHASE_CODES, UNITS
 from .data.flights import ResidualFlight
 from .data.sequences import check_protocol
-from .model.baselines import fit_baselines, phase_means
+from .model.baselines import fit_baselines
 from .model.family import Corrected, Model
 from .preset import Protocol
 
-_MEANS = (
-    "mse",
-    "mae",
-    "wasserstein",
-    "mse_std",
-    "mae_std",
-    "wasserstein_std",
-    "inside",
-    "within_1",
-    "within_2",
-)
+_MEANS = ("mse", "mae", "wasserstein", "inside", "within_1", "within_2")
 """Columns that are pooled by their number of samples."""
 _ROOTS = ("rmse_before", "spread_before", "spread_left")
 """Columns whose squares are pooled so."""
@@ -77,7 +66,7 @@ def evaluate(
 
     Args:
         model: One, called "model", several by name, or None for the baselines alone.
-        train: What baselines and standardised units are made from.
+        train: What baselines are made from.
         test: Flights to score, none of them in `train`.
         task: Protocol the models work under.
 
@@ -90,15 +79,13 @@ def evaluate(
     """
     check_flights(train, test)
     models = fitted(model, train, task)
-    scale = residual_scale(train)
-    known = [[Cell(flight, *cell, scale) for cell in cells(flight)] for flight in test]
     rows: list[dict[str, Any]] = []
     for name, each in models.items():
         head = {"protocol": task.protocol, "horizon": task.horizon, "model": name}
-        for flight, parts in zip(test, known, strict=True):
+        for flight in test:
             corrected = each.run(flight)
             check_finite(name, flight, corrected)
-            rows += [head | part.scored(corrected) for part in parts]
+            rows += [head | scored(flight, corrected, *cell) for cell in cells(flight)]
     return pd.DataFrame(rows)
 
 
@@ -141,7 +128,7 @@ def pooled(
         found[name] = sums[name] / sums[f"{name}/n"].where(sums[f"{name}/n"] > 0)
     for name in _ROOTS:
         found[name] = np.sqrt(sums[name] / sums["n"])
-    found["rmse"], found["rmse_std"] = np.sqrt(found["mse"]), np.sqrt(found["mse_std"])
+    found["rmse"] = np.sqrt(found["mse"])
     found["removed"] = _removed(found["rmse"], found["rmse_before"])
     found["removed_beyond_constant"] = _removed(found["spread_left"], found["spread_before"])
     ordered = ["n", *(c for c in table if c in found and c != "n")]
@@ -162,79 +149,45 @@ PHASE_OF = {code: name for name, code in PHASE_CODES.items()}
 """Name of each phase code."""
 
 
-def residual_scale(train: Sequence[ResidualFlight]) -> Array:
-    """Spread of the training residual, shape (phases, 15); 1 where there is none."""
-    mean = phase_means(train)
-    pooled = [
-        np.concatenate([f.residual[f.fresh[:, c], c] for f in train]) for c in range(len(CHANNELS))
-    ]
-    spread = np.tile([v.std() if len(v) else 0.0 for v in pooled], (N_PHASES, 1))
-    return np.where(spread > 1e-9 * np.abs(mean) + 1e-15, spread, 1.0)
-
-
-def cells(flight: ResidualFlight) -> Iterator[tuple[str, int, str, BoolArray]]:
-    """Phase, number and name of the channel, and fresh samples there, shape (n,), of each row."""
-    for c, channel in enumerate(CHANNELS):
+def cells(flight: ResidualFlight) -> Iterator[tuple[str, int, BoolArray]]:
+    """Phase, number of the channel and fresh samples there, shape (n,), of each row."""
+    for c in range(len(CHANNELS)):
         fresh = flight.fresh[:, c]
         if not fresh.any():
             continue
-        yield WHOLE, c, channel, fresh
+        yield WHOLE, c, fresh
         for code in np.unique(flight.phase[fresh]):
-            yield PHASE_OF[int(code)], c, channel, fresh & (flight.phase == code)
+            yield PHASE_OF[int(code)], c, fresh & (flight.phase == code)
 
 
-class Cell:
-    """One channel of one flight in one phase, to be scored under several models."""
-
-    def __init__(
-        self,
-        flight: ResidualFlight,
-        phase: str,
-        c: int,
-        channel: str,
-        here: BoolArray,
-        scale: Array,
-    ) -> None:
-        """Take the samples; what holds for all models is computed once."""
-        self._c, self._here = c, here
-        self._residual = flight.residual[here, c]
-        self._scale = scale[flight.phase[here], c]
-        self._before = rmse(self._residual)
-        self._spread_before = spread_of(self._residual)
-        self._key = {
-            "flight": flight.name,
-            "phase": phase,
-            "channel": channel,
-            "group": GROUP_OF[channel],
-            "unit": UNITS[c],
-            "n": len(self._residual),
-        }
-
-    def scored(self, corrected: Corrected) -> dict[str, Any]:
-        """A row of the table."""
-        here, scale = self._here, self._scale
-        correction, spread = corrected.correction[here, self._c], corrected.spread[here, self._c]
-        left = self._residual - correction
-        rms, spread_left = rmse(left), spread_of(left)
-        return {
-            **self._key,
-            "mse": rms**2,
-            "rmse": rms,
-            "mae": mae(left),
-            "wasserstein": wasserstein(self._residual, correction),
-            "rmse_before": self._before,
-            "removed": share_removed(rms, self._before),
-            "spread_before": self._spread_before,
-            "spread_left": spread_left,
-            "removed_beyond_constant": share_removed(spread_left, self._spread_before),
-            "mse_std": mse(left / scale),
-            "rmse_std": rmse(left / scale),
-            "mae_std": mae(left / scale),
-            "wasserstein_std": wasserstein(self._residual / scale, correction / scale),
-            "inside": float(np.mean(corrected.inside[here])),
-            "within_1": coverage(left, spread, 1),
-            "within_2": coverage(left, spread, 2),
-        }
+def scored(
+    flight: ResidualFlight, corrected: Corrected, phase: str, c: int, here: BoolArray
+) -> dict[str, Any]:
+    """A row of the table; phase, channel and samples as of `cells`."""
+    residual, correction = flight.residual[here, c], corrected.correction[here, c]
+    left, spread = residual - correction, corrected.spread[here, c]
+    before, rms = rmse(residual), rmse(left)
+    spread_before, spread_left = spread_of(residual), spread_of(left)
+    return {
+        "flight": flight.name,
+        "phase": phase,
+        "channel": CHANNELS[c],
+        "group": GROUP_OF[CHANNELS[c]],
+        "unit": UNITS[c],
+        "n": len(residual),
+        "mse": rms**2,
+        "rmse": rms,
+        "mae": mae(left),
+        "wasserstein": wasserstein(residual, correction),
+        "rmse_before": before,
+        "removed": share_removed(rms, before),
+        "spread_before": spread_before,
+        "spread_left": spread_left,
+        "removed_beyond_constant": share_removed(spread_left, spread_before),
+        "inside": float(np.mean(corrected.inside[here])),
+        "within_1": coverage(left, spread, 1),
+        "within_2": coverage(left, spread, 2),
+    }
 
 
 # -- how far a correction is from the residual --------------------------------------------

@@ -103,9 +103,6 @@ def test_numbers_of_a_row() -> None:
     assert r["within_1"] == np.mean(np.abs(left) <= 0.5)
     assert r["within_2"] == np.mean(np.abs(left) <= 1.0)
     assert r["inside"] == 0.75
-    spread = np.concatenate([f.residual[:, c] for f in TRAIN]).std()
-    assert r["rmse_std"] == pytest.approx(r["rmse"] / spread)
-    assert r["wasserstein_std"] == pytest.approx(r["wasserstein"] / spread)
 
 
 @pytest.mark.slow
@@ -161,7 +158,7 @@ def test_pooled_by_phase_agrees_with_the_whole() -> None:
     table = table_of(Share(0.5))
     parts = pooled(table[table.phase != WHOLE], ["model", "group"]).set_index(["model", "group"])
     whole = pooled(table[table.phase == WHOLE], ["model", "group"]).set_index(["model", "group"])
-    for name in ("n", "mse", "mae", "mse_std", "within_1", "within_2", "inside"):
+    for name in ("n", "mse", "mae", "within_1", "within_2", "inside"):
         np.testing.assert_allclose(parts[name], whole[name], err_msg=name)
 
 
