@@ -19,7 +19,7 @@ from .rollout import fitted
 from .windows import FlightWindows, accelerometer_confirms, sizes
 
 Array = NDArray[np.float64]
-RIDGES = (1.0, 0.3, 0.1, 0.03)
+RIDGES = (1.0, 0.3, 0.1, 0.03, 0.01)
 """Tried strengths, the strongest first: the price of a weight that makes what the equations lack,
 over the error that is left without a law."""
 PARTS = {"moment": slice(3, 6), "force": slice(0, 3), "both": slice(0, 6)}

@@ -187,22 +187,17 @@ def best(tried: Sequence[RidgeScore]) -> Choice | None:
     return next(((t.part, t.ridge) for t in good if t.ratio <= least + BETTER), None)
 
 
-def chosen(folds: Sequence[Fold], progress: Progress) -> tuple[RidgeScore, ...]:
-    """What the law under each ridge does, and each part of it alone: a drag turns nothing."""
-    without, tried = mean_squares(folds, None), []
-    for ridge, part in product(RIDGES, PARTS):
-        tried.append(score((part, ridge), mean_squares(folds, (part, ridge)), without))
-        progress(len(tried) / (len(RIDGES) * len(PARTS)))
-    return tuple(tried)
-
-
-def accepted(folds: Sequence[Fold], choice: Choice) -> Acceptance:
+def accepted(folds: Sequence[Fold], own: Array, without: Array) -> Acceptance:
     """What a law does that twins without one do not: flights left out have to be flown better than
     by the explained twin with the untrained observer, and fast ones better than by the last motion
-    in position and velocity."""
-    own, observed = mean_squares(folds, choice), mean_squares(folds, None)
-    over = np.sqrt((own + _TINY) / (observed + _TINY))
-    over = over[upright(observed)]
+    in position and velocity.
+
+    Args:
+        folds: Flights left out.
+        own: As of `mean_squares`, with the law.
+        without: The same without it.
+    """
+    over = np.sqrt((own + _TINY) / (without + _TINY))[upright(without)]
     touched = over[np.abs(over - 1) > _UNTOUCHED]
     over_observer = float(np.median(touched)) if len(touched) else 1.0
     last = np.stack([f.last_motion for f in folds]).sum(-1)
@@ -257,8 +252,13 @@ def learn_force(
         return nothing
     part = _part(progress, 0.0, _TAUGHT)
     with left_out(flights, windows, vehicle, drive, memory, part) as folds:
-        tried = chosen(folds, _part(progress, _TAUGHT, _CHOSEN))
-        held = [(choice, accepted(folds, choice)) for choice in ranked(tried)]
+        part = _part(progress, _TAUGHT, _CHOSEN)
+        without, flown = mean_squares(folds, None), dict[Choice, Array]()
+        for ridge, kind in product(RIDGES, PARTS):
+            flown[kind, ridge] = mean_squares(folds, (kind, ridge))
+            part(len(flown) / (len(RIDGES) * len(PARTS)))
+        tried = tuple(score(choice, squares, without) for choice, squares in flown.items())
+        held = [(choice, accepted(folds, flown[choice], without)) for choice in ranked(tried)]
     judged = replace(nothing, tried=tried, acceptance=held[0][1] if held else Acceptance())
     fine = [(choice, a) for choice, a in held if not a.refused]
     if not fine:

@@ -207,10 +207,10 @@ def test_a_law_has_to_beat_the_observer_and_where_it_is_fast_the_last_motion(
     law: float, observer: float, motion: float, fast: bool, refused: bool
 ) -> None:
     folds = [_fold(law, observer, motion, fast)] * 2
-    found = accepted(folds, LAW)
+    squares, without = mean_squares(folds, LAW), mean_squares(folds, None)
+    found = accepted(folds, squares, without)
     assert found.over_observer == pytest.approx(law / observer)
     assert found.over_last_motion == pytest.approx(law / motion)
     assert found.fast == (pytest.approx(law / motion) if fast else None)
     assert found.refused == refused
-    squares, without = mean_squares(folds, LAW), mean_squares(folds, None)
     assert score(LAW, squares, without).ratio == pytest.approx(law / observer)
