@@ -117,9 +117,10 @@ def _named(found: Explanation, naming: Naming) -> Headline:
 
 
 def _not_told(found: Explanation, naming: Naming) -> str:
-    """`not_told` of what vehicle files seldom know and nothing is said of."""
+    """`not_told` of what vehicle files seldom know and nothing is said of; what this file is unsure
+    of is calibrated instead."""
     priors = naming.problem.priors
-    said = {*listed_effects(found), *(r.effect for r in naming.resemblances)}
+    said = {*listed_effects(found), *(r.effect for r in naming.resemblances), *priors.unsure}
     said |= {e for t in naming.standing.values() for e in t.effects}
     seldom_known = {effect_of(c) for c, odds in priors.odds.items() if odds >= UNMEASURED} - said
     smallest = {e: d for e, d in naming.detectable.items() if e in seldom_known}
