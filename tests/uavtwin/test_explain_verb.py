@@ -225,6 +225,13 @@ def test_the_fmu_has_the_effect_on(named: Run) -> None:
     assert float(starts["rotor_drag.k_xy_1_s"]) == pytest.approx(value, rel=1e-5)
 
 
+def test_one_flight_held_out_gives_no_bands_and_that_is_said(named: Run) -> None:
+    found = json.loads((named.out / "accuracy.json").read_text())
+    assert not found["twins"]
+    assert found["missing"].keys() == {"plain", "observer"}
+    assert "2 are needed" in found["missing"]["plain"]
+
+
 def test_the_settings_are_recorded(named: Run) -> None:
     assert named.json["settings"] == {"hash": DEFAULT.hash, "changed": {}}
     assert named.found is not None

@@ -199,6 +199,7 @@ def driven_twin(
     effects: Iterable[str] | None = None,
     law: ForceLaw | None = None,
     position: Kind = "gnss",
+    accuracy: Component | None = None,
 ) -> Assembly:
     """A vehicle with its sensors whose rotors somebody else drives, as a log does.
 
@@ -212,6 +213,7 @@ def driven_twin(
             the vehicle.
         law: Of what its equations leave of force and moment; None: nothing is known of it.
         position: Kind of position sensor.
+        accuracy: Of `twin.physics.accuracy`, to be beside it; None: without.
 
     Raises:
         ModelError: The vehicle's maps do not allow this drive.
@@ -219,6 +221,8 @@ def driven_twin(
     choices = Choices(effects_for(vehicle) if effects is None else tuple(effects), drive, position)
     body = airframe(vehicle, drive, choices.effects, restart=True, voltage=law is not None)
     parts = _aircraft(vehicle, body, choices, law)
+    if accuracy is not None:
+        parts[accuracy.name] = accuracy
     return Assembly(parts, connected_by_name(parts), DRIVEN_S)
 
 

@@ -48,14 +48,17 @@ class Disturbance:
         force_b: Body FRD, N.
         moment_b: Body FRD, N m.
         gravity_b: Acceleration that nothing feels, body FRD, m/s2.
+        alone_s: Time since the motion was given, or since the start, s.
     """
 
     force_b: Sequence[ca.SX]
     moment_b: Sequence[ca.SX]
     gravity_b: Sequence[ca.SX]
+    alone_s: ca.SX
 
 
-NONE = Disturbance(*[[ca.SX(0)] * 3] * 3)
+_NOTHING = [ca.SX(0)] * 3
+NONE = Disturbance(_NOTHING, _NOTHING, _NOTHING, ca.SX(0))
 """Of an airframe whose motion is never given."""
 
 
@@ -90,6 +93,8 @@ def followed(m: ComponentBuilder, motion: Motion, period: ca.SX) -> Disturbance:
     )
     before = m.memory("restart.before", "1", "whether the motion was given an instant ago")
     m.update("restart.before", now)
+    alone_s = m.memory("alone", "s", "time since the motion was given")
+    m.update("alone", ca.if_else(now, 0.0, alone_s + period))
     follows = ca.logic_and(now, before > 0.5)
     acts = []
     for (name, unit, meaning), lacks in zip(LEARNED, _drift(motion, given), strict=True):
@@ -105,11 +110,12 @@ def followed(m: ComponentBuilder, motion: Motion, period: ca.SX) -> Disturbance:
         m.update(f"disturbance.{name}", ca.if_else(now, learned, known * (1 - period / fade)))
         acts.append(ca.if_else(on, known, 0.0))
     nothing = ca.SX(0)
-    return Disturbance([nothing, nothing, acts[2]], acts[3:], [*acts[:2], nothing])
+    return Disturbance([nothing, nothing, acts[2]], acts[3:], [*acts[:2], nothing], alone_s)
 
 
 def shown(m: ComponentBuilder, disturbance: Disturbance) -> None:
-    """Output what is learned."""
+    """Output what is learned, and for how long it has been left alone."""
+    m.output("alone", "s", "Time since its motion was given, or the start", disturbance.alone_s)
     acts = (*disturbance.gravity_b[:2], disturbance.force_b[2], *disturbance.moment_b)
     for (name, unit, meaning), value in zip(LEARNED, acts, strict=True):
         m.output(f"disturbance.{name}", unit, f"{meaning}, as learned while it was set", value)

@@ -83,6 +83,7 @@ def explain(
     from fmus.platforms import DEFAULT, compilers, select_platforms
 
     from .. import explanation
+    from ..accuracy import write_accuracy
     from ..explain_journal import JOURNAL, ExplainJournal, run_key
     from ..output import check_folder
     from ..series.files import chosen_forms
@@ -129,6 +130,7 @@ def explain(
         written = explanation.write_explanation(found.details, folder)
         if not no_fmus:
             written += explanation.write_fmus(found.details, folder, steps, step)
+            written += write_accuracy(found.details, away, folder, steps, step)
         return written
 
     conclude(

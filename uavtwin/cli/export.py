@@ -259,9 +259,12 @@ class Choice:
         from fmus.compensator import FILE, INT8_FILE
         from learning.force.model import FILE as FORCE_FILE
 
+        from ..exports.bands import FILE as ACCURACY
+
         files = (INT8_FILE if self.int8 else FILE, FORCE_FILE)
         trained = [] if self.model is None else [self.model / n for n in files]
-        proof = [] if self.evidence is None else [self.evidence / "explain.json"]
+        of_explain = ("explain.json", ACCURACY)
+        proof = [] if self.evidence is None else [self.evidence / n for n in of_explain]
         given = (Path(self.vehicle), self.flight, *trained, *proof)
         return [p for p in given if p is not None and p.is_file()]
 
@@ -355,15 +358,18 @@ def _part(
     from twin.logs import read_flight
 
     from ..exports import parts
+    from ..exports.bands import read_accuracy
 
     drive = cast("Drive | None", DRIVES.get(choice.drive or MISSION))
     if name == FUSED:
+        known = None if choice.evidence is None else read_accuracy(choice.evidence, vehicle)
         controller = cast("Controller", choice.controller)
         kind = cast("Kind", choice.position)
         return parts.twin(
             *(vehicle, choice.mission, controller, network, drive, force, kind),
             observer=choice.observer,
             noise=choice.noise,
+            accuracy=known,
         )
     if name == REPLAY and choice.flight is not None:
         linear = [c.strip() for c in choice.linear.split(",") if c.strip()]

@@ -35,6 +35,8 @@ _SPACES = {
 }
 HIGHEST = 4
 """Level of the standard; none of ours is over 2."""
+_FILES = ("explain.json", "run.json", "vehicle.toml", "accuracy.json")
+"""Of a folder of `explain`, which the card rests on."""
 _MADE_UP = "made up"
 _OF_FLIGHTS = ("uavtwin calibrate,", "uavtwin explain,")
 """How sources begin that flights have given."""
@@ -162,6 +164,7 @@ def of_file(
     references: bool,
     changes: Iterable[str] = (),
     evidence: Mapping[str, str] | None = None,
+    bands: FactorRecord | None = None,
 ) -> CredibilityRecord:
     """The card of one file.
 
@@ -170,8 +173,14 @@ def of_file(
         references: Whether reference results are inside.
         changes: In what the file is another twin than that.
         evidence: SHA-256 of files that the changes rest on, by name.
+        bands: What is known of the uncertainty of its outputs; None: nothing is asked of it.
     """
     own = dict(card.factors)
+    if bands is not None:
+        numbers = own["uncertainty_characterization"]
+        own["uncertainty_characterization"] = FactorRecord(
+            level=max(bands.level, numbers.level), because=f"{numbers.because}; {bands.because}"
+        )
     if references:
         own["verification"] = FactorRecord(
             level=1, because="reference results inside; uavtwin verify reruns them"
@@ -219,11 +228,11 @@ def _validation(found: _Found | None) -> FactorRecord:
 
 
 def _uncertainty(vehicle: Vehicle) -> FactorRecord:
-    """1: some numbers have a standard deviation."""
+    """1: some numbers have a standard deviation; of files, 2: outputs have bands."""
     if not vehicle.deviations:
         return _nothing("no number has a standard deviation")
     known = len(vehicle.deviations)
-    return FactorRecord(level=1, because=f"{known} numbers have a standard deviation; outputs none")
+    return FactorRecord(level=1, because=f"{known} numbers have a standard deviation")
 
 
 def _robustness(found: _Found | None) -> FactorRecord:
@@ -256,7 +265,7 @@ def _read(folder: Path, vehicle: Vehicle) -> _Found:
             f"{folder}: its vehicle.toml is not the vehicle of the export, {vehicle.name}: the "
             f"evidence is of another twin. Give --vehicle {folder / 'vehicle.toml'}."
         )
-    names = ("explain.json", "run.json", "vehicle.toml")
+    names = [n for n in _FILES if (folder / n).is_file()]
     files = {i.name: i.sha256 for i in run.inputs}
     return _Found(explained, files | {n: sha256(folder / n) for n in names})
 

@@ -25,6 +25,8 @@ from twin.vehicle import Vehicle
 from ..flights import checked_flights
 from ..output import sha256
 from ..vehicles import GROUNDED, checked_vehicle
+from .bands import AccuracyRecord, accuracy_part
+from .credibility import FactorRecord
 
 if TYPE_CHECKING:
     from learning.force.model import ForceModel
@@ -47,6 +49,7 @@ class Twin:
         grounded: Why it does not fly, as the vehicle file says; "": it does not say so.
         changes: In what it is another twin than the vehicle file has.
         evidence: SHA-256 of what that rests on, by name; flights among them.
+        bands: What the card says of the bands of its outputs; None: it has no part for them.
     """
 
     name: str
@@ -55,6 +58,7 @@ class Twin:
     grounded: str = ""
     changes: tuple[str, ...] = ()
     evidence: Mapping[str, str] = field(default_factory=dict)
+    bands: FactorRecord | None = None
 
     __repr__ = short_repr
 
@@ -84,6 +88,7 @@ def twin(
     position: Kind = "gnss",
     observer: bool = False,
     noise: bool = False,
+    accuracy: AccuracyRecord | None = None,
 ) -> Twin:
     """The whole twin of a vehicle, all effects built in and those of the vehicle on.
 
@@ -100,6 +105,8 @@ def twin(
             has.
         noise: Whether what the force does not foretell is drawn (`residual_force.noise.enabled`,
             on); else nothing of it is in the twin.
+        accuracy: How far it was off on other flights, so that a driven twin says how far it may be
+            off and where that is known; None: it says nothing.
 
     Raises:
         TwinError: An unknown mission, controller, drive or position sensor, or a compensator or
@@ -115,21 +122,25 @@ def twin(
             "noise: nothing is to be drawn. It is of a learned force whose training flights hover, "
             "and whose twin does; train with such a flight."
         )
+    changes, evidence = _taught(compensator, force)
+    bands = None
     if drive is None:
         assembly = flying_twin(model, mission, controller, law=law, position=position)
     else:
         _check_drive("twin", drive)
-        assembly = driven_twin(model, drive, law=law, position=position)
+        part = None
+        if accuracy is not None:
+            part, bands = accuracy_part(accuracy, model, drive, observer, changes)
+        assembly = driven_twin(model, drive, law=law, position=position, accuracy=part)
         if observer or force is not None or compensator is not None:
             assembly = assembly.with_starts({OBSERVER: 1.0})
     if noise:
         assembly = assembly.with_starts({NOISE: 1.0})
-    changes, evidence = _taught(compensator, force)
     if observer:
         changes.append("an observer acts on it")
     if noise:
         changes.append("noise of the force is drawn")
-    return Twin(model.name, assembly, compensator, model.grounded, tuple(changes), evidence)
+    return Twin(model.name, assembly, compensator, model.grounded, tuple(changes), evidence, bands)
 
 
 def _taught(

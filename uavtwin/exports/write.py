@@ -24,10 +24,12 @@ from ..display import DisplayMixin, TextTable
 from ..output import results_folder, sha256
 from ..record import Record
 from ..vehicles import GROUNDED
-from .credibility import CredibilityRecord, check_required, members, of_file
+from .credibility import CredibilityRecord, FactorRecord, check_required, members, of_file
 from .parts import Twin
 
 Exportable = Component | FmuModel | NetworkFile | Twin
+KNOWN = "accuracy.known"
+"""Parameter of a twin with bands: whether it is the one that was compared."""
 
 
 @dataclass(slots=True)
@@ -209,6 +211,8 @@ def _twin_products(twin: Twin, starts: Starts) -> list[Product]:
     assembly = twin.assembly.with_starts(
         {f"{name}.{n}": x for name in twin.assembly.parts for n, x in own[name].items()}
     )
+    if starts.values and twin.bands is not None and twin.bands.level:
+        assembly = assembly.with_starts({KNOWN: 0.0})
     if compensator is not None:
         compensator = compensator.with_starts(own[COMPENSATOR])
 
@@ -405,9 +409,12 @@ def _with_card(
         return product
     changes = [f"{name} = {value:g}" for name, value in starts.values.items()]
     evidence: Mapping[str, str] = {}
+    bands = None
     if isinstance(what, Twin):
-        changes, evidence = [*changes, *what.changes], what.evidence
-    return replace(product, card=of_file(card, product.references, changes, evidence))
+        changes, evidence, bands = [*changes, *what.changes], what.evidence, what.bands
+    if bands is not None and starts.values:
+        bands = FactorRecord(level=0, because="bands of outputs: start values are others")
+    return replace(product, card=of_file(card, product.references, changes, evidence, bands))
 
 
 def checked_versions(fmi: int | Iterable[int]) -> tuple[int, ...]:

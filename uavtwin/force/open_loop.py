@@ -20,7 +20,7 @@ from learning.data.channels import phase_codes
 from learning.force.windows import EVERY_S, WARM_S, apart, clear, left_alone, true_motion
 from twin.errors import LogError
 from twin.frames import AXES, multiply
-from twin.logs import Flight
+from twin.logs import AnyFlight
 from twin.representation import short_repr
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.measured import Signal
@@ -50,11 +50,13 @@ class OpenLoop:
         off: Twin less aircraft per horizon and quantity of `QUANTITIES`, x, y and z each: position
             and velocity NED, attitude and rates in body axes; shape (w, horizons, 4, 3).
         watched: Other outputs at the horizons, shape (w, horizons, k).
+        begin: The same when it was left alone, shape (w, k).
     """
 
     t_s: Array
     off: Array
     watched: Array
+    begin: Array
 
     __repr__ = short_repr
 
@@ -69,10 +71,11 @@ class Replay:
 
     Attributes:
         speed_m_s: Median of it in the air, m/s.
+        start_s: Time of the flight at which the twin starts, s.
     """
 
     def __init__(
-        self, flight: Flight, vehicle: Vehicle, horizons_s: Sequence[float] = HORIZONS_S
+        self, flight: AnyFlight, vehicle: Vehicle, horizons_s: Sequence[float] = HORIZONS_S
     ) -> None:
         """Put the flight on the grid of its twin.
 
@@ -80,6 +83,7 @@ class Replay:
             LogError: It cannot be, or is nowhere long enough in the air.
         """
         aligned = self._drive(flight, vehicle)
+        self.start_s = float(aligned.inputs.t_s[0])
         self._measured = true_motion(vehicle, aligned)
         self._steps = [round(h / GRID_S) for h in horizons_s]
         known = clear(aligned) & np.isfinite(self._measured).all(axis=1)
@@ -91,7 +95,7 @@ class Replay:
                 f"which it takes to follow it and then to fly alone. Give a longer flight."
             )
 
-    def driven_as(self, flight: Flight, vehicle: Vehicle) -> "Replay":
+    def driven_as(self, flight: AnyFlight, vehicle: Vehicle) -> "Replay":
         """The same times and the same truth, for the twin of another vehicle.
 
         Args:
@@ -105,7 +109,7 @@ class Replay:
         other._drive(flight, vehicle)
         return other
 
-    def _drive(self, flight: Flight, vehicle: Vehicle) -> AlignedFlight:
+    def _drive(self, flight: AnyFlight, vehicle: Vehicle) -> AlignedFlight:
         """Take the inputs of a vehicle's twin over a flight, which is returned on its grid."""
         aligned = align_flight(flight, vehicle)
         self._table = driving_inputs(flight, vehicle, aligned, np.flatnonzero(clear(aligned)))
@@ -126,7 +130,7 @@ class Replay:
             watch: Other outputs to be kept at the horizons.
         """
         reads = (*(PREFIX + s for s in RIGID), *watch)
-        slave, found = Slave("driven", fmu), []
+        slave, found, begin = Slave("driven", fmu), [], []
         try:
             names, given = taken_by(slave, self._table)
             slave.bind(names, reads, np.zeros(len(names)), np.zeros(len(reads)))
@@ -137,13 +141,16 @@ class Replay:
             for row in range(int(self._left[-1]) + 1):
                 if row in due:
                     slave.save(state)
+                    slave.read_outputs()
+                    begin.append(slave.outputs[len(RIGID) :].copy())
                     found.append(self._alone(slave, given, alone, row))
                     slave.restore(state)
                 _step(slave, row, 1, given[row])
         finally:
             slave.close()
         values = np.array(found)
-        return self._compared(values[..., : len(RIGID)], values[..., len(RIGID) :])
+        watched = values[..., len(RIGID) :], np.array(begin)
+        return self._compared(values[..., : len(RIGID)], *watched)
 
     def last_reading(self) -> OpenLoop:
         """What takes the motion at which it was left alone for that to come."""
@@ -167,12 +174,18 @@ class Replay:
         """Motion at which it was left alone, once per horizon, shape (w, h, 13)."""
         return np.repeat(self._measured[self._left][:, None, :], len(self._steps), axis=1)
 
-    def _compared(self, motion: Array, watched: Array | None = None) -> OpenLoop:
+    def _compared(
+        self, motion: Array, watched: Array | None = None, begin: Array | None = None
+    ) -> OpenLoop:
         """Motion at the horizons, shape (w, h, 13), against that of the aircraft."""
         measured = np.stack([self._measured[self._left + k] for k in self._steps], axis=1)
-        nothing = np.zeros((*motion.shape[:2], 0))
         left_s = np.asarray(GRID_S * self._left, dtype=np.float64)
-        return OpenLoop(left_s, apart(motion, measured), nothing if watched is None else watched)
+        return OpenLoop(
+            left_s,
+            apart(motion, measured),
+            np.zeros((*motion.shape[:2], 0)) if watched is None else watched,
+            np.zeros((len(motion), 0)) if begin is None else begin,
+        )
 
     def _alone(self, slave: Slave, given: Array, taken: BoolArray, row: int) -> list[Array]:
         """Outputs at the horizons after a row; from one change of an input to the next at once.
@@ -200,7 +213,7 @@ def _step(slave: Slave, row: int, steps: int, inputs: Array) -> None:
 
 
 def driving_inputs(
-    flight: Flight,
+    flight: AnyFlight,
     vehicle: Vehicle,
     aligned: AlignedFlight,
     restarts: NDArray[np.intp],

@@ -1,0 +1,155 @@
+"""Bands of a driven twin: conformal over flights, and held by the FMU on flights of other days."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import uavtwin as ut
+from twin.errors import TwinError
+from twin.logs import Flight
+from twin.physics.accuracy import SEEN
+from uavtwin.accuracy import FEWEST, Windows, bands_of, bound, measured_accuracy
+from uavtwin.demo.flights import fly
+from uavtwin.exports.bands import FILE, OBSERVED, PLAIN, read_accuracy
+from uavtwin.exports.write import export_parts
+from uavtwin.force.open_loop import HORIZONS_S, QUANTITIES, Replay
+
+COPTER = ut.load_vehicle("copter_default")
+Array = NDArray[np.float64]
+
+
+def made(seed: int, size: float = 1.0, lively: float = 3.0, n: int = 400) -> Windows:
+    """A flight whose twin is off by normal numbers that grow with time, more of them where the
+    motion is lively; each flight has a size of its own."""
+    rng = np.random.default_rng(seed)
+    used = rng.uniform(0, 1, n)
+    seen = np.repeat(used[:, None, None] * np.ones(len(SEEN)), len(HORIZONS_S), axis=1)
+    scale = size * np.exp(0.1 * rng.normal()) * np.where(used > 0.5, lively, 1.0)
+    off = {
+        q: np.abs(rng.normal(size=(n, len(HORIZONS_S)))) * scale[:, None] * np.array(HORIZONS_S)
+        for q, _ in QUANTITIES
+    }
+    return Windows(f"made_{seed}", seen[:, 0], seen, off)
+
+
+def covered(flight: Windows, taught: list[Windows]) -> tuple[float, float]:
+    """Share of the positions of a flight inside the bands that others teach: calm and lively."""
+    bands, _ = bands_of(taught)
+    used = (flight.seen / np.array(bands.limits)).max(axis=2)
+    shares = []
+    for r, inside in enumerate((used <= bands.calm, (used > bands.calm) & (used <= 1))):
+        within = flight.off["position"] <= np.array(bands.bands["position"][r])
+        shares.append(float(within[inside].mean()))
+    return shares[0], shares[1]
+
+
+def test_a_bound_holds_as_often_as_it_says() -> None:
+    """Of 39 uniform numbers the 38th: a new one is below it 38 times in 40."""
+    rng = np.random.default_rng(0)
+    found = [bound(rng.uniform(size=39)) for _ in range(20000)]
+    assert np.mean(found) == pytest.approx(38 / 40, abs=1e-3)
+    assert bound(np.arange(float(FEWEST))) == FEWEST - 1
+
+
+def test_bands_cover_flights_that_taught_nothing() -> None:
+    shares = [covered(made(k), [made(100 * k + i) for i in (1, 2, 3)]) for k in range(1, 21)]
+    for regime in np.mean(shares, axis=0):
+        assert 0.94 < regime < 0.98
+
+
+def test_a_twin_that_is_worse_than_the_compared_one_is_told_by_its_coverage() -> None:
+    worse = np.mean(
+        [covered(made(k, size=2.0), [made(1000 + k), made(2000 + k)]) for k in range(9)]
+    )
+    assert worse < 0.8
+    lively = np.mean(
+        [covered(made(k, lively=9.0), [made(1000 + k), made(2000 + k)]) for k in range(9)], axis=0
+    )
+    assert lively[0] > 0.94
+    assert lively[1] < 0.6
+
+
+def test_too_few_flights_or_windows_have_no_bands() -> None:
+    with pytest.raises(TwinError, match="1 flight held out could be compared, 2 are needed"):
+        bands_of([made(1)])
+    with pytest.raises(TwinError, match=f"in fewer than 2 flights .* {FEWEST} times"):
+        bands_of([made(1), made(2, n=FEWEST - 1)])
+
+
+def test_times_alone_at_which_twins_have_left_the_envelope_have_no_bands() -> None:
+    flights = [made(k) for k in (1, 2, 3)]
+    for flight in flights:
+        flight.seen[:, 3:] = 5.0
+    bands, missing = bands_of(flights)
+    assert bands.horizons_s == HORIZONS_S[:3]
+    assert "barometer" in missing
+
+
+@pytest.fixture(scope="module")
+def flights() -> list[Flight]:
+    """Three days of an aircraft that is as its twin."""
+    return [fly(COPTER, COPTER, seed=k, name=f"day_{k}") for k in range(3)]
+
+
+@pytest.mark.slow
+def test_the_fmu_holds_its_bands_on_another_flight(flights: list[Flight], tmp_path: Path) -> None:
+    found = measured_accuracy(COPTER, flights[:2])
+    assert set(found.twins) == {PLAIN, OBSERVED}
+    (tmp_path / FILE).write_text(json.dumps(found.json()))
+    COPTER.save(tmp_path / "vehicle.toml")
+    known = read_accuracy(tmp_path, ut.load_vehicle(tmp_path / "vehicle.toml"))
+    twin = ut.twin(COPTER, drive="command", accuracy=known)
+    names = [f"accuracy.error_95.{q}" for q, _ in QUANTITIES]
+    fmu = tmp_path / "twin.fmu"
+    ut.export(twin, fmu)
+    assert ut.verify(fmu).passed
+    shown = Replay(flights[2], COPTER).through(fmu, watch=("accuracy.valid", *names))
+    valid = shown.watched[..., 0] > 0.5
+    assert valid.mean() > 0.5
+    off = np.linalg.norm(shown.off, axis=-1)  # (w, h, 4)
+    share = (off <= shown.watched[..., 1:])[valid].mean(axis=0)
+    assert (share > 0.88).all()
+    heavy = Replay(flights[2], COPTER).through(
+        fmu, {"airframe.mass": 1.06 * COPTER.mass_kg}, ("accuracy.valid", *names)
+    )
+    off = np.linalg.norm(heavy.off, axis=-1)
+    lost = (off <= heavy.watched[..., 1:])[heavy.watched[..., 0] > 0.5].mean(axis=0)
+    assert lost[0] < 0.7  # position
+
+
+@pytest.mark.slow
+def test_what_was_not_compared_is_nowhere_valid_and_the_card_says_why(
+    flights: list[Flight], tmp_path: Path
+) -> None:
+    found, card = measured_accuracy(COPTER, flights[:2]), ut.credibility(COPTER)
+    same = ut.twin(COPTER, drive="command", accuracy=found)
+    wanted = ["uncertainty_characterization=2"]
+    export_parts([same], card=card, require=wanted)
+    with pytest.raises(TwinError, match="start values are others"):
+        export_parts([same], starts={"airframe.mass": 1.2}, card=card, require=wanted)
+    export_parts([same], starts={"airframe.mass": 1.2}, card=card)(tmp_path, lambda _: None)
+    force = ut.learned_force("copter_drag")
+    for twin, why in (
+        (
+            ut.twin(COPTER, drive="command", accuracy=measured_accuracy(COPTER, flights[:1])),
+            "2 are needed",
+        ),
+        (
+            ut.twin(
+                ut.load_vehicle(force.folder / "vehicle.toml"),
+                drive="command",
+                force=force,
+                accuracy=found,
+            ),
+            "learned force",
+        ),
+        (
+            ut.twin(COPTER, drive="command", accuracy=read_accuracy(tmp_path / "none", COPTER)),
+            f"no {FILE}",
+        ),
+    ):
+        assert twin.assembly.parts["accuracy"].output_names == ("valid",)
+        assert twin.bands is not None and why in twin.bands.because

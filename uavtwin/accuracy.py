@@ -1,0 +1,271 @@
+"""How far a driven twin is off on flights that took no part in its fit: 95 % bands by conformal
+prediction.
+
+Each flight is replayed through the FMU itself (`force.open_loop`), which is left alone again and
+again. Windows of one flight resemble each other, those of another day less so: flights are what is
+exchanged. In a cell (quantity, regime, time alone) each flight has a conformal 95 % band of its
+own, and the band is the conformal 95 % bound of those: of fewer than 19 flights the largest.
+
+Source: within a flight, Vovk, Gammerman & Shafer, Algorithmic Learning in a Random World, 2005;
+several layers, Dunn, Wasserman & Ramdas, Distribution-free prediction sets for two-layer
+hierarchical models, J. American Statistical Association 118, 2023.
+"""
+
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.errors import TwinError
+from twin.explain.explanation import Explanation
+from twin.flight.assembly import driven_twin
+from twin.formatting import counted
+from twin.logs import AnyFlight
+from twin.physics.accuracy import REGIMES, SEEN, Bands, accuracy
+from twin.physics.rotors import Drive
+from twin.physics.sensors.table import SENSORS, Sensor
+from twin.representation import short_repr
+from twin.residuals.measured import Signal
+from twin.residuals.teacher_forced import choose_drive
+from twin.vehicle import Vehicle
+
+from .explanation import explained_vehicle
+from .exports.bands import FILE, OBSERVED, PLAIN, AccuracyRecord, BandsRecord, digest, record_of
+from .exports.parts import OBSERVER, Twin
+from .exports.write import export
+from .force.open_loop import HORIZONS_S, QUANTITIES, Replay
+from .output import OptionalSteps, write_json
+
+Array = NDArray[np.float64]
+Progress = Callable[[float], None]
+LEVEL = 0.95
+FEWEST = ceil(LEVEL / (1 - LEVEL) - 1e-9)
+"""So many windows a flight needs to have a bound of this level."""
+FLIGHTS = 2
+"""So many flights a band needs: one does not say how flights differ."""
+HALF = 0.5
+"""Share of its windows in which the twin of a flight has to be inside the envelope. Made up."""
+STARTS = {PLAIN: 0.0, OBSERVED: 1.0}
+"""Of the switch of the observer, by twin."""
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """What a twin was off in one flight, w times left alone, at each of h times.
+
+    Attributes:
+        name: Of the flight.
+        left: `SEEN` when it was left alone: what the aircraft went through, shape (w, 4).
+        seen: `SEEN` at the horizons, what the twin went through, shape (w, h, 4).
+        off: By quantity, lengths of vectors, NaN where nothing was read, shape (w, h) each.
+    """
+
+    name: str
+    left: Array
+    seen: Array
+    off: Mapping[str, Array]
+
+    __repr__ = short_repr
+
+
+def replayed(flight: AnyFlight, vehicle: Vehicle, fmu: Path, twin: str = PLAIN) -> Windows:
+    """A flight through an FMU that shows what it goes through, as `Windows`.
+
+    Raises:
+        TwinError: The flight cannot be replayed.
+    """
+    sensors = [s for s in SENSORS if flight.has(*s.columns)]
+    outputs = [f"accuracy.seen.{name}" for name, *_ in SEEN]
+    outputs += [f"{s.component}.{c}" for s in sensors for c in s.columns]
+    replay = Replay(flight, vehicle)
+    found = replay.through(fmu, {OBSERVER: STARTS[twin]}, outputs)
+    off = {q: np.linalg.norm(found.off[:, :, i], axis=-1) for i, (q, _) in enumerate(QUANTITIES)}
+    times, place = replay.start_s + found.t_s[:, None] + np.array(HORIZONS_S), len(SEEN)
+    for sensor in sensors:
+        end = place + len(sensor.columns)
+        off[sensor.name] = _misread(flight, sensor, times, found.watched[..., place:end])
+        place = end
+    return Windows(flight.name, found.begin[:, : len(SEEN)], found.watched[..., : len(SEEN)], off)
+
+
+def _misread(flight: AnyFlight, sensor: Sensor, times: Array, shown: Array) -> Array:
+    """Length of what a sensor of the twin reads otherwise than that of the aircraft, (w, h)."""
+    read = Signal(*flight.signal(list(sensor.columns))).at(times.ravel())
+    return np.asarray(np.linalg.norm(shown - read.reshape(shown.shape), axis=-1))
+
+
+def bound(values: Array) -> float:
+    """Conformal bound of `LEVEL`: the next value of the kind is below it so often; of fewer than
+    `FEWEST` the largest."""
+    ordered = np.sort(values)
+    rank = ceil((len(ordered) + 1) * LEVEL - 1e-9)
+    return float(ordered[min(rank, len(ordered)) - 1])
+
+
+def _cell(flights: Iterable[Array]) -> float | None:
+    """Band of a cell by its values of each flight; None where these are too few."""
+    own = [bound(values) for values in flights if len(values) >= FEWEST]
+    return bound(np.array(own)) if len(own) >= FLIGHTS else None
+
+
+def _too_few(flights: Sequence[object]) -> str:
+    """Why flights have no bands; "": there are enough of them."""
+    if len(flights) >= FLIGHTS:
+        return ""
+    return f"{counted(flights, 'flight')} held out could be compared, {FLIGHTS} are needed"
+
+
+def _envelope(flight: Windows, limits: Array) -> Array:
+    """Largest share of a limit that the twin had reached, shape (w, h); infinite at times by which
+    it had left the envelope more often than not: those that are still inside are a choice."""
+    used = np.asarray((flight.seen / limits).max(axis=2))
+    used[:, (used <= 1).mean(axis=0) < HALF] = np.inf
+    return used
+
+
+def bands_of(flights: Sequence[Windows]) -> tuple[Bands, dict[str, str]]:
+    """Bands of a twin, and why quantities have none.
+
+    Raises:
+        TwinError: The flights are too few.
+    """
+    if few := _too_few(flights):
+        raise TwinError(few)
+    limits = np.maximum(np.max([f.left.max(axis=0) for f in flights], axis=0), 1e-9)
+    used = [_envelope(f, limits) for f in flights]
+    middles = [float(np.median(u[u <= 1])) for u in used if (u <= 1).any()]
+    calm = float(np.median(middles)) if middles else 1.0
+    regimes = [[u <= calm, (u > calm) & (u <= 1)] for u in used]
+
+    def rows(quantity: str) -> list[list[float]]:
+        """Band by regime and time, as far as there is one."""
+        found: list[list[float]] = [[], []]
+        for h in range(len(HORIZONS_S)):
+            cells = [
+                [
+                    _known(f, quantity, h, in_it[r])
+                    for f, in_it in zip(flights, regimes, strict=True)
+                ]
+                for r in range(len(REGIMES))
+            ]
+            both = _cell([np.concatenate(pair) for pair in zip(*cells, strict=True)])
+            if both is None:
+                break
+            for row, cell in zip(found, cells, strict=True):
+                own = _cell(cell)
+                row.append(both if own is None else own)
+        return found
+
+    motion = {q: rows(q) for q, _ in QUANTITIES}
+    h = min(len(r[0]) for r in motion.values())
+    if not h:
+        raise TwinError(
+            f"in fewer than {FLIGHTS} flights the twin was inside the envelope {FEWEST} times, and "
+            f"more often than not, after {HORIZONS_S[0]:g} s alone"
+        )
+    found, missing = dict(motion), {}
+    for sensor in SENSORS:
+        own = rows(sensor.name)
+        if len(own[0]) >= h:
+            found[sensor.name] = own
+        else:
+            missing[sensor.name] = f"fewer than {FLIGHTS} flights have {FEWEST} readings to compare"
+    cut = {q: [r[:h] for r in own] for q, own in found.items()}
+    return Bands(HORIZONS_S[:h], limits.tolist(), calm, cut), missing
+
+
+def _known(flight: Windows, quantity: str, horizon: int, where: NDArray[np.bool_]) -> Array:
+    """What is known of a quantity at a horizon in a regime."""
+    if quantity not in flight.off:
+        return np.zeros(0)
+    values = flight.off[quantity][where[:, horizon], horizon]
+    return np.asarray(values[np.isfinite(values)])
+
+
+def measured_accuracy(
+    vehicle: Vehicle, flights: Sequence[AnyFlight], progress: Progress = lambda _: None
+) -> AccuracyRecord:
+    """Bands of the driven twins of a vehicle.
+
+    Args:
+        vehicle: Whose twins.
+        flights: That took no part in its fit.
+        progress: Called with the share done.
+
+    Raises:
+        TwinError: There is no compiler.
+    """
+    drive = choose_drive(flights[0], vehicle)
+    few = _too_few(flights)
+    missing = dict.fromkeys(STARTS, few) if few else {}
+    windows: dict[str, list[Windows]] = {}
+    if not few:
+        windows, missing = _replayed(vehicle, drive, flights, progress)
+    twins: dict[str, BandsRecord] = {}
+    for twin, own in windows.items():
+        try:
+            bands, without = bands_of(own)
+        except TwinError as error:
+            missing[twin] = str(error)
+            continue
+        twins[twin] = record_of(bands, {f.name: len(f.left) for f in own}, without)
+    return AccuracyRecord(
+        vehicle=vehicle.name,
+        vehicle_sha256=digest(vehicle),
+        drive=drive,
+        twins=twins,
+        missing=missing,
+    )
+
+
+def _replayed(
+    vehicle: Vehicle, drive: Drive, flights: Sequence[AnyFlight], progress: Progress
+) -> tuple[dict[str, list[Windows]], dict[str, str]]:
+    """Windows of all flights by twin, and flights that could not be replayed, and why."""
+    windows: dict[str, list[Windows]] = {twin: [] for twin in STARTS}
+    missing: dict[str, str] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        fmu = Path(folder, "twin.fmu")
+        export(Twin(vehicle.name, driven_twin(vehicle, drive, accuracy=accuracy(vehicle))), fmu)
+        for i, flight in enumerate(flights):
+            try:
+                found = {twin: replayed(flight, vehicle, fmu, twin) for twin in STARTS}
+            except TwinError as error:
+                missing[flight.name] = str(error)
+                continue
+            for twin, own in found.items():
+                windows[twin].append(own)
+            progress((i + 1) / len(flights))
+    return windows, missing
+
+
+def write_accuracy(
+    found: Explanation,
+    held_out: Sequence[AnyFlight],
+    folder: Path,
+    steps: OptionalSteps,
+    progress: Progress = lambda _: None,
+) -> list[str]:
+    """Write the bands of what was explained, by whole flights that were held out; names of files.
+
+    Args:
+        found: What was found; nothing is written where nothing is named.
+        held_out: Flights; nothing is written without.
+        folder: Of the results.
+        steps: Takes it as one of its own: the compiler may fail, the disk be full.
+        progress: Called with the share done.
+    """
+    if found.added is None or not held_out:
+        return []
+
+    def write(place: Path) -> None:
+        """Measure and write."""
+        measured = measured_accuracy(explained_vehicle(found), held_out, progress)
+        write_json(place / FILE, measured.json())
+
+    steps.run("bands of accuracy", folder, write)
+    return [FILE] if (folder / FILE).is_file() else []
