@@ -194,6 +194,14 @@ QUESTIONS = {
     "what does 'A (60 %) or B (30 %)' mean": ("guide/explain", "one of them is there"),
     "the answer is cannot_tell: what now": ("guide/explain", "fly `next_manoeuvre`"),
     "how do I fly the twin with my own controller": ("guide/fmus", "own_controller.py"),
+    "what is the least that a log must contain for why": ("guide/why", "8 s in the air"),
+    "how do I give the FMU motor commands of my own": ("guide/fmus", "own_commands.py"),
+    "how does a controller that is an FMU fly the parts": (
+        "guide/cosimulation",
+        "own_controller_fmu.py",
+    ),
+    "how do I put the page of logs behind a proxy": ("guide/serve", "proxy_set_header Upgrade"),
+    "what do I fly to tell a rotor from a load": ("guide/calibrate", "on the other side"),
     "what has changed since the last propellers": ("guide/calibrate", "`--since"),
     "how often is a name wrong": ("results/hidden_effects", "wrong"),
     "how long does an hour of log take, and how much memory": ("results/long_flights", "an hour"),
@@ -359,6 +367,8 @@ SAYS = {
     "ecos_hover.py": r"100% of its mass: motor command 0\.\d+(.|\n)*110% .* command 0\.\d+",
     "libcosim_hover.py": r"wind of 0 m/s: nose -?0\.0 (.|\n)*3 m/s: nose [4-6]\.\d degrees down",
     "integrate_outside.py": r"1e-05: \d\.\de-0\d m(.|\n)*1e-10: \d\.\de-(0[7-9]|1\d) m apart",
+    "own_commands.py": r" 10\.6 degrees(.|\n)*10\.0 s +1\d\.\d+ m",
+    "own_controller_fmu.py": r"8\.0 s  1\.6\d+ m",
     "foreign_fmu.py": r"gust of 0 m/s: 0\.0\d+ m(.|\n)*gust of 8 m/s: 0\.[1-9]\d+ m",
 }
 

@@ -185,8 +185,11 @@ class Site:
         only = request.query_params.get("flight", "")
         if len(self._listeners) >= MOST_LISTENERS:
             return self._page(self._pages.said("Too many pages", "Close one of the others."), 503)
+        at_once = {"X-Accel-Buffering": "no"}  # said to a proxy, which else keeps what is small
         return StreamingResponse(
-            self._messages(Listener(only)), media_type="text/event-stream", headers=headers()
+            self._messages(Listener(only)),
+            media_type="text/event-stream",
+            headers={**headers(), **at_once},
         )
 
     async def _messages(self, listener: Listener) -> AsyncIterator[bytes]:
