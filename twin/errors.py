@@ -9,6 +9,10 @@ class LogError(TwinError):
     """A flight log or flight table cannot be read or lacks what was asked of it."""
 
 
+class NoLogError(LogError):
+    """A file is no flight log, whole or damaged."""
+
+
 class ModelError(TwinError):
     """A vehicle file, a parameter or a model equation is not usable."""
 

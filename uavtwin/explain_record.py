@@ -1,6 +1,6 @@
 """What flights say about a model, in numbers: the content of `explain.json`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import isfinite
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -585,11 +585,3 @@ def _closed_loop(missions: "Sequence[Mission]") -> ClosedLoopRecord:
             for m in missions
         },
     )
-
-
-def parameters_of(
-    effects: Sequence[EffectRecord | CalibratedRecord],
-) -> Mapping[str, ParameterRecord]:
-    """Numbers of several effects, "effect.number"."""
-    named = ((e.name if isinstance(e, EffectRecord) else e.effect, e.parameters) for e in effects)
-    return {f"{effect}.{name}": p for effect, own in named for name, p in own.items()}

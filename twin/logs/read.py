@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from ..errors import LogError
+from ..errors import LogError, NoLogError
 from ..topic_mapping import BAG_SUFFIXES
 from .doubts import doubts
 from .flight import Finding, Flight
@@ -337,7 +337,7 @@ def read_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> Fl
     try:
         found, blob, findings = _located(blob)
     except LogError as error:
-        raise LogError(f"{path.name}: {error}") from None
+        raise type(error)(f"{path.name}: {error}") from None
     flight = found.load()(path, blob, ReadOptions(rebuild_commands))
     return _doubted(replace(flight, findings=(*findings, *flight.findings)), found)
 
@@ -353,7 +353,7 @@ def _located(blob: bytes) -> tuple[LogFormat, bytes, tuple[Finding, ...]]:
     if all_alike := erased_text(blob):
         raise LogError(all_alike)
     if named := named_kind(blob, CERTAIN):
-        raise LogError(named)
+        raise NoLogError(named)
     if (found := recognise(blob)) is not None:
         return found, blob, findings
     if (behind := find_embedded_log(blob)) is not None:
@@ -361,7 +361,7 @@ def _located(blob: bytes) -> tuple[LogFormat, bytes, tuple[Finding, ...]]:
         return found, blob[at:], (*findings, leading_bytes_finding(blob, at))
     if damaged := damaged_signature(blob):
         raise LogError(f"{damaged}. Copy the log again. Known formats: {known_formats()}.")
-    raise LogError(f"{likely_kind(blob)} Known formats: {known_formats()}.")
+    raise NoLogError(f"{likely_kind(blob)} Known formats: {known_formats()}.")
 
 
 def open_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> AnyFlight:

@@ -365,6 +365,7 @@ def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pa.Table:
         raise LogError(f"{path.name}: columns must be separated by commas: '{lines[0][:40]}'.")
     _check_once(path, header)
     _check_size(path, len(lines), len(header))
+    findings += check_columns(path.name, header)
     if len(lines) > 1 and not text.endswith(("\n", "\r")):
         findings.append(
             Finding("error", "file", "cut short? The last row has no line end and is not used")
@@ -389,7 +390,6 @@ def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pa.Table:
         )
     except pa.ArrowException as error:
         raise LogError(f"{path.name}: not readable as CSV: {error}.") from None
-    findings += check_columns(path.name, header)
     return arrow.select([c for c in header if is_known(c)])
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ..errors import LogError
+from ..errors import LogError, NoLogError
 from .agreement import signals
 from .assemble import NORM_DOUBT
 from .columns import (
@@ -86,10 +86,12 @@ def check_columns(name: str, columns: list[str]) -> list[Finding]:
         message = "further columns that are not of the flight table; ignored"
         findings.append(Finding("warning", "columns", message, len(unknown) - _MOST_UNKNOWN))
     first = ", ".join(c[:_SHOWN] for c in columns[:12])
+    alien = not any(is_known(c) for c in columns if c not in ("time", "phase"))
+    error = NoLogError if alien else LogError
     if "time" not in columns:
-        raise LogError(f"{name}: no column 'time' (s). It has: {first}.")
+        raise error(f"{name}: no column 'time' (s). It has: {first}.")
     if not any(c in columns for c in (*MOTION, *EULER)):
-        raise LogError(
+        raise error(
             f"{name}: no motion signal besides time; at least one of acc, gyro, pos, vel, q, "
             f"roll, pitch and yaw, acc_ned is needed. It has: {first}."
         )

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 
 import typer
 
@@ -70,16 +70,50 @@ TABLES = "tables"
 
 
 def write_tables(record: "Record", folder: Path) -> None:
-    """Write each list of a record, or its parts by name, as CSV: a row each, `a.b` for b in a."""
-    import pandas as pd
-
+    """Write each list of a record, or its parts by name, as CSV: a row each, `a.b` for b in a,
+    `a.1` for the first number in a; lists of parts within a row are a table of their own."""
     folder.mkdir()
     for key, value in record.json().items():
         parts = value
         if isinstance(value, dict):
             parts = [{"name": k, **v} for k, v in value.items() if isinstance(v, dict) and v]
-        if isinstance(parts, list) and parts and all(isinstance(p, dict) for p in parts):
-            pd.json_normalize(parts).to_csv(folder / f"{key}.csv", index=False)
+        if _has_parts(parts):
+            _write_table(parts, folder, key)
+
+
+def _has_parts(value: object) -> TypeGuard[list[dict[str, Any]]]:
+    return isinstance(value, list) and bool(value) and all(isinstance(p, dict) for p in value)
+
+
+def _write_table(rows: list[dict[str, Any]], folder: Path, name: str) -> None:
+    """One table, and those of the lists of parts in its rows, which say of which row they are."""
+    import pandas as pd
+
+    table = pd.json_normalize(rows)
+    of = table["name"] if "name" in table else pd.Series(table.index)
+    columns: dict[str, Any] = {}
+    for column, cells in table.items():
+        lists = [cell for cell in cells if isinstance(cell, list)]
+        if any(map(_has_parts, lists)):
+            inner = [
+                {"of": whose, **part}
+                for whose, cell in zip(of, cells, strict=True)
+                if _has_parts(cell)
+                for part in cell
+            ]
+            _write_table(inner, folder, f"{name}.{column}")
+        elif lists and all(isinstance(x, int | float | None) for cell in lists for x in cell):
+            for k in range(max(map(len, lists))):
+                columns[f"{column}.{k + 1}"] = [
+                    cell[k] if isinstance(cell, list) and k < len(cell) else None for cell in cells
+                ]
+        elif lists:
+            columns[str(column)] = [
+                "; ".join(map(str, cell)) if isinstance(cell, list) else cell for cell in cells
+            ]
+        else:
+            columns[str(column)] = cells
+    pd.DataFrame(columns).to_csv(folder / f"{name}.csv", index=False)
 
 
 def conclude(

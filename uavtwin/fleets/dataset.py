@@ -101,6 +101,9 @@ VITALS = (
 )
 """Numbers of a flight that tell how the aircraft does, from `check` and `gap` alone."""
 
+NO_LOG = "no log"
+"""Status of a file that ends as logs do and is none, such as a list in CSV."""
+
 TABLES: Mapping[str, Sequence[Column]] = {
     "flights": (
         _LOG,
@@ -108,9 +111,10 @@ TABLES: Mapping[str, Sequence[Column]] = {
         _text(
             "status",
             "fine; findings: something is damaged in it; refused: read, and of no use for a verb; "
-            "unreadable; copy: the same flight as an earlier log; failed: its process ended",
+            "unreadable; no log: a file of something else; copy: the flight of an earlier log; "
+            "failed: its process ended",
         ),
-        _text("error", "why it is unreadable, refused, a copy or failed"),
+        _text("error", "why it is unreadable, no log, refused, a copy or failed"),
         _text("format", "of the log"),
         _AIRCRAFT,
         _text("airframe", "kind of airframe as the log names it"),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from twin.draft import Hover, hover_of
-from twin.errors import TwinError
+from twin.errors import NoLogError, TwinError
 from twin.explain import explanation as inner
 from twin.explain.estimates import estimates_of, listed_effects, nothing_probability, probability_of
 from twin.explain.explanation import Explanation
@@ -29,7 +29,7 @@ from ..gaps import gap
 from ..jobs.process import Allowed, ProcessWorker, Progress
 from ..vehicles import Vehicle
 from ..wording import misfit
-from .dataset import MOTORS, JobRows, Row
+from .dataset import MOTORS, NO_LOG, JobRows, Row
 
 Verb = Literal["check", "why", "gap", "explain"]
 VERBS: tuple[Verb, ...] = ("check", "why", "gap", "explain")
@@ -121,7 +121,8 @@ class LogAnalysis:
         try:
             (flight,) = open_alike([Path(job.paths[0])], trust_vehicle=self.trust_vehicle)
         except TwinError as error:
-            about |= {"status": "unreadable", "error": str(error)}
+            status = NO_LOG if isinstance(error, NoLogError) else "unreadable"
+            about |= {"status": status, "error": str(error)}
             return found
         except Exception as error:  # one that cannot be read hides none of the others
             about |= {"status": "failed", "error": _mistake(error)}

@@ -13,7 +13,7 @@ import pandas as pd
 from ..display import PageMixin, TextTable
 from ..record import Record
 from ..wording import misfit
-from .dataset import MOTORS, read_table
+from .dataset import MOTORS, NO_LOG, read_table
 from .fleet_statistics import (
     FEWEST_OWN,
     Difference,
@@ -168,7 +168,7 @@ def of_logs(folder: Path, most: int | None = None) -> list[Overview]:
 def of_aircraft(folder: Path) -> list[Overview]:
     """One of each aircraft, by name; those of logs that name none come together."""
     flights = _table(folder)
-    read = flights[~flights["status"].isin(["unreadable", "copy", "failed"])]
+    read = flights[~flights["status"].isin(["unreadable", NO_LOG, "copy", "failed"])]
     effects = read_table(folder, "effects", ["log", "aircraft", "effect"]).dropna()
     effects = effects.drop_duplicates()
     effects["aircraft"] = effects["aircraft"].replace("", UNNAMED)
@@ -395,7 +395,7 @@ class FleetResult(PageMixin):
     @property
     def logs(self) -> int:
         """How many."""
-        return sum(self.statuses.values())
+        return sum(n for status, n in self.statuses.items() if status != NO_LOG)
 
     @property
     def bad(self) -> int:
@@ -433,7 +433,8 @@ class FleetResult(PageMixin):
         if misfit := len(self.misfits):
             parts.append(f"the vehicle file does not fit {misfit} of them")
         bad = f"{_many(self.bad, 'log')} {'is' if self.bad == 1 else 'are'} damaged or of no use"
-        return f"{about}: {', '.join([*parts, bad])}"
+        parts += [bad, *(f"{_many(n, 'file')} no log" for n in [self.statuses.get(NO_LOG)] if n)]
+        return f"{about}: {', '.join(parts)}"
 
     def _differ(self) -> str:
         """How many aircraft differ, or why that cannot be determined."""
@@ -471,9 +472,10 @@ class FleetResult(PageMixin):
         return tuple(found)
 
     def bad_logs(self, most: int) -> pd.DataFrame:
-        """Logs that are damaged or of no use: log, status, error or its first problem."""
+        """Logs that are damaged or of no use, and files that are none: log, status, error or its
+        first problem."""
         about = read_table(self.folder, "flights", ["log", "status", "error"])
-        rows = about[about["status"].isin([*BAD, "copy"])].head(most).copy()
+        rows = about[about["status"].isin([*BAD, "copy", NO_LOG])].head(most).copy()
         damaged = rows[rows["status"] == "findings"]["log"].tolist()
         if damaged:
             first = read_table(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from twin.formatting import number, pretty_unit
 
+from ..fleets.dataset import NO_LOG
 from ..fleets.fleet_statistics import Drift, Measure, Spread, measures
 from ..fleets.result import CELLS, FleetResult, of_logs, table_of
 from ..fleets.statistics import FALSE_SHARE
@@ -33,6 +34,7 @@ STATUSES = {
     "findings": "damaged logs",
     "refused": "logs of no use for a verb",
     "unreadable": "unreadable logs",
+    NO_LOG: "files that are no logs",
     "copy": "copies of another log",
     "failed": "logs whose process ended",
 }

@@ -44,6 +44,8 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "bad" / "empty.ulg").write_bytes(b"")
     (folder / "z_twice.parquet").write_bytes(whole)
     (folder / "README.txt").write_text("no log")
+    (folder / "index.csv").write_text('log,pilot\nday_0/flight_0,"A, B"\n')
+    (folder / "times.csv").write_text("time,pilot\n0.0,A\n1.0,B\n")
     return folder
 
 
@@ -68,6 +70,7 @@ def test_every_log_has_one_row_and_a_bad_one_its_reason(logs: Path, whole: Path)
     status = dict(zip(flights["log"], flights["status"], strict=True))
     assert status.pop("bad/cut.parquet") == status.pop("bad/empty.ulg") == "unreadable"
     assert status.pop("z_twice.parquet") == "copy"
+    assert status.pop("index.csv") == status.pop("times.csv") == "no log"
     assert set(status.values()) <= {"fine", "findings"}
     errors = flights.set_index("log")["error"]
     assert "the file is empty (0 bytes)" in errors["bad/empty.ulg"]
