@@ -23,49 +23,59 @@ def system(tmp_path_factory: pytest.TempPathFactory) -> System:
     return System({"clock": build(component_model(m.build()), path)})
 
 
-LATE_S = 1.2
-"""Less than what four times the speed makes of the wrong end; a busy machine is late."""
+class Clock:
+    """Moves by what is slept, and by hand."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s, self.slept = 100.0, list[float]()
+        monkeypatch.setattr(time, "perf_counter", lambda: self.now_s)
+        monkeypatch.setattr(time, "sleep", self._sleep)
+
+    def _sleep(self, duration_s: float) -> None:
+        self.slept.append(duration_s)
+        self.now_s += duration_s
 
 
 @pytest.mark.parametrize("factor", [1.0, 4.0])
-def test_takes_as_long_as_it_says(system: System, factor: float) -> None:
+def test_takes_as_long_as_it_says(
+    system: System, factor: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = Clock(monkeypatch)
+    with Master(system) as master:
+        master.initialize()
+        run = master.run(0.4, 0.01, realtime=factor)
+    assert clock.now_s == pytest.approx(100.0 + 0.4 / factor)
+    assert run["clock.y"][-1] == pytest.approx(0.4)
+    assert run.lateness_s == 0.0
+
+
+def test_by_the_clock_of_the_machine(system: System) -> None:
+    """It may be late, and then says so."""
     with Master(system) as master:
         master.initialize()
         begin = time.perf_counter()
-        run = master.run(0.4, 0.01, realtime=factor)
+        run = master.run(0.4, 0.01, realtime=1.0)
         taken = time.perf_counter() - begin
-    assert 0.4 / factor <= taken < 0.4 / factor + LATE_S
-    assert run["clock.y"][-1] == pytest.approx(0.4)
-    assert 0 <= run.lateness_s < LATE_S
+    assert taken >= 0.4 and 0 <= run.lateness_s < taken
 
 
 def test_a_late_step_delays_none_after_it(system: System, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The clock of the test moves by what is slept and by 30 ms in one step."""
-    now = 100.0
-    slept: list[float] = []
-
-    def sleep(duration_s: float) -> None:
-        nonlocal now
-        slept.append(duration_s)
-        now += duration_s
-
-    monkeypatch.setattr(time, "perf_counter", lambda: now)
-    monkeypatch.setattr(time, "sleep", sleep)
+    """The clock of the test moves by what is slept and by 35 ms in one step."""
+    clock = Clock(monkeypatch)
     step = Slave.step
 
     def slow(slave: Slave, time_s: float, step_s: float) -> None:
-        nonlocal now
         if time_s == pytest.approx(0.05):
-            now += 0.035
+            clock.now_s += 0.035
         step(slave, time_s, step_s)
 
     monkeypatch.setattr(Slave, "step", slow)
     with Master(system) as master:
         master.initialize()
         run = master.run(0.2, 0.01, realtime=1.0)
-    assert now == pytest.approx(100.2)
+    assert clock.now_s == pytest.approx(100.2)
     assert run.lateness_s == pytest.approx(0.025)
-    assert slept == pytest.approx([0.01] * 5 + [0.005] + [0.01] * 11)
+    assert clock.slept == pytest.approx([0.01] * 5 + [0.005] + [0.01] * 11)
 
 
 def test_interruption_between_steps(system: System, monkeypatch: pytest.MonkeyPatch) -> None:

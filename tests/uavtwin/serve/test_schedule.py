@@ -168,12 +168,12 @@ def test_a_failure_of_the_store_ends_no_worker(
     scheduler._workers = [Worker(lambda _: {}).as_process]
     thread = threading.Thread(target=scheduler._work, args=(0,), daemon=True)
     thread.start()
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 120
     while (job := store.job(flight, "check")) is None or job.state != "done":
         assert thread.is_alive() and time.monotonic() < deadline
         time.sleep(0.01)
     scheduler.close()
-    thread.join(20)
+    thread.join(120)
     assert not thread.is_alive()
 
 

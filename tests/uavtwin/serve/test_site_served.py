@@ -282,7 +282,7 @@ def test_a_server_that_does_not_start_is_an_error(
 
 def opened(asked: Asked, sends: bytes = b"") -> socket.socket:
     """A connection that has sent something, or nothing."""
-    one = socket.create_connection(("127.0.0.1", asked.port), timeout=20)
+    one = socket.create_connection(("127.0.0.1", asked.port), timeout=50)
     one.sendall(sends)
     return one
 
@@ -308,7 +308,7 @@ def test_who_does_nothing_is_closed_and_who_is_slow_is_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Events without end, an upload and a download last longer than any limit."""
-    for name, value in (("_REQUEST_S", 0.3), ("_ANSWER_S", 0.8), ("_WATCH_S", 0.1)):
+    for name, value in (("_REQUEST_S", 0.3), ("_ANSWER_S", 3.0), ("_WATCH_S", 0.1)):
         monkeypatch.setattr(f"uavtwin.site.connections.{name}", value)
     content = bytes(range(256)) * 40_000
     head = b" HTTP/1.1\r\nHost: 127.0.0.1\r\n"
@@ -329,7 +329,7 @@ def test_who_does_nothing_is_closed_and_who_is_slow_is_not(
             events, slow, download, half, untaken, byte = connected
             taken = 0
             for _ in range(20):
-                time.sleep(0.1)
+                time.sleep(0.2)
                 slow.sendall(b"x")
                 taken += len(download.recv(400_000))
             assert b"201 Created" in slow.recv(4096)
@@ -337,7 +337,7 @@ def test_who_does_nothing_is_closed_and_who_is_slow_is_not(
                 taken += len(part)
             assert taken >= len(content)
             for one in (half, untaken, byte):
-                assert ended_s(one) < 10.0
+                assert ended_s(one) < 50.0  # without these limits a minute
             asked.ask(f"/flights/{large}/tags", "POST", b"tags=fresh")
             text = b""
             while b"fresh" not in text and (part := events.recv(65536)):
@@ -347,12 +347,13 @@ def test_who_does_nothing_is_closed_and_who_is_slow_is_not(
 
 def test_events_begin_with_all_flights(asked: Asked) -> None:
     flight = uploaded(asked)
-    with socket.create_connection(("127.0.0.1", asked.port), timeout=20) as connection:
+    with socket.create_connection(("127.0.0.1", asked.port), timeout=50) as connection:
         connection.sendall(b"GET /events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
         text = b""
         while b"a.ulg" not in text:
             text += connection.recv(65536)
-        assert b"text/event-stream" in text and f"flight-{flight}".encode() in text
+        assert b"text/event-stream" in text and b"x-accel-buffering: no" in text.lower()
+        assert f"flight-{flight}".encode() in text
         asked.ask(f"/flights/{flight}/tags", "POST", b"tags=fresh")
         while b"fresh" not in text:
             text += connection.recv(65536)

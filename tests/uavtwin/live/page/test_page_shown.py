@@ -39,7 +39,7 @@ from uavtwin.live.status import missing, sentence
 pytestmark = [pytest.mark.slow, needs_browser]
 WIDE = View(1300, False)
 HOSTILE = "<img src=x onerror=\"document.title='taken'\"><script>document.title='taken'</script>"
-PATIENCE_S = 60.0
+PATIENCE_S = 180.0
 INKED = """(c => new Set(new Uint32Array(
     c.getContext("2d").getImageData(0, 0, c.width, c.height).data.buffer)).size > 3)"""
 """Whether more colours than three are on a canvas."""
