@@ -108,7 +108,7 @@ class ResemblanceRecord(Record, frozen=True, kw_only=True):
 
 
 class CalibratedRecord(Record, frozen=True, kw_only=True):
-    """An effect that lacks nothing beyond the uncertainty that the file states.
+    """An effect that lacks nothing that is worth a name.
 
     Attributes:
         effect: Its name.
@@ -390,7 +390,8 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
         inclusion: Probability that an effect is there and worth a name, by effect; whether its law
             fits (`outside_probability`) is not in it.
         acts_like: Effects that something acts like and that are not named.
-        calibrated: Effects that lack nothing beyond the uncertainty that the file states.
+        calibrated: Effects that lack nothing beyond the uncertainty that the file states, and what
+            else the new vehicle file has: too small, or too doubtful, for a name.
         driven_by: What drives the twin of each flight, and why.
         hover: Of each flight that hovers.
         not_visible: Effects that are not in the final set.

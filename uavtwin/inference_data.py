@@ -20,6 +20,7 @@ from scipy.stats import norm
 from twin.errors import TwinError, install_command
 from twin.explain.estimates import reported_count
 from twin.explain.explanation import Explanation
+from twin.explain.inference.estimate import normal_power
 from twin.explain.inference.posterior import ScoredModel
 from twin.explain.inference.priors import Priors, effect_of, parameter_of
 from twin.explain.inference.selection import Naming
@@ -146,11 +147,13 @@ def _of_set(
     values = np.tile(b.now[columns] + best.x[columns], (draws, 1))
     for j, c in enumerate(moving):
         mean = float(b.now[c] + best.x[c])
-        values[:, columns.index(c)] = _drawn(_number(naming, c), mean, wider * sd[j], z[:, j])
+        number = _number(naming, c)
+        ridge = naming.conditional.ridges.get(number.full, 1.0)
+        values[:, columns.index(c)] = _drawn(number, mean, wider * sd[j], ridge, z[:, j])
     return values
 
 
-def _drawn(number: Number, value: float, sd: float, z: Array) -> Array:
+def _drawn(number: Number, value: float, sd: float, ridge: float, z: Array) -> Array:
     """Standard normal draws as draws of a number: of a factor log-normal, of what cannot be
     negative truncated at its physical minimum, else normal, as `credible_interval`."""
     about = number.about
@@ -158,8 +161,11 @@ def _drawn(number: Number, value: float, sd: float, z: Array) -> Array:
         return value + sd * z
     if about.neutral and about.bounds[0] > 0 and value > 0:
         return np.asarray(value * np.exp(math.sqrt(math.log1p((sd / value) ** 2)) * z))
-    outside = norm.cdf((min(about.bounds[0], value) - value) / sd)
-    return np.asarray(value + sd * norm.ppf(outside + (1 - outside) * norm.cdf(z)))
+    least = min(about.bounds[0], value)
+    mode, spread, exponent = normal_power(value - least, sd, ridge)
+    outside = norm.cdf(-mode / spread)
+    drawn = mode + spread * norm.ppf(outside + (1 - outside) * norm.cdf(z))
+    return np.asarray(least + np.maximum(drawn, 0.0) ** exponent)
 
 
 def _prior(

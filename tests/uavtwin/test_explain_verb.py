@@ -577,6 +577,34 @@ def test_a_wrong_payload_is_refused(text: str, says: str) -> None:
         flight_payloads([text], ("one",))
 
 
+def test_every_number_of_the_new_file_is_told(named: Run) -> None:
+    """A lag too small for a name, too."""
+    found = named.found
+    assert found is not None and found.naming is not None and found.shown is not None
+    lag = next(n for n in found.naming.problem.model.numbers if n.full == "motor_lag.tau_s")
+    shown = replace(
+        found.naming.shown,
+        effects=(*found.naming.shown.effects, "motor_lag"),
+        values={**found.naming.shown.values, lag.full: -0.002},
+        numbers=(*found.naming.shown.numbers, lag),
+        half_widths=np.append(found.naming.shown.half_widths, 0.0005),
+    )
+    late = replace(
+        found,
+        naming=replace(found.naming, shown=shown),
+        shown=shown,
+        values={**found.values, lag.full: -0.002},
+    )
+    record = explain_record(late)
+    (calibrated,) = record.calibrated
+    number = calibrated.parameters["tau_s"]
+    assert (calibrated.effect, number.value) == ("motor_lag", -0.002)
+    assert number.ci95 is not None and number.ci95[0] < -0.002 < number.ci95[1] < 0
+    made, told = explained_vehicle(late), {e.name for e in record.effects} | {calibrated.effect}
+    assert {*made.effects} - {*COPTER.effects} == told
+    assert made.effects["motor_lag"]["tau_s"] == -0.002
+
+
 def test_constants_of_the_day_go_into_the_vehicle_of_a_single_flight(named: Run) -> None:
     """With several, into that of today, which is of the last one."""
     found = named.found

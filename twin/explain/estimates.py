@@ -44,12 +44,14 @@ def listed_effects(found: Explanation) -> list[str]:
 
 
 def calibrated_effects(found: Explanation) -> list[str]:
-    """Effects whose numbers the file was unsure of, and that lack nothing beyond that."""
+    """Effects whose numbers the file was unsure of, and that lack nothing beyond that; and what
+    else the new model has that is too small, or too doubtful, for a name."""
     if found.naming is None or found.shown is None:
         return []
-    unsure = found.naming.problem.priors.unsure
+    added = {} if found.added is None else found.added.effects
+    known = {*found.naming.problem.priors.unsure, *added}
     reported = {*listed_effects(found), *(r.effect for r in found.naming.resemblances)}
-    return [e for e in found.shown.effects if e in unsure and e not in reported]
+    return [e for e in found.shown.effects if e in known and e not in reported]
 
 
 def undecided(found: Explanation) -> tuple[str, ...]:
@@ -145,7 +147,8 @@ def estimates_alone(found: Explanation, effect: str) -> list[Estimate]:
             if n.full in stochastic.values
         ]
     assert found.naming is not None
-    return found.naming.estimates(effect, reported_count(found))
+    fitted = found.naming.shown if effect in calibrated_effects(found) else None
+    return found.naming.estimates(effect, reported_count(found), fitted)
 
 
 def channels_and_phases(found: Explanation, effect: str) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -68,6 +68,26 @@ def test_a_coefficient_has_the_interval_of_highest_density(value: float, sd: flo
     assert (low == 0) or posterior.pdf(low) == pytest.approx(posterior.pdf(high))
 
 
+SHAPED = ("ground_effect.gain", "translational_lift.gain", "blade_flapping.k_rad_s_m")
+
+
+@given(st.sampled_from(SHAPED), SIZES, SIZES, st.floats(1.0, 30.0))
+def test_no_effect_is_as_far_away_as_with_the_shape_held(
+    name: str, value: float, half: float, ridge: float
+) -> None:
+    """Along a ridge of size and shape nothing vanishes, however wide it is."""
+    low, high = credible_interval(NUMBERS[name], value, half, ridge)
+    held, _ = credible_interval(NUMBERS[name], value, half / ridge)
+    assert 0 <= low <= value <= high
+    assert (low > 0) == (held > 0)
+
+
+def test_a_size_on_a_ridge_is_as_wide_as_the_search_says() -> None:
+    """Where it is told well: the power of a normal quantity is normal there."""
+    low, high = credible_interval(NUMBERS["ground_effect.gain"], 0.4, 1e-3, 8.0)
+    assert (low, high) == pytest.approx((0.399, 0.401), rel=1e-4)
+
+
 def estimate(number: Number, value: float, half: float, prior_share: float) -> Estimate:
     """As a search makes it."""
     interval = credible_interval(number, value, half)

@@ -57,18 +57,22 @@ class Estimate:
         return self.value - (self.no_effect or 0.0)
 
 
-def credible_interval(number: Number, value: float, half_width: float) -> tuple[float, float]:
+def credible_interval(
+    number: Number, value: float, half_width: float, ridge: float = 1.0
+) -> tuple[float, float]:
     """95 % interval of a number whose posterior is normal in the search, inside its physical range.
 
     A factor (no effect: 1) is log-normal, with `value` as its median and the coefficient of
     variation of the search: what doubles is as far away as what halves. Any other quantity that
-    cannot be negative has the normal posterior truncated at its physical minimum, and the interval
-    is that of highest density: it contains the minimum exactly where no effect is credible.
+    cannot be negative has the law of `normal_power`, truncated at its physical minimum, and the
+    interval is that of highest density: it contains the minimum exactly where no effect is
+    credible.
 
     Args:
         number: Gives the physical range.
         value: Mode of the posterior, in the unit of the number.
         half_width: Of the 95 % interval of a normal posterior.
+        ridge: As of `Fit.ridges`.
 
     Returns:
         Lower and upper end.
@@ -82,11 +86,25 @@ def credible_interval(number: Number, value: float, half_width: float) -> tuple[
         spread = math.exp(INTERVAL * math.sqrt(math.log1p((sd / value) ** 2)))
         return value / spread, value * spread
     least = min(about.bounds[0], value)
-    inside = float(norm.cdf((value - least) / sd))
-    half = sd * float(norm.ppf((1 + _CREDIBLE * inside) / 2))
-    if value - half >= least:
-        return value - half, value + half
-    return least, value + sd * float(norm.ppf(1 - inside + _CREDIBLE * inside))
+    mode, spread, exponent = normal_power(value - least, sd, ridge)
+    inside = float(norm.cdf(mode / spread))
+    half = spread * float(norm.ppf((1 + _CREDIBLE * inside) / 2))
+    if mode < half:
+        return least, least + (mode + spread * norm.ppf(1 - (1 - _CREDIBLE) * inside)) ** exponent
+    return least + (mode - half) ** exponent, least + (mode + half) ** exponent
+
+
+def normal_power(size: float, sd: float, ridge: float) -> tuple[float, float, float]:
+    """Mode and deviation of the power 1 / ridge of a size that is normal, and the ridge.
+
+    Where a size and a shape trade against each other, the deviation of the size is along that
+    ridge, on which it never vanishes: what is told is how far away no effect is with the shape
+    held, as no effect has no shape. The power 1 / ridge has both, the deviation about the mode and
+    that distance (Box & Cox, J. R. Stat. Soc. B 26, 1964).
+    """
+    if not size > 0:
+        return size, sd, 1.0
+    return size ** (1 / ridge), sd * size ** (1 / ridge - 1) / ridge, ridge
 
 
 def fitted_estimates(
@@ -106,7 +124,7 @@ def fitted_estimates(
                 n,
                 value,
                 None if n.shape else float(priors.now[i] + priors.held[i]),
-                credible_interval(n, value, wider * float(w)),
+                credible_interval(n, value, wider * float(w), fitted.ridges.get(n.full, 1.0)),
                 min(1.0, float(w) / INTERVAL / slab) if slab > 0 else 1.0,
                 tension[n.full],
             )

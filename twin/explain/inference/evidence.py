@@ -73,6 +73,15 @@ class MapEstimate:
         sd[self.free] = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return sd
 
+    def ridge(self, entry: int, held: Sequence[int]) -> float:
+        """Posterior deviation of one entry of `x` over that with some others held."""
+        place = {int(i): k for k, i in enumerate(self.free)}
+        at = [place[i] for i in (entry, *held) if i in place]
+        if entry not in place or len(at) == 1:
+            return 1.0
+        c = self.covariance[np.ix_(at, at)]
+        return float(np.sqrt(c[0, 0] * np.linalg.inv(c)[0, 0]))
+
     def variance(self, row: Array) -> float:
         """Of a weighted sum of the first entries of `x`; weights of shape (n,)."""
         weights = np.zeros(len(self.x))

@@ -9,7 +9,7 @@ centre of mass, is no reason to make its inertia large, or its rotors' torque sm
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -470,6 +470,7 @@ class Fit:
         half_widths: Of the 95 % intervals of `numbers`, shape (k,).
         gain: Log of its probability over that of nothing, numbers and noise integrated out.
         days: What the day of each flight adds then, as `Model.days`.
+        ridges: By number of an effect with shapes, its deviation over that with these held.
     """
 
     effects: tuple[str, ...]
@@ -478,6 +479,7 @@ class Fit:
     half_widths: Array
     gain: float
     days: tuple[Mapping[str, float], ...] = ()
+    ridges: Mapping[str, float] = field(default_factory=dict)
 
     __repr__ = short_repr
 

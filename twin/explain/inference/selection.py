@@ -28,7 +28,7 @@ from ...representation import short_repr
 from ...residuals.channels import BAND_HZ, CHANNEL_HZ, POSE_BAND_HZ, ChannelData
 from ...vehicle import Vehicle
 from ..model.model import Model, candidates, model_of
-from ..model.numbers import Payloads
+from ..model.numbers import Number, Payloads
 from ..settings import DEFAULT, AdequacySettings, InferenceSettings, SelectionSettings
 from .detection import Detectable, smallest_detectable
 from .estimate import Estimate, fitted_estimates
@@ -280,9 +280,11 @@ class Naming:
         own = [t for t in own if t.no_effect is not None]
         return bool(own) and all(t.may_be_none for t in own)
 
-    def estimates(self, effect: str, reported: int) -> list[Estimate]:
-        """Numbers of an effect where it is there; the more effects are reported, the wider."""
-        return fitted_estimates(self.conditional, self.problem.priors, effect, self.wider(reported))
+    def estimates(self, effect: str, reported: int, fitted: Fit | None = None) -> list[Estimate]:
+        """Numbers of an effect where it is there, or of a fit; the more effects are reported, the
+        wider."""
+        fitted = fitted or self.conditional
+        return fitted_estimates(fitted, self.problem.priors, effect, self.wider(reported))
 
     def wider(self, reported: int) -> float:
         """By what intervals are wider where so many effects are reported."""
@@ -487,7 +489,9 @@ def _averaged(
     total = np.maximum(weight.sum(axis=0), 1e-300)
     held = (weight * x).sum(axis=0) / total
     spread = np.sqrt((weight * (sd**2 + (x - held) ** 2)).sum(axis=0) / total)
-    mean = np.concatenate([np.where(b.shape, held, p @ x), days])
+    mean = np.where(b.shape, held, p @ x)
+    wide = np.where(b.shape, spread, np.sqrt(p @ (sd**2 + (x - mean) ** 2)))
+    mean = np.concatenate([mean, days])
 
     def moves(cause: str) -> bool:
         """Whether it is named, or moves the prediction."""
@@ -497,8 +501,19 @@ def _averaged(
 
     likely = {c for c in b.causes if moves(c)}
     retained = [c for c in dict.fromkeys(b.cause) if c in likely or np.any(spiked[b.of([c])])]
-    own = np.concatenate([held, days])
-    return fit_of(problem, retained, mean, spread, 0.0), fit_of(problem, retained, own, spread, 0.0)
+    there_alone = fit_of(problem, retained, np.concatenate([held, days]), spread, 0.0)
+    ridges = {n.full: _ridge(problem, posterior, n) for n in there_alone.numbers}
+    return fit_of(problem, retained, mean, wide, 0.0), replace(there_alone, ridges=ridges)
+
+
+def _ridge(problem: Problem, posterior: Posterior, number: Number) -> float:
+    """See `Fit.ridges`; in the most probable set with the number's cause."""
+    b = problem.priors
+    i = b.names.index(number.full)
+    shapes = [int(j) for j in b.of([number.effect]) if b.shape[j]]
+    own = (s.best for s in posterior.sets if b.cause[i] in s.effects)
+    best = next(own, None)
+    return 1.0 if b.shape[i] or best is None else best.ridge(i, shapes)
 
 
 def _credible(

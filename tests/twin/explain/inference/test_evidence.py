@@ -13,7 +13,7 @@ from scipy.stats import t as student
 from search_rigs.linear_evidence import Linear
 
 from twin.explain.inference import evidence
-from twin.explain.inference.evidence import TAIL_DEGREES, Factored, best_inside
+from twin.explain.inference.evidence import TAIL_DEGREES, Factored, MapEstimate, best_inside
 from twin.explain.inference.noise import BandNoise, rounding_variance
 from twin.explain.inference.spectrum import BANDS_HZ
 from twin.explain.settings import DEFAULT
@@ -263,3 +263,12 @@ def test_rounding_leaves_the_variance_that_is_said() -> None:
             assert float(power[inside].mean()) == pytest.approx(
                 float(rounding_variance(name)[b]), rel=0.2
             )
+
+
+def test_a_number_is_told_better_with_what_it_trades_against_held() -> None:
+    """Of two normal numbers the one has the variance 1 / h with the other held."""
+    h = np.array([[4.0, 3.0], [3.0, 9.0]])
+    best = MapEstimate(0.0, 1.0, np.zeros(3), np.array([0, 2]), Factored.of(h))
+    assert best.ridge(0, [2]) == pytest.approx(best.deviations()[0] / 0.5)
+    assert best.ridge(2, [0, 1]) == pytest.approx(best.deviations()[2] * 3.0)
+    assert (best.ridge(0, []), best.ridge(0, [1]), best.ridge(1, [0])) == (1.0, 1.0, 1.0)
