@@ -28,7 +28,7 @@ def listed_effects(found: Explanation) -> list[str]:
     if naming is None or found.verdict not in ("named", "cannot_tell"):
         return []
     effects = {*naming.named, *naming.undecided}
-    if naming.verdict == "cannot_tell":
+    if naming.verdict == found.verdict == "cannot_tell":
         every = {e for f in naming.fitted for e in f.effects}
         alike = {r.effect for r in naming.resemblances}
         effects |= {e for e in every - alike if probability_of(found, e) >= naming.settings.least}

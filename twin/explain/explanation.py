@@ -376,10 +376,15 @@ def usable_of(
 
 
 def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explanation:
-    """The same with the effects that were found, and their numbers."""
+    """The same with the effects that were found, and their numbers. What changes no mean is sought
+    beside the effects that stand: a gust acts like a wind."""
     shown, settings = naming.shown if naming.shown.effects else None, found.settings.stochastic
-    model, steady = naming.whitened.model, {} if shown is None else shown.values
-    every = (*find_stuck(stuck, settings), *find_stochastic(model, steady, settings))
+    alike = {r.effect for r in naming.resemblances}
+    steady = {k: v for k, v in naming.shown.values.items() if k.partition(".")[0] not in alike}
+    every = (
+        *find_stuck(stuck, settings),
+        *find_stochastic(naming.whitened.model, steady, settings),
+    )
     stochastic = (*found.stochastic, *_beyond(found, every))
     naming = replace(naming, further=len(stochastic))
     return _as_named(replace(found, stochastic=stochastic, shown=shown), naming)
@@ -390,7 +395,8 @@ def _as_named(found: Explanation, naming: Naming, alike: Sequence[Resemblance] =
     acts like, some more among them: beside a name no vehicle carries them."""
     new = alike or naming.resemblances
     naming = replace(naming, resemblances=(*naming.resemblances, *alike))
-    shown, gone = found.shown, {r.effect for r in naming.resemblances if naming.named or alike}
+    verdict = _verdict(naming, found.balance, bool(found.stochastic))
+    shown, gone = found.shown, {r.effect for r in naming.resemblances if verdict == "named"}
     if shown is not None and gone:
         shown = replace(shown, effects=tuple(e for e in shown.effects if e not in gone))
     steady = {} if shown is None else shown.values
@@ -398,7 +404,7 @@ def _as_named(found: Explanation, naming: Naming, alike: Sequence[Resemblance] =
     exact = {k: v for k, v in exact.items() if k.partition(".")[0] not in gone}
     return replace(
         found,
-        verdict=_verdict(naming, found.balance, bool(found.stochastic)),
+        verdict=verdict,
         naming=naming,
         shown=shown,
         values={k: float(f"{v:.{DIGITS}g}") for k, v in exact.items()},
@@ -417,7 +423,7 @@ def _beyond(found: Explanation, every: Sequence[StochasticEffect]) -> list[Stoch
 def _verdict(naming: Naming, balance: Balance | None, stochastic: bool) -> Verdict:
     """Of the search, of the balance, and of what was found beside them."""
     verdict = naming.verdict
-    if verdict == "nothing" and stochastic:
+    if stochastic and (balance is None or verdict in ("nothing", "unnamed")):
         return "named"
     if balance is None or verdict == "named":
         return verdict
@@ -526,7 +532,8 @@ def _without_refuted(
     found: Explanation, held: Sequence[Flight], seed: int, payloads: Payloads | None
 ) -> Explanation:
     """The same without effects by which the flights of the fit come nearer to the model, and
-    held-out ones do not; nothing is named where these are all, or all together do the same."""
+    held-out ones do not; nothing with a mean is named where these are all, or all together do the
+    same."""
     naming, compared, settings = found.naming, found.comparison, found.settings.holdout
     if naming is None or compared is None or found.verdict != "named":
         return found
@@ -534,15 +541,31 @@ def _without_refuted(
     own = {a.effect: a for a in found.attributions if a.effect in placed}
     refuted = {e: farther_by(a, compared.after, seed, settings) for e, a in own.items()}
     alike = [Resemblance(e, REFUTED.format(joined(c))) for e, c in refuted.items() if c]
-    left = not alike or {*naming.named} - {r.effect for r in alike}
+    no_mean = any(u.effect not in CAUSES for u in found.stochastic)
+    left = no_mean or not alike or {*naming.named} - {r.effect for r in alike}
     if alike and left:
-        rest = tuple(w for w in found.warnings if w not in compared.warnings)
-        found = _as_named(replace(found, warnings=rest), naming, alike)
-        found = _with_gap(found, held, seed, payloads)
+        found = _taken_back(found, alike, held, seed, payloads)
     if left and not (found.comparison and found.comparison.worse):
         return found
+    rest = [Resemblance(e, FARTHER) for e in own if not refuted[e]]
+    if no_mean and rest:
+        return _taken_back(found, rest, held, seed, payloads)
     warnings = (FARTHER, *found.warnings)
     return replace(found, verdict="cannot_tell", refuted=FARTHER, warnings=warnings)
+
+
+def _taken_back(
+    found: Explanation,
+    alike: Sequence[Resemblance],
+    held: Sequence[Flight],
+    seed: int,
+    payloads: Payloads | None,
+) -> Explanation:
+    """The same with some effects that something only acts like, and the gap without them."""
+    naming, compared = found.naming, found.comparison
+    assert naming is not None and compared is not None
+    kept = tuple(w for w in found.warnings if w not in compared.warnings)
+    return _with_gap(_as_named(replace(found, warnings=kept), naming, alike), held, seed, payloads)
 
 
 def _with_gap(

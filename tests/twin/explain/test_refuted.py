@@ -1,12 +1,19 @@
 """Effects that flights of the fit ask for and held-out ones refute."""
 
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 from search_rigs.courses import TRIANGLE
 
+from twin.explain import explanation
 from twin.explain.explanation import Explanation, explain
-from twin.explain.holdout import Attribution, farther_by
+from twin.explain.holdout import Attribution, Comparison, farther_by
+from twin.explain.inference.selection import Naming, Resemblance, Verdict
 from twin.explain.settings import DEFAULT
+from twin.explain.stochastic.spectral import StochasticEffect
 from twin.logs import Flight
 from twin.residuals.channels import CHANNEL_HZ, ChannelData
 from twin.vehicle import Vehicle
@@ -42,6 +49,45 @@ def test_an_effect_has_to_pay_in_some_force_for_what_it_costs(
     effect = Attribution("made_up", (), (), [[residual(n, 1.0) for n in names]])
     told = [[residual(n, rms) for n, rms in zip(names, after, strict=True)]]
     assert farther_by(effect, told, 0, DEFAULT.holdout) == where
+
+
+VIBRATION = StochasticEffect("vibration", 5.0, {"vibration.accel_m_s2": 2.0}, {}, ("acc_x",), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("shaken", "verdict"), [((VIBRATION,), "named"), ((), "cannot_tell")], ids=["shaken", "calm"]
+)
+def test_what_has_no_mean_is_not_refuted_by_means(
+    monkeypatch: pytest.MonkeyPatch, shaken: tuple[StochasticEffect, ...], verdict: str
+) -> None:
+    """All effects with a mean are; something only acts like them then."""
+    taken: list[str] = []
+
+    def take_back(found: Explanation, alike: Sequence[Resemblance], *_: object) -> Explanation:
+        taken.extend(r.effect for r in alike)
+        return found
+
+    monkeypatch.setattr(explanation, "_taken_back", take_back)
+    monkeypatch.setattr(explanation, "farther_by", lambda a, *_: ["acc_x"] * (a.effect == "lag"))
+    naming = SimpleNamespace(named=("lag",), undecided=("scale",), standing={})
+    found = Explanation(
+        "named",
+        COPTER,
+        ("one",),
+        naming=cast(Naming, naming),
+        stochastic=shaken,
+        comparison=cast(Comparison, SimpleNamespace(after=(), worse=True, warnings=())),
+        attributions=tuple(Attribution(e, (), (), []) for e in ("lag", "scale")),
+    )
+    assert explanation._without_refuted(found, [], 0, None).verdict == verdict
+    assert taken == ["lag", "scale"] * bool(shaken)
+
+
+@pytest.mark.parametrize("searched", ["nothing", "unnamed", "cannot_tell"])
+def test_what_has_no_mean_is_named_whatever_else_is_unclear(searched: Verdict) -> None:
+    naming = cast(Naming, SimpleNamespace(verdict=searched))
+    assert explanation._verdict(naming, None, True) == "named"
+    assert explanation._verdict(naming, None, False) == searched
 
 
 def flown(name: str, seed: int, cant_m: float) -> Flight:
