@@ -80,6 +80,7 @@ class Deviation:
         share: By how much; infinite: it gave no number.
         tolerance: Of the experiment.
         outputs: How many were compared.
+        zero: How many of them are zero throughout in the reference: they tell few twins apart.
     """
 
     experiment: str
@@ -87,6 +88,7 @@ class Deviation:
     share: float
     tolerance: float
     outputs: int
+    zero: int
 
     @property
     def passed(self) -> bool:
@@ -132,14 +134,22 @@ def verify(path: Path) -> list[Deviation]:
     """Rerun every experiment that an FMU holds.
 
     Raises:
-        FmuError: It holds none, they cannot be read, or the FMU cannot be run.
+        FmuError: It holds none, they cannot be read or have other checksums than its manifest
+            says, or the FMU cannot be run.
     """
-    experiments = read_experiments(open_archive(path))
+    archive = open_archive(path)
+    experiments = read_experiments(archive)
     if not experiments:
-        raise FmuError(f"{path.name}: holds no reference results (FMI-LS-REF). Export it again.")
-    return [
+        raise FmuError(
+            f"{path.name}: holds no reference results (FMI-LS-REF). Export it without --arrays and "
+            f"--python-slave, which leave them out."
+        )
+    found = [
         _deviation(e, run(path, e, [n for n in e.references if n != "time"])) for e in experiments
     ]
+    if problems := related_problems(archive):
+        raise FmuError(f"{path.name}: {'; '.join(problems)}: compared with something else.")
+    return found
 
 
 def _deviation(experiment: Experiment, found: Table) -> Deviation:
@@ -153,7 +163,8 @@ def _deviation(experiment: Experiment, found: Table) -> Deviation:
         share = off / max(float(np.abs(wanted).max()), _LEAST)
         shares[name] = float(share) if np.isfinite(share) else np.inf
     worst = max(shares, key=shares.__getitem__)
-    return Deviation(experiment.name, worst, shares[worst], experiment.tolerance, len(shares))
+    zero = sum(not experiment.references[name].any() for name in shares)
+    return Deviation(experiment.name, worst, shares[worst], experiment.tolerance, len(shares), zero)
 
 
 def related_problems(archive: Archive) -> list[str]:

@@ -241,7 +241,7 @@ def inspect_fmu(path: Path) -> FmuReport:
         "platforms": brief(", ".join(platforms) or "none"),
         "sources": "inside" if sources else "not inside",
         **_variables(description),
-        **_experiments(archive, problems),
+        **_experiments(archive, {v.name for v in description.modelVariables}, problems),
         "saves its state": "yes" if _saves_state(description) else "no",
         "size": f"{path.stat().st_size} bytes, {unpacked} unpacked",
     }
@@ -351,14 +351,23 @@ def _variables(description: ModelDescription) -> dict[str, str]:
     }
 
 
-def _experiments(archive: Archive, problems: list[str]) -> dict[str, str]:
-    """Reference results of an FMU; what is wrong with them goes to the problems."""
+def _experiments(archive: Archive, known: set[str], problems: list[str]) -> dict[str, str]:
+    """Reference results of an FMU; what is wrong with them goes to the problems.
+
+    Args:
+        archive: The FMU.
+        known: Names of its variables.
+        problems: That were found.
+    """
     try:
         problems += related_problems(archive)
         found = read_experiments(archive)
     except FmuError as error:
         problems.append(str(error))
         return {}
+    for e in found:
+        if unknown := sorted({*e.references, *e.stimuli} - known - {"time"}):
+            problems.append(f"reference results: no variable {', '.join(map(shown, unknown))}")
     names = ", ".join(e.name for e in found)
     return {"reference results": f"{brief(names)} (FMI-LS-REF {VERSION})"} if found else {}
 

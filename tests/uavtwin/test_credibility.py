@@ -46,7 +46,7 @@ def levels(folder: Path) -> dict[str, int]:
 
 def test_nothing_known_is_zero() -> None:
     factors = ut.credibility(ut.load_vehicle(COPTER)).factors
-    assert len(factors) == 8
+    assert len(factors) == 11
     assert not any(f.level for f in factors.values())
     assert "made up: body.leg_height" in factors["data_pedigree"].because
 
@@ -55,8 +55,8 @@ def test_a_held_out_flight_that_is_closer_gives_two(tmp_path: Path) -> None:
     found = levels(explained(tmp_path / "a"))
     assert found["validation"] == found["data_pedigree"] == 2
     assert found["uncertainty_characterization"] == found["results_robustness"] == 1
-    assert found["process_management"] == 1
-    assert found["input_pedigree"] == found["history"] == 0
+    assert found["development_process_product_management"] == 1
+    assert found["input_pedigree"] == found["use_assessment"] == 0
 
 
 def test_less_evidence_gives_less(tmp_path: Path) -> None:
@@ -172,8 +172,8 @@ def test_the_card_goes_along_or_the_export_is_refused(
 ) -> None:
     folder, out = explained(tmp_path / "a"), tmp_path / "out"
     proof = ("--evidence", folder, "--out", out)
-    code, _, err = run(capsys, "export", "imu", *proof, "--require", "history=1")
-    assert code == 2 and "history has level 0, 1 is required: earlier uses" in err
+    code, _, err = run(capsys, "export", "imu", *proof, "--require", "use_assessment=1")
+    assert code == 2 and "use_assessment has level 0, 1 is required: who uses" in err
     assert not out.exists()
     assert run(capsys, "export", "imu", *proof, "--require", "validation=2")[0] == 0
     with zipfile.ZipFile(out / "imu.fmu") as archive:

@@ -34,7 +34,8 @@ def verify(
             result = rerun(path)
         except TwinError as error:  # one that cannot be rerun hides none of the others
             worst = max(worst, print_error(error, f"verify {path}"))
-            records.append(VerifyRecord(file=path.name, passed=False, experiments=()))
+            lost = VerifyRecord(file=path.name, passed=False, experiments=(), error=str(error))
+            records.append(lost)
             continue
         if not result.passed:
             worst = max(worst, Exit.FINDINGS)

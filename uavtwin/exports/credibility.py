@@ -1,8 +1,11 @@
-"""What is known of a twin's credibility: eight factors with a level and what it rests on.
+"""What is known of a twin's credibility: eleven factors with a level and what it rests on.
 
-Factors and the scale 0 to 4 are named after NASA-STD-7009B (2024). Its own text decides what a
-level means; the rules here are this program's, from files alone. They end at 2: what they cannot
-see, a person has to judge. A factor of which nothing is known has 0.
+Factors and the scale 0 to 4 are named after NASA-STD-7009B (2024): of the capability of a model its
+data pedigree, verification, validation, technical review and process and product management; of its
+results the use, input pedigree, uncertainty, robustness, technical review and management of the
+use. Its own text decides what a level means; the rules here are this program's, from files alone.
+They end at 2: what they cannot see, a person has to judge. A factor of which nothing is known
+has 0.
 
 The same goes along as simulation resource meta data (SRMD), with the source of every number of the
 vehicle: SSP Layered Standard Traceability 1.0-rc.1, sections SRMD and packaging.
@@ -148,11 +151,14 @@ def credibility(vehicle: Vehicle, folder: Path | None = None) -> CredibilityReco
             "data_pedigree": _data_pedigree(vehicle),
             "verification": _nothing("no file with reference results"),
             "validation": _validation(found),
+            "development_technical_review": _nothing("no review is recorded"),
+            "development_process_product_management": _process(found),
+            "use_assessment": _nothing("who uses the twin knows for what"),
             "input_pedigree": _nothing("who uses the twin knows its inputs"),
             "uncertainty_characterization": _uncertainty(vehicle),
             "results_robustness": _robustness(found),
-            "history": _nothing("earlier uses are not recorded"),
-            "process_management": _process(found),
+            "use_analysis_technical_review": _nothing("no review is recorded"),
+            "use_process_product_management": _nothing("uses are not recorded"),
         },
         evidence={} if found is None else dict(found.files),
         sources=dict(vehicle.sources),

@@ -18,6 +18,7 @@ class ExperimentRecord(Record, frozen=True, kw_only=True):
         name: Of the experiment.
         passed: Whether every output is within the tolerance.
         outputs: How many were compared.
+        zero: How many of them are zero throughout in the reference: they tell few twins apart.
         worst: Output that is farthest off.
         deviation: Of that, over the largest magnitude of its reference; null: no number came out.
         tolerance: Of the experiment.
@@ -26,6 +27,7 @@ class ExperimentRecord(Record, frozen=True, kw_only=True):
     name: str
     passed: bool
     outputs: int
+    zero: int
     worst: str
     deviation: float
     tolerance: float
@@ -38,11 +40,13 @@ class VerifyRecord(Record, frozen=True, kw_only=True):
         file: Name of the FMU or .ssp.
         passed: Whether all experiments did.
         experiments: In the order of the FMU; of an .ssp with the name of the part in front.
+        error: Why it could not be rerun; empty: it was.
     """
 
     file: str
     passed: bool
     experiments: tuple[ExperimentRecord, ...]
+    error: str = ""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -70,6 +74,7 @@ class VerifyResult(DisplayMixin):
                 name=d.experiment,
                 passed=d.passed,
                 outputs=d.outputs,
+                zero=d.zero,
                 worst=d.output,
                 deviation=d.share,
                 tolerance=d.tolerance,
@@ -83,8 +88,9 @@ class VerifyResult(DisplayMixin):
         for d in self.deviations:
             said = "comes out the same" if d.passed else "comes out otherwise"
             yield (
-                f"{self.file}: {d.experiment} {said}: of {d.outputs} outputs {d.output} is most "
-                f"off, {d.share:.2g} of its reference ({d.tolerance:g} allowed)."
+                f"{self.file}: {d.experiment} {said}: of {d.outputs} outputs, {d.zero} zero "
+                f"throughout, {d.output} is most off, {d.share:.2g} of its reference "
+                f"({d.tolerance:g} allowed)."
             )
 
     def brief(self) -> str:

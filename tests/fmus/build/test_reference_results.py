@@ -1,6 +1,7 @@
 """Reference results inside an FMU: rerun by FMPy, told from another twin, refused where damaged."""
 
 import csv
+import json
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from fmus import build
 from fmus.archive import open_archive
 from fmus.builder import write_archive
 from fmus.experiments import FOLDER, MANIFEST, read_experiments, related_problems, run, verify
+from fmus.inspect import inspect_fmu
 from fmus.reference_results import add_reference_results
 from twin.errors import FmuError
 from twin.vehicle_file import load_vehicle
@@ -132,7 +134,8 @@ def test_a_changed_reference_is_told(plant: Path) -> None:
     assert related_problems(open_archive(new)) == [
         f"'{name}' has another checksum than {MANIFEST} says"
     ]
-    assert not verify(new)[0].passed
+    with pytest.raises(FmuError, match="has another checksum"):
+        verify(new)
 
 
 @pytest.mark.parametrize(
@@ -169,14 +172,27 @@ def test_references_of_a_controller_tell_another(tmp_path: Path, law: str) -> No
 def test_a_renamed_output_is_refused(plant: Path) -> None:
     name = f"{FOLDER}/reference_out.csv"
     text = members(plant)[name].replace(b"airframe.pos_x", b"airframe.pos_q")
+    renamed = changed(plant, {name: text})
     with pytest.raises(FmuError, match=r"no output .*pos_q|cannot be run"):
-        verify(changed(plant, {name: text}))
+        verify(renamed)
+    assert "reference results: no variable 'airframe.pos_q'" in inspect_fmu(renamed).problems
+
+
+def test_references_that_are_zero_throughout_are_counted(plant: Path) -> None:
+    (experiment,) = read_experiments(open_archive(plant))
+    (found,) = verify(plant)
+    zero = [n for n, v in experiment.references.items() if n != "time" and not v.any()]
+    assert 0 < found.zero == len(zero) < found.outputs
 
 
 def test_each_file_has_a_verdict(capsys: pytest.CaptureFixture[str], plant: Path) -> None:
     bare = changed(plant, {MANIFEST: b""})
     code, said, err = run_verb(capsys, "verify", bare, plant)
     assert code == 2 and "comes out the same" in said and "changed.fmu" in err
+    _, said, _ = run_verb(capsys, "verify", bare, plant, "--json")
+    lost, found = json.loads(said)
+    assert "changed.fmu" in lost["error"] and not lost["passed"]
+    assert not found["error"] and found["passed"]
 
 
 def test_references_without_outputs_are_refused(plant: Path) -> None:
