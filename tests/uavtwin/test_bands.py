@@ -1,10 +1,14 @@
 """Bands of a driven twin: conformal over flights, and held by the FMU on flights of other days."""
 
 import json
+import zipfile
+from dataclasses import replace
 from pathlib import Path
 
+import fmpy
 import numpy as np
 import pytest
+from cli_rig import run
 from numpy.typing import NDArray
 
 import uavtwin as ut
@@ -13,7 +17,16 @@ from twin.logs import Flight
 from twin.physics.accuracy import SEEN
 from uavtwin.accuracy import FEWEST, Windows, bands_of, bound, measured_accuracy
 from uavtwin.demo.flights import fly
-from uavtwin.exports.bands import FILE, OBSERVED, PLAIN, read_accuracy
+from uavtwin.exports.bands import (
+    FILE,
+    OBSERVED,
+    PLAIN,
+    AccuracyRecord,
+    digest,
+    read_accuracy,
+    record_of,
+)
+from uavtwin.exports.credibility import FILE as CARD
 from uavtwin.exports.write import export_parts
 from uavtwin.force.open_loop import HORIZONS_S, QUANTITIES, Replay
 
@@ -121,6 +134,14 @@ def test_the_fmu_holds_its_bands_on_another_flight(flights: list[Flight], tmp_pa
 
 
 @pytest.mark.slow
+def test_a_flight_whose_motion_is_not_measured_is_not_compared(flights: list[Flight]) -> None:
+    """What is not measured counts as level and at rest in its place elsewhere."""
+    table = flights[0].table.drop(columns=["pos_x", "pos_y", "pos_z"])
+    with pytest.raises(TwinError, match="day_0: no measured position: the twin"):
+        Replay(replace(flights[0], table=table), COPTER)
+
+
+@pytest.mark.slow
 def test_what_was_not_compared_is_nowhere_valid_and_the_card_says_why(
     flights: list[Flight], tmp_path: Path
 ) -> None:
@@ -153,3 +174,49 @@ def test_what_was_not_compared_is_nowhere_valid_and_the_card_says_why(
     ):
         assert twin.assembly.parts["accuracy"].output_names == ("valid",)
         assert twin.bands is not None and why in twin.bands.because
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("observer", [True, False])
+def test_export_takes_the_table_of_explain_over(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, observer: bool
+) -> None:
+    folder, out = tmp_path / "explained", tmp_path / "out"
+    folder.mkdir()
+    vehicle = ut.load_vehicle(COPTER.save(folder / "vehicle.toml"))
+    (folder / "explain.json").write_text('{"gap": {}, "holdout": [], "closed_loop": null}')
+    (folder / "run.json").write_text('{"inputs": []}')
+    bands, without = bands_of([made(1), made(2)])
+    table = AccuracyRecord(
+        vehicle=vehicle.name,
+        vehicle_sha256=digest(vehicle),
+        drive="command",
+        twins={OBSERVED: record_of(bands, {"made_1": 400, "made_2": 400}, without)},
+        missing={PLAIN: "it left the envelope"},
+    )
+    (folder / FILE).write_text(json.dumps(table.json()))
+    words = ("corrected-twin", "--evidence", folder, "--drive", "commands", "--out", out)
+    code, _, err = run(capsys, "export", *words, *["--observer"] * observer)
+    assert code == 0, err
+    fmu = out / "corrected_twin.fmu"
+    variables = {v.name: v for v in fmpy.read_model_description(str(fmu)).modelVariables}
+    outputs = {
+        n for n, v in variables.items() if n.startswith("accuracy.") and v.causality == "output"
+    }
+    quantities = {f"accuracy.error_95.{q}" for q, _ in QUANTITIES}
+    wanted = (
+        {"accuracy.valid", "accuracy.envelope", *quantities} if observer else {"accuracy.valid"}
+    )
+    assert outputs == wanted
+    with zipfile.ZipFile(fmu) as archive:
+        card = json.loads(archive.read(CARD))
+    factor = card["factors"]["uncertainty_characterization"]
+    assert (factor["level"], FILE in card["evidence"]) == (2 if observer else 0, True)
+    assert ("made_1, made_2" if observer else "it left the envelope") in factor["because"]
+    if observer:
+        start = variables["accuracy.band.position.calm.1"].start
+        assert float(start) == pytest.approx(bands.bands["position"][0][0], rel=1e-5)
+    (folder / FILE).write_text(json.dumps(table.json() | {"vehicle_sha256": "0" * 64}))
+    code, _, err = run(capsys, "export", *words, "--force")
+    assert code == 2
+    assert "other numbers" in err

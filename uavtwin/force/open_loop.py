@@ -83,6 +83,13 @@ class Replay:
             LogError: It cannot be, or is nowhere long enough in the air.
         """
         aligned = self._drive(flight, vehicle)
+        motion = aligned.motion
+        parts = {n: getattr(motion, n) for n in ("position", "velocity", "attitude", "rates")}
+        if missing := [name for name, part in parts.items() if part is None]:
+            raise LogError(
+                f"{flight.name}: no measured {', '.join(missing)}: the twin cannot be compared. "
+                f"Give a flight with position and attitude."
+            )
         self.start_s = float(aligned.inputs.t_s[0])
         self._measured = true_motion(vehicle, aligned)
         self._steps = [round(h / GRID_S) for h in horizons_s]
