@@ -16,7 +16,7 @@ from pathlib import Path
 from learning.preset import BEST, PAPER
 
 from . import comparison as paper
-from .edge import costs, usage, usage_figure
+from .edge import costs, exported_ours, usage, usage_figure
 from .figures import (
     Figures,
     FlightCorrections,
@@ -99,15 +99,14 @@ def figures(tables: Path, work: Path, epochs: int | None, jobs: int) -> Figures:
     }
     rows = [r for r in paper.read_rows() if r["table"] == "ablations"]
     variants = [r for r in rows if r["row"].startswith(f"{BEST.name}: ")]
-    made = {c.name for c in costs(work / "onnx")}
-    used = {n: usage(work / "onnx" / f"{n}.onnx") for n in ours if f"{n}, ours" in made}
+    used = {n: usage(file) for n, (_, file) in exported_ours(work / "onnx").items()}
     ways = {
         f"{BEST.name}, given the residual": (seen, BEST.name),
         f"{PAPER.name}, given the residual": (seen, PAPER.name),
         f"{BEST.name}, given that of ten samples ago": (late, BEST.name),
     }
     return {
-        **comparison(flights, said),
+        **comparison(flights, compared),
         "missions": ("Figure 9: four missions, as corrected by best", timelines(seen, BEST.name)),
         "improvements": ("Figure 10: improvement per sensor", improvements(ways)),
         "best_systems": ("Figure 11: the four best systems", best_systems(seen, best)),

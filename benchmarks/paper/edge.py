@@ -24,7 +24,7 @@ from torch import Tensor, nn
 from benchmarks.speed.compensator import CLUSTERS, onnxruntime_cost
 from learning.data.channels import CHANNELS, GROUPS, N_PHASES
 from learning.export.streaming import streaming_model
-from learning.model.compensator import untrained_compensator
+from learning.model.compensator import Compensator, untrained_compensator
 from learning.model.family import ModelInfo
 from learning.preset import BEST, PAPER
 
@@ -82,11 +82,24 @@ def costs(folder: Path) -> Iterator[Cost]:
         system = untrained_system(name)
         file = export_system(system, folder / f"{name}.onnx")
         yield measured(name, system, system.preset.window, file)
+    for name, (model, file) in exported_ours(folder).items():
+        yield measured(f"{name}, ours", model, 1, file)
+
+
+def exported_ours(folder: Path) -> dict[str, tuple[Compensator, Path]]:
+    """Our networks with weights as they begin, by preset, and where each is written as ONNX.
+
+    Args:
+        folder: For the files; made if it does not exist.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    found = {}
     for preset, clusters in OURS:
         model = untrained_compensator(ModelInfo(preset, "reconstruct", 0, RATE_HZ, 0, clusters))
         file = folder / f"{preset.name}.onnx"
         onnx.save(streaming_model(model), file)
-        yield measured(f"{preset.name}, ours", model, 1, file)
+        found[preset.name] = model, file
+    return found
 
 
 def measured(name: str, network: Any, samples: int, file: Path) -> Cost:

@@ -115,7 +115,7 @@ def reconstructions(said: FlightCorrections) -> go.Figure:
         lines = {"residual": said.flight.residual, **{n: said.by_system[n] for n in best}}
         for k, (line, values) in enumerate(lines.items()):
             figure.add_scatter(
-                x=said.flight.t_s[::every],
+                x=thin(said.flight.t_s, every),
                 y=thin(values[:, c] / size[c], every),
                 name=line,
                 legendgroup=line,

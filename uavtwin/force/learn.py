@@ -163,8 +163,7 @@ def score(choice: Choice, squares: Array, without: Array) -> RidgeScore:
         without: The same without it.
     """
     logs = np.log((squares + _TINY) / (without + _TINY)) / 2
-    fallen = np.broadcast_to(~upright(without)[..., None], logs.shape)
-    worst = np.ma.masked_array(logs, fallen).mean(axis=0).max()
+    worst = logs[upright(without)].mean(axis=0).max()
     return RidgeScore(*choice, float(np.exp(logs.mean())), float(np.exp(worst)))
 
 
