@@ -6,6 +6,8 @@ asked with all of its finders, as on the command line. What counts:
 
 - a name of a gust, or of a force, is not false within a second of the onset of a planted gust, or
   where the simulated air changes more than at 99 % of the instants of that flight;
+- a name of cut commands is not false where the mission stops the motors in the air: it goes by
+  time, and an aircraft that comes late is still above its landing place;
 - a name after which the simulated aircraft, in which nothing fails, loses control is false all the
   same; the loss itself is counted beside it, since then the flight was not a clean one;
 - every other event that is said is false, of instruments and estimates too, unless it is marked as
@@ -28,10 +30,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from twin.errors import TwinError
-from twin.flight.closed_loop import STEP_S
+from twin.flight.closed_loop import SETPOINTS, STEP_S
 from twin.logs import Flight, read_flight
-from twin.why.causes import AIR
+from twin.logs.columns import POS
+from twin.why.causes import AIR, CUT
 from twin.why.diagnose import diagnose
+from twin.why.records import Event
 
 from .sudden_faults.answers import trivial_rule
 from .sudden_faults.built_in import Planted
@@ -43,6 +47,9 @@ RATES_HZ = (50.0, 10.0)
 NEAR_S, SELDOM = 1.0, 0.99
 """Within so much of an instant the velocity of the air changes; a gust is a true one if it changes
 by more than at this share of the instants: each changes by 1 m/s in such turbulence."""
+CUT_S, ABOVE_M = 0.2, 0.5
+"""Within so much of an instant the mission stops the motors, and above what height that is a cut in
+the air."""
 INDEX = Path(__file__).parent / "labelled" / "index.csv"
 """Of recorded flights."""
 SETS = ("clean", "px4_negatives")
@@ -59,7 +66,7 @@ class Answer(Struct, frozen=True, kw_only=True):
         set: Of which set.
         airborne_s: Time in the air.
         false: Events that are not there, as "cause at time".
-        true: Gusts that are.
+        true: Gusts and cuts that are.
         lost: Whether control was lost.
         trivial: Rotor that the trivial rule names; null: it is silent.
         processor_s: Of the answer, reading not included.
@@ -84,13 +91,8 @@ class Answer(Struct, frozen=True, kw_only=True):
         true: list[str] = []
         for event in (e for e in found.events if not e.consequence):
             when = "all the time" if event.onset_s is None else f"{event.onset_s:.2f} s"
-            is_there = (
-                planted is not None
-                and event.cause in AIR
-                and event.onset_s is not None
-                and bool(sets_in(planted, [event.onset_s])[0])
-            )
-            (true if is_there else false).append(f"{event.cause} {when}")
+            there = planted is not None and is_there(event, planted, flight)
+            (true if there else false).append(f"{event.cause} {when}")
         rule = trivial_rule(flight) if flight.has("cmd_1") else None
         return cls(
             flight=name,
@@ -102,6 +104,21 @@ class Answer(Struct, frozen=True, kw_only=True):
             trivial=None if rule is None else rule.rotor,
             processor_s=spent,
         )
+
+
+def is_there(event: Event, planted: Planted, flight: Flight) -> bool:
+    """Whether a simulated flight has what an event says."""
+    if event.onset_s is None:
+        return False
+    if event.cause in AIR:
+        return bool(sets_in(planted, [event.onset_s])[0])
+    if event.cause != CUT:
+        return False
+    t_s, position = flight.signal(POS)
+    armed = planted.planned().setpoints[:, SETPOINTS.index("armed")] > 0
+    first = max(int((event.onset_s - CUT_S) / STEP_S), 0)
+    stopped = armed[first] and not armed[first : int((event.onset_s + CUT_S) / STEP_S) + 1].all()
+    return bool(stopped and -np.interp(event.onset_s, t_s, position[:, 2]) > ABOVE_M)
 
 
 def sets_in(planted: Planted, t_s: Sequence[float]) -> NDArray[np.bool_]:
@@ -142,7 +159,7 @@ def page(answers: Sequence[Answer]) -> str:
 
 
 def _lines(answers: Sequence[Answer]) -> Iterator[str]:
-    head = ("set", "flights", "hours", "false names", "gusts that were there", "control lost")
+    head = ("set", "flights", "hours", "false names", "names that were there", "control lost")
     yield "| " + " | ".join((*head, "trivial rule names a rotor", "processor for 60 s")) + " |"
     yield "|---" * (len(head) + 2) + "|"
     for name in dict.fromkeys(a.set for a in answers):

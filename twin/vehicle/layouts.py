@@ -167,7 +167,7 @@ def frame(name: str, source: str = "") -> Layout:
     rows, sd, order = FRAMES[name]
     table = np.array(rows)
     position = np.column_stack([table[:, :2], np.zeros(len(table))])
-    source = f"{source or f'frame {name}'}, motors numbered as {order} has them"
+    source = f"{source or f'frame {name}'}, motor numbers of {order}"
     return Layout(position, table[:, 2].copy(), False, sd, source)
 
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal import lfilter
 
+from ..logs.columns import GYRO
 from ..residuals.measured import Signal
 from ..vehicle import GRAVITY_M_S2
 from .flight import Airborne, Array, FlightFrame, binned, lift, moment_signs
@@ -76,6 +77,11 @@ ORDER_LEAVES, ORDER_EXPLAINS = 50.0, 0.3
 """Nats that rotors, each with its own gain, explain more of roll and pitch than in their order, and
 least share that the order then explains. In 42 flights of a wrong order it left 78 or more and
 explained 0.20 at most, in 119 of a right one 34.5 at most and 0.34 at least."""
+ORDER_SHOWN = 5.0
+"""Nats that the order has to explain where a gain is not surely positive. The recorded flights of
+CrazyPAD, whose rates are derived and in which roll or pitch rests, have 7 or more."""
+STATE_ORDER = "put their order into [rotors] of a vehicle file, and give that with --since"
+"""What to do about motors that are numbered otherwise."""
 FINE_S = 0.01
 """Interval on which commands pass their lag."""
 LIFT_SPREAD, GAIN_SD = 0.1, 1e3
@@ -288,19 +294,45 @@ class Body:
         if not self.fast or layout is None:
             return ""
         law = self.laws[0]
-        gain, margin = law.gain[1:3], SURELY * law.gain_sd[1:3]
-        order = layout.source.removesuffix("; scaled")
-        if np.any(gain + margin < 0):
-            return (
-                f"the body turns against the commands, as with rotors in another order than {order}"
-            )
-        if np.all(gain + margin < LEAST_GAIN * GRAVITY_M_S2 / abs(law.usual[0])):
+        most = law.gain[1:3] + SURELY * law.gain_sd[1:3]
+        least = LEAST_GAIN * GRAVITY_M_S2 / abs(law.usual[0])
+        if self._logged and np.all((most >= 0) & (most < least)):
             return "the gyroscope does not follow the commands"
-        if np.any(gain - margin < 0):
-            return f"it is not sure that the body turns as rotors in the order of {order} turn it"
-        if _explains_little(*np.sum([self._by_order(j) for j in (1, 2)], axis=0)):
-            return f"rotors turn the body otherwise than in the order of {order}"
+        unsure = np.any(law.gain[1:3] < SURELY * law.gain_sd[1:3]) and self._by_all[0] < ORDER_SHOWN
+        if self.misnumbered or not unsure:
+            return self.misnumbered
+        return (
+            f"the commands change too little to tell whether its motors are numbered {self._taken}"
+        )
+
+    @property
+    def _logged(self) -> bool:
+        """Whether body rates are logged: those of an attitude are late and smooth, and a controller
+        that steadies the body then seems to turn it the other way."""
+        return self.frame.flight.has(*GYRO)
+
+    @cached_property
+    def misnumbered(self) -> str:
+        """How it shows that the motors are numbered otherwise than was taken; "": it does not."""
+        if not self.fast or self.frame.layout is None:
+            return ""
+        law, (order, free) = self.laws[0], self._by_all
+        if self._logged and np.any(law.gain[1:3] < -SURELY * law.gain_sd[1:3]):
+            return f"the body turns against the commands: its motors are not numbered {self._taken}"
+        if free - order > ORDER_LEAVES and order < ORDER_EXPLAINS * free:
+            return f"the body turns unlike the commands: its motors are not numbered {self._taken}"
         return ""
+
+    @property
+    def _taken(self) -> str:
+        layout = self.frame.layout
+        source = "" if layout is None else layout.source.removesuffix("; scaled")
+        return f"as taken ({source}); {STATE_ORDER}"
+
+    @cached_property
+    def _by_all(self) -> Array:
+        """Of roll and pitch together, as of `_by_order`."""
+        return np.asarray(np.sum([self._by_order(j) for j in (1, 2)], axis=0))
 
     def _by_order(self, j: int) -> tuple[float, float]:
         """Nats by which the commands explain a channel in the early part: with one gain of all
@@ -443,11 +475,6 @@ class Noise:
     laws: tuple[Law, ...]
     gain: Array
     weight: Array
-
-
-def _explains_little(order: float, free: float) -> bool:
-    """Whether much is left to rotors in another order, by the nats that each explains."""
-    return free - order > ORDER_LEAVES and order < ORDER_EXPLAINS * free
 
 
 def left_by(gram: Array, used: Sequence[int]) -> float:

@@ -43,6 +43,9 @@ FORCES = np.array(
 """Where a force or moment acts, alike probable: on the specific force along z, the turning about x,
 y, z, and across the thrust. On all; as a mass that moves; as a rope at the centre of mass; across
 the thrust alone. Without the third a rope was all rotors that lose thrust, with a force beside."""
+BLOWS = np.array([[1, 1, 1, 1], [1, 0, 0, 0], [0, 0, 0, 0]], dtype=bool)
+"""Where a blow acts besides across the thrust, alike probable, as of `FORCES`: on all; along the
+thrust; across alone, as a gust at the centre of mass."""
 GROWS_S = (0.4, 0.8, 1.6, 3.2)
 """In which a loss grows to its size, alike probable, s."""
 
@@ -100,7 +103,7 @@ CAUSES: Mapping[str, Cause] = {
         "A short blow hits the aircraft at {t} s",
         "Marks of a collision; else a gust.",
         log_odds=-2.0,
-        tail=(10.0, 18.0),
+        tail=(26.0, 6.5),
     ),
     CUT: Cause(
         "All commands drop to idle in the air at {t} s, for {value}, and the aircraft falls",
@@ -112,7 +115,7 @@ CAUSES: Mapping[str, Cause] = {
 """All of them, by name. Tails: 0.8 h simulated with gusts, landings and throttle punches, 0.25 h
 recorded (CrazyPAD, the excitations of crazyflie_motor_delay); none is scored for sudden events.
 There a mass and a force that may act at the centre of mass pass zero 2.3 and 3 times as often as
-those that bring a moment."""
+those that bring a moment. A gust within a second of one that is there is none of its tail."""
 
 FINAL = (ROTOR, ALL)
 """Causes after which the body is another one: what follows is no event of its own."""

@@ -19,6 +19,7 @@ from .causes import (
     AIR,
     ALL,
     BLOW,
+    BLOWS,
     CAUSES,
     FINAL,
     FORCES,
@@ -66,6 +67,8 @@ LEVEL = {
     for cause, (per_h, nats) in _TAILS.items()
 }
 """Nats over nothing from which on there is an event, by an exponential tail."""
+SHOWN_GUST_S = BLOWS_S[3]
+"""Length of the gust whose least size is said."""
 SCREENED = 12.0
 """Nats below its level from which on a name under one law of thrust is looked at under all."""
 LAST_WORD_NATS = 3.0
@@ -170,7 +173,8 @@ class Competition:
             air = self._sideways.evidence(start, onsets, end, BLOWS_S)
         still, lasting, passing = air
         if which != "growing":
-            sizes[Name(BLOW)] = sizes[Name(BLOW)] + passing - still[:, None]
+            gusts = np.tile(passing, (1, len(BLOWS)))
+            sizes[Name(BLOW)] = sizes[Name(BLOW)] + gusts - still[:, None]
             sizes[Name(PUSH)] = sizes[Name(PUSH)] + np.outer(lasting - still, FORCES[:, 4])
             sizes[Name(ALL)] = sizes[Name(ALL)] + self._by_voltage[onsets]
         each = np.array([logsumexp(sizes[n], axis=1) - np.log(sizes[n].shape[1]) for n in names])
@@ -216,16 +220,20 @@ class Competition:
         levels = np.array([LEVEL.get(n.cause, np.inf) for n in names])
         return np.where(soon, LAST_WORD_NATS, levels[:, None])
 
-    def shown(self) -> Array:
-        """Nats over its level that the loss of a rotor would have, had the rotor that shows least
-        lost each of `LOSSES`, shape (onsets, losses), at onsets `FIRST_S` apart."""
+    def shown(self) -> tuple[Array, Array]:
+        """What would show at onsets `FIRST_S` apart: nats over its level that the loss of a rotor
+        would have, had the rotor that shows least lost each of `LOSSES`, shape (onsets, losses);
+        and the least gust of `SHOWN_GUST_S`, m/s^2, shape (onsets,)."""
         body, step = self.body, self.body.places(FIRST_S)
         onsets = np.arange(step, body.last - step, step)
-        onsets = onsets[~body.limited[onsets]]
+        onsets = onsets[~(body.limited | body.low)[onsets]]
         start, end = self._window(onsets, 0, len(body))
         names = [Name(NOTHING), *(Name(ROTOR, (i + 1,)) for i in range(body.rotors))]
         asked = LEVEL[ROTOR] - _log_odds(names)[1:, None]
-        return np.asarray((self.evidence.planted(Window(start, onsets, end)) - asked).min(axis=1))
+        lost = (self.evidence.planted(Window(start, onsets, end)) - asked).min(axis=1)
+        trials = np.log(len(BLOWS_S) * len(BLOWS)) - CAUSES[BLOW].log_odds
+        gust = self._sideways.least_gust(start, onsets, end, SHOWN_GUST_S, LEVEL[BLOW] + trials)
+        return np.asarray(lost), gust
 
     def onsets(self) -> list[Onset]:
         """All events, in order of time."""

@@ -5,8 +5,12 @@ same flight: no motor command and no number of the aircraft is needed.
 
 One number says how readily a change is reported: the expected number of false ones in ten hours.
 The running mean of a residual over its own robust scale is taken as Student's t: heavy-tailed, more
-so where little flight lies before it. What shape the change has, a step, one in proportion to the
-reading or a pulse, is then a competition of its own, with heavy-tailed priors on the sizes.
+so where little flight lies before it. What stays off in the means that follow is so much the less
+probable by chance, by Fisher's sum of the logarithms of their p-values: no single mean has to leave
+all tails of the noise. What shape the change has, a step, one in proportion to the reading or a
+pulse, is then a competition of its own, with heavy-tailed priors on the sizes.
+
+Source: Fisher, Statistical Methods for Research Workers, 1932, 21.1.
 """
 
 from collections.abc import Mapping
@@ -15,7 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.special import logsumexp
+from scipy.optimize import brentq
+from scipy.special import gammaincc, logsumexp
 from scipy.stats import t as student
 
 Array = NDArray[np.float64]
@@ -33,7 +38,12 @@ PRIOR_DEGREES = 3.0
 REFERENCE_S = 5.0
 """Least flight before a change, against which it is held."""
 AFTER_S = 6.0
-"""Time after an onset by which the shape of a change is told."""
+"""Time after an onset by which a change, and the shape of it, is told."""
+FIRST = 0.8
+"""Share of the false changes that the first mean may call by itself; the others are shared by all
+numbers of means that follow it. By judgement."""
+STAYING = 0.5
+"""Share of the evidence of the means that follow the first that is believed. By judgement."""
 PASSES = 0.67
 """Share of the time after an onset within which a passing change is over."""
 LASTS, SCALES = 0.3, 0.1
@@ -93,6 +103,12 @@ class Residual:
         """Bins of a running mean."""
         return max(round(self.window_s / self.step_s), 1)
 
+    @property
+    def looks(self) -> int:
+        """Means, one behind the other, by which a change is told: one of a level, which wanders;
+        errors of a difference between samples cancel from one mean to the next."""
+        return max(int(AFTER_S / self.window_s), 1) if self.scaled else 1
+
 
 @dataclass(frozen=True, slots=True)
 class Change:
@@ -150,57 +166,105 @@ class Budget:
 
 def changed_at(r: Residual, budget: Budget) -> Change | None:
     """First change of a residual that its own past does not explain; None without one."""
-    look = _looked(r, budget)
-    with np.errstate(invalid="ignore"):
-        over = np.flatnonzero(look.apart > look.bound)
+    look, chance = _looked(r, budget), budget.chance(r.window_s)
+    p_value = look.p_value(r)
+    over = np.flatnonzero((p_value < chance) & (np.abs(look.apart) > r.least))
     if not len(over):
         return None
     k = int(over[0])
-    peak = float(np.nanmax((look.apart / look.scale)[k : k + 2 * r.width]))
-    p_value = float(2.0 * student.sf(peak, look.freedom[k]))
-    true = budget.probability(p_value, r.window_s)
+    least = float(np.nanmin(p_value[k : k + 2 * r.width]))
+    true = budget.probability(least, r.window_s)
     return _change(r, k, float(look.middle[k]), float(look.scale[k]), true)
 
 
 def smallest_detectable(r: Residual, budget: Budget) -> float:
-    """Change that would have been reported during half of the flight; infinity: none would."""
-    bound = _looked(r, budget).bound
-    known = bound[np.isfinite(bound)]
-    return float(np.median(known)) if len(known) else np.inf
+    """Lasting change that would have been reported during half of the flight; infinity: none
+    would."""
+    look, chance = _looked(r, budget), budget.chance(r.window_s)
+    known = np.isfinite(look.scale) & np.isfinite(look.apart)
+    if not known.any():
+        return np.inf
+    scale, freedom = np.median(look.scale[known]), np.median(look.freedom[known])
+
+    def beyond(log_z: float) -> float:
+        each = np.full(r.looks, _surprise(np.exp(log_z), freedom))
+        return float(np.log(_by_chance(each).min() / chance))
+
+    return max(float(scale * np.exp(brentq(beyond, 0.0, 12.0))), r.least)
 
 
 @dataclass(frozen=True, slots=True)
 class _Look:
-    """A residual against its past, at each bin: running mean less its median before, scale and
-    degrees of freedom of that, the median, and the bound; NaN until there is enough past."""
+    """A residual against its past, at each bin, NaN until there is enough of it: running mean less
+    its median before; what the past was over what was expected of it, and the degrees of freedom of
+    that; the median; what is expected of the mean; the least scale."""
 
     apart: Array
-    scale: Array
+    over: Array
     freedom: Array
     middle: Array
-    bound: Array
+    expected: Array
+    least: float
+
+    @property
+    def scale(self) -> Array:
+        """Of the mean of each bin, shape (n,)."""
+        return np.asarray(np.maximum(self.over * self.expected, self.least))
+
+    def p_value(self, r: Residual) -> Array:
+        """Of each bin: that of its mean and those that follow, as long as they stay off to the same
+        side, against what was before; 1 where nothing is known. Shape (n,)."""
+        mean, n = self.apart + self.middle, len(self.apart)
+        each = np.full((r.looks, n), np.nan)
+        for m in range(r.looks):
+            rows, till = slice(m * r.width, None), max(n - m * r.width, 0)
+            apart = mean[rows] - self.middle[:till]
+            scale = np.maximum(self.over[:till] * self.expected[rows], self.least)
+            stays = (apart * self.apart[:till] > 0.0) & (np.abs(apart) > r.least)
+            surprise = _surprise(np.abs(apart) / scale, self.freedom[:till])
+            each[m, :till] = np.where(stays, surprise, np.nan)
+        return np.asarray(np.nan_to_num(_by_chance(each), nan=1.0).min(axis=0))
+
+
+def _surprise(z: Array | float, freedom: Array | float) -> Array:
+    """Less the logarithm of the p-value of so many deviations."""
+    return -np.log(2.0) - np.asarray(student.logsf(z, freedom))
+
+
+def _by_chance(each: Array) -> Array:
+    """P-value of a chain of means for each length of it, the trials of all lengths counted, shape
+    as given.
+
+    Args:
+        each: Surprise of each mean, shape (means, ...); NaN ends the chain.
+    """
+    count, axes = len(each), (-1, *(1,) * (each.ndim - 1))
+    share = np.full(count, STAYING)
+    trials = np.full(count, (count - 1) / (1.0 - FIRST))
+    share[0], trials[0] = 1.0, 1.0 / FIRST if count > 1 else 1.0
+    total = np.cumsum(each * share.reshape(axes), axis=0)
+    number = np.arange(1, count + 1).reshape(axes)
+    return np.asarray(trials.reshape(axes) * gammaincc(number, np.maximum(total, 0.0)))
 
 
 def _looked(r: Residual, budget: Budget) -> _Look:
-    """The scale is that of the past, with a prior of `PRIOR_DEGREES` at the least one."""
+    """The scale is what motion and the least change bring, by how much larger or smaller the past
+    was: a prior of `PRIOR_DEGREES` says that it was neither."""
     width, least = r.width, round(REFERENCE_S / r.step_s)
     ahead = pd.Series(r.difference[::-1]).rolling(width, min_periods=max(width // 2, 1)).mean()
     mean = ahead.to_numpy()[::-1].copy()
     mean[len(mean) - width + 1 :] = np.nan
     before = pd.Series(mean).shift(width).expanding(least)
-    quartile = ((before.quantile(0.75) - before.quantile(0.25)) / 1.349).to_numpy()
     middle, count = before.median().to_numpy(), before.count().to_numpy() / width
-    chance = budget.chance(r.window_s) / 2.0
-    usual = r.least / float(student.isf(chance, DEGREES))
-    seen = np.maximum(count - 1.0, 0.0)
-    scale = np.sqrt((PRIOR_DEGREES * usual**2 + seen * quartile**2) / (PRIOR_DEGREES + seen))
+    usual = r.least / float(student.isf(budget.chance(r.window_s) / 2.0, DEGREES))
     motion = pd.Series(r.error[::-1]).rolling(width, min_periods=1).mean().to_numpy()[::-1]
-    scale, freedom = (
-        np.hypot(np.maximum(scale, usual), motion),
-        np.minimum(PRIOR_DEGREES + seen, DEGREES),
-    )
-    bound = np.maximum(student.isf(chance, freedom) * scale, r.least)
-    return _Look(np.abs(mean - middle), scale, freedom, middle, bound)
+    expected = np.hypot(usual, motion)
+    off = pd.Series(np.abs(mean - pd.Series(mean).expanding().median()) / expected)
+    spread = off.shift(width).expanding(least).median().to_numpy() / 0.6745
+    seen = np.maximum(count - 1.0, 0.0)
+    over = np.sqrt((PRIOR_DEGREES + seen * spread**2) / (PRIOR_DEGREES + seen))
+    freedom = np.minimum(PRIOR_DEGREES + seen, DEGREES)
+    return _Look(mean - middle, over, freedom, middle, expected, usual)
 
 
 def trailing_median(values: Array, bins: float) -> Array:

@@ -21,6 +21,7 @@ from .body import GAIN_SD, LIFT_SPREAD, Body, ThrustLaw, expecting
 from .causes import (
     ALL,
     BLOW,
+    BLOWS,
     COARSE_LOSSES,
     FORCES,
     GROWS_S,
@@ -210,7 +211,11 @@ class Evidence:
         found[Name(MASS)] = [heavy, *(c.loaded() for c in channels[1:3]), base[3]]
         kinds = zip(pushed, base, FORCES.T[:4], strict=True)
         found[Name(PUSH)] = [np.where(acts, p, b) for p, b, acts in kinds]
-        found[Name(BLOW)] = [c.blown(self.blow_ends(w)) for c in channels]
+        blown = [c.blown(self.blow_ends(w)) for c in channels]
+        found[Name(BLOW)] = [
+            np.hstack([p if acts else np.broadcast_to(b, p.shape) for acts in where])
+            for p, b, where in zip(blown, base, BLOWS.T, strict=True)
+        ]
         return found
 
     @cached_property

@@ -136,8 +136,8 @@ class FlightFrame:
         start, end = flight.time_s[0], flight.time_s[-1]
         if end - start < SHORTEST_S:
             raise LogError(
-                f"{flight.name}: the log lasts {end - start:.1f} s; at least {SHORTEST_S:g} s are "
-                f"needed to know what is usual in it."
+                f"{flight.name}: the log lasts less than {SHORTEST_S:g} s ({end - start:.3g} s), "
+                "too short to know what is usual in it. Give a log of a longer flight."
             )
         # No sample lies on an edge, where rounding decides to which interval it belongs.
         quarter = 0.25 / max(s.rate_hz for s in signals.values())

@@ -1,14 +1,15 @@
 """Events of the body: a rotor that fails, a mass that changes, a push, a gust; as records."""
 
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .body import Body
-from .causes import CAUSES, CUT, LOSSES, NOTHING, ROTOR
-from .competition import AFTER_S, BEFORE_S, Competition, Onset
+from .causes import BLOW, CAUSES, CUT, LOSSES, NOTHING, ROTOR
+from .competition import AFTER_S, BEFORE_S, SHOWN_GUST_S, Competition, Onset
 from .findings import Findings
 from .flight import Airborne, FlightFrame
 from .records import Amount, Candidate, Event, EvidenceSeries, NotVisible, Severity
@@ -45,7 +46,8 @@ def moved(frame: FlightFrame, references: Sequence[FlightFrame] = ()) -> Finding
                 events.append(event_of(body, onset))
                 nothing *= 1.0 - events[-1].probability
     if shown:
-        hidden.append(_least_loss(np.concatenate(shown)))
+        lost, gusts = map(np.concatenate, zip(*shown, strict=True))
+        hidden += [_least_loss(lost), *_least_gust(gusts)]
     elif not hidden:
         reason = f"the log has no {LEAST_S:g} s in the air"
         hidden = [_hidden(cause, None, reason) for cause in CAUSES if cause != CUT]
@@ -69,6 +71,19 @@ def _least_loss(nats: NDArray[np.float64]) -> NotVisible:
     return _hidden(ROTOR, float(passes[0]), "a smaller one does not stand out of the noise")
 
 
+def _least_gust(sizes: NDArray[np.float64]) -> Iterator[NotVisible]:
+    """The least gust that passes its level at half of the onsets, by the force that it brings.
+
+    Args:
+        sizes: Of `Competition.shown`, of all stretches, m/s^2.
+    """
+    if len(sizes):
+        reason = (
+            f"wind shakes as much; of a gust of {SHOWN_GUST_S:g} s, mass times this is its force"
+        )
+        yield _hidden(BLOW, float(np.median(sizes)), reason, "m/s^2")
+
+
 def _unseen(body: Body, first_s: float) -> Iterator[NotVisible]:
     """Causes that a stretch does not show, and why."""
     begin, end = max(first_s, float(body.t_s[0])), float(body.t_s[-1])
@@ -76,12 +91,16 @@ def _unseen(body: Body, first_s: float) -> Iterator[NotVisible]:
     yield from (_hidden(cause, None, reason) for cause in CAUSES if cause != CUT)
 
 
-def _bodies(frame: FlightFrame) -> Iterator[tuple[Body, float]]:
+@lru_cache(maxsize=1)
+def _bodies(frame: FlightFrame) -> tuple[tuple[Body, float], ...]:
     """Stretches of all parts in the air, and from when on events of each count, s."""
-    for part in frame.airborne:
-        if (part.flown - part.start) * frame.dt_s < LEAST_S:
-            continue
-        yield from ((Body.of(frame, s), t) for s, t in _stretches(frame, part))
+    parts = [p for p in frame.airborne if (p.flown - p.start) * frame.dt_s >= LEAST_S]
+    return tuple((Body.of(frame, s), t) for p in parts for s, t in _stretches(frame, p))
+
+
+def misnumbered(frame: FlightFrame) -> bool:
+    """Whether the motors are numbered otherwise than was taken, or that is not known."""
+    return any(body.misnumbered for body, _ in _bodies(frame))
 
 
 def _stretches(frame: FlightFrame, part: Airborne) -> Iterator[tuple[Airborne, float]]:
@@ -174,6 +193,6 @@ def _evidence(body: Body, onset_s: float) -> Iterator[EvidenceSeries]:
         )
 
 
-def _hidden(cause: str, value: float | None, reason: str) -> NotVisible:
-    least = Amount(value=value, unit="1")
+def _hidden(cause: str, value: float | None, reason: str, unit: str = "1") -> NotVisible:
+    least = Amount(value=value, unit=unit)
     return NotVisible(cause=cause, smallest_detectable=least, reason=reason)

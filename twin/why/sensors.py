@@ -139,16 +139,17 @@ def _chain(events: Sequence[Event], first: Event) -> list[Event]:
 
 
 def _hidden(residuals: Sequence[Residual], budget: Budget) -> dict[str, NotVisible]:
-    """Of each lasting cause, the smallest change that the worst axis would have shown."""
-    least: dict[tuple[str, str], tuple[float, Residual]] = {}
+    """Of each lasting cause, the smallest change that the worst axis or quantity would have shown,
+    over the usual one."""
+    least: dict[tuple[str, str, str], tuple[float, Residual]] = {}
     for r in residuals:
-        key, size = (r.lasting, r.sensor), smallest_detectable(r, budget)
+        key, size = (r.lasting, r.sensor, r.quantity), smallest_detectable(r, budget)
         if key not in least or size < least[key][0]:
             least[key] = size, r
     found: dict[str, NotVisible] = {}
-    for (cause, _), (size, r) in sorted(least.items(), key=lambda x: x[1][0]):
-        if cause not in OF_ESTIMATE:
-            found[cause] = _not_visible(cause, size, r)
+    for size, r in sorted(least.values(), key=lambda x: x[0] / x[1].usual):
+        if r.lasting not in OF_ESTIMATE:
+            found[r.lasting] = _not_visible(r.lasting, size, r)
     return found
 
 

@@ -20,7 +20,7 @@ from .causes import BLOW, CAUSES, PUSH
 from .flight import Array, rotations
 from .noise import PHI, TEMPER, Places, Whitened
 
-FLOOR_M_S2 = 0.02
+FLOOR_M_S2 = 0.005
 """Least deviation of an innovation."""
 SLOW_PHI = (*PHI, 0.998)
 """Of the level, among which is chosen: wind changes over tens of seconds."""
@@ -85,6 +85,23 @@ class Sideways:
                 passing[:, i] += _marginal(blown, one, [TRIM_SD_M_S2, STEP_SD_M_S2])
         return still, lasting, passing
 
+    def least_gust(
+        self, start: Places, onset: Places, end: Places, over_s: float, nats: float
+    ) -> Array:
+        """Specific force of the 1-cosine gust, as large as a constant one of a length, that would
+        have so many nats over nothing, along the axis that shows it least, m/s^2, shape
+        (onsets,)."""
+        shape, prior, known = one_cosine(max(self.body.places(over_s), 1)), STEP_SD_M_S2**-2, []
+        for axis in self._axes:
+            joined, one = axis.joined(start, onset, end), axis.rows.shape[1] - 2
+            blown = axis.pulsed(joined, shape, onset, end)
+            inside, cross = _changed(blown, one, [TRIM_SD_M_S2], 2 * (one + 2))
+            own = TEMPER * blown[:, -1, -1]
+            known.append(own - np.sum(cross * np.linalg.solve(inside, cross), axis=(1, 2)))
+        each = np.array(known)
+        asked = nats + 0.5 * np.log1p(each / prior).sum(axis=0)
+        return np.asarray((np.sqrt(2 * asked * (each + prior)) / each).max(axis=0))
+
     def unchanged(self, start: Places, end: Places) -> Array:
         """Log evidence that not even the offset changes, shape (onsets,)."""
         return np.asarray(
@@ -111,19 +128,31 @@ def alongside(each: tuple[Array, Array, Array], log_odds: Array) -> Array:
     return np.asarray(logsumexp(either, axis=0) - still)
 
 
-def _marginal(gram: Array, one: int, changes: Sequence[float]) -> Array:
-    """Log evidence with drag, wind, offset and its changes marginalised.
+def _changed(gram: Array, one: int, changes: Sequence[float], last: int) -> tuple[Array, Array]:
+    """Gram matrices of drag, wind, offset and its changes with their priors, and their products
+    with a column, shapes (onsets, n, n) and (onsets, n, 1).
 
     Args:
         gram: Of the columns as in `Whitened.joined` or `passing`, shape (onsets, m, m).
         one: Place of the constant.
         changes: Deviation of what begins at the onset, and of a blow.
+        last: Place of the column.
     """
     k = one + 2
-    sd = np.array([*MOVING_SD[:one], OFFSET_SD_M_S2, *changes])
+    sd = _deviations(one, changes)
     picked = [*range(one + 1), *(k + one, 2 * k)[: len(changes)]]
-    tempered = TEMPER * gram
-    inside = tempered[:, np.array(picked)[:, None], picked] + np.diag(1 / sd**2)
-    cross, left = tempered[:, picked, one + 1, None], tempered[:, one + 1, one + 1]
+    inside = TEMPER * gram[:, np.array(picked)[:, None], picked] + np.diag(1 / sd**2)
+    return inside, TEMPER * gram[:, picked, last, None]
+
+
+def _deviations(one: int, changes: Sequence[float]) -> Array:
+    return np.array([*MOVING_SD[:one], OFFSET_SD_M_S2, *changes])
+
+
+def _marginal(gram: Array, one: int, changes: Sequence[float]) -> Array:
+    """Log evidence with drag, wind, offset and its changes marginalised, see `_changed`."""
+    inside, cross = _changed(gram, one, changes, one + 1)
+    left = TEMPER * gram[:, one + 1, one + 1]
     left = left - np.sum(cross * np.linalg.solve(inside, cross), axis=(1, 2))
-    return np.asarray(-0.5 * left - 0.5 * np.linalg.slogdet(inside)[1] - np.log(sd).sum())
+    cost = np.log(_deviations(one, changes)).sum()
+    return np.asarray(-0.5 * left - 0.5 * np.linalg.slogdet(inside)[1] - cost)

@@ -16,6 +16,7 @@ from scipy.stats import norm
 from ..formatting import number, percent
 from .findings import Findings
 from .flight import LEAST_COMMAND, FlightFrame, rotations
+from .motion import misnumbered
 from .records import Amount, Event, NotVisible, Severity
 
 Array = NDArray[np.float64]
@@ -86,9 +87,12 @@ def _calm(flight: FlightFrame) -> NDArray[np.bool_]:
 
 
 def _balance(flight: FlightFrame, references: Sequence[FlightFrame]) -> Findings:
-    """Against normal flights where there are some, else against symmetry."""
+    """Against normal flights where there are some, else against symmetry; nothing where nobody
+    knows which motor is where."""
     calm = _calm(flight)
     if flight.drive is None or flight.layout is None or calm.sum() * flight.dt_s < LEAST_S:
+        return Findings()
+    if {"gyro", "acc"} <= flight.grid.keys() and misnumbered(flight):
         return Findings()
     normal = [(r, _calm(r)) for r in references]
     short = [r.flight.name for r, on in normal if r.drive is None or on.sum() * r.dt_s < LEAST_S]

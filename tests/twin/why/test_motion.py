@@ -17,7 +17,7 @@ from twin.vehicle.layouts import frame
 from twin.vehicle_file import load_vehicle
 from twin.why.body import Body
 from twin.why.causes import ALL, BLOW, MASS, PUSH, ROTOR, Name
-from twin.why.competition import Competition, drop
+from twin.why.competition import SHOWN_GUST_S, Competition, drop
 from twin.why.diagnose import FINDERS, diagnose
 from twin.why.findings import Findings
 from twin.why.flight import FlightFrame, lift, moment_signs, of_vehicle
@@ -153,11 +153,23 @@ def driven(authority: float = 60.0, jitter: float = 0.03, last: float = 1.0) -> 
     ("flight", "order", "reason"),
     [
         (driven(), [0, 1, 2, 3], ""),
-        (driven(), [1, 0, 3, 2], "in another order than the vehicle file"),
+        (
+            driven(),
+            [1, 0, 3, 2],
+            "turns against the commands: its motors",
+        ),
         (driven(last=2.2), [0, 1, 2, 3], ""),
-        (driven(last=2.2), [1, 2, 0, 3], "otherwise than in the order of the vehicle file"),
+        (
+            driven(last=2.2),
+            [1, 2, 0, 3],
+            "turns unlike the commands: its motors",
+        ),
         (driven(authority=0.5), [0, 1, 2, 3], "the gyroscope does not follow the commands"),
-        (driven(jitter=1e-4), [0, 1, 2, 3], "it is not sure that the body turns"),
+        (
+            driven(jitter=1e-4),
+            [0, 1, 2, 3],
+            "change too little to tell",
+        ),
         (driven(jitter=0.0), [0, 1, 2, 3], "the commands of the rotors never change"),
     ],
 )
@@ -188,6 +200,40 @@ def test_the_least_loss_that_shows_is_that_of_the_noise_of_the_log() -> None:
         return np.inf if known is None else known
 
     assert 0.1 < least(0.0) < least(0.2) < least(5.0) == np.inf
+
+
+def test_of_motors_that_are_numbered_otherwise_nothing_is_said_but_what_to_do() -> None:
+    copter = load_vehicle("copter_default")
+    order = [1, 2, 0, 3]
+    places, senses = copter.rotors.position_m[order], copter.rotors.direction[order]
+    copter = replace(copter, rotors=replace(copter.rotors, position_m=places, direction=senses))
+    other = diagnose(of_vehicle(driven(last=2.2), copter))
+    assert "[rotors] of a vehicle file, and give that with --since." in other.text
+    asked = [["is asked for" in n for n in d.notes] for d in (other, diagnose(driven(last=2.2)))]
+    assert not any(asked[0]) and any(asked[1])
+
+
+def test_rates_of_an_attitude_do_not_say_that_the_body_turns_against_the_commands() -> None:
+    """Of a hover that a controller steadies, they are late and smooth."""
+    flight = driven()
+    table = flight.table.assign(**{c: -flight.table[c] for c in ("gyro_x", "gyro_y")})
+    frame = FlightFrame.of(Flight("against", table))
+    derived = replace(frame, flight=Flight("derived", table.drop(columns=list(GYRO))))
+    said = [Body.of(f, f.airborne[0]).misnumbered for f in (frame, derived)]
+    assert "turns against the commands" in said[0] and not said[1]
+
+
+def test_the_least_gust_that_shows_is_told_and_half_of_it_is_not() -> None:
+    """Across the thrust alone, in a flight whose force there is white noise."""
+    table = driven().table
+    hidden = found_in(Flight("calm", table)).not_visible
+    (least,) = [v.smallest_detectable for v in hidden if v.cause == BLOW]
+    assert least.unit == "m/s^2" and least.value is not None
+    for share, told in ((0.5, False), (1.6, True)):
+        phase = np.clip((table["time"] - 12.0) / SHOWN_GUST_S, 0.0, 2.0)
+        gust = 0.5 * (1.0 - np.cos(np.pi * phase)) * share * least.value
+        blown = table.assign(acc_y=table["acc_y"] + gust)
+        assert [e.cause for e in found_in(Flight("blown", blown)).events] == [BLOW] * told
 
 
 def test_thrust_falls_with_the_speed_along_the_axis_of_the_rotors() -> None:

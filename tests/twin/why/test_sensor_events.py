@@ -1,6 +1,7 @@
 """Sensors and state estimate: faults put into a sound flight are named, and a sound one is not."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -130,6 +131,34 @@ def test_what_is_hidden_is_not_reported_and_twice_of_it_is() -> None:
     for share, reported in ((0.4, False), (2.5, True)):
         _add("gyro_z", share * least)(table := sound())
         assert any(e.cause == "gyro_bias" for e in found_in(table)) == reported
+
+
+def test_what_stays_off_is_told_where_one_mean_is_not_enough() -> None:
+    """Motion may bring 0.02; 0.12 more for a second, for good, and of a level, which wanders."""
+    rng, n = np.random.default_rng(1), 160
+    calm = height_residual(rng, n, least=0.02)
+    off = 0.12 * (np.arange(n) >= 100)
+    passing = off * (np.arange(n) < 110)
+
+    def told(scaled: str, change: np.ndarray) -> bool:
+        difference = 0.005 * calm.difference + change
+        r = replace(calm, scaled=scaled, difference=difference, error=np.full(n, 0.02))
+        found = changed_at(r, Budget(FALSE_IN_10_H, 10))
+        return found is not None and found.onset_s == pytest.approx(10.0, abs=0.2)
+
+    assert [told("gyro_scale", off), told("gyro_scale", passing), told("", off)] == [1, 0, 0]
+
+
+def test_motion_that_has_brought_no_error_is_believed_to_bring_none() -> None:
+    rng = np.random.default_rng(1)
+
+    def least(bins: int, noise: float) -> float:
+        r = height_residual(rng, bins, least=0.02)
+        moved = replace(r, difference=noise * r.difference, error=np.full(bins, 0.1))
+        return smallest_detectable(moved, Budget(FALSE_IN_10_H, 10))
+
+    assert least(3000, 0.01) < 0.25 * least(100, 0.01)
+    assert least(3000, 1.0) > least(3000, 0.01)
 
 
 def test_a_touch_of_the_ground_is_no_noise() -> None:
