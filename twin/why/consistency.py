@@ -228,7 +228,8 @@ class _Look:
 
 def _surprise(z: Array | float, freedom: Array | float) -> Array:
     """Less the logarithm of the p-value of so many deviations."""
-    return -np.log(2.0) - np.asarray(student.logsf(z, freedom))
+    surprise: Array = -np.log(2.0) - np.asarray(student.logsf(z, freedom), dtype=np.float64)
+    return surprise
 
 
 def _by_chance(each: Array) -> Array:
