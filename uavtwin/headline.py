@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from twin.effects import EFFECTS, FAMILIES
 from twin.effects.parameters import UNMEASURED
-from twin.explain.balance import CAUSES, LOAD, ROTORS, VIBRATION, Balance, Hypothesis
+from twin.explain.balance import LOAD, ROTORS, VIBRATION, Balance, Hypothesis
 from twin.explain.estimates import (
     detectable,
     estimates_of,
@@ -401,7 +401,7 @@ def _since(found: Explanation, naming: Naming) -> Headline:
         first, later = leading(effects, shares, _determined(estimates), _striking(estimates))
         parts = [
             _phrase(found, e, estimates[e], 1)
-            if stochastic_effect(found, e) is not None and e not in CAUSES
+            if (own := stochastic_effect(found, e)) is not None and not own.before
             else _change(naming, e, estimates[e])
             for e in first
         ]
@@ -429,35 +429,38 @@ def _since(found: Explanation, naming: Naming) -> Headline:
 def _of_balance(balance: Balance) -> str:
     """What may have changed in the balance, where it is one of several: first the place, then the
     causes."""
-    if balance.one_of and LOAD not in {h.cause for h in balance.one_of}:
-        suspects = [f"{_damage(h)} ({certainty(h.probability)})" for h in balance.one_of]
+    tied = {h.cause for h in balance.one_of}
+    each = [f"{_in_words(h)} ({certainty(h.probability)})" for h in balance.one_of]
+    if LOAD in tied and ROTORS not in tied:
+        return f"{joined(each, 'or')}. These flights cannot tell which."
+    if tied and LOAD not in tied:
         return (
-            f"a propeller is damaged ({certainty(balance.damaged)}): {joined(suspects, 'or')}. "
+            f"a propeller is damaged ({certainty(balance.damaged)}): {joined(each, 'or')}. "
             f"These flights cannot tell which."
         )
     rotors, load = balance.best(ROTORS), balance.best(LOAD)
     causes = [
-        (said(ROTORS, _by_number(rotors), since=True), balance.damaged),
-        (said(LOAD, _by_number(load), since=True), balance.probability_of(LOAD)),
+        (_in_words(rotors), balance.damaged),
+        (_in_words(load), balance.probability_of(LOAD)),
     ]
-    tied = [f"{text} ({certainty(p)})" for text, p in sorted(causes, key=lambda c: -c[1])]
+    ranked = [f"{text} ({certainty(p)})" for text, p in sorted(causes, key=lambda c: -c[1])]
     if balance.one_of:
         more = joined(
             [f"rotor {i} must give {percent(balance.more[i - 1])}" for i in rotors.rotors]
         )
         return (
-            f"{more} more thrust than at calibration: {joined(tied, 'or')}. These flights cannot "
+            f"{more} more thrust than at calibration: {joined(ranked, 'or')}. These flights cannot "
             f"tell which."
         )
     none = f"nothing has changed ({certainty(balance.nothing)})"
-    return f"either {joined([none, *tied], 'or')}: these flights cannot tell."
+    return f"either {joined([none, *ranked], 'or')}: these flights cannot tell."
 
 
-def _damage(hypothesis: Hypothesis) -> str:
-    """A damaged propeller, in words."""
+def _in_words(hypothesis: Hypothesis) -> str:
+    """A cause, with its size."""
     if hypothesis.cause == VIBRATION:
         return "one vibrates and none has lost thrust"
-    return said(ROTORS, _by_number(hypothesis), since=True)
+    return said(hypothesis.cause, _by_number(hypothesis), since=True)
 
 
 def _by_number(hypothesis: Hypothesis) -> dict[str, float]:

@@ -52,3 +52,20 @@ def test_a_rotor_that_is_sure_is_named() -> None:
     named = damage({2: 0.92, 5: 0.04}, 0.02).named
     assert named is not None
     assert (named.cause, named.rotors, named.probability) == (ROTORS, (2,), 0.92)
+
+
+def test_a_load_that_is_fixed_or_hangs_on_a_rope() -> None:
+    rope = {"slung_load.mass_kg": 0.1, "slung_load.length_m": 0.5}
+    hanging = Hypothesis("slung_load", (), 0.3, rope, {n: 0.01 for n in rope})
+    mass = {f"{LOAD}.mass_kg": 0.1}
+    load = Hypothesis(LOAD, (), 1.0, mass, {n: 0.01 for n in mass})
+    none = [Hypothesis(c, (), 0.0, {}, {}) for c in (ROTORS, NOTHING)]
+    balance = Balance((load, *none), {}, (0.0,) * 8, 0.8, hanging)
+    assert _of_balance(balance) == (
+        "it carries 0.1 kg more (70 %) or a load of 0.1 kg hangs below it on a rope (30 %). "
+        "These flights cannot tell which."
+    )
+    assert [(r.cause, r.probability) for r in _one_of(balance)] == [
+        (LOAD, 0.7),
+        ("slung_load", 0.3),
+    ]

@@ -49,20 +49,22 @@ class Observer:
     an observer pulls them towards what the flight shows, with what is past alone.
 
     Attributes:
-        follow: `(free_n, excess_n, numbers, step_s) -> course`: the specific force, m/s^2, that is
-            predicted without the effect, and what the accelerometer reads beyond that, zero where
-            unknown, both NED, shape (n, 3), to whatever `place` needs. It uses the shapes alone of
-            the numbers: those without a neutral value.
+        follow: `(free_n, excess_n, height_m, numbers, step_s, vehicle) -> course`: the specific
+            force, m/s^2, that is predicted without the effect, and what the accelerometer reads
+            beyond that, zero where unknown, both NED, shape (n, 3), and the height over where the
+            vehicle stood, infinite where it never stood or no position is known, shape (n,), to
+            whatever `place` needs. It uses the shapes alone of the numbers: those without a neutral
+            value.
         place: `(states, names, course, free_n, numbers, vehicle) -> states`: the states of the
             airframe, shape (n, n_x), those of the effect filled in.
         channels: Readings by which it follows.
-        gain_1_s: How fast what it follows answers to one of them.
+        gain_1_s: How fast what it follows answers to one of them, by the vehicle.
     """
 
-    follow: Callable[[Array, Array, Mapping[str, float], float], Any]
+    follow: Callable[[Array, Array, Array, Mapping[str, float], float, Vehicle], Any]
     place: Callable[[Array, Sequence[str], Any, Array, Mapping[str, float], Vehicle], Array]
     channels: tuple[str, ...]
-    gain_1_s: float
+    gain_1_s: Callable[[Vehicle], float]
 
 
 @dataclass(frozen=True, slots=True)

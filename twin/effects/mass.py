@@ -20,6 +20,7 @@ Source: Sreenath, Michael & Kumar, ICRA 2013, eq. 2 to 5; e makes it a Luenberge
 (IEEE Trans. Autom. Control 16, 1971).
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -48,8 +49,11 @@ from .wording import (
 )
 
 Array = NDArray[np.float64]
-Course = tuple[Array, Array]
-"""Unit vectors from the vehicle to the load, and their rates, 1/s, NED. Shapes (n, 3)."""
+Course = tuple[Array, Array, NDArray[np.bool_]]
+"""Unit vectors from the vehicle to the load, and their rates, 1/s, NED, shapes (n, 3); whether the
+load is off the ground, shape (n,)."""
+ROPE_M, ROPE_ARMS = 0.7, 3.0
+"""Expected length of a rope, and arms of a large vehicle that it is as long as."""
 ROPE_HZ = 5.0
 """Natural frequency of the load on its rope, Hz: stiff beside any pendulum, slow beside 1 ms."""
 DIRECTION_GAIN_1_S, RATE_GAIN_1_S2 = 8.0, 16.0
@@ -62,7 +66,25 @@ PLACE = tuple(f"slung_load.r_{a}" for a in "xyz")  # states: load from its ancho
 SPEED = tuple(f"slung_load.v_{a}" for a in "xyz")  # states: its velocity, NED, m/s
 
 
-def observe_swing(free_n: Array, excess_n: Array, length_m: float, step_s: float) -> Course:
+def rope_of(vehicle: Vehicle) -> float:
+    """Expected length of a rope over `ROPE_M`."""
+    return max(1.0, ROPE_ARMS * vehicle.arm_m / ROPE_M)
+
+
+def pace_of(vehicle: Vehicle) -> float:
+    """K over that of a rope of `ROPE_M`: the swing on a longer rope is slower, and what is followed
+    faster than it swings is noise."""
+    return 1 / math.sqrt(rope_of(vehicle))
+
+
+def observe_swing(
+    free_n: Array,
+    excess_n: Array,
+    length_m: float,
+    step_s: float,
+    lifted: NDArray[np.bool_],
+    pace: float = 1.0,
+) -> Course:
     """Direction of the rope and its rate, from a load at rest.
 
     Args:
@@ -70,24 +92,45 @@ def observe_swing(free_n: Array, excess_n: Array, length_m: float, step_s: float
         excess_n: Measured specific force beyond it, NED, m/s^2; zero where unknown. Shape (n, 3).
         length_m: Of the rope.
         step_s: Of the grid.
+        lifted: Whether the load is off the ground; else it is at rest. Shape (n,).
+        pace: Of `pace_of`.
 
     Returns:
-        Unit vectors from the vehicle to the load, and their rates, 1/s, NED. Shapes (n, 3).
+        A `Course`.
     """
     state, free, excess = ca.SX.sym("state", 6), ca.SX.sym("free", 3), ca.SX.sym("excess", 3)
+    hangs, rest = ca.SX.sym("hangs"), ca.DM([0, 0, 1, 0, 0, 0])
     p, w = state[:3], state[3:]
     taut = length_m * ca.dot(w, w) > ca.dot(p, free)
     innovation = (excess - ca.dot(excess, p) * p) / ca.fmax(ca.norm_2(excess + 1e-12), FAINT_M_S2)
     bend = (ca.dot(p, free) * p - free) / length_m - ca.dot(w, w) * p
     innovation = ca.if_else(taut, innovation, 0.0)
-    w = w + step_s * (bend + RATE_GAIN_1_S2 * innovation)
-    p = p + step_s * (w + DIRECTION_GAIN_1_S * innovation)
+    w = w + step_s * (bend + pace**2 * RATE_GAIN_1_S2 * innovation)
+    p = p + step_s * (w + pace * DIRECTION_GAIN_1_S * innovation)
     p = p / ca.norm_2(p)
-    step = ca.Function("swing_step", [state, free, excess], [ca.vertcat(p, w - ca.dot(w, p) * p)])
-    start = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    (after,) = accumulated(step, start, free_n, excess_n)
+    after_step = ca.if_else(hangs, ca.vertcat(p, w - ca.dot(w, p) * p), rest)
+    step = ca.Function("swing_step", [state, free, excess, hangs], [after_step])
+    start = np.asarray(rest).ravel()
+    (after,) = accumulated(step, start, free_n, excess_n, lifted[:, None].astype(np.float64))
     rows = np.vstack([start, after[:-1]])
-    return rows[:, :3], rows[:, 3:]
+    return rows[:, :3], rows[:, 3:], lifted
+
+
+def lifted_off(excess_n: Array, height_m: Array, length_m: float) -> NDArray[np.bool_]:
+    """Whether a load is off the ground, shape (n,): the rope is shorter than the height, or pulls
+    just as well where it is not, as where the vehicle took off from a stand.
+
+    Args:
+        excess_n: As in `observe_swing`.
+        height_m: Over where the vehicle stood; infinite where that is unknown. Shape (n,).
+        length_m: Of the rope.
+    """
+    high, known = height_m > length_m, np.any(excess_n != 0, axis=1)
+    low = known & ~high
+    if not low.any() or not (known & high).any():
+        return np.ones_like(high)
+    pull, below = (float(np.mean(excess_n[rows, 2])) for rows in (known & high, low))
+    return high | (below >= 0.5 * pull)
 
 
 def hang_load(
@@ -98,7 +141,7 @@ def hang_load(
     length_m: float,
     share: float,
 ) -> Array:
-    """States with the load where it swings.
+    """States with the load where it swings, or on the ground, where the rope is slack.
 
     The rope is stretched by what the tension asks for, so that the equations of the airframe,
     whose rope is elastic, pull with just this tension.
@@ -106,17 +149,18 @@ def hang_load(
     Args:
         states: Of the airframe, shape (n, n_x).
         names: Of the states.
-        swung: Direction and rate, of `observe_swing`.
+        swung: Of `observe_swing`.
         free_n: As in `observe_swing`.
         length_m: Of the rope.
         share: Mass of the load over that of the vehicle, which it slows down.
     """
-    along, rate = swung
+    along, rate, lifted = swung
     pull = length_m * np.sum(rate**2, axis=1) - np.sum(along * free_n, axis=1)
     stretch = np.maximum(pull, 0.0) / (1 + share) / (2 * np.pi * ROPE_HZ) ** 2
     at = {name: i for i, name in enumerate(names)}
     states = states.copy(order="K")
-    states[:, [at[n] for n in PLACE]] = along * (length_m + stretch)[:, None]
+    distance = np.where(lifted, length_m + stretch, 0.5 * length_m)
+    states[:, [at[n] for n in PLACE]] = along * distance[:, None]
     vel = states[:, [at[f"vel_{a}"] for a in "xyz"]]
     states[:, [at[n] for n in SPEED]] = vel + length_m * rate
     return states
@@ -239,9 +283,20 @@ def _slung_load(w: Wrench, p: Block) -> Wrench:
 
 
 def _follow_load(
-    free_n: Array, excess_n: Array, numbers: Mapping[str, float], step_s: float
+    free_n: Array,
+    excess_n: Array,
+    height_m: Array,
+    numbers: Mapping[str, float],
+    step_s: float,
+    vehicle: Vehicle,
 ) -> Course:
-    return observe_swing(free_n, excess_n, numbers["length_m"], step_s)
+    length = numbers["length_m"]
+    lifted = lifted_off(excess_n, height_m, length)
+    return observe_swing(free_n, excess_n, length, step_s, lifted, pace_of(vehicle))
+
+
+def _gain_of_load(vehicle: Vehicle) -> float:
+    return DIRECTION_GAIN_1_S * pace_of(vehicle)
 
 
 def _place_load(
@@ -415,24 +470,30 @@ SLUNG_LOAD = Effect(
         EffectParameter(
             "mass_kg", "kg", "mass of the load", 0.1, (0, 0.6), scale=lambda v: v.mass_kg
         ),
-        EffectParameter("length_m", "m", "length of the rope", 0.7, (0.1, 5), neutral=None),
+        EffectParameter(
+            "length_m",
+            "m",
+            "length of the rope",
+            ROPE_M,
+            (0.1, 5),
+            neutral=None,
+            scale=rope_of,
+        ),
     ),
     ("acc", "vel", "q"),
-    "point mass on an elastic rope that pulls only, hung at the centre of mass; it knows no "
-    "ground: Sreenath, Michael & Kumar, ICRA 2013, with a spring for the rigid link",
+    "point mass on an elastic rope that pulls only, hung at the centre of mass; in simulations it "
+    "knows no ground: Sreenath, Michael & Kumar, ICRA 2013, with a spring for the rigid link",
     _slung_load,
-    observable_as=Equation(
-        Observer(_follow_load, _place_load, ("acc_x", "acc_y"), DIRECTION_GAIN_1_S)
-    ),
+    observable_as=Equation(Observer(_follow_load, _place_load, ("acc_x", "acc_y"), _gain_of_load)),
     prior=Prior(
         RARE,
         "only where somebody hung one",
-        {"mass_kg": Normal(0.0, 0.2), "length_m": Normal(0.7, 0.7)},
+        {"mass_kg": Normal(0.0, 0.2), "length_m": Normal(ROPE_M, ROPE_M)},
     ),
     change=Prior(
         RARE,
         "a load of 5 to 25 % on a rope",
-        {"mass_kg": Normal(0.1, 0.1), "length_m": Normal(0.7, 0.7)},
+        {"mass_kg": Normal(0.1, 0.1), "length_m": Normal(ROPE_M, ROPE_M)},
         one_sided=True,
     ),
     wording=Wording(load_clause, undetected=Undetected(8, "a slung load below {}")),

@@ -56,7 +56,9 @@ def calibrated_effects(found: Explanation) -> list[str]:
 
 def undecided(found: Explanation) -> tuple[str, ...]:
     """Effects among the named ones that something else may stand for; none for other verdicts."""
-    return () if found.naming is None or found.verdict != "named" else found.naming.undecided
+    if found.naming is None or found.verdict != "named":
+        return ()
+    return tuple(e for e in found.naming.undecided if stochastic_effect(found, e) is None)
 
 
 def totals(found: Explanation) -> Sequence[Total]:

@@ -18,10 +18,12 @@ from ..residuals.teacher_forced import drive_warnings, driven_by
 from ..vehicle import Vehicle
 from .balance import (
     CAUSES,
+    LOAD,
     VIBRATION,
     Balance,
     Normal,
     balance_of,
+    changed_by,
     channels_of_balance,
     effect_of_balance,
     trim_of,
@@ -50,7 +52,7 @@ from .stochastic.search import Stuck, find_stochastic, find_stuck, stuck_channel
 from .stochastic.spectral import StochasticEffect
 from .unnamed import Equation, Unnamed, explains_better, find_equations
 from .usable import flown, part_read, usable_part, with_readings
-from .weather import WIND, acting_of, uncertain
+from .weather import WIND, Wind, acting_of, hanging_of, uncertain, wind_of
 
 DIGITS = 6
 """Significant ones that a fitted number is given with."""
@@ -235,8 +237,10 @@ def explain(
     except LogError as error:
         return replace(found, reasons=(str(error),))
     names = [f.name for f in flights]
+    wind = wind_of(naming.problem, naming.posterior) if since else None
     if channels is not None:
-        found = _with_balance(found, naming)
+        found = _with_balance(found, naming, wind)
+    found = _with_wind(found, naming, wind)
     found = _named(found, naming, [s for s in stuck if s.flight in names])
     found = replace(
         found,
@@ -395,7 +399,7 @@ def _as_named(found: Explanation, naming: Naming, alike: Sequence[Resemblance] =
     acts like, some more among them: beside a name no vehicle carries them."""
     new = alike or naming.resemblances
     naming = replace(naming, resemblances=(*naming.resemblances, *alike))
-    verdict = _verdict(naming, found.balance, bool(found.stochastic))
+    verdict = _verdict(naming, found.balance, found.stochastic)
     shown, gone = found.shown, {r.effect for r in naming.resemblances if verdict == "named"}
     if shown is not None and gone:
         shown = replace(shown, effects=tuple(e for e in shown.effects if e not in gone))
@@ -420,16 +424,17 @@ def _beyond(found: Explanation, every: Sequence[StochasticEffect]) -> list[Stoch
     return [u for u in every if u.log_odds > 0 and not (judged and u.effect == VIBRATION)]
 
 
-def _verdict(naming: Naming, balance: Balance | None, stochastic: bool) -> Verdict:
+def _verdict(
+    naming: Naming, balance: Balance | None, stochastic: Sequence[StochasticEffect]
+) -> Verdict:
     """Of the search, of the balance, and of what was found beside them."""
     verdict = naming.verdict
-    if stochastic and (balance is None or verdict in ("nothing", "unnamed")):
+    shakes = stochastic and (balance is None or verdict in ("nothing", "unnamed"))
+    if shakes or any(u.before for u in stochastic):
         return "named"
     if balance is None or verdict == "named":
         return verdict
-    if balance.named is not None and stochastic:
-        return "named"
-    if verdict == "nothing" and balance.nothing < balance.sure:
+    if verdict == "nothing" and not balance.quiet:
         return "cannot_tell"
     return "cannot_tell" if balance.one_of else verdict
 
@@ -444,10 +449,22 @@ def _balanced(
     return channels_of_balance(set.intersection(*every))
 
 
-def _with_balance(found: Explanation, naming: Naming) -> Explanation:
+def _with_wind(found: Explanation, naming: Naming, wind: Wind | None) -> Explanation:
+    """The same with a wind that is surely stronger than usual, where the search took it for the
+    day's."""
+    if wind is None or wind.stronger < naming.settings.sure or not WIND.isdisjoint(naming.named):
+        return found
+    effect = next(iter(wind.change)).partition(".")[0]
+    blows = changed_by(effect, wind.change, wind.stronger, found.vehicle, ())
+    return replace(found, stochastic=(*found.stochastic, blows))
+
+
+def _with_balance(found: Explanation, naming: Naming, wind: Wind | None) -> Explanation:
     """The same with what has changed in the balance of forces and moments."""
     model = naming.problem.model
-    others = acting_of(naming.shown)
+    others = acting_of(naming.shown, naming.named)
+    if wind is not None and wind.stronger >= 0.5:
+        others |= wind.values
     trim = trim_of(model, {n: value for n, (value, _) in others.items()})
     if trim is None:
         return found
@@ -458,6 +475,8 @@ def _with_balance(found: Explanation, naming: Naming) -> Explanation:
         doubt = uncertain(model, trim.channels, others) + calm * normal.disturbed
         normal = replace(normal, disturbed=doubt)
     balance = balance_of(trim, normal, naming.settings.sure)
+    if all(n.partition(".")[0] in WIND for n in others):
+        balance = replace(balance, hanging=hanging_of(naming, balance.best(LOAD)))
     named = effect_of_balance(balance, found.vehicle, trim)
     return replace(found, balance=balance, stochastic=() if named is None else (named,))
 
@@ -576,7 +595,7 @@ def _with_gap(
     if found.since is not None and found.verdict != "named":
         return found
     effects = () if found.shown is None else found.shown.effects
-    named = [u.effect for u in found.stochastic if u.effect in CAUSES and u.effect not in effects]
+    named = [u.effect for u in found.stochastic if u.before and u.effect not in effects]
     effects = (*effects, *named)
     assert found.naming is not None
     if not held:

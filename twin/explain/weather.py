@@ -1,4 +1,8 @@
-"""What the wind of a flight, and a load on a rope, do to the balance of forces and moments.
+"""The wind of a flight: whether it is stronger than on the days of the calibration, and what it and
+a load on a rope do to the balance of forces and moments.
+
+Every day has its wind, so that a search takes most of it for the day's: that it has changed is told
+by how strong it is, whichever of the two it was taken for.
 
 The search tells them by readings that the balance leaves alone. The balance is then judged in that
 wind and with that load, and less sharply: neither is known exactly, and a calibration in calm air
@@ -13,14 +17,20 @@ aircraft have as if this one had it, of what is rare by its odds.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit, logit
+from scipy.stats import norm
 
 from ..effects import EFFECTS, prior_of
 from ..effects.parameters import COMMON
-from .inference.fit import INTERVAL, Fit
+from .balance import ROPE, Hypothesis
+from .inference.fit import INTERVAL, Fit, Problem
+from .inference.posterior import Posterior
+from .inference.selection import Naming
 from .model.model import Model
 from .model.numbers import Number
 
@@ -41,15 +51,95 @@ OF_AIR = frozenset(
 What comes with a change, as a slung load, is no doubt about the air."""
 
 
-def acting_of(shown: Fit) -> dict[str, tuple[float, float]]:
-    """Wind and load on a rope that a search found: "effect.number" -> value and standard deviation;
-    none: calm."""
+STRONG = 2.0
+"""Deviations between the days of the calibration by which a wind is stronger than usual."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wind:
+    """The wind of some flights, of the change since a calibration and of their days together.
+
+    Attributes:
+        change: "effect.number" -> mean over all flights, and standard deviation.
+        values: The same of the wind itself, with that of the vehicle.
+        stronger: Probability that it is stronger than usual, see `STRONG`.
+    """
+
+    change: Mapping[str, tuple[float, float]]
+    values: Mapping[str, tuple[float, float]]
+    stronger: float
+
+
+def wind_of(problem: Problem, posterior: Posterior) -> Wind | None:
+    """Wind by a search since a calibration; None where it looks for none, or knows no days."""
+    b, known = problem.priors, problem.model.vehicle.calibration
+    names = [n for n in b.names if n.partition(".")[0] in WIND]
+    usual = [known.days[n] for n in names if known is not None and n in known.days]
+    if not usual:
+        return None
+    flights, days = len(problem.model.flights), len(b.days)
+    rows = np.zeros((len(names), len(b.names) + flights * days))
+    for row, name in zip(rows, names, strict=True):
+        own = b.names.index(name)
+        row[own] = 1.0
+        for j in np.flatnonzero(b.days == own):
+            row[len(b.names) + j :: days] = 1 / flights
+    p = np.array([s.probability for s in posterior.sets])
+    each = np.array([rows @ s.best.x for s in posterior.sets])
+    doubt = np.array([[s.best.variance(row) for row in rows] for s in posterior.sets])
+    mean = p @ each
+    sd = np.sqrt(p @ (doubt + (each - mean) ** 2))
+    speed = np.maximum(np.linalg.norm(each, axis=1), 1e-9)
+    along = np.sqrt(np.sum((each / speed[:, None]) ** 2 * doubt, axis=1))
+    least = STRONG * math.sqrt(sum(v**2 for v in usual) / len(usual))
+    stronger = float(p @ norm.cdf((speed - least) / np.maximum(along, 1e-9)))
+    now = b.now[[b.names.index(n) for n in names]]
+    change, values = (
+        dict(zip(names, zip(v.tolist(), sd.tolist(), strict=True), strict=True))
+        for v in (mean, now + mean)
+    )
+    return Wind(change, values, stronger)
+
+
+def acting_of(shown: Fit, named: Collection[str]) -> dict[str, tuple[float, float]]:
+    """Wind and named load on a rope that a search found: "effect.number" -> value and standard
+    deviation; none: calm. One that is not named is left to the balance, which knows its weight."""
     pairs = zip(shown.numbers, shown.half_widths, strict=True)
     return {
         n.full: (shown.values[n.full], float(half) / INTERVAL)
         for n, half in pairs
-        if n.effect in ACTING
+        if n.effect in WIND or (n.effect in ACTING and n.effect in named)
     }
+
+
+def hanging_of(naming: Naming, load: Hypothesis) -> Hypothesis:
+    """A load of the balance as one that hangs on a rope, with the probability of that given a load:
+    as far as its swing speaks for it, where these flights show any."""
+    (effect,) = ACTING - WIND
+    change, posterior, b = EFFECTS[effect].change, naming.posterior, naming.problem.priors
+    assert change is not None
+    log_odds = ROPE
+    if effect in naming.inclusion:
+        log_odds += float(logit(np.clip(naming.inclusion[effect], 1e-9, 1 - 1e-9))) - change.odds
+    own = {p.name for p in EFFECTS[effect].parameters}
+    names = {n: n.partition(".")[2] for n in load.values}
+    held = {
+        f"{effect}.{name}": (load.values[n], load.deviations[n])
+        for n, name in names.items()
+        if name in own
+    }
+    for i in np.flatnonzero(b.shape & (np.array(b.cause) == effect)):
+        row = np.zeros(len(b.names))
+        row[i] = 1.0
+        there, moved, sd = posterior.total(row, [effect])
+        held |= {b.names[i]: (moved, sd)} if there > 0 else {}
+    return Hypothesis(
+        effect,
+        (),
+        float(expit(log_odds)),
+        {n: v for n, (v, _) in held.items()},
+        {n: sd for n, (_, sd) in held.items()},
+    )
 
 
 def uncertain(

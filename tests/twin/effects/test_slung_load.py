@@ -9,7 +9,16 @@ from scipy.fft import dct
 from search_rigs.hypotheses import against, fit_set
 
 from twin.effects import EFFECTS
-from twin.effects.mass import PLACE, SPEED, hang_load, observe_swing
+from twin.effects.mass import (
+    PLACE,
+    SPEED,
+    Course,
+    hang_load,
+    lifted_off,
+    observe_swing,
+    pace_of,
+    rope_of,
+)
 from twin.explain.inference.fit import Problem
 from twin.explain.model.numbers import with_effects
 from twin.residuals.channels import CHANNEL_HZ, GRID_HZ
@@ -35,8 +44,13 @@ def tilted(n: int, angle_rad: float) -> Array:
     return np.tile([G * np.sin(angle_rad), 0.0, -G * np.cos(angle_rad)], (n, 1))
 
 
+def swing(free_n: Array, excess_n: Array, length_m: float) -> Course:
+    """Of a load that is off the ground all the time."""
+    return observe_swing(free_n, excess_n, length_m, STEP_S, np.ones(len(free_n), dtype=np.bool_))
+
+
 def test_an_unobserved_load_swings_as_a_pendulum() -> None:
-    along, rate = observe_swing(tilted(4000, 0.02), np.zeros((4000, 3)), 0.8, STEP_S)
+    along, rate, _ = swing(tilted(4000, 0.02), np.zeros((4000, 3)), 0.8)
     middle = along[:, 0] + np.sin(0.02)
     rises = np.flatnonzero((middle[:-1] < 0) & (middle[1:] >= 0))
     period = np.diff(rises).mean() * STEP_S
@@ -49,11 +63,11 @@ def test_a_load_is_found_again_from_the_force_that_it_makes() -> None:
     """Its swing begins unknown: 40 degrees off, all of which is forgotten within 2 s."""
     free = tilted(2000, 0.0)
     free[:200] = tilted(200, 0.7)
-    truth, rate = observe_swing(free, np.zeros((2000, 3)), 0.8, STEP_S)
+    truth, rate, _ = swing(free, np.zeros((2000, 3)), 0.8)
     pull = 0.8 * np.sum(rate**2, axis=1) - np.sum(truth * free, axis=1)
     felt = 0.1 * pull[:, None] * truth
-    blind, _ = observe_swing(tilted(1500, 0.0), np.zeros((1500, 3)), 0.8, STEP_S)
-    found, _ = observe_swing(tilted(1500, 0.0), felt[500:], 0.8, STEP_S)
+    blind, *_ = swing(tilted(1500, 0.0), np.zeros((1500, 3)), 0.8)
+    found, *_ = swing(tilted(1500, 0.0), felt[500:], 0.8)
     late = slice(400, None)
     assert np.max(np.linalg.norm(blind[late] - truth[500:][late], axis=1)) > 0.3
     assert np.max(np.linalg.norm(found[late] - truth[500:][late], axis=1)) < 0.03
@@ -66,13 +80,34 @@ def test_following_mere_noise_gains_what_the_integral_of_bode_says(length_m: flo
     noise = 0.01 * np.random.default_rng(0).standard_normal((n, 3))
     force = np.array([0.0, 0.0, share * G])
     assert observer is not None
-    along, _ = observe_swing(tilted(n, 0.0), force + noise, length_m, STEP_S)
+    along, *_ = swing(tilted(n, 0.0), force + noise, length_m)
     left = noise[:, :2] - share * G * along[:, :2]
     inside = n * int(CHANNEL_HZ) // int(GRID_HZ)  # of the frequencies up to half the rate
     there, rest = (dct(v, axis=0, norm="ortho")[:inside] ** 2 for v in (noise[:, :2], left))
     gained = 0.5 * float(np.sum(np.log(there) - np.log(rest))) / 2
-    said = 0.5 * observer.gain_1_s * n * STEP_S * (1 - CHANNEL_HZ / GRID_HZ)
+    small = load_vehicle("copter_default")
+    said = 0.5 * observer.gain_1_s(small) * n * STEP_S * (1 - CHANNEL_HZ / GRID_HZ)
     assert gained == pytest.approx(said, rel=0.1)
+
+
+def test_a_large_vehicle_is_followed_more_slowly() -> None:
+    """By as much as its longer rope swings more slowly, so that less noise is followed."""
+    small = load_vehicle("copter_default")
+    large = replace(small, rotors=replace(small.rotors, position_m=4 * small.rotors.position_m))
+    observer = EFFECTS["slung_load"].observer
+    assert observer is not None
+    assert pace_of(small) == 1.0
+    expected = 0.7 * rope_of(large)
+    assert expected == pytest.approx(3 * large.arm_m)
+    assert pace_of(large) == pytest.approx(np.sqrt(0.7 / expected))
+    assert observer.gain_1_s(large) == pytest.approx(pace_of(large) * observer.gain_1_s(small))
+    n, hangs = 4000, np.ones(4000, dtype=np.bool_)
+    noise = np.random.default_rng(0).standard_normal((n, 3)) * 0.01 + [0.0, 0.0, 1.0]
+    fast, slow = (
+        observe_swing(tilted(n, 0.0), noise, expected, STEP_S, hangs, pace)[0][:, 0].std()
+        for pace in (1.0, pace_of(large))
+    )
+    assert slow < 0.85 * fast
 
 
 def test_the_swing_does_not_look_ahead() -> None:
@@ -80,8 +115,8 @@ def test_the_swing_does_not_look_ahead() -> None:
     free, felt = tilted(400, 0.1), rng.standard_normal((400, 3))
     other = np.where(np.arange(400)[:, None] < 200, felt, 5.0)
     assert np.array_equal(
-        observe_swing(free, felt, 1.0, STEP_S)[0][:201],
-        observe_swing(free, other, 1.0, STEP_S)[0][:201],
+        swing(free, felt, 1.0)[0][:201],
+        swing(free, other, 1.0)[0][:201],
     )
 
 
@@ -89,13 +124,30 @@ def test_the_rope_is_stretched_by_its_tension() -> None:
     """At rest T / m = M g / (M + m) of thrust alone: what a vehicle that falls freely leaves."""
     names = ["vel_x", "vel_y", "vel_z", *PLACE, *SPEED]
     states = np.tile([1.0, 2.0, 3.0, *[0.0] * 6], (2, 1))
-    swung = np.tile([0.0, 0.0, 1.0], (2, 1)), np.tile([0.5, 0.0, 0.0], (2, 1))
-    still = swung[0], np.zeros((2, 3))
+    hangs = np.ones(2, dtype=np.bool_)
+    swung = np.tile([0.0, 0.0, 1.0], (2, 1)), np.tile([0.5, 0.0, 0.0], (2, 1)), hangs
+    still = swung[0], np.zeros((2, 3)), hangs
     at_rest = hang_load(states, names, still, tilted(2, 0.0), 2.0, 0.25)
     assert (at_rest[0, 5] - 2.0) * (2 * np.pi * 5.0) ** 2 == pytest.approx(G / 1.25)
     moving = hang_load(states, names, swung, tilted(2, 0.0), 2.0, 0.0)
     assert (moving[0, 5] - 2.0) * (2 * np.pi * 5.0) ** 2 == pytest.approx(G + 2.0 * 0.5**2)
     assert moving[0, 6:].tolist() == [2.0, 2.0, 3.0]
+    lying = hang_load(states, names, (*swung[:2], ~hangs), tilted(2, 0.0), 2.0, 0.0)
+    assert lying[0, 5] < 2.0
+
+
+def test_a_load_on_the_ground_pulls_where_the_log_says_so_alone() -> None:
+    """A climb to 4 m with 2 m of rope: from the ground, and from a stand as high."""
+    height = np.linspace(0.0, 4.0, 400)
+    high = height > 2.0
+    pull = np.tile([0.0, 0.0, 1.0], (400, 1))
+    from_ground = pull * high[:, None] + [0.01, 0.0, 0.0]
+    assert np.array_equal(lifted_off(from_ground, height, 2.0), high)
+    assert lifted_off(pull, height, 2.0).all()
+    assert lifted_off(from_ground, np.full(400, np.inf), 2.0).all()  # it never stood
+    along, rate, _ = observe_swing(tilted(400, 0.3), pull, 2.0, STEP_S, high)
+    assert np.array_equal(along[1:][~high[:-1]], np.tile([0.0, 0.0, 1.0], ((~high).sum(), 1)))
+    assert np.abs(rate[high][1:]).max() > 0.1
 
 
 def fitted(vehicle: Vehicle, plant: Vehicle, names: tuple[str, ...]) -> Problem:

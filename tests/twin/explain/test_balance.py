@@ -19,11 +19,13 @@ from twin.explain.balance import (
     LOAD,
     LOG_ODDS,
     NOTHING,
+    QUIET,
     ROTORS,
     SESSION,
     SIZES,
     VIBRATION,
     Balance,
+    Hypothesis,
     Normal,
     Trim,
     balance_of,
@@ -31,7 +33,7 @@ from twin.explain.balance import (
 )
 from twin.explain.explanation import Explanation
 from twin.explain.inference.fit import INTERVAL
-from twin.explain.inference.selection import Verdict
+from twin.explain.inference.selection import Naming, Verdict
 from twin.explain.stochastic.spectral import StochasticEffect
 from twin.vehicle import Calibration
 from twin.vehicle.vehicle import Vehicle
@@ -365,6 +367,39 @@ def test_the_smallest_change_is_where_nothing_is_no_longer_said() -> None:
     loss = found.detectable[ROTORS].value
     assert loss is not None
     assert judged(of(f"{ROTORS}.loss_1", loss)).nothing < 1 - SURE
+
+
+@pytest.mark.parametrize(
+    ("chance", "named", "ways"),
+    [
+        (0.01, LOAD, []),
+        (0.3, None, [LOAD, "hung"]),
+        (0.6, None, ["hung", LOAD]),
+        (0.97, "hung", []),
+    ],
+)
+def test_a_load_is_fixed_or_hangs(chance: float, named: str | None, ways: list[str]) -> None:
+    found = judged(of(f"{LOAD}.mass_kg", 0.3 * COPTER.mass_kg))
+    assert found.named is not None and found.named.cause == LOAD
+    hanging = Hypothesis("hung", (), chance, {"hung.mass_kg": 0.4}, {"hung.mass_kg": 0.02})
+    asked = replace(found, hanging=hanging)
+    assert (asked.named and asked.named.cause) == named
+    assert [h.cause for h in asked.one_of] == ways
+    both = sum(h.probability for h in asked.one_of)
+    assert not ways or both == pytest.approx(found.named.probability)
+    weak = replace(judged(of(f"{ROTORS}.loss_1", 0.4)), hanging=hanging)
+    assert not {h.cause for h in weak.one_of} & {"hung"}
+
+
+def test_nothing_is_said_from_less_on_than_a_name() -> None:
+    balance = judged(np.zeros(4))
+    for nothing, quiet in ((QUIET + 1e-9, True), (QUIET - 1e-9, False)):
+        chance = dict(zip((NOTHING, ROTORS, LOAD), (nothing, 1 - nothing, 0.0), strict=True))
+        told = tuple(replace(balance.best(c), probability=p) for c, p in chance.items())
+        found = replace(balance, hypotheses=told)
+        assert found.quiet == quiet
+        naming = cast(Naming, SimpleNamespace(verdict="nothing"))
+        assert explanation._verdict(naming, found, ()) == ("nothing" if quiet else "cannot_tell")
 
 
 # -- equations ----------------------------------------------------------------------------------

@@ -86,8 +86,8 @@ def test_what_has_no_mean_is_not_refuted_by_means(
 @pytest.mark.parametrize("searched", ["nothing", "unnamed", "cannot_tell"])
 def test_what_has_no_mean_is_named_whatever_else_is_unclear(searched: Verdict) -> None:
     naming = cast(Naming, SimpleNamespace(verdict=searched))
-    assert explanation._verdict(naming, None, True) == "named"
-    assert explanation._verdict(naming, None, False) == searched
+    assert explanation._verdict(naming, None, (VIBRATION,)) == "named"
+    assert explanation._verdict(naming, None, ()) == searched
 
 
 def flown(name: str, seed: int, cant_m: float) -> Flight:

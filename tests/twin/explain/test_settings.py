@@ -138,7 +138,9 @@ LOCAL = {
             "DAY",
             "FACTORS",
             "LOG_ODDS",
+            "QUIET",
             "REACH",
+            "ROPE",
             "SECOND_ROTOR",
             "SESSION",
             "SHAKEN",
@@ -151,6 +153,7 @@ LOCAL = {
             "SUSPECT",
         )
     },
+    "by how much a wind is stronger than usual (twin/explain/weather.py)": {"weather.STRONG"},
     "a prior of physics: what it is, stands beside it": {
         "inference.evidence.TAIL_DEGREES",
         "inference.priors.PROPELLERS",

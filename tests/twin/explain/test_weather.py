@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -9,15 +11,32 @@ from numpy.typing import NDArray
 
 from twin.effects import EFFECTS
 from twin.explain import explanation
-from twin.explain.balance import CAUSES, Balance, Normal, balance_of, trim_of
+from twin.explain.balance import (
+    CAUSES,
+    ROPE,
+    Balance,
+    Hypothesis,
+    Normal,
+    balance_of,
+    trim_of,
+)
 from twin.explain.explanation import Explanation
 from twin.explain.inference.estimate import fitted_estimates
-from twin.explain.inference.fit import INTERVAL, Fit
+from twin.explain.inference.fit import INTERVAL, Fit, Problem
+from twin.explain.inference.posterior import Posterior
 from twin.explain.inference.priors import priors_since
-from twin.explain.inference.selection import coherent, misfits
+from twin.explain.inference.selection import Naming, coherent, misfits
 from twin.explain.model.model import Model, model_of
 from twin.explain.stochastic.spectral import StochasticEffect
-from twin.explain.weather import OF_AIR, acting_of, uncertain
+from twin.explain.weather import (
+    OF_AIR,
+    STRONG,
+    Wind,
+    acting_of,
+    hanging_of,
+    uncertain,
+    wind_of,
+)
 from twin.logs import Flight
 from twin.vehicle import Calibration, Vehicle
 from twin.vehicle_file import load_vehicle
@@ -137,9 +156,98 @@ def test_only_what_the_wind_changes_is_uncertain() -> None:
 def test_the_wind_of_a_search_has_its_deviation() -> None:
     number = next(n for n in windy().numbers if n.full == f"{WIND}.north_m_s")
     fit = Fit((WIND,), {number.full: 4.0}, (number,), np.array([0.6 * INTERVAL]), 0.0)
-    ((value, sd),) = acting_of(fit).values()
+    ((value, sd),) = acting_of(fit, ()).values()
     assert value == 4.0
     assert sd == pytest.approx(0.6)
+
+
+def test_a_load_on_a_rope_acts_where_it_is_named() -> None:
+    number = replace(next(n for n in windy().numbers if n.shape), effect="slung_load")
+    fit = Fit(("slung_load",), {number.full: 0.5}, (number,), np.array([0.1]), 0.0)
+    assert not acting_of(fit, ())
+    assert set(acting_of(fit, ("slung_load",))) == {number.full}
+
+
+USUAL_M_S = 1.0
+
+
+def blown(*sets: tuple[float, float, float]) -> Wind:
+    """Wind of one flight, of sets with a probability, a change to the north, and a day's."""
+    names = (f"{WIND}.north_m_s", f"{WIND}.east_m_s")
+    priors = SimpleNamespace(names=names, days=np.array([0, 1]), now=np.array([0.5, 0.0]))
+    known = SimpleNamespace(days=dict.fromkeys(names, USUAL_M_S))
+    vehicle = SimpleNamespace(calibration=known)
+    problem = SimpleNamespace(
+        priors=priors, model=SimpleNamespace(vehicle=vehicle, flights=("one",))
+    )
+    each = [
+        SimpleNamespace(
+            probability=p,
+            best=SimpleNamespace(
+                x=np.array([change, 0.0, day, 0.0]),
+                variance=lambda row: 0.01 if row[0] == row[2] == 1 or row[1] == row[3] == 1 else 99,
+            ),
+        )
+        for p, change, day in sets
+    ]
+    found = wind_of(cast(Problem, problem), cast(Posterior, SimpleNamespace(sets=each)))
+    assert found is not None
+    return found
+
+
+def test_a_wind_is_as_strong_of_the_day_as_of_a_change() -> None:
+    for sets in ([(1.0, 0.0, 4.0)], [(1.0, 4.0, 0.0)], [(0.4, 0.0, 4.0), (0.6, 3.0, 1.0)]):
+        found = blown(*sets)
+        assert found.stronger == pytest.approx(1.0)
+        assert found.change[f"{WIND}.north_m_s"] == pytest.approx((4.0, 0.1))
+        assert found.values[f"{WIND}.north_m_s"] == pytest.approx((4.5, 0.1))
+
+
+def test_a_wind_as_on_any_day_is_no_change() -> None:
+    assert blown((1.0, 0.0, 1.5)).stronger < 1e-3
+    assert blown((1.0, 0.0, STRONG * USUAL_M_S)).stronger == pytest.approx(0.5)
+    assert blown((0.7, 0.0, 4.0), (0.3, 0.0, 1.0)).stronger == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize(
+    ("stronger", "searched", "named"), [(0.9, (), True), (0.7, (), False), (0.9, (WIND,), False)]
+)
+def test_a_strong_wind_is_named_once(
+    stronger: float, searched: tuple[str, ...], named: bool
+) -> None:
+    naming = SimpleNamespace(settings=SimpleNamespace(sure=0.8), named=searched)
+    change = {f"{WIND}.north_m_s": (4.0, 0.2)}
+    found = explanation._with_wind(
+        Explanation("nothing", FILE, ("one",)), cast(Naming, naming), Wind(change, {}, stronger)
+    )
+    assert bool(found.stochastic) == named
+    if named:
+        (wind,) = found.stochastic
+        assert wind.values[f"{WIND}.north_m_s"] == 4.0
+        assert wind.probability == pytest.approx(0.9)
+
+
+def hung(inclusion: float | None) -> Hypothesis:
+    """A load of 1 kg as one on a rope, by what its swing says of that."""
+    none = SimpleNamespace(names=(), shape=np.zeros(0, dtype=np.bool_), cause=())
+    naming = SimpleNamespace(
+        posterior=None,
+        problem=SimpleNamespace(priors=none),
+        inclusion={} if inclusion is None else {"slung_load": inclusion},
+    )
+    names = {"payload_cg.mass_kg": 1.0, "payload_cg.moment_x_kg_m": 0.1}
+    return hanging_of(cast(Naming, naming), Hypothesis("payload_cg", (), 1.0, names, names))
+
+
+def test_a_load_hangs_as_far_as_its_swing_says_so() -> None:
+    change = EFFECTS["slung_load"].change
+    assert change is not None
+    blind = hung(None)
+    assert blind.probability == pytest.approx(1 / (1 + np.exp(-ROPE)))
+    assert blind.values == {"slung_load.mass_kg": 1.0}
+    assert hung(1 / (1 + np.exp(-change.odds))).probability == pytest.approx(blind.probability)
+    assert hung(1e-5).probability < 0.01
+    assert hung(0.7).probability > 0.95
 
 
 def test_a_number_that_a_calibration_does_not_move_is_told_by_its_prior() -> None:

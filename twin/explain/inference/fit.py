@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ...effects import EFFECTS, Equation, prior_of
 from ...representation import short_repr
 from ...residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
+from ...vehicle import Vehicle
 from ..model.model import Model
 from ..model.numbers import DRIVES, Number
 from ..settings import DEFAULT, EvidenceSettings
@@ -137,7 +138,10 @@ class Problem:
         bands = BandNoise.of(rest, sizes, settings)
         logs = [f.flight for f in model.flights]
         noise = InstrumentNoise.of(logs, flights, bands, settings.rough)
-        odds = {c: v - gained_by_following(c, rest, bands) for c, v in priors.odds.items()}
+        odds = {
+            c: v - gained_by_following(c, rest, bands, model.vehicle)
+            for c, v in priors.odds.items()
+        }
         kappas = KAPPAS if len(model.flights) > 1 else (1.0,)
         return cls(model, replace(priors, odds=odds), bounds, noise, rest, kappas)
 
@@ -408,7 +412,7 @@ def _deviation(usual: float, shown: Array) -> float:
     return float(np.sqrt((BEFORE * usual**2 + shown.sum()) / (BEFORE + len(shown))))
 
 
-def gained_by_following(cause: str, rest: Spectrum, noise: BandNoise) -> float:
+def gained_by_following(cause: str, rest: Spectrum, noise: BandNoise, vehicle: Vehicle) -> float:
     """What an observer gains by following mere noise, in nats.
 
     It predicts a reading from what the same reading was before. What is left is the innovation,
@@ -425,7 +429,7 @@ def gained_by_following(cause: str, rest: Spectrum, noise: BandNoise) -> float:
         if name in observer.channels:
             n = sum(int(np.count_nonzero(r.band)) for r in rest.rows[c])
             gained += noise.own[c] * n / CHANNEL_HZ
-    return 0.5 * observer.gain_1_s * gained * (1 - CHANNEL_HZ / GRID_HZ)
+    return 0.5 * observer.gain_1_s(vehicle) * gained * (1 - CHANNEL_HZ / GRID_HZ)
 
 
 def _farthest(number: Number) -> float:

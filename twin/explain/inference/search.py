@@ -347,7 +347,7 @@ def _followed(
             continue
         on = tuple(sorted({*state.effects, c}))
         promised = laplace.best(on, state.kappa).evidence - state.evidence
-        noise = gained_by_following(c, problem.rest, problem.noise.bands)
+        noise = gained_by_following(c, problem.rest, problem.noise.bands, problem.model.vehicle)
         if c not in state.effects and promised + noise <= least:
             continue
         apart = tuple(e for e in on if e == c or not laplace.share_a_channel(e, c))

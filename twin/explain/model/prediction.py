@@ -490,10 +490,21 @@ class Trajectory:
             np.where(there[:, None], excess_n, 0.0),
         )
 
+    def _height(self, states: Array) -> Array:
+        """Over where the vehicle stood, shape (n,); infinite where that is not known."""
+        aligned, names = self.aligned, [s.name for s in self.aligned.airframe.states]
+        down = states[:, names.index("pos_z")]
+        stood = ~aligned.airborne & np.isfinite(down)
+        if aligned.motion.position is None or not stood.any():
+            return np.full(len(down), np.inf)
+        return np.asarray(np.median(down[stood]) - down)
+
     def _observed(self, states: Array, inputs: Array, theta: Array) -> Array:
         """States with those of effects in place that an observer follows, by what is felt beyond
         everything else; of an effect at rest, beyond the model as it stands."""
-        names = [s.name for s in self.aligned.airframe.states]
+        if not self._observers:
+            return states
+        names, height = [s.name for s in self.aligned.airframe.states], self._height(states)
         for effect, observer in self._observers.items():
             own = [i for i, n in enumerate(self._numbers) if n.effect == effect]
             sizes = [i for i in own if not self._numbers[i].shape]
@@ -509,7 +520,7 @@ class Trajectory:
             course = remembered(
                 self._courses,
                 (*at, tuple(float(theta[i]) for i in own if i not in sizes)),
-                partial(observer.follow, free, excess, numbers, 1 / GRID_HZ),
+                partial(observer.follow, free, excess, height, numbers, 1 / GRID_HZ, self._vehicle),
             )
             states = observer.place(states, names, course, free, numbers, self._vehicle)
         return states
