@@ -40,7 +40,7 @@ def model_description(model: FmuModel, fmi: int, token: str, sources: Sequence[s
     root = _fmi2(model, token, sources) if fmi == 2 else _fmi3(model, token)
     if token:  # which the date is no part of
         root.attrib.update(_dated())
-    return _bytes(root)
+    return xml_bytes(root)
 
 
 def build_description(model: FmuModel, sources: Sequence[str]) -> bytes:
@@ -50,10 +50,11 @@ def build_description(model: FmuModel, sources: Sequence[str]) -> bytes:
     files = etree.SubElement(configuration, "SourceFileSet", language="C99")
     for name in sources:
         etree.SubElement(files, "SourceFile", name=name)
-    return _bytes(root)
+    return xml_bytes(root)
 
 
-def _bytes(root: etree._Element) -> bytes:
+def xml_bytes(root: etree._Element) -> bytes:
+    """A document, as UTF-8."""
     text: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
     return text
 

@@ -14,6 +14,7 @@ from lxml import etree
 from twin.component import Variable
 
 from .builder import build, extend_archive
+from .description import xml_bytes
 from .experiments import (
     FOLDER,
     MANIFEST,
@@ -119,7 +120,7 @@ def _members(experiment: Experiment, found: Table) -> dict[str, bytes]:
         "reference's largest magnitude.\n\nuavtwin verify FILE reruns it.\n"
     )
     return {
-        MANIFEST: _xml(manifest),
+        MANIFEST: xml_bytes(manifest),
         "documentation/fmi-ls-ref.txt": about.encode(),
         **{f"{FOLDER}/{name}": content for name, (content, *_) in files.items()},
     }
@@ -140,12 +141,7 @@ def _experiments(experiment: Experiment) -> bytes:
     if experiment.stimuli:
         etree.SubElement(one, "Stimuli", type="text/csv", source="reference_in.csv")
     etree.SubElement(one, "References", type="text/csv", source="reference_out.csv")
-    return _xml(root)
-
-
-def _xml(root: etree._Element) -> bytes:
-    text: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
-    return text
+    return xml_bytes(root)
 
 
 def _csv(table: Mapping[str, Array]) -> bytes:

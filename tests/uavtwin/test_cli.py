@@ -54,7 +54,8 @@ def test_gap_writes_its_files(
     assert channels.at["acc_z", "mean"] == gap["channels"]["acc_z"]["mean"]
     assert channels.at["acc_z", "rms_ci95.2"] == gap["channels"]["acc_z"]["rms_ci95"][1]
     bands = pd.read_csv(out / "tables" / "channels.bands.csv").query("of == 'acc_z'")
-    assert bands["to_hz"].tolist() == [b["to_hz"] for b in gap["channels"]["acc_z"]["bands"]]
+    told = [b["residual_rms"] for b in gap["channels"]["acc_z"]["bands"]]
+    assert bands["residual_rms"].tolist() == told
     assert not [t for t in (out / "tables").iterdir() if "[" in t.read_text("utf-8")]
     assert len(pd.read_csv(out / "tables" / "worst.csv")) == len(gap["worst"])
     record = json.loads((out / "run.json").read_text())

@@ -365,21 +365,21 @@ def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pa.Table:
         raise LogError(f"{path.name}: columns must be separated by commas: '{lines[0][:40]}'.")
     _check_once(path, header)
     _check_size(path, len(lines), len(header))
-    findings += check_columns(path.name, header)
     if len(lines) > 1 and not text.endswith(("\n", "\r")):
         findings.append(
             Finding("error", "file", "cut short? The last row has no line end and is not used")
         )
         lines = lines[:-1]
+    body = "\n".join(lines[1:]).encode()
+    if not body.strip():
+        raise LogError(f"{path.name}: a header and no row below it.")
+    findings += check_columns(path.name, header)
     for k, line in enumerate(lines[1:], 1):
         if line.strip() and line.count(",") != len(header) - 1:
             raise LogError(
                 f"{path.name}: data row {k} has {line.count(',') + 1} fields, the header has "
                 f"{len(header)}."
             )
-    body = "\n".join(lines[1:]).encode()
-    if not body.strip():
-        raise LogError(f"{path.name}: a header and no row below it.")
     try:
         arrow = csv.read_csv(
             io.BytesIO(body),
