@@ -104,7 +104,7 @@ class Residual:
         return max(round(self.window_s / self.step_s), 1)
 
     @property
-    def looks(self) -> int:
+    def means(self) -> int:
         """Means, one behind the other, by which a change is told: one of a level, which wanders;
         errors of a difference between samples cancel from one mean to the next."""
         return max(int(AFTER_S / self.window_s), 1) if self.scaled else 1
@@ -187,7 +187,7 @@ def smallest_detectable(r: Residual, budget: Budget) -> float:
     scale, freedom = np.median(look.scale[known]), np.median(look.freedom[known])
 
     def beyond(log_z: float) -> float:
-        each = np.full(r.looks, _surprise(np.exp(log_z), freedom))
+        each = np.full(r.means, _surprise(np.exp(log_z), freedom))
         return float(np.log(_by_chance(each).min() / chance))
 
     return max(float(scale * np.exp(brentq(beyond, 0.0, 12.0))), r.least)
@@ -215,8 +215,8 @@ class _Look:
         """Of each bin: that of its mean and those that follow, as long as they stay off to the same
         side, against what was before; 1 where nothing is known. Shape (n,)."""
         mean, n = self.apart + self.middle, len(self.apart)
-        each = np.full((r.looks, n), np.nan)
-        for m in range(r.looks):
+        each = np.full((r.means, n), np.nan)
+        for m in range(r.means):
             rows, till = slice(m * r.width, None), max(n - m * r.width, 0)
             apart = mean[rows] - self.middle[:till]
             scale = np.maximum(self.over[:till] * self.expected[rows], self.least)
