@@ -380,15 +380,10 @@ def usable_of(
 
 
 def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explanation:
-    """The same with the effects that were found, and their numbers. What changes no mean is sought
-    beside the effects that stand: a gust acts like a wind."""
+    """The same with the effects that were found, and their numbers."""
     shown, settings = naming.shown if naming.shown.effects else None, found.settings.stochastic
-    alike = {r.effect for r in naming.resemblances}
-    steady = {k: v for k, v in naming.shown.values.items() if k.partition(".")[0] not in alike}
-    every = (
-        *find_stuck(stuck, settings),
-        *find_stochastic(naming.whitened.model, steady, settings),
-    )
+    model, steady = naming.whitened.model, naming.shown.values
+    every = (*find_stuck(stuck, settings), *find_stochastic(model, steady, settings))
     stochastic = (*found.stochastic, *_beyond(found, every))
     naming = replace(naming, further=len(stochastic))
     return _as_named(replace(found, stochastic=stochastic, shown=shown), naming)
@@ -583,8 +578,8 @@ def _taken_back(
     """The same with some effects that something only acts like, and the gap without them."""
     naming, compared = found.naming, found.comparison
     assert naming is not None and compared is not None
-    kept = tuple(w for w in found.warnings if w not in compared.warnings)
-    return _with_gap(_as_named(replace(found, warnings=kept), naming, alike), held, seed, payloads)
+    rest = tuple(w for w in found.warnings if w not in compared.warnings)
+    return _with_gap(_as_named(replace(found, warnings=rest), naming, alike), held, seed, payloads)
 
 
 def _with_gap(

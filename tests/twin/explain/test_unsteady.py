@@ -232,9 +232,20 @@ def rattling(columns: dict[str, Array], t: Array, rng: np.random.Generator) -> N
         columns["acc_y"] -= 0.6 * np.exp(-(((t - start) / 0.3) ** 2))
 
 
+def leaning(columns: dict[str, Array], t: Array, rng: np.random.Generator) -> None:
+    """The same, and the vehicle leans against it as far as it is pushed."""
+    calm = {c: columns[c].copy() for c in ACC}
+    breeze(1.5, 0.7)(columns, t, rng)
+    push = [(columns[c] - calm[c]) / (2 * GRAVITY_M_S2) for c in ACC[:2]]
+    columns["q_x"], columns["q_y"] = -push[1], push[0]
+    columns["q_w"] = np.sqrt(1 - push[0] ** 2 - push[1] ** 2)
+
+
 @pytest.mark.slow
-def test_gust_is_found_with_its_intensity() -> None:
-    named = found(*(hovering(breeze(1.5, 0.7), seconds=30.0, seed=k) for k in (3, 4)))
+@pytest.mark.parametrize("change", [breeze(1.5, 0.7), leaning], ids=["still", "leaning"])
+def test_gust_is_found_with_its_intensity(change: Change) -> None:
+    """No wind that is the same all flight explains it by the attitude."""
+    named = found(*(hovering(change, seconds=30.0, seed=k) for k in (3, 4)))
     assert set(named) == {"gust"}
     assert inside(named["gust"], "gust.intensity_u", 1.5)
     assert inside(named["gust"], "gust.intensity_w", 1.5)

@@ -291,7 +291,8 @@ def slow_parts(
         )  # (n, 3, k)
         at = np.rint((t - aligned.inputs.t_s[0]) * GRID_HZ).astype(np.intp)
         curves = _curves(aligned, at, spin, force)  # (n, c)
-        features = np.concatenate([slopes, np.repeat(curves[:, None, :], 3, axis=1)], axis=2)
+        still = np.delete(slopes, list(winds), axis=2)  # a wind's turn with the attitude
+        features = np.concatenate([still, np.repeat(curves[:, None, :], 3, axis=1)], axis=2)
         speed = np.linalg.norm(motion.velocity.at(t), axis=1)
         cells = cells_of(Piece(t, residual), CHANNEL_HZ, settings.window_s, "hann")
         quiet = (cells.f_hz >= settings.floor_hz[0]) & (cells.f_hz <= settings.floor_hz[1])
