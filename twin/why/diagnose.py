@@ -107,7 +107,7 @@ def diagnose(
         flight=flight.name,
         verdict=verdict,
         probability=probability,
-        text=_sentence(verdict, probability, events, one_of, lost, airborne_s, unseen),
+        text=_sentence(verdict, probability, events, one_of, lost, airborne_s, hidden),
         events=events,
         one_of_causes=one_of,
         loss_of_control_s=lost,
@@ -150,10 +150,13 @@ def aircraft_stated(frame: FlightFrame) -> dict[str, str]:
 def blind(hidden: Sequence[NotVisible]) -> str:
     """Why the body is not judged, where less than half of the causes that move it would show at any
     size; "": it is judged."""
-    reasons = [
-        v.reason for v in hidden if v.cause in CAUSES and v.smallest_detectable.value is None
-    ]
-    return reasons[0] if 2 * len(reasons) > len(CAUSES) else ""
+    never = [*_never_visible(hidden)]
+    return never[0].reason if 2 * len(never) > len(CAUSES) else ""
+
+
+def _never_visible(hidden: Sequence[NotVisible]) -> Iterator[NotVisible]:
+    """Causes that move the body and would not show, however large they are."""
+    return (v for v in hidden if v.cause in CAUSES and v.smallest_detectable.value is None)
 
 
 def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
@@ -221,10 +224,10 @@ def _sentence(
     one_of: Sequence[Candidate],
     lost: float | None,
     airborne_s: float,
-    unseen: str,
+    hidden: Sequence[NotVisible],
 ) -> str:
     """The answer on top."""
-    return " ".join(_clauses(verdict, probability, events, one_of, lost, airborne_s, unseen))
+    return " ".join(_clauses(verdict, probability, events, one_of, lost, airborne_s, hidden))
 
 
 def _clauses(
@@ -234,8 +237,9 @@ def _clauses(
     one_of: Sequence[Candidate],
     lost: float | None,
     airborne_s: float,
-    unseen: str,
+    hidden: Sequence[NotVisible],
 ) -> Iterator[str]:
+    unseen = blind(hidden)
     first = next((e for e in events if not e.consequence), None)
     if airborne_s == 0:
         yield "The log holds no flight of five seconds or more."
@@ -250,7 +254,10 @@ def _clauses(
     elif verdict == "cannot_tell" and lost is None:
         yield "Something may have changed since the normal flights; this log cannot tell what."
     elif verdict == "nothing_found":
-        yield f"{_nothing(probability)}."
+        never = " or ".join(v.cause.replace("_", " ") for v in _never_visible(hidden))
+        if never:
+            yield f"No {never} would show in this log, however large."
+        yield f"{_nothing(probability, 'else ' if never else '')}."
     if lost is not None:
         yield f"Control is lost at {lost:.2f} s" + (
             "." if verdict == "found" else ", and this log does not show why."

@@ -11,7 +11,7 @@ from twin.errors import LogError
 from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, QUAT
 from twin.why.diagnose import FINDERS, blind, diagnose, in_order
-from twin.why.findings import Findings
+from twin.why.findings import Finder, Findings
 from twin.why.flight import FlightFrame, moment_signs
 from twin.why.records import Amount, Event, NotVisible
 
@@ -98,6 +98,20 @@ def test_a_log_without_commands_says_first_that_it_can_show_little() -> None:
     assert found.text.startswith("This log can show little: rotors, mass, forces are not judged")
     least = Amount(value=0.1, unit="1")
     assert not blind([NotVisible(cause="rotor_failure", smallest_detectable=least, reason="r")])
+
+
+def test_a_rotor_failure_that_no_size_would_show_is_said_before_nothing_else() -> None:
+    def hidden(value: float | None) -> Finder:
+        least = Amount(value=value, unit="1")
+        never = NotVisible(cause="rotor_failure", smallest_detectable=least, reason="r")
+        return lambda frame, references: Findings(not_visible=[never])
+
+    assert diagnose(hover(), finders=[hidden(None)]).text == (
+        "No rotor failure would show in this log, however large. "
+        "Nothing else went wrong that this log can show (more than 99 %)."
+    )
+    said = diagnose(hover(), finders=[hidden(0.3)]).text
+    assert said == "Nothing went wrong that this log can show (more than 99 %)."
 
 
 def test_the_grid_averages() -> None:
