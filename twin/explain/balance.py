@@ -80,10 +80,6 @@ ALONE = 0.95
 """Probability, given that something has changed, from which on a rotor, or a load, is named alone:
 only yaw parts the two, and what yaw does between sessions is known from one aircraft. Chosen on
 CrazyPAD's E9. That nothing has changed is no rival of either: `sure` is for that."""
-QUIET = 0.7
-"""Probability from which on nothing is said to have changed, less than a name asks for: it claims
-less. Chosen on 12 normal flights of three simulated aircraft, 0.71 to 0.92; 41 with a cut or a load
-have at most 0.55."""
 ROPE = -0.7
 """Log odds of a rope, given a load: made up."""
 SUSPECT = 0.1
@@ -322,7 +318,7 @@ class Balance:
     @property
     def quiet(self) -> bool:
         """Whether that is said."""
-        return self.nothing >= QUIET
+        return self.nothing >= self.sure
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,6 @@ from twin.explain.balance import (
     LOAD,
     LOG_ODDS,
     NOTHING,
-    QUIET,
     ROTORS,
     SESSION,
     SIZES,
@@ -391,9 +390,9 @@ def test_a_load_is_fixed_or_hangs(chance: float, named: str | None, ways: list[s
     assert not {h.cause for h in weak.one_of} & {"hung"}
 
 
-def test_nothing_is_said_from_less_on_than_a_name() -> None:
+def test_nothing_is_said_as_surely_as_a_name() -> None:
     balance = judged(np.zeros(4))
-    for nothing, quiet in ((QUIET + 1e-9, True), (QUIET - 1e-9, False)):
+    for nothing, quiet in ((balance.sure + 1e-9, True), (balance.sure - 1e-9, False)):
         chance = dict(zip((NOTHING, ROTORS, LOAD), (nothing, 1 - nothing, 0.0), strict=True))
         told = tuple(replace(balance.best(c), probability=p) for c, p in chance.items())
         found = replace(balance, hypotheses=told)

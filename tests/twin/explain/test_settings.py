@@ -138,7 +138,6 @@ LOCAL = {
             "DAY",
             "FACTORS",
             "LOG_ODDS",
-            "QUIET",
             "REACH",
             "ROPE",
             "SECOND_ROTOR",
