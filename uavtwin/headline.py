@@ -111,23 +111,23 @@ def _named(found: Explanation, naming: Naming) -> Headline:
         f"{lead}Missing from the model: {'; '.join(p.text for p in parts)}"
         f"{_sure(found, first)}{_varied(naming)}{_which(naming)}{later}"
         f"{_what_else(found, effects)}"
-        f"{_doubts(found, estimates)}{_not_told(found, naming)}"
+        f"{_doubts(found, estimates)}{_undetectable(found, naming)}"
     )
     return Headline(text, tuple(n for p in parts for n in p.numbers))
 
 
-def _not_told(found: Explanation, naming: Naming) -> str:
-    """`not_told` of what vehicle files seldom know and nothing is said of; what this file is unsure
-    of is calibrated instead."""
+def _undetectable(found: Explanation, naming: Naming) -> str:
+    """`undetectable` of what vehicle files seldom know and nothing is said of; what this file is
+    unsure of is calibrated instead."""
     priors = naming.problem.priors
     said = {*listed_effects(found), *(r.effect for r in naming.resemblances), *priors.unsure}
     said |= {e for t in naming.standing.values() for e in t.effects}
     seldom_known = {effect_of(c) for c, odds in priors.odds.items() if odds >= UNMEASURED} - said
     smallest = {e: d for e, d in naming.detectable.items() if e in seldom_known}
-    return not_told(smallest, dict(zip(priors.names, priors.slab, strict=True)))
+    return undetectable(smallest, dict(zip(priors.names, priors.slab, strict=True)))
 
 
-def not_told(smallest: Mapping[str, Detectable], usual: Mapping[str, float]) -> str:
+def undetectable(smallest: Mapping[str, Detectable], usual: Mapping[str, float]) -> str:
     """Effects that flights would not show at a usual size; begins with a blank, "" of none.
 
     Args:

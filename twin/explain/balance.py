@@ -275,8 +275,8 @@ class Balance:
             return (load,)
         p = self.hanging.probability
         ways = [(p, self.hanging), (1 - p, load)]
-        kept = [replace(h, probability=p * load.probability) for p, h in ways if p > 1 - ALONE]
-        return tuple(sorted(kept, key=lambda h: -h.probability))
+        possible = [replace(h, probability=p * load.probability) for p, h in ways if p > 1 - ALONE]
+        return tuple(sorted(possible, key=lambda h: -h.probability))
 
     def _parted(self, chance: float) -> bool:
         """Whether a cause of some probability is sure, and any other of the change is not."""

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from twin.effects import EFFECTS
 from twin.explain.inference.detection import Detectable
 from twin.formatting import quantity, readable
-from uavtwin.headline import blind, not_told, undetermined, varied, wind
+from uavtwin.headline import blind, undetectable, undetermined, varied, wind
 from uavtwin.wording import clause, said, said_numbers
 
 UNITS = sorted(
@@ -121,10 +121,10 @@ def test_what_flights_would_not_show_at_its_usual_size_is_said_beside_a_name() -
         "mass_offset": Detectable("mass_offset.mass_kg", None, "kg"),
     }
     usual = {"motor_lag.tau_s": 0.04, "thrust_scale.scale": 0.3, "mass_offset.mass_kg": 0.1}
-    assert not_told(seen, usual) == (
+    assert undetectable(seen, usual) == (
         " These flights do not tell mass offset or a motor lag that is off by less than 0.12 s."
     )
-    assert not_told({"motor_lag": seen["motor_lag"]}, {"motor_lag.tau_s": 0.2}) == ""
+    assert undetectable({"motor_lag": seen["motor_lag"]}, {"motor_lag.tau_s": 0.2}) == ""
 
 
 def test_what_differs_between_flights_has_a_sentence() -> None:
