@@ -20,7 +20,7 @@ from twin.flight.assembly import driven_twin
 from twin.logs import AnyFlight
 from twin.physics.accuracy import Bands, accuracy
 from twin.residuals.teacher_forced import choose_drive
-from uavtwin.accuracy import STARTS, Windows, bands_of, replayed
+from uavtwin.accuracy import EVERY_S, STARTS, Windows, bands_of, replayed
 from uavtwin.exports.parts import OBSERVER, Twin
 from uavtwin.exports.write import export
 from uavtwin.flights import open_alike
@@ -33,7 +33,8 @@ def judged(
 ) -> list[dict[str, object]]:
     """A row per output and time alone: how many windows are valid, and how many of them held."""
     watch = ("accuracy.valid", *(f"accuracy.error_95.{q}" for q in bands.bands))
-    shown = Replay(flight, vehicle).through(fmu, {OBSERVER: STARTS[twin]}, watch).watched
+    replay = Replay(flight, vehicle, every_s=EVERY_S)
+    shown = replay.through(fmu, {OBSERVER: STARTS[twin]}, watch).watched
     rows: list[dict[str, object]] = []
     for i, quantity in enumerate(bands.bands):
         if quantity not in own.off:
@@ -81,6 +82,10 @@ def main() -> None:
         found = measure(load_vehicle(given.vehicle), flights, Path(folder))
     if found.empty:
         return
+    for (twin, flight), n in found.groupby(["twin", "flight"], sort=False)["n"].sum().items():
+        if not n:
+            print(f"{twin}, {flight}: nowhere valid")
+    found = found[found["n"] > 0]
     for by in ([], ["alone_s"], ["flight"]):
         table = found.groupby(["twin", "place", "output", *by], sort=False)[["held", "n"]].sum()
         print(table.assign(coverage=table["held"] / table["n"]).to_string(), "\n")

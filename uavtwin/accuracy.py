@@ -42,6 +42,8 @@ from .output import OptionalSteps, write_json
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
+EVERY_S = 0.25
+"""Between two times at which a twin is left alone, s."""
 LEVEL = 0.95
 FEWEST = ceil(LEVEL / (1 - LEVEL) - 1e-9)
 """So many windows a flight needs to have a bound of this level."""
@@ -81,7 +83,7 @@ def replayed(flight: AnyFlight, vehicle: Vehicle, fmu: Path, twin: str = PLAIN) 
     sensors = [s for s in SENSORS if flight.has(*s.columns)]
     outputs = [f"accuracy.seen.{name}" for name, *_ in SEEN]
     outputs += [f"{s.component}.{c}" for s in sensors for c in s.columns]
-    replay = Replay(flight, vehicle)
+    replay = Replay(flight, vehicle, every_s=EVERY_S)
     found = replay.through(fmu, {OBSERVER: STARTS[twin]}, outputs)
     off = {q: np.linalg.norm(found.off[:, :, i], axis=-1) for i, (q, _) in enumerate(QUANTITIES)}
     times, place = replay.start_s + found.t_s[:, None] + np.array(HORIZONS_S), len(SEEN)

@@ -2,7 +2,7 @@
 
 `driving_inputs` makes a flight the inputs of the twin that a log drives, `export corrected-twin
 --drive`. The exported FMU follows the measured motion once the aircraft is clear of the ground:
-what carries it there would be taken for a disturbance. Every `EVERY_S` its state is saved, it flies
+what carries it there would be taken for a disturbance. Again and again its state is saved, it flies
 on the recorded commands alone for the longest horizon, and is taken back.
 """
 
@@ -75,9 +75,19 @@ class Replay:
     """
 
     def __init__(
-        self, flight: AnyFlight, vehicle: Vehicle, horizons_s: Sequence[float] = HORIZONS_S
+        self,
+        flight: AnyFlight,
+        vehicle: Vehicle,
+        horizons_s: Sequence[float] = HORIZONS_S,
+        every_s: float | None = None,
     ) -> None:
         """Put the flight on the grid of its twin.
+
+        Args:
+            flight: To replay.
+            vehicle: Of the twin.
+            horizons_s: After which it is compared.
+            every_s: Between two times at which it is left alone; None: `EVERY_S`.
 
         Raises:
             LogError: It cannot be, or is nowhere long enough in the air.
@@ -94,7 +104,7 @@ class Replay:
         self._measured = true_motion(vehicle, aligned)
         self._steps = [round(h / GRID_S) for h in horizons_s]
         known = clear(aligned) & np.isfinite(self._measured).all(axis=1)
-        self._left = left_alone(known, self._steps[-1], EVERY_S)
+        self._left = left_alone(known, self._steps[-1], every_s or EVERY_S)
         self.speed_m_s = _median_speed(self._measured[known])
         if not len(self._left):
             raise LogError(

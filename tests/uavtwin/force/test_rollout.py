@@ -25,7 +25,6 @@ from twin.physics.residual_force import FEATURES, OUTPUTS
 from twin.residuals.aligned import components_of
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
-from uavtwin.force import open_loop
 from uavtwin.force.learn import (
     Fold,
     accepted,
@@ -85,11 +84,7 @@ def _turns() -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.parametrize("weights", [np.zeros((len(OUTPUTS), len(FEATURES))), _turns()])
 def test_rows_are_flown_as_by_the_exported_fmu(
-    flight: Flight,
-    taught: Taught,
-    weights: np.ndarray,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    flight: Flight, taught: Taught, weights: np.ndarray, tmp_path: Path
 ) -> None:
     """Observer and law included; the fit takes 10 ms a step, and commands as means over them.
 
@@ -98,8 +93,7 @@ def test_rows_are_flown_as_by_the_exported_fmu(
     law = replace(taught.of(weights), most=np.full(len(OUTPUTS), 1e3))
     parts = driven_twin(COPTER, "command", (), taught.empty)
     fmu = build(fused_model(parts, COPTER.name), tmp_path / "twin.fmu")
-    monkeypatch.setattr(open_loop, "EVERY_S", OFTEN_S)
-    exported = Replay(flight, COPTER, HORIZONS_S).through(fmu, in_force(law)).off
+    exported = Replay(flight, COPTER, HORIZONS_S, OFTEN_S).through(fmu, in_force(law)).off
     (taught_by,) = taught.flights
     off, _ = rolled(taught.equations, taught_by, weights)
     assert off.reshape(exported.shape).shape == exported.shape
