@@ -199,7 +199,7 @@ def _array(element: etree._Element, entry: Entry) -> None:
     """Size of an array, and the start value and usual size of all that it holds."""
     if not _computed(entry.first):
         element.set("start", " ".join(repr(float(v.start)) for v in entry.members))
-        sizes = (usual_size(v.unit, v.start) for v in entry.members)
+        sizes = (usual_size(v) for v in entry.members)
         element.set("nominal", repr(max(sizes)))
     etree.SubElement(element, "Dimension", start=str(len(entry.members)))
 
@@ -313,7 +313,7 @@ def _type_element(
     if variable.real:
         if variable.unit in DISPLAY_UNITS:
             element.set("displayUnit", DISPLAY_UNITS[variable.unit][0])
-        element.set("nominal", repr(usual_size(variable.unit, variable.start)))
+        element.set("nominal", repr(usual_size(variable)))
     if not _computed(variable):
         text = variable.start_text if variable.boolean else number(float(variable.start))
         element.set("start", text)

@@ -9,6 +9,7 @@ Units are exponents of the SI base units that FMI knows.
 import math
 import re
 
+from twin.component import Variable
 from twin.errors import FmuError
 
 LONGEST_NAME = 64
@@ -140,8 +141,12 @@ USUAL_SIZES = {"Pa": 1e5, "T": 1e-5, "V": 10.0, "m/s2": 10.0, "rad/s2": 10.0}
 """Of a quantity without a start value of its own, where it is far from 1."""
 
 
-def usual_size(unit: str, start: float) -> float:
-    """Nominal value: the power of ten below the start value, or what is usual of the unit."""
+def usual_size(variable: Variable) -> float:
+    """Nominal value: its own, the power of ten below the start value, or what is usual of the
+    unit."""
+    unit, start = variable.unit, variable.start
+    if variable.nominal is not None:
+        return variable.nominal
     if start == 0 or not math.isfinite(start):
         return USUAL_SIZES.get(unit, 1.0)
     return float(f"1e{math.floor(math.log10(abs(start)))}")

@@ -73,7 +73,7 @@ def _stimuli(inputs: Iterable[Variable], time: Array) -> Table:
     """
     waves: Table = {}
     for k, v in enumerate(inputs):
-        size = _EXCITED * usual_size(v.unit, v.start) if v.real else 0.0
+        size = _EXCITED * usual_size(v) if v.real else 0.0
         wave = float(v.start) + size * np.sin(2 * np.pi * (0.3 + 0.07 * k) * time)
         if v.name.split(".")[-1] == "armed":
             wave = np.where(time > 0.0, 1.0, wave)

@@ -69,9 +69,10 @@ class ComponentBuilder:
         start: float = 0.0,
         *,
         kind: Kind = "real",
+        nominal: float | None = None,
     ) -> ca.SX:
         """Declare an input and return its symbol."""
-        variable = Variable(name, "input", unit, description, start, kind=kind)
+        variable = Variable(name, "input", unit, description, start, kind=kind, nominal=nominal)
         return self._declare(variable, ca.SX.sym(name))
 
     def output(

@@ -79,6 +79,7 @@ class Variable:
         maximum: Largest allowed value, itself allowed.
         fixed: A parameter that counts only until initialisation ends.
         kind: What its values are; a truth value is held as 0 or 1, an enumeration by its code.
+        nominal: Its usual magnitude; None: that of its start value, or of its unit.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Variable:
     maximum: float | None = None
     fixed: bool = False
     kind: Kind = "real"
+    nominal: float | None = None
 
     @property
     def boolean(self) -> bool:

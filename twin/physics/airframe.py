@@ -165,7 +165,9 @@ def _equations(
     z_ground = m.parameter("ground.z", 0.0, "m", "Ground plane, NED down")
     voltage |= drive == "command" and vehicle.rotors.reference_voltage_v is not None
     motion = _motion(m, vehicle, blocks, z_ground, voltage or blocks.include("battery_sag"))
-    outside = [m.input(name, unit, meaning) for name, unit, meaning in OUTSIDE]
+    weight = vehicle.mass_kg * vehicle.gravity_m_s2
+    sizes = {"N": weight, "N.m": weight * vehicle.arm_m}
+    outside = [m.input(*row, nominal=sizes[row[1]]) for row in OUTSIDE]
     learned = followed(m, motion, period) if restart else NONE
     rotors = blocks.apply(rotor_equations(m, vehicle, drive, inputs, motion, blocks))
     wrench = blocks.apply(_wrench(m, vehicle, rotors))

@@ -20,6 +20,7 @@ from fmus.experiments import FOLDER, MANIFEST, read_experiments, related_problem
 from fmus.inspect import inspect_fmu
 from fmus.reference_results import add_reference_results
 from twin.errors import FmuError
+from twin.physics.rotors import Drive
 from twin.vehicle_file import load_vehicle
 from uavtwin.exports.parts import twin
 from uavtwin.exports.write import Starts, products_of
@@ -68,9 +69,11 @@ def test_another_mass_is_told(tmp_path: Path, fmi: int, driven: bool) -> None:
     assert not other.passed and other.share > 1e-2
 
 
-def test_the_last_bits_of_an_input_decide_nothing(tmp_path: Path) -> None:
-    """The least stable of what is exported: a Crazyflie without a controller."""
-    path = ut.export(ut.twin(ut.load_vehicle("crazyflie"), drive="command"), tmp_path / "x.fmu")
+@pytest.mark.parametrize("drive", ["command", None])
+def test_the_last_bits_of_an_input_decide_nothing(tmp_path: Path, drive: Drive | None) -> None:
+    """The least stable of what is exported: a Crazyflie without a controller, and the lightest that
+    flies a mission while forces and moments act from outside."""
+    path = ut.export(ut.twin(ut.load_vehicle("crazyflie"), drive=drive), tmp_path / "x.fmu")
     (experiment,) = read_experiments(open_archive(path.paths[0]))
     moved = {n: w if n == "time" else w * (1 + 1e-12) for n, w in experiment.stimuli.items()}
     names = [n for n in experiment.references if n != "time"]
