@@ -151,7 +151,7 @@ def _judged(
     ]
     calm = m.parameter("calm", known.calm, "1", "Envelope up to which the regime is calm")
     times = [
-        m.parameter(f"time.{i}", t, "s", f"Time alone {i} of the bands", minimum=0)
+        m.parameter(f"time_{i}", t, "s", f"Time alone {i} of the bands", minimum=0)
         for i, t in enumerate(known.horizons_s, start=1)
     ]
     used = reduce(ca.fmax, [x / limit for x, limit in zip(seen, limits, strict=True)])
@@ -165,7 +165,7 @@ def _judged(
             _along(
                 [
                     m.parameter(
-                        f"band.{name}.{regime}.{i}",
+                        f"band.{name}.{regime}_{i}",
                         x,
                         unit,
                         f"Of {name}, {regime}, at time {i}",
