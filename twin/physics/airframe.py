@@ -167,7 +167,7 @@ def _equations(
     motion = _motion(m, vehicle, blocks, z_ground, voltage or blocks.include("battery_sag"))
     weight = vehicle.mass_kg * vehicle.gravity_m_s2
     sizes = {"N": weight, "N.m": weight * vehicle.arm_m}
-    outside = [m.input(*row, nominal=sizes[row[1]]) for row in OUTSIDE]
+    outside = [m.input(*row, nominal=sizes[row[1]] or None) for row in OUTSIDE]
     learned = followed(m, motion, period) if restart else NONE
     rotors = blocks.apply(rotor_equations(m, vehicle, drive, inputs, motion, blocks))
     wrench = blocks.apply(_wrench(m, vehicle, rotors))
