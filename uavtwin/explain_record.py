@@ -1,6 +1,6 @@
 """What flights say about a model, in numbers: the content of `explain.json`."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -12,6 +12,7 @@ from twin.explain.estimates import (
     calibrated_effects,
     channels_and_phases,
     detectable,
+    doubtful_effects,
     estimates_of,
     listed_effects,
     nothing_probability,
@@ -390,8 +391,9 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
         inclusion: Probability that an effect is there and worth a name, by effect; whether its law
             fits (`outside_probability`) is not in it.
         acts_like: Effects that something acts like and that are not named.
-        calibrated: Effects that lack nothing beyond the uncertainty that the file states, and what
-            else the new vehicle file has: too small, or too doubtful, for a name.
+        calibrated: Effects that lack nothing beyond the uncertainty that the file states.
+        doubtful: Effects that the new vehicle file has beside these, too doubtful for a name: each
+            number is its mean over all sets of effects.
         driven_by: What drives the twin of each flight, and why.
         hover: Of each flight that hovers.
         not_visible: Effects that are not in the final set.
@@ -423,6 +425,7 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
     inclusion: dict[str, float]
     acts_like: tuple[ResemblanceRecord, ...]
     calibrated: tuple[CalibratedRecord, ...]
+    doubtful: tuple[CalibratedRecord, ...]
     driven_by: dict[str, str]
     hover: tuple[HoverRecord, ...]
     not_visible: tuple[NotVisibleRecord, ...]
@@ -468,10 +471,8 @@ def explain_record(found: Explanation) -> ExplainRecord:
             ResemblanceRecord(name=r.effect, why=r.why)
             for r in (() if naming is None else naming.resemblances)
         ),
-        calibrated=tuple(
-            CalibratedRecord(effect=e, parameters=_parameters(found, e))
-            for e in calibrated_effects(found)
-        ),
+        calibrated=_untold(found, calibrated_effects(found)),
+        doubtful=_untold(found, doubtful_effects(found)),
         driven_by=dict(found.driven_by),
         hover=tuple(map(hover_record, found.hovers)),
         not_visible=tuple(_not_visible(found)),
@@ -520,6 +521,11 @@ def _parameters(found: Explanation, effect: str) -> dict[str, ParameterRecord]:
         )
         for e in estimates_of(found, effect)
     }
+
+
+def _untold(found: Explanation, effects: Iterable[str]) -> tuple[CalibratedRecord, ...]:
+    """Numbers of effects that have no name."""
+    return tuple(CalibratedRecord(effect=e, parameters=_parameters(found, e)) for e in effects)
 
 
 def _not_visible(found: Explanation) -> list[NotVisibleRecord]:

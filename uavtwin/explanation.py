@@ -37,6 +37,7 @@ from twin.vehicle import Deviation, Vehicle
 from . import vehicles
 from .display import PageMixin, TextTable
 from .explain_record import (
+    CalibratedRecord,
     ChannelRecord,
     EffectRecord,
     ExplainRecord,
@@ -60,6 +61,8 @@ SET_BY_PRIOR, SET_BY_CALIBRATION = "set by the prior", "set by the calibration"
 """Remarks on a number that flights do not determine."""
 Cells = tuple[str, str, str, str, str]
 """A row of a table."""
+CELLS = ("value", "unit", "95 % interval", "")
+"""Header of all but its first cell."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -212,21 +215,32 @@ class ExplainResult(PageMixin):
     def calibrated_rows(self) -> list[Cells]:
         """Numbers that were in doubt, and that lack nothing beyond that: number, value, unit,
         interval, remark."""
+        return self._cells(self.record.calibrated)
+
+    def doubtful_rows(self) -> list[Cells]:
+        """The same of numbers that the new vehicle file has, too doubtful for a name."""
+        return self._cells(self.record.doubtful)
+
+    def _cells(self, effects: Iterable[CalibratedRecord]) -> list[Cells]:
+        """Rows of effects without a name."""
         return [
             (
                 f"{c.effect}.{name}",
                 *number_cells(p.value, p.unit, p.ci95),
                 self.remark(p.prior_share),
             )
-            for c in self.record.calibrated
+            for c in effects
             for name, p in c.parameters.items()
             if p.no_effect is not None
         ]
 
     def calibrated_table(self) -> TextTable:
-        """The same as a table."""
-        header = ("calibrated", "value", "unit", "95 % interval", "")
-        return TextTable(header, tuple(self.calibrated_rows()))
+        """The numbers that were in doubt, as a table."""
+        return TextTable(("calibrated", *CELLS), tuple(self.calibrated_rows()))
+
+    def doubtful_table(self) -> TextTable:
+        """The doubtful numbers, as a table."""
+        return TextTable(("too doubtful for a name", *CELLS), tuple(self.doubtful_rows()))
 
     def day_rows(self) -> list[Cells]:
         """What stands out of the day of a flight: flight, number, difference, unit, deviation."""
@@ -243,8 +257,8 @@ class ExplainResult(PageMixin):
         return TextTable(header, tuple(self.day_rows()))
 
     def further_tables(self) -> Iterable[TextTable]:
-        """What comes last: numbers that were in doubt, and those of days."""
-        tables = (self.calibrated_table(), self.days_table())
+        """What comes last: numbers that were in doubt, that are, and those of days."""
+        tables = (self.calibrated_table(), self.doubtful_table(), self.days_table())
         return [table for table in tables if table.rows]
 
     def frame(self) -> "pd.DataFrame":

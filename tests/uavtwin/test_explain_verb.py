@@ -25,6 +25,8 @@ from twin.explain.design import Suggestion
 from twin.explain.estimates import estimates_of, totals
 from twin.explain.explanation import Explanation
 from twin.explain.inference.detection import Detectable
+from twin.explain.inference.posterior import ScoredModel
+from twin.explain.inference.selection import averaged
 from twin.explain.setting_group import Value
 from twin.explain.settings import DEFAULT
 from twin.explain.unnamed import Equation
@@ -577,8 +579,8 @@ def test_a_wrong_payload_is_refused(text: str, says: str) -> None:
         flight_payloads([text], ("one",))
 
 
-def test_every_number_of_the_new_file_is_told(named: Run) -> None:
-    """A lag too small for a name, too."""
+def test_every_number_of_the_new_file_is_told(named: Run, tmp_path: Path) -> None:
+    """A lag too doubtful for a name, too: the file was sure of it."""
     found = named.found
     assert found is not None and found.naming is not None and found.shown is not None
     lag = next(n for n in found.naming.problem.model.numbers if n.full == "motor_lag.tau_s")
@@ -596,13 +598,47 @@ def test_every_number_of_the_new_file_is_told(named: Run) -> None:
         values={**found.values, lag.full: -0.002},
     )
     record = explain_record(late)
-    (calibrated,) = record.calibrated
-    number = calibrated.parameters["tau_s"]
-    assert (calibrated.effect, number.value) == ("motor_lag", -0.002)
+    (doubtful,) = record.doubtful
+    assert record.calibrated == ()
+    number = doubtful.parameters["tau_s"]
+    assert (doubtful.effect, number.value) == ("motor_lag", -0.002)
     assert number.ci95 is not None and number.ci95[0] < -0.002 < number.ci95[1] < 0
-    made, told = explained_vehicle(late), {e.name for e in record.effects} | {calibrated.effect}
+    made, told = explained_vehicle(late), {e.name for e in record.effects} | {doubtful.effect}
     assert {*made.effects} - {*COPTER.effects} == told
     assert made.effects["motor_lag"]["tau_s"] == -0.002
+    page = ExplainResult(late).report(tmp_path / "late.html").read_text()
+    assert "Also changed in the new vehicle file" in page and "motor_lag.tau_s" in page
+    assert "Calibrated parameters" not in page
+
+
+@pytest.mark.parametrize(("tau_s", "there"), [(0.9, False), (1.1, True)])
+def test_what_is_too_small_for_a_name_is_left_as_the_file_has_it(
+    named: Run, tau_s: float, there: bool
+) -> None:
+    """However sure; `tau_s` in changes that are worth a name."""
+    found = named.found
+    assert found is not None and found.naming is not None
+    problem, posterior = found.naming.problem, found.naming.posterior
+    i = problem.priors.names.index("motor_lag.tau_s")
+    smallest = problem.model.numbers[problem.priors.columns[i]].about.smallest
+
+    def late(s: ScoredModel) -> ScoredModel:
+        """The same set with the lag."""
+        x = s.best.x.copy()
+        x[i] = -tau_s * smallest
+        return replace(
+            s, effects=tuple(sorted({*s.effects, "motor_lag"})), best=replace(s.best, x=x)
+        )
+
+    sure = replace(
+        posterior,
+        sets=tuple(map(late, posterior.sets)),
+        inclusion={**posterior.inclusion, "motor_lag": 1.0},
+    )
+    named_ones = found.naming.best.effects
+    shown, conditional = averaged(problem, sure, named_ones, found.naming.settings)
+    assert {*named_ones} <= {*shown.effects}
+    assert ("motor_lag" in shown.effects, "motor_lag" in conditional.effects) == (there, there)
 
 
 def test_constants_of_the_day_go_into_the_vehicle_of_a_single_flight(named: Run) -> None:

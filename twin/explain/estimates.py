@@ -44,14 +44,24 @@ def listed_effects(found: Explanation) -> list[str]:
 
 
 def calibrated_effects(found: Explanation) -> list[str]:
-    """Effects whose numbers the file was unsure of, and that lack nothing beyond that; and what
-    else the new model has that is too small, or too doubtful, for a name."""
+    """Effects whose numbers the file was unsure of, and that lack nothing beyond that."""
+    unsure = frozenset() if found.naming is None else found.naming.problem.priors.unsure
+    return [e for e in _untold(found) if e in unsure]
+
+
+def doubtful_effects(found: Explanation) -> list[str]:
+    """Effects that the new model has and the file was sure of, too doubtful for a name."""
+    added = {} if found.added is None else found.added.effects
+    known = {*calibrated_effects(found)}
+    return [e for e in _untold(found) if e in added and e not in known]
+
+
+def _untold(found: Explanation) -> list[str]:
+    """Effects of the new model that are not told about."""
     if found.naming is None or found.shown is None:
         return []
-    added = {} if found.added is None else found.added.effects
-    known = {*found.naming.problem.priors.unsure, *added}
     reported = {*listed_effects(found), *(r.effect for r in found.naming.resemblances)}
-    return [e for e in found.shown.effects if e in known and e not in reported]
+    return [e for e in found.shown.effects if e not in reported]
 
 
 def undecided(found: Explanation) -> tuple[str, ...]:
@@ -149,7 +159,7 @@ def estimates_alone(found: Explanation, effect: str) -> list[Estimate]:
             if n.full in stochastic.values
         ]
     assert found.naming is not None
-    fitted = found.naming.shown if effect in calibrated_effects(found) else None
+    fitted = found.naming.shown if effect in _untold(found) else None
     return found.naming.estimates(effect, reported_count(found), fitted)
 
 

@@ -58,7 +58,20 @@ def _page(result: ExplainResult, budget: Budget) -> str:
         flight=_flight(result, budget),
         strips=_strips(result),
         before_after=_before_after(result, budget),
-        calibrated=result.calibrated_rows(),
+        untold=(
+            (
+                *("doubt", "Calibrated parameters"),
+                "Uncertain in the vehicle file and fitted with the effects; the change is within "
+                "the uncertainty stated there.",
+                result.calibrated_rows(),
+            ),
+            (
+                *("doubtful", "Also changed in the new vehicle file"),
+                "Too doubtful for a name: each number is its mean over all sets of effects, each "
+                "counted by its probability, which predicts best.",
+                result.doubtful_rows(),
+            ),
+        ),
         days=result.day_rows(),
     )
 

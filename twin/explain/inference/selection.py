@@ -441,7 +441,7 @@ def _named(
             fits[own] = fit_of(problem, causes[own], s.best.x, s.best.deviations(), whole.gain)
     order = sorted(chances, key=lambda k: -chances[k])
     fitted, probabilities = tuple(fits[k] for k in order), tuple(chances[k] for k in order)
-    shown, conditional = _averaged(problem, posterior, causes[order[0]], rules)
+    shown, conditional = averaged(problem, posterior, causes[order[0]], rules)
     believable = _credible(problem, found, fitted[0], settings, usual)
     return Naming(
         fitted,
@@ -470,12 +470,13 @@ def _silent(problem: Problem, posterior: Posterior, rules: SelectionSettings) ->
     return frozenset(c for c, p in unsure.items() if math.log(p / (1 - p)) < odds[c] + moved)
 
 
-def _averaged(
+def averaged(
     problem: Problem, posterior: Posterior, named: Sequence[str], rules: SelectionSettings
 ) -> tuple[Fit, Fit]:
     """Effects that may be there, with the means of their numbers over all sets, and over those that
-    hold them: what is as likely as not, and of what is less likely whatever moves the mean of a
-    number by as much as is worth a name, or has one in the most probable set."""
+    hold them: what has a name in the most probable set, and what else moves the mean of a number by
+    as much as is worth one, or would, being there as likely as not. Less is left as the file has
+    it: a lag of half a row of the log is no property of an aircraft."""
     b, k = problem.priors, len(problem.priors.now)
     p = np.array([s.probability for s in posterior.sets])
     x = np.array([s.best.x[:k] for s in posterior.sets])
@@ -491,17 +492,18 @@ def _averaged(
     spread = np.sqrt((weight * (sd**2 + (x - held) ** 2)).sum(axis=0) / total)
     mean = np.where(b.shape, held, p @ x)
     wide = np.where(b.shape, spread, np.sqrt(p @ (sd**2 + (x - mean) ** 2)))
-    mean = np.concatenate([mean, days])
+    mean, alone = (np.concatenate([x, days]) for x in (mean, held))
 
     def moves(cause: str) -> bool:
         """Whether it is named, or moves the prediction."""
         chance = posterior.inclusion[cause]
-        large = fit_of(problem, [cause], mean, spread, 0.0).sizes()[effect_of(cause)] >= 1
-        return chance >= 0.5 or cause in named or (chance >= rules.least and large)
+        at = alone if chance >= 0.5 else mean
+        large = fit_of(problem, [cause], at, spread, 0.0).sizes()[effect_of(cause)] >= 1
+        return cause in named or (chance >= rules.least and large)
 
     likely = {c for c in b.causes if moves(c)}
     retained = [c for c in dict.fromkeys(b.cause) if c in likely or np.any(spiked[b.of([c])])]
-    there_alone = fit_of(problem, retained, np.concatenate([held, days]), spread, 0.0)
+    there_alone = fit_of(problem, retained, alone, spread, 0.0)
     ridges = {n.full: _ridge(problem, posterior, n) for n in there_alone.numbers}
     return fit_of(problem, retained, mean, wide, 0.0), replace(there_alone, ridges=ridges)
 
