@@ -310,19 +310,20 @@ def test_the_page_of_ones_own_log_works(
 ) -> None:
     """Its first two commands, on a recorded flight; `calibrate` has tests of its own."""
     page = (ROOT / "docs" / "guide" / "own_log.md").read_text("utf-8")
-    log = data_dir / "rflysimdt" / "sim_1.ulg"
-    (tmp_path / "my_flight.ulg").write_bytes(log.read_bytes())
+    for name, log in (("my_flight", "sim_1"), ("other", "sim_2")):
+        recorded = data_dir / "rflysimdt" / f"{log}.ulg"
+        (tmp_path / f"{name}.ulg").write_bytes(recorded.read_bytes())
     monkeypatch.chdir(tmp_path)
     lines = page.split("```sh\n")[1].split("```")[0].splitlines()
     verbs = [line.split()[1:] for line in lines]
-    assert [v[0] for v in verbs] == ["check", "vehicle", "calibrate", "simulate"]
+    assert [v[0] for v in verbs] == ["check", "vehicle", "calibrate", "export"]
     code, said, _ = run(capsys, *verbs[0])
     assert code == 1  # it has gaps
     assert "hover            command 0.609" in said
     code, said, _ = run(capsys, *verbs[1])
     assert code == 0
     assert (tmp_path / verbs[2][verbs[2].index("--vehicle") + 1]).is_file()
-    assert "hovers at command 0.609; the flight hovers at 0.609" in said
+    assert "hovers at command 0.609; the flights hover at 0.609" in said
 
 
 @pytest.mark.slow

@@ -135,11 +135,19 @@ def undetectable(smallest: Mapping[str, Detectable], usual: Mapping[str, float])
         usual: Standard deviation of what is expected, by "effect.number".
     """
     parts = [
-        title(e) if d.value is None else blind_clause(e, d.value, d.unit, since=False)
+        f"{title(e)} of any size"
+        if d.value is None
+        else blind_clause(e, d.value, d.unit, since=False)
         for e in BLIND_ORDER
         if (d := smallest.get(e)) and (d.value is None or d.value > usual[d.number])
     ]
-    return f" These flights do not tell {joined(parts, 'or')}." if parts else ""
+    return _would_not_show(parts)
+
+
+def _would_not_show(effects: list[str]) -> str:
+    """A sentence; begins with a blank, "" of none."""
+    text = joined(effects, "or")
+    return f" {text[0].upper()}{text[1:]} would not show in these flights." if text else ""
 
 
 def varied(
@@ -589,10 +597,7 @@ def blind(smallest: Mapping[str, Detectable], since: bool, axes: str = "") -> st
     texts = [
         blind_clause(e, d.value, d.unit, since) for e, d in known.items() if d.value is not None
     ]
-    text = ""
-    if texts:
-        first = joined(texts[:MOST_BLIND], "or")
-        text = f" {first[0].upper()}{first[1:]} would not show in these flights."
+    text = _would_not_show(texts[:MOST_BLIND])
     if axes:
         turns = joined([TURNS[a] for a in axes])
         text += f" These flights do not tell how the aircraft answers in {turns}: "

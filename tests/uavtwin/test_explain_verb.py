@@ -355,11 +355,11 @@ def test_drag_that_two_effects_may_be_is_told_in_sum(named: Run, tmp_path: Path)
     text = headline(unsure).text
     assert text.startswith(f"Missing from the model: rotor drag {total.value:.3g} (m/s²)/(m/s) ")
     which = "How much of the rotor drag is blade flapping, these flights do not tell."
-    assert text.endswith(which)
+    assert which in text
     third = replace(naming.best, effects=("ground_effect", "rotor_drag"))
     more = replace(tied, fitted=(*tied.fitted, third), probabilities=(0.4, 0.3, 0.3))
     also = headline(replace(unsure, naming=more)).text
-    assert also.endswith(which)
+    assert which in also
     told = explain_record(unsure).json()
     (record,) = told["totals"]
     assert record["effects"] == [*total.effects]

@@ -122,7 +122,8 @@ def test_what_flights_would_not_show_at_its_usual_size_is_said_beside_a_name() -
     }
     usual = {"motor_lag.tau_s": 0.04, "thrust_scale.scale": 0.3, "mass_offset.mass_kg": 0.1}
     assert undetectable(seen, usual) == (
-        " These flights do not tell mass offset or a motor lag that is off by less than 0.12 s."
+        " Mass offset of any size or a motor lag that is off by less than 0.12 s would not show in "
+        "these flights."
     )
     assert undetectable({"motor_lag": seen["motor_lag"]}, {"motor_lag.tau_s": 0.2}) == ""
 
