@@ -4,7 +4,8 @@ prediction.
 Each flight is replayed through the FMU itself (`force.open_loop`), which is left alone again and
 again. Windows of one flight resemble each other, those of another day less so: flights are what is
 exchanged. In a cell (quantity, regime, time alone) each flight has a conformal 95 % band of its
-own, and the band is the conformal 95 % bound of those: of fewer than 19 flights the largest.
+own, and the band is the conformal 95 % bound of those: of fewer than 19 flights the largest. A
+band never falls with the time alone: what is left of it is that of an earlier time.
 
 Source: within a flight, Vovk, Gammerman & Shafer, Algorithmic Learning in a Random World, 2005;
 several layers, Dunn, Wasserman & Ramdas, Distribution-free prediction sets for two-layer
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from twin.errors import TwinError
 from twin.explain.explanation import Explanation
 from twin.flight.assembly import driven_twin
-from twin.formatting import counted
+from twin.formatting import counted, joined
 from twin.logs import AnyFlight
 from twin.physics.accuracy import REGIMES, SEEN, Bands, accuracy
 from twin.physics.rotors import Drive
@@ -53,6 +54,8 @@ HALF = 0.5
 """Share of its windows in which the twin of a flight has to be inside the envelope. Made up."""
 STARTS = {PLAIN: 0.0, OBSERVED: 1.0}
 """Of the switch of the observer, by twin."""
+WORDS = {PLAIN: "the twin without an observer", OBSERVED: "the twin with one"}
+"""What these are called."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +133,7 @@ def _envelope(flight: Windows, limits: Array) -> Array:
 
 
 def bands_of(flights: Sequence[Windows]) -> tuple[Bands, dict[str, str]]:
-    """Bands of a twin, and why quantities have none.
+    """Bands of a twin, and why quantities, or regimes of them, have none of their own.
 
     Raises:
         TwinError: The flights are too few.
@@ -143,9 +146,10 @@ def bands_of(flights: Sequence[Windows]) -> tuple[Bands, dict[str, str]]:
     calm = float(np.median(middles)) if middles else 1.0
     regimes = [[u <= calm, (u > calm) & (u <= 1)] for u in used]
 
-    def rows(quantity: str) -> list[list[float]]:
-        """Band by regime and time, as far as there is one."""
+    def rows(quantity: str) -> tuple[list[list[float]], list[list[bool]]]:
+        """Band by regime and time, as far as there is one; and whether it is of both regimes."""
         found: list[list[float]] = [[], []]
+        shared: list[list[bool]] = [[], []]
         for h in range(len(HORIZONS_S)):
             cells = [
                 [
@@ -157,26 +161,32 @@ def bands_of(flights: Sequence[Windows]) -> tuple[Bands, dict[str, str]]:
             both = _cell([np.concatenate(pair) for pair in zip(*cells, strict=True)])
             if both is None:
                 break
-            for row, cell in zip(found, cells, strict=True):
+            for row, of_both, cell in zip(found, shared, cells, strict=True):
                 own = _cell(cell)
-                row.append(both if own is None else own)
-        return found
+                row.append(max([both if own is None else own, *row[-1:]]))
+                of_both.append(own is None)
+        return found, shared
 
-    motion = {q: rows(q) for q, _ in QUANTITIES}
-    h = min(len(r[0]) for r in motion.values())
+    every = {q: rows(q) for q in (*(q for q, _ in QUANTITIES), *(s.name for s in SENSORS))}
+    h = min(len(every[q][0][0]) for q, _ in QUANTITIES)
     if not h:
         raise TwinError(
             f"in fewer than {FLIGHTS} flights the twin was inside the envelope {FEWEST} times, and "
             f"more often than not, after {HORIZONS_S[0]:g} s alone"
         )
-    found, missing = dict(motion), {}
-    for sensor in SENSORS:
-        own = rows(sensor.name)
-        if len(own[0]) >= h:
-            found[sensor.name] = own
-        else:
-            missing[sensor.name] = f"fewer than {FLIGHTS} flights have {FEWEST} readings to compare"
-    cut = {q: [r[:h] for r in own] for q, own in found.items()}
+    cut, missing = {}, {}
+    for quantity, (bands, shared) in every.items():
+        if len(bands[0]) < h:
+            missing[quantity] = f"fewer than {FLIGHTS} flights have {FEWEST} readings to compare"
+            continue
+        cut[quantity] = [r[:h] for r in bands]
+        for regime, of_both in zip(REGIMES, shared, strict=True):
+            times = [f"{t:g} s" for t, s in zip(HORIZONS_S[:h], of_both[:h], strict=True) if s]
+            if times:
+                missing[f"{quantity}, {regime}"] = (
+                    f"at {joined(times)} the band of both regimes stands in: fewer than {FLIGHTS} "
+                    f"flights have {FEWEST} readings of it"
+                )
     return Bands(HORIZONS_S[:h], limits.tolist(), calm, cut), missing
 
 
@@ -251,6 +261,7 @@ def write_accuracy(
     folder: Path,
     steps: OptionalSteps,
     progress: Progress = lambda _: None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> list[str]:
     """Write the bands of what was explained, by whole flights that were held out; names of files.
 
@@ -260,14 +271,21 @@ def write_accuracy(
         folder: Of the results.
         steps: Takes it as one of its own: the compiler may fail, the disk be full.
         progress: Called with the share done.
+        tell: Called with why twins have no bands, where some have none.
     """
     if found.added is None or not held_out:
         return []
 
-    def write(place: Path) -> None:
+    def write(place: Path) -> AccuracyRecord:
         """Measure and write."""
         measured = measured_accuracy(explained_vehicle(found), held_out, progress)
         write_json(place / FILE, measured.json())
+        return measured
 
-    steps.run("bands of accuracy", folder, write)
-    return [FILE] if (folder / FILE).is_file() else []
+    measured = steps.run("bands of accuracy", folder, write)
+    if measured is None:
+        return []
+    if without := [twin for twin in STARTS if twin not in measured.twins]:
+        why = dict.fromkeys(measured.missing.values())
+        tell(f"{FILE}: no bands of {joined([WORDS[t] for t in without])}: {'; '.join(why)}")
+    return [FILE]

@@ -23,6 +23,7 @@ from uavtwin.exports.bands import (
     OBSERVED,
     PLAIN,
     AccuracyRecord,
+    accuracy_part,
     digest,
     read_accuracy,
     record_of,
@@ -100,6 +101,38 @@ def test_times_alone_at_which_twins_have_left_the_envelope_have_no_bands() -> No
     bands, missing = bands_of(flights)
     assert bands.horizons_s == HORIZONS_S[:3]
     assert "barometer" in missing
+
+
+def test_bands_do_not_fall_with_the_time_alone() -> None:
+    flights = [made(k) for k in (1, 2)]
+    for flight in flights:
+        flight.off["velocity"][:, 2] *= 0.01
+    for row in bands_of(flights)[0].bands["velocity"]:
+        assert row[2] == row[1] < row[3]
+
+
+def test_a_regime_of_too_few_windows_has_the_band_of_both_and_says_so() -> None:
+    flights = [made(k) for k in (1, 2)]
+    _, quiet = bands_of(flights)
+    assert not any("," in what for what in quiet)
+    for flight in flights:
+        flight.seen[FEWEST // 2 :, -1] *= 0.01  # few are lively after 2 s
+    bands, missing = bands_of(flights)
+    calm, lively = bands.bands["velocity"]
+    assert lively[0] > calm[0]
+    told = missing["velocity, lively"]
+    assert told.startswith("at 2 s the band of both regimes stands in")
+    assert "velocity, calm" not in missing
+    record = record_of(bands, {"made_1": 400, "made_2": 400}, missing)
+    known = AccuracyRecord(
+        vehicle=COPTER.name,
+        vehicle_sha256=digest(COPTER),
+        drive="command",
+        twins={PLAIN: record},
+        missing={},
+    )
+    _, card = accuracy_part(known, COPTER, "command", False, [])
+    assert f"velocity, lively: {told}" in card.because
 
 
 @pytest.fixture(scope="module")
@@ -201,6 +234,8 @@ def test_export_takes_the_table_of_explain_over(
     words = ("corrected-twin", "--evidence", folder, "--drive", "commands", "--out", out)
     code, _, err = run(capsys, "export", *words, *["--observer"] * observer)
     assert code == 0, err
+    said = "corrected_twin.fmu: accuracy.valid is always false: bands of outputs: it left"
+    assert (said in err, err.count("accuracy.valid")) == (not observer, 0 if observer else 1)
     fmu = out / "corrected_twin.fmu"
     variables = {v.name: v for v in fmpy.read_model_description(str(fmu)).modelVariables}
     outputs = {

@@ -130,7 +130,7 @@ def explain(
         written = explanation.write_explanation(found.details, folder)
         if not no_fmus:
             written += explanation.write_fmus(found.details, folder, steps, step)
-            written += write_accuracy(found.details, away, folder, steps, step)
+            written += write_accuracy(found.details, away, folder, steps, step, STDERR.print)
         return written
 
     conclude(

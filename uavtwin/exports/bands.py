@@ -35,7 +35,7 @@ class BandsRecord(Record, frozen=True, kw_only=True):
         calm: Share of the envelope up to which the regime is calm.
         bands: 95 % bands by quantity and regime, at each of `horizons_s`.
         windows: How often the twin was left alone, by flight.
-        missing: Quantities without a band, and why.
+        missing: Quantities without a band, and regimes of them without one of their own, and why.
     """
 
     horizons_s: tuple[float, ...]
@@ -152,4 +152,5 @@ def accuracy_part(
         f"95 % bands of {', '.join(own.bands)} up to {own.horizons_s[-1]:g} s; held out: "
         f"{', '.join(own.windows)}"
     )
+    because += "".join(f"; {what}: {why}" for what, why in own.missing.items())
     return accuracy(vehicle, found.bands(twin)), FactorRecord(level=2, because=because)

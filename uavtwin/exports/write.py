@@ -31,6 +31,9 @@ Exportable = Component | FmuModel | NetworkFile | Twin
 KNOWN = "accuracy.known"
 """Parameter of a twin with bands: whether it is the one that was compared."""
 
+NEVER_VALID = "accuracy.valid is always false"
+"""Note on a twin of which no bands hold."""
+
 
 @dataclass(slots=True)
 class Starts:
@@ -229,7 +232,11 @@ def _twin_products(twin: Twin, starts: Starts) -> list[Product]:
     note = f"{GROUNDED}{twin.grounded}" if twin.grounded else ""
     fused = replace(fused, description=f"{fused.description} {note}".rstrip())
     system = Product(f"{fused.name}.ssp", write, references=True)
-    return [replace(p, note=note) for p in (_native(fused), system)]
+    said = [note] * bool(note)
+    if twin.bands is not None and (not twin.bands.level or starts.values):
+        why = f"{NEVER_VALID}: {'start values are set' if twin.bands.level else twin.bands.because}"
+        said.append(why)
+    return [replace(_native(fused), note="; ".join(said)), replace(system, note=note)]
 
 
 def _grounded(description: str) -> str:
