@@ -30,7 +30,7 @@ MOST_MESSAGES = 60
 REPEATED_S = 10.0
 """The same message, or reset, within that time is shown once."""
 MARGIN_S = 2.0
-"""Before take-off and after landing, for messages."""
+"""Before take-off and after landing, for messages; before the end of a flight, for touchdown."""
 LAND_DETECTOR = re.compile(r"(Takeoff|Landing) detected")
 """Messages of PX4's land detector, src/modules/commander/Commander.cpp: without being grave they
 say what the autopilot takes for the ground."""
@@ -62,10 +62,16 @@ def _in_the_air(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
     else:
         yield TimelineItem(kind="note", t_s=begin, text="the record begins in the air")
     if part.end < len(flight.t_s) - flight.places(SILENT_S):
-        if part.lost is None and not part.falls:
+        if _lands(flight, part):
             yield TimelineItem(kind="landing", t_s=end, text="near the ground again")
     elif part.crash is None:
         yield TimelineItem(kind="note", t_s=end, text=_ends_in_the_air(flight))
+
+
+def _lands(flight: FlightFrame, part: Airborne) -> bool:
+    """Whether it comes down under control."""
+    ends = part.end < len(flight.t_s) - flight.places(SILENT_S)
+    return ends and part.lost is None and not part.falls
 
 
 def _ends_in_the_air(flight: FlightFrame) -> str:
@@ -120,14 +126,16 @@ def _contacts(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
         raised = lift(flight.grid[flight.drive][rows]).mean(axis=1)
         force = force / np.maximum(raised / max(float(np.median(raised)), 1e-9), 1.0)
     t_s, hit = flight.t_s[rows], force > CONTACT_M_S2
+    landed = t_s[-1] - MARGIN_S if _lands(flight, part) else np.inf
     for a, b in _joined(t_s, hit)[:MOST_STOPS]:
         count, peak = len(stretches_where(hit[a : b + 1])), number(float(force[a : b + 1].max()))
-        several = f"{count} blows, the hardest of {peak} m/s2"
+        what = "touchdown" if float(t_s[a]) > landed else "shock"
+        text = f"{what} of {peak} m/s²"
         yield TimelineItem(
             kind="contact",
             t_s=float(t_s[a]),
             end_s=float(t_s[b]) if count > 1 else None,
-            text=several if count > 1 else f"a blow of {peak} m/s2",
+            text=f"{count} shocks, the hardest of {peak} m/s²" if count > 1 else text,
         )
 
 

@@ -63,7 +63,7 @@ def test_a_motor_at_its_stop_is_told_once_with_begin_and_end() -> None:
     assert (item.t_s, item.end_s) == pytest.approx((20.0, 22.0), abs=0.05)
 
 
-def test_a_blow_is_told_and_thrust_is_none() -> None:
+def test_a_shock_is_told_and_thrust_is_none() -> None:
     flight = flown()
     table = flight.table.copy()
     table.loc[(table.time > 18) & (table.time < 18.1), "acc_x"] = 80.0
@@ -74,8 +74,8 @@ def test_a_blow_is_told_and_thrust_is_none() -> None:
     assert item.t_s == pytest.approx(18.0, abs=0.1)
 
 
-def test_blows_in_a_row_are_one_contact_with_begin_and_end() -> None:
-    """Nine blows a second for a second, and one more by itself."""
+def test_shocks_in_a_row_are_one_contact_with_begin_and_end() -> None:
+    """Nine shocks a second for a second, and one more by itself."""
     flight = flown()
     table = flight.table.copy()
     rattles = (table.time > 20) & (table.time < 21) & (table.time * 9 % 1 < 0.4)
@@ -83,7 +83,18 @@ def test_blows_in_a_row_are_one_contact_with_begin_and_end() -> None:
     first, second = of_kind(replace(flight, table=table), "contact")
     assert first.t_s == pytest.approx(20.0, abs=0.15)
     assert first.end_s == pytest.approx(21.0, abs=0.15)
-    assert "blows" in first.text and "blows" not in second.text and second.end_s is None
+    assert "9 shocks" in first.text and second.text == "shock of 80 m/s²"
+    assert second.end_s is None
+
+
+def test_a_shock_at_the_end_of_a_flight_is_a_touchdown() -> None:
+    flight = flown()
+    (part,) = FlightFrame.of(flight).airborne
+    end_s = FlightFrame.of(flight).t_s[part.end - 1]
+    table = flight.table.copy()
+    table.loc[(table.time > end_s - 0.4) & (table.time < end_s - 0.3), ACC[2]] = -80.0
+    (item,) = of_kind(replace(flight, table=table), "contact")
+    assert item.text == "touchdown of 80 m/s²"
 
 
 def test_the_autopilot_is_quoted_while_it_flies() -> None:
