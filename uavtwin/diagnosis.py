@@ -12,7 +12,7 @@ from twin.errors import TwinError
 from twin.formatting import joined, pretty_unit
 from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
-from twin.why.causes import ROTOR
+from twin.why.causes import BLOW, ROTOR
 from twin.why.diagnose import diagnose
 from twin.why.disagreements import NOISE, SENSOR_CAUSES
 from twin.why.records import Candidate, Diagnosis, Event, NotVisible
@@ -187,8 +187,11 @@ def least_in_words(hidden: NotVisible) -> str:
         return "of any size"
     if least.unit == "1":
         of_what = " of a rotor's thrust" if hidden.cause == ROTOR else ""
-        return f"below {100 * least.value:.0f} %{of_what}"
-    return f"below {least.value:.3g} {pretty_unit(least.unit)}"
+        part = hidden.share
+        where = "" if part is None else f", which shows in {100 * part:.0f} % of the flight alone"
+        return f"below {100 * least.value:.0f} %{of_what}{where}"
+    of_what = " of force over mass" if hidden.cause == BLOW else ""
+    return f"below {least.value:.3g} {pretty_unit(least.unit)}{of_what}"
 
 
 def of_the_body(hidden: NotVisible) -> bool:

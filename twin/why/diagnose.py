@@ -7,7 +7,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from ..errors import LogError
-from ..formatting import certainty
+from ..formatting import certainty, joined
 from ..logs import Flight
 from ..vehicle import Vehicle
 from .causes import AIR, CAUSES, CUT
@@ -94,14 +94,14 @@ def diagnose(
     lost = next((i.t_s for i in timeline if i.kind == "loss_of_control"), None)
     crash = next((i.t_s for i in timeline if i.kind == "crash"), None)
     airborne_s = sum(p.end - p.start for p in frame.airborne) * frame.dt_s
-    hidden = tuple(v for f in found for v in f.not_visible)
-    unseen = blind(hidden)
+    hidden, partly = _apart(events, [v for f in found for v in f.not_visible])
+    never = tuple(_never_visible(hidden))
     verdict, probability = _verdict(
         events,
         one_of,
         nothing,
         lost=lost is not None,
-        decided=airborne_s > 0 and not unseen and not any(f.undecided for f in found),
+        decided=airborne_s > 0 and not never and not any(f.undecided for f in found),
     )
     return Diagnosis(
         flight=flight.name,
@@ -115,7 +115,7 @@ def diagnose(
         timeline=tuple(timeline),
         not_visible=hidden,
         airborne_s=airborne_s,
-        notes=tuple(dict.fromkeys([*frame.notes, *(n for f in found for n in f.notes)])),
+        notes=tuple(dict.fromkeys([*frame.notes, *(n for f in found for n in f.notes), *partly])),
     )
 
 
@@ -147,16 +147,28 @@ def aircraft_stated(frame: FlightFrame) -> dict[str, str]:
     return stated
 
 
-def blind(hidden: Sequence[NotVisible]) -> str:
-    """Why the body is not judged, where less than half of the causes that move it would show at any
-    size; "": it is judged."""
-    never = [*_never_visible(hidden)]
-    return never[0].reason if 2 * len(never) > len(CAUSES) else ""
+def _apart(
+    events: Sequence[Event], hidden: Sequence[NotVisible]
+) -> tuple[tuple[NotVisible, ...], list[str]]:
+    """What the log would not have shown, without causes of any size that it did show: these are
+    notes."""
+    shown = {e.cause for e in events}
+    partly = [v for v in hidden if v.cause in shown and v.smallest_detectable.value is None]
+    notes = [f"another {v.cause.replace('_', ' ')} would not show: {v.reason}" for v in partly]
+    return tuple(v for v in hidden if v not in partly), notes
 
 
 def _never_visible(hidden: Sequence[NotVisible]) -> Iterator[NotVisible]:
     """Causes that move the body and would not show, however large they are."""
     return (v for v in hidden if v.cause in CAUSES and v.smallest_detectable.value is None)
+
+
+def _what_is_not_shown(never: Sequence[NotVisible]) -> str:
+    """Causes that would not show, and why."""
+    causes = [v.cause.replace("_", " ") for v in never]
+    if 2 * len(causes) > len(CAUSES):
+        return f"little: rotors, mass, forces are not judged, since {never[0].reason}"
+    return f"no {joined([*dict.fromkeys(causes)], 'or')}: {never[0].reason}"
 
 
 def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
@@ -239,7 +251,7 @@ def _clauses(
     airborne_s: float,
     hidden: Sequence[NotVisible],
 ) -> Iterator[str]:
-    unseen = blind(hidden)
+    never = tuple(_never_visible(hidden))
     first = next((e for e in events if not e.consequence), None)
     if airborne_s == 0:
         yield "The log holds no flight of five seconds or more."
@@ -248,26 +260,23 @@ def _clauses(
         yield f"Most probable: {names}."
     elif first is not None:
         yield f"{first.text} ({certainty(first.probability)}){_else(first)}."
-    elif unseen and lost is None:
-        yield f"This log can show little: rotors, mass, forces are not judged, since {unseen}."
-        yield f"{_nothing(1.0 - probability, 'else ')}."
+    elif never and lost is None:
+        yield f"This log can show {_what_is_not_shown(never)}."
+        yield f"Of what it can show, {_nothing(1.0 - probability)}."
     elif verdict == "cannot_tell" and lost is None:
         yield "Something may have changed since the normal flights; this log cannot tell what."
     elif verdict == "nothing_found":
-        never = " or ".join(v.cause.replace("_", " ") for v in _never_visible(hidden))
-        if never:
-            yield f"No {never} would show in this log, however large."
-        yield f"{_nothing(probability, 'else ' if never else '')}."
+        yield f"{_nothing(probability, ' that this log can show').capitalize()}."
     if lost is not None:
         yield f"Control is lost at {lost:.2f} s" + (
             "." if verdict == "found" else ", and this log does not show why."
         )
 
 
-def _nothing(probability: float, other: str = "") -> str:
-    """How sure it is that nothing, or nothing else, went wrong."""
-    nothing = "Nothing" if probability >= LIKELY else "Probably nothing"
-    return f"{nothing} {other}went wrong that this log can show ({certainty(probability)})"
+def _nothing(probability: float, of_what: str = "") -> str:
+    """How sure it is that nothing went wrong."""
+    nothing = "nothing" if probability >= LIKELY else "probably nothing"
+    return f"{nothing} went wrong{of_what} ({certainty(probability)})"
 
 
 def _else(event: Event) -> str:

@@ -5,6 +5,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from .body import Body
@@ -47,7 +48,7 @@ def moved(frame: FlightFrame, references: Sequence[FlightFrame] = ()) -> Finding
                 nothing *= 1.0 - events[-1].probability
     if shown:
         lost, gusts = map(np.concatenate, zip(*shown, strict=True))
-        hidden += [_least_loss(lost), *_least_gust(gusts)]
+        hidden += [least_loss(lost, frame.rate_hz(frame.drive)), *_least_gust(gusts)]
     elif not hidden:
         reason = f"the log has no {LEAST_S:g} s in the air"
         hidden = [_hidden(cause, None, reason) for cause in CAUSES if cause != CUT]
@@ -59,16 +60,24 @@ def moved(frame: FlightFrame, references: Sequence[FlightFrame] = ()) -> Finding
     )
 
 
-def _least_loss(nats: NDArray[np.float64]) -> NotVisible:
-    """The least loss of a rotor that passes its level at half of the onsets.
+def least_loss(nats: NDArray[np.float64], rate_hz: float) -> NotVisible:
+    """The least loss of a rotor that passes its level at half of the onsets, or at as many of them
+    as any does.
 
     Args:
         nats: Of `Competition.shown`, of all stretches.
+        rate_hz: Of the commands.
     """
-    passes = LOSSES[np.median(nats, axis=0) > 0] if len(nats) else LOSSES[:0]
-    if not len(passes):
-        return _hidden(ROTOR, None, "no loss is known to stand out of the noise of this log")
-    return _hidden(ROTOR, float(passes[0]), "a smaller one does not stand out of the noise")
+    passes = (nats > 0).mean(axis=0) if len(nats) else np.zeros(len(LOSSES))
+    share = min(0.5, float(passes.max()))
+    if share == 0.0:
+        noisy = f"with commands at {rate_hz:.0f} Hz no loss stands out of the noise"
+        return _hidden(ROTOR, None, noisy)
+    least = float(LOSSES[np.argmax(passes >= share)])
+    if share < 0.5:
+        noisy = "in the rest of it none stands out of the noise"
+        return replace(_hidden(ROTOR, least, noisy), share=share)
+    return _hidden(ROTOR, least, "a smaller one does not stand out of the noise")
 
 
 def _least_gust(sizes: NDArray[np.float64]) -> Iterator[NotVisible]:

@@ -139,11 +139,14 @@ class NotVisible(Struct, frozen=True, kw_only=True):
         cause: Its name.
         smallest_detectable: Size that would have been found; of a rotor at half of the instants.
         reason: Why smaller ones do not show.
+        share: Of the instants at which that size shows, of a rotor that shows at less than half of
+            them; else null.
     """
 
     cause: str
     smallest_detectable: Amount
     reason: str
+    share: float | None = None
 
 
 class Diagnosis(Struct, frozen=True, kw_only=True):

@@ -1,5 +1,6 @@
 """Why a flight went wrong: the frame of a flight, loss of control, what is a consequence."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from why_rig import sound
 from twin.errors import LogError
 from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, QUAT
-from twin.why.diagnose import FINDERS, blind, diagnose, in_order
+from twin.why.diagnose import FINDERS, diagnose, in_order
 from twin.why.findings import Finder, Findings
 from twin.why.flight import FlightFrame, moment_signs
 from twin.why.records import Amount, Event, NotVisible
@@ -96,22 +97,33 @@ def test_a_log_without_commands_says_first_that_it_can_show_little() -> None:
     found = diagnose(Flight("f", pd.DataFrame(table)))
     assert found.verdict == "cannot_tell" and found.probability == pytest.approx(0.0, abs=0.2)
     assert found.text.startswith("This log can show little: rotors, mass, forces are not judged")
-    least = Amount(value=0.1, unit="1")
-    assert not blind([NotVisible(cause="rotor_failure", smallest_detectable=least, reason="r")])
 
 
-def test_a_rotor_failure_that_no_size_would_show_is_said_before_nothing_else() -> None:
-    def hidden(value: float | None) -> Finder:
-        least = Amount(value=value, unit="1")
-        never = NotVisible(cause="rotor_failure", smallest_detectable=least, reason="r")
-        return lambda frame, references: Findings(not_visible=[never])
+def hidden(value: float | None, events: Sequence[Event] = ()) -> Finder:
+    """Finds events, and that a rotor failure below a size would not show."""
+    least = Amount(value=value, unit="1")
+    unseen = NotVisible(cause="rotor_failure", smallest_detectable=least, reason="noise")
+    return lambda frame, references: Findings(events=events, not_visible=[unseen])
 
-    assert diagnose(hover(), finders=[hidden(None)]).text == (
-        "No rotor failure would show in this log, however large. "
-        "Nothing else went wrong that this log can show (more than 99 %)."
+
+def test_where_no_rotor_failure_would_show_the_log_cannot_tell() -> None:
+    found = diagnose(hover(), finders=[hidden(None)])
+    assert found.verdict == "cannot_tell" and found.probability == 0.0
+    assert found.text == (
+        "This log can show no rotor failure: noise. "
+        "Of what it can show, nothing went wrong (more than 99 %)."
     )
-    said = diagnose(hover(), finders=[hidden(0.3)]).text
-    assert said == "Nothing went wrong that this log can show (more than 99 %)."
+    found = diagnose(hover(), finders=[hidden(0.3)])
+    assert found.verdict == "nothing_found"
+    assert found.text == "Nothing went wrong that this log can show (more than 99 %)."
+
+
+def test_a_cause_that_is_an_event_is_not_invisible() -> None:
+    event = Event(cause="rotor_failure", rotor=(2,), onset_s=10.0, probability=0.9, text="Rotor 2")
+    found = diagnose(hover(), finders=[hidden(None, [event])])
+    assert found.verdict == "found" and not found.not_visible
+    assert found.notes[-1] == "another rotor failure would not show: noise"
+    assert diagnose(hover(), finders=[hidden(0.3, [event])]).not_visible
 
 
 def test_the_grid_averages() -> None:

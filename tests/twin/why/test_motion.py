@@ -17,12 +17,12 @@ from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL
 from twin.vehicle.layouts import frame
 from twin.vehicle_file import load_vehicle
 from twin.why.body import Body
-from twin.why.causes import ALL, BLOW, MASS, PUSH, ROTOR, Name
+from twin.why.causes import ALL, BLOW, LOSSES, MASS, PUSH, ROTOR, Name
 from twin.why.competition import SHOWN_GUST_S, Competition, drop
 from twin.why.diagnose import FINDERS, diagnose
 from twin.why.findings import Findings
 from twin.why.flight import FlightFrame, lift, moment_signs, of_vehicle
-from twin.why.motion import moved
+from twin.why.motion import least_loss, moved
 from twin.why.watch import Watch
 
 
@@ -202,6 +202,18 @@ def test_the_least_loss_that_shows_is_that_of_the_noise_of_the_log() -> None:
         return np.inf if known is None else known
 
     assert 0.1 < least(0.0) < least(0.2) < least(5.0) == np.inf
+
+
+def test_a_loss_that_shows_in_a_part_of_the_flight_is_told_with_that_part() -> None:
+    nats = np.full((5, len(LOSSES)), -1.0)
+    assert least_loss(nats, 10.0).smallest_detectable.value is None
+    assert "10 Hz" in least_loss(nats, 10.0).reason
+    nats[0, -1] = nats[1, -2:] = 1.0
+    least = least_loss(nats, 10.0)
+    assert least.smallest_detectable.value == 1.0 and least.share == pytest.approx(0.4)
+    nats[2] = 1.0
+    least = least_loss(nats, 10.0)
+    assert least.smallest_detectable.value == 1.0 and least.share is None
 
 
 def test_of_motors_that_are_numbered_otherwise_nothing_is_said_but_what_to_do() -> None:
