@@ -150,7 +150,7 @@ class LogFormat:
 
     Attributes:
         name: As printed.
-        suffixes: Endings that its files usually have; they are said, never looked at.
+        suffixes: Endings that its files usually have; they are said, and decide on no format.
         signature: What its files begin with; no file has the signatures of two formats.
         reader: `MODULE:FUNCTION` below `twin.logs`, imported when the first such file is read.
         packages: Distributions that the reader needs besides numpy and pandas.
@@ -288,6 +288,10 @@ FORMATS: tuple[LogFormat, ...] = (
     ),
 )
 """Every log format, how a file of it is known and which function reads it."""
+
+
+OF_LOGS_ALONE = (".ulg", ".bbl", ".bfl", ".tlog")
+"""Endings that no other files have: one without a known signature is a damaged log."""
 
 
 def known_formats(formats: Sequence[LogFormat] = FORMATS) -> str:

@@ -18,6 +18,7 @@ from .flight import Finding, Flight
 from .formats import (
     FORMATS,
     HEAD,
+    OF_LOGS_ALONE,
     FirstWord,
     LogFormat,
     Magic,
@@ -337,7 +338,8 @@ def read_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> Fl
     try:
         found, blob, findings = _located(blob)
     except LogError as error:
-        raise type(error)(f"{path.name}: {error}") from None
+        alien = isinstance(error, NoLogError) and path.suffix.lower() not in OF_LOGS_ALONE
+        raise (NoLogError if alien else LogError)(f"{path.name}: {error}") from None
     flight = found.load()(path, blob, ReadOptions(rebuild_commands))
     return _doubted(replace(flight, findings=(*findings, *flight.findings)), found)
 

@@ -14,6 +14,7 @@ import numpy as np
 from twin.component import unknown_name
 from twin.errors import LogError, TwinError
 from twin.explain.model.numbers import with_effects
+from twin.formatting import counted
 from twin.logs.formats import FORMATS
 from twin.vehicle import Deviation
 
@@ -278,6 +279,9 @@ def run_fleet(
         with results_folder(out, force, JOURNAL) as folder:
             write_dataset(journal.lines([k.job for k in jobs], journal.places()), folder)
             result = result_of(folder, "" if base is None else base.name)
+            if not result.logs:
+                first = result.bad_logs(1)["error"].iloc[0]
+                raise LogError(f"fleet: none of {counted(logs, 'file')} is a log. {first}")
             found(result)
             if result.explained:
                 files = numbers_of_files(result.spreads, list(result.explained), base is not None)

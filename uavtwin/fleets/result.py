@@ -141,6 +141,7 @@ class Overview:
         known = zip(HEADER, self.cells(), strict=True)
         cells = (f"{name} {text}" for name, text in known if text)
         about = f"log {self.status}" if self.status else f"{self.flights} flights"
+        about = NO_LOG if self.status == NO_LOG else about
         return f"{self.name}: {'; '.join([about, *cells])}"
 
     @property

@@ -42,6 +42,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     whole = (folder / "day_0" / "flight_0.parquet").read_bytes()
     (folder / "bad" / "cut.parquet").write_bytes(whole[:-300])
     (folder / "bad" / "empty.ulg").write_bytes(b"")
+    (folder / "bad" / "head.ulg").write_bytes(bytes(range(256)))
     (folder / "z_twice.parquet").write_bytes(whole)
     (folder / "README.txt").write_text("no log")
     (folder / "index.csv").write_text('log,pilot\nday_0/flight_0,"A, B"\n')
@@ -69,6 +70,7 @@ def test_every_log_has_one_row_and_a_bad_one_its_reason(logs: Path, whole: Path)
     assert flights["log"].tolist() == [log.name for log in found_logs([logs])]
     status = dict(zip(flights["log"], flights["status"], strict=True))
     assert status.pop("bad/cut.parquet") == status.pop("bad/empty.ulg") == "unreadable"
+    assert status.pop("bad/head.ulg") == "unreadable"
     assert status.pop("z_twice.parquet") == "copy"
     assert status.pop("index.csv") == status.pop("times.csv") == "no log"
     assert set(status.values()) <= {"fine", "findings"}
@@ -179,6 +181,19 @@ def test_places_without_logs_are_named(tmp_path: Path) -> None:
             ut.fleet(tmp_path / given, "copter_default", out=tmp_path / "out")
     with pytest.raises(TwinError, match="no log matches this pattern"):
         ut.fleet(tmp_path / "*.ulg", "copter_default", out=tmp_path / "out")
+
+
+def test_a_fleet_of_files_that_are_no_logs_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text("time,pilot\n0.0,A\n")
+    out = tmp_path / "out"
+    code, _, err = run(capsys, "fleet", tmp_path, "--verbs", "check", "--out", out)
+    assert code == 2
+    assert "a.csv: no log: " in err
+    assert "fleet: none of 2 files is a log. a.csv: " in err
+    assert not (out / "fleet.json").exists()
 
 
 def test_why_needs_no_vehicle(tmp_path: Path) -> None:
