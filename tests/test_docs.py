@@ -9,6 +9,7 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from pkgutil import walk_packages
 
 import pytest
 from cli_rig import run
@@ -118,6 +119,26 @@ def test_every_verb_with_json_says_what_it_prints() -> None:
     verbs = _json_verbs()
     assert len(verbs) > 15
     assert [verb for verb, prints in verbs.items() if prints is None] == []
+
+
+def test_every_record_stands_in_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a verb prints, what it leaves in a file, and what these hold."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_generate"))
+    import tables
+
+    for module in walk_packages(ut.__path__, "uavtwin."):
+        if not module.name.endswith("__main__"):
+            import_module(module.name)
+    printed = {r.partition(":") for p in _json_verbs().values() if p is not None for r in p.records}
+    shown = [*(getattr(import_module(m), c) for m, _, c in printed), *tables.FILES.values()]
+    listed = {name for record in shown for name in schema(record)["$defs"]}
+    every, left = set[str](), [Record]
+    while left:
+        own = [c for c in left.pop().__subclasses__() if c.__module__.startswith("uavtwin.")]
+        every |= {c.__name__ for c in own}
+        left += own
+    assert len(every) > 50
+    assert every - listed == {"Section"}
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,8 @@ from twin.vehicle_file.fields import FIELDS
 from uavtwin.cli.main import VERBS, app
 from uavtwin.cli.options import Prints
 from uavtwin.cli.vehicle import vehicle as vehicle_app
+from uavtwin.exports.bands import AccuracyRecord
+from uavtwin.exports.credibility import CredibilityRecord
 from uavtwin.fleets.dataset import TABLES
 from uavtwin.output import RunRecord
 from uavtwin.record import keys, sections, summary_of
@@ -53,6 +55,13 @@ from uavtwin.series.mcap import FOXGLOVE, MEANINGS, TOPICS
 DOCS = Path(__file__).parents[1]
 BEGIN = "<!-- table: do not edit, run docs/_generate/tables.py -->"
 END = "<!-- end of table -->"
+FILES: dict[str, type] = {
+    "accuracy.json": AccuracyRecord,
+    "credibility.json": CredibilityRecord,
+    "force.json": ForceFile,
+    "run.json": RunRecord,
+}
+"""Files with keys that no verb prints."""
 EXAMPLE = "crazyflie"
 """Vehicle whose start values are shown: it has a battery, so every component exists."""
 
@@ -420,10 +429,7 @@ def json_keys() -> str:
         for heading, c in sorted(shared.items())
         if f"## {heading}\n" not in "\n".join(parts)
     ]
-    files = [
-        f"## {name}\n\n{summary_of(c)}\n\n{_keys_table(c)}"
-        for name, c in (("force.json", ForceFile), ("run.json", RunRecord))
-    ]
+    files = [f"## {name}\n\n{summary_of(c)}\n\n{_keys_table(c)}" for name, c in FILES.items()]
     return "\n\n".join([*parts, *files, "## Held by several", *own])
 
 
