@@ -57,7 +57,7 @@ def write_rows(path: Path, found: Iterable[Row]) -> None:
 
 
 def renewed(stored: Sequence[Row], found: Sequence[Row], state: str) -> list[Row]:
-    """Stored rows with those of some scenarios measured again, and the note of the page saying so.
+    """Stored rows with those of some scenarios measured again, each with a remark that says so.
 
     Args:
         stored: As `write_rows` wrote them, facts first.
@@ -66,10 +66,10 @@ def renewed(stored: Sequence[Row], found: Sequence[Row], state: str) -> list[Row
     """
     facts, *every = stored
     titles = list(dict.fromkeys(r["scenario"] for r in found if "scenario" in r))
-    note = f"{facts['note']} {', '.join(titles)}: {state}".strip()
+    again = {**facts.get("again", {}), **dict.fromkeys(titles, state)}
     heads = [r for r in found if OVERVIEW in r]
     rest = [r for r in found if OVERVIEW not in r]
-    made: list[Row] = [{**facts, "note": note}]
+    made: list[Row] = [{**facts, "again": again}]
     for row in every:
         own = row.get("scenario") in titles
         if not own:
@@ -91,10 +91,13 @@ def short_page(found: Sequence[Row], data: str) -> str:
     """The page: labelled flights, overview, numbers that agree, residuals of force and moment.
 
     Args:
-        found: Rows, the first of them with `measured`, `note` and `state`.
+        found: Rows, the first of them with `measured`, `note` and `state`, and in `again` when and
+            by what scenarios were measured after that, by title.
         data: Name of the file of the rows, beside the page.
     """
     facts, *every = found
+    remarks = [facts["note"], *(f"{t}: {s}" for t, s in facts.get("again", {}).items())]
+    facts = {**facts, "note": " ".join(filter(None, remarks))}
     parts = [HEAD.format(labelled=labelled(), data=data, **facts), *_overview(every)]
     parts += [
         *_returned(every),

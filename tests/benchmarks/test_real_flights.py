@@ -441,7 +441,10 @@ def test_a_scenario_measured_again_takes_the_place_of_its_rows() -> None:
     facts = {"measured": "1 May 2026", "note": "", "state": "first"}
     both = [facts, *rows(details([*one, *other]))]
     made = renewed(both, list(rows(details(later))), "later.")
-    assert made[0] == facts | {"note": f"{SCENARIOS[0].title}: later."}
+    assert made[0] == facts | {"again": {SCENARIOS[0].title: "later."}}
+    latest = renewed(made, list(rows(details(later))), "latest.")
+    text = short_page(latest, "rows.jsonl")
+    assert f"{SCENARIOS[0].title}: latest." in text and "later." not in text
     assert made[1:] == list(rows(details([*later, *other])))
 
 
