@@ -135,6 +135,21 @@ def test_a_regime_of_too_few_windows_has_the_band_of_both_and_says_so() -> None:
     assert f"velocity, lively: {told}" in card.because
 
 
+def test_a_table_without_a_regime_is_refused_by_what_it_lacks(tmp_path: Path) -> None:
+    bands, without = bands_of([made(1), made(2)])
+    found = AccuracyRecord(
+        vehicle=COPTER.name,
+        vehicle_sha256=digest(COPTER),
+        drive="command",
+        twins={PLAIN: record_of(bands, {}, without)},
+        missing={},
+    ).json()
+    del found["twins"][PLAIN]["bands"]["velocity"]["lively"]
+    (tmp_path / FILE).write_text(json.dumps(found))
+    with pytest.raises(TwinError, match=f"{FILE}: has no 'lively'. explain writes it"):
+        read_accuracy(tmp_path, COPTER)
+
+
 @pytest.fixture(scope="module")
 def flights() -> list[Flight]:
     """Three days of an aircraft that is as its twin."""

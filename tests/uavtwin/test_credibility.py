@@ -159,6 +159,8 @@ def test_the_page_says_what_the_numbers_say(tmp_path: Path) -> None:
     written = members(card)
     assert json.loads(written[FILE])["evidence"]["a.ulg"] == "0" * 64
     page = written[PAGE].decode()
+    assert "not checked against the text of the standard" in page
+    assert json.loads(written[FILE])["names"] in page
     assert all(f"<td>{name}</td>" in page for name in card.factors)
     entries = etree.fromstring(written[SRMD]).iter("{*}ClassificationEntry")
     values = {e.get("keyword"): e.text for e in entries}

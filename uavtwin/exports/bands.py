@@ -119,7 +119,8 @@ def read_accuracy(folder: Path, vehicle: Vehicle) -> AccuracyRecord:
         for twin in found.twins:
             found.bands(twin)
     except (OSError, KeyError, msgspec.DecodeError, TwinError) as error:
-        raise TwinError(f"{path}: {error}. explain writes it; run it again.") from None
+        why = f"has no {error}" if isinstance(error, KeyError) else str(error).rstrip(".")
+        raise TwinError(f"{path}: {why}. explain writes it; run it again.") from None
     if found.vehicle_sha256 != own:
         raise TwinError(
             f"{path}: is of other numbers than {folder / 'vehicle.toml'}; run explain again."

@@ -40,6 +40,8 @@ HIGHEST = 4
 """Level of the standard; none of ours is over 2."""
 _FILES = ("explain.json", "run.json", "vehicle.toml", "accuracy.json")
 """Of a folder of `explain`, which the card rests on."""
+UNCHECKED = "named as other programs quote them, not checked against the text of the standard"
+"""Said of the factors in the card itself."""
 _MADE_UP = "made up"
 _OF_FLIGHTS = ("uavtwin calibrate,", "uavtwin explain,")
 """How sources begin that flights have given."""
@@ -63,6 +65,7 @@ class CredibilityRecord(Record, frozen=True, kw_only=True):
 
     Attributes:
         standard: That names the factors and the scale.
+        names: Where the names of the factors are from.
         vehicle: Name of the vehicle.
         factors: By name.
         evidence: SHA-256 of files that the levels rest on, by name; flights among them.
@@ -70,6 +73,7 @@ class CredibilityRecord(Record, frozen=True, kw_only=True):
     """
 
     standard: str
+    names: str
     vehicle: str
     factors: dict[str, FactorRecord]
     evidence: dict[str, str]
@@ -146,6 +150,7 @@ def credibility(vehicle: Vehicle, folder: Path | None = None) -> CredibilityReco
     found = None if folder is None else _read(folder, vehicle)
     return CredibilityRecord(
         standard="NASA-STD-7009B",
+        names=UNCHECKED,
         vehicle=vehicle.name,
         factors={
             "data_pedigree": _data_pedigree(vehicle),
@@ -322,7 +327,8 @@ def members(found: CredibilityRecord) -> dict[str, bytes]:
     )
     page = (
         "<!DOCTYPE html><html lang='en'><meta charset='utf-8'><title>Credibility</title>"
-        f"<h1>Credibility of {escape(found.vehicle)}</h1><p>Factors of {found.standard}. "
+        f"<h1>Credibility of {escape(found.vehicle)}</h1><p>Factors of {found.standard}: "
+        f"{found.names}. "
         f"Levels are by rules of uavtwin, from files alone; a person has to judge the rest.</p>"
         f"{''.join(tables)}</html>\n"
     )

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from fmus.experiments import Deviation
 from fmus.experiments import verify as rerun
+from twin.errors import TwinError
 
 from ..display import DisplayMixin, TextTable
 from ..record import Record
@@ -104,9 +105,11 @@ def verify(path: str | Path) -> VerifyResult:
     Their code is executed.
 
     Raises:
-        FmuError: One holds no reference results, or cannot be run.
+        TwinError: There is no such file; one holds no reference results, or cannot be run.
     """
     path = Path(path)
+    if not path.is_file():
+        raise TwinError(f"{path}: no such file.")
     if path.suffix != ".ssp":
         return VerifyResult(path.name, tuple(rerun(path)))
     from cosim.ssp import read_ssp

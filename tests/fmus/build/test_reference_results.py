@@ -196,6 +196,8 @@ def test_each_file_has_a_verdict(capsys: pytest.CaptureFixture[str], plant: Path
     lost, found = json.loads(said)
     assert "changed.fmu" in lost["error"] and not lost["passed"]
     assert not found["error"] and found["passed"]
+    code, _, err = run_verb(capsys, "verify", "nope.fmu")
+    assert code == 2 and "nope.fmu: no such file." in err
 
 
 def test_references_without_outputs_are_refused(plant: Path) -> None:
