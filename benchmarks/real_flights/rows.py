@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import sqrt
 from pathlib import Path
+from typing import Any
 
 from .details import RETURNED, figure, table
 
@@ -16,7 +17,7 @@ OVERVIEW = "numbers that pass"
 """Key of the rows of the overview alone."""
 PLACE = "scenario", "section", "part"
 """Keys of a row that say where it belongs."""
-Row = Mapping[str, str]
+Row = Mapping[str, Any]
 
 
 def rows(details: str) -> Iterator[Row]:

@@ -20,8 +20,10 @@ from twin.vehicle import layouts
 from twin.vehicle_file import load_vehicle, vehicle_text
 from uavtwin.cli import main
 from uavtwin.cli.printing import print_sections, print_table
+from uavtwin.cli.results import write_tables
 from uavtwin.demo.flights import fly
 from uavtwin.display import TextTable
+from uavtwin.record import Record
 
 VEHICLE = "copter_default"
 
@@ -56,6 +58,9 @@ def test_gap_writes_its_files(
     bands = pd.read_csv(out / "tables" / "channels.bands.csv").query("of == 'acc_z'")
     told = [b["residual_rms"] for b in gap["channels"]["acc_z"]["bands"]]
     assert bands["residual_rms"].tolist() == told
+    phases = pd.read_csv(out / "tables" / "channels.by_phase.csv").query("of == 'acc_z'")
+    by_phase = {k: p["rms"] for k, p in gap["channels"]["acc_z"]["by_phase"].items()}
+    assert dict(zip(phases["name"], phases["rms"], strict=True)) == by_phase
     assert not [t for t in (out / "tables").iterdir() if "[" in t.read_text("utf-8")]
     assert len(pd.read_csv(out / "tables" / "worst.csv")) == len(gap["worst"])
     record = json.loads((out / "run.json").read_text())
@@ -215,6 +220,52 @@ def test_exported_start_values_are_baked_in(
         for v in fmpy.read_model_description(tmp_path / "airframe.fmu").modelVariables
     }
     assert float(starts["initial.pos_z"]) == -3.0
+
+
+class Place(Record, frozen=True, kw_only=True):
+    """Of a flight."""
+
+    share: float
+
+
+class Row(Record, frozen=True, kw_only=True):
+    """One that lacks things."""
+
+    name: str
+    place: Place | None
+    never: Place | None = None
+
+
+class Whole(Record, frozen=True, kw_only=True):
+    """Lists, parts by name, parts by two names, and a part that holds such."""
+
+    rows: tuple[Row, ...]
+    days: dict[str, dict[str, Place]]
+    nothing: dict[str, dict[str, Place]]
+    flown: "Inner"
+
+
+class Inner(Record, frozen=True, kw_only=True):
+    """Parts by name, beside a number."""
+
+    stable: bool
+    missions: dict[str, Place]
+
+
+def test_tables_have_no_column_for_what_has_columns_of_its_own(tmp_path: Path) -> None:
+    one = Place(share=0.5)
+    whole = Whole(
+        rows=(Row(name="a", place=None), Row(name="b", place=one)),
+        days={"first": {"wind": one}, "second": {}},
+        nothing={"first": {}},
+        flown=Inner(stable=True, missions={"hover": one, "tour": one}),
+    )
+    write_tables(whole, tmp_path / "tables")
+    found = {p.name: pd.read_csv(p) for p in (tmp_path / "tables").iterdir()}
+    assert {*found} == {"rows.csv", "days.csv", "flown.missions.csv"}
+    assert list(found["rows.csv"]) == ["name", "never", "place.share"]
+    assert found["days.csv"].to_dict("records") == [{"of": "first", "name": "wind", "share": 0.5}]
+    assert found["flown.missions.csv"]["name"].tolist() == ["hover", "tour"]
 
 
 def _broken_tables(table: Path, folder: Path) -> dict[str, tuple[Path, str]]:

@@ -1,8 +1,8 @@
 """How the verbs end that leave a folder: result, files, series, run.json, damage, exit code."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
+from typing import TYPE_CHECKING, Any, Protocol
 
 import typer
 
@@ -71,36 +71,57 @@ TABLES = "tables"
 
 def write_tables(record: "Record", folder: Path) -> None:
     """Write each list of a record, or its parts by name, as CSV: a row each, `a.b` for b in a,
-    `a.1` for the first number in a; lists of parts within a row are a table of their own."""
+    `a.1` for the first number in a; lists of parts, or parts by name, within a row are a table of
+    their own."""
     folder.mkdir()
-    for key, value in record.json().items():
-        parts = value
-        if isinstance(value, dict):
-            parts = [{"name": k, **v} for k, v in value.items() if isinstance(v, dict) and v]
-        if _has_parts(parts):
-            _write_table(parts, folder, key)
+    _write_parts(record.json(), folder, "")
 
 
-def _has_parts(value: object) -> TypeGuard[list[dict[str, Any]]]:
-    return isinstance(value, list) and bool(value) and all(isinstance(p, dict) for p in value)
+def _write_parts(whole: dict[str, Any], folder: Path, name: str) -> None:
+    """Tables of what a part of the record holds."""
+    for key, value in whole.items():
+        if rows := _rows(value):
+            _write_table(rows, folder, name + key)
+        elif isinstance(value, dict):
+            _write_parts(value, folder, f"{name}{key}.")
+
+
+def _rows(value: object) -> list[dict[str, Any]]:
+    """A list of parts, or parts by name, or by two names, as rows; none of anything else."""
+    if isinstance(value, list):
+        return value if all(isinstance(p, dict) for p in value) else []
+    if not isinstance(value, dict) or not all(isinstance(p, dict) for p in value.values()):
+        return []
+    parts = {k: p for k, p in value.items() if p}
+    if all(map(_rows, parts.values())):
+        return [{"of": k, **row} for k, p in parts.items() for row in _rows(p)]
+    return [{"name": k, **p} for k, p in parts.items()]
+
+
+def _flat(row: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Columns and cells of a row; what is a table of its own stays whole."""
+    for key, cell in row.items():
+        if isinstance(cell, dict) and not _rows(cell):
+            yield from _flat(cell, f"{before}{key}.")
+        else:
+            yield f"{before}{key}", cell
 
 
 def _write_table(rows: list[dict[str, Any]], folder: Path, name: str) -> None:
-    """One table, and those of the lists of parts in its rows, which say of which row they are."""
+    """One table, and those of the parts in its rows, which say of which row they are."""
     import pandas as pd
 
-    table = pd.json_normalize(rows)
+    table = pd.DataFrame([dict(_flat(row)) for row in rows], dtype=object)
+    table = table.where(table.notna(), None)
     of = table["name"] if "name" in table else pd.Series(table.index)
     columns: dict[str, Any] = {}
     for column, cells in table.items():
         lists = [cell for cell in cells if isinstance(cell, list)]
-        if any(map(_has_parts, lists)):
-            inner = [
-                {"of": whose, **part}
-                for whose, cell in zip(of, cells, strict=True)
-                if _has_parts(cell)
-                for part in cell
-            ]
+        if inner := [
+            {"of": whose, **part}
+            for whose, cell in zip(of, cells, strict=True)
+            for part in _rows(cell)
+        ]:
             _write_table(inner, folder, f"{name}.{column}")
         elif lists and all(isinstance(x, int | float | None) for cell in lists for x in cell):
             for k in range(max(map(len, lists))):
@@ -111,7 +132,7 @@ def _write_table(rows: list[dict[str, Any]], folder: Path, name: str) -> None:
             columns[str(column)] = [
                 "; ".join(map(str, cell)) if isinstance(cell, list) else cell for cell in cells
             ]
-        else:
+        elif cells.notna().any() or not any(c.startswith(f"{column}.") for c in table):
             columns[str(column)] = cells
     pd.DataFrame(columns).to_csv(folder / f"{name}.csv", index=False)
 
