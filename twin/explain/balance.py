@@ -83,7 +83,7 @@ CrazyPAD's E9. That nothing has changed is no rival of either: `sure` is for tha
 ROPE = -0.7
 """Log odds of a rope, given a load: made up."""
 SUSPECT = 0.1
-"""Probability from which on a rotor is named among those of which one is damaged."""
+"""Probability from which on a set of rotors is named among those one of which is damaged."""
 STEADY_SD, SHAKEN, SHAKEN_SD, SHAKES = 0.3, 0.7, 0.6, 0.4
 """Change of the log of the amplitude of vibration: deviation between flights; mean and deviation of
 a damaged propeller that shakes, and how many do. Chosen on CrazyPAD's E9."""
@@ -295,7 +295,8 @@ class Balance:
     @property
     def one_of(self) -> tuple[Hypothesis, ...]:
         """Causes that nobody can tell apart, the most probable first: a rotor and a load, a load
-        fixed or on a rope, propellers one of which is damaged; none: something else is told."""
+        fixed or on a rope, sets of damaged propellers, each set with the probability that it is
+        just that; none: something else is told."""
         alone = self._alone
         if alone is not None and alone.cause == LOAD and len(ways := self._ways(alone)) > 1:
             return ways
@@ -304,11 +305,8 @@ class Balance:
         if not self._parted(self.damaged):
             rotors = replace(self.best(ROTORS), probability=self.damaged)
             return rotors, replace(self.best(LOAD), probability=self.probability_of(LOAD))
-        every = [h for h in self.hypotheses if len(h.rotors) == 1]
-        suspects = [replace(h, probability=self.lost_by(h.rotors[0])) for h in every]
-        suspects += [h for h in self.hypotheses if h.cause == VIBRATION]
-        suspects.sort(key=lambda h: -h.probability)
-        return tuple(h for h in suspects if h.probability >= SUSPECT) or (suspects[0],)
+        damage = [h for h in self.hypotheses if h.cause in (ROTORS, VIBRATION)]
+        return tuple(h for h in damage if h.probability >= SUSPECT) or (damage[0],)
 
     @property
     def nothing(self) -> float:
@@ -605,10 +603,11 @@ class _Competition:
 
 
 def _log_shaking(cause: str, shaken: float | None) -> float:
-    """Log density of a change of vibration under a cause."""
+    """Log density of a change of vibration under a cause; a fall says what no change says."""
     if shaken is None:
         return 0.0
-    still, shaking = norm.logpdf(shaken, 0.0, STEADY_SD), norm.logpdf(shaken, SHAKEN, SHAKEN_SD)
+    rise = max(shaken, 0.0)
+    still, shaking = norm.logpdf(rise, 0.0, STEADY_SD), norm.logpdf(rise, SHAKEN, SHAKEN_SD)
     if cause == VIBRATION:
         return float(shaking)
     if cause == ROTORS:

@@ -238,9 +238,10 @@ def _severity(named: Hypothesis, mass_unit: str) -> Severity | None:
 
 
 def _others(balance: Balance, named: Hypothesis) -> Iterator[Candidate]:
+    """What is no part of a cause that is named."""
     for h in balance.hypotheses:
-        same = (h.cause, h.rotors) == (named.cause, named.rotors)
-        if not same and h.probability > SAID and h.values:
+        part = h.cause == named.cause and {*named.rotors} <= {*h.rotors}
+        if not part and h.probability > SAID and h.values:
             yield Candidate(cause=h.cause, rotor=h.rotors or None, probability=h.probability)
 
 

@@ -201,6 +201,10 @@ def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
     return tuple(sorted(marked, key=lambda e: float("inf") if e.onset_s is None else e.onset_s))
 
 
+TWO = 2
+"""Causes of one change that are an answer, "this or that": more are none."""
+
+
 def _verdict(
     events: Sequence[Event],
     one_of: Sequence[Candidate],
@@ -212,7 +216,7 @@ def _verdict(
     """What is found, and how probable that is."""
     causes = [e.probability for e in events if not e.consequence]
     if one_of:
-        return "found", 1.0 - nothing
+        return ("found" if len(one_of) == TWO or causes else "cannot_tell"), 1.0 - nothing
     if causes:
         return "found", max(causes)
     if lost or not decided:
@@ -289,5 +293,6 @@ def _else(event: Event) -> str:
 
 def _named(candidate: Candidate) -> str:
     """A cause in a sentence."""
-    rotors = " and ".join(map(str, candidate.rotor or ()))
-    return candidate.cause.replace("_", " ") + (f" {rotors}" if rotors else "")
+    rotors = candidate.rotor or ()
+    which = f" of rotor{'s' * (len(rotors) > 1)} {' and '.join(map(str, rotors))}" if rotors else ""
+    return candidate.cause.replace("_", " ") + which

@@ -14,7 +14,7 @@ from twin.logs.columns import ACC, GYRO, QUAT
 from twin.why.diagnose import FINDERS, diagnose, in_order
 from twin.why.findings import Finder, Findings
 from twin.why.flight import FlightFrame, moment_signs
-from twin.why.records import Amount, Event, NotVisible
+from twin.why.records import Amount, Candidate, Event, NotVisible
 
 G = 9.80665
 
@@ -116,6 +116,28 @@ def test_where_no_rotor_failure_would_show_the_log_cannot_tell() -> None:
     found = diagnose(hover(), finders=[hidden(0.3)])
     assert found.verdict == "nothing_found"
     assert found.text == "Nothing went wrong that this log can show (more than 99 %)."
+
+
+@pytest.mark.parametrize(
+    ("pairs", "verdict"),
+    [
+        ([(1, 2), (3, 4)], "found"),
+        ([(1, 2), (3, 4), (1, 3)], "cannot_tell"),
+        ([(1,)], "cannot_tell"),
+    ],
+)
+def test_one_of_two_causes_is_an_answer_and_one_of_more_is_none(
+    pairs: list[tuple[int, ...]], verdict: str
+) -> None:
+    share = 0.9 / max(len(pairs), 2)
+    each = [Candidate(cause="rotor_efficiency_loss", rotor=p, probability=share) for p in pairs]
+    found = diagnose(hover(), finders=[lambda *_: Findings(one_of_causes=each, nothing=0.1)])
+    assert found.verdict == verdict and found.probability == pytest.approx(0.9)
+    if len(pairs) == 2:
+        assert found.text == (
+            "Most probable: rotor efficiency loss of rotors 1 and 2 (45 %) or "
+            "rotor efficiency loss of rotors 3 and 4 (45 %)."
+        )
 
 
 def test_a_cause_that_is_an_event_is_not_invisible() -> None:

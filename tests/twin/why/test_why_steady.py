@@ -121,11 +121,20 @@ def test_a_damaged_propeller_lists_each_rotor_that_it_may_be_of() -> None:
     assert not found.events
 
 
+def test_sets_of_rotors_exclude_each_other() -> None:
+    found = said_of(rotors_1_2=0.48, rotors_3_4=0.48, nothing=0.04)
+    told = [(c.rotor, c.probability) for c in found.one_of_causes]
+    assert told == [((1, 2), 0.48), ((3, 4), 0.48)]
+    assert not found.events
+
+
 def test_a_rotor_has_all_that_speaks_for_it_and_is_no_alternative_to_itself() -> None:
     (event,) = said_of(rotors_3=0.85, rotors_3_4=0.11, nothing=0.04).events
     assert event.rotor == (3,)
     assert event.probability == pytest.approx(0.96)
-    assert [(c.rotor, c.probability) for c in event.alternatives] == [((3, 4), 0.11)]
+    assert not event.alternatives
+    (event,) = said_of(rotors_3=0.85, rotors_1_2=0.11, nothing=0.04).events
+    assert [(c.rotor, c.probability) for c in event.alternatives] == [((1, 2), 0.11)]
 
 
 def _leaning(angle: float, of_board: bool, turns: float) -> FlightFrame:
