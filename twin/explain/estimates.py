@@ -72,10 +72,22 @@ def undecided(found: Explanation) -> tuple[str, ...]:
 
 
 def totals(found: Explanation) -> Sequence[Total]:
-    """What is sure of families of effects."""
+    """What is sure of families of effects; of one that a single effect makes, the figure of that,
+    as it is told: in sets of little probability others have a part of the sum, which is known more
+    closely than that of one."""
     if found.naming is None or found.verdict not in ("named", "cannot_tell"):
         return ()
-    return found.naming.totals
+    return [_as_told(found, t) for t in found.naming.totals]
+
+
+def _as_told(found: Explanation, total: Total) -> Total:
+    """A total with the interval of its effect, where it is of one with one number."""
+    weights = total.family.weights
+    own = [t for e in total.effects for t in estimates_of(found, e) if t.number.full in weights]
+    if len(total.effects) > 1 or len(own) != 1 or own[0].ci95 is None:
+        return total
+    weight, (low, high) = weights[own[0].number.full], own[0].ci95
+    return replace(total, value=weight * own[0].value, ci95=(weight * low, weight * high))
 
 
 def detectable(found: Explanation) -> Mapping[str, Detectable]:
