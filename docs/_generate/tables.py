@@ -17,6 +17,7 @@ from typing import Any
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 from typer.main import get_command
 
+from cosim.whole_twin import fused_model
 from learning.force.model import ForceFile
 from learning.model.registry import FAMILIES
 from twin.component import Component, Enumeration, Variable
@@ -33,7 +34,7 @@ from twin.effects.parameters import (
 from twin.explain.model.model import has_mean
 from twin.explain.setting_group import Setting, numbers
 from twin.explain.settings import DEFAULT
-from twin.flight.assembly import COMPONENTS, Choices
+from twin.flight.assembly import COMPONENTS, Choices, driven_twin
 from twin.logs.columns import COLUMNS
 from twin.logs.formats import FORMATS
 from twin.vehicle import Vehicle
@@ -175,21 +176,35 @@ def _bands() -> str:
 
 
 def fmus() -> str:
-    """Variables of every component, a table each."""
+    """Variables of every component, a table each; inputs and outputs of the twin that is driven."""
     model = load_vehicle(EXAMPLE)
     choices = Choices(effects_for(model), mission="tour")
-    return "\n\n".join(_component(name, make(model, choices)) for name, make in COMPONENTS.items())
+    parts = [_component(name, make(model, choices)) for name, make in COMPONENTS.items()]
+    return "\n\n".join([*parts, _driven(model)])
+
+
+def _driven(model: Vehicle) -> str:
+    """Inputs and outputs of the fused twin that takes motor commands."""
+    fused = fused_model(driven_twin(model, "command"), model.name)
+    ports = [v for v in fused.variables if v.causality in ("input", "output")]
+    return "\n".join(
+        [
+            "## corrected-twin --drive commands",
+            "",
+            "Inputs and outputs of the fused twin. Parameters are those of its parts above, with "
+            "the name of the part in front. `--evidence` adds `accuracy.*` "
+            "([how far off](evidence.md#how-far-off)).",
+            "",
+            *_variables(ports),
+        ]
+    )
 
 
 def _component(name: str, component: Component) -> str:
     """Variables of one component; effects by name only, numbered variables in one line."""
     owners = [v.name.split(".")[0] for v in component.parameters]
     effects = [f"`{e}`" for e in EFFECTS if e in owners]
-    groups: dict[str, list[Variable]] = {}
-    for v in component.variables:
-        if v.name.split(".")[0] not in EFFECTS:
-            groups.setdefault(re.sub(r"_\d+\b", "_{i}", v.name), []).append(v)
-    lines = [_group(pattern, group) for pattern, group in groups.items()]
+    own = [v for v in component.variables if v.name.split(".")[0] not in EFFECTS]
     return "\n".join(
         [
             f"## {name}",
@@ -197,9 +212,18 @@ def _component(name: str, component: Component) -> str:
             f"{component.description}.",
             *([f"Effects ([numbers](effects.md)): {', '.join(effects)}."] if effects else []),
             "",
-            *rows(("variable", "kind", "unit", "start", "meaning"), lines),
+            *_variables(own),
         ]
     )
+
+
+def _variables(given: Iterable[Variable]) -> list[str]:
+    """A table; numbered variables in one line."""
+    groups: dict[str, list[Variable]] = {}
+    for v in given:
+        groups.setdefault(re.sub(r"_\d+\b", "_{i}", v.name), []).append(v)
+    lines = [_group(pattern, group) for pattern, group in groups.items()]
+    return rows(("variable", "kind", "unit", "start", "meaning"), lines)
 
 
 def _group(pattern: str, group: list[Variable]) -> Sequence[str]:
