@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import FAMILIES, Family
+from ...effects import EFFECTS, FAMILIES, Family
 from ...logs import Flight
 from ...physics.sensors.table import BODY, sensor_of
 from ...representation import short_repr
@@ -475,8 +475,8 @@ def averaged(
 ) -> tuple[Fit, Fit]:
     """Effects that may be there, with the means of their numbers over all sets, and over those that
     hold them: what has a name in the most probable set, and what else moves the mean of a number by
-    as much as is worth one, or would, being there as likely as not. Less is left as the file has
-    it: a lag of half a row of the log is no property of an aircraft."""
+    as much as is worth one, or would, being there as likely as not. Less of an aircraft is left as
+    the file has it: a lag of half a row of the log is none of its properties."""
     b, k = problem.priors, len(problem.priors.now)
     p = np.array([s.probability for s in posterior.sets])
     x = np.array([s.best.x[:k] for s in posterior.sets])
@@ -499,7 +499,8 @@ def averaged(
         chance = posterior.inclusion[cause]
         at = alone if chance >= 0.5 else mean
         large = fit_of(problem, [cause], at, spread, 0.0).sizes()[effect_of(cause)] >= 1
-        return cause in named or (chance >= rules.least and large)
+        of_log = chance >= 0.5 and not EFFECTS[effect_of(cause)].of_vehicle
+        return cause in named or of_log or (chance >= rules.least and large)
 
     likely = {c for c in b.causes if moves(c)}
     retained = [c for c in dict.fromkeys(b.cause) if c in likely or np.any(spiked[b.of([c])])]
