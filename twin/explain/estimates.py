@@ -77,10 +77,10 @@ def totals(found: Explanation) -> Sequence[Total]:
     closely than that of one."""
     if found.naming is None or found.verdict not in ("named", "cannot_tell"):
         return ()
-    return [_as_told(found, t) for t in found.naming.totals]
+    return [_of_one_effect(found, t) for t in found.naming.totals]
 
 
-def _as_told(found: Explanation, total: Total) -> Total:
+def _of_one_effect(found: Explanation, total: Total) -> Total:
     """A total with the interval of its effect, where it is of one with one number."""
     weights = total.family.weights
     own = [t for e in total.effects for t in estimates_of(found, e) if t.number.full in weights]
