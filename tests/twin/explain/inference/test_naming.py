@@ -388,10 +388,10 @@ def test_sets_that_differ_by_what_is_no_name_count_as_one(quiet: Flight) -> None
     assert naming.probabilities == pytest.approx((0.8, 0.2))
     assert set(naming.best.values) == {f"accel_bias.{a}_m_s2" for a in "xyz"}
     assert naming.inclusion == pytest.approx({"accel_bias": 0.8, "imu_delay": 0.0})
-    shown = naming.shown.values  # what predicts best: the mean over all sets
+    shown = naming.shown.values  # the mean over all sets
     assert shown["accel_bias.x_m_s2"] == pytest.approx(0.8 * 0.5)
     assert naming.conditional.values["accel_bias.x_m_s2"] == pytest.approx(0.5)
-    assert shown["imu_delay.delay_s"] == pytest.approx(0.5 * 0.001)
+    assert "imu_delay.delay_s" not in shown  # too small for a name: it stays as the file has it
 
 
 @pytest.mark.slow
