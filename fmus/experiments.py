@@ -144,12 +144,14 @@ def verify(path: Path) -> list[Deviation]:
             f"{path.name}: holds no reference results (FMI-LS-REF). Export it without --arrays and "
             f"--python-slave, which leave them out."
         )
-    found = [
+    if problems := related_problems(archive):
+        raise FmuError(
+            f"{path.name}: {'; '.join(problems)}: it would be compared with something else. Export "
+            f"it again, or take the file as it was sent."
+        )
+    return [
         _deviation(e, run(path, e, [n for n in e.references if n != "time"])) for e in experiments
     ]
-    if problems := related_problems(archive):
-        raise FmuError(f"{path.name}: {'; '.join(problems)}: compared with something else.")
-    return found
 
 
 def _deviation(experiment: Experiment, found: Table) -> Deviation:

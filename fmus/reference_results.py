@@ -66,8 +66,8 @@ def add_reference_results(path: Path, model: FmuModel, fmi: int) -> None:
 
 
 def _stimuli(inputs: Iterable[Variable], time: Array) -> Table:
-    """Real inputs around their start values, each with a frequency of its own; motors are armed
-    from the first step on, other inputs stay as they are.
+    """Real inputs around their start values, each with a frequency of its own; others as they are,
+    or from the first step on as they usually are.
 
     Numbers are those that the file has.
     """
@@ -75,8 +75,8 @@ def _stimuli(inputs: Iterable[Variable], time: Array) -> Table:
     for k, v in enumerate(inputs):
         size = _EXCITED * usual_size(v) if v.real else 0.0
         wave = float(v.start) + size * np.sin(2 * np.pi * (0.3 + 0.07 * k) * time)
-        if v.name.split(".")[-1] == "armed":
-            wave = np.where(time > 0.0, 1.0, wave)
+        if not v.real and v.nominal is not None:
+            wave = np.where(time > 0.0, v.nominal, wave)
         waves[v.name] = np.array([float(_number(x)) for x in wave])
     return {"time": time, **waves} if waves else {}
 

@@ -139,7 +139,7 @@ def hover_sentence(vehicle: str, hover: HoverDiagnosis, driven_by: str = COMMAND
     """The weight that a twin carries at the logged commands, where its centre of mass seems to be,
     and how its thrust leans; what is within two standard errors of zero is left out."""
     text = (
-        f"At the {'measured rotor speeds' if driven_by == SPEEDS else 'logged commands'} {vehicle} "
+        f"At the {SPEEDS if driven_by == SPEEDS else 'logged commands'} {vehicle} "
         f"carries {100 * hover.carried.value:.0f} % of its weight"
     )
     off = _parts(

@@ -79,7 +79,8 @@ class Variable:
         maximum: Largest allowed value, itself allowed.
         fixed: A parameter that counts only until initialisation ends.
         kind: What its values are; a truth value is held as 0 or 1, an enumeration by its code.
-        nominal: Its usual magnitude; None: that of its start value, or of its unit.
+        nominal: Its usual magnitude, of a truth value the usual one; None: that of its start value,
+            or of its unit.
     """
 
     name: str

@@ -161,7 +161,8 @@ def declare_signals(m: ComponentBuilder) -> Signals:
         vel_sp=vector("setpoint_vel", "m/s", "Velocity setpoint, NED", NED),
         acc_sp=vector("setpoint_acc", "m/s2", "Acceleration setpoint, NED", NED),
         yaw_sp=m.input("setpoint_yaw", "rad", "Heading setpoint of the nose, from north to east"),
-        armed=m.input("armed", "1", "Whether the motors may turn", kind="boolean") > 0.5,
+        armed=m.input("armed", "1", "Whether the motors may turn", kind="boolean", nominal=1.0)
+        > 0.5,
     )
 
 

@@ -6,13 +6,11 @@ Four quantities say what the twin has gone through since then, each as the large
     airspeed    |v - v_wind|, m/s
     rates       |omega|, rad/s
     thrust      |sum of thrusts / weight - 1|
-    ground      nearness to the ground, 1 / (1 + (height / arm)^2)
+    ground      `residual_force.nearness` to the ground
 
 The envelope is the largest share of its limit that one of them has reached: 1 where the flights end
 with which the twin was compared. There are two regimes, calm and lively, above and below a share.
 A band is a table by regime and by time alone, straight lines in between.
-
-Source of the nearness: as in `residual_force`, whose input `ground` it is.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,6 +25,7 @@ from ..errors import ModelError
 from ..frames import AXES
 from ..representation import short_repr
 from ..vehicle import Vehicle
+from .residual_force import nearness
 from .sensors.table import SENSORS
 
 PERIOD_S = 0.01
@@ -129,7 +128,7 @@ def _now(m: ComponentBuilder, vehicle: Vehicle) -> list[ca.SX]:
     air = [v - w for v, w in zip(vel_n, wind_n, strict=True)]
     airspeed, rates = (ca.sqrt(sum((v * v for v in x), start=ca.SX(0))) for x in (air, omega_b))
     off = ca.fabs(sum(thrust, start=ca.SX(0)) / weight - 1)
-    return [airspeed, rates, off, 1 / (1 + ((ground - down) / vehicle.arm_m) ** 2)]
+    return [airspeed, rates, off, nearness(ground - down, vehicle.arm_m)]
 
 
 def _judged(

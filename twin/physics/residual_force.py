@@ -178,8 +178,13 @@ def motion_inputs(
         for row in weights.values()
     ]
     mean = sum(square, start=ca.SX(0)) / n - 1
-    near = 1 / (1 + (height / arm) ** 2)
+    near = nearness(height, arm)
     return ca.vertcat(*air_b, *omega_b, mean, *parts, voltage / vehicle.voltage_v - 1, near)
+
+
+def nearness(height: ca.SX, arm_m: float) -> ca.SX:
+    """Nearness to the ground: 1 on it, falling with the square of the height in arms."""
+    return 1 / (1 + (height / arm_m) ** 2)
 
 
 def features(x: ca.SX) -> ca.SX:

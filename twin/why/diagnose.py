@@ -201,8 +201,8 @@ def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
     return tuple(sorted(marked, key=lambda e: float("inf") if e.onset_s is None else e.onset_s))
 
 
-TWO = 2
-"""Causes of one change that are an answer, "this or that": more are none."""
+THIS_OR_THAT = 2
+"""Causes of one change that are an answer: more are none."""
 
 
 def _verdict(
@@ -216,7 +216,7 @@ def _verdict(
     """What is found, and how probable that is."""
     causes = [e.probability for e in events if not e.consequence]
     if one_of:
-        return ("found" if len(one_of) == TWO or causes else "cannot_tell"), 1.0 - nothing
+        return ("found" if len(one_of) == THIS_OR_THAT or causes else "cannot_tell"), 1.0 - nothing
     if causes:
         return "found", max(causes)
     if lost or not decided:

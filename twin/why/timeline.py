@@ -129,13 +129,13 @@ def _contacts(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
     landed = t_s[-1] - MARGIN_S if _lands(flight, part) else np.inf
     for a, b in _joined(t_s, hit)[:MOST_STOPS]:
         count, peak = len(stretches_where(hit[a : b + 1])), number(float(force[a : b + 1].max()))
-        what = "touchdown" if float(t_s[a]) > landed else "shock"
-        text = f"{what} of {peak} m/s²"
+        one = "touchdown" if t_s[a] > landed else "shock"
+        several = f"{count} shocks, the hardest"
         yield TimelineItem(
             kind="contact",
             t_s=float(t_s[a]),
             end_s=float(t_s[b]) if count > 1 else None,
-            text=f"{count} shocks, the hardest of {peak} m/s²" if count > 1 else text,
+            text=f"{several if count > 1 else one} of {peak} m/s²",
         )
 
 

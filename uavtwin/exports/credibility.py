@@ -266,10 +266,8 @@ def _process(found: _Found | None) -> FactorRecord:
 
 def _read(folder: Path, vehicle: Vehicle) -> _Found:
     """Results of `explain`, with the hashes of what it read."""
-    explained, run = (
-        _content(folder, "explain.json", _Explained),
-        _content(folder, "run.json", _Run),
-    )
+    explained = _content(folder, "explain.json", _Explained)
+    run = _content(folder, "run.json", _Run)
     own = load_vehicle(folder / "vehicle.toml")
     if own.toml() != checked_vehicle(vehicle, "credibility").toml():
         raise TwinError(

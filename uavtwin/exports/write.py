@@ -214,7 +214,8 @@ def _twin_products(twin: Twin, starts: Starts) -> list[Product]:
     assembly = twin.assembly.with_starts(
         {f"{name}.{n}": x for name in twin.assembly.parts for n, x in own[name].items()}
     )
-    if starts.values and twin.bands is not None and twin.bands.level:
+    bands = _bands(twin, starts)
+    if bands != twin.bands:
         assembly = assembly.with_starts({KNOWN: 0.0})
     if compensator is not None:
         compensator = compensator.with_starts(own[COMPENSATOR])
@@ -233,10 +234,16 @@ def _twin_products(twin: Twin, starts: Starts) -> list[Product]:
     fused = replace(fused, description=f"{fused.description} {note}".rstrip())
     system = Product(f"{fused.name}.ssp", write, references=True)
     said = [note] * bool(note)
-    if twin.bands is not None and (not twin.bands.level or starts.values):
-        why = f"{NEVER_VALID}: {'start values are set' if twin.bands.level else twin.bands.because}"
-        said.append(why)
+    if bands is not None and not bands.level:
+        said.append(f"{NEVER_VALID}: {bands.because}")
     return [replace(_native(fused), note="; ".join(said)), replace(system, note=note)]
+
+
+def _bands(twin: Twin, starts: Starts) -> FactorRecord | None:
+    """What is known of the bands of a twin: with other start values it is not the compared one."""
+    if twin.bands is None or not twin.bands.level or not starts.values:
+        return twin.bands
+    return FactorRecord(level=0, because="bands of outputs: start values are set")
 
 
 def _grounded(description: str) -> str:
@@ -418,9 +425,7 @@ def _with_card(
     evidence: Mapping[str, str] = {}
     bands = None
     if isinstance(what, Twin):
-        changes, evidence, bands = [*changes, *what.changes], what.evidence, what.bands
-    if bands is not None and starts.values:
-        bands = FactorRecord(level=0, because="bands of outputs: start values are others")
+        changes, evidence, bands = [*changes, *what.changes], what.evidence, _bands(what, starts)
     return replace(product, card=of_file(card, product.references, changes, evidence, bands))
 
 
