@@ -39,7 +39,7 @@ def model_description(model: FmuModel, fmi: int, token: str, sources: Sequence[s
     check_interface(model)
     root = _fmi2(model, token, sources) if fmi == 2 else _fmi3(model, token)
     if token:  # which the date is no part of
-        root.attrib.update(_dated())
+        root.attrib.update(dated())
     return xml_bytes(root)
 
 
@@ -216,7 +216,7 @@ def _made_by() -> dict[str, str]:
     }
 
 
-def _dated() -> dict[str, str]:
+def dated() -> dict[str, str]:
     """`generationDateAndTime`, where SOURCE_DATE_EPOCH gives one (reproducible-builds.org).
 
     Raises:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from lxml import etree
 
+from fmus.description import dated
 from fmus.names import IDENTIFIER
 from twin.errors import FmuError
 from twin.scratch import scratch_file
@@ -111,7 +112,8 @@ def _description(
     sources: Mapping[Path, str],
 ) -> bytes:
     root = etree.Element(tag("ssd:SystemStructureDescription"), nsmap=NAMESPACES)
-    for key, value in (("version", "1.0"), ("name", name), ("generationTool", _TOOL)):
+    about = {"version": "1.0", "name": name, "generationTool": _TOOL, **dated()}
+    for key, value in about.items():
         root.set(key, value)
     top = etree.SubElement(root, tag("ssd:System"), name=name)
     elements = etree.SubElement(top, tag("ssd:Elements"))

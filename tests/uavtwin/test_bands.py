@@ -235,7 +235,10 @@ def test_export_takes_the_table_of_explain_over(
     folder, out = tmp_path / "explained", tmp_path / "out"
     folder.mkdir()
     vehicle = ut.load_vehicle(COPTER.save(folder / "vehicle.toml"))
-    (folder / "explain.json").write_text('{"gap": {}, "holdout": [], "closed_loop": null}')
+    (folder / "explain.json").write_text(
+        '{"verdict": "named", "effects": [], "settings": {"hash": "0", "changed": {}}, '
+        '"gap": {}, "holdout": [], "closed_loop": null}'
+    )
     (folder / "run.json").write_text('{"inputs": []}')
     bands, without = bands_of([made(1), made(2)])
     table = AccuracyRecord(

@@ -6,37 +6,15 @@ from pathlib import Path
 
 import pytest
 from cli_rig import run
-from lxml import etree
+from explained_rig import COPTER, explained
 
 import uavtwin as ut
 from twin.errors import TwinError
-from twin.vehicle_file import vehicle_text
-from uavtwin.exports.credibility import FILE, PAGE, SRMD, check_required, members, of_file
+from uavtwin.exports.credibility import FILE, PAGE, check_required, members, of_file
 from uavtwin.exports.parts import learned
 from uavtwin.exports.write import export_parts
 
-COPTER = "copter_default"
-CHANNEL = {"before": 0.5, "after": 0.02, "shrink": 0.96, "shrink_ci95": [0.9, 0.97]}
 WORSE = {"before": 0.5, "after": 0.7, "shrink": -0.4, "shrink_ci95": [-0.6, -0.2]}
-
-
-def explained(
-    folder: Path, spans: object = None, channel: object = CHANNEL, stable: bool = True
-) -> Path:
-    """A folder as `explain` leaves it."""
-    folder.mkdir()
-    text = vehicle_text(COPTER)[0].replace("made up: ", "measured: ")
-    effect = '\n[effects.rotor_drag]\nk_xy_1_s = {value = 0.5, unit = "1/s", sd = 0.01, '
-    (folder / "vehicle.toml").write_text(f'{text}{effect}source = "uavtwin explain, a"}}\n')
-    found = {
-        "holdout": [{"flight": "b", "spans_s": spans}],
-        "gap": {"acc_x": channel},
-        "closed_loop": {"stable": stable, "missions": {"hover": {}, "tour": {}}},
-    }
-    (folder / "explain.json").write_text(json.dumps(found))
-    inputs = [{"name": "a.ulg", "sha256": "0" * 64}]
-    (folder / "run.json").write_text(json.dumps({"inputs": inputs}))
-    return folder
 
 
 def levels(folder: Path) -> dict[str, int]:
@@ -79,6 +57,7 @@ def test_nothing_compared_is_zero(tmp_path: Path) -> None:
         ("explain.json", '[{"flight": "b", "spans_s": null}]', '"x"', "Expected `array`"),
         ("explain.json", '"missions": {"hover": {}, "tour": {}}', '"a": 1', "`missions`"),
         ("run.json", '"sha256"', '"md5"', "missing required field `sha256`"),
+        ("run.json", f'"{"0" * 64}"', '"0"', "matching regex"),
     ],
 )
 def test_damaged_evidence_is_refused(
@@ -90,13 +69,6 @@ def test_damaged_evidence_is_refused(
     (folder / file).write_text(text.replace(old, new))
     with pytest.raises(TwinError, match=f"{file}: .*{said}.*--evidence takes"):
         levels(folder)
-
-
-def test_a_name_that_xml_may_not_have_is_printed(tmp_path: Path) -> None:
-    folder = explained(tmp_path / "a")
-    (folder / "run.json").write_text(json.dumps({"inputs": [{"name": "\x1b[31m", "sha256": "0"}]}))
-    card = ut.credibility(ut.load_vehicle(folder / "vehicle.toml"), folder)
-    assert b'keyword="?[31m"' in members(card)[SRMD]
 
 
 def test_another_twin_than_the_compared_has_no_validation(tmp_path: Path) -> None:
@@ -162,10 +134,6 @@ def test_the_page_says_what_the_numbers_say(tmp_path: Path) -> None:
     assert "not checked against the text of the standard" in page
     assert json.loads(written[FILE])["names"] in page
     assert all(f"<td>{name}</td>" in page for name in card.factors)
-    entries = etree.fromstring(written[SRMD]).iter("{*}ClassificationEntry")
-    values = {e.get("keyword"): e.text for e in entries}
-    assert values["effects.rotor_drag.k_xy_1_s"] == "uavtwin explain, a"
-    assert values["a.ulg"] == "0" * 64 and values["validation"].startswith("2: b held out")
 
 
 @pytest.mark.slow

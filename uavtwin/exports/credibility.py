@@ -6,44 +6,34 @@ results the use, input pedigree, uncertainty, robustness, technical review and m
 use. Its own text decides what a level means; the rules here are this program's, from files alone.
 They end at 2: what they cannot see, a person has to judge. A factor of which nothing is known
 has 0.
-
-The same goes along as simulation resource meta data (SRMD), with the source of every number of the
-vehicle: SSP Layered Standard Traceability 1.0-rc.1, sections SRMD and packaging.
 """
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import msgspec
-from lxml import etree
 
 from twin.errors import TwinError
 from twin.vehicle.vehicle import DEFAULT
 
 from ..display import TextTable
-from ..output import InputRecord, json_text, sha256
+from ..output import json_text, sha256
 from ..record import Record
 from ..vehicles import Vehicle, checked_vehicle, load_vehicle
 
 FILE, PAGE = "documentation/credibility.json", "documentation/credibility.html"
-SRMD = "extra/org.ssp-standard.ssp-traceability.srmd/resourceMetaData.srmd"
 """Members of an archive, FMU or SSP."""
-_SRMD_VERSION = "1.0.0-rc.1"
-_SPACES = {
-    k: f"http://ssp-standard.org/SSPTraceability1/{v}"
-    for k, v in (("srmd", "SimulationResourceMetaData"), ("stc", "SSPTraceabilityCommon"))
-}
 HIGHEST = 4
 """Level of the standard; none of ours is over 2."""
-_FILES = ("explain.json", "run.json", "vehicle.toml", "accuracy.json")
+RESULTS = ("explain.json", "run.json", "vehicle.toml", "accuracy.json")
 """Of a folder of `explain`, which the card rests on."""
 UNCHECKED = "named as other programs quote them, not checked against the text of the standard"
 """Said of the factors in the card itself."""
 _MADE_UP = "made up"
-_OF_FLIGHTS = ("uavtwin calibrate,", "uavtwin explain,")
+OF_FLIGHTS = ("uavtwin calibrate,", "uavtwin explain,")
 """How sources begin that flights have given."""
 _MOST_BYTES = 64 * 2**20  # of a result that is read
 
@@ -69,6 +59,8 @@ class CredibilityRecord(Record, frozen=True, kw_only=True):
         vehicle: Name of the vehicle.
         factors: By name.
         evidence: SHA-256 of files that the levels rest on, by name; flights among them.
+        verdicts: What explain says of the flights: `verdict`, and the probability of each effect.
+        settings: Of that explain: their hash, and those that were changed.
         sources: Where each number of the vehicle is from, by its key in the file.
     """
 
@@ -77,6 +69,8 @@ class CredibilityRecord(Record, frozen=True, kw_only=True):
     vehicle: str
     factors: dict[str, FactorRecord]
     evidence: dict[str, str]
+    verdicts: dict[str, str]
+    settings: dict[str, str]
     sources: dict[str, str]
 
 
@@ -110,18 +104,52 @@ class _ClosedLoop(msgspec.Struct, frozen=True):
     missions: dict[str, msgspec.Raw]
 
 
+class _Effect(msgspec.Struct, frozen=True):
+    """What is read of an `EffectRecord`."""
+
+    name: str
+    probability: float
+
+
+class _Settings(msgspec.Struct, frozen=True):
+    """What is read of a `SettingsRecord`."""
+
+    hash: str
+    changed: dict[str, object]
+
+    @property
+    def said(self) -> dict[str, str]:
+        """The hash, and what was changed."""
+        return {"hash": self.hash} | {k: str(v) for k, v in self.changed.items()}
+
+
 class _Explained(msgspec.Struct, frozen=True):
     """What is read of explain.json."""
 
+    verdict: str
+    effects: tuple[_Effect, ...]
+    settings: _Settings
     gap: dict[str, _Channel]
     holdout: tuple[_HeldOut, ...]
     closed_loop: _ClosedLoop | None
+
+    @property
+    def verdicts(self) -> dict[str, str]:
+        """The verdict, and the probability of each effect."""
+        return {"verdict": self.verdict} | {e.name: f"{e.probability:.2f}" for e in self.effects}
+
+
+class _Input(msgspec.Struct, frozen=True):
+    """What is read of an `InputRecord`."""
+
+    name: str
+    sha256: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
 
 class _Run(msgspec.Struct, frozen=True):
     """What is read of run.json."""
 
-    inputs: tuple[InputRecord, ...]
+    inputs: tuple[_Input, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +194,8 @@ def credibility(vehicle: Vehicle, folder: Path | None = None) -> CredibilityReco
             "use_process_product_management": _nothing("uses are not recorded"),
         },
         evidence={} if found is None else dict(found.files),
+        verdicts={} if found is None else found.content.verdicts,
+        settings={} if found is None else found.content.settings.said,
         sources=dict(vehicle.sources),
     )
 
@@ -212,7 +242,7 @@ def _data_pedigree(vehicle: Vehicle) -> FactorRecord:
     """1: every number that the file gives has a source; 2: flights gave some of them too."""
     given = {k: s for k, s in vehicle.sources.items() if not s.startswith(DEFAULT)}
     made_up = [k for k, s in given.items() if not s or _MADE_UP in s.lower()]
-    measured = sum(s.startswith(_OF_FLIGHTS) for s in given.values())
+    measured = sum(s.startswith(OF_FLIGHTS) for s in given.values())
     said = f"{measured} of {len(given)} numbers from flights"
     if made_up:
         return _nothing(f"{said}; made up: {', '.join(made_up)}")
@@ -274,7 +304,7 @@ def _read(folder: Path, vehicle: Vehicle) -> _Found:
             f"{folder}: its vehicle.toml is not the vehicle of the export, {vehicle.name}: the "
             f"evidence is of another twin. Give --vehicle {folder / 'vehicle.toml'}."
         )
-    names = [n for n in _FILES if (folder / n).is_file()]
+    names = [n for n in RESULTS if (folder / n).is_file()]
     files = {i.name: i.sha256 for i in run.inputs}
     return _Found(explained, files | {n: sha256(folder / n) for n in names})
 
@@ -330,32 +360,4 @@ def members(found: CredibilityRecord) -> dict[str, bytes]:
         f"Levels are by rules of uavtwin, from files alone; a person has to judge the rest.</p>"
         f"{''.join(tables)}</html>\n"
     )
-    return {FILE: json_text(found.json()).encode(), PAGE: page.encode(), SRMD: _srmd(found)}
-
-
-def _srmd(found: CredibilityRecord) -> bytes:
-    """Keywords with their values, in a classification for each kind."""
-    root = etree.Element(
-        f"{{{_SPACES['srmd']}}}SimulationResourceMetaData",
-        nsmap=_SPACES,
-        version=_SRMD_VERSION,
-        name=_printed(found.vehicle),
-        generationTool="uavtwin",
-    )
-    kinds = {
-        "sources": found.sources,
-        "credibility": {n: f"{f.level}: {f.because}" for n, f in found.factors.items()},
-        "evidence.sha256": found.evidence,
-    }
-    for kind, entries in kinds.items():
-        part = etree.SubElement(root, f"{{{_SPACES['stc']}}}Classification", type=f"uavtwin.{kind}")
-        for keyword, value in entries.items():
-            tag = f"{{{_SPACES['stc']}}}ClassificationEntry"
-            etree.SubElement(part, tag, keyword=_printed(keyword)).text = _printed(value)
-    text: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
-    return text
-
-
-def _printed(text: str) -> str:
-    """The same with a question mark for each character that XML may not have."""
-    return "".join(c if c.isprintable() else "?" for c in text)
+    return {FILE: json_text(found.json()).encode(), PAGE: page.encode()}

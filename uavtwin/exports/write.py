@@ -26,6 +26,7 @@ from ..record import Record
 from ..vehicles import GROUNDED
 from .credibility import CredibilityRecord, FactorRecord, check_required, members, of_file
 from .parts import Twin
+from .traceability import members as traces
 
 Exportable = Component | FmuModel | NetworkFile | Twin
 KNOWN = "accuracy.known"
@@ -270,7 +271,7 @@ def write_products(
             path = folder / product.file
             product.write(path, version, names)
             if product.card is not None:
-                extend_archive(path, members(product.card))
+                extend_archive(path, members(product.card) | traces(product.card, path))
             written.append(
                 WrittenFile(
                     str(path.relative_to(out)),
