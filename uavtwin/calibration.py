@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from twin.effects import EFFECTS, advice_of
 from twin.effects.wording import ADVICE
@@ -268,10 +268,6 @@ class CalibrateResult(DisplayMixin):
             prior_share=estimate.prior_share,
             determined=n.full not in self.undetermined,
         )
-
-    def json(self) -> dict[str, Any]:
-        """The content of `--json`."""
-        return self.record.json()
 
     def findings(self) -> Iterable[str | TextTable]:
         """Sentence, hover, numbers, what is not determined, days, what to fly next."""

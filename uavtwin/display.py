@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from html import escape
 from importlib import import_module
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, Protocol
 
 from twin.representation import LONGEST
 
 from .output import output_file
+from .record import Record
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +62,14 @@ class TextTable:
         return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
 
+class Recorded(Protocol):
+    """A result with a record."""
+
+    @property
+    def record(self) -> Record:
+        """Every number of it."""
+
+
 class DisplayMixin:
     """A result: `print` gives all that matters, a notebook the same, the prompt one line."""
 
@@ -79,6 +88,10 @@ class DisplayMixin:
     def brief(self) -> str:
         """What it is, in a few words."""
         raise NotImplementedError
+
+    def json(self: Recorded) -> dict[str, Any]:
+        """The record as strict JSON content, as `--json` prints it."""
+        return self.record.json()
 
     def __str__(self) -> str:
         return "\n\n".join(map(str, self.sections()))

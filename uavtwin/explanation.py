@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite, nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from msgspec import UnsetType
 
@@ -319,10 +319,6 @@ class ExplainResult(PageMixin):
         from .inference_data import inference_data
 
         return inference_data(self.details, draws, seed)
-
-    def json(self) -> dict[str, Any]:
-        """The content of `explain.json`."""
-        return self.record.json()
 
     def findings(self) -> Iterable[str | TextTable]:
         """The sentence, what got worse, drive, hover, candidates, what to fly next, before and

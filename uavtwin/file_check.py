@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from msgspec import UNSET, UnsetType
@@ -133,10 +132,6 @@ class CheckReport(DisplayMixin):
         """The content of `--json`."""
         names = (n for n in CheckRecord.__struct_fields__ if n != "error")
         return CheckRecord(**{name: getattr(self, name) for name in names})
-
-    def json(self) -> dict[str, Any]:
-        """The same as plain data."""
-        return self.record.json()
 
     @property
     def verdict(self) -> str:

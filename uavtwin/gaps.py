@@ -469,10 +469,6 @@ class GapResult(PageMixin):
         """Measured, twin and residual of each flight over time, as the numbers are made of them."""
         return tuple(_series(gap) for gap in self.flights)
 
-    def json(self) -> dict[str, Any]:
-        """The content of `gap.json`."""
-        return self.record.json()
-
     def findings(self) -> Iterable[str | TextTable]:
         """Claim, drive, hover, table, and how far rebuilt commands match those of the log."""
         yield self.claim

@@ -121,10 +121,6 @@ class Run(PageMixin):
             warnings=tuple(self.warnings) or UNSET,
         )
 
-    def json(self) -> dict[str, Any]:
-        """The content of `summary.json`."""
-        return self.record.json()
-
     def save(self, path: str | Path) -> Path:
         """Write the recording as `.parquet`, `.csv` or `.mcap`; returns its path.
 

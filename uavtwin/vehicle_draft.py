@@ -183,10 +183,6 @@ class DraftResult(DisplayMixin):
         """The same once it is saved, with the file and the command to run next."""
         return structs.replace(self.record, file=str(out), next=self.next(str(out)))
 
-    def json(self) -> dict[str, Any]:
-        """The content of `--json`."""
-        return self.record.json()
-
     def findings(self) -> Iterable[str | TextTable]:
         """Sentence, and numbers."""
         yield self.sentence

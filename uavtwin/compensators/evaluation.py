@@ -156,10 +156,6 @@ class Evaluation(PageMixin):
             in_use=self.in_use,
         )
 
-    def json(self) -> dict[str, Any]:
-        """The content of `evaluation.json`."""
-        return self.record.json()
-
     def findings(self) -> Iterable[str | TextTable]:
         """The claim, and what is left in use, or by each model of prepared rows."""
         yield self.claim

@@ -510,10 +510,6 @@ class FleetResult(PageMixin):
             effects=tuple(map(_spread, self.spreads)),
         )
 
-    def json(self) -> dict[str, Any]:
-        """The content of `fleet.json`."""
-        return self.record.json()
-
     def findings(self) -> Iterable[str | TextTable]:
         """The claim, each aircraft, each log, what differs, what drifts, effects, bad logs."""
         yield self.claim

@@ -140,10 +140,6 @@ class ForceEvaluation(PageMixin):
             cells=tuple(self.table.to_dict("records")),
         )
 
-    def json(self) -> dict[str, Any]:
-        """The content of `evaluation.json`."""
-        return self.record.json()
-
     def findings(self) -> Iterable[str | TextTable]:
         """The claim, and how far each twin is off."""
         yield self.claim

@@ -386,10 +386,6 @@ class SweepResult(PageMixin):
             warnings=self.warnings,
         )
 
-    def json(self) -> dict[str, Any]:
-        """The content of `sweep.json`."""
-        return self.record.json()
-
     def save(self, path: str | Path) -> Path:
         """Write the table as Parquet; returns its path."""
         with output_file(Path(path)) as file:
