@@ -11,7 +11,8 @@ from sample_logs import FLOWN_PARAMS, SAMPLES, flown_messages
 
 from twin.errors import LogError
 from twin.logs import read_flight
-from twin.logs.table import Notes
+from twin.logs.flight import Notes
+from twin.logs.table import noted
 
 
 @pytest.fixture
@@ -36,7 +37,7 @@ def test_the_table_is_the_flight(
         assert kept.items() <= after.facts.items()
         assert set(before.findings) <= set(after.findings)
         assert before.airframe is not None and before.airframe.layout is not None
-        about = [Notes(site=f.site, airframe=f.airframe).metadata() for f in (before, after)]
+        about = [noted(Notes(site=f.site, airframe=f.airframe)) for f in (before, after)]
         assert about[0] == about[1]
     noted = json.loads((out.parent / "flight.run.json").read_text())
     assert noted["verb"] == "convert" and noted["inputs"][0]["name"] == "flight.bin"

@@ -185,9 +185,16 @@ class FlightBuilder:
                 facts[f"rate {group}"] = f"{mean_rate_hz(t):.1f} Hz"
         if autopilot is not None:
             _note_resets(self.log, autopilot.resets)
-        findings = tuple(self.log.findings)
-        path = self.path
-        return Flight(path.stem, table, findings, facts, path, site, airframe, autopilot)
+        return Flight(
+            self.path.stem,
+            table,
+            self.path,
+            facts=facts,
+            findings=tuple(self.log.findings),
+            site=site,
+            airframe=airframe,
+            autopilot=autopilot,
+        )
 
 
 def _note_resets(log: FindingCollector, resets: Sequence[Reset]) -> None:

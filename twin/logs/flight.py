@@ -2,9 +2,9 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -88,18 +88,14 @@ class Settled:
     resting_down_m: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Flight:
-    """One recorded flight on one clock, SI, NED, FRD, quaternions `[w, x, y, z]`.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Notes:
+    """What is known of a flight besides its table; a flight table in Parquet keeps it.
 
     Attributes:
-        name: Short name, usually the stem of the file.
-        table: Flight table; `time` in s from 0, strictly increasing; NaN where a signal has no
-            sample in that row. `phase` is a text column, "" where unknown.
-        findings: What the reader counted or doubts, in the order of reading.
         facts: What the log says about itself (vehicle, firmware, rates, match of rebuilt
             commands), printable key by key.
-        source: File it came from.
+        findings: What the reader counted or doubts, in the order of reading.
         site: Indoors or outdoors, and how that is known; None: not known.
         airframe: What the log says of the aircraft itself; None: nothing.
         autopilot: What the autopilot says of the flight: modes, failsafes, setpoints; None:
@@ -111,17 +107,35 @@ class Flight:
             (`twin.logs.rotor_lag`): the link that delayed the speeds has smoothed them as well.
     """
 
-    name: str
-    table: pd.DataFrame
-    findings: tuple[Finding, ...] = ()
     facts: dict[str, str] = field(default_factory=dict)
-    source: Path | None = None
+    findings: tuple[Finding, ...] = ()
     site: Site | None = None
     airframe: Airframe | None = None
     autopilot: Autopilot | None = None
     settled: Settled | None = None
     derived_angles: tuple[str, ...] = ()
     speeds_late_s: float = 0.0
+
+    @property
+    def notes(self) -> dict[str, Any]:
+        """All of it by name."""
+        return {f.name: getattr(self, f.name) for f in fields(Notes)}
+
+
+@dataclass(frozen=True, slots=True)
+class Flight(Notes):
+    """One recorded flight on one clock, SI, NED, FRD, quaternions `[w, x, y, z]`.
+
+    Attributes:
+        name: Short name, usually the stem of the file.
+        table: Flight table; `time` in s from 0, strictly increasing; NaN where a signal has no
+            sample in that row. `phase` is a text column, "" where unknown.
+        source: File it came from.
+    """
+
+    name: str
+    table: pd.DataFrame
+    source: Path | None = None
 
     __repr__ = short_repr
 

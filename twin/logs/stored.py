@@ -5,7 +5,7 @@ import io
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 
 from ..errors import LogError
 from ..representation import short_repr
-from .airframe import Airframe
-from .autopilot import Autopilot
 from .columns import Columns, over
-from .flight import Array, Finding, Flight, Settled, Site, finite_rows, missing_signal
+from .flight import Array, Flight, Notes, finite_rows, missing_signal
 
 # -- opening a file -----------------------------------------------------------------------------
 #
@@ -235,39 +233,24 @@ class ParquetColumns(Columns):
 
 
 @dataclass(frozen=True, slots=True)
-class StoredFlight:
+class StoredFlight(Notes):
     """One recorded flight as in `Flight`, its table in the file that it came from.
 
     Attributes:
         name: Short name, usually the stem of the file.
         stored: Columns as they are in the file.
         mended: Columns that are not what they are in the file.
-        findings: What the reader counted or doubts, in the order of reading.
-        facts: What the log says about itself.
         source: File it came from.
-        site: Indoors or outdoors, and how that is known; None: not known.
-        airframe: What the log says of the aircraft itself; None: nothing.
         time_s: Times of the rows, s, strictly increasing, shape (n,).
         known: Columns with a finite sample.
-        autopilot: What the autopilot says of the flight; None: nothing.
-        settled: What was settled while it was recorded; None: it is all of one piece.
-        derived_angles, speeds_late_s: As of `Flight`.
     """
 
     name: str
     stored: ParquetColumns
     mended: dict[str, Array]
-    findings: tuple[Finding, ...]
-    facts: dict[str, str]
     source: Path
-    site: Site | None
-    airframe: Airframe | None
     time_s: Array
-    known: frozenset[str] = field(default=frozenset())
-    autopilot: Autopilot | None = None
-    settled: Settled | None = None
-    derived_angles: tuple[str, ...] = ()
-    speeds_late_s: float = 0.0
+    known: frozenset[str]
 
     __repr__ = short_repr
 
@@ -327,8 +310,7 @@ class StoredFlight:
         names = list(of_file)
         table: dict[str, Any] = {c: self._part(c, first, end) for c in names}
         table["phase"] = pd.Series(self.stored.part("phase", first, end), dtype=object)
-        same = {f.name: getattr(self, f.name) for f in fields(Flight) if f.name != "table"}
-        return Flight(table=pd.DataFrame(table, copy=False), **same)
+        return Flight(self.name, pd.DataFrame(table, copy=False), self.source, **self.notes)
 
     def _rows(self, columns: Sequence[str], first: int, end: int) -> tuple[Array, Array]:
         """Times and values of the rows at which all columns are finite."""

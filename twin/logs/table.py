@@ -6,7 +6,7 @@
 import io
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,11 +19,10 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ..errors import LogError
-from .airframe import Airframe
 from .attitude import with_quaternion
-from .autopilot import Autopilot, check_autopilot
+from .autopilot import check_autopilot
 from .columns import ALIASES, COLUMNS, EULER, MAX_MOTORS, in_order, is_known, motor_columns, over
-from .flight import Array, Finding, Flight, Settled, Site
+from .flight import Array, Finding, Flight, Notes
 from .formats import ReadOptions
 from .rotor_lag import as_stamped
 from .stored import ParquetColumns, StoredFlight, as_log_error, opened
@@ -37,32 +36,9 @@ _KEY = b"uavtwin"  # of the metadata
 _MOST_ROTORS = 64  # of a layout; more are damage
 
 
-@dataclass(frozen=True, slots=True)
-class Notes:
-    """What a writer noted, with the meaning of the fields of `Flight`."""
-
-    facts: dict[str, str] = field(default_factory=dict)
-    findings: tuple[Finding, ...] = ()
-    site: Site | None = None
-    airframe: Airframe | None = None
-    autopilot: Autopilot | None = None
-    settled: Settled | None = None
-    derived_angles: tuple[str, ...] = ()
-    speeds_late_s: float = 0.0
-
-    @classmethod
-    def of(cls, flight: Flight) -> "Notes":
-        """Those of a flight."""
-        return cls(**{f.name: getattr(flight, f.name) for f in fields(cls)})
-
-    def on(self, flight: Flight) -> Flight:
-        """A flight with all of them but facts and findings, which it has already."""
-        of_log = {f.name: getattr(self, f.name) for f in fields(self)[2:]}
-        return replace(flight, **of_log)
-
-    def metadata(self) -> dict[bytes, bytes]:
-        """As metadata of a Parquet file."""
-        return {_KEY: msgspec.json.encode(self, enc_hook=_listed)}
+def noted(notes: Notes) -> dict[bytes, bytes]:
+    """Notes as metadata of a Parquet file."""
+    return {_KEY: msgspec.json.encode(notes.notes, enc_hook=_listed)}
 
 
 def read_notes(metadata: Mapping[bytes, bytes] | None) -> Notes:
@@ -71,11 +47,11 @@ def read_notes(metadata: Mapping[bytes, bytes] | None) -> Notes:
     Returns:
         Of a file without notes: none; of one whose notes cannot be read: a finding that says so.
     """
-    noted = (metadata or {}).get(_KEY)
-    if noted is None:
+    content = (metadata or {}).get(_KEY)
+    if content is None:
         return Notes()
     try:
-        found = msgspec.json.decode(noted, type=Notes, dec_hook=_array)
+        found = msgspec.json.decode(content, type=Notes, dec_hook=_array)
         _check(found)
     except (ValueError, TypeError, RecursionError) as error:
         reason = f" ({error})" if isinstance(error, msgspec.ValidationError) else ""
@@ -147,7 +123,7 @@ def write_flight(flight: Flight, path: str | Path) -> None:
     try:
         if path.suffix == ".parquet":
             arrow = pa.Table.from_pandas(flight.table, preserve_index=False, nthreads=1)
-            arrow = arrow.replace_schema_metadata(Notes.of(flight).metadata())
+            arrow = arrow.replace_schema_metadata(noted(flight))
             pq.write_table(arrow, path)
         else:
             as_stamped(flight).table.to_csv(path, index=False, lineterminator="\n")
@@ -185,15 +161,13 @@ def read_parquet(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     """Read a flight table in Parquet, with what its writer noted; arguments and errors as of
     `formats.Reader`."""
     raw, notes, found = _parquet(path, blob)
-    flight = _checked(path, raw, notes.facts, [*notes.findings, *found])
-    derived = flight.derived_angles or notes.derived_angles
-    return replace(notes.on(flight), derived_angles=derived)
+    return _checked(path, raw, notes, [*notes.findings, *found])
 
 
 def read_csv(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     """Read a flight table in CSV; arguments and errors as of `formats.Reader`."""
     findings: list[Finding] = []
-    return _checked(path, _csv(path, blob, findings), {}, findings)
+    return _checked(path, _csv(path, blob, findings), Notes(), findings)
 
 
 def open_parquet(path: Path) -> StoredFlight | None:
@@ -228,25 +202,13 @@ def open_parquet(path: Path) -> StoredFlight | None:
     mended, doubts = validate(path.name, over({"time": time_s}, stored))
     there = [c for c in held if c not in mended and stored.has_sample(c)]
     there += [c for c, values in mended.items() if np.isfinite(values).any()]
-    return StoredFlight(
-        path.stem,
-        stored,
-        mended,
-        (*notes.findings, *findings, *doubts),
-        notes.facts,
-        path,
-        notes.site,
-        notes.airframe,
-        time_s,
-        frozenset([*there, "phase"]),
-        notes.autopilot,
-        notes.settled,
-        notes.derived_angles,
-        notes.speeds_late_s,
-    )
+    findings = (*notes.findings, *findings, *doubts)
+    known = frozenset([*there, "phase"])
+    of_log = notes.notes | {"findings": findings}
+    return StoredFlight(path.stem, stored, mended, path, time_s, known, **of_log)
 
 
-def _checked(path: Path, raw: pa.Table, facts: dict[str, str], findings: list[Finding]) -> Flight:
+def _checked(path: Path, raw: pa.Table, notes: Notes, findings: list[Finding]) -> Flight:
     """The flight of known columns as they are in the file."""
     columns: dict[str, Any] = {}
     phase = _phase(raw)
@@ -260,8 +222,10 @@ def _checked(path: Path, raw: pa.Table, facts: dict[str, str], findings: list[Fi
     columns |= mended
     columns["phase"] = pd.Series(phase, dtype=object)
     table = pd.DataFrame(columns, copy=False)
-    findings = [*findings, *attitude.findings, *doubts]
-    return Flight(path.stem, table, tuple(findings), facts, path, derived_angles=attitude.derived)
+    of_log = notes.notes | {"findings": (*findings, *attitude.findings, *doubts)}
+    if attitude.derived:
+        of_log["derived_angles"] = attitude.derived
+    return Flight(path.stem, table, path, **of_log)
 
 
 def _parquet(path: Path, blob: bytes) -> tuple[pa.Table, Notes, list[Finding]]:

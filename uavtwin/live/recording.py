@@ -21,12 +21,11 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from twin.errors import TwinError
-from twin.logs import Flight
 from twin.logs.columns import in_order
-from twin.logs.flight import Finding, Settled
+from twin.logs.flight import Finding, Notes, Settled
 from twin.logs.mavlink.decoder import LANDED, Sample, Sources, columns_of
 from twin.logs.mavlink.frames import PHASES, stamped
-from twin.logs.table import Notes, TableStream, flight_schema, fold
+from twin.logs.table import TableStream, flight_schema, fold, noted
 from twin.residuals.gap import Channel
 from twin.residuals.stream_residuals import ResidualBlock
 
@@ -263,10 +262,8 @@ class Recording:
         settled: Settled | None,
     ) -> None:
         """New rows of the flight table, and what is known of the flight by now."""
-        import pandas as pd
-
-        flight = Flight("live", pd.DataFrame(), tuple(findings), dict(facts), settled=settled)
-        self._tables["flight"].append(rows, Notes.of(flight).metadata())
+        notes = Notes(facts=dict(facts), findings=tuple(findings), settled=settled)
+        self._tables["flight"].append(rows, noted(notes))
 
     def add_residuals(self, block: ResidualBlock) -> None:
         """New samples of all channels."""

@@ -1,6 +1,5 @@
 """A flight table that grows in its file, cut off anywhere."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +7,9 @@ import pytest
 from sample_logs import flown_table
 
 from twin.errors import LogError
-from twin.logs import Flight, open_flight, read_flight
-from twin.logs.flight import Settled
-from twin.logs.table import CUT, Notes, TableStream, flight_schema, fold
+from twin.logs import open_flight, read_flight
+from twin.logs.flight import Notes, Settled
+from twin.logs.table import CUT, TableStream, flight_schema, fold, noted
 
 SETTLED = Settled({"acc_x": 190.25}, -0.1)
 
@@ -21,8 +20,8 @@ def written(path: Path, rows: int = 500, batch: int = 100) -> list[int]:
     stream = TableStream(path, flight_schema(4))
     for first in range(0, rows, batch):
         part = table.iloc[first : first + batch]
-        notes = Notes.of(Flight("x", part, facts={"n": str(first)}, settled=SETTLED))
-        stream.append({str(c): part[c].to_numpy() for c in part}, notes.metadata())
+        notes = Notes(facts={"n": str(first)}, settled=SETTLED)
+        stream.append({str(c): part[c].to_numpy() for c in part}, noted(notes))
         sizes.append(path.stat().st_size)
     stream.close()
     return sizes
@@ -86,8 +85,8 @@ def test_a_rate_that_is_none_is_not_taken_over(tmp_path: Path) -> None:
     path = tmp_path / "flight.arrows"
     stream = TableStream(path, flight_schema(4))
     table = flown_table().iloc[:10]
-    wrong = replace(Flight("x", table), settled=Settled({"acc_x": -1.0}))
-    stream.append({str(c): table[c].to_numpy() for c in table}, Notes.of(wrong).metadata())
+    wrong = Notes(settled=Settled({"acc_x": -1.0}))
+    stream.append({str(c): table[c].to_numpy() for c in table}, noted(wrong))
     stream.close()
     flight = read_flight(path)
     assert flight.settled is None

@@ -51,7 +51,9 @@ def test_every_column_is_described() -> None:
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_round_trip_is_exact_to_the_bit(tmp_path: Path, suffix: str) -> None:
-    flight = Flight("f", table(), (Finding("info", "acc", "three lost", 3),), {"vehicle": "x"})
+    flight = Flight(
+        "f", table(), findings=(Finding("info", "acc", "three lost", 3),), facts={"vehicle": "x"}
+    )
     path = tmp_path / f"f{suffix}"
     write_flight(flight, path)
     back = read_flight(path)
