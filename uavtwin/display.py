@@ -111,7 +111,7 @@ class PageMixin(DisplayMixin):
     __slots__ = ()
 
     page: ClassVar[str]
-    """Module whose `write_page` takes the result and a path. It is named as text, since pages print
+    """Module whose `page_text` makes HTML of the result. It is named as text, since pages print
     results and lie above them."""
 
     def report(self, path: str | Path) -> Path:
@@ -122,7 +122,7 @@ class PageMixin(DisplayMixin):
 
     def draw(self, file: Path) -> None:
         """Write the page into a file of a results folder, whose errors the folder explains."""
-        import_module(self.page).write_page(self, file)
+        file.write_text(import_module(self.page).page_text(self), encoding="utf-8")
 
 
 def _html(section: str | TextTable) -> str:

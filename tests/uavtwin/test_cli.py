@@ -150,7 +150,7 @@ def test_an_interrupted_gap_writes_nothing(
         path.write_text("<html>")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("uavtwin.report.gap.write_page", interrupt)
+    monkeypatch.setattr("uavtwin.display.PageMixin.draw", interrupt)
     code, _, _ = run(capsys, "gap", table, "--vehicle", VEHICLE, "--out", tmp_path / "o")
     assert code == 130
     assert list(tmp_path.iterdir()) == []

@@ -758,7 +758,7 @@ def test_the_answer_is_printed_though_nothing_can_be_written(
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("uavtwin.report.explain.write_page", full)
+    monkeypatch.setattr("uavtwin.report.explain.page_text", full)
     words = (*dragged[:2], "--vehicle", "copter_default", *(["--json"] if form == "json" else []))
     failed = run(tmp_path / "out", *words, found=named.found)
     assert failed.code == 2

@@ -432,7 +432,7 @@ def test_a_failed_report_leaves_the_old_one(
 
     path = tmp_path / "gap.html"
     path.write_text("old")
-    monkeypatch.setattr("uavtwin.report.gap.write_page", fail)
+    monkeypatch.setattr("uavtwin.display.PageMixin.draw", fail)
     with pytest.raises(KeyboardInterrupt):
         gap.report(path)
     assert path.read_text() == "old"
@@ -514,7 +514,7 @@ def test_nothing_heavy_is_imported_before_it_is_used(code: str) -> None:
 
 @pytest.mark.parametrize("kind", [GapResult, ExplainResult, SweepResult, FleetResult, ut.Run])
 def test_a_result_names_the_module_of_its_page(kind: type[PageMixin]) -> None:
-    assert callable(import_module(kind.page).write_page)
+    assert callable(import_module(kind.page).page_text)
 
 
 @pytest.mark.slow

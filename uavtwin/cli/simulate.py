@@ -172,15 +172,13 @@ def _write(
     A recording for which there is no room leaves the figures and the page.
     """
     from ..output import results_folder, write_json, write_run
-    from ..report.simulation import write_simulation_report
+    from ..report.simulation import page_text
 
     printed = run.recording.printed
     with results_folder(out, force) as folder:
         write_json(folder / "summary.json", run.json())
         facts = {k: v for k, v in options.items() if v not in (None, [], "", False)}
-        write_simulation_report(
-            run.recording, run.units, run.claim, facts, run.name, folder / "report.html"
-        )
+        (folder / "report.html").write_text(page_text(run, facts), "utf-8")
         if printed:
             (folder / "printed.txt").write_text(printed, "utf-8")
 

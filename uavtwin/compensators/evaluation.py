@@ -18,7 +18,7 @@ from learning.evaluation import WHOLE, Task, evaluate, pooled
 from learning.model.compensator import LINEAR_PART, Compensator
 from learning.model.family import Corrected, Model, TrainedModel, no_alarm
 from learning.model.folder import load
-from twin.formatting import counted, number, percent, pretty_unit
+from twin.formatting import counted, percent
 from twin.logs import Flight
 from twin.residuals.teacher_forced import choose_drive
 from twin.vehicle import Vehicle as TwinVehicle
@@ -348,10 +348,9 @@ def _anomaly(flight: ResidualFlight, corrected: Corrected) -> dict[str, Any]:
     }
 
 
-def write_page(found: Evaluation, path: Path) -> None:
-    """Write the page; an existing one is replaced."""
-    page = fitted(lambda budget: _page(found, budget), len(found.flights))
-    path.write_text(page, encoding="utf-8")
+def page_text(found: Evaluation) -> str:
+    """The page of an evaluation."""
+    return fitted(lambda budget: _page(found, budget), len(found.flights))
 
 
 def _page(found: Evaluation, budget: Budget) -> str:
@@ -359,7 +358,6 @@ def _page(found: Evaluation, budget: Budget) -> str:
     rows = by_group(found)
     return render(
         "evaluation.html.j2",
-        {"number": number, "percent": percent, "unit": pretty_unit},
         claim=evaluation_claim(found),
         in_use=found.in_use,
         info=found.model.info,

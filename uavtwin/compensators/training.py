@@ -24,7 +24,7 @@ from learning.preset import SEEDS, Protocol
 from learning.training.checkpoint import CHECKPOINT
 from learning.training.train import fit_model
 from twin.errors import TwinError
-from twin.formatting import number, percent, pretty_unit
+from twin.formatting import number, percent
 from twin.logs import Flight
 from twin.physics.rotors import Drive
 from twin.representation import short_repr
@@ -337,7 +337,6 @@ def _write_page(out: Path, residuals: Sequence[ResidualFlight]) -> None:
     about = json.loads((out / MODEL).read_text("utf-8"))
     page = render(
         "training.html.j2",
-        {"number": number, "percent": percent, "unit": pretty_unit},
         claim=training_claim(out),
         about=about,
         task=_task(about),

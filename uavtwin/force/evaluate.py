@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from learning.force.model import VEHICLE_FILE, ForceModel
-from twin.formatting import counted, number, percent, pretty_unit
+from twin.formatting import counted, number, percent
 from twin.frames import AXES
 from twin.logs import Flight
 from twin.physics.rotors import Drive
@@ -309,13 +309,12 @@ def shown_table(table: pd.DataFrame) -> TextTable:
     )
 
 
-def write_page(found: ForceEvaluation, path: Path) -> None:
-    """Write the page; an existing one is replaced."""
+def page_text(found: ForceEvaluation) -> str:
+    """The page of an evaluation."""
     rows = summary(found.table)
     figure = horizons_figure(rows, QUANTITIES)
-    page = render(
+    return render(
         "force_evaluation.html.j2",
-        {"number": number, "percent": percent, "unit": pretty_unit},
         claim=found.claim,
         model=found.model,
         flights=[
@@ -330,4 +329,3 @@ def write_page(found: ForceEvaluation, path: Path) -> None:
         rows=rows.to_dict("records"),
         figure=plot("horizons", "How far twins are off after they were left alone", figure),
     )
-    path.write_text(page, encoding="utf-8")

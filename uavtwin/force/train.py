@@ -14,7 +14,6 @@ from learning.force.model import (
     save_force,
 )
 from twin.errors import TwinError
-from twin.formatting import number, percent
 from twin.logs import Flight
 
 from ..exports.parts import LearnedForce
@@ -124,7 +123,6 @@ def _claim(model: ForceModel) -> str:
 def _page(model: ForceModel) -> str:
     return render(
         "force_training.html.j2",
-        {"number": number, "percent": percent},
         better=1 - BETTER,
         worse=WORSE,
         claim=_claim(model),

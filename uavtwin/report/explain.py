@@ -1,10 +1,9 @@
 """The page that `uavtwin explain` leaves: one sentence, the picture that convinces, the proof."""
 
-from pathlib import Path
 from typing import Any
 
 from twin.effects import EFFECTS, RandomForce
-from twin.formatting import certainty, number, number_cells, percent, pretty_unit, title
+from twin.formatting import certainty, number_cells, title
 
 from ..explain_record import EffectRecord
 from ..explanation import ExplainResult, alternatives, shrink_words, why_lost
@@ -26,14 +25,9 @@ MOST_AFFECTED = 2
 """Channels of an effect that are drawn over time."""
 
 
-def write_page(result: ExplainResult, path: Path) -> None:
-    """Write the page; the same findings give the same bytes.
-
-    Args:
-        result: What was found.
-        path: HTML file to write; an existing one is replaced.
-    """
-    path.write_text(fitted(lambda budget: _page(result, budget)), encoding="utf-8")
+def page_text(result: ExplainResult) -> str:
+    """The page; the same findings give the same bytes."""
+    return fitted(lambda budget: _page(result, budget))
 
 
 def _page(result: ExplainResult, budget: Budget) -> str:
@@ -42,12 +36,7 @@ def _page(result: ExplainResult, budget: Budget) -> str:
     listed = sorted(record.effects, key=lambda e: not EFFECTS[e.name].in_the_air)
     return render(
         "explain.html.j2",
-        {
-            "number": number,
-            "percent": percent,
-            "unit": pretty_unit,
-            "shrink_words": shrink_words,
-        },
+        {"shrink_words": shrink_words},
         found=record,
         claim=record.headline.text,
         got_worse=result.got_worse,

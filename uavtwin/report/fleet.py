@@ -2,14 +2,13 @@
 
 from collections.abc import Iterator, Sequence
 from html import escape
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from twin.formatting import number, pretty_unit
+from twin.formatting import pretty_unit
 
 from ..fleets.dataset import NO_LOG
 from ..fleets.fleet_statistics import Drift, Measure, Spread, measures
@@ -44,19 +43,12 @@ _PX = 210
 """Height of a panel."""
 
 
-def write_page(result: FleetResult, path: Path) -> None:
-    """Write the page.
-
-    Args:
-        result: To show.
-        path: HTML file to write; an existing one is replaced.
-    """
-
+def page_text(result: FleetResult) -> str:
+    """The page of a result."""
     by_aircraft, over_time = _drawn(result)
     bad = result.bad_logs(MOST_ROWS)
-    page = render(
+    return render(
         "fleet.html.j2",
-        {"number": number, "unit": pretty_unit},
         claim=result.claim,
         vehicle=result.vehicle,
         facts=_facts(result),
@@ -79,7 +71,6 @@ def write_page(result: FleetResult, path: Path) -> None:
         bad=bad.fillna("").to_dict("records"),
         most=MOST_ROWS,
     )
-    path.write_text(page, encoding="utf-8")
 
 
 def _facts(result: FleetResult) -> dict[str, str]:

@@ -7,7 +7,6 @@ they come into view, so a page with many flights opens at once.
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -54,22 +53,19 @@ class _Figure:
     spectra: Plot | None
 
 
-def write_page(result: GapResult, path: Path) -> None:
-    """Write the page of a result; an existing file is replaced."""
-    write_gap_report(result.flights, path, [overview(f) for f in result.recorded])
+def page_text(result: GapResult) -> str:
+    """The page of a result."""
+    return gap_page(result.flights, [overview(f) for f in result.recorded])
 
 
-def write_gap_report(
-    gaps: Sequence[FlightGap], path: Path, overviews: Sequence[Overview] = ()
-) -> None:
-    """Write the report of one or more flights against their twin.
+def gap_page(gaps: Sequence[FlightGap], overviews: Sequence[Overview] = ()) -> str:
+    """The report of one or more flights against their twin.
 
     The same gaps give the same bytes: identifiers are counted, no time is written. Of more flights
     than a page has room for, those are drawn whose twin is furthest off; all are listed.
 
     Args:
         gaps: One per flight.
-        path: HTML file to write; an existing one is replaced.
         overviews: What each flight was; none: pages begin with the gap.
     """
     scored = _Scored(
@@ -78,7 +74,7 @@ def write_gap_report(
         summaries(gaps),
         tuple(tuple(summarise(c) for c in g.channels) for g in gaps),
     )
-    path.write_text(fitted(scored.page, len(gaps)), encoding="utf-8")
+    return fitted(scored.page, len(gaps))
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +101,7 @@ class _Scored:
         share = min(1.0, FULL_DETAIL / max(len(drawn), 1))
         return render(
             "report.html.j2",
-            {"number": number, "percent": percent, "unit": pretty_unit, "words": describe},
+            {"words": describe},
             claim=claim(places),
             detail=_detail(places),
             drive=drive_sentence({g.flight: g.driven_by for g in gaps}),

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 import jinja2
 from markupsafe import Markup
 
+from twin.formatting import certainty, number, percent, pretty_unit
+
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
@@ -105,9 +107,18 @@ def _parts() -> dict[str, Markup]:
     }
 
 
+FILTERS: Mapping[str, Callable[..., Any]] = {
+    "number": number,
+    "percent": percent,
+    "unit": pretty_unit,
+    "certainty": certainty,
+}
+"""Jinja filters of all pages."""
+
+
 def render(
     template: str,
-    filters: Mapping[str, Callable[..., Any]],
+    filters: Mapping[str, Callable[..., Any]] | None = None,
     folder: Path | None = None,
     **content: Any,
 ) -> str:
@@ -115,7 +126,7 @@ def render(
 
     Args:
         template: File of `templates` that extends `page.html.j2`.
-        filters: Jinja filters it uses.
+        filters: Jinja filters that it uses besides `FILTERS`.
         folder: Where the template lies, if not here.
         content: What it shows; text is escaped, half characters are written out.
     """
@@ -128,7 +139,7 @@ def render(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(filters)
+    environment.filters |= {**FILTERS, **(filters or {})}
     page = environment.get_template(template).render(**_parts(), **content)
     page = _packed(_indexed(page))
     return page.encode("utf-8", "backslashreplace").decode("utf-8")

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,35 +31,18 @@ PHASE = "mission.phase"
 """Output that holds the phase of the mission."""
 
 
-def write_page(run: Run, path: Path) -> None:
-    """Write the page of a run; an existing file is replaced."""
-    write_simulation_report(run.recording, run.units, run.claim, run.facts, run.name, path)
-
-
-def write_simulation_report(
-    recording: Recording,
-    units: Mapping[str, str],
-    claim: str,
-    facts: Mapping[str, Any],
-    name: str,
-    path: Path,
-) -> None:
-    """Write the page.
+def page_text(run: Run, facts: Mapping[str, Any] | None = None) -> str:
+    """The page of a run.
 
     Args:
-        recording: What to show.
-        units: Unit of each column, where known.
-        claim: The sentence on top.
-        facts: Name and value, below it.
-        name: Of the scenario.
-        path: HTML file to write; an existing one is replaced.
+        run: To show.
+        facts: What it was run with, name and value; None: those of the run.
     """
-    text = fitted(lambda budget: _page(_Shown(recording, units, budget), claim, facts, name))
-    path.write_text(text, encoding="utf-8")
+    facts = run.facts if facts is None else facts
+    return fitted(lambda budget: _page(run, _Shown(run.recording, run.units, budget), facts))
 
 
-def _page(shown: "_Shown", claim: str, facts: Mapping[str, Any], name: str) -> str:
-    """Text of the page."""
+def _page(run: Run, shown: "_Shown", facts: Mapping[str, Any]) -> str:
     groups: dict[str, dict[str, list[str]]] = {}
     for column in shown.names:
         part, stem = _place(column)
@@ -71,9 +53,8 @@ def _page(shown: "_Shown", claim: str, facts: Mapping[str, Any], name: str) -> s
     ]
     return render(
         "flight.html.j2",
-        {},
-        name=name,
-        claim=claim,
+        name=run.name,
+        claim=run.claim,
         facts=dict(facts),
         track=shown.track(),
         followed=shown.followed(),

@@ -1,13 +1,12 @@
 """The page that `uavtwin sweep` leaves: how runs ended, what matters for it, the worst of them."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from twin.formatting import number, pretty_unit
+from twin.formatting import pretty_unit
 
 from ..sweeps.result import SweepResult
 from .drawing import Panels
@@ -23,13 +22,8 @@ _PX = 210
 """Height of a panel."""
 
 
-def write_page(result: SweepResult, path: Path) -> None:
-    """Write the page.
-
-    Args:
-        result: To show.
-        path: HTML file to write; an existing one is replaced.
-    """
+def page_text(result: SweepResult) -> str:
+    """The page of a result."""
     table, figure = result.table, result.led_by
     unit = pretty_unit(result.units.get(figure, ""))
     influences = result.influences(figure)
@@ -40,9 +34,8 @@ def write_page(result: SweepResult, path: Path) -> None:
         names = [i.factor for i in influences[:MOST_FACTORS]]
         if names:
             plots.append(_against(shown, names, figure, unit))
-    page = render(
+    return render(
         "sweep.html.j2",
-        {"number": number},
         name=result.name,
         claim=result.claim,
         method=result.design.method,
@@ -62,7 +55,6 @@ def write_page(result: SweepResult, path: Path) -> None:
             for row in result.worst().to_dict("records")
         ],
     )
-    path.write_text(page, encoding="utf-8")
 
 
 def _thinned(table: pd.DataFrame) -> pd.DataFrame:

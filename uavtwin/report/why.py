@@ -2,12 +2,11 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.formatting import certainty, number, pretty_unit
+from twin.formatting import pretty_unit
 from twin.logs.columns import GYRO
 from twin.why.flight import FlightFrame
 from twin.why.records import Event, EvidenceSeries
@@ -72,10 +71,10 @@ class _Card:
     figure: Plot | None
 
 
-def write_page(result: WhyResult, path: Path) -> None:
-    """Write the page of a result; an existing file is replaced."""
+def page_text(result: WhyResult) -> str:
+    """The page of a result."""
     frame = None if result.recorded is None else FlightFrame.of(result.recorded)
-    path.write_text(fitted(lambda budget: _page(result.record, frame, budget)), encoding="utf-8")
+    return fitted(lambda budget: _page(result.record, frame, budget))
 
 
 def _page(record: WhyRecord, frame: FlightFrame | None, budget: Budget) -> str:
@@ -83,12 +82,7 @@ def _page(record: WhyRecord, frame: FlightFrame | None, budget: Budget) -> str:
     causes = [e for e in record.events if not e.consequence]
     return render(
         "why.html.j2",
-        {
-            "certainty": certainty,
-            "number": number,
-            "words": cause_in_words,
-            "least": least_in_words,
-        },
+        {"words": cause_in_words, "least": least_in_words},
         record=record,
         hidden=list(filter(of_the_body, record.not_visible)),
         line=_line(record, frame, budget),

@@ -27,17 +27,16 @@ from uavtwin.report.drawing import (
     packed,
     unpacked,
 )
-from uavtwin.report.gap import write_gap_report
+from uavtwin.report.gap import gap_page
 from uavtwin.report.overview import overview
 from uavtwin.report.page import Plot
 
 QUIVER = sorted((DATA / "quiver_pt1").glob("*.BIN"))
 
 
-def page_of(path: Path, seeds: Sequence[int]) -> str:
+def page_of(seeds: Sequence[int]) -> str:
     shown = overview(recorded(100.0))
-    write_gap_report([much_of(s) for s in seeds], path, [shown] * len(seeds))
-    text = path.read_text("utf-8")
+    text = gap_page([much_of(s) for s in seeds], [shown] * len(seeds))
     assert len(text.encode("utf-8")) <= PAGE_BYTES
     figures = figures_of(text)
     faults = [
@@ -66,10 +65,10 @@ def flights_of(page: str) -> set[str]:
 
 
 @pytest.mark.slow
-def test_five_flights_are_drawn_as_finely_as_a_page_allows(tmp_path: Path) -> None:
+def test_five_flights_are_drawn_as_finely_as_a_page_allows() -> None:
     """One flight is drawn at its finest, each of five more coarsely; none is left out."""
-    one = page_of(tmp_path / "one.html", [0])
-    five = page_of(tmp_path / "five.html", range(5))
+    one = page_of([0])
+    five = page_of(range(5))
     assert len(five) > 0.85 * PAGE_BYTES, "room that is not used"
     assert flights_of(five) == {f"flight{i}" for i in range(5)}
     own = [name for name in figures_of(five) if not name.startswith(OVER)]
@@ -80,8 +79,8 @@ def test_five_flights_are_drawn_as_finely_as_a_page_allows(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_of_many_flights_those_furthest_off_are_drawn_and_all_are_listed(tmp_path: Path) -> None:
-    text = page_of(tmp_path / "many.html", [*range(10, 0, -1), 0, 30])
+def test_of_many_flights_those_furthest_off_are_drawn_and_all_are_listed() -> None:
+    text = page_of([*range(10, 0, -1), 0, 30])
     drawn = flights_of(text)
     assert 1 < len(drawn) <= MOST_PARTS
     worst = [11, *range(len(drawn) - 1)]  # by their place on the command line

@@ -18,10 +18,9 @@ from page_rigs.circle import gap_of, recorded
 
 from cosim.recording import Recording
 from twin.logs.columns import POS, QUAT
+from uavtwin.gaps import GapResult
 from uavtwin.report.drawing import PAGE_BYTES
-from uavtwin.report.gap import write_gap_report
-from uavtwin.report.overview import overview
-from uavtwin.report.simulation import write_simulation_report
+from uavtwin.run import Run
 
 pytestmark = needs_browser
 
@@ -31,8 +30,7 @@ def gap_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("gap") / "gap.html"
     flight = recorded()
     gap = gap_of(flight)
-    write_gap_report([gap, replace(gap, flight="again")], path, [overview(flight)] * 2)
-    return path
+    return GapResult((gap, replace(gap, flight="again")), (flight, flight)).report(path)
 
 
 @pytest.mark.slow
@@ -55,10 +53,10 @@ def test_page_of_a_simulation_is_fine_to_look_at(
     names |= {f"mission.setpoint_vel_{a}": names[f"airframe.vel_{a}"] * 0.9 for a in "xyz"}
     names["mission.phase"] = np.where(flight.time_s < 5, 1.0, 2.0)
     names |= {f"controller.cmd_{i}": flight.table[f"cmd_{i}"].to_numpy() for i in range(1, 5)}
-    run = Recording(tuple(names), flight.time_s, np.column_stack(list(names.values())))
+    flown = Recording(tuple(names), flight.time_s, np.column_stack(list(names.values())))
     page = tmp_path / "simulation.html"
     units = {n: "m" for n in names if "pos" in n}
-    write_simulation_report(run, units, "flown well", {"wind": "5,0,0"}, "circle", page)
+    Run("circle", flown, units, {"wind": "5,0,0"}).report(page)
     assert faults(opened, page, view, pictures(tmp_path) / f"simulation_{view}.png") == []
     assert page.stat().st_size < PAGE_BYTES
 

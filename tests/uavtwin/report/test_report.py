@@ -3,7 +3,6 @@
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
@@ -17,7 +16,7 @@ from twin.vehicle_file import load_vehicle
 from uavtwin.gaps import claim
 from uavtwin.headline import leading, sure_shares
 from uavtwin.report.drawing import Budget, unpacked
-from uavtwin.report.gap import channel_figures, write_gap_report
+from uavtwin.report.gap import channel_figures, gap_page
 from uavtwin.wording import describe
 
 HOSTILE = "</script><script>alert('x')</script><b>&"
@@ -67,17 +66,16 @@ class _Loads(HTMLParser):
         self._in_heading = False
 
 
-def written(path: Path, *gaps: FlightGap) -> tuple[str, _Loads]:
-    write_gap_report(gaps, path)
-    text = path.read_text(encoding="utf-8")
+def written(*gaps: FlightGap) -> tuple[str, _Loads]:
+    text = gap_page(gaps)
     page = _Loads()
     page.feed(text)
     return text, page
 
 
 @pytest.mark.slow
-def test_report_opens_offline_and_embeds_plotly_once(tmp_path: Path) -> None:
-    text, page = written(tmp_path / "report.html", flight(), flight("real_3"))
+def test_report_opens_offline_and_embeds_plotly_once() -> None:
+    text, page = written(flight(), flight("real_3"))
     assert page.fetched == []
     assert "@import" not in text.split("</style>")[0]
     assert text.count('id="plotly"') == 1
@@ -87,16 +85,16 @@ def test_report_opens_offline_and_embeds_plotly_once(tmp_path: Path) -> None:
     assert len(text) < 1.5e6
 
 
-def test_no_button_uploads_the_flight(tmp_path: Path) -> None:
+def test_no_button_uploads_the_flight() -> None:
     """plotly.js 4 offers "send chart to cloud" unless its own buttons are off."""
-    text, _ = written(tmp_path / "report.html", flight())
+    text, _ = written(flight())
     page_script = text[text.rindex("<script>") :]
     assert re.findall(r"displayModeBar: (\w+)", page_script) == ["false"]
     assert re.findall(r'button\("(\w+)"', page_script) == ["reset", "PNG", "SVG", "CSV"]
 
 
-def test_claim_comes_first_and_names_channel_phase_and_size(tmp_path: Path) -> None:
-    _, page = written(tmp_path / "report.html", flight())
+def test_claim_comes_first_and_names_channel_phase_and_size() -> None:
+    _, page = written(flight())
     # rms of half a sine of amplitude 1: 0.707 m/s2; signal 0.5 / sqrt 2
     assert page.heading == (
         "Twin and flight disagree most in acc_z (specific force, down axis) during takeoff: "
@@ -115,8 +113,8 @@ def test_a_channel_that_is_off_by_more_of_its_own_signal_is_named_too() -> None:
     assert "Next to its own small signal, acc_y is further off: 0.0707 m/s² rms, 500 %" in found
 
 
-def test_a_bar_cut_at_100_percent_says_so_and_the_number_is_not_cut(tmp_path: Path) -> None:
-    text, _ = written(tmp_path / "report.html", flight())
+def test_a_bar_cut_at_100_percent_says_so_and_the_number_is_not_cut() -> None:
+    text, _ = written(flight())
     assert '<i class="cut" style="width:80px"></i>200 %' in text
     assert '<i style="width:80px">' not in text
     assert "cut at 100 %" in text
@@ -129,21 +127,19 @@ def test_claim_when_they_agree_and_when_there_is_nothing() -> None:
     assert claim([]).startswith("There is nothing to compare")
 
 
-def test_horizons_are_labelled(tmp_path: Path) -> None:
-    text, _ = written(tmp_path / "report.html", flight())
+def test_horizons_are_labelled() -> None:
+    text, _ = written(flight())
     assert "teacher-forced" in text
     assert "short horizon, 0.5 s" in text
 
 
 @pytest.mark.slow
-def test_same_flights_give_the_same_bytes(tmp_path: Path) -> None:
-    write_gap_report([flight()], tmp_path / "a.html")
-    write_gap_report([flight()], tmp_path / "b.html")
-    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+def test_same_flights_give_the_same_bytes() -> None:
+    assert gap_page([flight()]) == gap_page([flight()])
 
 
 @pytest.mark.slow
-def test_hostile_names_stay_text(tmp_path: Path) -> None:
+def test_hostile_names_stay_text() -> None:
     gap = flight(HOSTILE)
     evil = tuple(replace(c, name=c.name + HOSTILE, unit=HOSTILE) for c in gap.channels)
     gap = replace(
@@ -154,9 +150,9 @@ def test_hostile_names_stay_text(tmp_path: Path) -> None:
         warnings=(HOSTILE,),
         facts={HOSTILE: HOSTILE},
     )
-    text, page = written(tmp_path / "hostile.html", gap)
+    text, page = written(gap)
     assert "<script>alert" not in text
-    plain = written(tmp_path / "plain.html", flight())[1]
+    plain = written(flight())[1]
     assert page.scripts == plain.scripts
 
 
@@ -190,15 +186,15 @@ def test_figures_are_ones_that_plotly_knows() -> None:
         assert checked.layout.yaxis.domain[1] == 1.0
 
 
-def test_empty_channels_do_not_break_the_page(tmp_path: Path) -> None:
+def test_empty_channels_do_not_break_the_page() -> None:
     gap = flight()
     none = np.empty(0)
     empty = Channel("gyro_x", "rad/s", 0.5, none, none, none, np.empty(0, dtype=np.str_))
     nan = replace(gap.channels[0], simulated=np.full(2000, np.nan))
-    text, page = written(tmp_path / "empty.html", replace(gap, channels=(empty, nan), facts={}))
+    text, page = written(replace(gap, channels=(empty, nan), facts={}))
     assert page.heading.startswith("There is nothing to compare")
     assert "gyro_x" in text
-    written(tmp_path / "none.html")
+    written()
 
 
 @pytest.mark.parametrize("name", ["acc_z", "gyro_rate_x", "pos_y@0.5s", "baro_pa", "odd"])

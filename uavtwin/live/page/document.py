@@ -65,7 +65,6 @@ def document(motors: int, bar: str = "") -> Document:
     """
     html = render(
         "live.html.j2",
-        {},
         HERE,
         bar=bar,
         style_live=Markup(style() + (HERE / "live.css").read_text("utf-8")),
