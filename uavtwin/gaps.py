@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from twin.errors import LogError
 from twin.formatting import counted, number, percent, pretty_unit
 from twin.logs import AnyFlight, Flight
-from twin.residuals.flight_gap import DEFAULT_HORIZON_S, HoverDiagnosis, Mean, flight_gap
+from twin.residuals.flight_gap import DEFAULT_HORIZON_S, HoverDiagnosis, flight_gap
 from twin.residuals.gap import UNKNOWN_PHASE, FlightGap, Ranked, Score, band_rows, rank, summaries
 from twin.vehicle import Vehicle
 from twin.why.flight import FlightFrame
@@ -96,35 +96,16 @@ class HoverRecord(Section, frozen=True, kw_only=True):
 
 def hover_record(found: HoverDiagnosis) -> HoverRecord:
     """A diagnosis as numbers: of each mean its value, and its standard error in `sd`."""
+    means = {name: getattr(found, name) for name in HoverErrors.__struct_fields__}
     weak = found.weakest
     return HoverRecord(
         flight=found.flight,
         seconds=found.seconds,
-        carried=found.carried.value,
-        back_m=_value(found.back_m),
-        right_m=_value(found.right_m),
-        lean_forward_rad=_value(found.lean_forward_rad),
-        lean_right_rad=_value(found.lean_right_rad),
-        sd=HoverErrors(
-            carried=found.carried.sd,
-            back_m=_sd(found.back_m),
-            right_m=_sd(found.right_m),
-            lean_forward_rad=_sd(found.lean_forward_rad),
-            lean_right_rad=_sd(found.lean_right_rad),
-        ),
         split=found.split,
-        weakest=None
-        if weak is None
-        else WeakRotorRecord(rotor=weak.rotor, loss=weak.loss.value, sd=weak.loss.sd),
+        weakest=weak and WeakRotorRecord(rotor=weak.rotor, loss=weak.loss.value, sd=weak.loss.sd),
+        sd=HoverErrors(**{name: mean and mean.sd for name, mean in means.items()}),
+        **{name: mean and mean.value for name, mean in means.items()},
     )
-
-
-def _value(mean: Mean | None) -> float | None:
-    return None if mean is None else mean.value
-
-
-def _sd(mean: Mean | None) -> float | None:
-    return None if mean is None else mean.sd
 
 
 class PhaseRecord(Record, frozen=True, kw_only=True):
