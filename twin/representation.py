@@ -18,7 +18,7 @@ def short_repr(self: Any) -> str:
     """
     parts: list[str] = []
     length = len(type(self).__name__) + 2
-    for field in sorted((f for f in fields(self) if f.repr), key=lambda f: f.kw_only):
+    for field in sorted((f for f in fields(self) if f.repr), key=lambda f: bool(f.kw_only)):
         part = f"{field.name}={_short(getattr(self, field.name))}"
         length += len(part) + 2
         if length > LONGEST - 3:

@@ -102,7 +102,9 @@ def hover_record(found: HoverDiagnosis) -> HoverRecord:
         flight=found.flight,
         seconds=found.seconds,
         split=found.split,
-        weakest=weak and WeakRotorRecord(rotor=weak.rotor, loss=weak.loss.value, sd=weak.loss.sd),
+        weakest=None
+        if weak is None
+        else WeakRotorRecord(rotor=weak.rotor, loss=weak.loss.value, sd=weak.loss.sd),
         sd=HoverErrors(**{name: mean and mean.sd for name, mean in means.items()}),
         **{name: mean and mean.value for name, mean in means.items()},
     )

@@ -202,9 +202,8 @@ def open_parquet(path: Path) -> StoredFlight | None:
     mended, doubts = validate(path.name, over({"time": time_s}, stored))
     there = [c for c in held if c not in mended and stored.has_sample(c)]
     there += [c for c, values in mended.items() if np.isfinite(values).any()]
-    findings = (*notes.findings, *findings, *doubts)
     known = frozenset([*there, "phase"])
-    of_log = notes.notes | {"findings": findings}
+    of_log = notes.notes | {"findings": (*notes.findings, *findings, *doubts)}
     return StoredFlight(path.stem, stored, mended, path, time_s, known, **of_log)
 
 

@@ -60,7 +60,7 @@ def comparison_page(first: AnyFlight, second: AnyFlight, name: str, other_name: 
                 figures.append(_figure(title, rows, names, span, budget))
         return render(
             "compare.html.j2",
-            HERE / "templates",
+            folder=HERE / "templates",
             names=names,
             begins=None if None in begins else begins,
             figures=figures,

@@ -65,7 +65,7 @@ def document(motors: int, bar: str = "") -> Document:
     """
     html = render(
         "live.html.j2",
-        HERE,
+        folder=HERE,
         bar=bar,
         style_live=Markup(style() + (HERE / "live.css").read_text("utf-8")),
         script_live=Markup((HERE / "live.js").read_text("utf-8")),
