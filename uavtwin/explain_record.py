@@ -8,6 +8,7 @@ import msgspec
 from msgspec import UNSET, UnsetType, field
 
 from twin.explain.balance import Balance
+from twin.explain.design import Suggestion
 from twin.explain.estimates import (
     calibrated_effects,
     channels_and_phases,
@@ -305,22 +306,6 @@ class ClosedLoopRecord(Record, frozen=True, kw_only=True):
     missions: dict[str, MissionRecord]
 
 
-class ManoeuvreRecord(Record, frozen=True, kw_only=True):
-    """What to fly next.
-
-    Attributes:
-        manoeuvre: Identifier.
-        description: What a pilot can follow.
-        separates: Two lists of effects; an empty one: nothing is missing.
-        separation: Expected lead in log likelihood.
-    """
-
-    manoeuvre: str
-    description: str
-    separates: tuple[tuple[str, ...], tuple[str, ...]]
-    separation: float
-
-
 class SettingsRecord(Record, frozen=True, kw_only=True):
     """The numbers that decide.
 
@@ -435,7 +420,7 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
     gap: dict[str, ChannelRecord]
     holdout: tuple[HeldOutRecord, ...]
     closed_loop: ClosedLoopRecord | None
-    next_manoeuvre: ManoeuvreRecord | None
+    next_manoeuvre: Suggestion | None
     settings: SettingsRecord
 
 
@@ -482,9 +467,7 @@ def explain_record(found: Explanation) -> ExplainRecord:
         gap={g.name: _channel(g) for g in (() if compared is None else compared.gaps)},
         holdout=tuple(HeldOutRecord(flight=h.flight, spans_s=h.spans) for h in found.holdout),
         closed_loop=_closed_loop(found.missions) if found.missions else None,
-        next_manoeuvre=None
-        if found.next_manoeuvre is None
-        else msgspec.convert(found.next_manoeuvre, ManoeuvreRecord, from_attributes=True),
+        next_manoeuvre=found.next_manoeuvre,
         settings=SettingsRecord(hash=found.settings.hash, changed=dict(found.settings.changed)),
     )
 

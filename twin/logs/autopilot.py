@@ -54,10 +54,10 @@ class Mode:
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Something that lasted: armed motors, a failsafe.
+    """Something that lasted: armed motors, a failsafe, a phase of flight.
 
     Attributes:
-        name: What.
+        name: What lasted.
         start_s: Begin, s from the start of the record.
         end_s: End, that of the record where nothing ended it.
     """

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from twin.component import unknown_name
+from twin.draft.rotors import Estimate
 from twin.errors import LogError, TwinError
 from twin.explain.model.numbers import with_effects
 from twin.formatting import counted
@@ -19,7 +20,7 @@ from twin.logs.formats import FORMATS
 from twin.vehicle import Deviation
 
 from ..flights import counted_key, what_is_there
-from ..jobs.engine import Engine, EngineName, opened_engine
+from ..jobs.engine import Engine, EngineName, Workers
 from ..jobs.process import Allowed
 from ..output import check_folder, results_folder, write_json
 from ..vehicles import Vehicle, load_vehicle
@@ -113,19 +114,15 @@ Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Work:
+class Work(Workers):
     """How logs are looked at; but for logs that need more than is allowed, nothing depends on it.
 
+    Workers of a Dask cluster find the logs at the same paths.
+
     Attributes:
-        engine: `local`, or `dask` with a scheduler; its workers find the logs at the same paths.
-        workers: Processes of the local engine; None: one per core.
-        scheduler: Address of a Dask scheduler.
         allowed: What one log, or one aircraft, may use.
     """
 
-    engine: EngineName = "local"
-    workers: int | None = None
-    scheduler: str | None = None
     allowed: Allowed = field(default_factory=Allowed)
 
 
@@ -267,7 +264,7 @@ def run_fleet(
     logs = found_logs(given)
     analysis = analysis_of(request, base, own, work.allowed)
     with closing(Journal(out / JOURNAL, analysis.key)) as journal:
-        with opened_engine(work.engine, work.workers, work.scheduler) as engine:
+        with work.opened() as engine:
             jobs = [LogJob(log.job, (log.path,), (log.name,), log.bytes) for log in logs]
             by_aircraft = "explain" in request.verbs and not request.alone
             share = 0.5 if by_aircraft else 1.0
@@ -363,22 +360,7 @@ FOLDER = "vehicles"
 """For the vehicle files, in the folder of the dataset."""
 
 
-@dataclass(frozen=True, slots=True)
-class Known:
-    """A number for a vehicle file.
-
-    Attributes:
-        value: In its unit.
-        sd: Standard deviation.
-        source: What says so.
-    """
-
-    value: float
-    sd: float
-    source: str
-
-
-Numbers = Mapping[str, Known]
+Numbers = Mapping[str, Estimate]
 """By "effect.number"."""
 
 
@@ -391,8 +373,8 @@ class Files:
         of_aircraft: Of each aircraft.
     """
 
-    of_type: dict[str, Known] = field(default_factory=dict)
-    of_aircraft: dict[str, dict[str, Known]] = field(default_factory=dict)
+    of_type: dict[str, Estimate] = field(default_factory=dict)
+    of_aircraft: dict[str, dict[str, Estimate]] = field(default_factory=dict)
 
 
 def numbers_of_files(spreads: Sequence[Spread], explained: Sequence[str], typed: bool) -> Files:
@@ -417,17 +399,17 @@ def numbers_of_files(spreads: Sequence[Spread], explained: Sequence[str], typed:
         basis = f"uavtwin fleet, {len(s.aircraft)} of {s.explained} aircraft"
         if shared:
             between = f"{basis}, which differ by {common.between:.3g}"
-            files.of_type[name] = Known(common.mean, common.sd, between)
+            files.of_type[name] = Estimate(common.mean, common.sd, between)
             unsure = float(np.hypot(common.between, common.sd))
             for numbers in files.of_aircraft.values():
                 source = f"{basis}: not determined by its own flights, as of the type"
-                numbers[name] = Known(common.mean, unsure, source)
+                numbers[name] = Estimate(common.mean, unsure, source)
         for i, a in enumerate(s.aircraft):
             own = f"uavtwin fleet, named in {a.named} of {a.explained} explanations"
             known = (
-                Known(float(common.own[i]), float(common.own_sd[i]), f"{own}; {basis}")
+                Estimate(float(common.own[i]), float(common.own_sd[i]), f"{own}; {basis}")
                 if shared
-                else Known(a.value, a.sd, own)
+                else Estimate(a.value, a.sd, own)
             )
             files.of_aircraft.setdefault(a.aircraft, {})[name] = known
     return files

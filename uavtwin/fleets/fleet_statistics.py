@@ -231,7 +231,7 @@ class OfAircraft:
 
     Attributes:
         aircraft: Which.
-        value: Estimate.
+        value: Estimate from its own flights.
         sd: Its standard deviation.
         named: Explanations that name the effect.
         explained: Explanations.

@@ -18,6 +18,7 @@ from .fleet_statistics import (
     FEWEST_OWN,
     Difference,
     Drift,
+    OfAircraft,
     Spread,
     compared,
     explained_aircraft,
@@ -255,24 +256,15 @@ BAD = ("unreadable", "failed", "refused", "findings")
 """Statuses of logs that are listed as bad."""
 
 
-class EstimateRecord(Record, frozen=True, kw_only=True):
+@dataclass(frozen=True, slots=True)
+class EstimateRecord(OfAircraft):
     """A number of an aircraft.
 
     Attributes:
-        aircraft: Which.
-        value: Estimate from its own flights.
-        sd: Its standard deviation.
-        named: Explanations that name the effect.
-        explained: Explanations.
         own: The estimate, drawn to the type as far as it is unsure.
         own_sd: Standard deviation of `own`.
     """
 
-    aircraft: str
-    value: float
-    sd: float
-    named: int
-    explained: int
     own: float
     own_sd: float
 

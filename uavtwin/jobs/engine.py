@@ -266,30 +266,37 @@ class Engine(Protocol):
         """Leave nothing behind."""
 
 
-@contextmanager
-def opened_engine(
-    name: EngineName, workers: int | None = None, scheduler: str | None = None
-) -> Iterator[Engine]:
-    """An engine, closed at the end.
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """Where jobs are done.
 
-    Args:
-        name: `local`, or `dask` with a scheduler.
+    Attributes:
+        engine: `local`, or `dask` with a scheduler.
         workers: Processes of the local engine; None: one per core.
         scheduler: Address of a Dask scheduler.
-
-    Raises:
-        TwinError: One is given that the engine has no use for, or lacks.
     """
-    if name == "dask":
-        if scheduler is None:
-            raise TwinError("--engine dask: give --scheduler tcp://HOST:8786.")
-        with closing(DaskEngine(scheduler)) as remote:
-            yield remote
-        return
-    if scheduler is not None:
-        raise TwinError("--scheduler: goes with --engine dask.")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    count = (cores or 1) if workers is None else workers
-    if not 1 <= count <= MOST_WORKERS:
-        raise TwinError(f"--workers {count}: needs 1 to {MOST_WORKERS}.")
-    yield LocalEngine(count)
+
+    engine: EngineName = "local"
+    workers: int | None = None
+    scheduler: str | None = None
+
+    @contextmanager
+    def opened(self) -> Iterator[Engine]:
+        """The engine, closed at the end.
+
+        Raises:
+            TwinError: One is given that the engine has no use for, or lacks.
+        """
+        if self.engine == "dask":
+            if self.scheduler is None:
+                raise TwinError("--engine dask: give --scheduler tcp://HOST:8786.")
+            with closing(DaskEngine(self.scheduler)) as remote:
+                yield remote
+            return
+        if self.scheduler is not None:
+            raise TwinError("--scheduler: goes with --engine dask.")
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+        count = (cores or 1) if self.workers is None else self.workers
+        if not 1 <= count <= MOST_WORKERS:
+            raise TwinError(f"--workers {count}: needs 1 to {MOST_WORKERS}.")
+        yield LocalEngine(count)

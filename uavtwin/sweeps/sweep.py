@@ -19,7 +19,7 @@ from cosim.worker import WorkerMaster
 from twin.errors import FmuError
 from twin.vehicle import Vehicle
 
-from ..jobs.engine import Engine, EngineName, opened_engine
+from ..jobs.engine import Engine, EngineName, Workers
 from ..output import check_folder, results_folder, sha256, write_json
 from ..simulation import Scenario
 from ..vehicles import checked_vehicle, load_vehicle
@@ -162,20 +162,14 @@ _BUILDING = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Work:
+class Work(Workers):
     """How runs are flown; the outcomes do not depend on it.
 
     Attributes:
-        engine: `local`, or `dask` with a scheduler.
-        workers: Processes of the local engine; None: one per core.
-        scheduler: Address of a Dask scheduler.
         recordings: Whether every output of every run is stored.
         limits: Of the processes that FMUs run in; the time as a whole is that of one run.
     """
 
-    engine: EngineName = "local"
-    workers: int | None = None
-    scheduler: str | None = None
     recordings: bool = False
     limits: Limits = field(default_factory=Limits)
 
@@ -312,7 +306,7 @@ def run_sweep(
         key = sweep_key(plan, work.recordings)
         with closing(Journal(out / JOURNAL, key)) as journal:
             flying = Flying(key, plan.stands, work.limits, work.recordings)
-            with opened_engine(work.engine, work.workers, work.scheduler) as engine:
+            with work.opened() as engine:
                 _fly(plan, flying, engine, journal, out, progress)
             table = table_of(plan.points, journal.outcomes())
             result = SweepResult(base.name, table, design, plan.scenarios, vehicle, plan.periods)

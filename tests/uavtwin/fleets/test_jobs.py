@@ -9,7 +9,7 @@ import pytest
 from job_rigs.harm import Harm
 
 from twin.errors import TwinError
-from uavtwin.jobs.engine import opened_engine
+from uavtwin.jobs.engine import Workers
 from uavtwin.jobs.process import Allowed, ProcessWorker
 
 pytestmark = pytest.mark.slow
@@ -19,7 +19,7 @@ JOBS = ["fine 1", "crash", "fine 2", "exit", "hang", "hoard", "number", "fine 3"
 @pytest.mark.parametrize("workers", [1, 3])
 def test_every_job_is_done_once_whatever_others_do(workers: int) -> None:
     harm = Harm(allowed=Allowed(time_s=8.0, memory_gib=1.0))
-    with opened_engine("local", workers) as engine:
+    with Workers("local", workers).opened() as engine:
         found = sorted(engine.run(harm, JOBS))
     told = {line.partition(":")[0]: line.partition(": ")[2] for line in found}
     assert sorted(told) == sorted(JOBS)
@@ -81,7 +81,7 @@ def test_what_an_engine_has_no_use_for_is_refused(
 ) -> None:
     with (
         pytest.raises(TwinError, match=says),
-        opened_engine(name, workers, scheduler),  # type: ignore[arg-type]
+        Workers(name, workers, scheduler).opened(),  # type: ignore[arg-type]
     ):
         pass
 
