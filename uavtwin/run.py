@@ -234,9 +234,16 @@ def simulate(
         dict(starts or {}),
         fused,
     )
-    hashes = None if trust is None else Path(trust)
     run = run_plan(
-        plan, None, duration, step, interval, algorithm, realtime, progress, hashes, limits
+        plan,
+        duration,
+        progress,
+        None if trust is None else Path(trust),
+        step_s=step,
+        interval_s=interval,
+        algorithm=algorithm,
+        realtime=realtime,
+        limits=limits,
     )
     if run.ended is not None:
         raise run.ended
@@ -273,29 +280,19 @@ def with_model(plan: Scenario, folder: Path) -> Scenario:
 
 def run_plan(
     plan: Scenario,
-    stop_s: float | None = None,
     duration_s: float | None = None,
-    step_s: float | None = None,
-    interval_s: float | None = None,
-    algorithm: Algorithm = "jacobi",
-    realtime: float | None = None,
     progress: Progress = lambda _: None,
     trust: Path | None = None,
-    limits: Limits | None = None,
+    **how: Any,
 ) -> Run:
     """Build what a scenario needs and run it; `Run.ended` says whether it came to its end.
 
     Args:
         plan: What to simulate.
-        stop_s: Time at which it ends; None: by `duration_s`, or the system's own.
-        duration_s: Time from its start on.
-        step_s: As for `run_scenario`.
-        interval_s: As for `run_scenario`.
-        algorithm: As for `run_scenario`.
-        realtime: As for `run_scenario`.
+        duration_s: Time from its start on; None: until `stop_s`, or the system's own.
         progress: Called with the share done, 0..1.
         trust: As for `simulate`.
-        limits: As for `simulate`.
+        how: Further arguments of `run_scenario`.
 
     Raises:
         TwinError: As `scenario_system` and `run_scenario`.
@@ -305,8 +302,8 @@ def run_plan(
         system = scenario_system(
             plan, Path(folder), lambda done: progress(_BUILDING * done), warnings.append
         )
-        if stop_s is None and duration_s is not None:
-            stop_s = system.start_time_s + duration_s
+        if duration_s is not None:
+            how["stop_s"] = system.start_time_s + duration_s
         if trust is not None:
             if not plan.is_system:
                 raise TwinError(f"{trust}: scenario {plan.name} has no FMUs to trust, an .ssp has.")
@@ -314,14 +311,7 @@ def run_plan(
         ended: RunError | Interrupted | None = None
         try:
             recording = run_scenario(
-                system,
-                stop_s,
-                step_s,
-                interval_s,
-                algorithm,
-                realtime,
-                lambda done: progress(_BUILDING + (1 - _BUILDING) * done),
-                limits,
+                system, progress=lambda done: progress(_BUILDING + (1 - _BUILDING) * done), **how
             )
         except (RunError, Interrupted) as error:
             if not len(error.recording.time_s):

@@ -204,29 +204,7 @@ def export(
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The options of the verb, as they were given.
-
-    Attributes:
-        vehicle: Vehicle file, or the name of a built-in vehicle.
-        fmi: FMI versions, comma-separated.
-        platform: Platforms, comma-separated, or "all".
-        drive: Of `DRIVES`; None: of the airframe what the vehicle describes, else the mission.
-        start: "NAME=VALUE" texts; "part.name" for the corrected twin.
-        flight: To replay.
-        linear: Columns of the replay to interpolate, comma-separated.
-        mission: Of the components `mission` and `corrected-twin`.
-        controller: Of the corrected twin.
-        model: Folder of a trained compensator, for `compensator` and `corrected-twin`.
-        position: Kind of position sensor.
-        int8: Whether the compensator's weights have 8 bits.
-        python_slave: Whether components are evaluated by Python inside the FMU, for prototypes.
-        arrays: Whether what belongs together is one array.
-        outputs: "typed", or "real" where every output is to be a real number.
-        observer: Whether a driven twin has its disturbance observer on.
-        noise: Whether the noise of a learned force is drawn.
-        evidence: Folder of `explain`; None: none.
-        require: "FACTOR=LEVEL" texts.
-    """
+    """The options of the verb, as they were given; the help of `export` says what each is."""
 
     vehicle: str = "copter_default"
     fmi: str = "2"

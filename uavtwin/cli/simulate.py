@@ -113,10 +113,19 @@ def simulate(
     )
     if model is not None:
         plan = with_model(plan, model)
-    limits = Limits(call_limit, time_limit, memory_limit)
-    clock = 1.0 if realtime else None
     with progress("simulating") as done:
-        run = run_plan(plan, stop, None, step, interval, algorithm, clock, done, trust, limits)
+        run = run_plan(
+            plan,
+            None,
+            done,
+            trust,
+            stop_s=stop,
+            step_s=step,
+            interval_s=interval,
+            algorithm=algorithm,
+            realtime=1.0 if realtime else None,
+            limits=Limits(call_limit, time_limit, memory_limit),
+        )
     options = {
         "scenario": plan.name,
         "vehicle": Path(vehicle).name,

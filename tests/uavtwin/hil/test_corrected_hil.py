@@ -91,7 +91,7 @@ def test_a_learned_force_moves_the_aircraft(tmp_path: Path) -> None:
 def flown_with(folder: Path, fused: bool = False) -> dict[str, np.ndarray[Any, Any]]:
     """Outputs of two seconds of a hover with what a folder holds."""
     plan = with_model(Scenario("hover", load_vehicle(VEHICLE), fused=fused), folder)
-    recording = run_plan(plan, 2.0).recording
+    recording = run_plan(plan, stop_s=2.0).recording
     names = [n.removeprefix("twin.") for n in recording.names]
     return dict(zip(names, recording.values.T, strict=True))
 
