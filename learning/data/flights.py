@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from twin.errors import LogError, ModelError
 from twin.logs import Flight
 from twin.logs.columns import motor_number
+from twin.logs.samples import stretches_where
 from twin.logs.stored import opened
-from twin.logs.stretches import stretches_where
 from twin.representation import short_repr
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.channels import OF_IMU, OF_POSE, pose_signals, rows_along_pose

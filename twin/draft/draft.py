@@ -16,6 +16,7 @@ from ..formatting import percent
 from ..logs import Flight
 from ..logs.airframe import Place
 from ..logs.columns import MAX_MOTORS, MIN_MOTORS
+from ..logs.stored import phases_at
 from ..physics.sensors.table import SENSORS
 from ..representation import short_repr
 from ..vehicle import GRAVITY_M_S2
@@ -33,7 +34,6 @@ from .hover import (
     common_samples,
     drives,
     hover_of,
-    phases_at,
     same_shape,
     turning,
 )

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from ..logs import AnyFlight, Flight
 from ..logs.columns import ACC, GYRO, MIN_MOTORS, POS, QUAT, VEL, motor_columns
+from ..logs.samples import interpolated
+from ..logs.stored import phases_at
 from ..representation import short_repr
 from ..vehicle import GRAVITY_M_S2
 from ..vehicle.layouts import FRAMES, Layout, frame, frames_of
@@ -130,13 +132,6 @@ def flown(flight: AnyFlight) -> Rows:
     return _flown(flight, t_s, drive)
 
 
-def phases_at(flight: AnyFlight, t_s: Array) -> NDArray[np.object_]:
-    """Phase at each time; "" where it is not known."""
-    time, (codes, names) = flight.time_s, flight.phase_codes
-    row = np.clip(np.searchsorted(time, t_s, side="right") - 1, 0, len(time) - 1)
-    return names[codes[row]]
-
-
 def common_samples(flight: AnyFlight, columns: Sequence[str]) -> tuple[Array, Array] | None:
     """Samples of columns that are taken at the same times; None: there are none."""
     if not flight.has(*columns):
@@ -191,8 +186,7 @@ def _speeds(flight: AnyFlight, t_s: Array, motors: int) -> Array | None:
     measured = common_samples(flight, motor_columns("rotor", motors))
     if measured is None:
         return None
-    t, speeds = measured
-    return np.column_stack([np.interp(t_s, t, speeds[:, k]) for k in range(motors)])
+    return interpolated(t_s, *measured)
 
 
 def _load(flight: AnyFlight, t_s: Array, hovers: bool) -> float:
@@ -257,12 +251,10 @@ def turning(flight: Flight, layout: Layout) -> Turning | None:
     grid = np.arange(max(t_s[0], t_gyro[0]), min(t_s[-1], t_gyro[-1]), _GRID_S)
     if len(grid) < _LEAST_S / _GRID_S:
         return None
-    thrust = np.column_stack(
-        [np.interp(grid - _LAG_S, t_s, commands[:, k]) for k in range(layout.count)]
-    )
+    thrust = interpolated(grid - _LAG_S, t_s, commands)
     x, y = layout.position[:, 0], layout.position[:, 1]
     moments = thrust @ np.column_stack([-y, x, -layout.direction])
-    turned = np.column_stack([np.interp(grid, t_gyro, rates[:, k]) for k in range(3)])
+    turned = interpolated(grid, t_gyro, rates)
     band = scipy.signal.butter(2, np.array(_BAND_HZ) * 2.0 * _GRID_S, "bandpass", output="sos")
     inside = np.interp(grid, t_s, air.astype(np.float64)) > 0.5
     if inside.sum() < _LEAST_S / _GRID_S:

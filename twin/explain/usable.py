@@ -22,7 +22,7 @@ from ..effects import EFFECTS, Effect
 from ..errors import LogError
 from ..logs import AnyFlight, Flight
 from ..logs.columns import ACC, MIN_MOTORS, POS, QUAT, VEL, motor_columns
-from ..logs.stretches import stretches_where
+from ..logs.samples import stretches_where
 from ..physics.sensors.table import sensor_of
 from ..residuals.aligned import AlignedFlight, align_flight
 from ..residuals.channels import GRID_HZ

@@ -18,7 +18,7 @@ from ..component import Component, unknown_name
 from ..component.along import accumulated
 from ..errors import ModelError, TwinError
 from ..frames import AXES
-from ..logs.stretches import stretches_where
+from ..logs.samples import stretches_where
 from ..physics.airframe import airframe
 from ..representation import short_repr
 from ..vehicle import Vehicle

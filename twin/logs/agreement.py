@@ -16,6 +16,7 @@ from ..physics.sensors.table import SENSORS
 from ..vehicle import GRAVITY_M_S2
 from .columns import ACC, ACC_NED, GYRO, MAG, POS, QUAT, VEL, Columns
 from .flight import Array, Finding
+from .samples import interpolated
 
 _WINDOW_S = 0.5  # shorter in a short record
 _LONGEST_S = 36_000.0  # of a record that is compared: windows without end otherwise
@@ -102,11 +103,6 @@ def window_integrals(t_s: Array, values: Array, edges_s: Array) -> Array:
         np.cumsum(np.diff(t_s) * (column[1:] + column[:-1]) / 2.0, out=total[1:])
         found[:, k] = np.diff(np.interp(edges_s, t_s, total))
     return found
-
-
-def _at(t_s: Array, values: Array, at_s: Array) -> Array:
-    """Linear between the samples, shape (len(at_s), k)."""
-    return np.stack([np.interp(at_s, t_s, v) for v in values.T], axis=1)
 
 
 def _known(t_s: Array, edges_s: Array) -> NDArray[np.bool_]:
@@ -284,7 +280,10 @@ def doubt_velocity(table: Columns, there: Signals) -> list[Finding]:
     edges = _windows(t_pos, t_vel)
     if len(edges) < _FEWEST:
         return []
-    way, integrated = np.diff(_at(t_pos, pos, edges), axis=0), window_integrals(t_vel, vel, edges)
+    way, integrated = (
+        np.diff(interpolated(edges, t_pos, pos), axis=0),
+        window_integrals(t_vel, vel, edges),
+    )
     good = _known(t_pos, edges) & _known(t_vel, edges)
     good &= np.abs(way).max(axis=1) < 50.0 * _median_way(way)  # resets of an estimator
     found = []
@@ -337,7 +336,7 @@ def doubt_force(table: Columns, there: Signals) -> list[Finding]:
     edges = _windows(t_acc, t_q, t_vel)
     if len(edges) < _FEWEST:
         return []
-    gained = np.diff(_at(t_vel, vel, edges), axis=0)
+    gained = np.diff(interpolated(edges, t_vel, vel), axis=0)
     del vel  # of a long flight each is a good part of what memory there is
     read = window_integrals(t_acc, acc, edges)
     force_n = _force_ned(t_acc, acc, t_q, q)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..frames import from_euler
 from ..representation import short_repr
 from .columns import GYRO, POS, QUAT, SIGNALS, VEL, beyond_limit
-from .stretches import stretches_where
+from .samples import stretches_where
 
 Array = NDArray[np.float64]
 Sensor = Literal["gyro", "acc"]

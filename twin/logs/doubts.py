@@ -22,8 +22,8 @@ from .agreement import (
 from .columns import ACC, GYRO, MAG, POS, QUAT, VEL, Columns, other_unit
 from .flight import Array, Finding
 from .motor_checks import doubt_motors
+from .samples import interpolated, stretches_where
 from .stamps import missing_ends, pauses
-from .stretches import stretches_where
 
 _FASTEST_ROTOR_RAD_S = 4500.0  # 43,000 rpm: over the fastest racing motors under load
 _FROZEN_S = 2.0  # without a change, from which on a signal is frozen; made up
@@ -442,7 +442,7 @@ def _at_rest(table: Columns, t_s: Array, q: Array) -> NDArray[np.bool_] | None:
     if all(c in table for c in ACC):
         t_acc, acc = samples(table, ACC)
         if len(t_acc) >= _FEWEST:
-            force = np.column_stack([np.interp(t_s, t_acc, a) for a in acc.T])
+            force = interpolated(t_s, t_acc, acc)
             turned = np.stack(to_ned(list(q.T), list(force.T)), axis=1)
             turned[:, 2] += GRAVITY_M_S2
             return np.asarray(np.linalg.norm(turned, axis=1) < _STILL_M_S2)

@@ -332,3 +332,16 @@ class StoredFlight(Notes):
 
 AnyFlight = Flight | StoredFlight
 """In memory, or in its file."""
+
+
+def rows_before(flight: AnyFlight, t_s: Array) -> NDArray[np.intp]:
+    """The last row of the table at or before each time."""
+    rows = np.searchsorted(flight.time_s, t_s + 1e-9, side="right") - 1
+    return np.asarray(np.maximum(rows, 0))
+
+
+def phases_at(flight: AnyFlight, t_s: Array) -> NDArray[np.str_]:
+    """Phases of flight at some times: of the last row of the table at or before each, "" where the
+    flight says nothing."""
+    codes, names = flight.phase_codes
+    return np.asarray(names.astype("<U8")[codes[rows_before(flight, t_s)]])

@@ -23,6 +23,8 @@ from ..effects import EFFECTS, NoiseFloor, acting_late
 from ..errors import LogError
 from ..logs import AnyFlight
 from ..logs.columns import ACC
+from ..logs.samples import runs
+from ..logs.stored import phases_at, rows_before
 from ..physics.airframe import airframe
 from ..physics.rotors import Drive
 from ..physics.sensors.imu import imu
@@ -302,19 +304,6 @@ class TwinGrid:
         return Block(first, inputs, measured_states(self._airframe, motion, inputs, self._hidden))
 
 
-def rows_before(flight: AnyFlight, t_s: Array) -> NDArray[np.intp]:
-    """The last row of the table at or before each time."""
-    rows = np.searchsorted(flight.time_s, t_s + 1e-9, side="right") - 1
-    return np.asarray(np.maximum(rows, 0))
-
-
-def phases_at(flight: AnyFlight, t_s: Array) -> NDArray[np.str_]:
-    """Phases of flight at some times: of the last row of the table at or before each, "" where the
-    flight says nothing."""
-    codes, names = flight.phase_codes
-    return np.asarray(names.astype("<U8")[codes[rows_before(flight, t_s)]])
-
-
 def components_of(
     vehicle: Vehicle, drive: Drive, effects: Iterable[str] = ()
 ) -> tuple[Component, Component]:
@@ -390,12 +379,11 @@ class Alignment:
         codes = np.empty(self.rows, dtype=codes_of_table.dtype)
         for a, b in pairwise(self.edges(BLOCK_ROWS)):
             codes[a:b] = codes_of_table[self._table_rows(a, b)]
-        changes = np.flatnonzero(codes[1:] != codes[:-1]) + 1
-        edges = [0, *changes.tolist(), self.rows - 1]
+        spans = [(str(names[codes[a]]), a, min(b, self.rows - 1)) for a, b in runs(codes)]
         return tuple(
-            (str(names[codes[a]]), float(self.times(a, a + 1)[0]), float(self.times(b, b + 1)[0]))
-            for a, b in pairwise(edges)
-            if names[codes[a]]
+            (name, float(self.times(a, a + 1)[0]), float(self.times(b, b + 1)[0]))
+            for name, a, b in spans
+            if name
         )
 
     def _table_rows(self, first: int, end: int) -> NDArray[np.intp]:

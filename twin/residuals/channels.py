@@ -28,7 +28,7 @@ from ..component import Component
 from ..component.rows import OverRows
 from ..effects import EFFECTS, Equation, ages
 from ..logs import AnyFlight
-from ..logs.stretches import stretches_where
+from ..logs.samples import stretches_where
 from ..physics.sensors.imu import imu
 from ..physics.sensors.table import BODY, SENSORS, Sensor
 from ..representation import short_repr

@@ -32,7 +32,7 @@ from ..frames import AXES, rotation_vector
 from ..logs import AnyFlight
 from ..logs.airframe import origin_of
 from ..logs.columns import ACC, GYRO, POS, QUAT, VEL
-from ..logs.stretches import stretches_where
+from ..logs.samples import stretches_where
 from ..representation import short_repr
 from ..vehicle import Vehicle
 from .aligned import BLOCK_ROWS, AlignedFlight, Alignment, Block, align_flight

@@ -18,6 +18,7 @@ from ..errors import LogError
 from ..frames import multiply, rotation_vector
 from ..logs import AnyFlight, Flight, StoredFlight
 from ..logs.columns import GYRO, POS, QUAT, VEL
+from ..logs.samples import interpolated
 from ..representation import short_repr
 
 Array = NDArray[np.float64]
@@ -173,7 +174,7 @@ def _rate_hz(t_s: Array) -> float:
 
 def _interpolated(t_s: Array, known_s: Array, values: Array, rate_hz: float) -> Array:
     """Values at times, NaN outside what is known and in gaps."""
-    out = np.stack([np.interp(t_s, known_s, v) for v in values.T], axis=-1)
+    out = interpolated(t_s, known_s, values)
     if len(known_s) < 2:
         out[np.abs(t_s - known_s[0]) > 1e-9] = np.nan
         return out

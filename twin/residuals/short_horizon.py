@@ -14,7 +14,7 @@ from ..component import Component, Sampling, substeps
 from ..component.along import Along
 from ..component.rows import OverRows
 from ..logs.columns import GYRO, POS, QUAT, VEL
-from ..logs.stretches import stretches_where
+from ..logs.samples import stretches_where
 from .aligned import AlignedFlight
 from .teacher_forced import GRID_S
 

@@ -27,6 +27,7 @@ from ..logs import Flight
 from ..logs.airframe import Airframe
 from ..logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL, Columns
 from ..logs.flight import Settled, finite_rows, missing_signal
+from ..logs.stored import phases_at
 from ..physics.rotors import Drive
 from ..vehicle import Vehicle
 from .aligned import (
@@ -34,7 +35,6 @@ from .aligned import (
     TwinGrid,
     components_of,
     in_flight,
-    phases_at,
     resting_height,
     rotor_thrust,
     starts_in_air,

@@ -25,6 +25,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal import lfilter
 
 from ..logs.columns import GYRO
+from ..logs.samples import interpolated
 from ..residuals.measured import Signal
 from ..vehicle import GRAVITY_M_S2
 from .flight import Airborne, Array, FlightFrame, binned, lift, moment_signs
@@ -198,7 +199,7 @@ class Body:
         edges = self.frame.edges_s[self.start : self.end + 1]
         fine = np.arange(edges[0] - 1.0, edges[-1], FINE_S)
         raised = lift(drive.values, curvature)
-        values = np.stack([np.interp(fine, drive.t_s, v) for v in raised.T], axis=1)
+        values = interpolated(fine, drive.t_s, raised)
         if lag_s > 0:
             k = 1 - np.exp(-FINE_S / lag_s)
             values = lfilter([k], [1, k - 1], values - values[0], axis=0) + values[0]

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ..logs.stretches import stretches_where
+from ..logs.samples import stretches_where
 from .causes import CAUSES, CUT
 from .findings import Findings
 from .flight import CONTACT_M_S2, FlightFrame, lift

@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 
 from ..frames import rotation_vector
 from ..logs.autopilot import Reset, ResetOf
 from ..logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL
 from ..logs.flight import Flight
-from ..logs.stretches import stretches_where
+from ..logs.samples import interpolated, stretches_where
 from ..residuals.measured import Signal
 from ..vehicle import GRAVITY_M_S2
 from .consistency import Residual, running_median, trailing_median
@@ -71,17 +72,15 @@ def _binned(t: Array, values: Array, step_s: float = BIN_S) -> tuple[Array, Arra
 
 def _integral_at(signal: Signal, t: Array) -> Array:
     """Integral of a signal from its first sample on, at other times, shape (len(t), k)."""
-    v = signal.values
-    area = np.diff(signal.t_s)[:, None] * (v[1:] + v[:-1]) / 2.0
-    total = np.vstack([np.zeros(v.shape[1]), np.cumsum(area, axis=0)])
-    return np.stack([np.interp(t, signal.t_s, c) for c in total.T], axis=1)
+    total = cumulative_trapezoid(signal.values, signal.t_s, axis=0, initial=0)
+    return interpolated(t, signal.t_s, total)
 
 
 def _attitude_at(q: Signal, t: Array) -> Array:
     """Matrices body to NED, linear between samples of the quaternion, shape (len(t), 3, 3)."""
     turned = (q.values[1:] * q.values[:-1]).sum(axis=1) < 0
     sign = np.cumprod(np.append(1.0, np.where(turned, -1.0, 1.0)))
-    near = np.stack([np.interp(t, q.t_s, c) for c in (q.values * sign[:, None]).T], axis=1)
+    near = interpolated(t, q.t_s, q.values * sign[:, None])
     return rotations(near / np.linalg.norm(near, axis=1, keepdims=True))
 
 

@@ -28,7 +28,7 @@ from ..logs.columns import (
     VEL,
     motor_columns,
 )
-from ..logs.stretches import stretches_where
+from ..logs.samples import stretches_where
 from ..residuals.measured import Signal, measured_motion, signal_of
 from ..vehicle import GRAVITY_M_S2, Vehicle
 from ..vehicle.layouts import Layout, frame, frames_of

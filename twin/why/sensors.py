@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..formatting import number
 from ..logs.autopilot import Reset
 from ..logs.columns import ACC, GYRO, MAG
-from ..logs.stretches import stretches_where
+from ..logs.samples import stretches_where
 from ..residuals.measured import Signal
 from .consistency import (
     FALSE_IN_10_H,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..formatting import number
 from ..logs.autopilot import Autopilot, Message, Reset
-from ..logs.stretches import stretches_where
+from ..logs.samples import stretches_where
 from .findings import Findings
 from .flight import CONTACT_M_S2, Airborne, FlightFrame, lift
 from .records import TimelineItem

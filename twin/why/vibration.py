@@ -15,6 +15,7 @@ from scipy.signal import spectrogram
 from scipy.stats import norm
 
 from ..formatting import number
+from ..logs.samples import interpolated
 from ..residuals.measured import Signal
 from .findings import Findings
 from .flight import FlightFrame
@@ -198,7 +199,7 @@ def _even(signal: Signal, start: float, end: float) -> tuple[float, float, Array
     t = np.arange(first, end, step)
     if len(t) * step < 4 * SEGMENT_S:
         return None
-    return first, 1.0 / step, np.stack([np.interp(t, signal.t_s, c) for c in signal.values.T], 1)
+    return first, 1.0 / step, interpolated(t, signal.t_s, signal.values)
 
 
 def _spectra(shaken: tuple[float, float, Array]) -> tuple[Array, Array, Array]:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from twin.draft import Hover, hover_of
@@ -19,6 +20,7 @@ from twin.explain.inference.fit import INTERVAL
 from twin.logs import AnyFlight, Flight
 from twin.logs.airframe import SourcedValue
 from twin.logs.columns import GYRO, QUAT
+from twin.logs.samples import interpolated
 from twin.residuals.flight_gap import HoverDiagnosis
 from twin.vehicle_file import parse_vehicle
 
@@ -415,11 +417,10 @@ def gyro_bias(flight: AnyFlight) -> Array | None:
     t = t_q[at]
     turned = Rotation.from_quat(q[at], scalar_first=True)
     rate = (turned[:-1].inv() * turned[1:]).as_rotvec() / np.diff(t)[:, None]
-    steps = np.diff(t_w)[:, None]
-    angle = np.vstack([np.zeros(3), np.cumsum(0.5 * (omega[1:] + omega[:-1]) * steps, axis=0)])
+    angle = cumulative_trapezoid(omega, t_w, axis=0, initial=0)
     twist = np.cross(0.5 * (angle[1:] + angle[:-1]), np.diff(angle, axis=0))
     twist = np.vstack([np.zeros(3), np.cumsum(twist, axis=0)])
-    a, c = (np.column_stack([np.interp(t, t_w, x[:, k]) for k in range(3)]) for x in (angle, twist))
+    a, c = (interpolated(t, t_w, x) for x in (angle, twist))
     da = np.diff(a, axis=0)
     mean = (da + 0.5 * (np.diff(c, axis=0) - np.cross(a[:-1], da))) / np.diff(t)[:, None]
     whole = np.diff(t) < 2 * WINDOW_S

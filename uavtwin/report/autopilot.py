@@ -19,6 +19,7 @@ from twin.frames import to_euler
 from twin.logs import AnyFlight
 from twin.logs.autopilot import Autopilot, Message, Parameter, Sensor
 from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL, motor_columns
+from twin.logs.samples import interpolated
 from twin.representation import short_repr
 from twin.residuals.gap import slow_part
 from twin.residuals.measured import signal_of
@@ -308,7 +309,7 @@ def _followed(
     wanted = setpoint.values
     if columns == QUAT:
         flown = np.unwrap(to_euler(flown.T).T, axis=0)
-        near = np.column_stack([np.interp(setpoint.t_s, t, angle) for angle in flown.T])
+        near = interpolated(setpoint.t_s, t, flown)
         wanted = near + _wrapped(to_euler(wanted.T).T - near)
         flown, wanted = np.degrees(flown), np.degrees(wanted)
     axes = []

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.logs.samples import runs
 from twin.residuals.gap import slow_part
 
 from .page import GREY, Figure, Plot
@@ -492,19 +493,18 @@ class Panels:
         )
 
 
-def spans_of(t_s: Array, names: NDArray[np.str_]) -> list[tuple[str, float, float]]:
-    """Spans of time in which a name stays the same; those without a name are left out.
+def spans_of(
+    t_s: Array, values: NDArray[Any], name_of: Callable[[Any], str] = str
+) -> list[tuple[str, float, float]]:
+    """Spans of time in which a value stays the same; those without a name are left out.
 
     Args:
         t_s: Times, s, shape (n,).
-        names: Shape (n,), "" where there is none.
+        values: Shape (n,).
+        name_of: Name of a value, "" of none.
     """
-    edges = [0, *(np.flatnonzero(names[1:] != names[:-1]) + 1).tolist(), len(t_s)]
-    return [
-        (str(names[a]), float(t_s[a]), float(t_s[min(b, len(t_s) - 1)]))
-        for a, b in pairwise(edges)
-        if str(names[a])
-    ]
+    ends = [(name_of(values[a]), a, min(b, len(t_s) - 1)) for a, b in runs(values)]
+    return [(name, float(t_s[a]), float(t_s[b])) for name, a, b in ends if name]
 
 
 def degenerate(figure: Plot) -> Iterator[str]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,12 @@ from numpy.typing import NDArray
 from twin.frames import to_ned
 from twin.logs import AnyFlight
 from twin.logs.columns import POS, QUAT, motor_columns
+from twin.logs.samples import interpolated
 from twin.representation import short_repr
 from twin.residuals.gap import Channel
 
 from .autopilot import AutopilotView, autopilot_view
-from .drawing import Budget, Panels, Spans, packed, thinned
+from .drawing import Budget, Panels, Spans, packed, spans_of, thinned
 from .page import BLACK, BLUE, GREY, Figure, Plot, plot
 
 Array = NDArray[np.float64]
@@ -258,14 +258,7 @@ def overview(flight: AnyFlight) -> Overview:
 def flight_spans(flight: AnyFlight) -> Spans:
     """Phases of a flight, as its table has them."""
     codes, names = flight.phase_codes
-    changes = np.flatnonzero(codes[1:] != codes[:-1]) + 1
-    rows = np.concatenate([[0], changes, [len(codes) - 1]]) if len(codes) else np.empty(0, int)
-    t = flight.time_s
-    return [
-        (str(names[codes[a]]), float(t[a]), float(t[b]))
-        for a, b in pairwise(rows.tolist())
-        if str(names[codes[a]])
-    ]
+    return spans_of(flight.time_s, codes, lambda code: str(names[code]))
 
 
 def _line(flight: AnyFlight, column: str) -> tuple[Array, Array]:
@@ -316,7 +309,7 @@ def _restarted(t_s: Array, position_m: Array, ends: Sequence[Channel]) -> Track:
     """Strokes from where the flight was to where the twin would have been after its short horizon:
     each begins at the measured place of the restart."""
     begin = ends[0].t_s - ends[0].horizon_s
-    start = np.column_stack([np.interp(begin, t_s, position_m[:, k]) for k in range(3)])
+    start = interpolated(begin, t_s, position_m)
     end = np.column_stack([c.simulated for c in ends])
     none = np.full_like(start, np.nan)
     strokes = np.stack([start, end, none], axis=1).reshape(-1, 3)

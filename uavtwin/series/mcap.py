@@ -18,6 +18,7 @@ from twin.logs import Finding, Flight
 from twin.logs.airframe import Place, origin_of
 from twin.logs.columns import ACC_NED, COLUMNS, POS, QUAT, VEL, motor_number
 from twin.logs.flight import Severity
+from twin.logs.samples import interpolated
 from twin.physics.sensors.table import SENSORS, components_of_sensors
 from twin.vehicle.earth import geodetic_of_ned
 
@@ -476,7 +477,7 @@ def _poses(
     before = np.where(pos_t_s[after] == t_s, after, np.maximum(after - 1, 0))
     near = (pos_t_s[after] >= t_s) & (pos_t_s[before] <= t_s)
     near &= pos_t_s[after] - pos_t_s[before] <= LONGEST_STEP_S
-    there = np.column_stack([np.interp(t_s, pos_t_s, p) for p in positions.T])  # (n, 3)
+    there = interpolated(t_s, pos_t_s, positions)  # (n, 3)
     rows = np.flatnonzero(near & np.isfinite(q).all(axis=1))
     return {int(k): (there[k].tolist(), q[k].tolist()) for k in rows}
 

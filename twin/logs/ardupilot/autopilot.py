@@ -30,7 +30,7 @@ from ..autopilot import (
 )
 from ..columns import GYRO, POS, QUAT, VEL
 from ..flight import Array
-from ..stretches import stretches_where
+from ..samples import stretches_where
 from .airframe import logged_commands
 from .log import OTHERS, ArduPilotLog, Topic, firmware
 

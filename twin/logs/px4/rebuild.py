@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array
 from ..motors import MotorCommands, MotorOutput, describe_outputs
+from ..samples import interpolated
 from ..stamps import mean_rate_hz
 from .control import (
     Gyro,
@@ -125,7 +126,7 @@ def compare(
     if not inside.any():
         return Match(np.full(n_motors, np.nan), 0.0, 0)
     at = outputs.topic.t_us[inside]
-    rebuilt = np.column_stack([np.interp(at, t_us, cmd[:, k]) for k in range(n_motors)])
+    rebuilt = interpolated(at, t_us, cmd)
     width = outputs.low + rebuilt * (outputs.high - outputs.low)
     logged = outputs.values[inside]
     residual = logged - np.floor(width)
@@ -241,8 +242,7 @@ def _setpoint(log: Px4Log, t_s: Array) -> Array:
     sound = _sound(log, topic, good)
     if sound is None or len(sound.t_us) < 2:
         raise CannotRebuildError("vehicle_rates_setpoint has no finite sample")
-    t, values = sound.t_s, values[good]
-    return np.column_stack([np.interp(t_s, t, values[:, k]) for k in range(4)])
+    return interpolated(t_s, sound.t_s, values[good])
 
 
 def _armed(log: Px4Log, t_s: Array) -> NDArray[np.bool_]:
