@@ -1,5 +1,7 @@
 """What `check` prints: the verdict first, one screen, all of it on demand."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -90,3 +92,11 @@ def test_gap_without_a_vehicle_names_the_ways_out(
     code, _, err = run(capsys, "gap", "flight.ulg")
     said = " ".join(err.split())
     assert code == 2 and "copter_default" in said and "uavtwin vehicle draft LOG --mass" in said
+
+
+def test_check_begins_without_the_slow_parts_of_scipy() -> None:
+    """They take longer to load than a log to read."""
+    code = "import sys, uavtwin.file_check; print({m for m in sys.modules if m[:6] == 'scipy.'})"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    for slow in ("ndimage", "spatial", "signal", "stats", "optimize", "interpolate"):
+        assert f"scipy.{slow}" not in said.stdout

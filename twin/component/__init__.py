@@ -1,6 +1,6 @@
 """Equations written once: components, their builder, noise, and rows evaluated in a batch."""
 
-from .builder import ComponentBuilder
+from .builder import ComponentBuilder, built_once
 from .component import (
     LARGEST_INTEGER,
     Causality,
@@ -33,6 +33,7 @@ __all__ = [
     "Shortcut",
     "State",
     "Variable",
+    "built_once",
     "check_range",
     "substeps",
     "unknown_name",

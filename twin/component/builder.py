@@ -4,8 +4,10 @@
 equations, and turns both into a `Component`.
 """
 
+import pickle
+import threading
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import casadi as ca
 
@@ -22,6 +24,39 @@ from .component import (
     Variable,
     check_range,
 )
+
+BUILT = 8
+"""Components of a thread that are kept."""
+
+
+class _Built(threading.local):
+    """Components that one thread has built lately, with their parts: CasADi's functions are not
+    shared by threads."""
+
+    def __init__(self) -> None:
+        self.found: dict[tuple[object, ...], tuple[Component, Sequence[object]]] = {}
+
+
+_BUILT = _Built()
+
+
+def built_once(
+    build: Callable[..., Component], parts: Sequence[object], *given: object
+) -> Component:
+    """What `build(parts, *given)` makes, or has made of the same lately.
+
+    Args:
+        build: Of a module.
+        parts: Compared by identity.
+        given: Compared by value.
+    """
+    key = build, pickle.dumps(given), *map(id, parts)
+    if key not in _BUILT.found:
+        made = build(parts, *given), parts
+        while len(_BUILT.found) >= BUILT:
+            del _BUILT.found[next(iter(_BUILT.found))]
+        _BUILT.found[key] = made
+    return _BUILT.found[key][0]
 
 
 class ComponentBuilder:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ..errors import ModelError
 from ..logs import AnyFlight, Flight
 from ..logs.agreement import signals
+from ..logs.flight import once_per_flight
 from ..logs.motor_checks import doubt_moments
 from ..vehicle import Vehicle
 from ..vehicle.layouts import CW, Layout
@@ -76,6 +77,7 @@ def check_airframe(flight: AnyFlight, vehicle: Vehicle) -> None:
         raise ModelError(error)
 
 
+@once_per_flight
 def consistency(flight: AnyFlight, vehicle: Vehicle) -> Consistency:
     """Hold a vehicle against what the log of a flight states of the aircraft; where it states
     nothing of its rotors, against how the flight turned."""

@@ -1,10 +1,13 @@
 """A flight in memory: the table of `docs/reference/flight_table.md` plus what its reader doubts."""
 
 import hashlib
-from collections.abc import Sequence
+import pickle
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import wraps
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Concatenate, Literal, ParamSpec, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pandas as pd
@@ -88,7 +91,7 @@ class Settled:
     resting_down_m: float | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Notes:
     """What is known of a flight besides its table; a flight table in Parquet keeps it.
 
@@ -122,7 +125,7 @@ class Notes:
         return {f.name: getattr(self, f.name) for f in fields(Notes)}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Flight(Notes):
     """One recorded flight on one clock, SI, NED, FRD, quaternions `[w, x, y, z]`.
 
@@ -177,7 +180,7 @@ class Flight(Notes):
 
     def has(self, *columns: str) -> bool:
         """Whether every column is there with at least one finite sample."""
-        return all(c in self.table and bool(self.table[c].notna().any()) for c in columns)
+        return all(c in self.table and _is_known(self.table[c].to_numpy()) for c in columns)
 
     def signal(self, columns: Sequence[str]) -> tuple[Array, Array]:
         """Samples at the rows where all the columns are finite.
@@ -194,13 +197,40 @@ class Flight(Notes):
         missing = [c for c in columns if not self.has(c)]
         if missing:
             raise missing_signal(self.name, missing, [c for c in self.table if self.has(c)])
-        columns = list(columns)
-        return finite_rows(self.time_s, self.table[columns].to_numpy(dtype=np.float64))
+        values = [self.table[c].to_numpy(dtype=np.float64) for c in columns]
+        return finite_rows(self.time_s, np.array(values).T)
 
     def between(self, start_s: float, end_s: float) -> "Flight":
         """The part of the flight within a span of time, both ends included."""
         inside = (self.time_s >= start_s) & (self.time_s <= end_s)
         return replace(self, table=self.table[inside].reset_index(drop=True))
+
+
+_Flight = TypeVar("_Flight")
+_Given = ParamSpec("_Given")
+_Made = TypeVar("_Made")
+
+
+def once_per_flight(
+    make: Callable[Concatenate[_Flight, _Given], _Made],
+) -> Callable[Concatenate[_Flight, _Given], _Made]:
+    """A function of a flight whose results, which must not hold it, are kept as long as the flight
+    is, by the values of its other arguments."""
+    kept: WeakKeyDictionary[_Flight, dict[bytes, _Made]] = WeakKeyDictionary()
+
+    @wraps(make)
+    def made(flight: _Flight, /, *given: _Given.args, **named: _Given.kwargs) -> _Made:
+        own, key = kept.setdefault(flight, {}), pickle.dumps((given, named))
+        if key not in own:
+            own[key] = make(flight, *given, **named)
+        return own[key]
+
+    return made
+
+
+def _is_known(values: NDArray[Any]) -> bool:
+    """Whether a column has a sample."""
+    return not bool(np.isnan(values).all() if values.dtype.kind == "f" else pd.isna(values).all())
 
 
 def missing_signal(name: str, missing: Sequence[str], there: Sequence[str]) -> LogError:

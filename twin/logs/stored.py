@@ -232,7 +232,7 @@ class ParquetColumns(Columns):
                 yield batch.column(0)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class StoredFlight(Notes):
     """One recorded flight as in `Flight`, its table in the file that it came from.
 

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..component import Component, ComponentBuilder
+from ..component import Component, ComponentBuilder, built_once
 from ..effects import Blocks, Effect, Period, effects_of
 from ..effects.stages import AIR_DENSITY_KG_M3, Air, Body, Motion, Thrust, Wrench
 from ..errors import ModelError
@@ -146,7 +146,20 @@ def airframe(
     """
     wanted = {*effects, *vehicle.effects}
     chosen = [e for e in effects_of("airframe") if e.name in wanted]
-    component = _equations(vehicle, drive or vehicle.drive, chosen, restart, voltage)
+    return built_once(
+        _built, chosen, vehicle, drive or vehicle.drive, bool(restart), bool(voltage), trimmed
+    )
+
+
+def _built(
+    effects: Sequence[Effect],
+    vehicle: Vehicle,
+    drive: Drive,
+    restart: bool,
+    voltage: bool,
+    trimmed: bool,
+) -> Component:
+    component = _equations(vehicle, drive, effects, restart, voltage)
     return component.with_starts(hover_trim(component, vehicle)) if trimmed else component
 
 

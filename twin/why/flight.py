@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
-from scipy.spatial.transform import Rotation
 
 from ..errors import LogError
 from ..logs import Flight
@@ -279,7 +278,7 @@ class FlightFrame:
         """Whether it may fly, by what drives it, else by height, else by how it shakes."""
         if self.drive is not None:
             raised = lift(self.grid[self.drive]).mean(axis=1)
-            raised = uniform_filter1d(raised, max(self.places(0.5), 1))
+            raised = scipy.ndimage.uniform_filter1d(raised, max(self.places(0.5), 1))
             usual = np.median(raised[raised >= 0.4 * np.percentile(raised, 90)])
             return np.asarray(raised > 0.5 * usual)
         if "pos" in self.grid:
@@ -287,7 +286,9 @@ class FlightFrame:
             return np.asarray(height > np.percentile(height, 5) + 0.4)
         if "gyro" in self.grid:
             turning = np.linalg.norm(self.grid["gyro"], axis=1)
-            return np.asarray(uniform_filter1d(turning, max(self.places(2.0), 1)) > 0.03)
+            return np.asarray(
+                scipy.ndimage.uniform_filter1d(turning, max(self.places(2.0), 1)) > 0.03
+            )
         return np.ones(len(self.t_s), dtype=bool)
 
     def _off_the_ground(self, start: int, end: int) -> tuple[int, int]:
@@ -314,7 +315,7 @@ class FlightFrame:
             tilt = self.tilt_rad[start:end]
             bad |= (tilt > LOSS_TILT_RAD) & (tilt > 2 * self._flown_until(tilt))
         if "gyro" in self.grid:
-            smooth = uniform_filter1d(
+            smooth = scipy.ndimage.uniform_filter1d(
                 self.grid["gyro"][start:end], 2 * self.places(0.08) + 1, axis=0
             )
             turning = np.linalg.norm(smooth, axis=1)
@@ -360,7 +361,9 @@ def misfit(flight: FlightFrame) -> str:
 
 def rotations(q_nb: Array) -> Array:
     """Matrices body to NED of unit quaternions, shape (n, 3, 3)."""
-    return np.asarray(Rotation.from_quat(q_nb, scalar_first=True).as_matrix())
+    return np.asarray(
+        scipy.spatial.transform.Rotation.from_quat(q_nb, scalar_first=True).as_matrix()
+    )
 
 
 def lift(command: Array, curvature: float = LIFTING) -> Array:

@@ -1,5 +1,7 @@
 """Vehicle files whose rotors are not those that the log states are refused; all others are not."""
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -264,3 +266,12 @@ def test_a_flight_whose_log_states_no_rotors_is_asked_how_it_turned() -> None:
     assert "Its rotors are those of mine.toml" in warning
     assert consistency(flight, wrong).error == ""
     assert any("as if cmd_1 drove rotor 2" in text for text in drive_warnings(flight, wrong))
+
+
+def test_what_was_said_of_a_flight_goes_with_it() -> None:
+    flight, vehicle = stated(None), load_vehicle("copter_default")
+    there = weakref.ref(flight)
+    assert consistency(flight, vehicle) is consistency(flight, load_vehicle("copter_default"))
+    del flight
+    gc.collect()
+    assert there() is None

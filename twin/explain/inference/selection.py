@@ -16,6 +16,7 @@ it, and the cause may be none of the library.
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -149,7 +150,7 @@ class Total:
     ci95: tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Naming:
     """What the flights say about a model.
 
@@ -231,7 +232,7 @@ class Naming:
         placed |= {e for t in self.standing.values() for e in t.effects}
         return tuple(e for e in self.best.effects if e not in placed)
 
-    @property
+    @cached_property
     def totals(self) -> tuple[Total, ...]:
         """What is sure of families: one of the effects is there as surely as a name asks for, and
         the 95 % interval of their sum excludes what the model has of it."""

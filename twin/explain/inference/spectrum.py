@@ -7,6 +7,8 @@ constant of a flight is a band of its own, of one sample: what a trim or a day d
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,23 +144,30 @@ def transformed(channel: ChannelData, values: Array) -> tuple[Array, NDArray[np.
     """Rows of all long enough pieces of a channel with values at its samples, shape (n, m), and
     their bands; of what a pose implies those up to `OF_POSE_HZ`."""
     out, bands = [], []
-    pieces = [p for p in np.unique(channel.piece) if np.sum(channel.piece == p) >= SHORTEST]
-    total = sum(int(np.sum(channel.piece == p)) for p in pieces)
+    ends = [0, *(np.flatnonzero(np.diff(channel.piece)) + 1).tolist(), len(channel.piece)]
+    pieces = [slice(a, b) for a, b in pairwise(ends) if b - a >= SHORTEST]
+    total = sum(p.stop - p.start for p in pieces)
     for p in pieces:
-        part = values[channel.piece == p]
-        n, some = len(part), np.any(part != 0, axis=0)
-        y = np.zeros_like(part)
-        y[:, some] = dct(part[:, some], axis=0, norm="ortho")
-        hz = np.arange(n) * CHANNEL_HZ / 2 / n
-        band = np.searchsorted(BANDS_HZ, hz, side="right")
-        band[0] = 0
+        part = values[p]
+        some = np.any(part != 0, axis=0)
+        band = _bands(len(part), channel.name.startswith(OF_POSE))
+        y = np.zeros((len(band), part.shape[1]))
+        y[:, some] = dct(part[:, some], axis=0, norm="ortho")[: len(band)]
         y[0] /= np.sqrt(total)  # sqrt(n) for the mean, sqrt(n / total) for its share of the flight
-        counts = hz < (OF_POSE_HZ if channel.name.startswith(OF_POSE) else np.inf)
-        out.append(y[counts])
-        bands.append(band[counts])
+        out.append(y)
+        bands.append(band)
     if not out:
         return np.zeros((0, values.shape[1])), np.zeros(0, dtype=np.intp)
     return np.concatenate(out), np.concatenate(bands)
+
+
+@lru_cache(maxsize=64)
+def _bands(n: int, of_pose: bool) -> NDArray[np.intp]:
+    """Band of each frequency that counts of a piece of n samples."""
+    hz = np.arange(n) * CHANNEL_HZ / 2 / n
+    band = np.searchsorted(BANDS_HZ, hz, side="right")
+    band[0] = 0
+    return band[hz < (OF_POSE_HZ if of_pose else np.inf)]
 
 
 def force_shares(

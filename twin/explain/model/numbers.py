@@ -213,11 +213,11 @@ def values_of(numbers: Sequence[Number], change: Mapping[str, float]) -> Array:
 def lateness_of(numbers: Sequence[Number], theta: Array, signal: str) -> float:
     """By how much a signal acts later than in the model as it stands, s, at the values `theta`:
     what acts late does by its number, what is older than it says was there earlier."""
-    own = (n for n in zip(numbers, theta, strict=True) if signal in n[0].moves)
-    return float(sum((v - n.now) * (1 if n.acts else -1) for n, v in own))
+    moved = ((n, v) for n, v in zip(numbers, theta.tolist(), strict=True) if v != n.now)
+    return float(sum((v - n.now) * (1 if n.acts else -1) for n, v in moved if signal in n.moves))
 
 
 def age_of(numbers: Sequence[Number], theta: Array, signals: Sequence[str]) -> float:
     """By how much some signals are older than the record says, s, at the values `theta`."""
-    own = (set(n.moves) & set(signals) and not n.acts for n in numbers)
-    return float(sum(v for v, mine in zip(theta, own, strict=True) if mine))
+    aged = ((n, v) for n, v in zip(numbers, theta.tolist(), strict=True) if v)
+    return float(sum(v for n, v in aged if {*n.moves} & {*signals} and not n.acts))
