@@ -27,8 +27,10 @@ from ..data.channels import CHANNELS, FEATURE_CHANNELS, N_PHASES, PLACES
 from ..data.envelope import BEYOND, LINEAR_BEGIN, LINEAR_END, NETWORK_END
 from ..data.sequences import (
     LAGS,
+    MEAN_SIZE,
     OF_THE_DAY,
     SMOOTHING_S,
+    error_memory,
     limited,
     running_mean,
     smoothing,
@@ -103,7 +105,7 @@ def _step(g: Graph, model: Compensator) -> None:
     """One sample of `Compensator.run` as operators."""
     rows, protocol, n = model.history, model.info.protocol, len(CHANNELS)
     parts = g.split("state", list(model.state_sizes), axis=1)
-    past, mean_so_far, readings, begun, innovation_ratios, slow, cells = parts
+    past, mean_so_far, readings, begun, innovation_ratios, sizes, errors, slow, cells = parts
     with g.scope("inputs"):
         sample = _sample(g, model)
         here = _one_hot(g, sample)
@@ -164,7 +166,15 @@ def _step(g: Graph, model: Compensator) -> None:
         correction = g.op("Add", linear, more) if more else linear
         nothing, silent = g.floats(np.zeros((1, n))), g.floats([[0.0]])
     g.output("correction", n, "Where", sample.whole, correction, nothing)
-    g.output("spread", n, "Where", sample.whole, expected, rms)
+    today = expected
+    with g.scope("spread"):
+        if protocol == "track":
+            error, sizes, errors = _error_of_today(
+                g, model, sample, correction, expected, sizes, errors
+            )
+            more = g.op("Mul", close, g.op("Sub", error, g.floats([[1.0]])))
+            today = g.op("Mul", expected, g.op("Add", more, g.floats([[1.0]])))
+    g.output("spread", n, "Where", sample.whole, today, rms)
     with g.scope("alarm"):
         if protocol == "track":
             innovation_ratios = _innovation_ratio(
@@ -177,7 +187,8 @@ def _step(g: Graph, model: Compensator) -> None:
             alarm = g.op("Mul", sample.phase, silent)  # of as many samples
     g.output("anomaly", 1, "Where", sample.whole, alarm, silent)
     g.output("inside", 1, "Cast", inside, to=_FLOAT)
-    later = g.concat(past, mean_so_far, readings, begun, innovation_ratios, slow, cells, axis=1)
+    told = (innovation_ratios, sizes, errors)
+    later = g.concat(past, mean_so_far, readings, begun, *told, slow, cells, axis=1)
     g.output("state_out", model.state_size, "Where", sample.whole, later, "state")
 
 
@@ -293,6 +304,31 @@ def _innovation_ratio(
     usual = g.op("Mul", g.op("Max", spread, g.floats([[NO_SPREAD]])), level)
     fresh = g.op("Greater", sample.valid, g.floats([[0.5]]))
     return g.op("Where", fresh, g.op("Div", new, usual), before)
+
+
+def _error_of_today(
+    g: Graph,
+    model: Compensator,
+    sample: _Sample,
+    correction: str,
+    spread: str,
+    sizes: str,
+    errors: str,
+) -> tuple[str, str, str]:
+    """How far readings are off today, over the spread, (B, 15); states, as of `state_sizes`."""
+    n, horizon = len(CHANNELS), model.info.horizon
+    newest = g.columns(sizes, (horizon - 1) * n, horizon * n)
+    there = g.op("Cast", g.op("Greater", newest, g.floats([[0.0]])), to=_FLOAT)
+    decay = g.floats([[error_memory(model.info.rate_hz)]])
+    errors = g.op("Add", g.op("Mul", errors, decay), g.concat(newest, there, axis=1))
+    sums, weights = g.split(g.op("Add", errors, g.floats([[1.0]])), [n, n], axis=1)
+    residual = g.op("Sub", sample.measured, sample.virtual)
+    size = g.op("Abs", g.op("Sub", residual, correction))
+    usual = g.op("Mul", g.op("Max", spread, g.floats([[NO_SPREAD]])), g.floats([[MEAN_SIZE]]))
+    fresh = g.op("Greater", sample.valid, g.floats([[0.5]]))
+    size = g.op("Where", fresh, g.op("Div", size, usual), g.floats(np.zeros((1, n))))
+    kept = "" if horizon == 1 else g.columns(sizes, 0, (horizon - 1) * n)
+    return g.op("Div", sums, weights), g.concat(size, kept, axis=1), errors
 
 
 def _smoothed(g: Graph, model: Compensator, features: str, slow: str) -> str:

@@ -32,6 +32,7 @@ from ..data.sequences import (
     SMOOTHING_S,
     SpanSequence,
     check_protocol,
+    error_of_today,
     limited,
     n_lags,
     n_regressors,
@@ -145,15 +146,16 @@ class Compensator(nn.Module):
         return len(SMOOTHING_S) * len(self.features)
 
     @property
-    def state_sizes(self) -> tuple[int, int, int, int, int, int, int]:
+    def state_sizes(self) -> tuple[int, ...]:
         """Parts of the packed state: history, running means, readings, 1 once begun, innovation
-        ratio of the newest reading of each channel, slow features, network."""
+        ratio of the newest reading of each channel, sizes of the innovations that are not known
+        yet, their sums and weights, slow features, network."""
         n = len(CHANNELS)
         past, readings = self.history * n, self.readings * n
         begun = min(self.readings, 1)
-        now = begun, begun * n, self.n_slow
+        innovations = begun * n, self.info.horizon * n, 2 * begun * n
         cells = self.network.state_size if self.network else 0
-        return past, self.n_offset, readings, *now, cells
+        return past, self.n_offset, readings, begun, *innovations, self.n_slow, cells
 
     @property
     def state_size(self) -> int:
@@ -199,6 +201,9 @@ class Compensator(nn.Module):
                 new = np.nan_to_num(flight.residual[span.rows] - correction[span.rows])
                 now = innovation_ratio(new, spread[span.rows], self.anomaly_scale.double().numpy())
                 anomaly[span.rows] = held(now, span.fresh, 0.0).max(axis=1)
+                size = innovation_ratio(new, spread[span.rows], np.ones(new.shape[1]))
+                today = error_of_today(size, span.fresh, self.info.horizon, self.info.rate_hz)
+                spread[span.rows] *= between(close[:, None], today, np.ones_like(today))
             elif self.alarms:
                 anomaly[span.rows] = (out.distance / self.anomaly_scale).amax(-1).numpy()
             inside[span.rows] = span.inside

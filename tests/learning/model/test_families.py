@@ -242,8 +242,8 @@ def test_a_channel_that_is_shut_is_not_corrected(tmp_path: Path) -> None:
     np.testing.assert_allclose(after.spread[:, [0, 4]] / rms, 1.0, rtol=1e-6)
 
 
-def test_the_spread_of_the_linear_family_is_that_of_flights_left_out(once: Trained) -> None:
-    """So what is left of a flight of its own is below it, and nowhere far above."""
+def test_the_spread_of_the_linear_family_is_that_of_what_is_left_today(once: Trained) -> None:
+    """Of every sensor, though what flights left out have is more."""
     row, preset = preset_named("linear")
     model, _ = once(row, quick(preset), "track")
     flight: ResidualFlight = FLIGHTS[0]
@@ -251,7 +251,7 @@ def test_the_spread_of_the_linear_family_is_that_of_flights_left_out(once: Train
     rows = flight.fresh & found.inside[:, None]
     ratio = np.where(rows, (flight.residual - found.correction) / found.spread, np.nan)
     share = np.sqrt(np.nanmean(ratio**2, axis=0))
-    assert 0.5 < np.median(share) < 1.0 and share.max() < 1.15
+    assert 0.9 < np.median(share) < 1.1 and share.min() > 0.75 and share.max() < 1.25
 
 
 def test_svq_has_the_presets_of_the_paper() -> None:

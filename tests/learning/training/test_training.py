@@ -1,6 +1,7 @@
 """Training: repeatable to the byte, resumable, never worse than without the network."""
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from scipy.signal import lfilter
 from learning.data.channels import CHANNELS
 from learning.data.flights import ResidualFlight
 from learning.data.scaling import fit_scaling, in_spans
-from learning.data.sequences import LAGS, OF_THE_DAY, sequences
+from learning.data.sequences import LAGS, OF_THE_DAY, error_of_today, sequences
 from learning.model.compensator import Compensator
 from learning.model.family import TrainingTask
 from learning.model.folder import CURVE, MODEL, WEIGHTS, load
@@ -445,3 +446,12 @@ def test_an_offset_of_another_size_than_all_that_were_learned_from_is_followed()
         )[late]
         assert np.all(np.abs(left.mean(axis=0)) < 25 / 3)
         assert np.all(left.std(axis=0) < 1.3)
+
+
+def test_an_error_counts_from_when_it_is_known() -> None:
+    """Three times as far off as expected, all along; a sensor that reads nothing is as expected."""
+    size, fresh = np.full((1000, 2), 3.0), np.tile([True, False], (1000, 1))
+    today = error_of_today(size, fresh, 10, 100.0)
+    assert (today[:10] == 1).all() and (today[:, 1] == 1).all()
+    assert (np.diff(today[9:, 0]) > 0).all()
+    assert today[-1, 0] == pytest.approx(3 * math.sqrt(math.pi / 2), rel=0.02)
