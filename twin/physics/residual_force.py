@@ -247,8 +247,9 @@ def residual_force(vehicle: Vehicle, law: ForceLaw) -> Component:
         law: What is known of it.
     """
     m = ComponentBuilder("residual_force", f"What the equations of {vehicle.name} leave, as taught")
+    # In the order in which the airframe puts them out: they are carried at once.
+    down = m.input("pos_z", "m", "Position, NED down", -100.0)
     vel_n = [m.input(f"vel_{a}", "m/s", f"Velocity, NED {a}") for a in AXES]
-    wind_n = [m.input(f"wind_{a}", "m/s", f"Velocity of the air, NED {a}") for a in AXES]
     q_nb = [m.input(f"q_{a}", "1", f"Attitude, {a}", float(a == "w")) for a in "wxyz"]
     omega_b = [m.input(f"omega_{a}", "rad/s", f"Body rate about {a}") for a in AXES]
     spin = [
@@ -256,7 +257,7 @@ def residual_force(vehicle: Vehicle, law: ForceLaw) -> Component:
         for i in range(1, vehicle.rotors.count + 1)
     ]
     voltage = m.input("voltage", "V", "Battery voltage at the motors", vehicle.voltage_v)
-    down = m.input("pos_z", "m", "Position, NED down", -100.0)
+    wind_n = [m.input(f"wind_{a}", "m/s", f"Velocity of the air, NED {a}") for a in AXES]
     ground = m.parameter("ground.z", 0.0, "m", "Ground plane, NED down")
     enabled = m.parameter(
         "enabled", 1.0, "1", "Whether the law acts", kind="boolean", minimum=0, maximum=1
