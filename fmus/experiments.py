@@ -183,7 +183,7 @@ def related_problems(archive: Archive) -> list[str]:
                 kind = kind.replace("sha3-", "sha3_")
                 if kind not in hashlib.algorithms_guaranteed or kind.startswith("shake"):
                     problems.append(f"{shown(member)}: checksums of {shown(kind)} are not read")
-                elif hashlib.new(kind, opened.read(member)).hexdigest() != wanted.lower():
+                elif not _has(kind, wanted, _content(archive, opened, member)):
                     problems.append(f"{shown(member)} has another checksum than {MANIFEST} says")
     return problems
 
@@ -251,10 +251,10 @@ def _experiment(
 def _table(archive: Archive, opened: zipfile.ZipFile, member: str) -> Table:
     """Columns of a CSV; the first is the time."""
     try:
-        rows = list(csv.reader(io.StringIO(opened.read(member).decode())))
+        rows = list(csv.reader(io.StringIO(_content(archive, opened, member).decode())))
         values = np.array(rows[1:], float)
         columns = dict(zip(["time", *rows[0][1:]], values.T, strict=True))
-    except (KeyError, IndexError, ValueError) as error:
+    except (IndexError, ValueError) as error:
         raise FmuError(f"{archive.path.name}: {shown(member)}: no table: {error}.") from None
     if not len(columns["time"]) or not np.isfinite(values).all():
         raise FmuError(f"{archive.path.name}: {shown(member)}: no rows, or no finite numbers.")
@@ -266,9 +266,25 @@ def _member(base: str, source: str) -> str:
     return posixpath.normpath(posixpath.join(posixpath.dirname(base), source))
 
 
+def _has(kind: str, checksum: str, content: bytes) -> bool:
+    return hashlib.new(kind, content).hexdigest() == checksum.lower()
+
+
+def _content(archive: Archive, opened: zipfile.ZipFile, member: str) -> bytes:
+    """Of a member.
+
+    Raises:
+        FmuError: It is not there, or damaged.
+    """
+    try:
+        return opened.read(member)
+    except Exception as error:  # zipfile, zlib and lzma raise many kinds on damaged files
+        raise FmuError(f"{archive.path.name}: {shown(member)}: {error}.") from None
+
+
 def _parsed(archive: Archive, opened: zipfile.ZipFile, member: str) -> etree._Element:
     parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
     try:
-        return etree.fromstring(opened.read(member), parser)
-    except (KeyError, etree.XMLSyntaxError) as error:
+        return etree.fromstring(_content(archive, opened, member), parser)
+    except etree.XMLSyntaxError as error:
         raise FmuError(f"{archive.path.name}: {shown(member)}: {error}.") from None

@@ -144,7 +144,7 @@ def test_a_changed_reference_is_told(plant: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (b'source="reference_out.csv"/>', b'source="../../../etc/passwd"/>', "no table"),
+        (b'source="reference_out.csv"/>', b'source="../../../etc/passwd"/>', "no item named"),
         (b'stepSize="0.02"', b'stepSize="0"', "is no experiment"),
         (b'stopTime="1"', b'stopTime="soon"', "soon"),
         (b'tolerance="0.0001"', b'tolerance="nan"', "a tolerance of nan"),
@@ -201,6 +201,20 @@ def test_each_file_has_a_verdict(capsys: pytest.CaptureFixture[str], plant: Path
     assert not found["error"] and found["passed"]
     code, _, err = run_verb(capsys, "verify", "nope.fmu")
     assert code == 2 and "nope.fmu: no such file." in err
+
+
+def test_a_changed_byte_in_any_member_is_told(plant: Path, tmp_path: Path) -> None:
+    """In the middle of its packed content, by its CRC: no member is only half looked at."""
+    path, whole = tmp_path / "plant.fmu", plant.read_bytes()
+    with zipfile.ZipFile(plant) as archive:
+        packed = [m for m in archive.infolist() if m.filename != "modelDescription.xml"]
+    for member in packed:
+        place = member.header_offset + 30 + len(member.filename) + member.compress_size // 2
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        assert any(member.filename in p for p in inspect_fmu(path).problems), member.filename
+        if member.filename.startswith(FOLDER):
+            with pytest.raises(FmuError):
+                verify(path)
 
 
 def test_references_without_outputs_are_refused(plant: Path) -> None:
