@@ -2,17 +2,21 @@
 
 import json
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cli_rig import run
 from explained_rig import COPTER, explained
+from kinds import recorded
 
 import uavtwin as ut
+from fmus.experiments import MANIFEST
 from twin.errors import TwinError
 from uavtwin.exports.credibility import FILE, PAGE, check_required, members, of_file
 from uavtwin.exports.parts import learned
-from uavtwin.exports.write import export_parts
+from uavtwin.exports.write import Exportable, export_parts
 
 WORSE = {"before": 0.5, "after": 0.7, "shrink": -0.4, "shrink_ci95": [-0.6, -0.2]}
 
@@ -100,14 +104,48 @@ def test_an_unknown_model_is_said_with_those_that_are_shipped() -> None:
         learned(Path("copter_dragg"))
 
 
-def test_verification_is_of_files_with_reference_results() -> None:
-    card, wanted = ut.credibility(ut.load_vehicle(COPTER)), ["verification=1"]
-    body = ut.component("imu", ut.load_vehicle(COPTER))
-    export_parts([body], card=card, require=wanted)
-    with pytest.raises(TwinError, match="verification has level 0"):
-        export_parts([body], python_slave=True, card=card, require=wanted)
-    with pytest.raises(TwinError, match="verification has level 0"):
-        export_parts([body], 3, arrays=True, card=card, require=wanted)
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("what", "file", "options", "level"),
+    [
+        ("imu", "imu.fmu", {}, 1),
+        ("imu", "imu.fmu", {"fmi": 3, "arrays": True}, 0),
+        ("imu", "imu.fmu", {"real_outputs": True}, 1),
+        ("imu", "imu.fmu", {"python_slave": True}, 0),
+        ("replay", "replay.fmu", {"fmi": 3}, 1),
+        ("driven", "twin.fmu", {}, 1),
+        ("driven", "twin.ssp", {}, 1),
+        ("mission", "twin.ssp", {"fmi": 3}, 1),
+        ("force", "twin.ssp", {}, 1),
+    ],
+)
+def test_a_card_claims_references_where_all_fmus_of_its_file_have_some(
+    what: str, file: str, options: dict[str, Any], level: int, tmp_path: Path
+) -> None:
+    force = ut.learned_force("copter_drag")
+    taught, vehicle = ut.load_vehicle(force.folder / "vehicle.toml"), ut.load_vehicle(COPTER)
+    flown = recorded(time=[0.0, 0.5, 1.0], cmd_1=[0.4, 0.5, 0.6])
+    makers: dict[str, Callable[[], Exportable]] = {
+        "imu": lambda: ut.component("imu", vehicle),
+        "replay": lambda: ut.replay(flown),
+        "driven": lambda: ut.twin(vehicle, drive="command"),
+        "mission": lambda: ut.twin(vehicle),
+        "force": lambda: ut.twin(taught, drive="command", force=force),
+    }
+    made = makers[what]()
+    path = tmp_path / file
+    ut.export(made, path, card=ut.credibility(vehicle), **options)
+    with zipfile.ZipFile(path) as archive:
+        card = json.loads(archive.read(FILE))
+        inside = [n for n in archive.namelist() if n.endswith(".fmu")]
+        for name in inside:
+            archive.extract(name, tmp_path)
+    assert card["factors"]["verification"]["level"] == level
+    for fmu in [tmp_path / n for n in inside] or [path]:
+        with zipfile.ZipFile(fmu) as archive:
+            assert (MANIFEST in archive.namelist()) == bool(level)
+    if level:
+        assert ut.verify(path).passed
 
 
 def test_evidence_of_another_vehicle_is_refused(tmp_path: Path) -> None:
