@@ -3,8 +3,17 @@ FMU whose bands the others have taught.
 
     python -m benchmarks.band_coverage --vehicle explained.toml day_1.ulg day_2.ulg day_3.ulg
 
-The flights must not have taught the vehicle file. Counted are the times alone at which the FMU says
-`valid`. No number of `uavtwin.accuracy` may be chosen by what this prints of a published set.
+The flights must not have taught the vehicle file. Where too few are left for that, others teach
+the bands, each by the twin of a vehicle file that was explained without it (jackknife+):
+
+    python -m benchmarks.band_coverage --vehicle of_1_and_2.toml --by day_1.ulg=of_2.toml \\
+        --by day_2.ulg=of_1.toml day_3.ulg
+
+Counted are the times alone at which the FMU says `valid`. No number of `uavtwin.accuracy` may be
+chosen by what this prints of a published set.
+
+Source of the second: Barber, Candes, Ramdas & Tibshirani, Predictive inference with the
+jackknife+, Annals of Statistics 49, 2021.
 """
 
 import argparse
@@ -19,6 +28,7 @@ from twin.errors import TwinError
 from twin.flight.assembly import driven_twin
 from twin.logs import AnyFlight
 from twin.physics.accuracy import Bands, accuracy
+from twin.physics.rotors import Drive
 from twin.residuals.teacher_forced import choose_drive
 from uavtwin.accuracy import EVERY_S, STARTS, Windows, bands_of, replayed
 from uavtwin.exports.parts import OBSERVER, Twin
@@ -26,6 +36,9 @@ from uavtwin.exports.write import export
 from uavtwin.flights import open_alike
 from uavtwin.force.open_loop import HORIZONS_S, Replay
 from uavtwin.vehicles import Vehicle, load_vehicle
+
+_Seen = dict[str, list[Windows]]
+"""Windows of flights by twin."""
 
 
 def judged(
@@ -48,26 +61,47 @@ def judged(
     return rows
 
 
-def measure(vehicle: Vehicle, flights: Sequence[AnyFlight], folder: Path) -> pd.DataFrame:
-    """Rows of `judged` of all flights and twins; a flight without bands has none."""
+def replays(vehicle: Vehicle, flights: Sequence[AnyFlight], drive: Drive, folder: Path) -> _Seen:
+    """What the twins of a vehicle are off in flights."""
+    fmu = _fmu(vehicle, drive, folder / "seen.fmu", None)
+    return {twin: [replayed(f, vehicle, fmu, twin) for f in flights] for twin in STARTS}
+
+
+def _fmu(vehicle: Vehicle, drive: Drive, path: Path, known: Bands | None) -> Path:
+    """The driven twin, which shows what it goes through, or its bands."""
+    assembly = driven_twin(vehicle, drive, accuracy=accuracy(vehicle, known))
+    export(Twin(vehicle.name, assembly), path)
+    return path
+
+
+def measure(
+    vehicle: Vehicle,
+    flights: Sequence[AnyFlight],
+    folder: Path,
+    by: Sequence[tuple[AnyFlight, Vehicle]] = (),
+) -> pd.DataFrame:
+    """Rows of `judged` of all flights and twins; a flight without bands has none.
+
+    Args:
+        vehicle: Whose twins.
+        flights: To judge, each by bands of the others.
+        folder: For FMUs.
+        by: Flights that teach the bands of all instead, each with the vehicle of its twin.
+    """
     drive = choose_drive(flights[0], vehicle)
-
-    def fmu(name: str, known: Bands | None) -> Path:
-        """The driven twin, which shows what it goes through, or its bands."""
-        assembly = driven_twin(vehicle, drive, accuracy=accuracy(vehicle, known))
-        export(Twin(vehicle.name, assembly), folder / f"{name}.fmu")
-        return folder / f"{name}.fmu"
-
-    seen, rows = fmu("seen", None), []
+    own = replays(vehicle, flights, drive, folder)
+    taught = [replays(other, [flight], drive, folder) for flight, other in by]
+    rows = []
     for twin in STARTS:
-        windows = [replayed(f, vehicle, seen, twin) for f in flights]
         for k, flight in enumerate(flights):
+            others = [w for i, w in enumerate(own[twin]) if i != k]
             try:
-                bands, _ = bands_of([w for i, w in enumerate(windows) if i != k])
+                bands, _ = bands_of([t[twin][0] for t in taught] or others)
             except TwinError as error:
                 print(f"{twin}, {flight.name}: no bands: {error}")
                 continue
-            rows += judged(flight, vehicle, fmu("judged", bands), bands, windows[k], twin)
+            fmu = _fmu(vehicle, drive, folder / "judged.fmu", bands)
+            rows += judged(flight, vehicle, fmu, bands, own[twin][k], twin)
     return pd.DataFrame(rows)
 
 
@@ -76,10 +110,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("flights", type=Path, nargs="+")
     parser.add_argument("--vehicle", required=True)
+    parser.add_argument("--by", action="append", default=[], metavar="FLIGHT=VEHICLE")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        flights = open_alike(given.flights, None, False)
-        found = measure(load_vehicle(given.vehicle), flights, Path(folder))
+        teachers = [text.split("=", 1) for text in given.by]
+        paths = [*given.flights, *(Path(log) for log, _ in teachers)]
+        flights, n = open_alike(paths, None, False), len(given.flights)
+        others = [load_vehicle(file) for _, file in teachers]
+        taught = list(zip(flights[n:], others, strict=True))
+        found = measure(load_vehicle(given.vehicle), flights[:n], Path(folder), taught)
     if found.empty:
         return
     for (twin, flight), n in found.groupby(["twin", "flight"], sort=False)["n"].sum().items():
