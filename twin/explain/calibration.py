@@ -16,13 +16,14 @@ from ..representation import short_repr
 from ..vehicle import Calibration, Vehicle
 from .balance import trim_of
 from .estimates import UNDETERMINED
+from .inference.adequacy import coherent
 from .inference.estimate import Estimate, fitted_estimates
 from .inference.evidence import LaplaceEvidence
 from .inference.fit import Fit, Problem, State, fit_of
 from .inference.posterior import SearchResult
 from .inference.priors import Priors, effect_of, priors_of
 from .inference.search import CLEAR, calibration_start, search, with_instruments_of_end
-from .inference.selection import coherent, days_of, shares_of
+from .inference.selection import days_of, shares_of
 from .model.model import candidates, model_of
 from .model.numbers import Payloads, with_effects
 from .settings import DEFAULT, InferenceSettings

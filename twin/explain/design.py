@@ -30,14 +30,14 @@ from ..flight.mission import FASTEST, HARDEST, SMALL_ARM_M, minimum_jerk, ramped
 from ..flight.simulate_flight import Recorder, Stream, simulate_flight
 from ..logs import Flight
 from ..representation import short_repr
-from ..residuals.channels import GRID_HZ, ChannelData
+from ..residuals.channels import GRID_HZ
 from ..vehicle import GRAVITY_M_S2, Vehicle
 from .inference.evidence import Factored, best_inside
 from .inference.fit import Fit
 from .inference.selection import Naming
 from .inference.whitening import Block, blocks_of
 from .model.model import Model, model_of
-from .model.numbers import Number, carrying, columns_of, with_effects
+from .model.numbers import carrying, with_effects
 from .settings import DEFAULT
 
 Array = NDArray[np.float64]
@@ -358,10 +358,6 @@ def volts_of(flights: Sequence[Flight], vehicle: Vehicle) -> float:
 # -- discrimination between two explanations -----------------------------------------------
 
 
-SHAPE_STEP = 0.03
-"""Relative step by which a shape is moved for its slope."""
-
-
 @dataclass(frozen=True, slots=True)
 class Suggestion:
     """A manoeuvre that separates two sets of effects.
@@ -444,7 +440,7 @@ def _parting(
     true = {c.name: c.residual for c in model.channels([], truth.values)[0]}
     rows = [
         replace(c, residual=c.residual - true[c.name])
-        for c in _answers(model, other)[0]
+        for c in model.channels(_columns(model, other), other.values)[0]
         if c.name in noise
     ]
     even = [replace(noise[c.name], weights=(np.ones(len(c.t_s)),)) for c in rows]
@@ -466,10 +462,10 @@ def lead(blocks: Sequence[Block], held: Held) -> float:
 def _held(naming: Naming, fitted: Fit) -> Held:
     """How far the flights so far, and the priors, let the numbers of an explanation move."""
     whitened = naming.whitened
-    answers = _answers(whitened.model, fitted)
+    own, at = _columns(whitened.model, fitted), fitted.values
+    answers = whitened.model.channels(own, at)
     blocks = blocks_of(answers, whitened.noise, whitened.settings).values()
-    numbers = _numbers(whitened.model, fitted)
-    at = {n.full: n.now for n in numbers} | dict(fitted.values)  # of some rotors, maybe
+    numbers = [whitened.model.numbers[i] for i in own]
     prior = np.diag([1 / n.sd**2 for n in numbers])
     return Held(
         np.sum([b.gram for b in blocks], axis=0) + prior,
@@ -478,28 +474,9 @@ def _held(naming: Naming, fitted: Fit) -> Held:
     )
 
 
-def _answers(model: Model, fitted: Fit) -> list[list[ChannelData]]:
-    """Channels of an explanation at its values, with slopes by its numbers and its shapes."""
-    at = dict(fitted.values)
-    own = columns_of(model.numbers, fitted.effects)
-    flights = model.channels([i for i in own if model.numbers[i].full in at], at)
-    for shape in (n.full for n in _numbers(model, fitted) if n.shape):
-        step = SHAPE_STEP * at[shape]
-        moved = model.channels([], {**at, shape: at[shape] + step})
-        flights = [
-            [
-                replace(c, slopes=np.column_stack([c.slopes, (c.residual - d.residual) / step]))
-                for c, d in zip(now, then, strict=True)
-            ]
-            for now, then in zip(flights, moved, strict=True)
-        ]
-    return flights
-
-
-def _numbers(model: Model, fitted: Fit) -> list[Number]:
-    """Numbers of an explanation in the order of the model, then its shapes."""
-    own = [n for n in model.numbers if n.effect in fitted.effects and n.full in fitted.values]
-    return sorted(own, key=lambda n: n.shape)
+def _columns(model: Model, fitted: Fit) -> list[int]:
+    """Positions of the numbers of an explanation, shapes included."""
+    return [i for i, n in enumerate(model.numbers) if n.full in fitted.values]
 
 
 # -- flying ---------------------------------------------------------------------------------

@@ -41,10 +41,11 @@ from .holdout import (
     hidden,
     localize,
 )
+from .inference.adequacy import coherent
 from .inference.fit import Fit
 from .inference.priors import UNCALIBRATED
 from .inference.search import NO_CHECKPOINT, Checkpoint
-from .inference.selection import Naming, Resemblance, Verdict, coherent, name_effects
+from .inference.selection import Naming, Resemblance, Verdict, name_effects
 from .model.model import channel_names
 from .model.numbers import Payloads, visible, with_effects
 from .settings import DEFAULT, SearchSettings

@@ -1,6 +1,8 @@
 """What a file says of its own uncertainty, and what is too far from what a number can be."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -8,10 +10,13 @@ from search_rigs.courses import LEGS
 from search_rigs.hypotheses import against
 from search_rigs.library import library
 
+from twin.effects import EFFECTS
 from twin.explain.estimates import calibrated_effects, estimates_of
 from twin.explain.explanation import Explanation, explain
 from twin.explain.inference.fit import Fit
+from twin.explain.inference.priors import _covariance
 from twin.explain.inference.selection import _resemblances, name_effects
+from twin.explain.model.numbers import numbers_of
 from twin.explain.settings import DEFAULT
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle, parse_vehicle, vehicle_text
@@ -47,6 +52,22 @@ def explained(vehicle: Vehicle, plant: Vehicle) -> Explanation:
     flights = [fly(COPTER, plant, seed=n, name=f"flown_{n}", waypoints=LEGS) for n in (3, 4)]
     with library(FEW):
         return explain(flights[:1], flights[1:], vehicle, missions=[])
+
+
+@pytest.mark.parametrize(("per_thrust", "torque_sd"), [(True, 0.2), (False, 0.2), (True, 0.0)])
+def test_a_torque_that_is_given_per_thrust_is_off_with_the_thrust(
+    per_thrust: bool, torque_sd: float
+) -> None:
+    """Torque over that of the file is the ratio's factor times the thrust's: draws of both."""
+    key = "rotors.torque_per_thrust" if per_thrust else "rotors.torque_from_speed"
+    vehicle = cast(Vehicle, SimpleNamespace(sources={key: "made up"}))
+    numbers = numbers_of([EFFECTS["thrust_scale"], EFFECTS["yaw_torque_scale"]], COPTER)
+    sd = np.array([0.05, torque_sd])
+    draws = 1 + sd * np.random.default_rng(0).standard_normal((200_000, 2))
+    if per_thrust and torque_sd:
+        draws[:, 1] *= draws[:, 0]
+    found = _covariance(numbers, sd, vehicle)
+    assert found == pytest.approx(np.cov(draws.T), abs=3e-4)
 
 
 @pytest.mark.slow

@@ -55,6 +55,8 @@ LOCAL = {
         "calibration.AT_FILE",
         "inference.priors.EDGE",
         "model.model.RECENT",
+        "inference.adequacy.LEAST",
+        "inference.adequacy.UNKNOWN_POWER",
         "inference.evidence.HALVINGS",
         "inference.evidence.PIVOTS",
         "inference.evidence.SETTLED",
@@ -88,7 +90,6 @@ LOCAL = {
         "inference.selection.DAYS_SHOWN",
         "inference.selection.MANY",  # where a search begins
         "holdout.DRAWS",
-        "design.SHAPE_STEP",
         "inference.sparse_regression.RIDGE",
         "unnamed.FINER",
         "stochastic.search.RIDGES",
@@ -109,6 +110,7 @@ LOCAL = {
         "inference.spectrum.SHORTEST",
     },
     "reported numbers and sets, once their probability is known": {
+        "inference.fit.COVERED",
         "inference.posterior.EXCHANGED",
         "calibration.CLEARLY",
         "estimates.UNDETERMINED",

@@ -21,11 +21,12 @@ from twin.explain.balance import (
     trim_of,
 )
 from twin.explain.explanation import Explanation
+from twin.explain.inference.adequacy import coherent, misfits
 from twin.explain.inference.estimate import fitted_estimates
 from twin.explain.inference.fit import INTERVAL, Fit, Problem
 from twin.explain.inference.posterior import Posterior
 from twin.explain.inference.priors import priors_since
-from twin.explain.inference.selection import Naming, coherent, misfits
+from twin.explain.inference.selection import Naming
 from twin.explain.model.model import Model, model_of
 from twin.explain.stochastic.spectral import StochasticEffect
 from twin.explain.weather import (

@@ -22,7 +22,7 @@ import numpy as np
 
 from ..model.model import Model
 from .evidence import LaplaceEvidence
-from .fit import State
+from .fit import COVERED, State
 from .priors import effect_of
 
 POWER_95 = 1.645
@@ -98,7 +98,8 @@ def smallest_detectable(
                     critical_size(noise[i], b.file[i, i], m, b.slab[i] ** 2, needed)
                     for m in ((shift, -shift) if both else (shift,))
                 )
-                size = max(size, number.about.smallest) + POWER_95 * math.sqrt(noise[i])
+                size = max(size, number.about.smallest, COVERED * float(b.spike[i]))
+                size += POWER_95 * math.sqrt(noise[i])
             room = float(b.high[i] - b.now[i] - b.held[i])
             value = size if size <= max(room, 0.0) else None
             detected = Detectable(number.full, value, number.about.unit)

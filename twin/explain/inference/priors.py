@@ -107,6 +107,27 @@ class Priors:
         wanted |= {effect_of(c) for c in wanted}
         return np.array([i for i, c in enumerate(self.cause) if c in wanted], dtype=np.intp)
 
+    def extended(self, names: Sequence[str], sd: float) -> "Priors":
+        """The same with more numbers, each its own cause and anything about 0."""
+        more = 0, len(names)
+        now, mean, held, day = (np.pad(v, more) for v in (self.now, self.mean, self.held, self.day))
+        return Priors(
+            (*self.columns, *[-1] * len(names)),
+            (*self.names, *names),
+            (*self.cause, *names),
+            np.pad(self.shape, more),
+            now,
+            mean,
+            np.pad(self.slab, more, constant_values=sd),
+            np.pad(self.file, more),
+            np.pad(self.low, more, constant_values=-np.inf),
+            np.pad(self.high, more, constant_values=np.inf),
+            held,
+            day,
+            {**self.odds, **dict.fromkeys(names, 0.0)},
+            self.most,
+        )
+
     def tension(self, values: Mapping[str, float]) -> dict[str, float]:
         """By number, how many prior deviations a value is away from what was expected; of a number
         that cannot be zero, such as a factor, in its logarithm; 0 of one that is held."""
@@ -159,6 +180,20 @@ def _unsure(number: Number, vehicle: Vehicle, trusted: bool) -> float:
     if key is None or known is None or (trusted and not known.stated):
         return 0.0
     return known.sd * _whole(key, number, vehicle)
+
+
+def _covariance(numbers: Sequence[Number], sd: Array, vehicle: Vehicle) -> Array:
+    """Of numbers as the vehicle file has them, with no effect there, given the deviation of each as
+    it is written: a torque that is given per thrust is off with the thrust as well."""
+    file = np.diag(sd**2)
+    place = {prior_of(EFFECTS[n.effect]).corrects: i for i, n in enumerate(numbers) if not n.shape}
+    thrust, torque = (place.get(f"rotors.{of}") for of in ("thrust", "torque"))
+    if thrust is None or torque is None or "rotors.torque_per_thrust" not in vehicle.sources:
+        return file
+    if sd[torque] > 0:
+        file[torque, torque] += sd[thrust] ** 2
+        file[thrust, torque] = file[torque, thrust] = sd[thrust] ** 2
+    return file
 
 
 def _whole(key: str, number: Number, vehicle: Vehicle) -> float:
@@ -258,6 +293,7 @@ def priors_of(model: Model, trusted: bool = True) -> Priors:
         if n.about.per_rotor and not n.shape and not trusted:
             spike[i] = max(spike[i], PROPELLERS)
     single = Counter(n.effect for n in own if n.about.per_rotor and not n.shape)
+    file = _covariance(own, spike, vehicle)
     return Priors(
         tuple(columns),
         tuple(n.full for n in own),
@@ -265,8 +301,8 @@ def priors_of(model: Model, trusted: bool = True) -> Priors:
         np.array([n.shape for n in own], dtype=np.bool_),
         np.array([n.now for n in own]),
         mean,
-        np.hypot(slab, spike),
-        np.diag(spike**2),
+        np.hypot(slab, np.sqrt(np.diag(file))),
+        file,
         np.array([_lowest(n, vehicle, trusted) for n in own]),
         np.array([n.about.bounds[1] for n in own]),
         np.zeros(len(own)),
@@ -321,6 +357,12 @@ class Bounds:
         return Bounds(
             self.low - values, self.high - values, self.rows, self.least - self.rows @ values
         )
+
+    def extended(self, more: int) -> "Bounds":
+        """The same with more numbers that may be anything."""
+        none, anything = np.zeros((len(self.rows), more)), np.full(more, np.inf)
+        low, high = np.append(self.low, -anything), np.append(self.high, anything)
+        return replace(self, low=low, high=high, rows=np.hstack([self.rows, none]))
 
     def part(self, columns: Sequence[int]) -> "Bounds":
         """Of some of the numbers, while the others do not change."""

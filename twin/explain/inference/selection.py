@@ -6,11 +6,6 @@
 | undecided | it may be there, or another stands for it |
 | acts like it | a number is at its edge, or its law leaves much |
 | calibrated | the file's own uncertainty covers it |
-
-*Adequacy*: how far a name can be believed. The noise of a residual decorrelates within a few
-samples; what remains correlated over longer lags is a cause. An effect of the right name explains
-nearly all of that, as its law is about right. One that merely resembles the cause leaves a part of
-it, and the cause may be none of the library.
 """
 
 import math
@@ -24,13 +19,12 @@ from numpy.typing import NDArray
 
 from ...effects import EFFECTS, FAMILIES, Family
 from ...logs import Flight
-from ...physics.sensors.table import BODY, sensor_of
 from ...representation import short_repr
-from ...residuals.channels import BAND_HZ, CHANNEL_HZ, POSE_BAND_HZ, ChannelData
 from ...vehicle import Vehicle
 from ..model.model import Model, candidates, model_of
 from ..model.numbers import Number, Payloads
-from ..settings import DEFAULT, AdequacySettings, InferenceSettings, SelectionSettings
+from ..settings import DEFAULT, InferenceSettings, SelectionSettings
+from .adequacy import UNKNOWN_POWER, credible, misfits, powers
 from .detection import Detectable, smallest_detectable
 from .estimate import Estimate, fitted_estimates
 from .evidence import MapEstimate
@@ -49,73 +43,6 @@ from .spectrum import force_shares
 from .whitening import WhitenedFlights
 
 Array = NDArray[np.float64]
-
-
-def credible(misfit: float, settings: AdequacySettings = DEFAULT.inference.adequacy) -> float:
-    """Probability that a cause is of the library, given the share of amplitude that is left.
-
-    By Bayes: what a right name leaves is normal about zero, with the deviation `law`. A wrong name
-    may leave anything, or as little as a right one: that little is left speaks for no name, that
-    much is speaks against it.
-    """
-    law, outside = settings.law, settings.outside
-    right = 2 / (law * np.sqrt(2 * np.pi)) * np.exp(-0.5 * (misfit / law) ** 2)
-    return float((1 - outside) * right / ((1 - outside) * right + outside * max(right, 1.0)))
-
-
-def misfits(
-    model: Model,
-    fitted: Fit,
-    without: Mapping[str, Fit],
-    settings: AdequacySettings = DEFAULT.inference.adequacy,
-    usual: Mapping[str, float] | None = None,
-) -> dict[str, float]:
-    """Of each effect the share of amplitude that it leaves in the channel that it explains most.
-
-    Args:
-        without: The hypothesis without one of its effects, by that effect.
-        usual: By channel the rms that is left in flights without the effect: it is no law's fault.
-    """
-    model = fitted.on_its_days(model)  # a constant of the day may stand in for an effect
-    after, found = model.channels([], fitted.values), {}
-    for effect, rest in without.items():
-        before = model.channels([], rest.values)
-        pairs = zip(zip(*before, strict=True), zip(*after, strict=True), strict=True)
-        i = int(np.argmax([_taken(b, a) for b, a in pairs]))
-        (there, _), (left, chance) = (
-            coherent([f[i] for f in flights], settings) for flights in (before, after)
-        )
-        left -= (usual or {}).get(after[0][i].name, 0.0) ** 2
-        share = max(left - settings.chance * chance, 0.0) / there if there > 0 else 0.0
-        found[effect] = float(np.sqrt(min(share, 1.0)))
-    return found
-
-
-def _taken(before: Sequence[ChannelData], after: Sequence[ChannelData]) -> float:
-    """Log of the power of a channel before over that after, times its samples."""
-    n = sum(len(c.residual) for c in before)
-    old, new = (sum(float(c.residual @ c.residual) for c in own) for own in (before, after))
-    return n * float(np.log(max(old, 1e-300) / max(new, 1e-300)))
-
-
-def coherent(
-    flights: Sequence[ChannelData], settings: AdequacySettings = DEFAULT.inference.adequacy
-) -> tuple[float, float]:
-    """Mean power of a channel that is not forgotten, and the deviation of that by mere noise."""
-    sensor = sensor_of(flights[0].name)
-    band = BAND_HZ if sensor is not None and sensor.group == BODY else POSE_BAND_HZ
-    lag = round(settings.memory * CHANNEL_HZ / band)
-    total, power, n = 0.0, 0.0, 0
-    for c in flights:
-        for k in np.unique(c.piece):
-            values = c.residual[c.piece == k]
-            total += float(values[lag:] @ values[:-lag])
-            power += float(values[lag:] @ values[lag:])
-            n += max(len(values) - lag, 0)
-    return max(total, 0.0) / max(n, 1), power / max(n, 1) / float(np.sqrt(max(n, 1) / lag))
-
-
-# -- from probabilities to names -------------------------------------------------------------
 
 
 Verdict = Literal["named", "nothing", "unnamed", "cannot_tell", "unusable"]
@@ -543,7 +470,8 @@ def _credible(
 
     without = {e: whole([a for a in state.effects if effect_of(a) != e]) for e in best.effects}
     left = misfits(problem.model, whole(state.effects), without, settings.adequacy, usual)
-    return {e: credible(m, settings.adequacy) for e, m in left.items()}
+    asked = powers(problem, found.laplace, state, settings.adequacy)
+    return {e: credible(m, asked.get(e, UNKNOWN_POWER), settings.adequacy) for e, m in left.items()}
 
 
 def _resemblances(

@@ -113,6 +113,22 @@ class Spectrum:
         )
         return replace(self, rows=rows)
 
+    def extended(self, flights: Flights) -> "Spectrum":
+        """The same with more columns, of numbers that are 0 here: all slopes of some channels."""
+        k = len(self.theta) + np.arange(flights[0][0].slopes.shape[1])
+        rows = tuple(
+            tuple(
+                replace(
+                    r,
+                    active=np.append(r.active, k),
+                    slopes=np.hstack([r.slopes, transformed(f[i], f[i].slopes)[0]]),
+                )
+                for r, f in zip(own, flights, strict=True)
+            )
+            for i, own in enumerate(self.rows)
+        )
+        return replace(self, rows=rows, theta=np.append(self.theta, 0.0 * k))
+
     def power(self) -> dict[tuple[int, int], tuple[float, int]]:
         """Sum of squares of the residual and number of rows, by channel and band."""
         found = {}

@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from search_rigs.hypotheses import against, fit_set
+from search_rigs.courses import LEGS
+from search_rigs.hypotheses import against, fit_set, state_of
 
 from twin.component.rows import OverRows, noiseless_outputs
 from twin.effects import EFFECTS
 from twin.explain.inference import selection as search
+from twin.explain.inference.adequacy import coherent, credible, powers
 from twin.explain.inference.fit import Fit, Problem, substantial_effects
 from twin.explain.inference.posterior import Posterior, ScoredModel, SearchResult
 from twin.explain.inference.priors import Bounds, edges, priors_of
@@ -18,8 +20,6 @@ from twin.explain.inference.selection import (
     Naming,
     Resemblance,
     _named,
-    coherent,
-    credible,
     name_effects,
 )
 from twin.explain.inference.whitening import WhitenedFlights
@@ -320,6 +320,28 @@ def test_a_name_is_believed_less_the_more_it_leaves() -> None:
     assert beliefs == sorted(beliefs, reverse=True)
     assert beliefs[1] > beliefs[2] > 0.5 > beliefs[3]
     assert beliefs[-1] < 1e-6
+
+
+def test_a_name_is_believed_less_the_farther_the_power_of_its_law_is_off() -> None:
+    rules = DEFAULT.inference.adequacy
+    for sd in (0.02, 1e6):
+        beliefs = [credible(0.0, (p, sd)) for p in (0.0, 0.1, -0.3, 0.5)]
+        assert beliefs[0] == beliefs[1] == pytest.approx(1 - rules.outside)
+        assert beliefs == sorted(beliefs, reverse=True)
+        assert (beliefs[-1] < 0.1) == (sd < 1)
+
+
+@pytest.mark.slow
+def test_a_drag_with_the_square_is_asked_for_a_higher_power_than_one_with_the_speed() -> None:
+    """As a drag with the speed it is off by one power, to first order 0.7, as itself by none."""
+    plant = COPTER.with_effects({"parasitic_drag": {"c_1_m": 0.08}})
+    flight = fly(COPTER, plant, seed=4, name="dragged", waypoints=LEGS)
+    for effect, power in (("parasitic_drag", 0.0), ("rotor_drag", 0.7)):
+        problem = against(flight, COPTER, effect)
+        state = state_of(problem, [effect])
+        found, sd = powers(problem, problem.linearised(state), state)[effect]
+        assert found == pytest.approx(power, abs=0.2)
+        assert 0.0 < sd < 0.2
 
 
 def hypothesis(*effects: str, gain: float = 0.0) -> Fit:
