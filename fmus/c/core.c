@@ -235,6 +235,7 @@ static void integrate(Part* p, double h) {
 
 static int advance(Instance* c, Part* p, double time, double h) {
     const Sampling* s = p->model->sampling;
+    const double samples = *p->samples;
     prepare(p);
     if (!s) {
         integrate(p, h);
@@ -254,7 +255,8 @@ static int advance(Instance* c, Part* p, double time, double h) {
         }
     }
     p->v[0] = time + h;
-    return check_states(c, p);
+    const int unchanged = !p->model->step && *p->samples == samples;
+    return unchanged ? 0 : check_states(c, p);
 }
 
 /* ---- parts together ---- */
