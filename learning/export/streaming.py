@@ -167,19 +167,19 @@ def _step(g: Graph, model: Compensator) -> None:
         nothing, silent = g.floats(np.zeros((1, n))), g.floats([[0.0]])
     g.output("correction", n, "Where", sample.whole, correction, nothing)
     today = expected
-    with g.scope("spread"):
-        if protocol == "track":
-            error, sizes, errors = _error_of_today(
-                g, model, sample, correction, expected, sizes, errors
-            )
+    if protocol == "track":
+        with g.scope("spread"):
+            fresh = g.op("Greater", sample.valid, g.floats([[0.5]]))
+            size = _innovation_size(g, sample, correction, expected)
+            new = g.op("Where", fresh, size, nothing)
+            error, sizes, errors = _error_of_today(g, model, new, sizes, errors)
             more = g.op("Mul", close, g.op("Sub", error, g.floats([[1.0]])))
             today = g.op("Mul", expected, g.op("Add", more, g.floats([[1.0]])))
     g.output("spread", n, "Where", sample.whole, today, rms)
     with g.scope("alarm"):
         if protocol == "track":
-            innovation_ratios = _innovation_ratio(
-                g, model, sample, correction, expected, innovation_ratios
-            )
+            ratio = g.op("Div", size, g.floats(_row(model.anomaly_scale)))
+            innovation_ratios = g.op("Where", fresh, ratio, innovation_ratios)
             alarm = g.op("ReduceMax", innovation_ratios, axes=[1], keepdims=1)
         elif alarm:
             alarm = g.op("ReduceMax", alarm, axes=[0], keepdims=0)
@@ -294,41 +294,30 @@ def _beyond(
     return g.op("Add", others, g.op("Mul", away, of_the_day)), mean_so_far
 
 
-def _innovation_ratio(
-    g: Graph, model: Compensator, sample: _Sample, correction: str, spread: str, before: str
-) -> str:
-    """Of the newest reading of each channel, shape (B, 15)."""
+def _innovation_size(g: Graph, sample: _Sample, correction: str, spread: str) -> str:
+    """As `innovation_size` of the compensator, shape (B, 15)."""
     residual = g.op("Sub", sample.measured, sample.virtual)
     new = g.op("Abs", g.op("Sub", residual, correction))
-    level = g.floats(_row(model.anomaly_scale))
-    usual = g.op("Mul", g.op("Max", spread, g.floats([[NO_SPREAD]])), level)
-    fresh = g.op("Greater", sample.valid, g.floats([[0.5]]))
-    return g.op("Where", fresh, g.op("Div", new, usual), before)
+    return g.op("Div", new, g.op("Max", spread, g.floats([[NO_SPREAD]])))
 
 
 def _error_of_today(
-    g: Graph,
-    model: Compensator,
-    sample: _Sample,
-    correction: str,
-    spread: str,
-    sizes: str,
-    errors: str,
+    g: Graph, model: Compensator, new: str, sizes: str, errors: str
 ) -> tuple[str, str, str]:
-    """How far readings are off today, over the spread, (B, 15); states, as of `state_sizes`."""
+    """How far readings are off today, over the spread, (B, 15); states, as of `state_sizes`.
+
+    Args:
+        new: Size of the present innovations, 0 where there is none, shape (B, 15).
+    """
     n, horizon = len(CHANNELS), model.info.horizon
-    newest = g.columns(sizes, (horizon - 1) * n, horizon * n)
-    there = g.op("Cast", g.op("Greater", newest, g.floats([[0.0]])), to=_FLOAT)
+    known = g.columns(sizes, (horizon - 1) * n, horizon * n)
+    there = g.op("Cast", g.op("Greater", known, g.floats([[0.0]])), to=_FLOAT)
+    known = g.op("Div", known, g.floats([[MEAN_SIZE]]))
     decay = g.floats([[error_memory(model.info.rate_hz)]])
-    errors = g.op("Add", g.op("Mul", errors, decay), g.concat(newest, there, axis=1))
+    errors = g.op("Add", g.op("Mul", errors, decay), g.concat(known, there, axis=1))
     sums, weights = g.split(g.op("Add", errors, g.floats([[1.0]])), [n, n], axis=1)
-    residual = g.op("Sub", sample.measured, sample.virtual)
-    size = g.op("Abs", g.op("Sub", residual, correction))
-    usual = g.op("Mul", g.op("Max", spread, g.floats([[NO_SPREAD]])), g.floats([[MEAN_SIZE]]))
-    fresh = g.op("Greater", sample.valid, g.floats([[0.5]]))
-    size = g.op("Where", fresh, g.op("Div", size, usual), g.floats(np.zeros((1, n))))
     kept = "" if horizon == 1 else g.columns(sizes, 0, (horizon - 1) * n)
-    return g.op("Div", sums, weights), g.concat(size, kept, axis=1), errors
+    return g.op("Div", sums, weights), g.concat(new, kept, axis=1), errors
 
 
 def _smoothed(g: Graph, model: Compensator, features: str, slow: str) -> str:

@@ -199,9 +199,9 @@ class Compensator(nn.Module):
             spread[span.rows] = between(close[:, None], expected, spread[span.rows])
             if self.info.protocol == "track":
                 new = np.nan_to_num(flight.residual[span.rows] - correction[span.rows])
-                now = innovation_ratio(new, spread[span.rows], self.anomaly_scale.double().numpy())
-                anomaly[span.rows] = held(now, span.fresh, 0.0).max(axis=1)
-                size = innovation_ratio(new, spread[span.rows], np.ones(new.shape[1]))
+                size = innovation_size(new, spread[span.rows])
+                level = self.anomaly_scale.double().numpy()
+                anomaly[span.rows] = held(size / level, span.fresh, 0.0).max(axis=1)
                 today = error_of_today(size, span.fresh, self.info.horizon, self.info.rate_hz)
                 spread[span.rows] *= between(close[:, None], today, np.ones_like(today))
             elif self.alarms:
@@ -279,15 +279,14 @@ def _nothing(n: int, clusters: int) -> NetworkOut:
     return NetworkOut(zero, zero, torch.zeros(n, clusters))
 
 
-def innovation_ratio(innovation: Array, spread: Array, level: Array) -> Array:
-    """Of readings: what is new in them over its spread and over its level.
+def innovation_size(innovation: Array, spread: Array) -> Array:
+    """What is new in readings over its spread, shape (n, 15).
 
     Args:
         innovation: Reading less corrected virtual reading, shape (n, 15).
         spread: Expected of it, the same shape; 0 of a channel that training never had.
-        level: In spreads, above which it is strange, shape (15,).
     """
-    return np.abs(innovation) / (spread.clip(min=NO_SPREAD) * level)
+    return np.asarray(np.abs(innovation) / spread.clip(min=NO_SPREAD))
 
 
 def untrained_compensator(info: ModelInfo[Preset]) -> Compensator:
