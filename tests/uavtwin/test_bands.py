@@ -174,8 +174,13 @@ def flights() -> list[Flight]:
 
 @pytest.mark.slow
 def test_the_fmu_holds_its_bands_on_another_flight(flights: list[Flight], tmp_path: Path) -> None:
-    found = measured_accuracy(COPTER, flights[:2])
+    low, high = (
+        replace(f, table=f.table.assign(baro_pa=pressure + 12.0 * f.table["pos_z"]))
+        for f, pressure in zip(flights, (1.013e5, 1.021e5), strict=False)
+    )
+    found = measured_accuracy(COPTER, [low, high])
     assert set(found.twins) == {PLAIN, OBSERVED}
+    assert max(found.twins[OBSERVED].bands["barometer"]["lively"]) < 80.0  # Pa; the days have 800
     (tmp_path / FILE).write_text(json.dumps(found.json()))
     COPTER.save(tmp_path / "vehicle.toml")
     known = read_accuracy(tmp_path, ut.load_vehicle(tmp_path / "vehicle.toml"))
@@ -284,6 +289,8 @@ def test_export_takes_the_table_of_explain_over(
         card = json.loads(archive.read(CARD))
     factor = card["factors"]["uncertainty_characterization"]
     assert (factor["level"], FILE in card["evidence"]) == (2 if observer else 0, True)
+    validation = card["factors"]["validation"]
+    assert (validation["level"], "observer acts" in validation["because"]) == (observer, observer)
     assert ("made_1, made_2" if observer else "it left the envelope") in factor["because"]
     if observer:
         start = variables["accuracy.band.position.calm_1"].start

@@ -229,6 +229,10 @@ def of_file(
     if other := ", ".join(changes):
         for name in ("validation", "results_robustness"):
             own[name] = _nothing(f"this is not the twin that flights were held against: {other}")
+        if bands is not None and bands.level:
+            own["validation"] = FactorRecord(
+                level=1, because=f"flights held out were compared by its bands alone: {other}"
+            )
     return msgspec.structs.replace(
         card, factors=own, evidence={**card.evidence, **(evidence or {})}
     )
