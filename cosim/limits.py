@@ -1,9 +1,26 @@
-"""What a worker process may use."""
+"""What a worker process may use, and how one ended."""
 
-from dataclasses import dataclass
+import contextlib
+import signal
+from dataclasses import asdict, dataclass
 from math import isfinite
 
-from twin.errors import FmuError
+from twin.errors import FmuError, TwinError
+
+
+def check_limits(error: type[TwinError], **limits: float) -> None:
+    """Raise the error if a limit is no positive number."""
+    for name, value in limits.items():
+        if not (isfinite(value) and value > 0):
+            raise error(f"limit {name} = {value:g}: needs a positive number.")
+
+
+def exit_text(code: int) -> str:
+    """How a process ended, by its return code."""
+    if code < 0:
+        with contextlib.suppress(ValueError):  # a signal without a name
+            return f"signal {signal.Signals(-code).name}"
+    return f"exit code {code}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,10 +39,7 @@ class Limits:
     memory_gib: float = 4.0
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
-                raise FmuError(f"limit {name} = {value:g}: needs a positive number.")
+        check_limits(FmuError, **asdict(self))
 
     @property
     def memory_bytes(self) -> int:

@@ -73,7 +73,7 @@ def open_archive(path: Path) -> Archive:
             description = _read_description(path, archive)
     except (*_UNREADABLE, ValueError) as error:
         raise FmuError(f"{path.name}: not a readable FMU archive: {error}.") from error
-    root = _parse(path, description)
+    root = parse_xml(path, DESCRIPTION, description)
     problems = [*member_problems(members), *_identifier_problems(root)]
     return Archive(path, members, tuple(problems), description, root)
 
@@ -166,22 +166,27 @@ def _read_description(path: Path, archive: zipfile.ZipFile) -> bytes:
         raise
     except Exception as error:  # zlib.error and kin: damaged streams
         raise FmuError(f"{path.name}: {DESCRIPTION} cannot be read: {error}.") from error
-    if len(xml) > MAX_DESCRIPTION_BYTES:
-        raise FmuError(
-            f"{path.name}: {DESCRIPTION} is larger than {MAX_DESCRIPTION_BYTES} bytes: refused."
-        )
     return xml
 
 
-def _parse(path: Path, xml: bytes) -> etree._Element:
+def parse_xml(path: Path, member: str, content: bytes) -> etree._Element:
+    """Parse one XML member of an archive, without entities and network.
+
+    Raises:
+        FmuError: Not XML, with a DOCTYPE, or too large.
+    """
+    if len(content) > MAX_DESCRIPTION_BYTES:
+        raise FmuError(
+            f"{path.name}: {member} is larger than {MAX_DESCRIPTION_BYTES} bytes: refused."
+        )
     parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
     try:
-        root = etree.fromstring(xml, parser)
+        root = etree.fromstring(content, parser)
     except etree.XMLSyntaxError as error:
-        raise FmuError(f"{path.name}: {DESCRIPTION} is not valid XML: {error}.") from error
+        raise FmuError(f"{path.name}: {member} is not valid XML: {error}.") from error
     if root.getroottree().docinfo.doctype:
         raise FmuError(
-            f"{path.name}: {DESCRIPTION} has a DOCTYPE, which FMI does not allow: refused."
+            f"{path.name}: {member} has a DOCTYPE, which FMI and SSP do not need: refused."
         )
     return root
 

@@ -26,10 +26,9 @@ from twin.component import (
     Sampling,
     Shortcut,
     Variable,
-    check_range,
-    unknown_name,
+    check_starts,
 )
-from twin.errors import FmuError, ModelError
+from twin.errors import FmuError
 from twin.representation import short_repr
 
 from .kernels import draws, first_state, kernel_source, kernels
@@ -376,11 +375,8 @@ class FmuModel:
         Raises:
             ModelError: A name is neither, or a value is outside its range.
         """
-        known = {v.name: v for v in self.variables if v.causality in ("parameter", "input")}
-        for name, value in starts.items():
-            if name not in known:
-                raise ModelError(unknown_name(self.name, "parameter or input", name, known))
-            check_range(self.name, known[name], value)
+        settable = (v for v in self.variables if v.causality in ("parameter", "input"))
+        check_starts(self.name, settable, starts)
 
         def changed(part: Submodel) -> Submodel:
             """The part, outputs as they were."""

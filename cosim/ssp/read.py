@@ -18,7 +18,7 @@ from urllib.parse import unquote, urlsplit
 
 from lxml import etree
 
-from fmus.archive import MAX_DESCRIPTION_BYTES, archive_members, copy_members, member_problems
+from fmus.archive import archive_members, copy_members, member_problems, parse_xml
 from fmus.names import shown
 from twin.errors import FmuError
 
@@ -40,27 +40,6 @@ def unpack_ssp(path: Path, folder: Path) -> None:
             copy_members(archive, members, folder)
     except Exception as error:  # zipfile, zlib and lzma raise many kinds on damaged files
         raise FmuError(f"{path.name}: not a readable SSP archive: {error}.") from error
-
-
-def parse_xml(path: Path, member: str, content: bytes) -> etree._Element:
-    """Parse one XML member, without entities and network.
-
-    Raises:
-        FmuError: Not XML, with a DOCTYPE, or too large.
-    """
-    if len(content) > MAX_DESCRIPTION_BYTES:
-        raise FmuError(
-            f"{path.name}: {member} has {len(content)} bytes, more than {MAX_DESCRIPTION_BYTES}: "
-            f"refused."
-        )
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
-    try:
-        root = etree.fromstring(content, parser)
-    except etree.XMLSyntaxError as error:
-        raise FmuError(f"{path.name}: {member} is not valid XML: {error}.") from error
-    if root.getroottree().docinfo.doctype:
-        raise FmuError(f"{path.name}: {member} has a DOCTYPE, which SSP does not need: refused.")
-    return root
 
 
 SSD_FILE = "SystemStructure.ssd"  # SSP 1.0

@@ -30,7 +30,7 @@ from fmus.names import shown
 from twin.errors import FmuError
 
 from ..calls import HEADER, TraceEntry, read_table, read_trace, shared_file, table_bytes
-from ..limits import Limits
+from ..limits import Limits, exit_text
 from ..master import Master
 from ..recording import Interrupted, Recording, RunError
 from ..system import System
@@ -218,11 +218,7 @@ class Process:
         self.end()
         if code is None:
             return "its process answers no more"
-        how = f"exit code {code}"
-        if code < 0:
-            with contextlib.suppress(ValueError):  # a signal without a name
-                how = f"signal {signal.Signals(-code).name}"
-        text = f"its process ended with {how}"
+        text = f"its process ended with {exit_text(code)}"
         if self._peak_bytes > 0.7 * self._limits.memory_bytes:
             text += (
                 f" after {self._peak_bytes / 2**30:.1f} of the {self._limits.memory_gib:g} GiB of "

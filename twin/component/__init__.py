@@ -15,6 +15,7 @@ from .component import (
     State,
     Variable,
     check_range,
+    check_starts,
     substeps,
     unknown_name,
 )
@@ -35,6 +36,7 @@ __all__ = [
     "Variable",
     "built_once",
     "check_range",
+    "check_starts",
     "substeps",
     "unknown_name",
 ]

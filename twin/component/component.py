@@ -160,6 +160,15 @@ def check_range(owner: str, variable: Variable, value: float) -> None:
         )
 
 
+def check_starts(owner: str, settable: Iterable[Variable], starts: Mapping[str, float]) -> None:
+    """Raise `ModelError` if a start value is of none of the variables, or outside its range."""
+    known = {v.name: v for v in settable}
+    for name, value in starts.items():
+        if name not in known:
+            raise ModelError(unknown_name(owner, "parameter or input", name, known))
+        check_range(owner, known[name], value)
+
+
 Array = NDArray[np.float64]
 CHANNELS_PER_BLOCK = 4
 """One Philox block gives four 64-bit words."""
@@ -479,11 +488,7 @@ class Component:
         Raises:
             ModelError: A name is neither, or a value is outside its range.
         """
-        known = {v.name: v for v in self.parameters + self.inputs}
-        for name, value in starts.items():
-            if name not in known:
-                raise ModelError(unknown_name(self.name, "parameter or input", name, known))
-            check_range(self.name, known[name], value)
+        check_starts(self.name, self.parameters + self.inputs, starts)
         return replace(
             self,
             parameters=tuple(

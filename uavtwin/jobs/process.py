@@ -8,11 +8,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from math import isfinite
+from dataclasses import asdict, dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Generic, Protocol
 
+from cosim.limits import check_limits, exit_text
 from twin.errors import TwinError
 
 from .engine import D, J, J_contra
@@ -47,10 +47,7 @@ class Allowed:
     memory_gib: float = 4.0
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
-                raise TwinError(f"limit {name} = {value:g}: needs a positive number.")
+        check_limits(TwinError, **asdict(self))
 
 
 class ProcessWorker(Generic[J, D]):
@@ -189,13 +186,9 @@ class _Child:
             code = self._process.wait(timeout=5.0)
         except subprocess.TimeoutExpired:
             return "its process answers no more"
-        how = f"exit code {code}"
-        if code < 0:
-            with contextlib.suppress(ValueError):  # a signal without a name
-                how = f"signal {signal.Signals(-code).name}"
         return (
-            f"its process ended with {how}; it may use {self._memory_gib:g} GiB of memory "
-            f"(--memory-limit)"
+            f"its process ended with {exit_text(code)}; it may use {self._memory_gib:g} GiB of "
+            f"memory (--memory-limit)"
         )
 
     def kill(self) -> None:
