@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from twin.errors import LogError
 from twin.formatting import counted, number, percent, pretty_unit
 from twin.logs import AnyFlight, Flight
-from twin.logs.autopilot import Stretch
+from twin.logs.autopilot import Interval
 from twin.residuals.flight_gap import DEFAULT_HORIZON_S, HoverDiagnosis, flight_gap
 from twin.residuals.gap import UNKNOWN_PHASE, FlightGap, Ranked, Score, band_rows, rank, summaries
 from twin.vehicle import Vehicle
@@ -129,7 +129,7 @@ class GapFlight(Record, frozen=True, kw_only=True):
     vehicle: str
     duration_s: float
     n: int
-    phases: tuple[Stretch, ...]
+    phases: tuple[Interval, ...]
     facts: dict[str, str]
     hover: HoverRecord | None
     driven_by: str
@@ -309,7 +309,7 @@ def _flight(gap: FlightGap) -> GapFlight:
         vehicle=gap.vehicle,
         duration_s=gap.duration_s,
         n=sum(len(c.t_s) for c in gap.channels),
-        phases=tuple(Stretch(n, a, b) for n, a, b in gap.phases),
+        phases=tuple(Interval(n, a, b) for n, a, b in gap.phases),
         facts=dict(gap.facts),
         hover=None if gap.hover is None else hover_record(gap.hover),
         driven_by=gap.driven_by,

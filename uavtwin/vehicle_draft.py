@@ -12,7 +12,7 @@ from typing import Any
 from msgspec import UNSET, UnsetType, field, structs
 
 from twin import vehicle as numbers
-from twin.draft import Drafted, Known, draft, kind_of
+from twin.draft import Drafted, OwnerFacts, draft, kind_of
 from twin.errors import TwinError
 from twin.logs import Flight
 from twin.vehicle.vehicle import hover_level, polynomial
@@ -228,7 +228,7 @@ def draft_vehicle(
     if wheelbase_m is not None and arm_m is not None:
         raise TwinError("wheelbase and arm say the same; give one of them.")
     diameter_m, pitch_m = (None, None) if propeller is None else parse_propeller(propeller)
-    known = Known(
+    known = OwnerFacts(
         name,
         mass_kg,
         frame,

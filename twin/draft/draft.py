@@ -25,7 +25,7 @@ from ..vehicle.layouts import FRAMES, Layout, frame, frames_of
 from ..vehicle.vehicle import SEA_LEVEL_TEMPERATURE_K
 from ..vehicle_file import parse_vehicle
 from ..vehicle_file.write import Draft, with_effect_sections
-from .facts import BODIES, Fact, Known, Making, rounded, usual_inertia
+from .facts import BODIES, DraftState, Fact, OwnerFacts, rounded, usual_inertia
 from .hover import (
     CLEAR,
     LEAST_S,
@@ -131,7 +131,7 @@ _START_S = 2.0
 """Beginning of a flight that the pressure at the start is taken from, s."""
 
 
-def draft_site(m: Making) -> float:
+def draft_site(m: DraftState) -> float:
     """Add place, date, gravity and pressure; returns the gravity, m/s2."""
     gravity, found = GRAVITY_M_S2, m.airframe.place
     if found is not None:
@@ -182,7 +182,7 @@ def pressure_at_origin(flight: Flight) -> tuple[float, str]:
     return float(np.median(start)), f"first {_START_S:g} s, whose height is not known"
 
 
-def _year(m: Making, place: Place, source: str) -> str:
+def _year(m: DraftState, place: Place, source: str) -> str:
     """Add the date, where a model of the magnetic field covers it; in words."""
     if place.year is None:
         return ""
@@ -195,7 +195,7 @@ def _year(m: Making, place: Place, source: str) -> str:
     return f", year {place.year:.1f}"
 
 
-def draft_sensors(m: Making) -> None:
+def draft_sensors(m: DraftState) -> None:
     """Add noise, cutoffs and the place of the accelerometer."""
     said = []
     for sensor in SENSORS:
@@ -221,7 +221,7 @@ def draft_sensors(m: Making) -> None:
         m.say("accelerometer", f"at {', '.join(f'{x:g}' for x in place)} m", source)
 
 
-def draft_battery(m: Making) -> None:
+def draft_battery(m: DraftState) -> None:
     """Add the section where all of it is known, since its keys belong together."""
     if m.airframe.cells is None:
         return
@@ -259,7 +259,7 @@ _SIZES_APART = 0.1
 """Relative difference of the arms of log and owner from which on it is said; by judgement."""
 
 
-def draft_body(m: Making) -> Layout:
+def draft_body(m: DraftState) -> Layout:
     """Add mass, rotors' places and senses, inertia; returns the rotors.
 
     Raises:
@@ -288,7 +288,7 @@ def draft_body(m: Making) -> Layout:
     return layout
 
 
-def _layout(m: Making) -> Layout:
+def _layout(m: DraftState) -> Layout:
     """Order and sense of the rotors: as given, as the log says, else as it turned.
 
     A given frame is a shape; where every flight turned like one other frame of that shape, its
@@ -323,7 +323,7 @@ def _layout(m: Making) -> Layout:
     return layout
 
 
-def _as_it_turned(m: Making, motors: int) -> Layout:
+def _as_it_turned(m: DraftState, motors: int) -> Layout:
     """The frame by which a flight's commands explain best how it turned."""
     found = best_frame(m.flights[0], motors)
     if found is None:
@@ -347,7 +347,7 @@ def _frame_name(given: str, motors: int) -> str:
     raise ModelError(f"frame {given!r} is none with {motors} rotors. Those are: {known}.")
 
 
-def _sized(m: Making, layout: Layout) -> Layout:
+def _sized(m: DraftState, layout: Layout) -> Layout:
     """The layout in metres."""
     arm = m.known.arm_m
     if arm is None and not layout.metric:
@@ -391,7 +391,7 @@ class Drafted:
     __repr__ = short_repr
 
 
-def draft(flights: Sequence[Flight], known: Known) -> Drafted:
+def draft(flights: Sequence[Flight], known: OwnerFacts) -> Drafted:
     """A vehicle file of the aircraft that flew.
 
     Args:
@@ -404,7 +404,7 @@ def draft(flights: Sequence[Flight], known: Known) -> Drafted:
     """
     _check(flights)
     file = Draft(known.name, f"Drafted from {', '.join(f.name for f in flights)}", "")
-    m = Making(known, flights, [_hover(f) for f in flights], file)
+    m = DraftState(known, flights, [_hover(f) for f in flights], file)
     _notes(m)
     gravity_m_s2 = draft_site(m)
     layout = draft_body(m)
@@ -445,7 +445,7 @@ def _hover(flight: Flight) -> Hover:
     return found
 
 
-def _notes(m: Making) -> None:
+def _notes(m: DraftState) -> None:
     """The head of the file, and doubts about flights that hardly are of one aircraft."""
     m.file.notes.append(
         "A draft: what flights and owner tell, and what is usual for an aircraft of this size. "

@@ -22,7 +22,7 @@ Kind = Literal["given", "log", "usual"]
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class OwnerFacts:
     """What the owner of an aircraft knows of it.
 
     Attributes:
@@ -70,7 +70,7 @@ def kind_of(source: str) -> Kind:
 
 
 @dataclass(slots=True)
-class Making:
+class DraftState:
     """What is collected on the way.
 
     Attributes:
@@ -82,7 +82,7 @@ class Making:
         warnings: What does not fit together.
     """
 
-    known: Known
+    known: OwnerFacts
     flights: Sequence[Flight]
     hovers: Sequence[Hover]
     file: Draft

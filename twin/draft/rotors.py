@@ -25,7 +25,7 @@ from ..vehicle.layouts import Layout
 from ..vehicle_file.write import Written
 from .facts import (
     STATIC,
-    Making,
+    DraftState,
     Usual,
     rounded,
     usual_diameter_m,
@@ -241,7 +241,7 @@ class Supply:
     reference_v: float
 
 
-def draft_rotors(m: Making, layout: Layout, gravity_m_s2: float) -> Supply:
+def draft_rotors(m: DraftState, layout: Layout, gravity_m_s2: float) -> Supply:
     """Add maps, torque and lag; returns what is left to say of command and voltage."""
     weight = m.known.mass_kg * gravity_m_s2
     e = _elasticity(m) if all(h.cmd is not None for h in m.hovers) else None
@@ -262,7 +262,7 @@ def draft_rotors(m: Making, layout: Layout, gravity_m_s2: float) -> Supply:
     return supply
 
 
-def rotor_effects(m: Making, vehicle: Vehicle, supply: Supply) -> dict[str, dict[str, Written]]:
+def rotor_effects(m: DraftState, vehicle: Vehicle, supply: Supply) -> dict[str, dict[str, Written]]:
     """Effects for what the keys have no place for: doubt of the curve, sag, spin of the rotors."""
     effects: dict[str, dict[str, Written]] = {}
     e, k = supply.elasticity, supply.sag
@@ -288,14 +288,14 @@ def rotor_effects(m: Making, vehicle: Vehicle, supply: Supply) -> dict[str, dict
     return effects
 
 
-def _elasticity(m: Making) -> Estimate:
+def _elasticity(m: DraftState) -> Estimate:
     curve = m.airframe.thrust
     if curve is None or m.level <= curve.value.start:
         return thrust_elasticity(m.flights, m.hovers, m.level)
     return Estimate(curve.value.elasticity(m.level), _FACTOR_SD, curve.source)
 
 
-def _command_map(m: Making, weight_n: float, supply: Supply) -> None:
+def _command_map(m: DraftState, weight_n: float, supply: Supply) -> None:
     """Thrust by command, such that it hovers as logged."""
     e, k = supply.elasticity, supply.sag
     assert e is not None
@@ -314,7 +314,7 @@ def _command_map(m: Making, weight_n: float, supply: Supply) -> None:
     m.say("thrust curve", f"{e.value:.2f} % thrust per % command, sd {e.sd:.2f}", e.source)
 
 
-def _speed_map(m: Making, weight_n: float, supply: Supply) -> None:
+def _speed_map(m: DraftState, weight_n: float, supply: Supply) -> None:
     """Thrust by measured speed, and the speed by command where there are commands."""
     each = np.array([speed_coefficient(h, weight_n) for h in m.hovers])
     value, sd = float(np.exp(np.log(each).mean())), _thrust_sd(m, each)
@@ -338,14 +338,14 @@ def _speed_map(m: Making, weight_n: float, supply: Supply) -> None:
         m.say("voltage", f"{supply.reference_v:g} V, exponent {k.value / e.value:.2f}", k.source)
 
 
-def _thrust_sd(m: Making, each: Array) -> float:
+def _thrust_sd(m: DraftState, each: Array) -> float:
     """Over the value: of one flight, and the scatter of several."""
     own = _HOVER_SD if all(h.hovers for h in m.hovers) else _FLOWN_SD
     scatter = float(np.log(each).std(ddof=1)) if len(each) > 1 else 0.0
     return float(np.hypot(own, scatter))
 
 
-def _torque(m: Making, layout: Layout) -> None:
+def _torque(m: DraftState, layout: Layout) -> None:
     """Reaction torque over thrust by the propeller, or by what fits between the rotors."""
     diameter, pitch = m.known.diameter_m, m.known.pitch_m
     if diameter is not None:
@@ -368,7 +368,7 @@ def _torque(m: Making, layout: Layout) -> None:
     m.say("torque over thrust", value, f"estimate: {words}")
 
 
-def _carries(m: Making) -> str:
+def _carries(m: DraftState) -> str:
     """Which parts of which flights carry the weight."""
     parts = "; ".join(f"{h.flight}, {h.where}" for h in m.hovers)
     return f"carries the weight as logged ({parts})"

@@ -3,8 +3,8 @@
 Geometry without angles: vectors, dot products and square roots. Vectors are lists of three CasADi
 expressions, NED unless said otherwise. Inputs have the names that others give them.
 
-`Hover` is the airframe linearised about hover, with the thrust maps of its rotors inverted. The
-Jacobians are those of the airframe's own equations, so a controller designed on them follows
+`HoverModel` is the airframe linearised about hover, with the thrust maps of its rotors inverted.
+The Jacobians are those of the airframe's own equations, so a controller designed on them follows
 whatever the equations say: geometry, drag, lag, effects that are switched on.
 """
 
@@ -195,7 +195,7 @@ _LEAST_WEIGHT, _END_WEIGHT = 1e-3, 1e4
 
 
 @dataclass(frozen=True, slots=True)
-class Hover:
+class HoverModel:
     """What a controller needs to know of an airframe in hover.
 
     Attributes:
@@ -234,7 +234,7 @@ def punctual(vehicle: Vehicle) -> Vehicle:
     return vehicle.with_effects(others)
 
 
-def linearise(vehicle: Vehicle) -> Hover:
+def linearise(vehicle: Vehicle) -> HoverModel:
     """Hover model of a vehicle, at the trim its airframe starts in, delays left out.
 
     Raises:
@@ -268,7 +268,7 @@ def linearise(vehicle: Vehicle) -> Hover:
         )
     speed = [rate[f"vel_{axis}"] for axis in AXES]
     y0 = np.asarray(body.outputs(x0, u0, p0), dtype=np.float64).ravel()
-    return Hover(
+    return HoverModel(
         thrust_n=y0[thrust],
         effect=effect,
         drag_1_s=-np.diag(a[np.ix_(speed, speed)]),

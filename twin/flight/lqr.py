@@ -45,7 +45,7 @@ from ..frames import AXES, to_body
 from ..vehicle import GRAVITY_M_S2, Vehicle
 from ..vehicle.vehicle import polynomial
 from .control_laws import (
-    Hover,
+    HoverModel,
     Signals,
     ThrustInverse,
     attitude_error,
@@ -105,7 +105,7 @@ class Gains:
     mixer_n: Array
 
 
-def design(hover: Hover) -> Gains:
+def design(hover: HoverModel) -> Gains:
     """Gains for a hover model. The weaker of roll and pitch sets those of the horizontal chain."""
     mixer = np.asarray(np.linalg.pinv(hover.effect), dtype=np.float64)
     share = ACCEPTABLE["thrust"] * hover.thrust_n.mean()
@@ -294,7 +294,7 @@ def controller(vehicle: Vehicle) -> Component:
     return m.build()
 
 
-def _turned_by_air(hover: Hover) -> bool:
+def _turned_by_air(hover: HoverModel) -> bool:
     return bool(np.abs(hover.air_moment_rad_m_s).max() >= LEAST_AIR_MOMENT_RAD_M_S)
 
 
@@ -313,7 +313,7 @@ class _AirMoment:
     Trans. Mechatronics 1 (1996), 56-67.
     """
 
-    def __init__(self, m: ComponentBuilder, s: Signals, hover: Hover) -> None:
+    def __init__(self, m: ComponentBuilder, s: Signals, hover: HoverModel) -> None:
         self._m, self._s = m, s
         ahead, right, _ = to_body(s.q_nb, s.vel)
         time = m.parameter(
@@ -394,7 +394,7 @@ def _acceleration(
     m: ComponentBuilder,
     s: Signals,
     gravity: ca.SX,
-    hover: Hover,
+    hover: HoverModel,
     gains: Gains,
     start: dict[str, float],
 ) -> Vector:
@@ -475,7 +475,7 @@ _OUTER = (
 )  # gain of the position loop, its unit, on what it acts
 
 
-def _outer(chain: Chain, hover: Hover) -> list[float]:
+def _outer(chain: Chain, hover: HoverModel) -> list[float]:
     """Gains from integral, position, velocity to acceleration, out of those to the tilt."""
     return [float(hover.gravity_m_s2 / chain.gain[3] * k) for k in chain.gain[:3]]
 

@@ -53,7 +53,7 @@ class Mode:
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class Interval:
     """Something that lasted: armed motors, a failsafe, a phase of flight.
 
     Attributes:
@@ -169,8 +169,8 @@ class Autopilot:
     """
 
     modes: tuple[Mode, ...] = ()
-    armed: tuple[Stretch, ...] = ()
-    failsafes: tuple[Stretch, ...] = ()
+    armed: tuple[Interval, ...] = ()
+    failsafes: tuple[Interval, ...] = ()
     messages: tuple[Message, ...] = ()
     setpoints: tuple[Setpoint, ...] = ()
     parameters: tuple[Parameter, ...] = ()
@@ -179,10 +179,10 @@ class Autopilot:
 
     __repr__ = short_repr
 
-    def mode_stretches(self, end_s: float) -> tuple[Stretch, ...]:
+    def mode_stretches(self, end_s: float) -> tuple[Interval, ...]:
         """When each mode was on, in a record that ends then, s."""
         ends = [*(m.start_s for m in self.modes[1:]), end_s]
-        return tuple(Stretch(m.name, m.start_s, e) for m, e in zip(self.modes, ends, strict=False))
+        return tuple(Interval(m.name, m.start_s, e) for m, e in zip(self.modes, ends, strict=False))
 
     def setpoint(self, columns: Sequence[str]) -> Setpoint | None:
         """The setpoint of these columns; None where the log has none."""
@@ -214,7 +214,9 @@ def modes_of(t_s: Array, names: Sequence[str], end_s: float) -> tuple[Mode, ...]
     return tuple(found[:MOST_EVENTS])
 
 
-def stretches_of(t_s: Array, on: NDArray[np.bool_], name: str, end_s: float) -> tuple[Stretch, ...]:
+def stretches_of(
+    t_s: Array, on: NDArray[np.bool_], name: str, end_s: float
+) -> tuple[Interval, ...]:
     """When something was on, from samples of it; each holds until the next.
 
     Args:
@@ -226,7 +228,7 @@ def stretches_of(t_s: Array, on: NDArray[np.bool_], name: str, end_s: float) -> 
     times = np.append(t_s, end_s)
     pairs = [(float(times[a]), float(times[b])) for a, b in stretches_where(on)]
     found = [(max(a, 0.0), min(b, end_s)) for a, b in pairs]
-    return tuple(Stretch(name, a, b) for a, b in found if b > a)[:MOST_EVENTS]
+    return tuple(Interval(name, a, b) for a, b in found if b > a)[:MOST_EVENTS]
 
 
 def setpoint_of(columns: tuple[str, ...], t_s: Array, values: Array) -> Setpoint | None:

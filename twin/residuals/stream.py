@@ -51,7 +51,7 @@ Rows = Mapping[str, NDArray[np.float64] | NDArray[np.object_]]
 """New rows by column, NaN where a signal has no sample; `time` and `phase` among them."""
 
 
-class Recent(Flight):
+class RecentFlight(Flight):
     """The last seconds of a flight: the interface of `Flight` on arrays.
 
     A table of pandas takes longer to say what it holds than all that is computed of it; it is made
@@ -175,9 +175,9 @@ class LastRows:
             self._portions = [_joined(self._portions)]
         return self._portions[0]
 
-    def flight(self) -> Recent:
+    def flight(self) -> RecentFlight:
         """What there is, as a flight."""
-        return Recent(self.name, self.rows(), self.settled, self.airframe)
+        return RecentFlight(self.name, self.rows(), self.settled, self.airframe)
 
     def time_before_newest(self, columns: tuple[str, ...], samples: int) -> float:
         """Time of a sample so many before the newest one of a signal; infinite where the signal

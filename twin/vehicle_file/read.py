@@ -278,7 +278,7 @@ def _site_field(entries: Entries) -> tuple[float, ...]:
 
 
 @dataclass(slots=True)
-class SwitchedOn:
+class ActiveEffects:
     """Effects of a vehicle file.
 
     Attributes:
@@ -294,9 +294,9 @@ class SwitchedOn:
     mistakes: list[str] = field(default_factory=list)
 
 
-def read_effects(sections: Any, vehicle: Vehicle) -> SwitchedOn:
+def read_effects(sections: Any, vehicle: Vehicle) -> ActiveEffects:
     """Read the sections, given as parsed TOML; the vehicle is what they belong to."""
-    on = SwitchedOn()
+    on = ActiveEffects()
     if not isinstance(sections, dict):
         on.mistakes.append("[effects] must hold one table per effect, [effects.NAME].")
         return on
@@ -315,7 +315,7 @@ def read_effects(sections: Any, vehicle: Vehicle) -> SwitchedOn:
     return on
 
 
-def _read_effect(name: str, table: dict[str, Any], vehicle: Vehicle, on: SwitchedOn) -> None:
+def _read_effect(name: str, table: dict[str, Any], vehicle: Vehicle, on: ActiveEffects) -> None:
     values = EFFECTS[name].starts(vehicle)
     units = {n: p.unit for p in EFFECTS[name].parameters for n in p.names(vehicle)}
     for key, entry in table.items():

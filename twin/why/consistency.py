@@ -143,7 +143,7 @@ class Change:
 
 
 @dataclass(frozen=True, slots=True)
-class Budget:
+class FalseAlarmBudget:
     """How often a residual may be called changed by chance.
 
     Attributes:
@@ -164,7 +164,7 @@ class Budget:
         return TRUE_IN_10_H / (TRUE_IN_10_H + false)
 
 
-def changed_at(r: Residual, budget: Budget) -> Change | None:
+def changed_at(r: Residual, budget: FalseAlarmBudget) -> Change | None:
     """First change of a residual that its own past does not explain; None without one."""
     look, chance = _looked(r, budget), budget.chance(r.window_s)
     p_value = look.p_value(r)
@@ -177,7 +177,7 @@ def changed_at(r: Residual, budget: Budget) -> Change | None:
     return _change(r, k, float(look.middle[k]), float(look.scale[k]), true)
 
 
-def smallest_detectable(r: Residual, budget: Budget) -> float:
+def smallest_detectable(r: Residual, budget: FalseAlarmBudget) -> float:
     """Lasting change that would have been reported during half of the flight; infinity: none
     would."""
     look, chance = _looked(r, budget), budget.chance(r.window_s)
@@ -248,7 +248,7 @@ def _by_chance(each: Array) -> Array:
     return np.asarray(trials.reshape(axes) * gammaincc(number, np.maximum(total, 0.0)))
 
 
-def _looked(r: Residual, budget: Budget) -> _Look:
+def _looked(r: Residual, budget: FalseAlarmBudget) -> _Look:
     """The scale is what motion and the least change bring, by how much larger or smaller the past
     was: a prior of `PRIOR_DEGREES` says that it was neither."""
     width, least = r.width, round(REFERENCE_S / r.step_s)

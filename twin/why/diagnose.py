@@ -73,9 +73,9 @@ def diagnose(
     """
     compared = None
     if since is not None:
-        from .since import Since  # the law of `explain`, half a second to import
+        from .since import SinceCalibration  # the law of `explain`, half a second to import
 
-        compared, flight = Since(since), of_vehicle(flight, since)
+        compared, flight = SinceCalibration(since), of_vehicle(flight, since)
         finders = [lasting if find is steady else find for find in finders]
     frame = FlightFrame.of(flight)
     normal = [FlightFrame.of(r) for r in references]

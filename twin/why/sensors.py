@@ -18,8 +18,8 @@ from ..logs.samples import stretches_where
 from ..residuals.measured import Signal
 from .consistency import (
     FALSE_IN_10_H,
-    Budget,
     Change,
+    FalseAlarmBudget,
     Residual,
     changed_at,
     smallest_detectable,
@@ -97,8 +97,8 @@ def _then_reset(event: Event, resets: Sequence[Reset]) -> Event:
     return replace(event, text=text)
 
 
-def _budget(residuals: Sequence[Residual]) -> Budget:
-    return Budget(FALSE_IN_10_H, max(len(residuals), 1))
+def _budget(residuals: Sequence[Residual]) -> FalseAlarmBudget:
+    return FalseAlarmBudget(FALSE_IN_10_H, max(len(residuals), 1))
 
 
 def grouped(events: Sequence[Event]) -> list[Event]:
@@ -138,7 +138,7 @@ def _chain(events: Sequence[Event], first: Event) -> list[Event]:
     return chain
 
 
-def _hidden(residuals: Sequence[Residual], budget: Budget) -> dict[str, NotVisible]:
+def _hidden(residuals: Sequence[Residual], budget: FalseAlarmBudget) -> dict[str, NotVisible]:
     """Of each lasting cause, the smallest change that the worst axis or quantity would have shown,
     over the usual one."""
     least: dict[tuple[str, str, str], tuple[float, Residual]] = {}
@@ -255,7 +255,7 @@ _READINGS: Mapping[str, tuple[str, Sequence[str], float]] = {
 """Sensors that may stick: words, columns, and the least time, s, of a frozen reading."""
 
 
-def frozen(signals: Signals, budget: Budget) -> Iterator[Event]:
+def frozen(signals: Signals, budget: FalseAlarmBudget) -> Iterator[Event]:
     """Readings that stay exactly the same for longer than chance repeats them.
 
     A reading repeats its predecessor with the frequency that is counted in the flight; a run of
@@ -287,7 +287,7 @@ def _unknown(signals: Signals, name: str) -> NDArray[np.bool_]:
 
 
 def _standing(
-    signal: Signal, k: int, least_s: float, budget: Budget
+    signal: Signal, k: int, least_s: float, budget: FalseAlarmBudget
 ) -> tuple[float, float, float] | None:
     """Begin, length and probability of the first frozen stretch of a reading; None without one."""
     t, v = signal.t_s, signal.values[:, k]

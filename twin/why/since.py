@@ -27,7 +27,7 @@ LEAST_S = 8.0
 """Of a part whose means are compared."""
 
 
-class Since:
+class SinceCalibration:
     """What has changed since a vehicle was calibrated.
 
     Attributes:

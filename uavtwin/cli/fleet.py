@@ -95,13 +95,13 @@ def fleet(
     if as_csv:
         raise TwinError("fleet: --csv prints the rows of --sql. Give both, or neither.")
     from ..fleets.fleet import FOLDER, FleetRequest, Work, run_fleet
-    from ..jobs.process import Allowed
+    from ..jobs.process import JobLimits
 
     named = None if per_aircraft else vehicle_named(vehicle, "") or None
     listed: Any = tuple(v.strip() for v in verbs.split(",") if v.strip())
     both = vehicle if per_aircraft else named
     request = FleetRequest(both, per_aircraft, listed, each == "flight", indoor, trust_vehicle)
-    work = Work(engine, workers, scheduler, Allowed(time_limit, memory_limit))
+    work = Work(engine, workers, scheduler, JobLimits(time_limit, memory_limit))
     with progress("looking") as done:
         result = run_fleet(
             *(list(logs), request, out, work, force, done),

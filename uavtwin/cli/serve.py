@@ -37,13 +37,13 @@ def serve(
     Nothing leaves this machine. Ends with Ctrl-C; what was being done goes on when it is started
     again.
     """
-    from ..jobs.process import Allowed
+    from ..jobs.process import JobLimits
     from ..serve.opened import open_site
     from ..serve.schedule import Limits
 
     if not 0 < size_limit < float("inf"):
         raise TwinError(f"--size-limit {size_limit:g}: needs a positive number.")
-    limits = Limits(Allowed(time_limit, memory_limit), int(size_limit * 2**20), workers)
+    limits = Limits(JobLimits(time_limit, memory_limit), int(size_limit * 2**20), workers)
     with open_site(listen, "--listen", store, limits) as (server, _):
         STDOUT.print(server.url)
         STDERR.print(f"store: {store}; end with Ctrl-C")

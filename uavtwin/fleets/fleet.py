@@ -21,7 +21,7 @@ from twin.vehicle import Deviation
 
 from ..flights import counted_key, what_is_there
 from ..jobs.engine import Engine, EngineName, Workers
-from ..jobs.process import Allowed
+from ..jobs.process import JobLimits
 from ..output import check_folder, results_folder, write_json
 from ..vehicles import Vehicle, load_vehicle
 from .dataset import JOURNAL, TABLES, JobRows, Journal, write_dataset
@@ -123,7 +123,7 @@ class Work(Workers):
         allowed: What one log, or one aircraft, may use.
     """
 
-    allowed: Allowed = field(default_factory=Allowed)
+    allowed: JobLimits = field(default_factory=JobLimits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +195,7 @@ def fleet(
     engine: EngineName = "local",
     workers: int | None = None,
     scheduler: str | None = None,
-    allowed: Allowed | None = None,
+    allowed: JobLimits | None = None,
     force: bool = False,
     progress: Progress = lambda _: None,
 ) -> FleetResult:
@@ -228,7 +228,7 @@ def fleet(
     named = None if vehicle is None else str(vehicle)
     request = FleetRequest(named, folder, tuple(verbs), each == "flight", indoors)
     given = [logs] if isinstance(logs, str | Path) else list(logs)
-    work = Work(engine, workers, scheduler, allowed or Allowed())
+    work = Work(engine, workers, scheduler, allowed or JobLimits())
     return run_fleet(given, request, Path(out), work, force, progress)
 
 
@@ -290,7 +290,7 @@ def run_fleet(
 
 
 def analysis_of(
-    request: FleetRequest, base: Vehicle | None, own: Mapping[str, Vehicle], allowed: Allowed
+    request: FleetRequest, base: Vehicle | None, own: Mapping[str, Vehicle], allowed: JobLimits
 ) -> LogAnalysis:
     """The analysis of each log, with a hash of everything that its rows depend on."""
     import uavtwin

@@ -28,7 +28,7 @@ from ..diagnosis import cause_in_words, why
 from ..file_check import check_flight
 from ..flights import open_alike, reported_aircraft
 from ..gaps import gap
-from ..jobs.process import Allowed, ProcessWorker, Progress
+from ..jobs.process import JobLimits, ProcessWorker, Progress
 from ..vehicles import Vehicle
 from ..wording import misfit
 from .dataset import MOTORS, NO_LOG, JobRows, Row
@@ -82,7 +82,7 @@ class LogAnalysis:
     verbs: tuple[Verb, ...] = VERBS
     alone: bool = True
     indoors: bool | None = None
-    allowed: Allowed = field(default_factory=Allowed)
+    allowed: JobLimits = field(default_factory=JobLimits)
     trust_vehicle: bool = False
 
     def name(self, job: LogJob) -> str:

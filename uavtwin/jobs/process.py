@@ -27,7 +27,7 @@ Progress = Callable[[float], None]
 """Takes the share of a job that is done, 0..1."""
 
 
-class Doer(Protocol[J_contra]):
+class JobHandler(Protocol[J_contra]):
     """What is sent to the process."""
 
     def do(self, job: J_contra, progress: Progress, /) -> Any:
@@ -35,7 +35,7 @@ class Doer(Protocol[J_contra]):
 
 
 @dataclass(frozen=True, slots=True)
-class Allowed:
+class JobLimits:
     """What a job may use.
 
     Attributes:
@@ -55,10 +55,10 @@ class ProcessWorker(Generic[J, D]):
 
     def __init__(
         self,
-        doer: Doer[J],
+        doer: JobHandler[J],
         read: Callable[[Any], D],
         lost: Callable[[J, str], D],
-        allowed: Allowed | None = None,
+        allowed: JobLimits | None = None,
     ) -> None:
         """Start nothing yet.
 
@@ -69,7 +69,7 @@ class ProcessWorker(Generic[J, D]):
             allowed: What a job may use.
         """
         self._doer, self._read, self._lost = doer, read, lost
-        self._allowed = allowed or Allowed()
+        self._allowed = allowed or JobLimits()
         self._child: _Child | None = None
         self._done = 0
 
@@ -120,7 +120,7 @@ class _EndedError(Exception):
 class _Child:
     """One process, and the pipes to it."""
 
-    def __init__(self, doer: Doer[Any], allowed: Allowed) -> None:
+    def __init__(self, doer: JobHandler[Any], allowed: JobLimits) -> None:
         requests, ask = os.pipe()
         answers, answer = os.pipe()
         given = (requests, answer)

@@ -47,7 +47,7 @@ class Faults:
 
 
 @dataclass(slots=True)
-class Link:
+class FaultyLink:
     """A link with faults: datagrams in, datagrams out when they are due.
 
     Attributes:
@@ -202,7 +202,7 @@ class Replay:
         self._to, self._speed = to, speed
         self._socket = sending(to)
         self._packer, self._reader = parser(system, AUTOPILOT), parser()
-        self._link = Link(self._faults)
+        self._link = FaultyLink(self._faults)
         self._messages = 0
         self._answered = -1
         self._began_s = 0.0

@@ -23,7 +23,7 @@ from .following import DEFAULT_SYSTEM, Following, FollowingTwin, Publisher
 from .page.feed import PageFeed
 from .recording import HOLD_S, Recording, RowBuffer
 from .status import RATES_HZ, FlightWatch, LinkStatus, LiveStatus, alarm_json, missing
-from .worker import Batch, Part, Parts, Worker
+from .worker import Batch, FaultIsolation, Part, Worker
 
 if TYPE_CHECKING:
     from ..compensators.running import RunningCompensator
@@ -140,7 +140,7 @@ class LiveSession:
         self._receiver = Receiver(options.system)
         self._heard_s = time.monotonic()
         self._packer = parser(255, dialect.MAV_COMP_ID_ONBOARD_COMPUTER)
-        self._parts = Parts(options.record)
+        self._parts = FaultIsolation(options.record)
         self._decoder, self._request_ns = MavlinkDecoder(self._motors), 0
         self._alarms: dict[tuple[int, str, float], dict[str, Any]] = {}
         self._late = self._astray = 0

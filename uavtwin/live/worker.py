@@ -1,7 +1,7 @@
 """The flight behind the receiver: records rows, compares them with the twin, asks for alarms.
 
-It runs in a thread of its own, so that no computation keeps messages waiting. `Parts` are those of
-a session that may fail while the recording goes on.
+It runs in a thread of its own, so that no computation keeps messages waiting. `FaultIsolation` lets
+a part of a session fail while the recording goes on.
 """
 
 import contextlib
@@ -66,7 +66,7 @@ _STATEFUL = {Part.RAW, Part.TABLES, Part.GRID, Part.TWIN, Part.SHOWN, Part.ALARM
 """Their state is lost with an error: they are called again in the next flight section."""
 
 
-class Parts:
+class FaultIsolation:
     """Calls parts of a session so that an error of one ends no other.
 
     An error is reported once, its repetitions are counted. From any thread.
@@ -193,10 +193,10 @@ class Worker:
         on_alarm: Callable[[Alarm], None] = lambda _: None,
         compensator: "RunningCompensator | None" = None,
         on_anomaly: Callable[[float], None] = lambda _: None,
-        parts: Parts | None = None,
+        parts: FaultIsolation | None = None,
     ) -> None:
         self._vehicle, self._recording, self._horizon_s = vehicle, recording, horizon_s
-        self._parts = parts or Parts()
+        self._parts = parts or FaultIsolation()
         self._new_watch, self._on_block, self._on_alarm = watch, on_block, on_alarm
         self._compensator, self._on_anomaly = compensator, on_anomaly
         self._queue: Queue[Batch | _NewSection | _End] = Queue(_WAITING)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..jobs.process import Allowed, ProcessWorker
+from ..jobs.process import JobLimits, ProcessWorker
 from .store import OF_VEHICLE, FlightRow, JobRow, Run, Store
 from .work import LONG, QUICK, Answer, Job, LogWork
 
@@ -35,7 +35,7 @@ class Limits:
         workers: Processes.
     """
 
-    allowed: Allowed = field(default_factory=lambda: Allowed(1800.0, 3.0))
+    allowed: JobLimits = field(default_factory=lambda: JobLimits(1800.0, 3.0))
     most_bytes: int = 1 << 30
     workers: int = 2
 

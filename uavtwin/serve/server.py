@@ -24,7 +24,7 @@ from twin.topic_mapping import MOST_MAPPING
 from twin.vehicle_file import builtin_vehicles
 
 from ..output import write_json
-from ..site.doors import Doors
+from ..site.doors import AccessPolicy
 from ..site.server import FLIGHTS, LIVE, headers, site_app
 from .demo import DemoFlight
 from .pages import FILES, REPORTS, Pages
@@ -82,7 +82,7 @@ class Site:
     """
 
     def __init__(
-        self, store: Store, limits: Limits, doors: Doors, live: Sequence[BaseRoute] = ()
+        self, store: Store, limits: Limits, doors: AccessPolicy, live: Sequence[BaseRoute] = ()
     ) -> None:
         """Begin with the jobs that wait.
 

@@ -42,7 +42,7 @@ def is_loopback(host: str) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Doors:
+class AccessPolicy:
     """Lets in or refuses.
 
     Attributes:

@@ -23,7 +23,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from twin.errors import TwinError
 
 from .connections import LimitedConnection
-from .doors import Doors, is_loopback
+from .doors import AccessPolicy, is_loopback
 
 FLIGHTS, LIVE = "/", "/live"
 """Addresses of the list of flights, and of the page of a live flight."""
@@ -81,7 +81,7 @@ def headers(hashes: Sequence[str] = ()) -> dict[str, str]:
     }
 
 
-def doors_of(host: str, port: int, token: str | None = None) -> Doors:
+def doors_of(host: str, port: int, token: str | None = None) -> AccessPolicy:
     """Who may ask a site at an address: anybody on this machine, beyond it who knows the token.
 
     Args:
@@ -95,7 +95,7 @@ def doors_of(host: str, port: int, token: str | None = None) -> Doors:
     if token is None and not is_loopback(host):
         token = secrets.token_urlsafe(24)
     # a browser has one jar of cookies for all ports of a host
-    return Doors(host, token, "" if token is None else f"uavtwin-{port}")
+    return AccessPolicy(host, token, "" if token is None else f"uavtwin-{port}")
 
 
 def address_of(host: str, port: int, token: str | None) -> str:
@@ -109,7 +109,7 @@ def address_of(host: str, port: int, token: str | None) -> str:
 class Guarded:
     """An application behind doors; a token that fits is stored in a cookie."""
 
-    def __init__(self, app: ASGIApp, doors: Doors) -> None:
+    def __init__(self, app: ASGIApp, doors: AccessPolicy) -> None:
         """Keep both."""
         self._app, self._doors = app, doors
 
@@ -134,7 +134,7 @@ class Guarded:
             await self._app(scope, receive, send)
 
 
-def site_app(routes: Sequence[BaseRoute], doors: Doors) -> ASGIApp:
+def site_app(routes: Sequence[BaseRoute], doors: AccessPolicy) -> ASGIApp:
     """The application of a site.
 
     Args:
@@ -194,7 +194,7 @@ class SiteServer:
         url: For a browser.
     """
 
-    def __init__(self, opened: socket.socket, app: ASGIApp, doors: Doors) -> None:
+    def __init__(self, opened: socket.socket, app: ASGIApp, doors: AccessPolicy) -> None:
         """Serve nothing yet.
 
         Args:

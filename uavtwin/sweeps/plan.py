@@ -41,7 +41,7 @@ TWIN = "twin."
 
 
 @dataclass(frozen=True, slots=True)
-class Stand:
+class SharedSystem:
     """A system that several runs share.
 
     Attributes:
@@ -87,7 +87,7 @@ class Plan:
         warnings: What the windiest run of a system asks for although it changes nothing.
     """
 
-    stands: tuple[Stand, ...]
+    stands: tuple[SharedSystem, ...]
     jobs: tuple[Job, ...]
     points: Sequence[Mapping[str, Value]]
     scenarios: Sequence[Scenario]
@@ -190,16 +190,16 @@ def _twin(scenario: Scenario) -> Assembly:
 
 def _stand(
     first: Scenario, folder: Path, duration_s: float | None, step_s: float | None, whole: bool
-) -> Stand:
+) -> SharedSystem:
     """The system of a scenario, without what its runs differ in."""
     if first.is_system:
         system = scenario_system(replace(first, starts={}), folder)
-        return Stand(system, _times(system, duration_s, step_s), None, None)
+        return SharedSystem(system, _times(system, duration_s, step_s), None, None)
     bare = replace(first, starts={}, effects=(), wind_m_s=(0.0, 0.0, 0.0), gusts=False, seed=0)
     system = scenario_system(bare, folder)
     times = _times(system, duration_s, STEP_S if step_s is None else step_s)
     record = None if whole else tuple(n for n in _named(system) if n.removeprefix(TWIN) in WATCHED)
-    return Stand(system, times, record, _vehicle(first).arm_m)
+    return SharedSystem(system, times, record, _vehicle(first).arm_m)
 
 
 def _times(system: System, duration_s: float | None, step_s: float | None) -> Times:

@@ -25,7 +25,7 @@ from ..simulation import Scenario
 from ..vehicles import checked_vehicle, load_vehicle
 from .design import Design, distribution_of, read_design
 from .outcome import JOURNAL, Journal, Outcome, outcome_of
-from .plan import Job, Plan, Stand, plan_of
+from .plan import Job, Plan, SharedSystem, plan_of
 from .result import SweepResult, table_of
 
 
@@ -43,7 +43,7 @@ class RunResult:
 
 
 @dataclass(frozen=True, slots=True)
-class Flying:
+class SweepTask:
     """What is done with each run, for `uavtwin.jobs`.
 
     Attributes:
@@ -54,7 +54,7 @@ class Flying:
     """
 
     key: str
-    stands: tuple[Stand, ...]
+    stands: tuple[SharedSystem, ...]
     limits: Limits
     keep: bool = False
 
@@ -62,17 +62,17 @@ class Flying:
         """Number of the run."""
         return str(job.run)
 
-    def worker(self) -> "Flyer":
+    def worker(self) -> "RunWorker":
         """One more that flies runs."""
-        return Flyer(self)
+        return RunWorker(self)
 
-    def packed(self) -> "Shipment":
+    def packed(self) -> "PackedSweep":
         """With the content of the FMUs, which lie elsewhere."""
         bare = tuple(replace(s, system=replace(s.system, folder=None)) for s in self.stands)
         fmus = tuple(
             {name: path.read_bytes() for name, path in s.system.fmus.items()} for s in self.stands
         )
-        return Shipment(replace(self, stands=bare), fmus)
+        return PackedSweep(replace(self, stands=bare), fmus)
 
     def lost(self, job: Job, why: str) -> RunResult:
         """A run that nobody could fly."""
@@ -80,7 +80,7 @@ class Flying:
 
 
 @dataclass(frozen=True, slots=True)
-class Shipment:
+class PackedSweep:
     """Systems with the content of their files.
 
     Attributes:
@@ -88,7 +88,7 @@ class Shipment:
         fmus: Content of each, by stand and name.
     """
 
-    flying: Flying
+    flying: SweepTask
     fmus: tuple[dict[str, bytes], ...]
 
     @property
@@ -96,7 +96,7 @@ class Shipment:
         """Hash of the sweep."""
         return self.flying.key
 
-    def unpacked(self, folder: Path) -> Flying:
+    def unpacked(self, folder: Path) -> SweepTask:
         """The systems, their FMUs written into a folder."""
         stands = []
         for number, (stand, files) in enumerate(zip(self.flying.stands, self.fmus, strict=True)):
@@ -107,14 +107,14 @@ class Shipment:
         return replace(self.flying, stands=tuple(stands))
 
 
-class Flyer:
+class RunWorker:
     """Runs jobs; a crash of an FMU costs the run in which it happens."""
 
-    def __init__(self, flying: Flying) -> None:
+    def __init__(self, flying: SweepTask) -> None:
         """Start nothing yet."""
         self._flying = flying
         self._master: WorkerMaster | None = None
-        self._stand: Stand | None = None
+        self._stand: SharedSystem | None = None
 
     def do(self, job: Job) -> RunResult:
         """Run a job; whatever an FMU does, there is an outcome."""
@@ -134,7 +134,7 @@ class Flyer:
         outcome = outcome_of(job.run, recording, stand.arm_m, why)
         return RunResult(outcome, recording if self._flying.keep else None)
 
-    def _ready(self, stand: Stand) -> WorkerMaster:
+    def _ready(self, stand: SharedSystem) -> WorkerMaster:
         """A master with the system of a stand loaded."""
         if self._master is None or self._stand is not stand:
             self.close()
@@ -305,7 +305,7 @@ def run_sweep(
         )
         key = sweep_key(plan, work.recordings)
         with closing(Journal(out / JOURNAL, key)) as journal:
-            flying = Flying(key, plan.stands, work.limits, work.recordings)
+            flying = SweepTask(key, plan.stands, work.limits, work.recordings)
             with work.opened() as engine:
                 _fly(plan, flying, engine, journal, out, progress)
             table = table_of(plan.points, journal.outcomes())
@@ -369,7 +369,7 @@ def sweep_key(plan: Plan, recordings: bool) -> str:
 
 def _fly(
     plan: Plan,
-    flying: Flying,
+    flying: SweepTask,
     engine: Engine,
     journal: Journal,
     folder: Path,

@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from uavtwin.jobs.process import Allowed, ProcessWorker, Progress
+from uavtwin.jobs.process import JobLimits, ProcessWorker, Progress
 
 
 @dataclass(frozen=True)
@@ -14,7 +14,7 @@ class Harm:
     """Does what its job says."""
 
     key: str = "harm"
-    allowed: Allowed = field(default_factory=Allowed)
+    allowed: JobLimits = field(default_factory=JobLimits)
 
     def name(self, job: str) -> str:
         return job

@@ -9,11 +9,11 @@ from twin.logs.autopilot import (
     LEVELS,
     Autopilot,
     Filter,
+    Interval,
     Message,
     Mode,
     Parameter,
     Setpoint,
-    Stretch,
 )
 from twin.logs.columns import GYRO, POS, QUAT, VEL
 from twin.residuals.gap import Channel, FlightGap
@@ -44,8 +44,8 @@ def _said(t: Array) -> Autopilot:
     turn = np.column_stack([np.cos(0.1 * t), 0 * t, 0 * t, np.sin(0.1 * t)])
     return Autopilot(
         tuple(Mode(name, 2.0 * k) for k, name in enumerate(("Hold", HOSTILE, "Land", "x" * 90))),
-        (Stretch("armed", 0.5, 19.0),),
-        (Stretch("battery failsafe", 12.0, 20.0), Stretch(HOSTILE, 1.0, 1.01)),
+        (Interval("armed", 0.5, 19.0),),
+        (Interval("battery failsafe", 12.0, 20.0), Interval(HOSTILE, 1.0, 1.01)),
         tuple(messages),
         (
             Setpoint(POS, t[::5], np.where(np.arange(3) == 1, np.nan, np.sin(t[::5, None]))),

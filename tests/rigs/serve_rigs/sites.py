@@ -19,11 +19,11 @@ from places import IMPORT_PATH
 from starlette.routing import BaseRoute
 from why_rig import sound
 
-from uavtwin.jobs.process import Allowed
+from uavtwin.jobs.process import JobLimits
 from uavtwin.serve.schedule import Limits
 from uavtwin.serve.server import Site
 from uavtwin.serve.store import Store
-from uavtwin.site.doors import Doors
+from uavtwin.site.doors import AccessPolicy
 from uavtwin.site.server import SiteServer, listening
 
 PATIENCE_S = 120.0
@@ -92,8 +92,8 @@ def site(
     live: Sequence[BaseRoute] = (),
 ) -> Iterator[Asked]:
     """A site in a thread; without workers its jobs stay in the queue."""
-    limits = Limits(Allowed(600.0, 3.0), most_bytes, workers)
-    taken, doors = listening("127.0.0.1", 0), Doors("127.0.0.1")
+    limits = Limits(JobLimits(600.0, 3.0), most_bytes, workers)
+    taken, doors = listening("127.0.0.1", 0), AccessPolicy("127.0.0.1")
     made = Site(Store(store), limits, doors, live)
     try:
         with SiteServer(taken, made.app, doors) as server:

@@ -18,11 +18,11 @@ from twin.logs.autopilot import (
     MOST_SAMPLES,
     Autopilot,
     Filter,
+    Interval,
     Message,
     Mode,
     Parameter,
     Setpoint,
-    Stretch,
     as_text,
     modes_of,
     setpoint_of,
@@ -248,7 +248,7 @@ def test_a_flight_table_left_in_its_file_keeps_it(
     setpoint = Setpoint(POS, t, np.where(np.eye(5, 3) > 0, np.nan, 1.0))
     said = Autopilot(
         (Mode("Hold", 0.0),),
-        (Stretch("armed", 0.0, 1.0),),
+        (Interval("armed", 0.0, 1.0),),
         messages=(Message(-1.0, "error", as_text(HOSTILE)),),
         setpoints=(setpoint,),
         parameters=(Parameter(HOSTILE[:15], 1.0, 2.0),),
@@ -283,7 +283,7 @@ def test_a_mode_of_before_the_record_holds_at_its_start() -> None:
 def test_stretches_end_with_the_record() -> None:
     t = np.array([-1.0, 1.0, 2.0, 3.0])
     found = stretches_of(t, np.array([True, False, False, True]), "x", 5.0)
-    assert found == (Stretch("x", 0.0, 1.0), Stretch("x", 3.0, 5.0))
+    assert found == (Interval("x", 0.0, 1.0), Interval("x", 3.0, 5.0))
 
 
 def test_a_long_setpoint_is_thinned_evenly_and_says_so() -> None:

@@ -13,7 +13,13 @@ from twin.logs import Flight
 from twin.logs.autopilot import Autopilot, Reset, ResetOf
 from twin.logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL
 from twin.why import disagreements
-from twin.why.consistency import FALSE_IN_10_H, Budget, Residual, changed_at, smallest_detectable
+from twin.why.consistency import (
+    FALSE_IN_10_H,
+    FalseAlarmBudget,
+    Residual,
+    changed_at,
+    smallest_detectable,
+)
 from twin.why.diagnose import diagnose
 from twin.why.disagreements import SENSOR_CAUSES, within
 from twin.why.flight import FlightFrame
@@ -143,7 +149,7 @@ def test_what_stays_off_is_told_where_one_mean_is_not_enough() -> None:
     def told(scaled: str, change: np.ndarray) -> bool:
         difference = 0.005 * calm.difference + change
         r = replace(calm, scaled=scaled, difference=difference, error=np.full(n, 0.02))
-        found = changed_at(r, Budget(FALSE_IN_10_H, 10))
+        found = changed_at(r, FalseAlarmBudget(FALSE_IN_10_H, 10))
         return found is not None and found.onset_s == pytest.approx(10.0, abs=0.2)
 
     assert [told("gyro_scale", off), told("gyro_scale", passing), told("", off)] == [1, 0, 0]
@@ -155,7 +161,7 @@ def test_motion_that_has_brought_no_error_is_believed_to_bring_none() -> None:
     def least(bins: int, noise: float) -> float:
         r = height_residual(rng, bins, least=0.02)
         moved = replace(r, difference=noise * r.difference, error=np.full(bins, 0.1))
-        return smallest_detectable(moved, Budget(FALSE_IN_10_H, 10))
+        return smallest_detectable(moved, FalseAlarmBudget(FALSE_IN_10_H, 10))
 
     assert least(3000, 0.01) < 0.25 * least(100, 0.01)
     assert least(3000, 1.0) > least(3000, 0.01)
@@ -245,9 +251,9 @@ def test_a_body_that_does_not_turn_has_no_stuck_gyroscope() -> None:
 def test_more_false_alarms_allowed_bring_a_lower_bound() -> None:
     rng = np.random.default_rng(2)
     r = height_residual(rng, 400, least=0.1)
-    bounds = [smallest_detectable(r, Budget(f, 10)) for f in (0.1, FALSE_IN_10_H, 100.0)]
+    bounds = [smallest_detectable(r, FalseAlarmBudget(f, 10)) for f in (0.1, FALSE_IN_10_H, 100.0)]
     assert bounds[0] > bounds[1] > bounds[2]
-    assert changed_at(r, Budget(FALSE_IN_10_H, 10)) is None
+    assert changed_at(r, FalseAlarmBudget(FALSE_IN_10_H, 10)) is None
 
 
 def test_by_chance_a_bound_is_exceeded_no_more_often_than_allowed() -> None:
@@ -257,7 +263,7 @@ def test_by_chance_a_bound_is_exceeded_no_more_often_than_allowed() -> None:
     hits = 0
     for _ in range(flights):
         r = height_residual(rng, n, least=0.01)
-        hits += changed_at(r, Budget(allowed, 1)) is not None
+        hits += changed_at(r, FalseAlarmBudget(allowed, 1)) is not None
     assert hits <= allowed / 2
 
 

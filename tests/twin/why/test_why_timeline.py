@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from twin.logs import Flight
-from twin.logs.autopilot import Autopilot, Message, Mode, Stretch
+from twin.logs.autopilot import Autopilot, Interval, Message, Mode
 from twin.logs.columns import ACC, POS, QUAT
 from twin.why.diagnose import diagnose
 from twin.why.flight import FlightFrame
@@ -100,8 +100,8 @@ def test_a_shock_at_the_end_of_a_flight_is_a_touchdown() -> None:
 def test_the_autopilot_is_quoted_while_it_flies() -> None:
     said = Autopilot(
         modes=(Mode("Hold", 0.0), Mode("Land", 28.0)),
-        armed=(Stretch("armed", 2.0, 20.0),),
-        failsafes=(Stretch("battery failsafe", 27.0, 36.0),),
+        armed=(Interval("armed", 2.0, 20.0),),
+        failsafes=(Interval("battery failsafe", 27.0, 36.0),),
         messages=(
             Message(1.0, "error", "before"),
             Message(15.0, "info", "talk"),

@@ -10,7 +10,7 @@ from job_rigs.harm import Harm
 
 from twin.errors import TwinError
 from uavtwin.jobs.engine import Workers
-from uavtwin.jobs.process import Allowed, ProcessWorker
+from uavtwin.jobs.process import JobLimits, ProcessWorker
 
 pytestmark = pytest.mark.slow
 JOBS = ["fine 1", "crash", "fine 2", "exit", "hang", "hoard", "number", "fine 3", "fine 4"]
@@ -18,7 +18,7 @@ JOBS = ["fine 1", "crash", "fine 2", "exit", "hang", "hoard", "number", "fine 3"
 
 @pytest.mark.parametrize("workers", [1, 3])
 def test_every_job_is_done_once_whatever_others_do(workers: int) -> None:
-    harm = Harm(allowed=Allowed(time_s=8.0, memory_gib=1.0))
+    harm = Harm(allowed=JobLimits(time_s=8.0, memory_gib=1.0))
     with Workers("local", workers).opened() as engine:
         found = sorted(engine.run(harm, JOBS))
     told = {line.partition(":")[0]: line.partition(": ")[2] for line in found}
@@ -88,4 +88,4 @@ def test_what_an_engine_has_no_use_for_is_refused(
 
 def test_a_limit_that_is_none_is_refused() -> None:
     with pytest.raises(TwinError, match="limit time_s = -1: needs a positive number"):
-        Allowed(time_s=-1.0)
+        JobLimits(time_s=-1.0)

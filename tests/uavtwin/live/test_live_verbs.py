@@ -9,7 +9,7 @@ from sample_logs import flown_table
 
 from twin.logs import Flight, write_flight
 from twin.logs.mavlink.decoder import MavlinkDecoder
-from uavtwin.live.replay import Faults, Link, played
+from uavtwin.live.replay import Faults, FaultyLink, played
 
 
 @pytest.fixture
@@ -97,7 +97,7 @@ def test_what_is_played_is_the_flight() -> None:
 
 def test_faults_are_drawn_from_their_seed() -> None:
     def sent(seed: int) -> tuple[int, list[bytes]]:
-        link = Link(Faults(loss=0.1, jitter_s=0.02, seed=seed))
+        link = FaultyLink(Faults(loss=0.1, jitter_s=0.02, seed=seed))
         for k in range(2000):
             link.send(0.001 * k, bytes([k % 256, k // 256]))
         return link.lost, link.due(10.0)

@@ -22,7 +22,7 @@ from uavtwin.live.datagrams import MORE_OTHERS, Address, Datagram, Receiver
 from uavtwin.live.replay import played
 from uavtwin.live.session import LiveOptions, LiveSession
 from uavtwin.live.status import LiveStatus
-from uavtwin.live.worker import ERRORS, Lift, Part, Parts, Worker
+from uavtwin.live.worker import ERRORS, FaultIsolation, Lift, Part, Worker
 from uavtwin.wording import misfit
 
 
@@ -234,7 +234,7 @@ def test_a_single_frame_of_a_stranger_keeps_no_place() -> None:
 
 
 def test_parts_report_once_and_rest_until_the_next_section(tmp_path: Path) -> None:
-    parts, calls = Parts(tmp_path), [0]
+    parts, calls = FaultIsolation(tmp_path), [0]
 
     def fail() -> Mapping[str, int]:
         calls[0] += 1

@@ -12,7 +12,7 @@ from places import DATA, needs
 
 from twin.frames import from_euler
 from twin.logs import Flight, open_flight, read_flight, write_flight
-from twin.logs.autopilot import Autopilot, Filter, Message, Mode, Parameter, Setpoint, Stretch
+from twin.logs.autopilot import Autopilot, Filter, Interval, Message, Mode, Parameter, Setpoint
 from twin.logs.columns import ACC, GYRO, QUAT
 from twin.residuals.gap import FlightGap
 from uavtwin.report.autopilot import (
@@ -112,8 +112,8 @@ def test_yaw_of_setpoint_and_flight_the_short_way_round() -> None:
 def test_marks_that_lie_together_are_one() -> None:
     said = Autopilot(
         modes=(Mode("Hold", 0.0), Mode("Land", 30.0)),
-        armed=(Stretch("armed", 1.0, 40.0),),
-        failsafes=(Stretch("failsafe", 5.0, 40.0),),
+        armed=(Interval("armed", 1.0, 40.0),),
+        failsafes=(Interval("failsafe", 5.0, 40.0),),
         messages=(
             Message(-5.0, "error", "before"),
             *(Message(10.0 + 0.01 * k, "info", f"<i>{k}") for k in range(8)),
@@ -139,8 +139,8 @@ def test_marks_that_lie_together_are_one() -> None:
 def test_texts_of_a_log_stay_texts() -> None:
     said = Autopilot(
         (Mode(HOSTILE, 0.0),),
-        (Stretch(HOSTILE, 0.0, 20.0),),
-        (Stretch(HOSTILE, 1.0, 2.0),),
+        (Interval(HOSTILE, 0.0, 20.0),),
+        (Interval(HOSTILE, 1.0, 2.0),),
         tuple(Message(0.001 * k, "error" if k == 900 else "", HOSTILE) for k in range(1000)),
         parameters=tuple(Parameter(f"{HOSTILE}{k}", 0.1, 1e9) for k in range(700)),
         filters=(Filter("gyro", "notch", 30.0, HOSTILE),),

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.planted import unsteady
 from twin.explain.stochastic.spectral import StochasticEffect
 from twin.logs import Flight
-from twin.logs.autopilot import Autopilot, Mode, Stretch
+from twin.logs.autopilot import Autopilot, Interval, Mode
 from twin.residuals.channels import ChannelData
 from twin.vehicle_file import load_vehicle
 from uavtwin.report.drawing import Budget, Panels, degenerate
@@ -25,7 +25,7 @@ def test_an_effect_without_a_mean_has_a_picture() -> None:
     )
     assert plots and seen.flight.name in how
     assert [fault for p in plots for fault in degenerate(p)] == []
-    said = Autopilot((Mode("Hold", 0.0),), failsafes=(Stretch("battery failsafe", 1.0, 2.0),))
+    said = Autopilot((Mode("Hold", 0.0),), failsafes=(Interval("battery failsafe", 1.0, 2.0),))
     over = unsteady_strip("stuck_sensor", replace(seen.flight, autopilot=said))
     assert over is not None and over.group == plots[0].time, "page.js lays it over that figure"
     assert "battery failsafe" in over.json

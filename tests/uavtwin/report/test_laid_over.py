@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from page_rigs.circle import gap_of, recorded
 
-from twin.logs.autopilot import Autopilot, Stretch
+from twin.logs.autopilot import Autopilot, Interval
 from twin.residuals.gap import FlightGap
 from uavtwin.report.drawing import Budget, degenerate, unpacked
 from uavtwin.report.gap import LaidOver, laid_over
@@ -64,7 +64,8 @@ def test_time_is_counted_from_what_all_of_them_hold(one: FlightGap) -> None:
     flying = replace(one, flight="flying", phases=(("hover", 0.0, 20.0),))
     assert drawn(one, flying).zero == "the start of the record"
     armed = replace(
-        recorded(), autopilot=Autopilot(armed=(Stretch("armed", 2.0, 9.0), Stretch("", 11.0, 19.0)))
+        recorded(),
+        autopilot=Autopilot(armed=(Interval("armed", 2.0, 9.0), Interval("", 11.0, 19.0))),
     )
     found = drawn(one, flying, shown=overview(armed))
     assert found.zero == "arming"

@@ -21,7 +21,7 @@ from page_rigs.browser import (
 from why_rig import ONSET_S, sound
 
 from twin.logs import Flight, write_flight
-from twin.logs.autopilot import Autopilot, Message, Mode, Stretch
+from twin.logs.autopilot import Autopilot, Interval, Message, Mode
 from twin.why.records import (
     Amount,
     Candidate,
@@ -42,7 +42,7 @@ def faulty() -> Flight:
     table["gyro_y"] = table["gyro_y"] + 0.1 * (table["time"] >= ONSET_S)
     said = Autopilot(
         modes=(Mode("Hold", 0.0), Mode("Land", 40.0)),
-        failsafes=(Stretch("battery failsafe", 38.0, 44.0),),
+        failsafes=(Interval("battery failsafe", 38.0, 44.0),),
         messages=(Message(ONSET_S + 0.5, "warning", "gyro <b>inconsistent</b>"),),
     )
     facts = {"clock": "t = 0 is 100.000000 s after boot, the start of the log"}

@@ -16,7 +16,7 @@ from uavtwin.serve.schedule import Limits, Scheduler
 from uavtwin.serve.server import Site
 from uavtwin.serve.store import Store
 from uavtwin.serve.work import QUICK, Answer, Job
-from uavtwin.site.doors import Doors
+from uavtwin.site.doors import AccessPolicy
 
 pytestmark = pytest.mark.slow
 
@@ -199,7 +199,7 @@ def post(site: Site, path: str, body: bytes) -> int:
 
 def test_a_moment_says_its_kind_once(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    site = Site(store, Limits(workers=0), Doors("127.0.0.1"))
+    site = Site(store, Limits(workers=0), AccessPolicy("127.0.0.1"))
     flight = store.flight(added(store))
     assert flight is not None
     mode = {"kind": "mode", "t_s": 9.82, "text": "mode Hold"}
@@ -210,7 +210,7 @@ def test_a_moment_says_its_kind_once(tmp_path: Path) -> None:
 
 def test_new_values_of_a_draft_begin_it_anew(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    site = Site(store, Limits(workers=0), Doors("127.0.0.1"))
+    site = Site(store, Limits(workers=0), AccessPolicy("127.0.0.1"))
     flight = added(store)
     assert post(site, f"/flights/{flight}/draft", b"mass_kg=1.3") == 303
     first = store.take(["draft"])

@@ -20,7 +20,7 @@ from twin.errors import TwinError
 from uavtwin.serve.opened import open_site
 from uavtwin.serve.store import Store
 from uavtwin.site import server
-from uavtwin.site.doors import Doors
+from uavtwin.site.doors import AccessPolicy
 from uavtwin.site.server import Guarded, SiteServer, address_of, doors_of, listening
 
 pytestmark = pytest.mark.slow
@@ -182,7 +182,7 @@ COOKIE = doors_of("0.0.0.0", 8080).cookie
 
 
 def answered(
-    doors: Doors, query: bytes = b"", cookie: str = "", path: str = "/a"
+    doors: AccessPolicy, query: bytes = b"", cookie: str = "", path: str = "/a"
 ) -> tuple[int, dict[str, str]]:
     """Status and headers of a page behind doors."""
     sent: list[Message] = []
@@ -201,7 +201,7 @@ def answered(
 
 
 def test_beyond_this_machine_the_token_is_needed_once() -> None:
-    doors = Doors("0.0.0.0", "correct horse", COOKIE)
+    doors = AccessPolicy("0.0.0.0", "correct horse", COOKIE)
     assert answered(doors)[0] == 403
     assert answered(doors, b"token=wrong")[0] == 403
     assert answered(doors, cookie=f"{COOKIE}=wrong")[0] == 403
@@ -216,7 +216,7 @@ def test_beyond_this_machine_the_token_is_needed_once() -> None:
 
 
 def test_a_link_with_the_token_leads_to_no_other_server() -> None:
-    doors = Doors("0.0.0.0", "correct horse", COOKIE)
+    doors = AccessPolicy("0.0.0.0", "correct horse", COOKIE)
     for path in ("//evil.example/x", "/\\evil.example/x", "\\/evil.example/x"):
         _, headers = answered(doors, b"token=correct+horse", path=path)
         assert headers["location"] == "/evil.example/x"
@@ -227,7 +227,7 @@ def test_a_link_with_the_token_leads_to_no_other_server() -> None:
 def test_an_empty_token_opens_nothing() -> None:
     for token in ("", "short"):
         with pytest.raises(TwinError, match="at least 8"):
-            Doors("0.0.0.0", token)
+            AccessPolicy("0.0.0.0", token)
 
 
 @pytest.mark.parametrize("with_flights", [False, True], ids=["alone", "with flights"])

@@ -11,6 +11,7 @@ from ..autopilot import (
     Autopilot,
     Filter,
     FilterKind,
+    Interval,
     Message,
     Mode,
     Parameter,
@@ -19,7 +20,6 @@ from ..autopilot import (
     Sensor,
     Setpoint,
     Span,
-    Stretch,
     as_text,
     differing,
     ground_spans,
@@ -485,7 +485,7 @@ def _modes(log: ArduPilotLog, end_s: float) -> tuple[Mode, ...]:
     return modes_of(topic.t_s, names, end_s) if topic is not None and names else ()
 
 
-def _armed(log: ArduPilotLog, end_s: float) -> tuple[Stretch, ...]:
+def _armed(log: ArduPilotLog, end_s: float) -> tuple[Interval, ...]:
     """By the events of arming; a log that begins with one that disarms began armed. Without any, by
     the outputs of the motors."""
     events = log.whole("EV")
@@ -497,16 +497,16 @@ def _armed(log: ArduPilotLog, end_s: float) -> tuple[Stretch, ...]:
             t_s, on = np.append(min(0.0, t_s[0] - 1.0), t_s), np.append(not on[0], on)
             return stretches_of(t_s, on, "armed", end_s)
     spans = [(max(a * 1e-6, 0.0), min(b * 1e-6, end_s)) for a, b in armed_spans(log)]
-    return tuple(Stretch("armed", a, b) for a, b in spans if b > a)[:MOST_EVENTS]
+    return tuple(Interval("armed", a, b) for a, b in spans if b > a)[:MOST_EVENTS]
 
 
-def _errors(log: ArduPilotLog, end_s: float) -> tuple[tuple[Stretch, ...], list[Message]]:
+def _errors(log: ArduPilotLog, end_s: float) -> tuple[tuple[Interval, ...], list[Message]]:
     """Failures that last, of the flight, and those that are instants, as messages."""
     topic = log.whole("ERR")
     if topic is None or not topic.has("Subsys", "ECode"):
         return (), []
     systems, codes = topic.raw("Subsys"), topic.raw("ECode")
-    lasting: list[Stretch] = []
+    lasting: list[Interval] = []
     for number in _LASTING:
         of = systems == number
         if of.any():

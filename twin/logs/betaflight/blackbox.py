@@ -22,10 +22,10 @@ from ..autopilot import (
     MOST_MESSAGES,
     Autopilot,
     Filter,
+    Interval,
     Message,
     Mode,
     Setpoint,
-    Stretch,
     modes_of,
     setpoint_of,
     stretches_of,
@@ -474,13 +474,13 @@ def _modes(t_s: Array, flags: NDArray[np.int64], end_s: float) -> tuple[Mode, ..
     return modes_of(t_s, names, end_s)
 
 
-def _failsafes(log: BlackboxLog, end_s: float) -> tuple[Stretch, ...]:
+def _failsafes(log: BlackboxLog, end_s: float) -> tuple[Interval, ...]:
     slow = log.recording.slow
     if not slow.has("failsafePhase"):
         return ()
     phase = slow.columns(("failsafePhase",))[:, 0]
     t_s = _seconds(log, slow.t_us)
-    found: list[Stretch] = []
+    found: list[Interval] = []
     for number, name in _FAILSAFES.items():
         found += stretches_of(t_s, phase == number, name, end_s)
     return tuple(sorted(found, key=lambda s: s.start_s))

@@ -332,7 +332,7 @@ class Sequence:
 
 
 @dataclass(slots=True)
-class Link:
+class LinkCounts:
     """All that came over one link, by system and component.
 
     Attributes:
@@ -389,7 +389,7 @@ class MessageParser:
         repeated: Messages that came before, left out.
     """
 
-    link: Link = field(default_factory=Link)
+    link: LinkCounts = field(default_factory=LinkCounts)
     garbage: int = 0
     wrong: int = 0
     version_1: int = 0

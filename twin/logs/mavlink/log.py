@@ -19,7 +19,7 @@ from ..formats import ReadOptions
 from ..stamps import monotonic_samples
 from ..validate import validate
 from .decoder import LANDED, USED, MavlinkDecoder, Sample, Sources, Stamp, columns_of
-from .frames import PHASES, Frame, Link, MessageParser, dialect, frames
+from .frames import PHASES, Frame, LinkCounts, MessageParser, dialect, frames
 
 _SHOWN = 8
 """Kinds of message that an error lists."""
@@ -88,7 +88,7 @@ def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     Of several systems the multirotor with the most samples is read, without one the system with
     the most. Arguments and errors as of `formats.Reader`.
     """
-    log, link = _Log(), Link()
+    log, link = _Log(), LinkCounts()
     system, decoder, samples = _aircraft(path, log, link, blob)
     by_group = samples.by_group()
     if not by_group:
@@ -120,7 +120,7 @@ def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
 
 
 def _aircraft(
-    path: Path, log: _Log, link: Link, blob: bytes
+    path: Path, log: _Log, link: LinkCounts, blob: bytes
 ) -> tuple[int, MavlinkDecoder, _Samples]:
     """The multirotor with the most samples, else the system with the most; what it is, and its
     samples in order of arrival."""
@@ -198,7 +198,9 @@ def _phases(table: pd.DataFrame, t_us: NDArray[np.int64], state: Array) -> list[
     return ground
 
 
-def _note(log: _Log, decoder: MavlinkDecoder, link: Link, system: int, table: pd.DataFrame) -> None:
+def _note(
+    log: _Log, decoder: MavlinkDecoder, link: LinkCounts, system: int, table: pd.DataFrame
+) -> None:
     """What was lost and left out."""
     total = link.of(system)
     if total.lost:

@@ -10,12 +10,12 @@ from ..autopilot import (
     Autopilot,
     Filter,
     FilterKind,
+    Interval,
     Reset,
     ResetOf,
     Sensor,
     Setpoint,
     Span,
-    Stretch,
     differing,
     ground_spans,
     modes_of,
@@ -186,7 +186,7 @@ def mode_name(nav_state: int) -> str:
     return MODES.get(nav_state, f"nav_state {nav_state}")
 
 
-def _armed(log: Px4Log, end_s: float) -> tuple[Stretch, ...]:
+def _armed(log: Px4Log, end_s: float) -> tuple[Interval, ...]:
     status = log.aside("vehicle_status", "arming_state")
     if status is not None:
         return stretches_of(status.t_s, status.data["arming_state"] == _ARMED, "armed", end_s)
@@ -196,7 +196,7 @@ def _armed(log: Px4Log, end_s: float) -> tuple[Stretch, ...]:
     return stretches_of(armed_topic.t_s, armed_topic.data["armed"].astype(np.bool_), "armed", end_s)
 
 
-def _failsafes(log: Px4Log, end_s: float) -> tuple[Stretch, ...]:
+def _failsafes(log: Px4Log, end_s: float) -> tuple[Interval, ...]:
     status = log.aside("vehicle_status", "failsafe")
     if status is None:
         return ()

@@ -14,7 +14,15 @@ from hypothesis import strategies as st
 from twin.logs import read_flight
 from twin.logs.mavlink.decoder import MavlinkDecoder, Stamp, StampGate
 from twin.logs.mavlink.encode import battery, heartbeat, imu
-from twin.logs.mavlink.frames import AUTOPILOT, Link, Message, dialect, frames, parser, stamped
+from twin.logs.mavlink.frames import (
+    AUTOPILOT,
+    LinkCounts,
+    Message,
+    dialect,
+    frames,
+    parser,
+    stamped,
+)
 
 EPOCH_US = 1_700_000_000_000_000
 STRAYS = (2**40, 2**52, 2**53, 2**62, 2**63, 2**64 - 1)
@@ -177,7 +185,7 @@ def test_random_stamps_move_no_clock(times: list[int]) -> None:
 @pytest.mark.slow
 def test_forged_senders_take_bounded_memory() -> None:
     """The aircraft is followed all the while, its counts are whole."""
-    link = Link()
+    link = LinkCounts()
     tracemalloc.start()
     try:
         for k in range(65_000):

@@ -14,7 +14,7 @@ from twin.logs.mavlink.frames import (
     AUTOPILOT,
     MOTORS,
     Frame,
-    Link,
+    LinkCounts,
     Sequence,
     dialect,
     frames,
@@ -139,7 +139,7 @@ def test_sequence_numbers(numbers: list[int], counts: tuple[int, ...]) -> None:
 
 
 def test_sums_over_components() -> None:
-    link = Link()
+    link = LinkCounts()
     for component, number in ((1, 0), (1, 2), (2, 7), (2, 8)):
         link.add(3, component, number, 0)
     link.add(4, 1, 0, 0)
