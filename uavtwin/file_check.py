@@ -5,11 +5,10 @@ Of a flight the kind of aircraft, its hover and its battery come first.
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from msgspec import UNSET, UnsetType
+from msgspec.structs import replace
 
 from twin.draft import Hover, drives, hover_of
 from twin.draft.consistency import consistency
@@ -61,7 +60,26 @@ class FlightHover(Record, frozen=True, kw_only=True):
     twin: HoverRecord | None
 
 
-class CheckRecord(Record, frozen=True, kw_only=True):
+class UnreadFile(Record, frozen=True, kw_only=True):
+    """What `check --json` says of a file that cannot be read.
+
+    Attributes:
+        file: Its name.
+        error: Why it cannot be read.
+    """
+
+    file: str
+    error: str
+
+
+_URGENT, _FACTS = 8, 8
+"""Findings and facts of the short form: with what the file is good for it fits a terminal of 24
+lines."""
+_AT_LENGTH = ("motors", "holds", "rows", "site")
+"""Facts that the short form leaves out: lists, and what is not asked first."""
+
+
+class CheckReport(Record, DisplayMixin, frozen=True, kw_only=False):
     """What `check` says of one file.
 
     Attributes:
@@ -76,62 +94,20 @@ class CheckRecord(Record, frozen=True, kw_only=True):
         observable: Effects that `explain` can look for in a flight, by component.
         not_observable: Effects that it cannot, and what is missing.
         hover: Of a flight; null: it has none.
-        error: Why it cannot be read, instead of all else but `file`.
-    """
-
-    file: str
-    facts: dict[str, str] | UnsetType = UNSET
-    problems: tuple[str, ...] | UnsetType = UNSET
-    warnings: tuple[str, ...] | UnsetType = UNSET
-    questions: tuple[Question, ...] | UnsetType = UNSET
-    notes: tuple[str, ...] | UnsetType = UNSET
-    good_for: tuple[str, ...] | UnsetType = UNSET
-    observable: tuple[str, ...] | UnsetType = UNSET
-    not_observable: tuple[str, ...] | UnsetType = UNSET
-    hover: FlightHover | UnsetType | None = UNSET
-    error: str | UnsetType = UNSET
-
-
-_URGENT, _FACTS = 8, 8
-"""Findings and facts of the short form: with what the file is good for it fits a terminal of 24
-lines."""
-_AT_LENGTH = ("motors", "holds", "rows", "site")
-"""Facts that the short form leaves out: lists, and what is not asked first."""
-
-
-@dataclass(frozen=True, slots=True, repr=False)
-class CheckReport(DisplayMixin):
-    """What `check` says of one file.
-
-    Attributes:
-        file: Its name.
-        facts: What it holds.
-        problems: What is wrong with it: exit code 1.
-        warnings: What is likely wrong, or missing: exit code 1.
-        notes: What was done or assumed.
-        good_for: What it can be used for.
-        questions: What is odd about a vehicle and may yet be right.
-        observable: Of a flight, effects that `explain` can look for in it, by component.
-        not_observable: Effects that it cannot show, and what is missing.
-        hover: Of a flight, its hover as numbers.
     """
 
     file: str
     facts: dict[str, str]
-    problems: tuple[str, ...]
-    warnings: tuple[str, ...]
-    notes: tuple[str, ...]
-    good_for: tuple[str, ...]
+    problems: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     questions: tuple[Question, ...] = ()
+    notes: tuple[str, ...] = ()
+    good_for: tuple[str, ...] = ()
     observable: tuple[str, ...] = ()
     not_observable: tuple[str, ...] = ()
     hover: FlightHover | None = None
 
-    @property
-    def record(self) -> CheckRecord:
-        """The content of `--json`."""
-        names = (n for n in CheckRecord.__struct_fields__ if n != "error")
-        return CheckRecord(**{name: getattr(self, name) for name in names})
+    __repr__ = DisplayMixin.__repr__
 
     @property
     def verdict(self) -> str:
@@ -282,7 +258,7 @@ def _check_fmu(path: Path) -> CheckReport:
             uses.append(f"{kind} on {report.facts['platforms']}: {command}")
     if uses and "reference results" in report.facts:
         uses.append(f"to be rerun against its reference results: uavtwin verify {path.name}")
-    return CheckReport(path.name, report.facts, report.problems, (), (), tuple(uses))
+    return CheckReport(path.name, report.facts, report.problems, good_for=tuple(uses))
 
 
 def _check_system(path: Path) -> CheckReport:
@@ -293,7 +269,9 @@ def _check_system(path: Path) -> CheckReport:
     if report.platforms and not report.problems:
         where = f"co-simulation on {', '.join(report.platforms)}"
         uses.append(f"{where}: uavtwin simulate {path.name}" if report.runs_here else where)
-    return CheckReport(path.name, report.facts, report.problems, (), report.notes, tuple(uses))
+    return CheckReport(
+        path.name, report.facts, report.problems, notes=report.notes, good_for=tuple(uses)
+    )
 
 
 def _check_vehicle(path: Path) -> CheckReport:
@@ -306,15 +284,14 @@ def _check_vehicle(path: Path) -> CheckReport:
     try:
         body = airframe(vehicle)
     except ModelError as error:
-        return CheckReport(
-            path.name, facts, (*vehicle.doubts, str(error)), (), notes, (), open_questions
-        )
+        problems = (*vehicle.doubts, str(error))
+        return CheckReport(path.name, facts, problems, (), open_questions, notes)
     trim = [f"{v.start:.4g}" for v in body.inputs if v.name.startswith(("cmd_", "rotor_"))]
     facts["hovers at"] = f"{vehicle.drive} {', '.join(trim)}" + (
         " rad/s" if vehicle.drive == "rotor_speed" else ""
     )
     uses = "gap, explain, train, demo, simulate, export"
-    return CheckReport(path.name, facts, vehicle.doubts, (), notes, (uses,), open_questions)
+    return CheckReport(path.name, facts, vehicle.doubts, (), open_questions, notes, (uses,))
 
 
 def _defaults(sources: Mapping[str, str]) -> Iterator[str]:
@@ -335,7 +312,7 @@ def _check_flight(path: Path, vehicle: Vehicle | None) -> CheckReport:
             "format": "recording of uavtwin simulate, no flight table",
             "holds": f"{len(columns)} columns PART.VARIABLE of {', '.join(parts)}",
         }
-        return CheckReport(path.name, facts, (), (), (NO_TABLE,), ())
+        return CheckReport(path.name, facts, notes=(NO_TABLE,))
     return check_flight(open_flight(path), path.name, vehicle)
 
 
@@ -381,8 +358,8 @@ def check_flight(flight: AnyFlight, file: str, vehicle: Vehicle | None = None) -
         facts,
         (*said("error"), *([contradicts] if contradicts else ()), *useless),
         said("warning"),
-        (*said("info"), *_unfit(flight)),
-        uses,
+        notes=(*said("info"), *_unfit(flight)),
+        good_for=uses,
         observable=tuple(
             f"{component}: {', '.join(names)}" for component, names in observable.effects.items()
         ),

@@ -25,8 +25,8 @@ def report(problems: int = 0, warnings: int = 0, good_for: tuple[str, ...] = ())
         {f"fact{k}": "so" for k in range(30)} | {"motors": "a, b, c"},
         tuple(f"broken {k}" for k in range(problems)),
         tuple(f"odd {k}" for k in range(warnings)),
-        ("noted",),
-        good_for,
+        notes=("noted",),
+        good_for=good_for,
         observable=("airframe: rotor_drag, mass_offset", "imu: gyro_bias"),
     )
 

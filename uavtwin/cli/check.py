@@ -40,25 +40,32 @@ def check(
         bool, typer.Option("--all", help="Print every line, not the first of them.")
     ] = False,
     as_json: Annotated[
-        Json, Prints("uavtwin.file_check:CheckRecord", about="A list, one of each file.")
+        Json,
+        Prints(
+            "uavtwin.file_check:CheckReport",
+            "uavtwin.file_check:UnreadFile",
+            about="A list, one of each file; one that cannot be read has the second form.",
+        ),
     ] = False,
 ) -> None:
     """Say what a file holds, what is wrong with it and what it is good for."""
-    from ..file_check import CheckRecord, check_file
+    from ..file_check import UnreadFile, check_file
+    from ..record import Record
     from ..vehicles import load_vehicle
 
     model = None if vehicle is None else load_vehicle(vehicle)
-    reports, worst = [], Exit.FINE
+    reports: list[Record] = []
+    worst = Exit.FINE
     for path in files:
         try:
             report = check_file(path, model, key)
         except Exception as error:  # one that cannot be read hides none of the others
             worst = max(worst, print_error(error, f"check {path}"))
-            reports.append(CheckRecord(file=path.name, error=str(error)))
+            reports.append(UnreadFile(file=path.name, error=str(error)))
             continue
         if report.problems or report.warnings:
             worst = max(worst, Exit.FINDINGS)
-        reports.append(report.record)
+        reports.append(report)
         if not as_json:
             _print(report, every)
     if as_json:
