@@ -14,7 +14,7 @@ import numpy as np
 
 from twin.logs.mavlink.encode import messages_of
 from twin.logs.mavlink.frames import AUTOPILOT, parser
-from uavtwin.live.datagrams import Address
+from uavtwin.sockets import Address
 
 FLOODS = ("garbage", "valid", "damaged")
 """Random bytes; messages of another aircraft; the same with a wrong checksum."""

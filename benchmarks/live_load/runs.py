@@ -21,10 +21,10 @@ from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
 from twin.why.watch import Watch
 from uavtwin.demo.in_flight import damaged_flight
-from uavtwin.live.datagrams import Address
 from uavtwin.live.replay import Replay
 from uavtwin.live.session import LiveOptions, LiveSession
 from uavtwin.live.status import LiveStatus
+from uavtwin.sockets import Address
 
 
 def free_address() -> Address:

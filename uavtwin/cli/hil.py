@@ -105,8 +105,8 @@ def fly_hil(
         demo: Whether the stand-in of `uavtwin.demo` is the autopilot.
     """
     from ..hil.session import PLACE, HilOptions
-    from ..live.datagrams import address
     from ..simulation import Scenario
+    from ..sockets import address
     from ..vehicles import load_vehicle
 
     aircraft = load_vehicle(vehicle)
@@ -170,7 +170,7 @@ def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions", demo: bo
     from ..demo.autopilot import Pilot, flown_meanwhile
     from ..demo.flights import WAYPOINTS
     from ..hil.session import HilSession
-    from ..live.datagrams import Address
+    from ..sockets import Address
 
     ended = False
 

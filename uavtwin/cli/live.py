@@ -220,8 +220,8 @@ def live(
     Ends with Ctrl-C, after --duration, or --until-silent. Nothing is sent to the aircraft but
     questions for its time (TIMESYNC), unless --request-rates is given.
     """
-    from ..live.datagrams import address
     from ..live.session import LiveOptions
+    from ..sockets import address
 
     _check_mode(given, hil)
     if vehicle is None and not demo:

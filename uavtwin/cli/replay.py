@@ -35,8 +35,8 @@ def replay(
     """Play a log as a MAVLink aircraft, with faults of a radio link where they are asked for."""
     from twin.logs import read_flight
 
-    from ..live.datagrams import address
     from ..live.replay import MAX_SPEED, Faults, Replay
+    from ..sockets import address
 
     where = address(to, "udpout", "--to")
     faults = Faults(loss, jitter, drift, seed)

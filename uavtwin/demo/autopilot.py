@@ -26,7 +26,7 @@ from twin.vehicle import Vehicle
 from twin.vehicle.earth import ned_of_geodetic
 
 from ..hil.session import PLACE
-from ..live.datagrams import Address
+from ..sockets import Address
 from .flights import Waypoints, setpoints_along
 
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL, motor_columns
 from twin.vehicle import Vehicle
 
-from ..live.datagrams import Address
 from ..live.replay import Replay
+from ..sockets import Address
 from .flights import (
     ACC_NOISE_M_S2,
     ATT_NOISE,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from twin.errors import TwinError
 from twin.logs.mavlink.frames import BAD, MARKERS, Message, dialect, packed, parser
 
-from ..live.datagrams import Address, listening
+from ..sockets import Address, listening
 
 SYSTEM = 1
 """System id of the simulator: that of the aircraft, as PX4's own simulators have it."""

@@ -37,7 +37,7 @@ from twin.physics.sensors.position import PRESETS
 from twin.vehicle import Vehicle
 from twin.vehicle.earth import LAPSE_K_M, geodetic_of_ned
 
-from ..live.datagrams import Address
+from ..sockets import Address
 from .flying import FlyingTwin, TwinState
 from .link import AutopilotLink, ConnectionEndedError
 

@@ -29,7 +29,7 @@ from twin.residuals.stream import Equations
 from twin.residuals.teacher_forced import GRID_S
 from twin.why.watch import Alarm
 
-from .datagrams import Address, sending
+from ..sockets import Address, sending
 from .status import sentence
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from twin.logs.columns import MAX_MOTORS, POS, QUAT, VEL
 from twin.logs.mavlink.encode import attitude, heartbeat, landed, local_position, messages_of
 from twin.logs.mavlink.frames import AUTOPILOT, BAD, Message, dialect, packed, parser
 
-from .datagrams import Address, sending
+from ..sockets import Address, sending
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,8 @@ from twin.residuals.flight_gap import DEFAULT_HORIZON_S
 from twin.vehicle import Vehicle
 from twin.why.watch import Alarm
 
-from .datagrams import Address, Arrivals, ClockWatch, Datagram, Received, Receiver, listening
+from ..sockets import Address, listening
+from .datagrams import Arrivals, ClockWatch, Datagram, Received, Receiver
 from .following import DEFAULT_SYSTEM, Following, FollowingTwin, Publisher
 from .page.feed import PageFeed
 from .recording import HOLD_S, Recording, RowBuffer

@@ -77,9 +77,9 @@ class DemoFlight:
     async def _begin(self, _: Request) -> Response:
         """Begin a flight, unless one goes on; the page shows it."""
         if not self._flies:
-            from ..live.datagrams import Address
             from ..live.page.view import LiveView
             from ..live.session import LiveOptions
+            from ..sockets import Address
             from ..vehicles import load_vehicle
 
             options = LiveOptions(Address("127.0.0.1", _free_port()), until_silent_s=_SILENT_S)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from twin.errors import TwinError, install_command
 
-from ..site.doors import host_and_port, is_loopback
+from ..site.doors import is_loopback
+from ..sockets import address, listening
 
 if TYPE_CHECKING:
     from ..live.page.view import LiveView
@@ -60,13 +61,14 @@ def open_site(
     from starlette.responses import RedirectResponse
     from starlette.routing import Route
 
-    from ..site.server import FLIGHTS, LIVE, SiteServer, doors_of, listening, site_app
+    from ..site.server import FLIGHTS, LIVE, SiteServer, doors_of, site_app
 
-    host, port = host_and_port(where, option)
+    place = address(where, "", option)
+    host, port = place.pair
     given = None if token is None else doors_of(host, port, token)
     routes = () if live is None else live.routes
     with ExitStack() as opened:
-        taken = opened.enter_context(listening(host, port))
+        taken = opened.enter_context(listening(place, connections=True))
         if store is None:
             doors = given or doors_of(host, port)
             first = Route(FLIGHTS, lambda _: RedirectResponse(LIVE))

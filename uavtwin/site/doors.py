@@ -13,24 +13,11 @@ from hmac import compare_digest
 
 from twin.errors import TwinError
 
-_FORM = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+):([0-9]{1,5})")  # host and port
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+)(:[0-9]{1,5})?")
 """Host, and port if it is named."""
 SHORTEST_TOKEN = 8
 """Characters of a token, at least. Made up."""
 TOKEN_HEADER = "x-uavtwin-token"  # HTTP header of a viewer's token
-
-
-def host_and_port(text: str, option: str) -> tuple[str, int]:
-    """The address of an option.
-
-    Raises:
-        TwinError: It is none.
-    """
-    match = _FORM.fullmatch(text)
-    if match is None or not 0 < int(match.group(2)) < 65536:
-        raise TwinError(f"{option} {text}: write HOST:PORT, 127.0.0.1:8080.")
-    return match.group(1).strip("[]"), int(match.group(2))
 
 
 def is_loopback(host: str) -> bool:

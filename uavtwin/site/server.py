@@ -144,26 +144,6 @@ def site_app(routes: Sequence[BaseRoute], doors: AccessPolicy) -> ASGIApp:
     return Guarded(Starlette(routes=routes), doors)
 
 
-def listening(host: str, port: int) -> socket.socket:
-    """A socket that takes connections.
-
-    Args:
-        host: Name or address of this machine.
-        port: 0: any that is free.
-
-    Raises:
-        TwinError: Another program listens there, or the address is none of this machine.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        return socket.create_server((host, port), family=family, backlog=128)
-    except OSError as error:
-        raise TwinError(
-            f"{host}:{port}: cannot be listened at: {error.strerror or error}. Choose another "
-            f"port, or end the program that listens there."
-        ) from error
-
-
 def _made_server(app: ASGIApp) -> uvicorn.Server:
     """A server that runs until it is told to end."""
     return uvicorn.Server(
@@ -198,7 +178,7 @@ class SiteServer:
         """Serve nothing yet.
 
         Args:
-            opened: Of `listening`; closed at the end.
+            opened: Takes connections; closed at the end.
             app: Of `site_app`.
             doors: In front of it.
         """

@@ -20,9 +20,10 @@ from twin.logs import Flight, read_flight
 from twin.logs.mavlink.frames import AUTOPILOT, Frame, Message, dialect, frames, parser, stamped
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
-from uavtwin.live.datagrams import Address, Datagram
+from uavtwin.live.datagrams import Datagram
 from uavtwin.live.replay import played
 from uavtwin.live.session import LiveOptions, LiveSession
+from uavtwin.sockets import Address
 
 from .engine import Seen, Step
 from .flights import ABSURD, apply_bytes, draw_bytes, read

@@ -24,7 +24,8 @@ from uavtwin.serve.schedule import Limits
 from uavtwin.serve.server import Site
 from uavtwin.serve.store import Store
 from uavtwin.site.doors import AccessPolicy
-from uavtwin.site.server import SiteServer, listening
+from uavtwin.site.server import SiteServer
+from uavtwin.sockets import Address, listening
 
 PATIENCE_S = 120.0
 
@@ -93,7 +94,7 @@ def site(
 ) -> Iterator[Asked]:
     """A site in a thread; without workers its jobs stay in the queue."""
     limits = Limits(JobLimits(600.0, 3.0), most_bytes, workers)
-    taken, doors = listening("127.0.0.1", 0), AccessPolicy("127.0.0.1")
+    taken, doors = listening(Address("127.0.0.1", 0), connections=True), AccessPolicy("127.0.0.1")
     made = Site(Store(store), limits, doors, live)
     try:
         with SiteServer(taken, made.app, doors) as server:

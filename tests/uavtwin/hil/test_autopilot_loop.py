@@ -25,7 +25,7 @@ from uavtwin.demo.autopilot import (
 )
 from uavtwin.hil.flying import FlyingTwin, TwinState, flying_twin_of
 from uavtwin.hil.session import PLACE, HilOptions, HilSession
-from uavtwin.live.datagrams import Address
+from uavtwin.sockets import Address
 
 Array = NDArray[np.float64]
 ANY_PORT = Address("127.0.0.1", 0)

@@ -22,7 +22,7 @@ from uavtwin.demo.autopilot import HOP, Pilot, StandIn
 from uavtwin.demo.flights import WAYPOINTS
 from uavtwin.hil.flying import FlyingTwin, flying_twin_of
 from uavtwin.hil.session import HilOptions, HilSession, HilStatus
-from uavtwin.live.datagrams import Address
+from uavtwin.sockets import Address
 
 OPTIONS = HilOptions(Address("127.0.0.1", 0), speed=float("inf"), patience_s=60.0, start_s=60.0)
 """As patient as a busy machine asks for."""

@@ -6,7 +6,8 @@ import time
 
 import pytest
 
-from uavtwin.live.datagrams import Address, Arrivals, listening
+from uavtwin.live.datagrams import Arrivals
+from uavtwin.sockets import Address, listening
 
 
 def opened() -> tuple[socket.socket, Arrivals]:

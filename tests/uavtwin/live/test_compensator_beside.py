@@ -18,10 +18,10 @@ from twin.logs.mavlink.frames import Message, parser
 from twin.residuals.aligned import AlignedFlight
 from twin.vehicle_file import load_vehicle
 from uavtwin.compensators.running import Correction, RunningCompensator, compiled_compensator
-from uavtwin.live.datagrams import Address
 from uavtwin.live.following import Publisher
 from uavtwin.live.recording import Recording
 from uavtwin.live.worker import Batch, Worker
+from uavtwin.sockets import Address
 
 VEHICLE = "copter_default"
 

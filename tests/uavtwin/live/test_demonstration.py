@@ -18,8 +18,8 @@ from twin.logs import Flight
 from twin.logs.table import write_flight
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.in_flight import BEGINS_S, LOSS, ROTOR, damaged_flight, sent_meanwhile, waypoints
-from uavtwin.live.datagrams import Address
 from uavtwin.serve.store import Store
+from uavtwin.sockets import Address
 
 
 def free_port(kind: socket.SocketKind) -> int:

@@ -19,9 +19,9 @@ from sample_logs import flown_table
 from twin.logs import Flight
 from twin.logs.mavlink.frames import Frame, Message, dialect, frames, parser
 from twin.vehicle_file import load_vehicle
-from uavtwin.live.datagrams import Address
 from uavtwin.live.replay import Replay
 from uavtwin.live.session import LiveOptions, LiveSession
+from uavtwin.sockets import Address
 
 TWIN, SECONDS = 9, 12.0
 FLOAT32 = 2.0**-23

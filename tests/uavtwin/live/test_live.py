@@ -26,10 +26,10 @@ from twin.residuals.flight_gap import flight_gap
 from twin.residuals.measured import signal_of
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
-from uavtwin.live.datagrams import Address
 from uavtwin.live.replay import MAX_SPEED, Faults, Replay
 from uavtwin.live.session import LiveOptions, LiveSession
 from uavtwin.live.status import LiveStatus
+from uavtwin.sockets import Address
 
 RECORDED = DATA / "rflysimdt" / "real_3.ulg"
 needs_flights = needs(RECORDED.is_file(), "no recorded flights")

@@ -18,11 +18,12 @@ from twin.residuals.stream import Stream
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
 from twin.why.watch import Alarm, Watch
-from uavtwin.live.datagrams import MORE_OTHERS, Address, Datagram, Receiver
+from uavtwin.live.datagrams import MORE_OTHERS, Datagram, Receiver
 from uavtwin.live.replay import played
 from uavtwin.live.session import LiveOptions, LiveSession
 from uavtwin.live.status import LiveStatus
 from uavtwin.live.worker import ERRORS, FaultIsolation, Lift, Part, Worker
+from uavtwin.sockets import Address
 from uavtwin.wording import misfit
 
 

@@ -17,11 +17,11 @@ from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
 from twin.why.records import Candidate, Event, Severity
 from twin.why.watch import Alarm
-from uavtwin.live.datagrams import Address
 from uavtwin.live.following import Following, FollowingTwin, Publisher
 from uavtwin.live.recording import Recording
 from uavtwin.live.status import sentence
 from uavtwin.live.worker import Batch, Worker
+from uavtwin.sockets import Address
 
 
 @pytest.fixture(scope="module")

@@ -16,10 +16,11 @@ from twin.logs import Flight, read_flight
 from twin.logs.mavlink.encode import attitude, heartbeat, imu, local_position
 from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, parser
 from twin.vehicle_file import load_vehicle
-from uavtwin.live.datagrams import Address, Receiver
+from uavtwin.live.datagrams import Receiver
 from uavtwin.live.replay import MAX_SPEED, Replay
 from uavtwin.live.session import LiveOptions, LiveSession
 from uavtwin.live.status import LiveStatus
+from uavtwin.sockets import Address
 
 ROWS = 1200
 

@@ -21,7 +21,8 @@ from uavtwin.serve.opened import open_site
 from uavtwin.serve.store import Store
 from uavtwin.site import server
 from uavtwin.site.doors import AccessPolicy
-from uavtwin.site.server import Guarded, SiteServer, address_of, doors_of, listening
+from uavtwin.site.server import Guarded, SiteServer, address_of, doors_of
+from uavtwin.sockets import Address, listening
 
 pytestmark = pytest.mark.slow
 HOSTILE = '"><img src=x onerror=alert(1)><script>alert(1)</script>.ulg'
@@ -271,7 +272,9 @@ def test_a_server_that_does_not_start_is_an_error(
     over = threading.Event()
     monkeypatch.setattr(server, "_START_S", 0.2)
     doors = doors_of("127.0.0.1", 1)
-    made = SiteServer(listening("127.0.0.1", 0), PlainTextResponse("inside"), doors)
+    made = SiteServer(
+        listening(Address("127.0.0.1", 0), connections=True), PlainTextResponse("inside"), doors
+    )
     monkeypatch.setattr(made, "run", (lambda: None) if ends else over.wait)
     monkeypatch.setattr(server, "_GRACE_S", -3)  # close does not wait for it
     why = "has ended" if ends else r"has not started within 0\.2 s"

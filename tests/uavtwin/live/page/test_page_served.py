@@ -17,8 +17,8 @@ from websockets.sync.client import ClientConnection, connect
 from twin.errors import TwinError
 from twin.residuals.gap import Channel
 from uavtwin.live.page.feed import LEARNT_S, MOST_VIEWERS, QUEUE, SILENT_S, ExpectedBands, Hub
-from uavtwin.site.doors import host_and_port
 from uavtwin.site.server import SiteServer, doors_of
+from uavtwin.sockets import address
 
 TOKEN = "correct horse"
 
@@ -115,7 +115,7 @@ def test_the_token_is_asked_for_everywhere() -> None:
 @pytest.mark.parametrize("where", ["8080", "127.0.0.1:99999", "127.0.0.1:0", "a b:80"])
 def test_what_is_no_address_is_refused(where: str) -> None:
     with pytest.raises(TwinError, match=r"--serve .*: write HOST:PORT"):
-        host_and_port(where, "--serve")
+        address(where, "", "--serve")
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.0.2.7", "::", "ground.example"])

@@ -29,12 +29,12 @@ from twin.residuals.gap import Channel
 from twin.vehicle_file import load_vehicle
 from twin.why.records import Event
 from twin.why.watch import Alarm
-from uavtwin.live.datagrams import Address
 from uavtwin.live.following import Following, Reading
 from uavtwin.live.page.feed import Hub, PageFeed
 from uavtwin.live.replay import Replay
 from uavtwin.live.session import LiveOptions, LiveSession
 from uavtwin.live.status import missing, sentence
+from uavtwin.sockets import Address
 
 pytestmark = [pytest.mark.slow, needs_browser]
 WIDE = View(1300, False)

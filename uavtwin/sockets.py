@@ -1,0 +1,102 @@
+"""Addresses as options give them, and the sockets that are opened there."""
+
+import contextlib
+import re
+import socket
+from dataclasses import dataclass
+
+from twin.errors import TwinError
+
+_FORM = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+):([0-9]{1,5})")  # host and port
+USUAL_PORTS = {"": 8080, "udpin": 14550, "udpout": 14550, "tcpin": 4560}
+"""Of pages, of ground stations, and of PX4's simulators, by what stands in front of the host."""
+_FORCED = getattr(socket, "SO_RCVBUFFORCE", 33)
+"""Socket option of Linux for administrators, which has no name in Python."""
+_BUFFER = 8 << 20
+"""Bytes that the kernel may keep until they are read: some seconds of a fast aircraft."""
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """A host and a port."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
+    @property
+    def family(self) -> socket.AddressFamily:
+        """IPv6 or IPv4."""
+        return socket.AF_INET6 if ":" in self.host else socket.AF_INET
+
+    @property
+    def pair(self) -> tuple[str, int]:
+        """As sockets take it."""
+        return self.host, self.port
+
+
+def address(text: str, direction: str, option: str) -> Address:
+    """The address of an option.
+
+    Args:
+        text: As given.
+        direction: A member of `USUAL_PORTS`, which stands in front of the host.
+        option: By which it was given.
+
+    Raises:
+        TwinError: It is not of that form.
+    """
+    given, _, place = text.partition(":") if direction else ("", "", text)
+    match = _FORM.fullmatch(place)
+    if match is None or given != direction or not 0 < int(match[2]) < 65536:
+        before = f"{direction}:" if direction else ""
+        example = f"{before}127.0.0.1:{USUAL_PORTS[direction]}"
+        raise TwinError(f"{option} {text}: write {before}HOST:PORT, {example}.")
+    return Address(match[1].strip("[]"), int(match[2]))
+
+
+def listening(where: Address, connections: bool = False) -> socket.socket:
+    """A socket that gets the datagrams sent to an address, or takes connections (TCP) there.
+
+    Raises:
+        TwinError: Another program listens there, or the address is none of this machine.
+    """
+    opened = None if connections else _socket(where)
+    try:
+        if opened is None:
+            return socket.create_server(where.pair, family=where.family, backlog=128)
+        opened.bind(where.pair)
+        return opened
+    except OSError as error:
+        if opened is not None:
+            opened.close()
+        raise TwinError(
+            f"{where}: cannot be listened at: {error.strerror or error}. Choose another port, or "
+            f"end the program that listens there."
+        ) from None
+
+
+def sending(where: Address) -> socket.socket:
+    """A socket that sends to an address and gets what is answered.
+
+    Raises:
+        TwinError: There is no such host.
+    """
+    opened = _socket(where)
+    try:
+        socket.getaddrinfo(where.host, where.port, opened.family, socket.SOCK_DGRAM)
+    except OSError as error:
+        opened.close()
+        raise TwinError(f"{where}: cannot be sent to: {error.strerror}.") from None
+    return opened
+
+
+def _socket(where: Address) -> socket.socket:
+    opened = socket.socket(where.family, socket.SOCK_DGRAM)
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+    with contextlib.suppress(OSError):  # beyond what the system allows to everybody
+        opened.setsockopt(socket.SOL_SOCKET, _FORCED, _BUFFER)
+    opened.setblocking(False)
+    return opened
