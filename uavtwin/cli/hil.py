@@ -1,20 +1,16 @@
 """`uavtwin live --hil`: the twin as the simulator that an autopilot flies."""
 
 import math
-import signal
 import tempfile
 from contextlib import closing, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from twin.errors import TwinError
-
-from .options import Exit, seconds, start_values
-from .printing import STDERR, STDOUT, print_json
+from .options import Exit, seconds, start_values, times_real_time
+from .printing import STDERR, STDOUT, interruptible, print_json, warn
 from .simulate import three_numbers
 
 if TYPE_CHECKING:
@@ -69,66 +65,48 @@ _YEAR = 2025.5
 """Of the magnetic field, as in vehicle files that give none."""
 
 
-@dataclass(frozen=True, slots=True)
-class Link:
-    """How the autopilot is connected, as given on the command line."""
-
-    listen: str
-    rate: float
-    speed: str
-    patience: float
-    duration: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class Shape:
-    """What the autopilot flies in and on, as given on the command line."""
-
-    wind: str
-    gusts: bool
-    seed: int
-    effect: list[str] | None
-    start: list[str] | None
-    place: str | None
-
-
 def fly_hil(
-    vehicle: str, link: Link, shape: Shape, model: Path | None, demo: bool = False
+    vehicle: str,
+    model: Path | None,
+    demo: bool,
+    listen: str,
+    duration: float | None,
+    rate: float,
+    speed: str,
+    patience: float,
+    place: str | None,
+    wind: str,
+    gusts: bool,
+    seed: int,
+    effect: list[str] | None,
+    start: list[str] | None,
 ) -> "HilStatus":
-    """Let an autopilot fly the twin.
-
-    Args:
-        vehicle: Name or file.
-        link: How it is connected.
-        shape: Weather, effects, place.
-        model: Folder of what was trained.
-        demo: Whether the stand-in of `uavtwin.demo` is the autopilot.
-    """
+    """Let an autopilot fly the twin; the arguments are the options of `live --hil`."""
     from ..hil.session import PLACE, HilOptions
     from ..simulation import Scenario
     from ..sockets import address
     from ..vehicles import load_vehicle
 
     aircraft = load_vehicle(vehicle)
-    where = PLACE if shape.place is None else _place(shape.place)
+    where = PLACE if place is None else _place(place)
     options = HilOptions(
-        address(link.listen, "tcpin", "--listen"),
-        link.rate,
-        _speed(link.speed),
-        link.patience,
-        link.duration,
+        address(listen, "tcpin", "--listen"),
+        rate,
+        times_real_time(speed, math.inf),
+        patience,
+        duration,
         place=where,
     )
-    given = {} if shape.place is None else _field(where)
+    given = {} if place is None else _field(where)
     scenario = Scenario(
         "hil",
         aircraft,
         "lqr",
-        three_numbers(shape.wind, "--wind"),
-        shape.gusts,
-        shape.seed,
-        tuple(shape.effect or ()),
-        given | start_values(shape.start),
+        three_numbers(wind, "--wind"),
+        gusts,
+        seed,
+        tuple(effect or ()),
+        given | start_values(start),
     )
     with tempfile.TemporaryDirectory() as folder:
         STDERR.print("building the twin")
@@ -158,11 +136,7 @@ def _twin(
     from ..hil.flying import flying_twin_of
 
     network, force = (None, None) if model is None else learned(model)
-    return flying_twin_of(vehicle, folder, scenario, network, force, warn=_warn)
-
-
-def _warn(text: str) -> None:
-    STDERR.print(f"warning: {text}", style="yellow")
+    return flying_twin_of(vehicle, folder, scenario, network, force, warn=warn)
 
 
 def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions", demo: bool) -> "HilStatus":
@@ -172,33 +146,15 @@ def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions", demo: bo
     from ..hil.session import HilSession
     from ..sockets import Address
 
-    ended = False
-
-    def end(_: int, __: FrameType | None) -> None:
-        """Ctrl-C ends the flight, not its report."""
-        nonlocal ended
-        ended = True
-
     pilot = Pilot(vehicle, WAYPOINTS) if demo else None
     if pilot is not None and options.duration_s is None:
         options = replace(options, duration_s=pilot.seconds)
     session: HilSession = HilSession(vehicle, twin, options)
     simulator = Address(options.serve.host, session.link.port)
     STDERR.print(f"waiting for an autopilot at {options.serve}")
-    before = {name: signal.signal(name, end) for name in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        with nullcontext() if pilot is None else flown_meanwhile(pilot, simulator, options.place):
-            return session.run(lambda: ended, lambda status: STDERR.print(status.line()))
-    finally:
-        for name, handler in before.items():
-            signal.signal(name, handler)
-
-
-def _speed(text: str) -> float:
-    try:
-        return math.inf if text == "max" else float(text)
-    except ValueError:
-        raise TwinError(f"--speed {text}: a number, or max.") from None
+    flies = nullcontext() if pilot is None else flown_meanwhile(pilot, simulator, options.place)
+    with interruptible() as ended, flies:
+        return session.run(ended, lambda status: STDERR.print(status.line()))
 
 
 def _place(text: str) -> tuple[float, float, float]:

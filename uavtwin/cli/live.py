@@ -1,11 +1,9 @@
 """`uavtwin live`: the twin alongside a flying aircraft."""
 
-import signal
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -16,12 +14,10 @@ from .hil import LISTEN as HIL_LISTEN
 from .hil import (
     Effects,
     Gusts,
-    Link,
     Patience,
     Place,
     Rate,
     Seed,
-    Shape,
     Speed,
     Starts,
     Wind,
@@ -29,7 +25,7 @@ from .hil import (
     print_hil,
 )
 from .options import VEHICLE_VARIABLE, Exit, Horizon, Json, Prints, seconds, trained
-from .printing import STDERR, STDOUT, print_json
+from .printing import STDERR, STDOUT, interruptible, print_json
 
 if TYPE_CHECKING:
     from ..compensators.running import RunningCompensator
@@ -229,9 +225,10 @@ def live(
     if replay is not None and demo:
         raise TwinError(f"--replay {replay}: --demo simulates a flight instead. Choose one.")
     if hil:
-        link = Link(listen or HIL_LISTEN, rate, speed, patience, duration)
-        shape = Shape(wind, gusts, seed, effect, start, place)
-        print_hil(fly_hil(vehicle or _DEMO_VEHICLE, link, shape, model, demo), as_json)
+        own = {name: given.params[name] for name in _OF_HIL}
+        name = vehicle or _DEMO_VEHICLE
+        flown = fly_hil(name, model, demo, listen or HIL_LISTEN, duration, **own)
+        print_hil(flown, as_json)
         return
     options = LiveOptions(
         address(listen or _LISTEN, "udpin", "--listen"),
@@ -381,13 +378,6 @@ def _compensator(folder: Path, vehicle: "OwnVehicle") -> "Iterator[RunningCompen
 
 def _run(session: "LiveSession", feed: "PageFeed | None") -> "LiveStatus":
     """Fly until it ends; a line each second."""
-    ended = False
-
-    def end(_: int, __: FrameType | None) -> None:
-        """Ctrl-C ends the flight, not the recording."""
-        nonlocal ended
-        ended = True
-
     said: set[tuple[Any, ...]] = set()
     failed: set[str] = set()
 
@@ -410,12 +400,8 @@ def _run(session: "LiveSession", feed: "PageFeed | None") -> "LiveStatus":
         if feed is not None:
             feed.known(status)
 
-    before = {name: signal.signal(name, end) for name in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        return session.run(lambda: ended, say)
-    finally:
-        for name, handler in before.items():
-            signal.signal(name, handler)
+    with interruptible() as ended:
+        return session.run(ended, say)
 
 
 def _print(status: "LiveStatus", out: Path | None) -> None:

@@ -127,6 +127,18 @@ def named_numbers(
     return values
 
 
+def times_real_time(text: str, most: float) -> float:
+    """Speed of the option `--speed`: a number, or `max`.
+
+    Raises:
+        TwinError: It is neither.
+    """
+    try:
+        return most if text == "max" else float(text)
+    except ValueError:
+        raise TwinError(f"--speed {text}: a number, or max.") from None
+
+
 def start_values(texts: Sequence[str] | None) -> dict[str, float]:
     """Start values of the option `--start`.
 

@@ -1,6 +1,7 @@
 """What the command line prints: results on stdout, progress and warnings on stderr."""
 
 import os
+import signal
 import sys
 import tempfile
 import time
@@ -133,6 +134,24 @@ def _stored_traceback(error: Exception) -> str:
     except OSError as failure:
         return f"what a file should hold ({failure}): {text!r}"
     return name
+
+
+def warn(text: str) -> None:
+    """Print a warning."""
+    STDERR.print(f"warning: {text}", style="yellow")
+
+
+@contextmanager
+def interruptible() -> Iterator[Callable[[], bool]]:
+    """Ctrl-C, or a signal to end, ends a flight and not its report: gives whether one has come."""
+    came: list[int] = []
+    names = (signal.SIGINT, signal.SIGTERM)
+    before = {n: signal.signal(n, lambda number, _: came.append(number)) for n in names}
+    try:
+        yield lambda: bool(came)
+    finally:
+        for name, handler in before.items():
+            signal.signal(name, handler)
 
 
 def print_json(

@@ -7,7 +7,7 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import Json, Prints, Rebuild, of_unit, seconds
+from .options import Json, Prints, Rebuild, of_unit, seconds, times_real_time
 from .printing import STDOUT, print_json, progress
 
 
@@ -47,7 +47,7 @@ def replay(
             f"{log.name}: nothing between --begin and --end; it lasts from "
             f"{flight.time_s[0]:.1f} s to {flight.time_s[-1]:.1f} s."
         )
-    aircraft = Replay(where, MAX_SPEED if speed == "max" else _speed(speed), faults, system)
+    aircraft = Replay(where, times_real_time(speed, MAX_SPEED), faults, system)
     try:
         with progress("replaying") as step:
             report = aircraft.play(part, step)
@@ -60,10 +60,3 @@ def replay(
             f"sent to {where}: {report.messages} messages of {report.seconds:.1f} s of flight in "
             f"{report.wall_s:.1f} s; {report.lost} of them lost on purpose",
         )
-
-
-def _speed(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise TwinError(f"--speed {text}: a number, or max.") from None

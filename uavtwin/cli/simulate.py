@@ -30,7 +30,7 @@ from .options import (
     trained,
     vehicle_named,
 )
-from .printing import STDERR, STDOUT, print_incomplete, print_json, print_written, progress
+from .printing import STDERR, STDOUT, print_incomplete, print_json, print_written, progress, warn
 
 Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
 _VEHICLE = "copter_default"
@@ -146,7 +146,7 @@ def simulate(
     inputs = [p for p in given if p.is_file()]
     recordings = [f"recording.{form}" for form in forms]
     for warning in run.warnings:
-        STDERR.print(f"warning: {warning}", style="yellow")
+        warn(warning)
     if as_json:
         print_json(run.record)
     elif run.ended is None:

@@ -24,7 +24,7 @@ from .options import (
     seconds,
     start_values,
 )
-from .printing import STDERR, STDOUT, print_json, print_written, progress
+from .printing import STDOUT, print_json, print_written, progress, warn
 from .simulate import Aircraft, ScenarioName, aircraft_of, three_numbers
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def sweep(
         )
     if as_json:
         for warning in result.warnings:
-            STDERR.print(f"warning: {warning}", style="yellow")
+            warn(warning)
     else:
         print_written(out, ["report.html", "runs.parquet", "sweep.json"])
     if result.counts.get("failed"):

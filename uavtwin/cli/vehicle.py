@@ -9,7 +9,7 @@ import typer
 from twin.errors import TwinError
 
 from .options import Exit, Force, Json, Prints, Rebuild, quantity
-from .printing import STDERR, STDOUT, print_damage, print_json, print_sections
+from .printing import STDOUT, print_damage, print_json, print_sections, warn
 
 vehicle = typer.Typer(name="vehicle", no_args_is_help=True, help="Make a vehicle file.")
 
@@ -96,7 +96,7 @@ def draft(
         name=out.stem,
     )
     for warning in found.warnings:
-        STDERR.print(f"warning: {warning}", style="yellow")
+        warn(warning)
     if as_json:
         print_json(found.written(out))
     else:
