@@ -59,8 +59,6 @@ if TYPE_CHECKING:
 Progress = Callable[[float], None]
 SET_BY_PRIOR, SET_BY_CALIBRATION = "set by the prior", "set by the calibration"
 """Remarks on a number that flights do not determine."""
-Cells = tuple[str, str, str, str, str]
-"""A row of a table."""
 CELLS = ("value", "unit", "95 % interval", "")
 """Header of all but its first cell."""
 
@@ -212,49 +210,38 @@ class ExplainResult(PageMixin):
         numbers = (e.number for e in estimates_of(self.details, effect))
         return {n.name: n.about.description for n in numbers}
 
-    def calibrated_rows(self) -> list[Cells]:
-        """Numbers that were in doubt, and that lack nothing beyond that: number, value, unit,
-        interval, remark."""
-        return self._cells(self.record.calibrated)
-
-    def doubtful_rows(self) -> list[Cells]:
-        """The same of numbers that the new vehicle file has, too doubtful for a name."""
-        return self._cells(self.record.doubtful)
-
-    def _cells(self, effects: Iterable[CalibratedRecord]) -> list[Cells]:
-        """Rows of effects without a name."""
-        return [
-            (
-                f"{c.effect}.{name}",
-                *number_cells(p.value, p.unit, p.ci95),
-                self.remark(p.prior_share),
-            )
-            for c in effects
-            for name, p in c.parameters.items()
-            if p.no_effect is not None
-        ]
-
     def calibrated_table(self) -> TextTable:
-        """The numbers that were in doubt, as a table."""
-        return TextTable(("calibrated", *CELLS), tuple(self.calibrated_rows()))
+        """Numbers that were in doubt, and that lack nothing beyond that."""
+        return self._unnamed("calibrated", self.record.calibrated)
 
     def doubtful_table(self) -> TextTable:
-        """The doubtful numbers, as a table."""
-        return TextTable(("too doubtful for a name", *CELLS), tuple(self.doubtful_rows()))
+        """Numbers that the new vehicle file has, too doubtful for a name."""
+        return self._unnamed("too doubtful for a name", self.record.doubtful)
 
-    def day_rows(self) -> list[Cells]:
-        """What stands out of the day of a flight: flight, number, difference, unit, deviation."""
+    def _unnamed(self, first: str, effects: Iterable[CalibratedRecord]) -> TextTable:
+        """Numbers of effects without a name.
+
+        Args:
+            first: Title of their column.
+            effects: Whose numbers they are.
+        """
+        rows = (
+            (f"{c.effect}.{n}", *number_cells(p.value, p.unit, p.ci95), self.remark(p.prior_share))
+            for c in effects
+            for n, p in c.parameters.items()
+            if p.no_effect is not None
+        )
+        return TextTable((first, *CELLS), tuple(rows))
+
+    def days_table(self) -> TextTable:
+        """What stands out of the day of a flight."""
         rows = []
         for flight, own in self.record.per_flight.items():
             for name, day in own.items():
                 (value, sd), unit = readable(day.unit, day.difference, day.sd)
                 rows.append((flight, name, f"{value:+.3g}", unit, number(sd)))
-        return rows
-
-    def days_table(self) -> TextTable:
-        """The same as a table."""
         header = ("flight", "number", "difference", "unit", "standard deviation")
-        return TextTable(header, tuple(self.day_rows()))
+        return TextTable(header, tuple(rows))
 
     def further_tables(self) -> Iterable[TextTable]:
         """What comes last: numbers that were in doubt, that are, and those of days."""

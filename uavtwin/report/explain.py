@@ -52,16 +52,16 @@ def _page(result: ExplainResult, budget: Budget) -> str:
                 *("doubt", "Calibrated parameters"),
                 "Uncertain in the vehicle file and fitted with the effects; the change is within "
                 "the uncertainty stated there.",
-                result.calibrated_rows(),
+                result.calibrated_table().rows,
             ),
             (
                 *("doubtful", "Also changed in the new vehicle file"),
                 "Too doubtful for a name: each number is its mean over all sets of effects, each "
                 "counted by its probability, which predicts best.",
-                result.doubtful_rows(),
+                result.doubtful_table().rows,
             ),
         ),
-        days=result.day_rows(),
+        days=result.days_table().rows,
     )
 
 
