@@ -187,8 +187,8 @@ def _step(g: Graph, model: Compensator) -> None:
             alarm = g.op("Mul", sample.phase, silent)  # of as many samples
     g.output("anomaly", 1, "Where", sample.whole, alarm, silent)
     g.output("inside", 1, "Cast", inside, to=_FLOAT)
-    told = (innovation_ratios, sizes, errors)
-    later = g.concat(past, mean_so_far, readings, begun, *told, slow, cells, axis=1)
+    compared = (innovation_ratios, sizes, errors)
+    later = g.concat(past, mean_so_far, readings, begun, *compared, slow, cells, axis=1)
     g.output("state_out", model.state_size, "Where", sample.whole, later, "state")
 
 
@@ -316,8 +316,8 @@ def _error_of_today(
     decay = g.floats([[error_memory(model.info.rate_hz)]])
     errors = g.op("Add", g.op("Mul", errors, decay), g.concat(known, there, axis=1))
     sums, weights = g.split(g.op("Add", errors, g.floats([[1.0]])), [n, n], axis=1)
-    kept = "" if horizon == 1 else g.columns(sizes, 0, (horizon - 1) * n)
-    return g.op("Div", sums, weights), g.concat(new, kept, axis=1), errors
+    earlier = "" if horizon == 1 else g.columns(sizes, 0, (horizon - 1) * n)
+    return g.op("Div", sums, weights), g.concat(new, earlier, axis=1), errors
 
 
 def _smoothed(g: Graph, model: Compensator, features: str, slow: str) -> str:

@@ -216,11 +216,11 @@ def once_per_flight(
 ) -> Callable[Concatenate[_Flight, _Given], _Made]:
     """A function of a flight whose results, which must not hold it, are kept as long as the flight
     is, by the values of its other arguments."""
-    kept: WeakKeyDictionary[_Flight, dict[bytes, _Made]] = WeakKeyDictionary()
+    stored: WeakKeyDictionary[_Flight, dict[bytes, _Made]] = WeakKeyDictionary()
 
     @wraps(make)
     def made(flight: _Flight, /, *given: _Given.args, **named: _Given.kwargs) -> _Made:
-        own, key = kept.setdefault(flight, {}), pickle.dumps((given, named))
+        own, key = stored.setdefault(flight, {}), pickle.dumps((given, named))
         if key not in own:
             own[key] = make(flight, *given, **named)
         return own[key]
