@@ -176,8 +176,8 @@ def _sources(model: FmuModel, fmi: int) -> dict[str, str]:
     """C files and headers of the FMU, still without the token (which the rest determines)."""
     own = resources.files(__package__) / "c"
     headers = resources.files("fmpy") / "c-code"
-    names = {"core.c", "core.h", "noise.h", f"fmi{fmi}.c", *(part.glue for part in model.parts)}
-    names |= {"kernel.h" for part in model.parts if part.apart}
+    names = {"core.c", "core.h", "kernel.h", "noise.h", f"fmi{fmi}.c"}
+    names |= {part.glue for part in model.parts}
     return {
         **{name: (own / name).read_text() for name in names},
         **{name: (headers / name).read_text() for name in _HEADERS[fmi]},
@@ -204,7 +204,7 @@ def _binaries(
 ) -> dict[str, bytes]:
     """Archive members of the shared libraries."""
     made = {
-        platform: _compile(name, PLATFORMS[platform], compiler, sources, compiled)
+        platform: compile_library(name, PLATFORMS[platform], compiler, sources, compiled)
         for platform, compiler in compilers(platforms).items()
     }
     members = {f"binaries/{p.folders[fmi]}/{name}{p.suffix}": made[p.name] for p in platforms}
@@ -216,7 +216,7 @@ def _binaries(
     return members
 
 
-def _compile(
+def compile_library(
     name: str,
     platform: Platform,
     compiler: Compiler,

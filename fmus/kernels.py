@@ -258,6 +258,29 @@ def paired(steps: Sequence[Operation]) -> dict[int, int]:
     return partner
 
 
+def guards(steps: Sequence[Operation], results: Sequence[int]) -> dict[int, int]:
+    """Condition of each power without which nothing of it gets into a result.
+
+    Of several aircraft at once no branch leaves out what one of them does without.
+
+    Args:
+        steps: Of one function.
+        results: Which of them give its result; see `operations`.
+    """
+    powers = (ca.OP_POW, ca.OP_CONSTPOW)
+    if not any(step.code in powers for step in steps):
+        return {}
+    needed: dict[int, frozenset[int]] = {k: frozenset() for k in results}  # conditions, of each
+    for k in range(len(steps) - 1, -1, -1):
+        step, own = steps[k], needed.get(k, frozenset())
+        for i, a in enumerate(step.arguments):
+            chosen = step.code == ca.OP_IF_ELSE_ZERO and i == 1
+            found = own | {step.arguments[0]} if chosen else own
+            needed[a] = needed[a] & found if a in needed else found
+    first = {k: min(needed.get(k, ()), default=k) for k, s in enumerate(steps) if s.code in powers}
+    return {k: condition for k, condition in first.items() if condition < k}
+
+
 TRUTHS = {
     ca.OP_LT: "{0} < {1}",
     ca.OP_LE: "{0} <= {1}",
@@ -318,7 +341,8 @@ def kernel_source(
     """C source of the kernels, all of it static: several parts are linked into one library.
 
     A kernel takes the address of each argument, then that of its result, which it writes when it
-    has read all of them. The source holds no name and no number of a vehicle, so that one
+    has read all of them; of several aircraft at once, a number of each side by side (`LANES` of
+    `kernel.h`). The source holds no name and no number of a vehicle, so that one
     compilation serves many.
 
     Args:
@@ -340,17 +364,17 @@ def kernel_source(
 
 def _function(function: ca.Function, in_place: bool) -> str:
     steps, results = operations(function)
-    kernel = _Kernel(function.name(), steps)
+    kernel = _Kernel(function.name(), steps, guards(steps, results))
     body: list[str] = []
     ends: list[str] = []
     for place, source in enumerate(results):
         if in_place and steps[source].code == ca.OP_INPUT and steps[source].place == (0, place):
             continue
         body += kernel.statements(source)
-        (ends if in_place else body).append(f"y[{place}] = v{source};")
+        (ends if in_place else body).append(f"y[AT({place})] = v{source};")
     arguments = [f"const double* x{i}" for i in range(function.n_in())]
     unused = [f"(void)x{i};" for i in range(function.n_in())]
-    lines = "\n".join([*unused, "(void)y;", *body, *ends])
+    lines = "\n".join([*unused, "(void)y;", "EACH_LANE {", *body, *ends, "}"])
     return (
         f"static void {function.name()}({', '.join([*arguments, 'double* y'])}) {{\n{lines}\n}}\n"
     )
@@ -359,8 +383,8 @@ def _function(function: ca.Function, in_place: bool) -> str:
 class _Kernel:
     """The statements of one kernel, each written once, where its result is first needed."""
 
-    def __init__(self, name: str, steps: Sequence[Operation]) -> None:
-        self._name, self._steps = name, steps
+    def __init__(self, name: str, steps: Sequence[Operation], guard: Mapping[int, int]) -> None:
+        self._name, self._steps, self._guard = name, steps, guard
         self._partner = paired(steps)
         self._written: set[int] = set()
 
@@ -373,12 +397,17 @@ class _Kernel:
                 stack.pop()
                 continue
             both = (k, self._partner[k]) if k in self._partner else (k,)
-            needed = [a for j in both for a in self._steps[j].arguments if a not in self._written]
+            needed = [a for j in both for a in self._needs(j) if a not in self._written]
             if needed:
                 stack += reversed(needed)
                 continue
             yield self._pair(*sorted(both)) if len(both) > 1 else self._single(k)
             self._written.update(both)
+
+    def _needs(self, k: int) -> tuple[int, ...]:
+        """What is written before an operation."""
+        more = (self._guard[k],) if k in self._guard else ()
+        return (*more, *self._steps[k].arguments)
 
     def _single(self, k: int) -> str:
         kind = "int" if self._steps[k].code in TRUTHS else "double"
@@ -392,11 +421,14 @@ class _Kernel:
     def _expression(self, k: int) -> str:
         step = self._steps[k]
         if step.code == ca.OP_INPUT:
-            return f"x{step.place[0]}[{step.place[1]}]"
+            return f"x{step.place[0]}[AT({step.place[1]})]"
         if step.code == ca.OP_CONST:
             return _constant(step.value)
         if step.code in TRUTHS:
             return TRUTHS[step.code].format(*(f"v{a}" for a in step.arguments))
+        if k in self._guard:
+            base, exponent = map(self._number, step.arguments)
+            return f"pow(IF_FELT(v{self._guard[k]}, {base}), {exponent})"
         if step.code in NUMBERS:
             return NUMBERS[step.code].format(*map(self._number, step.arguments))
         raise FmuError(f"{self._name}: there is no C for operation {step.code} of CasADi.")

@@ -91,7 +91,7 @@ def compilers(platforms: tuple[Platform, ...]) -> dict[str, Compiler]:
     Raises:
         FmuError: `CC` names a compiler that is not on the path.
     """
-    own = _machine_compiler() if tuple(p.name for p in platforms) == DEFAULT else None
+    own = machine_compiler() if tuple(p.name for p in platforms) == DEFAULT else None
     if own is not None:
         return {DEFAULT[0]: own}
     version = importlib.metadata.version("ziglang")
@@ -126,7 +126,7 @@ def without_link_time(dll: bytes) -> bytes:
     return dll[:at] + bytes(4) + dll[at + 4 :]
 
 
-def _machine_compiler() -> Compiler | None:
+def machine_compiler() -> Compiler | None:
     """That of `CC`, else `cc`; None where the machine has none."""
     name = os.environ.get("CC", "cc")
     found = shutil.which(name)

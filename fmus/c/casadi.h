@@ -28,34 +28,39 @@ void NAMED(delays)(const Part* p, double* seconds);
 #endif
 
 #ifdef KERNELS
-#define PARAMETERS (p->v + 1)
+#define PARAMETERS (p->v + LANES)
 #define KNOWN PARAMETERS, p->prepared /* parameters, and what was computed of them alone */
-#define INPUTS (p->v + FIRST_INPUT)
-#define OUTPUTS (p->v + FIRST_OUTPUT)
+#define INPUTS (p->v + FIRST_INPUT * LANES)
+#define OUTPUTS (p->v + FIRST_OUTPUT * LANES)
+/* H for all aircraft. */
+#define LASTING(H) double ahead[LANES]; EACH_LANE ahead[lane] = H
 
 void NAMED(prepare)(const Part* p, double* prepared) { prepare(PARAMETERS, prepared); }
 
 void NAMED(initial)(const Part* p, double* x) { initial(INPUTS, PARAMETERS, x); }
 
 /* STEP_SHORTCUTS(TRY) stands for TRY(0) TRY(1) ..., a cheaper kernel of the same numbers each, which
- * is taken if it holds over the next H seconds; likewise of the other kernels. Calls by name: through a
- * table of kernels a step takes 8 % longer. */
+ * is taken if it holds over the next H seconds, of all aircraft; likewise of the other kernels. Calls
+ * by name: through a table of kernels a step takes 8 % longer. */
 #define IF_HOLDS(I, H, KERNEL, ...)                \
     do {                                           \
-        double holds;                              \
-        const double ahead = H;                    \
-        holds_##I(p->x, KNOWN, &ahead, &holds);    \
-        if (holds) {                               \
+        double holds[LANES];                       \
+        int some = 0;                              \
+        LASTING(H);                                \
+        holds_##I(p->x, KNOWN, ahead, holds);      \
+        EACH_LANE some |= holds[lane] == 0;        \
+        if (!some) {                               \
             KERNEL##_##I(__VA_ARGS__);             \
             return;                                \
         }                                          \
     } while (0);
 
 void NAMED(step)(Part* p, double h) {
-#define TRY(I) IF_HOLDS(I, h, cheap_step, p->x, INPUTS, KNOWN, &h, p->x)
+    LASTING(h);
+#define TRY(I) IF_HOLDS(I, h, cheap_step, p->x, INPUTS, KNOWN, ahead, p->x)
     STEP_SHORTCUTS(TRY)
 #undef TRY
-    step(p->x, INPUTS, KNOWN, &h, p->x);
+    step(p->x, INPUTS, KNOWN, ahead, p->x);
 }
 
 void NAMED(outputs)(Part* p) {
@@ -66,6 +71,9 @@ void NAMED(outputs)(Part* p) {
 }
 
 void NAMED(tangent)(const Part* p, int starting, const double* noise, double* change) {
+#if LANES > 1
+    (void)p, (void)starting, (void)noise, (void)change;
+#else
     const double *d_p = change + 1, *d_u = change + FIRST_INPUT;
     double* d_y = change + FIRST_OUTPUT;
 #if !STARTS_ALIKE
@@ -79,6 +87,7 @@ void NAMED(tangent)(const Part* p, int starting, const double* noise, double* ch
     tangent(p->x, INPUTS, PARAMETERS, d_u, d_p, p->d_x, d_y);
 #else
     tangent(p->x, INPUTS, PARAMETERS, d_u, d_p, d_y);
+#endif
 #endif
 }
 

@@ -25,26 +25,30 @@ static size_t record_size(const Model* m) {
     return n;
 }
 
+/* n numbers of each lane. */
 static double* take(double** from, size_t n) {
     double* taken = *from;
-    *from += n;
+    *from += n * LANES;
     return taken;
 }
 
-/* One block: the state, then scratch. */
+/* One block: the state, then scratch. The numbers of several lanes are loaded at once: from where a register of
+ * them may begin, up to 64 bytes on. */
 static int allocate(Instance* c) {
-    size_t kept = fmu.n_connections, scratch = 0;
+    size_t kept = fmu.n_connections, scratch = LANES > 1;
     FOR_EACH_PART(p) {
         const Model* m = p->model;
         const Sampling* s = m->sampling;
         kept += m->n_variables + m->n_states + 1 + record_size(m);
         scratch += m->n_variables + m->n_states + m->n_prepared + (s ? s->n_noise + 2 * s->n_lines : 0);
     }
-    c->state_size = sizeof(State) + kept * sizeof(double);
-    c->state = calloc(1, c->state_size + scratch * sizeof(double));
+    c->state_size = sizeof(State) + kept * LANES * sizeof(double);
+    c->state = calloc(1, c->state_size + scratch * LANES * sizeof(double));
     c->wires = calloc(fmu.n_connections + 1, sizeof *c->wires);
     if (!c->state || !c->wires) return -1;
-    double *state = c->state->values, *rest = state + kept;
+    double* state = c->state->values;
+    if (LANES > 1) state += (64 - (uintptr_t)state % 64) % 64 / sizeof(double);
+    double* rest = state + kept * LANES;
     c->carried = take(&state, fmu.n_connections);
     FOR_EACH_PART(p) {
         const Model* m = p->model;
@@ -67,11 +71,11 @@ static int allocate(Instance* c) {
 static void lay_wires(Instance* c) {
     for (unsigned i = 0; i < fmu.n_connections; i++) {
         const Port source = fmu.connections[i].source, target = fmu.connections[i].target;
-        const double* from = &c->parts[source.part].v[source.variable];
-        double* to = &c->parts[target.part].v[target.variable];
+        const double* from = c->parts[source.part].v + LANES * source.variable;
+        double* to = c->parts[target.part].v + LANES * target.variable;
         Wire* last = c->wires + c->n_wires - 1;
-        if (i && from == last->from + last->count && to == last->to + last->count) last->count++;
-        else c->wires[c->n_wires++] = (Wire){from, to, 1};
+        if (i && from == last->from + last->count && to == last->to + last->count) last->count += LANES;
+        else c->wires[c->n_wires++] = (Wire){from, to, LANES};
         c->parts[source.part].gives = 1;
     }
 }
@@ -109,7 +113,8 @@ void core_free(Instance* c) {
 void core_reset(Instance* c) {
     memset(c->state, 0, c->state_size);
     FOR_EACH_PART(p) {
-        for (unsigned i = 1; i < p->model->first_output; i++) p->v[i] = p->model->variables[i].start;
+        for (unsigned i = 1; i < p->model->first_output; i++)
+            FOR_LANES p->v[AT(i)] = p->model->variables[i].start;
         p->ready = 0;
     }
     c->state->stop_time = HUGE_VAL;
@@ -129,24 +134,27 @@ static void prepare(Part* p) {
 /* Whether none of n numbers is infinite or NaN: the exponent of those is all ones, so that one more
  * carries into the place of the sign. */
 static int all_finite(const double* values, unsigned n) {
+    enum { AT_ONCE = LANES > 1 ? LANES : 2 }; /* as compilers put them into one register */
     const uint64_t rest = 0x7fffffffffffffffu, one = 0x0010000000000000u;
-    uint64_t carry[2] = {0, 0}, bits[2];
-    for (; n >= 2; n -= 2, values += 2) { /* two at once, as compilers put them into one register */
+    uint64_t carry[AT_ONCE] = {0}, bits[AT_ONCE];
+    for (; n >= AT_ONCE; n -= AT_ONCE, values += AT_ONCE) {
         memcpy(bits, values, sizeof bits);
-        carry[0] |= (bits[0] & rest) + one;
-        carry[1] |= (bits[1] & rest) + one;
+        for (int i = 0; i < AT_ONCE; i++) carry[i] |= (bits[i] & rest) + one;
     }
-    bits[0] = 0;
-    if (n) memcpy(bits, values, sizeof bits[0]);
-    return !((carry[0] | carry[1] | ((bits[0] & rest) + one)) >> 63);
+    for (; n; n--, values++) {
+        memcpy(bits, values, sizeof bits[0]);
+        carry[0] |= (bits[0] & rest) + one;
+    }
+    for (int i = 1; i < AT_ONCE; i++) carry[0] |= carry[i];
+    return !(carry[0] >> 63);
 }
 
 static int check_states(Instance* c, const Part* p) {
-    if (all_finite(p->x, p->model->n_states)) return 0;
-    for (unsigned i = 0; i < p->model->n_states; i++)
+    if (all_finite(p->x, p->model->n_states * LANES)) return 0;
+    for (unsigned i = 0; i < p->model->n_states * LANES; i++)
         if (!isfinite(p->x[i]))
             return fail(c, "state %s = %g at time %g s: the simulation has diverged",
-                        p->model->state_names[i], p->x[i], p->v[0]);
+                        p->model->state_names[i / LANES], p->x[i], p->v[0]);
     return 0;
 }
 
@@ -154,10 +162,10 @@ static int put_out(Instance* c, Part* p) {
     const Model* m = p->model;
     prepare(p);
     m->outputs(p);
-    if (all_finite(p->v + m->first_output, m->n_variables - m->first_output)) return 0;
-    for (unsigned i = m->first_output; i < m->n_variables; i++)
-        if (!isfinite(p->v[i]) && !(m->variables[i].may_lack && isnan(p->v[i])))
-            return fail(c, "output %s = %g at time %g s is not a finite number", m->variables[i].name,
+    if (all_finite(p->v + m->first_output * LANES, (m->n_variables - m->first_output) * LANES)) return 0;
+    for (unsigned i = m->first_output * LANES; i < m->n_variables * LANES; i++)
+        if (!isfinite(p->v[i]) && !(m->variables[i / LANES].may_lack && isnan(p->v[i])))
+            return fail(c, "output %s = %g at time %g s is not a finite number", m->variables[i / LANES].name,
                         p->v[i], p->v[0]);
     return 0;
 }
@@ -173,31 +181,35 @@ static unsigned place_of(unsigned back, uint64_t k, unsigned at, unsigned n) {
 static int look_back(Instance* c, Part* p) {
     const Sampling* s = p->model->sampling;
     const uint64_t k = (uint64_t)*p->samples;
-    const double period = p->v[s->period];
+    const double period = p->v[LANES * s->period];
     double* line = p->record;
     s->signals(p, p->signal);
     s->delays(p, p->delayed);
     unsigned n = 0, at = 0; /* capacity of a line, and where its present sample goes */
-    double delay = -1, share = 0; /* that of the line before: lines of one sensor have mostly the same */
-    unsigned late = 0, later = 0; /* where the samples are between which the delay ends */
-    for (unsigned i = 0; i < s->n_lines; line += n, i++) {
-        if (s->lines[i].capacity != n || p->delayed[i] != delay) {
-            if (s->lines[i].capacity != n) n = s->lines[i].capacity, at = (unsigned)(k % n);
-            delay = p->delayed[i];
-            double periods = delay / period;
+    double delay[LANES], share[LANES]; /* those of the line before: one sensor's have mostly the same */
+    unsigned late[LANES], later[LANES]; /* where the samples are between which the delay ends */
+    for (unsigned i = 0; i < s->n_lines; line += n * LANES, i++) {
+        const int other = s->lines[i].capacity != n;
+        if (other) n = s->lines[i].capacity, at = (unsigned)(k % n);
+        FOR_LANES {
+            if (!other && p->delayed[AT(i)] == delay[lane]) continue;
+            delay[lane] = p->delayed[AT(i)];
+            double periods = delay[lane] / period;
             if (!(periods >= 0 && periods <= n - 1 + SAMPLE_TOLERANCE))
                 return fail(c,
                             "delay %s = %g s must be from 0 to %g s: make it shorter or sample_period longer",
-                            s->lines[i].name, delay, (n - 1) * period);
+                            s->lines[i].name, delay[lane], (n - 1) * period);
             if (periods > n - 1) periods = n - 1;
             const unsigned back = (unsigned)periods;
-            share = periods - back;
-            late = place_of(back, k, at, n);
-            later = place_of(back + 1, k, at, n);
+            share[lane] = periods - back;
+            late[lane] = place_of(back, k, at, n);
+            later[lane] = place_of(back + 1, k, at, n);
         }
-        line[at] = p->signal[i];
-        const double after = line[late], before = line[later];
-        p->delayed[i] = after + share * (before - after);
+        FOR_LANES {
+            line[AT(at)] = p->signal[AT(i)];
+            const double after = line[AT(late[lane])], before = line[AT(later[lane])];
+            p->delayed[AT(i)] = after + share[lane] * (before - after);
+        }
     }
     return 0;
 }
@@ -207,8 +219,7 @@ static int sample(Instance* c, Part* p) {
     if (s->n_lines && look_back(c, p)) return -1;
     if (s->n_noise) {
         s->sizes(p, p->noise);
-        standard_normal((uint64_t)p->v[s->seed], s->stream, (int)s->n_noise, (uint64_t)*p->samples,
-                        p->noise);
+        standard_normal(p->v + LANES * s->seed, s->stream, (int)s->n_noise, (uint64_t)*p->samples, p->noise);
     }
     s->update(p, p->noise, p->delayed);
     return 0;
@@ -220,6 +231,10 @@ static int begin(Instance* c, Part* p) {
     prepare(p);
     p->model->initial(p, p->x);
     *p->samples = 0;
+    for (int lane = 1; s && lane < LANES; lane++)
+        if (p->v[AT(s->period)] != p->v[LANES * s->period])
+            return fail(c, "%sone lane samples every %g s, another every %g s", "", p->v[LANES * s->period],
+                        p->v[AT(s->period)]);
     return s && s->first == 0 ? sample(c, p) : 0;
 }
 
@@ -240,7 +255,7 @@ static int advance(Instance* c, Part* p, double time, double h) {
     if (!s) {
         integrate(p, h);
     } else {
-        const double period = p->v[s->period], slack = SAMPLE_TOLERANCE * period;
+        const double period = p->v[LANES * s->period], slack = SAMPLE_TOLERANCE * period;
         double now = time, left = h;
         for (;;) {
             double ahead = c->state->start_time + (*p->samples + 1) * period - now;
@@ -254,7 +269,7 @@ static int advance(Instance* c, Part* p, double time, double h) {
             if (sample(c, p)) return -1;
         }
     }
-    p->v[0] = time + h;
+    FOR_LANES p->v[lane] = time + h;
     const int unchanged = !p->model->step && *p->samples == samples;
     return unchanged ? 0 : check_states(c, p);
 }
@@ -289,7 +304,7 @@ static void hand_on(Instance* c) {
 static int settle(Instance* c, int tangents) {
     for (unsigned i = 0; i < fmu.n_connections; i++) {
         const Port to = fmu.connections[i].target;
-        c->carried[i] = fmu.models[to.part]->variables[to.variable].start;
+        FOR_LANES c->carried[AT(i)] = fmu.models[to.part]->variables[to.variable].start;
     }
     for (unsigned k = 0; k < fmu.n_visits; k++) {
         Part* p = &c->parts[fmu.visits[k]];
@@ -299,8 +314,10 @@ static int settle(Instance* c, int tangents) {
         for (unsigned i = 0; i < fmu.n_connections; i++) {
             const Port from = fmu.connections[i].source, to = fmu.connections[i].target;
             if (from.part != fmu.visits[k]) continue;
-            c->carried[i] = p->v[from.variable];
-            c->parts[to.part].change[to.variable] = p->change[from.variable];
+            FOR_LANES {
+                c->carried[AT(i)] = p->v[AT(from.variable)];
+                c->parts[to.part].change[AT(to.variable)] = p->change[AT(from.variable)];
+            }
         }
     }
     return 0;
@@ -311,7 +328,8 @@ static void receive_now(Instance* c, const Part* p) {
     for (unsigned i = 0; i < fmu.n_connections; i++) {
         const Port from = fmu.connections[i].source, to = fmu.connections[i].target;
         if (&c->parts[to.part] == p)
-            memcpy(p->v + to.variable, c->parts[from.part].v + from.variable, from.count * sizeof *p->v);
+            memcpy(p->v + LANES * to.variable, c->parts[from.part].v + LANES * from.variable,
+                   from.count * LANES * sizeof *p->v);
     }
 }
 
@@ -393,24 +411,26 @@ size_t core_size(const unsigned vr[], size_t n) {
     return size;
 }
 
-int core_get(Instance* c, unsigned vr, size_t i, int kinds, double* value) {
+int core_get(Instance* c, unsigned vr, size_t i, int kinds, double value[]) {
     if (vr >= fmu.n_ports) return fail(c, "%sno variable has value reference %.0f", "", vr, 0);
     Port at = fmu.ports[vr];
     at.variable += (unsigned)i;
     const Variable* k = &fmu.models[at.part]->variables[at.variable];
     if (check_kind(c, k, kinds) || check_mode(c, INITIALIZING, FAILED, k->name, "read")) return -1;
     if (vr == 0) {
-        *value = c->state->time;
+        FOR_LANES value[lane] = c->state->time;
         return 0;
     }
     if (at.variable >= fmu.models[at.part]->first_output && refresh(c)) return -1;
-    *value = c->parts[at.part].v[at.variable];
-    if (k->kind != REAL && !(fabs(*value) <= INT32_MAX))
-        return fail(c, "%s = %g at time %g s does not fit into 32 bits", k->name, *value, c->state->time);
+    FOR_LANES {
+        value[lane] = c->parts[at.part].v[AT(at.variable)];
+        if (k->kind != REAL && !(fabs(value[lane]) <= INT32_MAX))
+            return fail(c, "%s = %g at time %g s does not fit into 32 bits", k->name, value[lane], c->state->time);
+    }
     return 0;
 }
 
-int core_set(Instance* c, unsigned vr, size_t i, int kinds, double value) {
+int core_set(Instance* c, unsigned vr, size_t i, int kinds, const double value[]) {
     if (vr == 0 || vr >= fmu.n_ports)
         return fail(c, "%sno settable variable has value reference %.0f", "", vr, 0);
     Port at = fmu.ports[vr];
@@ -422,11 +442,14 @@ int core_set(Instance* c, unsigned vr, size_t i, int kinds, double value) {
         return fail(c, "%s is fixed once initialization has ended; reset the FMU first", k->name, 0, 0);
     if (c->state->mode == IN_TIME && (k->causality != INPUT || k->kind != REAL))
         return fail(c, "%s can be set in event mode alone, not in continuous-time mode", k->name, 0, 0);
-    if (!isfinite(value) && !(k->may_lack && isnan(value)))
-        return fail(c, "%s = %g at time %g s is not a finite number", k->name, value, c->state->time);
-    if (value < k->minimum) return fail(c, "%s = %g is below its minimum %g", k->name, value, k->minimum);
-    if (value > k->maximum) return fail(c, "%s = %g is above its maximum %g", k->name, value, k->maximum);
-    c->parts[at.part].v[at.variable] = value;
+    FOR_LANES {
+        const double x = value[lane];
+        if (!isfinite(x) && !(k->may_lack && isnan(x)))
+            return fail(c, "%s = %g at time %g s is not a finite number", k->name, x, c->state->time);
+        if (x < k->minimum) return fail(c, "%s = %g is below its minimum %g", k->name, x, k->minimum);
+        if (x > k->maximum) return fail(c, "%s = %g is above its maximum %g", k->name, x, k->maximum);
+        c->parts[at.part].v[AT(at.variable)] = x;
+    }
     if (k->causality <= FIXED_PARAMETER) c->parts[at.part].ready = 0;
     c->state->outputs = STALE;
     return 0;
@@ -491,7 +514,7 @@ int core_set_times(Instance* c, double start_time, double stop_time) {
 int core_enter_initialization(Instance* c) {
     if (check_mode(c, INSTANTIATED, INSTANTIATED, "initialization", "entered")) return -1;
     c->state->time = c->state->start_time;
-    FOR_EACH_PART(p) p->v[0] = c->state->time;
+    FOR_EACH_PART(p) FOR_LANES p->v[lane] = c->state->time;
     c->state->mode = INITIALIZING;
     c->state->outputs = STALE;
     return 0;
@@ -537,9 +560,9 @@ int core_terminate(Instance* c) {
     return 0;
 }
 
-/* ---- model exchange: the part alone, integrated by a solver outside ---- */
+/* ---- model exchange: the part alone, integrated by a solver outside; not of several aircraft ---- */
 
-int core_can_exchange(void) { return fmu.n_parts == 1 && fmu.models[0]->continuous != NULL; }
+int core_can_exchange(void) { return LANES == 1 && fmu.n_parts == 1 && fmu.models[0]->continuous != NULL; }
 
 static int check_count(Instance* c, size_t n, unsigned expected) {
     if (n == expected) return 0;

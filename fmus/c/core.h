@@ -12,12 +12,17 @@
  * While stepping, a part sees what the others put out at the end of the last step (Jacobi): the
  * values on the connections are `carried` in the state. At initialization the parts are visited in
  * the order of their dependencies. Both give what a master makes of one FMU per part, to the bit.
+ *
+ * Arrays of numbers are those of LANES aircraft side by side, see kernel.h: of one, in an FMU. Times and numbers of
+ * instants are those of all of them.
  */
 #ifndef UAVTWIN_CORE_H
 #define UAVTWIN_CORE_H
 
 #include <stddef.h>
 #include <stdint.h>
+
+#include "kernel.h"
 
 /* ---- what a part is: constant data ---- */
 enum { PARAMETER, FIXED_PARAMETER, INPUT, OUTPUT, LOCAL }; /* from OUTPUT on: computed */
@@ -162,9 +167,9 @@ Instance* core_new(const char* resources, int exchange, char* message, size_t si
 void core_free(Instance* c);
 void core_reset(Instance* c);
 size_t core_size(const unsigned vr[], size_t n); /* values of these variables together */
-/* Element i of a variable, 0 of a scalar, of one of these kinds. */
-int core_get(Instance* c, unsigned vr, size_t i, int kinds, double* value);
-int core_set(Instance* c, unsigned vr, size_t i, int kinds, double value);
+/* Element i of a variable, 0 of a scalar, of one of these kinds; of each lane. */
+int core_get(Instance* c, unsigned vr, size_t i, int kinds, double value[]);
+int core_set(Instance* c, unsigned vr, size_t i, int kinds, const double value[]);
 int core_set_times(Instance* c, double start_time, double stop_time);
 int core_enter_initialization(Instance* c);
 int core_exit_initialization(Instance* c);

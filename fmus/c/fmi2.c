@@ -161,7 +161,7 @@ fmi2Status fmi2Reset(fmi2Component c) {
                              const fmi2##TYPE value[]) {                                                    \
         for (size_t i = 0; i < n; i++) {                                                                    \
             const double v = (KINDS) == BOOLEAN ? value[i] != 0 : (double)value[i];                         \
-            if (core_set(c, vr[i], 0, KINDS, v)) return status(c, -1);                                         \
+            if (core_set(c, vr[i], 0, KINDS, &v)) return status(c, -1);                                         \
         }                                                                                                   \
         return fmi2OK;                                                                                      \
     }

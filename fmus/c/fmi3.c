@@ -142,8 +142,10 @@ fmi3Status fmi3Reset(fmi3Instance c) {
                              const fmi3##TYPE value[], size_t m) {                                       \
         if (core_size(vr, n) != m) return refuse(c, "fmi3Set" #TYPE ": " WRONG_SIZE);                    \
         for (; n > 0; n--, vr++)                                                                         \
-            for (size_t i = 0, size = core_size(vr, 1); i < size; i++)                                   \
-                if (core_set(c, *vr, i, KIND, (double)*value++)) return status(c, -1);                   \
+            for (size_t i = 0, size = core_size(vr, 1); i < size; i++) {                                 \
+                const double v = (double)*value++;                                                       \
+                if (core_set(c, *vr, i, KIND, &v)) return status(c, -1);                                 \
+            }                                                                                            \
         return fmi3OK;                                                                                   \
     }
 #define WRONG_SIZE "the number of values is not that of the variables"

@@ -122,7 +122,7 @@ def test_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Non
 @pytest.mark.slow
 def test_start_values_of_the_whole_twin(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Baked into the fused FMU and into the FMUs of the `.ssp`; descriptions alone are read."""
-    monkeypatch.setattr("fmus.builder._compile", lambda *_: b"")
+    monkeypatch.setattr("fmus.builder.compile_library", lambda *_: b"")
     monkeypatch.setattr("uavtwin.exports.write.add_reference_results", lambda *_: None)
     starts = ["airframe.mass=0.03", "imu.seed=4", "mission.wait=0.5"]
     choice = Choice("crazyflie", start=starts, mission="tour", position="mocap")

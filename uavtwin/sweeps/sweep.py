@@ -5,17 +5,20 @@ import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
+from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cosim.lanes import LaneMaster
 from cosim.limits import Limits
 from cosim.recording import Recording, RunError
 from cosim.worker import WorkerMaster
+from fmus.lanes import LANES
 from twin.errors import FmuError
 from twin.vehicle import Vehicle
 
@@ -42,9 +45,16 @@ class RunResult:
     recording: Recording | None = None
 
 
+Block = tuple[Job, ...]
+"""Runs of one system that a worker flies together."""
+WORTH = 64
+"""Runs of one system from which on it is compiled for lanes, which takes as long as some 100 runs.
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class SweepTask:
-    """What is done with each run, for `uavtwin.jobs`.
+    """What is done with each block of runs, for `uavtwin.jobs`.
 
     Attributes:
         key: Hash of the sweep.
@@ -58,9 +68,9 @@ class SweepTask:
     limits: Limits
     keep: bool = False
 
-    def name(self, job: Job) -> str:
-        """Number of the run."""
-        return str(job.run)
+    def name(self, block: Block) -> str:
+        """Number of the first run."""
+        return str(block[0].run)
 
     def worker(self) -> "RunWorker":
         """One more that flies runs."""
@@ -74,9 +84,9 @@ class SweepTask:
         )
         return PackedSweep(replace(self, stands=bare), fmus)
 
-    def lost(self, job: Job, why: str) -> RunResult:
-        """A run that nobody could fly."""
-        return RunResult(Outcome(job.run, "failed", why, 0.0, {}))
+    def lost(self, block: Block, why: str) -> list[RunResult]:
+        """Runs that nobody could fly."""
+        return [RunResult(Outcome(job.run, "failed", why, 0.0, {})) for job in block]
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,17 +118,41 @@ class PackedSweep:
 
 
 class RunWorker:
-    """Runs jobs; a crash of an FMU costs the run in which it happens."""
+    """Flies blocks of runs; a crash of an FMU costs the run in which it happens."""
 
     def __init__(self, flying: SweepTask) -> None:
         """Start nothing yet."""
         self._flying = flying
         self._master: WorkerMaster | None = None
         self._stand: SharedSystem | None = None
+        self._lanes: tuple[SharedSystem, LaneMaster | None] | None = None
 
-    def do(self, job: Job) -> RunResult:
-        """Run a job; whatever an FMU does, there is an outcome."""
-        stand = self._flying.stands[job.stand]
+    def do(self, block: Block) -> list[RunResult]:
+        """Fly a block; whatever an FMU does, there are outcomes."""
+        stand = self._flying.stands[block[0].stand]
+        if len(block) > 1 and (lanes := self._in_lanes(stand)) is not None:
+            times = stand.times
+            with contextlib.suppress(FmuError):  # then each by itself, which says what it does
+                recordings = lanes.run(
+                    [job.starts for job in block],
+                    *(times.begin_s, times.end_s, times.step_s, times.every),
+                )
+                return [
+                    self._result(job, stand, recording)
+                    for job, recording in zip(block, recordings, strict=True)
+                ]
+        return [self._alone(job, stand) for job in block]
+
+    def _in_lanes(self, stand: SharedSystem) -> LaneMaster | None:
+        """Of a stand; None: it cannot be flown in lanes here."""
+        if self._lanes is None or self._lanes[0] is not stand:
+            self._lanes = stand, None
+            with contextlib.suppress(FmuError):
+                self._lanes = stand, LaneMaster(stand.system, stand.record)
+        return self._lanes[1]
+
+    def _alone(self, job: Job, stand: SharedSystem) -> RunResult:
+        """Fly one run by its FMUs."""
         times = stand.times
         try:
             master = self._ready(stand)
@@ -131,6 +165,12 @@ class RunWorker:
         except FmuError as error:
             recording, why = _nothing(), str(error)
             self.close()
+        return self._result(job, stand, recording, why)
+
+    def _result(
+        self, job: Job, stand: SharedSystem, recording: Recording, why: str = ""
+    ) -> RunResult:
+        """What a run left."""
         outcome = outcome_of(job.run, recording, stand.arm_m, why)
         return RunResult(outcome, recording if self._flying.keep else None)
 
@@ -157,6 +197,8 @@ def _nothing() -> Recording:
 Progress = Callable[[float], None]
 RECORDINGS = "recordings"
 """Folder of the recordings of runs."""
+SWITCH = ".enabled"
+"""End of the name of a parameter that switches an effect."""
 _BUILDING = 0.05
 """Share of the work that building takes, about."""
 
@@ -377,13 +419,26 @@ def _fly(
 ) -> None:
     """Fly what is not done, those of one system after those of another."""
     left = [j for j in plan.jobs if j.run not in journal.done]
-    left.sort(key=lambda j: (j.stand, j.run))
     done = len(plan.jobs) - len(left)
-    for flown in engine.run(flying, left):
+    for flown in chain.from_iterable(engine.run(flying, blocks(left))):
         _keep(flown, folder)
         journal.add(flown.outcome)
         done += 1
         progress(_BUILDING + (1 - _BUILDING) * done / len(plan.jobs))
+
+
+def blocks(jobs: Iterable[Job]) -> Iterator[Block]:
+    """What is flown together: of one system, with the same switches as far as may be, since lanes
+    that are alike take the same shortcuts."""
+
+    def alike(job: Job) -> tuple[int, list[str]]:
+        """System and switches."""
+        return job.stand, sorted(n for n, v in job.starts.items() if n.endswith(SWITCH) and v)
+
+    for _, of_stand in groupby(sorted(jobs, key=alike), key=lambda job: job.stand):
+        runs = tuple(of_stand)
+        size = LANES if len(runs) >= WORTH else 1
+        yield from (runs[i : i + size] for i in range(0, len(runs), size))
 
 
 def _keep(flown: RunResult, folder: Path) -> None:

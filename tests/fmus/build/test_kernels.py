@@ -1,6 +1,7 @@
 """C source of kernels against CasADi's own evaluation, and which operations go together."""
 
 import ctypes
+import re
 import subprocess
 from collections.abc import Callable
 from importlib import resources
@@ -12,7 +13,17 @@ import pytest
 from numpy.typing import NDArray
 
 from fmus.builder import CFLAGS
-from fmus.kernels import NUMBERS, TOGETHER, TRUTHS, kernel_source, kernels, operations, paired
+from fmus.kernels import (
+    NUMBERS,
+    TOGETHER,
+    TRUTHS,
+    guards,
+    kernel_source,
+    kernels,
+    operations,
+    paired,
+)
+from fmus.lanes import native_options
 from twin.errors import FmuError
 from twin.flight.lqr import controller
 from twin.vehicle_file import load_vehicle
@@ -20,7 +31,9 @@ from twin.vehicle_file import load_vehicle
 Array = NDArray[np.float64]
 
 
-def compiled(folder: Path, source: str, name: str, arguments: int) -> Callable[..., None]:
+def compiled(
+    folder: Path, source: str, name: str, arguments: int, *options: str
+) -> Callable[..., None]:
     """A kernel as a function of arrays."""
     named = [f"x{i}" for i in range(arguments + 1)]
     outside = f"void called({', '.join(f'double* {n}' for n in named)})"
@@ -32,7 +45,16 @@ def compiled(folder: Path, source: str, name: str, arguments: int) -> Callable[.
     header = resources.files("fmus") / "c" / "kernel.h"
     (folder / "kernel.h").write_text(header.read_text())
     library = folder / "kernel.so"
-    command = ["cc", *CFLAGS, "-shared", "-o", str(library), str(folder / "kernel.c"), "-lm"]
+    command = [
+        "cc",
+        *CFLAGS,
+        *options,
+        "-shared",
+        "-o",
+        str(library),
+        str(folder / "kernel.c"),
+        "-lm",
+    ]
     subprocess.run(command, check=True)
     called = ctypes.CDLL(str(library)).called
     called.argtypes = [np.ctypeslib.ndpointer(np.float64)] * (arguments + 1)
@@ -92,6 +114,41 @@ def test_the_numbers_of_casadi(tmp_path: Path, seed: int) -> None:
             result = value.copy() if in_place else np.empty(8)
             call(result if in_place else value, result)
             np.testing.assert_array_equal(result, np.asarray(function(value)).ravel())
+
+
+@pytest.mark.parametrize("lanes", [3, 8])
+def test_a_lane_computes_what_one_aircraft_does(tmp_path: Path, lanes: int) -> None:
+    """Bit by bit, powers that a condition leaves out and zeros with a sign among them."""
+    rng = np.random.default_rng(lanes)
+    x, y = tangle(rng, 8, 150)
+    power = ca.fmax(ca.fabs(x[0]), 0.1) ** ca.fmin(x[1], 3.0)
+    y[2] = ca.if_else(x[2] > 0, 2 * power, ca.log(1 + x[3] ** 2))
+    source = kernel_source([ca.Function("mixed", [x], [y])])
+    assert re.search(r"pow\(IF_FELT\(v\d+, v\d+\), v\d+\)", source)
+    folders = tmp_path / "one", tmp_path / "several"
+    for folder in folders:
+        folder.mkdir()
+    one = compiled(folders[0], source, "mixed", 1)
+    several = compiled(folders[1], source, "mixed", 1, f"-DLANES={lanes}", *native_options())
+    for scale in (0.0, 1e-3, 1.0, 30.0):
+        value = scale * rng.normal(size=(8, lanes))
+        found, single = np.empty((8, lanes)), np.empty(8)
+        several(value, found)
+        for lane in range(lanes):
+            one(value[:, lane].copy(), single)
+            assert single.tobytes() == found[:, lane].tobytes()
+
+
+def test_a_power_waits_for_what_alone_feels_it() -> None:
+    x = ca.SX.sym("x", 4)
+    felt = ca.if_else(x[0] > 0, x[1] ** x[2], x[3])
+    for results, guarded in ([felt], 1), ([felt, x[1] ** x[2]], 0):
+        steps, places = operations(ca.Function("f", [x], [ca.cse(ca.vertcat(*results))]))
+        found = guards(steps, places)
+        assert len(found) == guarded
+        for k, condition in found.items():
+            assert steps[k].code == ca.OP_POW
+            assert steps[condition].code == ca.OP_LT
 
 
 def test_every_operation_means_what_it_does_in_casadi(tmp_path: Path) -> None:

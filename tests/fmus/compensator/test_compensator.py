@@ -459,7 +459,7 @@ def test_export_of_the_corrected_twin(
     folder_of: Folder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Descriptions alone: the sensors, the commands and the phase feed the compensator."""
-    monkeypatch.setattr("fmus.builder._compile", lambda *_: b"")
+    monkeypatch.setattr("fmus.builder.compile_library", lambda *_: b"")
     monkeypatch.setattr("uavtwin.exports.write.add_reference_results", lambda *_: None)
     rows = export(["corrected-twin"], tmp_path / "out", vehicle=VEHICLE, model=folder_of("track"))
     assert [row.file for row in rows] == ["corrected_twin.fmu", "corrected_twin.ssp"]
@@ -543,7 +543,7 @@ def _twin(vehicle: str) -> Assembly:
 def test_start_values_are_baked_in(
     folder_of: Folder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fmus.builder._compile", lambda *_: b"")
+    monkeypatch.setattr("fmus.builder.compile_library", lambda *_: b"")
     monkeypatch.setattr("uavtwin.exports.write.add_reference_results", lambda *_: None)
     export(
         ["compensator"],

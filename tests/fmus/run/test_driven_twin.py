@@ -64,7 +64,7 @@ def test_command_line_gives_it_inputs_and_no_pilot(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its description alone."""
-    monkeypatch.setattr("fmus.builder._compile", lambda *_: b"")
+    monkeypatch.setattr("fmus.builder.compile_library", lambda *_: b"")
     monkeypatch.setattr("uavtwin.exports.write.add_reference_results", lambda *_: None)
     choice = Choice(VEHICLE, drive="commands", start=["airframe.mass=0.03"])
     export_components(["corrected-twin"], choice)(tmp_path, lambda _: None)

@@ -15,10 +15,14 @@ from job_rigs.killing import killed_beyond
 from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
 
 import uavtwin as ut
+from cosim.lanes import LaneMaster
 from cosim.ssp import write_ssp
 from cosim.system import System
-from twin.errors import TwinError
+from fmus.lanes import LANES
+from twin.errors import FmuError, TwinError
 from uavtwin.sweeps.outcome import JOURNAL, Journal
+from uavtwin.sweeps.plan import Job
+from uavtwin.sweeps.sweep import WORTH, RunWorker, blocks
 
 pytestmark = pytest.mark.slow
 VARY = {
@@ -79,6 +83,50 @@ def test_the_number_of_workers_changes_no_byte(folder: Path, tmp_path: Path) -> 
         swept(out, workers)
         for name in ("runs.parquet", "sweep.json", "report.html"):
             assert (out / name).read_bytes() == (folder / name).read_bytes(), (workers, name)
+
+
+def test_runs_in_lanes_are_those_one_by_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With any number of workers, and where a block of lanes has to be flown again."""
+    vary = {k: v for k, v in VARY.items() if k != "controller"} | {
+        "effect.rotor_drag": [True, False]
+    }
+
+    def flown(name: str, workers: int) -> list[bytes]:
+        """The files of a sweep, of which the last block is short."""
+        out = tmp_path / name
+        ut.sweep("tour", out=out, vary=vary, runs=WORTH + 3, duration=2.0, workers=workers)
+        return [(out / file).read_bytes() for file in ("runs.parquet", "sweep.json")]
+
+    with monkeypatch.context() as patched:
+        patched.setattr(RunWorker, "_alone", None)  # no run goes by itself
+        lanes = [flown(f"lanes {workers}", workers) for workers in (1, 2, 4)]
+    with monkeypatch.context() as patched:
+        patched.setattr("uavtwin.sweeps.sweep.WORTH", 10**6)
+        patched.setattr("uavtwin.sweeps.sweep.LaneMaster", None)  # no run goes with others
+        alone = flown("alone", 2)
+    with monkeypatch.context() as patched:
+        patched.setattr(LaneMaster, "run", failing)
+        again = flown("again", 2)
+    assert lanes == [alone] * 3
+    assert again == alone
+
+
+def failing(*_: object) -> None:
+    raise FmuError("lanes: one of them")
+
+
+def test_lanes_are_of_one_system_and_alike() -> None:
+    few = [Job(k, 0, {}) for k in range(WORTH - 1)]
+    many = [
+        Job(100 + k, 1, {"a.drag.enabled": float(k % 2), "a.mass": 1.0 + k}) for k in range(WORTH)
+    ]
+    found = list(blocks([*many, *few]))
+    assert sorted(job.run for block in found for job in block) == [j.run for j in [*few, *many]]
+    assert [len(block) for block in found] == [1] * len(few) + [LANES] * (WORTH // LANES)
+    for block in found:
+        assert len({(job.stand, job.starts.get("a.drag.enabled")) for job in block}) == 1
 
 
 COMMAND = [

@@ -1,0 +1,91 @@
+"""Lanes: the sources of an FMU compiled to fly several aircraft at once, each in a lane.
+
+A lane computes what the FMU does, operation by operation, so its numbers are those of the FMU to
+the last bit. The library is of the processor that it is compiled on, whose registers hold as many
+numbers as it says.
+"""
+
+import hashlib
+import platform
+import subprocess
+import zipfile
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+
+from twin.errors import FmuError
+
+from .builder import compile_library
+from .platforms import DEFAULT, PLATFORMS, Compiler, machine_compiler
+
+LANES = 8
+"""Aircraft at once: as many numbers as the longest registers hold, those of AVX-512."""
+_NATIVE = {
+    "x86_64": ("-march=native", "-mprefer-vector-width=512"),
+    "aarch64": ("-mcpu=native",),
+    "arm64": ("-mcpu=native",),
+}
+"""Options by which a compiler uses all that this processor has."""
+_STRAIGHT = ("-fno-trapping-math", "-fno-tree-sink", "-fno-thread-jumps")
+"""Options of gcc by which no operation of a kernel is moved behind a branch, which would keep it
+from being that of all lanes; none changes a number."""
+_KNOWN = {"core.h", "kernel.h", "noise.h", "casadi.h"}
+"""Headers of FMUs whose parts are kernels alone; what else there is knows one aircraft."""
+
+
+def lanes_library(fmu: Path, lanes: int = LANES) -> bytes:
+    """Shared library with the function `lanes_fly` of `fmus/c/lanes.c`.
+
+    Args:
+        fmu: One of ours, with its sources inside.
+        lanes: Aircraft at once.
+
+    Raises:
+        FmuError: A part of it is no CasADi component, or there is no compiler that knows this
+            processor.
+    """
+    with zipfile.ZipFile(fmu) as archive:
+        inside = {
+            name.removeprefix("sources/"): archive.read(name).decode()
+            for name in archive.namelist()
+            if name.startswith("sources/") and name.endswith((".c", ".h"))
+        }
+    sources = {name: text for name, text in inside.items() if not name.startswith("fmi")}
+    if others := {name for name in sources if name.endswith(".h")} ^ _KNOWN:
+        raise FmuError(f"{fmu.name}: flies one aircraft at a time: {', '.join(sorted(others))}.")
+    sources["lanes.c"] = (resources.files(__package__) / "c" / "lanes.c").read_text()
+    compiled = tuple(name for name in sorted(sources) if name.endswith(".c"))
+    compiler = _native_compiler(lanes)
+    return compile_library(fmu.stem, PLATFORMS[DEFAULT[0]], compiler, sources, compiled)
+
+
+def native_options() -> tuple[str, ...]:
+    """Of the compiler of this machine, by which it uses all that the processor has.
+
+    Raises:
+        FmuError: There is no such compiler, or it does not know the processor.
+    """
+    own, options = machine_compiler(), _NATIVE.get(platform.machine())
+    if own is None or options is None:
+        raise FmuError(f"no C compiler for the processor of this machine, {platform.machine()}.")
+    straight = _STRAIGHT if "Free Software Foundation" in own.identity else ()
+    return (*options, *straight)
+
+
+@lru_cache
+def _native_compiler(lanes: int) -> Compiler:
+    """For this processor.
+
+    Raises:
+        FmuError: There is none.
+    """
+    options, own = native_options(), machine_compiler()
+    assert own is not None
+    command = (*own.command, *options, f"-DLANES={lanes}")
+    macros = subprocess.run(
+        [*command, "-dM", "-E", "-x", "c", "/dev/null"], capture_output=True, check=False
+    )
+    if macros.returncode != 0:
+        raise FmuError(f"{own.command[0]}: does not know the options {' '.join(options)}.")
+    known = hashlib.sha256(macros.stdout + repr(command).encode()).hexdigest()
+    return Compiler(command, own.identity + known)
