@@ -413,15 +413,3 @@ def test_export_lists_the_platforms(tmp_path: Path) -> None:
     assert listed.returncode == 0, listed.stderr
     assert "fmi2/battery.fmu  FMI 2  linux64,aarch64-linux  " in listed.stdout
     assert "fmi3/battery.fmu  FMI 3  linux64,aarch64-linux  " in listed.stdout
-
-
-def test_missing_zig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only what needs it asks for it, and says how to get it."""
-    found = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name: None if name == "ziglang" else found(name)
-    )
-    build(model("battery"), tmp_path / "b.fmu", 2)
-    with pytest.raises(FmuError, match=r"^Building for linux64, win64 needs .*uavtwin\[cross\]"):
-        build(model("battery"), tmp_path / "c.fmu", 2, ["linux64", "win64"])
-    assert [p.name for p in tmp_path.iterdir()] == ["b.fmu"]
