@@ -32,10 +32,10 @@ static double* take(double** from, size_t n) {
     return taken;
 }
 
-/* One block: the state, then scratch. The numbers of several lanes are loaded at once: from where a register of
- * them may begin, up to 64 bytes on. */
+/* One block: the state, then scratch. Those of several lanes begin where the longest register may. */
 static int allocate(Instance* c) {
-    size_t kept = fmu.n_connections, scratch = LANES > 1;
+    enum { REGISTER = LANES > 1 ? 8 : 1 }; /* numbers */
+    size_t kept = fmu.n_connections, scratch = 0;
     FOR_EACH_PART(p) {
         const Model* m = p->model;
         const Sampling* s = m->sampling;
@@ -43,11 +43,11 @@ static int allocate(Instance* c) {
         scratch += m->n_variables + m->n_states + m->n_prepared + (s ? s->n_noise + 2 * s->n_lines : 0);
     }
     c->state_size = sizeof(State) + kept * LANES * sizeof(double);
-    c->state = calloc(1, c->state_size + scratch * LANES * sizeof(double));
+    c->state = calloc(1, c->state_size + (scratch * LANES + REGISTER - 1) * sizeof(double));
     c->wires = calloc(fmu.n_connections + 1, sizeof *c->wires);
     if (!c->state || !c->wires) return -1;
     double* state = c->state->values;
-    if (LANES > 1) state += (64 - (uintptr_t)state % 64) % 64 / sizeof(double);
+    while ((uintptr_t)state % (REGISTER * sizeof(double))) state++;
     double* rest = state + kept * LANES;
     c->carried = take(&state, fmu.n_connections);
     FOR_EACH_PART(p) {
