@@ -6,7 +6,7 @@ best how the body turns.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -115,6 +115,7 @@ class FlightFrame:
         edges_s: Edges of the intervals, shape (n + 1,).
         grid: Means over the intervals, shape (n, k) each.
         notes: What was derived or assumed.
+        kept: What several finders ask for, by name.
     """
 
     flight: Flight
@@ -122,6 +123,7 @@ class FlightFrame:
     edges_s: Array
     grid: Mapping[str, Array]
     notes: tuple[str, ...]
+    kept: dict[str, object] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def of(cls, flight: Flight) -> "FlightFrame":

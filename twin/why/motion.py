@@ -1,8 +1,8 @@
 """Events of the body: a rotor that fails, a mass that changes, a push, a gust; as records."""
 
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 from msgspec.structs import replace
@@ -100,11 +100,14 @@ def _unseen(body: Body, first_s: float) -> Iterator[NotVisible]:
     yield from (_hidden(cause, None, reason) for cause in CAUSES if cause != CUT)
 
 
-@lru_cache(maxsize=1)
 def _bodies(frame: FlightFrame) -> tuple[tuple[Body, float], ...]:
-    """Stretches of all parts in the air, and from when on events of each count, s."""
-    parts = [p for p in frame.airborne if (p.flown - p.start) * frame.dt_s >= LEAST_S]
-    return tuple((Body.of(frame, s), t) for p in parts for s, t in _stretches(frame, p))
+    """Stretches of all parts in the air, and from when on events of each count, s; kept with the
+    frame, since two finders ask for them."""
+    if "bodies" not in frame.kept:
+        parts = [p for p in frame.airborne if (p.flown - p.start) * frame.dt_s >= LEAST_S]
+        found = ((Body.of(frame, s), t) for p in parts for s, t in _stretches(frame, p))
+        frame.kept["bodies"] = tuple(found)
+    return cast(tuple[tuple[Body, float], ...], frame.kept["bodies"])
 
 
 def misnumbered(frame: FlightFrame) -> bool:

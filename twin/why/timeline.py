@@ -61,17 +61,20 @@ def _in_the_air(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
         yield TimelineItem(kind="takeoff", t_s=begin, text="clear of the ground")
     else:
         yield TimelineItem(kind="note", t_s=begin, text="the record begins in the air")
-    if part.end < len(flight.t_s) - flight.places(SILENT_S):
-        if _lands(flight, part):
-            yield TimelineItem(kind="landing", t_s=end, text="near the ground again")
-    elif part.crash is None:
+    if _lands(flight, part):
+        yield TimelineItem(kind="landing", t_s=end, text="near the ground again")
+    elif _cut_off(flight, part) and part.crash is None:
         yield TimelineItem(kind="note", t_s=end, text=_ends_in_the_air(flight))
 
 
 def _lands(flight: FlightFrame, part: Airborne) -> bool:
     """Whether it comes down under control."""
-    ends = part.end < len(flight.t_s) - flight.places(SILENT_S)
-    return ends and part.lost is None and not part.falls
+    return not _cut_off(flight, part) and part.lost is None and not part.falls
+
+
+def _cut_off(flight: FlightFrame, part: Airborne) -> bool:
+    """Whether the record ends in the air."""
+    return part.end >= len(flight.t_s) - flight.places(SILENT_S)
 
 
 def _ends_in_the_air(flight: FlightFrame) -> str:
