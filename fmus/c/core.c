@@ -186,8 +186,8 @@ static int look_back(Instance* c, Part* p) {
     s->signals(p, p->signal);
     s->delays(p, p->delayed);
     unsigned n = 0, at = 0; /* capacity of a line, and where its present sample goes */
-    double delay[LANES], share[LANES]; /* those of the line before: one sensor's have mostly the same */
-    unsigned late[LANES], later[LANES]; /* where the samples are between which the delay ends */
+    double delay[LANES] = {0}, share[LANES] = {0}; /* those of the line before: one sensor's have mostly the same */
+    unsigned late[LANES] = {0}, later[LANES] = {0}; /* where the samples are between which the delay ends */
     for (unsigned i = 0; i < s->n_lines; line += n * LANES, i++) {
         const int other = s->lines[i].capacity != n;
         if (other) n = s->lines[i].capacity, at = (unsigned)(k % n);
