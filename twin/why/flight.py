@@ -115,7 +115,7 @@ class FlightFrame:
         edges_s: Edges of the intervals, shape (n + 1,).
         grid: Means over the intervals, shape (n, k) each.
         notes: What was derived or assumed.
-        kept: What several finders ask for, by name.
+        cache: What several finders ask for, by name.
     """
 
     flight: Flight
@@ -123,7 +123,7 @@ class FlightFrame:
     edges_s: Array
     grid: Mapping[str, Array]
     notes: tuple[str, ...]
-    kept: dict[str, object] = field(default_factory=dict, init=False, repr=False)
+    cache: dict[str, object] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def of(cls, flight: Flight) -> "FlightFrame":

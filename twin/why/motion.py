@@ -103,11 +103,11 @@ def _unseen(body: Body, first_s: float) -> Iterator[NotVisible]:
 def _bodies(frame: FlightFrame) -> tuple[tuple[Body, float], ...]:
     """Stretches of all parts in the air, and from when on events of each count, s; kept with the
     frame, since two finders ask for them."""
-    if "bodies" not in frame.kept:
+    if "bodies" not in frame.cache:
         parts = [p for p in frame.airborne if (p.flown - p.start) * frame.dt_s >= LEAST_S]
         found = ((Body.of(frame, s), t) for p in parts for s, t in _stretches(frame, p))
-        frame.kept["bodies"] = tuple(found)
-    return cast(tuple[tuple[Body, float], ...], frame.kept["bodies"])
+        frame.cache["bodies"] = tuple(found)
+    return cast(tuple[tuple[Body, float], ...], frame.cache["bodies"])
 
 
 def misnumbered(frame: FlightFrame) -> bool:
