@@ -28,6 +28,7 @@ from twin.logs import write_flight
 from uavtwin import ExplainResult, FleetResult, GapResult, SweepResult
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.display import PageMixin
+from uavtwin.file_check import CheckReport
 
 COPTER = ut.load_vehicle("copter_default")
 DRAG_1_S = 0.5
@@ -278,7 +279,9 @@ def _values(value: Any, seen: set[int], depth: int = 0) -> Iterator[Any]:
     if id(value) in seen or depth > 12:
         return
     seen.add(id(value))
-    if is_dataclass(value) and not isinstance(value, type):
+    if isinstance(value, CheckReport):
+        yield value
+    elif is_dataclass(value) and not isinstance(value, type):
         yield value
         for f in fields(value):
             yield from _values(getattr(value, f.name), seen, depth + 1)
