@@ -83,29 +83,29 @@ static int wide_registers(void) {
 /* out = x w: x of `rows` rows of `depth` numbers, w of `depth` rows of `width`, read four rows at a time. Each sum runs
  * over the rows of w in order; of a single column it is the sum of eight sums. */
 #if defined(__GNUC__)
-typedef float Lanes __attribute__((vector_size(32), aligned(4), may_alias));
-#define LANES 8
-#define AT(p) (*(const Lanes*)(p))
+typedef float Eight __attribute__((vector_size(32), aligned(4), may_alias));
+#define EIGHT 8
+#define LD(p) (*(const Eight*)(p))
 #define ACROSS(s) (((s[0] + s[4]) + (s[2] + s[6])) + ((s[1] + s[5]) + (s[3] + s[7])))
 
 #define PRODUCT(NAME, ATTRIBUTE)                                                                     \
     ATTRIBUTE static void NAME##_column(const float* x, const float* w, float* out, int rows, int depth) { \
-        const int whole = depth - depth % LANES;                                                     \
+        const int whole = depth - depth % EIGHT;                                                     \
         int row = 0, k;                                                                              \
         for (; row + 4 <= rows; row += 4, x += 4 * depth) {                                          \
             const float *x1 = x + depth, *x2 = x1 + depth, *x3 = x2 + depth;                         \
-            Lanes s = {0}, s1 = {0}, s2 = {0}, s3 = {0};                                             \
-            for (k = 0; k < whole; k += LANES) {                                                     \
-                const Lanes u = AT(w + k);                                                           \
-                s += AT(x + k) * u, s1 += AT(x1 + k) * u, s2 += AT(x2 + k) * u, s3 += AT(x3 + k) * u; \
+            Eight s = {0}, s1 = {0}, s2 = {0}, s3 = {0};                                             \
+            for (k = 0; k < whole; k += EIGHT) {                                                     \
+                const Eight u = LD(w + k);                                                           \
+                s += LD(x + k) * u, s1 += LD(x1 + k) * u, s2 += LD(x2 + k) * u, s3 += LD(x3 + k) * u; \
             }                                                                                        \
             for (; k < depth; k++)                                                                   \
                 s[0] += x[k] * w[k], s1[0] += x1[k] * w[k], s2[0] += x2[k] * w[k], s3[0] += x3[k] * w[k]; \
             out[row] = ACROSS(s), out[row + 1] = ACROSS(s1), out[row + 2] = ACROSS(s2), out[row + 3] = ACROSS(s3); \
         }                                                                                            \
         for (; row < rows; row++, x += depth) {                                                      \
-            Lanes s = {0};                                                                           \
-            for (k = 0; k < whole; k += LANES) s += AT(x + k) * AT(w + k);                           \
+            Eight s = {0};                                                                           \
+            for (k = 0; k < whole; k += EIGHT) s += LD(x + k) * LD(w + k);                           \
             for (; k < depth; k++) s[0] += x[k] * w[k];                                              \
             out[row] = ACROSS(s);                                                                    \
         }                                                                                            \
@@ -115,12 +115,12 @@ typedef float Lanes __attribute__((vector_size(32), aligned(4), may_alias));
         memset(out, 0, (size_t)width * sizeof *out);                                                 \
         for (; k + 4 <= depth; k += 4, w += 4 * width) {                                             \
             const float *w1 = w + width, *w2 = w1 + width, *w3 = w2 + width;                         \
-            for (i = 0; i + LANES <= width; i += LANES) {                                            \
-                Lanes s = AT(out + i) + x[k] * AT(w + i);                                            \
-                s += x[k + 1] * AT(w1 + i);                                                          \
-                s += x[k + 2] * AT(w2 + i);                                                          \
-                s += x[k + 3] * AT(w3 + i);                                                          \
-                *(Lanes*)(out + i) = s;                                                              \
+            for (i = 0; i + EIGHT <= width; i += EIGHT) {                                            \
+                Eight s = LD(out + i) + x[k] * LD(w + i);                                            \
+                s += x[k + 1] * LD(w1 + i);                                                          \
+                s += x[k + 2] * LD(w2 + i);                                                          \
+                s += x[k + 3] * LD(w3 + i);                                                          \
+                *(Eight*)(out + i) = s;                                                              \
             }                                                                                        \
             for (; i < width; i++)                                                                   \
                 out[i] = (((out[i] + x[k] * w[i]) + x[k + 1] * w1[i]) + x[k + 2] * w2[i]) + x[k + 3] * w3[i]; \
