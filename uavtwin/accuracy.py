@@ -30,7 +30,7 @@ from twin.explain.explanation import Explanation
 from twin.flight.assembly import driven_twin
 from twin.formatting import counted, joined
 from twin.logs import AnyFlight
-from twin.physics.accuracy import REGIMES, SEEN, Bands, accuracy
+from twin.physics.accuracy import OF_THE_DAY, REGIMES, SEEN, Bands, accuracy
 from twin.physics.rotors import Drive
 from twin.physics.sensors.table import SENSORS, Sensor
 from twin.representation import short_repr
@@ -56,8 +56,6 @@ FLIGHTS = 2
 """So many flights a band needs: one does not say how flights differ."""
 HALF = 0.5
 """Share of its windows in which the twin of a flight has to be inside the envelope. Made up."""
-OF_THE_DAY = "barometer"
-"""Sensor whose reading the weather of a day shifts, of which a vehicle file knows nothing."""
 STARTS = {PLAIN: 0.0, OBSERVED: 1.0}
 """Of the switch of the observer, by twin."""
 WORDS = {PLAIN: "the twin without an observer", OBSERVED: "the twin with one"}

@@ -1,6 +1,7 @@
 """Addresses as options give them, and the sockets that are opened there."""
 
 import contextlib
+import os
 import re
 import socket
 from dataclasses import dataclass
@@ -63,19 +64,20 @@ def listening(where: Address, connections: bool = False) -> socket.socket:
     Raises:
         TwinError: Another program listens there, or the address is none of this machine.
     """
-    opened = None if connections else _socket(where)
+    opened = socket.socket(where.family, socket.SOCK_STREAM) if connections else _socket(where)
     try:
-        if opened is None:
-            return socket.create_server(where.pair, family=where.family, backlog=128)
+        if connections and os.name == "posix":  # elsewhere it lets two programs listen
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         opened.bind(where.pair)
-        return opened
+        if connections:
+            opened.listen(128)
     except OSError as error:
-        if opened is not None:
-            opened.close()
+        opened.close()
         raise TwinError(
             f"{where}: cannot be listened at: {error.strerror or error}. Choose another port, or "
             f"end the program that listens there."
         ) from None
+    return opened
 
 
 def sending(where: Address) -> socket.socket:

@@ -221,6 +221,8 @@ def test_what_was_not_compared_is_nowhere_valid_and_the_card_says_why(
     same = ut.twin(COPTER, drive="command", accuracy=found)
     wanted = ["uncertainty_characterization=2"]
     export_parts([same], card=card, require=wanted)
+    of_the_day = {"barometer.ground_pressure": 99_000.0}
+    export_parts([same], starts=of_the_day, card=card, require=wanted)
     with pytest.raises(TwinError, match="start values are set"):
         export_parts([same], starts={"airframe.mass": 1.2}, card=card, require=wanted)
     export_parts([same], starts={"airframe.mass": 1.2}, card=card)(tmp_path, lambda _: None)

@@ -167,3 +167,26 @@ def test_an_ssp_of_a_twin_is_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     dated = "2023-11-14T22:13:20Z"
     for name in (SRMD, STMD, SSD_FILE):
         assert etree.fromstring(members[name]).get("generationDateAndTime") == dated
+
+
+@pytest.mark.parametrize(
+    ("names", "source", "found"),
+    [
+        (["a.ulg", "b.ulg"], "a and b", ["a.ulg", "b.ulg"]),
+        (["a.ulg", "a.toml"], "a", ["a.ulg"]),
+        (["a.ulg", "a.csv", "b.bin"], "a and b", ["b.bin"]),
+        (["salt and pepper.ulg"], "salt and pepper", ["salt and pepper.ulg"]),
+    ],
+)
+def test_a_number_leads_to_the_flights_that_it_names(
+    tmp_path: Path, names: list[str], source: str, found: list[str]
+) -> None:
+    folder = explained(tmp_path / "a")
+    inputs = [{"name": n, "sha256": str(i) * 64} for i, n in enumerate(names)]
+    (folder / "run.json").write_text(json.dumps({"inputs": inputs}))
+    file = folder / "vehicle.toml"
+    file.write_text(file.read_text().replace("uavtwin explain, a", f"uavtwin explain, {source}"))
+    root = etree.fromstring(task_meta_data(card_of(folder), {}))
+    resources = {r.get("id"): r.get("description") for r in root.iter("{*}Resource")}
+    (taught_by,) = entries(root, "derivation").values()
+    assert [resources[i] for i in taught_by.split()] == found

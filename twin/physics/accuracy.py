@@ -43,6 +43,9 @@ OFF = {
     **{s.name: s.plain_unit.replace("^", "") for s in SENSORS},
 }
 """What a twin may be off in, lengths of vectors, and its unit."""
+OF_THE_DAY = "barometer"
+"""Sensor whose reading the weather of a day shifts, of which a vehicle file knows nothing: its
+parameter `ground_pressure` has to be given for its band to hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +181,8 @@ def _judged(
         )
         off = ca.if_else(used <= calm, calm_band, lively_band)
         about = f"95 % of the times {name} was off by no more than this, where valid"
+        if name == OF_THE_DAY:
+            about += " and ground_pressure is that of the day"
         _held(m, f"error_95.{name}", unit, about, off)
 
 

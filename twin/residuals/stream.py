@@ -80,7 +80,7 @@ class RecentFlight(Flight):
         known = frozenset(c for c in rows if c == "phase" or not np.isnan(rows[c]).all())
         of_flight: dict[str, Any] = {"name": name, "findings": (), "facts": {}, "settled": settled}
         of_flight |= dict.fromkeys(("source", "site", "autopilot"))
-        of_flight |= {"airframe": airframe, "speeds_late_s": 0.0}
+        of_flight |= {"airframe": airframe, "speeds_late_s": 0.0, "derived_angles": ()}
         for key, value in {**of_flight, "_by": rows, "_known": known}.items():
             object.__setattr__(self, key, value)
 

@@ -10,6 +10,7 @@ not go along is named by its SHA-256 (RFC 6920).
 import re
 import zipfile
 from base64 import urlsafe_b64encode
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path, PurePath
@@ -151,11 +152,21 @@ def _refer(where: etree._Element, ids: Iterable[str]) -> None:
 def _derived(
     sources: Mapping[str, str], given: Sequence[str], ids: Mapping[str, str]
 ) -> dict[str, str]:
-    """Number -> resources of the flights that gave it, of those that are known by their hashes."""
-    own = {PurePath(n).stem: ids[n] for n in given}
-    taught = {k: re.split(", | and ", s) for k, s in sources.items() if s.startswith(OF_FLIGHTS)}
-    named = {k: [own[n] for n in names if n in own] for k, names in taught.items()}
+    """Number -> resources of the flights that gave it, of those that are known by their hashes and
+    that have their name alone."""
+    stems = Counter(PurePath(n).stem for n in given if not n.endswith(".toml"))
+    own = {PurePath(n).stem: ids[n] for n in given if not n.endswith(".toml")}
+    named = {
+        k: [own[n] for n, count in stems.items() if count == 1 and _names(s, n)]
+        for k, s in sources.items()
+        if s.startswith(OF_FLIGHTS)
+    }
     return {k: " ".join(found) for k, found in named.items() if found}
+
+
+def _names(source: str, flight: str) -> bool:
+    """Whether the source of a number, "uavtwin explain, a and b, 0.1 to 0.2", names a flight."""
+    return re.search(rf"(, | and ){re.escape(flight)}(?=, | and |$)", source) is not None
 
 
 def _classified(where: etree._Element, kind: str, entries: Mapping[str, str]) -> None:

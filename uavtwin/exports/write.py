@@ -241,8 +241,10 @@ def _twin_products(twin: Twin, starts: Starts) -> list[Product]:
 
 
 def _bands(twin: Twin, starts: Starts) -> FactorRecord | None:
-    """What is known of the bands of a twin: with other start values it is not the compared one."""
-    if twin.bands is None or not twin.bands.level or not starts.values:
+    """What is known of the bands of a twin: with other start values it is not the compared one, but
+    for the pressure of the day, which every flight had its own of."""
+    others = [n for n in starts.values if not n.endswith("barometer.ground_pressure")]
+    if twin.bands is None or not twin.bands.level or not others:
         return twin.bands
     return FactorRecord(level=0, because="bands of outputs: start values are set")
 

@@ -59,7 +59,8 @@ class SweepTask:
     Attributes:
         key: Hash of the sweep.
         stands: Systems.
-        limits: Of the process that the FMUs run in; the time as a whole is that of one run.
+        limits: Of the process that the FMUs run in, where it is not that of the sweep (lanes); the
+            time as a whole is that of one run.
         keep: Whether recordings are wanted.
     """
 
@@ -209,7 +210,8 @@ class Work(Workers):
 
     Attributes:
         recordings: Whether every output of every run is stored.
-        limits: Of the processes that FMUs run in; the time as a whole is that of one run.
+        limits: Of the processes that FMUs run in, where these are not the sweep's (lanes); the time
+            as a whole is that of one run.
     """
 
     recordings: bool = False
@@ -268,7 +270,7 @@ def sweep(
         workers: Processes of the local engine; default: one per core.
         scheduler: Address of a Dask scheduler.
         recordings: Whether every output of every run is stored.
-        limits: Of the processes that FMUs run in.
+        limits: Of the processes that FMUs run in, where these are not the sweep's (lanes).
         force: Whether files in the folder may be replaced.
         progress: Called with the share done, 0..1.
 
