@@ -46,7 +46,7 @@ SPREAD = 0.5
 LEAST_THRUST = 0.85
 """Of the file: rotors that are weaker saturate on the way."""
 LOG_S = 0.005
-"""Between two rows of the log, of which a command is the one just given."""
+"""Between two rows of the log; a command in it is the mean of those until the next."""
 FORCE_M_S2, FORCE_S = 0.5, 1.0
 """Deviation of the disturbance in force over mass, and its time constant."""
 TURN_RAD_S2, TURN_S = (2.0, 2.0, 0.4), 0.15
@@ -118,13 +118,17 @@ def flown(case: Case) -> Flight:
     if case.mission == "tour":
         setpoints[:, 9] = _heading(np.asarray(STEP_S * np.arange(len(setpoints))))
     drives = motor_columns("cmd", VEHICLE.rotors.count)
-    imu = (Stream(ACC, LOG_S, 0.05), Stream(GYRO, LOG_S, 0.005)) if case.log == "imu" else ()
+    imu = (Stream(ACC, STEP_S, 0.05), Stream(GYRO, STEP_S, 0.005)) if case.log == "imu" else ()
     pose = Stream(POS, 0.01, 0.001), Stream(VEL, 0.01, 0.01), Stream(QUAT, 0.01, 0.0005)
-    recorder = Recorder((Stream(drives, LOG_S), *imu, *pose), 1 / LOG_S, 1 / STEP_S, case.seed)
+    recorder = Recorder((Stream(drives, STEP_S), *imu, *pose), 1 / STEP_S, 1 / STEP_S, case.seed)
     courses = _disturbances(len(setpoints), np.random.default_rng([case.seed, 2]))
     flight = simulate_flight(
         setpoints, phases, VEHICLE, plant, recorder, case.name, courses=courses
     )
+    every, table = round(LOG_S / STEP_S), flight.table
+    means = table[list(drives)].rolling(every).mean().shift(1 - every)
+    table = table.assign(**{c: means[c] for c in drives}).iloc[::every].iloc[:-1]
+    flight = replace(flight, table=table.reset_index(drop=True))
     return replace(flight, autopilot=_with_feedback(flight, setpoints))
 
 

@@ -343,7 +343,7 @@ REFUSED: dict[str, tuple[dict[str, str], str]] = {
         {r'StepSizeHint value="[^"]*"': 'StepSizeHint value="0"'},
         r"StepSizeHint = '0' must be above 0 s",
     ),
-    "too large": ({r"$": " " * (32 * 2**20)}, r"SystemStructure\.ssd has \d+ bytes, more than"),
+    "too large": ({r"$": " " * (32 * 2**20)}, r"SystemStructure\.ssd is larger than \d+ bytes"),
     "doctype": (
         {r"<ssd:SystemStr": '<!DOCTYPE a [<!ENTITY b "c">]><ssd:SystemStr'},
         r"SystemStructure\.ssd has a DOCTYPE",

@@ -39,8 +39,8 @@ def test_the_table_is_the_flight(
         assert before.airframe is not None and before.airframe.layout is not None
         about = [noted(Notes(site=f.site, airframe=f.airframe)) for f in (before, after)]
         assert about[0] == about[1]
-    noted = json.loads((out.parent / "flight.run.json").read_text())
-    assert noted["verb"] == "convert" and noted["inputs"][0]["name"] == "flight.bin"
+    record = json.loads((out.parent / "flight.run.json").read_text())
+    assert record["verb"] == "convert" and record["inputs"][0]["name"] == "flight.bin"
 
 
 def test_an_mcap_of_ours_is_no_log(

@@ -359,7 +359,7 @@ class Alignment:
         start_s, next_s = self.times(0, 2)
         self.step_s = float(next_s - start_s)
         self.motion = motion or measured_motion(flight)
-        self._signals = InputSignals(flight, vehicle, self.airframe, self.step_s)
+        self._signals = InputSignals(flight, vehicle, self.airframe)
         warnings = consistency(flight, vehicle).warnings
         self.notes = (*warnings, *self.motion.notes, *self._signals.notes)
         self.carries = 1.0

@@ -364,7 +364,7 @@ class RunningGrid:
         if end <= first:
             return None
         t_s = np.arange(first, end).astype(np.float64) * self.step_s
-        signals = InputSignals(window, self._vehicle, self.airframe, self.step_s)
+        signals = InputSignals(window, self._vehicle, self.airframe)
         self._columns = signals.columns
         block = self._grid.block(signals, motion, first, t_s)
         rotors, u = block.inputs.rotor_states, block.inputs.u

@@ -176,6 +176,8 @@ class _Sampled:
 
 GRID_S = 1e-3
 """Step of the grid, s: the communication step of the co-simulation."""
+SAMPLED_HZ = 30.0
+"""Flight controllers command their motors more often; a log below it holds samples of that."""
 SPIN_RATE = "spin_rate_"
 """Prefix of the airframe's inputs for rotor accelerations."""
 _WARM_UP_S = 2.0
@@ -277,9 +279,7 @@ def drive_warnings(flight: AnyFlight, vehicle: Vehicle) -> list[str]:
 class InputSignals:
     """What a flight holds of the inputs of an airframe.
 
-    Commands and voltage hold a sample about the middle of the time for which it was given, and act
-    on rotors that follow them with their mean over a step; measured rotor speeds are linear between
-    two.
+    Commands and voltage hold their last sample; measured rotor speeds are linear between two.
     What no flight table holds, such as the wind, stays at its start value; rotor accelerations are
     those of the measured rotor speeds. Effects of the vehicle by which commands act late act here,
     so that they are to be off in the airframe: a delay line has no past where an airframe is
@@ -290,12 +290,8 @@ class InputSignals:
         notes: What was assumed.
     """
 
-    def __init__(
-        self, flight: AnyFlight, vehicle: Vehicle, airframe: Component, step_s: float = GRID_S
-    ) -> None:
-        """Arguments: a flight, its vehicle and airframe, and the step of the grid."""
+    def __init__(self, flight: AnyFlight, vehicle: Vehicle, airframe: Component) -> None:
         late_s = late_actions(vehicle)
-        over_s = _of_a_step(step_s) - (0.0 if rotor_states_of(airframe) else step_s / 2)
         self._start = airframe.input_values()
         self._at: dict[int, Callable[[Array], Array]] = {}
         columns, notes = [], []
@@ -308,11 +304,11 @@ class InputSignals:
                 signal = signal_of(flight, [name])
                 delay_s = late_s.get(name.rpartition("_")[0])
                 if delay_s is not None:
-                    self._at[i] = partial(_arriving, signal, over_s, delay_s)
+                    self._at[i] = partial(_arriving, signal, delay_s)
                 elif name.startswith("rotor_"):
                     self._at[i] = partial(_speed, signal)
                 else:
-                    self._at[i] = partial(_held, signal, over_s)
+                    self._at[i] = partial(_held, signal)
                 columns.append(name)
             else:
                 notes.append(
@@ -329,21 +325,14 @@ class InputSignals:
         return u
 
 
-def _of_a_step(step_s: float) -> Array:
-    """Times of a step, s: two in each period of the controller, none where a sample may begin."""
-    n = 2 * max(1, round(step_s / COMMAND_PERIOD_S))
-    return np.asarray(step_s * (np.arange(n) + 0.5) / n)
+def _held(signal: AnySignal, t_s: Array) -> Array:
+    return signal.held(t_s + _ahead_s(signal))[:, 0]
 
 
-def _held(signal: AnySignal, over_s: Array, t_s: Array) -> Array:
-    """Mean over some times after each time of what is held; shape (n,).
-
-    The controller holds a sample for its own period from the stamp on, the log until the next one,
-    of which the middle is later by half of the difference.
-    """
-    ahead_s = max(1 / signal.rate_hz - COMMAND_PERIOD_S, 0.0) / 2 if signal.rate_hz else 0.0
-    times = t_s[:, None] + over_s + ahead_s
-    return np.asarray(signal.held(times.ravel())[:, 0].reshape(times.shape).mean(axis=1))
+def _ahead_s(command: AnySignal) -> float:
+    """By how much a held command is early: half a period of a log that samples commands more seldom
+    than any flight controller gives them, of which holding makes the mean late by as much."""
+    return 0.5 / command.rate_hz if 0 < command.rate_hz < SAMPLED_HZ else 0.0
 
 
 def _speed(signal: AnySignal, t_s: Array) -> Array:
@@ -358,15 +347,16 @@ def _speed(signal: AnySignal, t_s: Array) -> Array:
     return speed
 
 
-def _arriving(command: AnySignal, over_s: Array, delay_s: float, t_s: Array) -> Array:
+def _arriving(command: AnySignal, delay_s: float, t_s: Array) -> Array:
     """A held command a while later, as the airframe's delay line has it; shape (n,).
 
     The line is sampled at the end of each period, where what was held over it counts.
     """
+    t_s = t_s + _ahead_s(command)
     periods = max(delay_s / COMMAND_PERIOD_S, 1.0)
     whole = int(periods + 1e-9)
     after, before = (
-        _held(command, over_s, t_s - back * COMMAND_PERIOD_S) for back in (whole, whole + 1)
+        command.held(t_s - back * COMMAND_PERIOD_S)[:, 0] for back in (whole, whole + 1)
     )
     return np.asarray(after + max(periods - whole, 0.0) * (before - after))
 
