@@ -89,7 +89,7 @@ class VerifyResult(DisplayMixin):
         for d in self.deviations:
             said = "comes out the same" if d.passed else "comes out otherwise"
             yield (
-                f"{self.file}: {d.experiment} {said}: of {d.outputs} outputs, {d.zero} zero "
+                f"{self.file}: experiment {d.experiment} {said}: of {d.outputs} outputs, {d.zero} zero "
                 f"throughout, {d.output} is most off, {d.share:.2g} of its reference "
                 f"({d.tolerance:g} allowed)."
             )

@@ -3,7 +3,7 @@
 `RowBuffer` waits for messages that were overtaken. `raw.tlog` holds every message with its time of
 arrival. Tables grow as Arrow streams (`flight.arrows`) and become Parquet (`flight.parquet`) at the
 end. A new section, after a restart of the aircraft's clock, has a number: `flight_2.parquet`.
-`errors.txt` holds tracebacks of parts of the program that failed in flight (`worker.FaultIsolation`).
+`errors.txt` holds tracebacks of parts of the program that failed in flight (`FaultIsolation`).
 """
 
 import heapq
