@@ -129,7 +129,8 @@ def _too_few(flights: Sequence[object]) -> str:
     """Why flights have no bands; "": there are enough of them."""
     if len(flights) >= FLIGHTS:
         return ""
-    return f"{counted(flights, 'flight')} held out could be compared, {FLIGHTS} are needed: --holdout once for each"
+    there = f"{counted(flights, 'flight')} held out could be compared"
+    return f"{there}, {FLIGHTS} are needed: give --holdout for each"
 
 
 def _envelope(flight: Windows, limits: Array) -> Array:

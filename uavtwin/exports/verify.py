@@ -89,8 +89,8 @@ class VerifyResult(DisplayMixin):
         for d in self.deviations:
             said = "comes out the same" if d.passed else "comes out otherwise"
             yield (
-                f"{self.file}: experiment {d.experiment} {said}: of {d.outputs} outputs, {d.zero} zero "
-                f"throughout, {d.output} is most off, {d.share:.2g} of its reference "
+                f"{self.file}: experiment {d.experiment} {said}: of {d.outputs} outputs, "
+                f"{d.zero} zero throughout, {d.output} is most off, {d.share:.2g} of its reference "
                 f"({d.tolerance:g} allowed)."
             )
 
