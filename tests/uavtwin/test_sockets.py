@@ -14,7 +14,13 @@ def test_every_address_of_a_machine_takes_connections_by_ipv4_too() -> None:
     except (OSError, TwinError):
         pytest.skip("no IPv6 here")
     with server:
-        socket.create_connection(("127.0.0.1", server.getsockname()[1]), timeout=60).close()
+        port = server.getsockname()[1]
+        with socket.create_connection(("127.0.0.1", port), timeout=60) as client:
+            server.settimeout(60)
+            accepted, (host, *_) = server.accept()
+            with accepted:
+                client.sendall(b"x")
+                assert accepted.recv(1) == b"x" and host == "::ffff:127.0.0.1"
 
 
 def test_an_address_of_another_machine_is_told() -> None:
