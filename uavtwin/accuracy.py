@@ -57,7 +57,7 @@ FLIGHTS = 2
 HALF = 0.5
 """Share of its windows in which the twin of a flight has to be inside the envelope. Made up."""
 STARTS = {PLAIN: 0.0, OBSERVED: 1.0}
-"""Of the switch of the observer, by twin."""
+"""Start value of the observer's switch, by twin."""
 WORDS = {PLAIN: "the twin without an observer", OBSERVED: "the twin with one"}
 """What these are called."""
 
@@ -67,11 +67,11 @@ class Windows:
     """What a twin was off in one flight, w times left alone, at each of h times.
 
     Attributes:
-        name: Of the flight.
+        name: Name of the flight.
         left: `SEEN` when it was left alone: what the aircraft went through, shape (w, 4).
         seen: `SEEN` at the horizons, what the twin went through, shape (w, h, 4).
-        off: By quantity, lengths of vectors, NaN where nothing was read, shape (w, h) each; of the
-            sensor `OF_THE_DAY` less the median of the flight when the twin was left alone.
+        off: Length of the error vector by quantity, NaN without a reading, shape (w, h) each;
+            for the sensor `OF_THE_DAY` minus its median over the flight at the start of windows.
     """
 
     name: str
@@ -214,7 +214,7 @@ def measured_accuracy(
 
     Args:
         vehicle: Whose twins.
-        flights: That took no part in its fit.
+        flights: Flights that took no part in the fit of the vehicle.
         progress: Called with the share done.
 
     Raises:
@@ -277,7 +277,7 @@ def write_accuracy(
     Args:
         found: What was found; nothing is written where nothing is named.
         held_out: Flights; nothing is written without.
-        folder: Of the results.
+        folder: Folder of the results.
         steps: Takes it as one of its own: the compiler may fail, the disk be full.
         progress: Called with the share done.
         tell: Called with why twins have no bands, where some have none.

@@ -43,7 +43,7 @@ class NumberRecord(Record, frozen=True, kw_only=True):
 
     Attributes:
         name: "effect.number".
-        value: In its unit.
+        value: Estimate, in `unit`.
         unit: SI.
         ci95: 95 % interval; null: it has none.
         no_effect: Value where the effect is absent.
@@ -66,7 +66,7 @@ class DifferenceRecord(Record, frozen=True, kw_only=True):
     """A number that stands out of the day of a flight.
 
     Attributes:
-        difference: From what all flights share.
+        difference: Number of this flight minus the one that all flights share.
         sd: Its standard deviation.
     """
 
@@ -96,8 +96,8 @@ class CalibrateRecord(Record, frozen=True, kw_only=True):
         vehicle: Name of the draft.
         flights: Names of those that were fitted.
         warnings: What a reader must know, flights that were left out among it.
-        hover: Of each flight that hovers, with the draft.
-        numbers: In the order of what matters.
+        hover: Hover of each flight that hovers, by the draft.
+        numbers: Fitted numbers, the most important first.
         undetermined: Numbers that these flights do not determine.
         days: How much days differ.
         fly_next: Flights that would determine them.
@@ -397,7 +397,7 @@ def _says(n: Number, found: Calibrated) -> bool:
 
 
 def _room(effect: str) -> int:
-    """Of what an effect is: 0 the aircraft, 1 its sensors and its day, 2 its records."""
+    """Sort key of an effect: 0 the aircraft, 1 its sensors and its day, 2 its records."""
     about = EFFECTS[effect]
     if not about.of_vehicle:
         return 2

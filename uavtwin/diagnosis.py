@@ -24,7 +24,7 @@ from .record import Record
 LEAST_LISTED = 0.01
 """Probability from which on an alternative is listed; the record has all."""
 LARGEST = {"1": 1.0, "rad": pi / 2, "m": 50.0}
-"""By unit, beyond which a size that would have shown says nothing: all of the thrust, the mass or
+"""Largest useful detection limit by unit; a larger one says nothing: all of the thrust, the mass or
 the field, a quarter of a turn, more than a barometer is ever off."""
 MOST_NOISE = 9.0
 """The same of noise: ten times the usual."""

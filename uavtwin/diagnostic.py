@@ -21,7 +21,7 @@ from .diagnosis import WhyResult
 from .output import json_text, output_file
 
 _CLOCK = re.compile(r"t = 0 is (\d+\.\d+) s after boot")
-"""In the facts of a flight: what takes its times to the clock of the autopilot."""
+"""Fact of a flight that gives the offset between its time and the clock of the autopilot."""
 CRITICAL, WARNING, INFO = "critical", "warning", "info"
 """Severities: control is lost after it; a cause; a consequence."""
 

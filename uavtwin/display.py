@@ -18,7 +18,7 @@ class TextTable:
     """Cells as text.
 
     Attributes:
-        header: Of each column.
+        header: Heading of each column.
         rows: A cell per column.
         unbroken: Columns of which no cell goes on in the next line.
     """
@@ -53,7 +53,7 @@ class TextTable:
         )
 
     def html(self) -> str:
-        """As an HTML table."""
+        """The table as HTML."""
         head, *body = (
             "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in line)
             for tag, line in [("th", self.header), *(("td", row) for row in self.rows)]

@@ -1,4 +1,4 @@
-"""Where the searches of `explain` stand, in a file: a run that was killed goes on from there."""
+"""Journal of the searches of `explain`: a run that was killed continues from this file."""
 
 import hashlib
 import json
@@ -23,11 +23,11 @@ JOURNAL = "explain.part"
 
 
 class _Content(msgspec.Struct, frozen=True):
-    """Of the file.
+    """Content of the journal file.
 
     Attributes:
-        key: Of the run that wrote it.
-        points: Of each search that it has begun, as MessagePack.
+        key: Key of the run that wrote it.
+        points: State of each search that has begun, as MessagePack.
     """
 
     key: str
@@ -45,8 +45,8 @@ class ExplainJournal(Checkpoint):
         """Read what a run with the same key has left.
 
         Args:
-            path: Of the file.
-            key: Of the run, see `run_key`.
+            path: The journal file.
+            key: Key of the run, see `run_key`.
         """
         self._path, self._key = path, key
         self._points: list[msgspec.Raw] = []
@@ -101,9 +101,9 @@ def run_key(
     Args:
         flights: Logs to fit on.
         held: Logs held out.
-        vehicle: As it stands.
+        vehicle: The vehicle, unchanged.
         options: What else it was called with, as JSON has it.
-        settings: Of the search.
+        settings: Settings of the search.
     """
     logs = [[(p.stem, *map(sha256, _files(p))) for p in some] for some in (flights, held)]
     decides = [package_versions(), _sources_hash(), logs, vehicle.toml(), options, settings.hash]

@@ -40,7 +40,7 @@ class ParameterRecord(Record, frozen=True, kw_only=True):
     """A number of an effect.
 
     Attributes:
-        value: In its unit.
+        value: Estimate, in `unit`.
         unit: SI.
         ci95: 95 % interval; null: it has none.
         no_effect: Value in the model, or at the calibration, from which it differs; null for a
@@ -61,8 +61,8 @@ class RivalRecord(Record, frozen=True, kw_only=True):
     """Another explanation than an effect.
 
     Attributes:
-        name: Of an effect, or `nothing`.
-        probability: That it is the cause.
+        name: An effect, or `nothing`.
+        probability: Probability that this is the cause.
         behind: Log probability below the best set with the effect, of the best one with the rival
             in its place; missing where only the probability is known.
         with: Effects that the rival is together with there; missing like `behind`.
@@ -78,13 +78,13 @@ class EffectRecord(Record, frozen=True, kw_only=True):
     """An effect that may be missing.
 
     Attributes:
-        name: Of the effect.
-        probability: That it is missing, alone or with others.
+        name: Name of the effect.
+        probability: Probability that the effect is missing, alone or with others.
         parameters: Its numbers, by name.
         one_of: Other causes that are there where this one is not: effects, or the part of one that
             a rotor or a clock has, "effect:part".
         channels: On which it acts, the clearest first.
-        phases: In which it acts on the clearest one.
+        phases: Flight phases in which it acts on the first of `channels`.
         rivals: Other explanations, the most probable first; of an effect without a mean `nothing`.
     """
 
@@ -101,8 +101,8 @@ class ResemblanceRecord(Record, frozen=True, kw_only=True):
     """An effect that something acts like.
 
     Attributes:
-        name: Of the effect.
-        why: It is not named.
+        name: Name of the effect.
+        why: Why the effect is not named.
     """
 
     name: str
@@ -125,7 +125,7 @@ class ChangeRecord(Record, frozen=True, kw_only=True):
     """A change that would be named.
 
     Attributes:
-        value: Of it.
+        value: Size of the change.
         unit: SI.
     """
 
@@ -138,7 +138,7 @@ class NotVisibleRecord(Record, frozen=True, kw_only=True):
 
     Attributes:
         cause: The effect.
-        number: Of it.
+        number: Name of the number of the effect.
         smallest_detectable: Change that 95 of 100 such flights would show as named; null where it
             exceeds the range considered.
     """
@@ -152,7 +152,7 @@ class DayRecord(Record, frozen=True, kw_only=True):
     """A number that stands out of the day of a flight.
 
     Attributes:
-        difference: From what all flights share.
+        difference: Number of this flight minus the one that all flights share.
         sd: Its standard deviation.
         unit: SI.
     """
@@ -166,9 +166,9 @@ class TermRecord(Record, frozen=True, kw_only=True):
     """A term of an equation.
 
     Attributes:
-        product: Of quantities.
-        coefficient: Of the product.
-        unit: Of the coefficient.
+        product: Product of physical quantities, as text.
+        coefficient: Coefficient of the product.
+        unit: Unit of the coefficient.
     """
 
     product: str
@@ -181,10 +181,10 @@ class EquationRecord(Record, frozen=True, kw_only=True):
 
     Attributes:
         channel: Whose residual it gives.
-        unit: Of the residual.
-        expression: To read.
-        share: Of the power there, out of sample, up to the frequency where the equation ends.
-        terms: To compute with.
+        unit: Unit of the residual.
+        expression: The equation as text.
+        share: Share of residual power explained out of sample, in the equation's frequency band.
+        terms: The terms as numbers.
     """
 
     channel: str
@@ -198,8 +198,8 @@ class DependenceRecord(Record, frozen=True, kw_only=True):
     """A quantity that a residual depends on.
 
     Attributes:
-        quantity: Which.
-        share: Of the power that a curve over it takes.
+        quantity: Name of the quantity.
+        share: Share of residual power explained by a curve over the quantity.
     """
 
     quantity: str
@@ -211,13 +211,13 @@ class PlaceRecord(Record, frozen=True, kw_only=True):
 
     Attributes:
         channel: Its name.
-        phase: Of flight, "" where unknown.
-        unit: Of the rms.
+        phase: Flight phase, "" where unknown.
+        unit: Unit of `rms`.
         n: Samples.
-        rms: Of the residual with the model as it stands.
+        rms: Rms of the residual of the unchanged model.
         over_floor: `rms` over the noise floor of the channel.
         explained: Share of the power that the named effects take.
-        band_hz: Where most of the power lies.
+        band_hz: Frequency band with most of the power.
         goes_with: Quantity that the residual depends on most; null: none.
     """
 
@@ -236,7 +236,7 @@ class ChannelRecord(Record, frozen=True, kw_only=True):
     """A channel of the held-out flights.
 
     Attributes:
-        unit: Of the rms.
+        unit: Unit of `before` and `after`.
         before: Rms with the model as it stood.
         after: Rms with the effects added.
         on_its_day: Rms with these and the constants of these days.
@@ -298,7 +298,7 @@ class ClosedLoopRecord(Record, frozen=True, kw_only=True):
     Attributes:
         stable: Whether all are.
         worst_tracking_m: Largest distance from the setpoint of all.
-        missions: By name.
+        missions: Result of each mission, by name.
     """
 
     stable: bool
@@ -310,8 +310,8 @@ class SettingsRecord(Record, frozen=True, kw_only=True):
     """The numbers that decide.
 
     Attributes:
-        hash: Of all of them, 12 digits.
-        changed: Those that are not the default ones, by name.
+        hash: Hash of all settings, 12 digits.
+        changed: Settings that differ from their defaults, by name.
     """
 
     hash: str
@@ -324,7 +324,7 @@ class OneOfRecord(Record, frozen=True, kw_only=True):
     Attributes:
         cause: Effect.
         rotor: Rotors that it is of, from 1; null: none in particular.
-        probability: Of the cause, whichever rotors it is of; of these rotors where rotors alone
+        probability: Probability of the cause with any rotor; of these rotors where rotors alone
             compete.
     """
 
@@ -337,11 +337,11 @@ class TotalRecord(Record, frozen=True, kw_only=True):
     """What the effects of a family make together.
 
     Attributes:
-        name: Of the family.
+        name: Name of the family.
         effects: Those that it may be, the more probable first.
-        probability: That one of them is there.
-        value: In `unit`.
-        unit: As a person reads it.
+        probability: Probability that one effect of the family is present.
+        value: Size of the sum of the family, in `unit`.
+        unit: Unit for display.
         ci95: 95 % interval.
     """
 
@@ -365,10 +365,10 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
         since: Flights of the calibration since which it is asked what has changed; null: it was
             asked what the model lacks.
         vehicle: Name of the model.
-        nothing_probability: That no effect which changes a mean is missing.
+        nothing_probability: Probability that no effect which changes a mean is missing.
         one_of_causes: Causes, one of which it is, and that these flights cannot tell apart.
-        outside_probability: That a cause is none of the library, though the best set gives it a
-            name.
+        outside_probability: Probability that the cause lies outside the library, though the best
+            set gives it a name.
         effects: For `named` and `cannot_tell`, the surest first.
         undecided: Those of `effects`, for `named`, that something else may stand for.
         totals: What is sure of families of effects. Where several of a family may be there, its
@@ -380,7 +380,7 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
         doubtful: Effects that the new vehicle file has beside these, too doubtful for a name: each
             number is its mean over all sets of effects.
         driven_by: What drives the twin of each flight, and why.
-        hover: Of each flight that hovers.
+        hover: Hover of each flight that hovers.
         not_visible: Effects that are not in the final set.
         per_flight: What stands out of a day: flight, then "effect.number".
         unnamed: Equations for what no effect explains.

@@ -82,7 +82,7 @@ class ExplainResult(PageMixin):
 
     @property
     def verdict(self) -> str:
-        """In a word: named, nothing, unnamed, cannot_tell, unusable."""
+        """The verdict: named, nothing, unnamed, cannot_tell or unusable."""
         return self.details.verdict
 
     @property
@@ -147,8 +147,8 @@ class ExplainResult(PageMixin):
 
     @cached_property
     def vehicle_today(self) -> vehicles.Vehicle | None:
-        """Of several flights, the same with the constants of the day of the last one; None where
-        none stands out of it."""
+        """The corrected vehicle with the day's constants of the last of several flights; None where
+        none of them differs from its mean."""
         return vehicle_today(self.details)
 
     @property
@@ -283,7 +283,7 @@ class ExplainResult(PageMixin):
         )
 
     def series(self) -> "tuple[Series, ...]":
-        """Of each held-out flight measured, twin and residual over time, with and without the named
+        """Measured, twin and residual over time of each held-out flight, with and without named
         effects; none where nothing could be held out."""
         compared_with = self.details.comparison
         if compared_with is None:
@@ -297,8 +297,8 @@ class ExplainResult(PageMixin):
         "effect.number", and `included`, whether an effect is in the candidate model drawn.
 
         Args:
-            draws: Of each of four chains; they are independent.
-            seed: Of the draws.
+            draws: Draws of each of the four chains; they are independent.
+            seed: Seed of the draws.
 
         Raises:
             TwinError: ArviZ is not installed, or nothing was fitted.
@@ -400,11 +400,11 @@ def explain(
         flights: To fit on.
         holdout: Flights that take no part in the fit and show the gap; none (`[]`): blocks of time
             of the others stand in, which is weaker.
-        vehicle: As it stands, to ask what it lacks.
+        vehicle: The model to be examined.
         since: Instead of it, a vehicle that was calibrated, to ask what has changed since then: its
             numbers are held as well as they are known.
         payloads: Known mass aboard by the name of a flight, kg.
-        seed: Of every bootstrap.
+        seed: Seed of every bootstrap.
         missions: To fly with the new model at the end; default: all.
         settings: The numbers that decide what is said, `docs/reference/settings.md`.
         indoors: Whether all flights were within walls; default: as each flight says, outdoors
@@ -587,7 +587,7 @@ def write_fmus(
 
     Args:
         found: What was found.
-        folder: Of the results.
+        folder: Folder of the results.
         steps: Takes the build as one of its own: the compiler may fail, the disk be full.
         progress: Called with the share done.
     """

@@ -43,11 +43,11 @@ class FlightHover(Record, frozen=True, kw_only=True):
         drive: `command`, or `rotor_speed` in rad/s.
         level: Median of the mean of the motors.
         each: Median of each motor.
-        split: Of each motor, over the mean of all, less one.
+        split: Output of each motor over the mean of all motors, minus 1.
         seconds: How long it is.
         hovers: False: the flight hovers nowhere, this is all of it.
         voltage_v: Median battery voltage; null: not logged.
-        twin: With `--vehicle`; null without.
+        twin: Hover of the twin; only with `--vehicle`.
     """
 
     drive: str
@@ -93,7 +93,7 @@ class CheckReport(Record, DisplayMixin, frozen=True, kw_only=False):
         good_for: What it can be used for.
         observable: Effects that `explain` can look for in a flight, by component.
         not_observable: Effects that it cannot, and what is missing.
-        hover: Of a flight; null: it has none.
+        hover: Hover of the flight; null: it does not hover.
     """
 
     file: str
@@ -320,7 +320,7 @@ def check_flight(flight: AnyFlight, file: str, vehicle: Vehicle | None = None) -
     """Look at one flight that is read already.
 
     Args:
-        flight: As `open_flight` gives it.
+        flight: A flight from `open_flight`.
         file: Name of its file.
         vehicle: Whose hover is compared with that of the flight.
 

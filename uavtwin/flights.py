@@ -28,7 +28,7 @@ def read_flights(
 
     Args:
         patterns: Files, or patterns such as `logs/fit_*.ulg` and `logs/**/*.parquet`.
-        rebuild_commands: As for `read_flight`.
+        rebuild_commands: See `read_flight`.
         trust_vehicle: Whether what the logs state of their rotors is left out, so that no vehicle
             contradicts it.
 
@@ -57,9 +57,9 @@ def read_alike(
 
     Args:
         paths: Files.
-        rebuild_commands: As for `read_flight`. None: where the commands of one flight cannot be
-            rebuilt, or are not those that were flown, those of none of the same aircraft are.
-        trust_vehicle: As of `read_flights`.
+        rebuild_commands: See `read_flight`. None: where the commands of one flight cannot be
+            rebuilt, or are not those that were flown, no flight of the aircraft is rebuilt.
+        trust_vehicle: See `read_flights`.
 
     Raises:
         LogError: A file cannot be used, or two hold the same flight.

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 Progress = Callable[[float], None]
 WHOLE = "whole flight"
-"""In the column of phases: all samples."""
+"""Label of all samples in the column of phases."""
 MOST_PLACES = 10
-"""Of the ranked places in `gap.json`."""
+"""Number of ranked places in `gap.json`."""
 AGREEMENT = 0.1
 """Share of the signal below which the slow part of a residual is called agreement. With the noise
 of the built-in flights alone it reaches 0.08."""
@@ -40,7 +40,7 @@ class HoverErrors(Record, frozen=True, kw_only=True):
     """Standard errors of a diagnosis in hover.
 
     Attributes:
-        carried, back_m, right_m, lean_forward_rad, lean_right_rad: Of the key of this name.
+        carried, back_m, right_m, lean_forward_rad, lean_right_rad: Standard error of each.
     """
 
     carried: float
@@ -71,14 +71,14 @@ class HoverRecord(Section, frozen=True, kw_only=True):
         flight: Its name.
         seconds: Length of the hover.
         carried: Thrust of the twin at the logged commands over what the flight shows.
-        back_m: By how much the centre of mass would have to be further back for the mean moment of
+        back_m: Distance by which the centre of mass would have to move back for the mean moment of
             the twin about pitch to vanish as that of the flight does; null: no body rates.
-        right_m: By how much further right, about roll.
+        right_m: The same to the right, for the moment about roll.
         lean_forward_rad: Angle by which the thrust of the flight leans forward of that of the twin,
             of the rotors or of the board with the accelerometer.
         lean_right_rad: The same to the right.
         sd: Standard errors.
-        split: Of each motor its command, else its speed, over the mean of all, less one.
+        split: Command of each motor, or else its speed, over the mean of all motors, minus 1.
         weakest: The single rotor that would do what `back_m` and `right_m` do; null: none would.
     """
 
@@ -115,12 +115,12 @@ class GapFlight(Record, frozen=True, kw_only=True):
     """A flight that was compared with its twin.
 
     Attributes:
-        name: Of the flight.
-        vehicle: Of the twin.
+        name: Name of the flight.
+        vehicle: Name of the vehicle.
         duration_s: Length of what was compared.
         n: Samples compared.
-        phases: Of the flight.
-        facts: Of its log, as text.
+        phases: Phases of the flight.
+        facts: Facts that the log states, as text.
         hover: Null where it does not hover.
         driven_by: What drives the twin, and why where its log has rotor speeds that do not.
     """
@@ -140,10 +140,10 @@ class ScoreRecord(Record, frozen=True, kw_only=True):
 
     Attributes:
         n: Samples.
-        rms: Of the residual, in the unit of the channel.
-        mean: Of the residual.
+        rms: Rms of the residual, in the unit of the channel.
+        mean: Mean of the residual.
         share: `rms` over the rms of the measured signal about its mean.
-        slow_rms: Of the residual below 10 Hz.
+        slow_rms: Rms of the residual below 10 Hz.
         rms_ci95: 95 % interval of `rms`.
     """
 
@@ -161,8 +161,8 @@ class BandRecord(Record, frozen=True, kw_only=True):
     Attributes:
         from_hz: Lower edge.
         to_hz: Upper edge; null: half the sample rate.
-        measured_rms: Of the measured signal in the band.
-        residual_rms: Of the residual in the band.
+        measured_rms: Rms of the measured signal in the band.
+        residual_rms: Rms of the residual in the band.
     """
 
     from_hz: float
@@ -175,10 +175,10 @@ class GapChannel(ScoreRecord, frozen=True, kw_only=True):
     """A channel of all flights together.
 
     Attributes:
-        unit: Of the numbers.
+        unit: Unit of all numbers here.
         horizon_s: Time since the twin was restarted from the measured state; 0: teacher-forced.
-        bands: The same by frequency.
-        by_phase: By phase.
+        bands: Rms by frequency band.
+        by_phase: Statistics by flight phase.
     """
 
     unit: str
@@ -192,8 +192,8 @@ class GapPlace(ScoreRecord, frozen=True, kw_only=True):
 
     Attributes:
         channel: Its name.
-        phase: Of the flights.
-        unit: Of the numbers.
+        phase: Flight phase.
+        unit: Unit of all numbers here.
     """
 
     channel: str
@@ -206,7 +206,7 @@ class GapRecord(Section, frozen=True, kw_only=True):
 
     Attributes:
         headline: The sentence on top; its `numbers` are empty.
-        flights: That were compared.
+        flights: The flights that were compared.
         channels: All flights together, by channel.
         worst: Ranked places, the worst first.
         warnings: What a reader must know.
@@ -259,7 +259,7 @@ def claim(places: Sequence[Ranked]) -> str:
     """The headline: the place where twin and flight disagree most, in one sentence.
 
     Args:
-        places: Of `twin.residuals.gap.rank`, the worst first.
+        places: Ranked places from `twin.residuals.gap.rank`, the worst first.
     """
     if not places:
         return "There is nothing to compare: no channel has enough finite samples."
@@ -278,8 +278,8 @@ def claim(places: Sequence[Ranked]) -> str:
 
 
 _STEEPER = 2.0
-"""By how much more of its own signal the residual of another channel has to be, to be named beside
-the worst: axes of a vector are ranked by the largest signal of them. Made up."""
+"""A second channel is named when its residual, relative to its own signal, is this many times that
+of the worst channel: axes of a vector are ranked by their largest signal. Made up."""
 
 
 def _steeper(places: Sequence[Ranked]) -> str:
@@ -342,7 +342,7 @@ class GapResult(PageMixin):
 
     @property
     def claim(self) -> str:
-        """Where twin and flights disagree most, in one sentence."""
+        """The place where twin and flights disagree most, in one sentence."""
         return self.headline.text
 
     @property
@@ -474,9 +474,9 @@ def _series(gap: FlightGap) -> "Series":
 
 
 LEAST_BEFORE_S = 5.0
-"""Of a flight before it crashes that is compared alone."""
+"""Shortest part before a crash that is compared alone, s."""
 LAST_S = 120.0
-"""Of a flight that stays in its file, in which a crash is looked for: 40 MB at 1 kHz."""
+"""Length of the end of a flight, left in its file, that is searched for a crash: 40 MB at 1 kHz."""
 
 
 def gap(

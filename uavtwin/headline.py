@@ -131,7 +131,7 @@ def undetectable(smallest: Mapping[str, Detectable], usual: Mapping[str, float])
     """Effects that flights would not show at a usual size; begins with a blank, "" of none.
 
     Args:
-        smallest: By effect the smallest change that would show.
+        smallest: Smallest detectable change, by effect.
         usual: Standard deviation of what is expected, by "effect.number".
     """
     parts = [
@@ -205,8 +205,8 @@ def _which(naming: Naming) -> str:
 
 
 def _shares(naming: Naming) -> dict[str, tuple[float, str]]:
-    """By effect the largest share of a force or moment channel, and the channel; of one that stands
-    for its family that of the family."""
+    """Largest share of a force or moment channel and that channel, by effect; an effect that stands
+    for its family has the share of the family."""
     none = (0.0, "")
     whole = {
         e: max(naming.shares.get(m, none) for m in t.effects) for e, t in naming.standing.items()
@@ -229,7 +229,7 @@ def leading(
 
     Args:
         effects: Named ones.
-        shares: By effect, share and channel.
+        shares: Largest share and its channel, by effect.
         determined: Effects with a number that a headline may give.
         striking: Those of them with one that is far from what was expected.
     """
@@ -250,8 +250,8 @@ def sure_shares(
     the end of its interval that is nearest to no effect. One that may be none takes nothing.
 
     Args:
-        shares: By effect, share and channel.
-        estimates: By effect, its numbers; none: all of the share is sure.
+        shares: Largest share and its channel, by effect.
+        estimates: Numbers of each effect; an effect without numbers keeps all of its share.
     """
     least = {e: max((_nearest(t) for t in own), default=1.0) for e, own in estimates.items()}
     return {e: (least.get(e, 1.0) ** 2 * size, channel) for e, (size, channel) in shares.items()}
@@ -589,9 +589,9 @@ def blind(smallest: Mapping[str, Detectable], since: bool, axes: str = "") -> st
     blank, "" where nothing is known.
 
     Args:
-        smallest: By effect the smallest change that would show.
+        smallest: Smallest detectable change, by effect.
         since: Whether it is a change since a calibration.
-        axes: Of "xyz" those about which no flight asks the aircraft to turn.
+        axes: Axes of "xyz" about which no flight asks the aircraft to turn.
     """
     known = {e: smallest[e] for e in BLIND_ORDER if e in smallest}
     texts = [

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 CHAINS = 4
-"""Of the result: draws are independent, and diagnostics of ArviZ expect several chains."""
+"""Number of chains of the result: draws are independent, and ArviZ's diagnostics expect several."""
 
 
 def inference_data(found: Explanation, draws: int, seed: int) -> "arviz.InferenceData":
@@ -39,8 +39,8 @@ def inference_data(found: Explanation, draws: int, seed: int) -> "arviz.Inferenc
 
     Args:
         found: What was found.
-        draws: Of each chain.
-        seed: Of the draws.
+        draws: Draws of each chain.
+        seed: Seed of the draws.
 
     Returns:
         Groups `posterior` and `prior`: a variable per number, "effect.number", where an effect is

@@ -40,8 +40,8 @@ class TrainRecord(Record, frozen=True, kw_only=True):
     Attributes:
         claim: What the model is good for, a sentence.
         files: Names of what was written, the page first.
-        seed: Of everything that was drawn.
-        options: As they were decided, by name.
+        seed: Seed of all random numbers.
+        options: Options of the training, defaults filled in, by name.
     """
 
     claim: str
@@ -55,12 +55,12 @@ class TrainResult(DisplayMixin):
     """A trained compensator.
 
     Attributes:
-        folder: That holds it: weights, ONNX, vehicle, learning curve, page.
+        folder: Folder of the model: weights, ONNX, vehicle, learning curve, page.
         files: Names of what was written, the page first.
         claim: What it is good for, in one sentence.
-        seed: Of everything that was drawn.
-        options: With which it was trained, as they were decided.
-        tables: What it does in use.
+        seed: Seed of all random numbers.
+        options: Options of the training, defaults filled in.
+        tables: Effect of the model on each reading in use.
     """
 
     folder: Path
@@ -139,17 +139,17 @@ def train(
         folder: To write the model into.
         model: `svq`: ours, taken where nothing is said, but of `free` without epochs; `linear`: no
             network, taken there.
-        preset: Of the model; of `svq` `best`: ours, `paper`: the paper's text, `published`: its
-            code.
+        preset: Preset of the model. For `svq`: `best`: ours, `paper`: the paper's text,
+            `published`: its code.
         protocol: `force`: force and moment inside the equations. Of the sensors: `track`: it sees
             residuals as old as the horizon; `free`: none; `reconstruct`: the present one.
-        horizon: Of `track`, samples.
+        horizon: Samples between the newest residual and the prediction of `track`.
         rate_hz: Samples per second: 1000 over an integer; default: of `free` the IMU's, else 100.
         epochs: Default: the preset's; none for a preset in closed form.
-        seed: Of everything that is drawn; default: the preset's, 0 in most.
+        seed: Seed of all random numbers; default: the preset's, 0 in most.
         device: `cpu`; `cuda`: a GPU; `auto`: a GPU where torch finds one. The same seed gives the
             same bytes on `cpu` alone.
-        license: Of the model, for its card, as Hugging Face names it: `cc-by-4.0`.
+        license: License of the model, for its card, as Hugging Face names it: `cc-by-4.0`.
         law: Folder of a learned force: `free` corrects the sensors of the twin that has it, and the
             new folder holds both.
         force: Whether the folder may hold other files already.
@@ -196,7 +196,7 @@ def run_train(
     Until then the folder holds a checkpoint alone, with which the same call is resumed.
 
     Args:
-        flights, vehicle, force, progress: As of `train`.
+        flights, vehicle, force, progress: See `train`.
         out: Folder of the model.
         wanted: What is trained.
         alongside: Takes the result and the folder to write into what else belongs there.
@@ -317,7 +317,7 @@ def write_measured_card(
     Args:
         model: Folder of the model, which stays as it is.
         found: What `evaluate` returned.
-        flights: That it was measured on.
+        flights: Flights that it was measured on.
         folder: To write it into.
 
     Raises:
@@ -348,9 +348,9 @@ def evaluate(
 
     Args:
         model: What `train` returned, the folder that it wrote, or the name of a shipped model.
-        flights: That it was not trained on.
+        flights: Flights that did not train the model.
         explained: Vehicle that `explain` found, drawn with the model's own.
-        physics: Of a learned force: the vehicle before it was explained, flown with it.
+        physics: Vehicle before it was explained, flown for comparison with a learned force.
         progress: Called with the share done, 0..1.
 
     Raises:

@@ -99,7 +99,7 @@ class Measured:
     """What `uavtwin evaluate` found.
 
     Attributes:
-        content: Of `evaluation.json`.
+        content: Content of `evaluation.json`.
         hashes: `Flight.fingerprint` by the name of a flight.
     """
 
@@ -112,10 +112,10 @@ class Result:
     """Figures of an evaluation.
 
     Attributes:
-        caption: Of the table.
+        caption: Caption of the table.
         table: Models alongside each other.
-        metrics: Of the model itself: `type`, `name`, `value`.
-        worse: Where a baseline is better, a text each.
+        metrics: Metrics of the model itself: `type`, `name`, `value`.
+        worse: One text per metric in which a baseline is better.
         spread: How far the spread holds that the model predicts; None: it predicts none.
     """
 
@@ -193,7 +193,7 @@ def _force_result(content: Mapping[str, Any]) -> Result:
 
 
 def inside_table(content: Mapping[str, Any]) -> Table | None:
-    """Of a learned force: how often it was inside its envelope; None of others."""
+    """Table of how often a learned force was inside its envelope; None for other models."""
     if "inside" not in content:
         return None
     header = ["flight", *(f"after {h:g} s" for h in content["horizons_s"])]
@@ -273,8 +273,8 @@ def envelope(about: Mapping[str, Any]) -> Table | None:
 
 
 def validation_errors(about: Mapping[str, Any]) -> dict[str, Mapping[str, float]]:
-    """By channel, on time kept out of the training: error of the linear prediction, and with the
-    network; of channels that have such time."""
+    """Validation error of the linear prediction and of the network, by channel; only channels with
+    time kept out of the training."""
     said = about.get("metrics", {}).get("validation_mse", {})
     return {channel: errors for channel, errors in said.items() if errors["linear"] > 0}
 
@@ -289,7 +289,7 @@ def validation_table(about: Mapping[str, Any]) -> Table | None:
 
 
 def limits(about: Mapping[str, Any], result: Result | None) -> list[str]:
-    """Where the model ends, as far as it is recorded."""
+    """Known limits of the model, one sentence each."""
     flights, vehicle = about["flights"], about["vehicle"]
     found = [f"It has seen {len(flights)} flight{'s' * (len(flights) != 1)} of {vehicle}."]
     if about["protocol"] == "force":
@@ -341,9 +341,9 @@ def card_text(
     """Text of a card.
 
     Args:
-        folder: That `train` wrote.
+        folder: Folder that `train` wrote.
         claim: What the model is, in one sentence.
-        license: Of the model, as Hugging Face names it.
+        license: License of the model, as Hugging Face names it.
         measured: On flights of its own; None: not yet.
     """
     about = description(folder)
@@ -427,9 +427,9 @@ def write_card(folder: Path, claim: str, license: str = UNSAID) -> str:
     """Write the card of a model that was trained just now; returns its name.
 
     Args:
-        folder: That `train` wrote.
+        folder: Folder that `train` wrote.
         claim: What the model is, in one sentence.
-        license: Of the model.
+        license: License of the model.
     """
     (folder / FILE).write_text(card_text(folder, claim, license), "utf-8")
     return FILE
@@ -442,7 +442,7 @@ def write_completed_card(model: Path, claim: str, measured: Measured, folder: Pa
         model: Folder of the model; the licence is that of its own card.
         claim: What the model is, in one sentence.
         measured: What was found.
-        folder: Of the evaluation.
+        folder: Folder of the evaluation.
     """
     text = card_text(model, claim, written_license(model / FILE), measured)
     (folder / FILE).write_text(text, "utf-8")

@@ -30,11 +30,11 @@ from .record import Record
 
 T = TypeVar("T")
 _MOVING = "moving"
-"""In a scratch folder: the list of the results that are being moved to their place."""
+"""File in a scratch folder that lists the results being moved to their place."""
 _LONGEST_LIST = 2**26
-"""Bytes of a list that is read: some 400,000 results."""
+"""Largest such list that is read, bytes: some 400,000 results."""
 _RECORD_KEYS = {"verb", "options", "inputs", "packages"}
-"""Of every run.json."""
+"""Keys of every run.json."""
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Errors of a disk that is full, and of a file that is too large."""
 _PACKAGES = ("casadi", "fmpy", "numpy", "pandas", "pyulog", "scipy", "uavtwin")
@@ -109,7 +109,7 @@ def results_folder(
     results are in their place.
 
     Args:
-        out, force, journal, alongside: As of `check_folder`.
+        out, force, journal, alongside: See `check_folder`.
 
     Raises:
         TwinError: As `check_folder`, or a result cannot be written or moved to its place.
@@ -223,7 +223,7 @@ class OptionalSteps:
 
         Args:
             what: The step, for a reader.
-            folder: Of the results.
+            folder: Folder of the results.
             write: Takes the folder to write into.
 
         Returns:
@@ -478,8 +478,8 @@ class InputRecord(Record, frozen=True, kw_only=True):
     """A file that was read.
 
     Attributes:
-        name: Of the file.
-        sha256: Of its bytes.
+        name: Name of the file.
+        sha256: SHA-256 of the file.
     """
 
     name: str
@@ -490,10 +490,10 @@ class RunRecord(Record, frozen=True, kw_only=True):
     """Lies beside every result, so that it can be made again; the same run gives the same bytes.
 
     Attributes:
-        verb: Of the command line.
+        verb: Verb of the command line.
         options: It was called with; of `explain`, `indoors` holds of each flight `indoors`, as
             taken, and `source`.
-        seed: Of what is drawn; null: nothing is.
+        seed: Seed of the random numbers; null: none are drawn.
         inputs: Files that were read.
         python: Its version.
         packages: Versions, by name.
@@ -532,10 +532,10 @@ def write_run(
 
     Args:
         out: Folder.
-        verb: Of the command line.
+        verb: Verb of the command line.
         options: It was called with.
         inputs: Files that it read.
-        seed: Of what is drawn.
+        seed: Seed of the random numbers.
         file: Another name, where the folder is not of this run alone.
         incomplete: Why the results are of a part of the run, or which optional steps failed; "":
             they are of all of it.

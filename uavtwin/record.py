@@ -25,7 +25,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
     """Significant digits of numbers that are no integers; None: all."""
 
     def json(self) -> dict[str, Any]:
-        """As strict JSON content."""
+        """The record as strict JSON content."""
         return dict(plain(self, self.digits))
 
 
@@ -33,7 +33,7 @@ def plain(value: Any, digits: int | None = None) -> Any:
     """Records, dataclasses and arrays as strict JSON content.
 
     Args:
-        value: Of records, dataclasses, containers, numbers and texts.
+        value: Records, dataclasses, containers, numbers and texts.
         digits: Significant ones of numbers that are no integers; None: all.
 
     Returns:
@@ -91,7 +91,7 @@ class Key:
     """A key of JSON content.
 
     Attributes:
-        path: From the top: "channels.*.rms", "flights[].name".
+        path: Path from the top: "channels.*.rms", "flights[].name".
         type: "number", "text", "list of number", ...
         meaning: What it holds.
     """
@@ -114,7 +114,7 @@ def _keys(kind: inspect.Type, path: str) -> Iterator[Key]:
     """Keys of all records that a type holds.
 
     Args:
-        kind: Of a value.
+        kind: Type of the value.
         path: To the value.
     """
     match kind:

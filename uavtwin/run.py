@@ -48,7 +48,7 @@ class RunRecord(Record, frozen=True, kw_only=True):
         tracking_rms_m: Distance from the setpoint in the air, rms.
         tracking_worst_m: The largest.
         tilt_worst_rad: Largest angle from upright.
-        end_pos_m: Where it ended, NED.
+        end_pos_m: Last position, NED.
         incomplete: Why the run did not come to its end; missing where it did.
         warnings: What was asked for although it changes nothing, as wind on an aircraft without
             drag; missing where nothing was.
@@ -67,9 +67,9 @@ class Run(PageMixin):
     """A simulation that was run.
 
     Attributes:
-        name: Of the mission, or of the `.ssp`.
+        name: Name of the mission or of the `.ssp`.
         recording: Every output over time.
-        units: By column, "" where there is none.
+        units: Unit of each column, "" where it has none.
         facts: What it was run with, for the page.
         ended: What ended it early; None where it came to its end.
         fmus: How each FMU was run, by its name in the system: "FMI 3.0, co-simulation".
@@ -88,7 +88,7 @@ class Run(PageMixin):
 
     @property
     def claim(self) -> str:
-        """How it went, in one sentence."""
+        """Outcome in one sentence."""
         duration_s, figures = self.recording.time_s[-1], summary(self.recording)
         start = "INCOMPLETE, " if self.ended else ""
         if not figures:
@@ -155,7 +155,7 @@ class Run(PageMixin):
             )
 
     def brief(self) -> str:
-        """How long, and how many outputs."""
+        """Duration and number of outputs."""
         outputs = counted(self.recording.names, "output")
         return f"{type(self).__name__}: {self.name}, {self.recording.time_s[-1]:g} s, {outputs}"
 
@@ -194,12 +194,13 @@ def simulate(
     Args:
         scenario: Name of a mission (`mission_names()`), or an `.ssp` file, which brings its own
             parts: of what shapes a scenario it takes start values alone.
-        vehicle: That flies; default: `copter_default`.
+        vehicle: Vehicle to fly; default: `copter_default`.
         wind: Velocity of the air, NED, m/s.
         gusts: Whether there is Dryden turbulence.
-        seed: Of every noise.
+        seed: Seed of every noise.
         controller: `lqr` or `px4`.
-        effects: To switch on: names, or numbers by effect, `{"rotor_drag": {"k_xy_1_s": 0.4}}`.
+        effects: Effects switched on: names, or numbers by effect:
+            `{"rotor_drag": {"k_xy_1_s": 0.4}}`.
         starts: Start values, "part.variable" -> value.
         duration: Simulated time, s; default: of the mission, or of the `.ssp`.
         step: Communication step, s; default: 1 ms, or that of the `.ssp`.
@@ -210,7 +211,7 @@ def simulate(
         progress: Called with the share done, 0..1.
         trust: File of `sha256sum` that names the `.ssp` or all its FMUs, which then run in this
             process; default: those of an `.ssp` run in a process of their own.
-        limits: Of that process; default: 60 s a call, an hour in all, 4 GiB.
+        limits: Limits of that process; default: 60 s a call, an hour in all, 4 GiB.
 
     Raises:
         TwinError: An unknown name, or a value outside its range.
@@ -255,7 +256,8 @@ def with_model(plan: Scenario, folder: Path) -> Scenario:
 
     Args:
         plan: The scenario.
-        folder: That `train` wrote: a learned force, a compensator that sees no measurement, both.
+        folder: Folder that `train` wrote: a learned force, a compensator without
+            measurements, or both.
 
     Raises:
         TwinError: The scenario brings its own parts, or what was trained is of another vehicle or
@@ -291,7 +293,7 @@ def run_plan(
         plan: What to simulate.
         duration_s: Time from its start on; None: until `stop_s`, or the system's own.
         progress: Called with the share done, 0..1.
-        trust: As for `simulate`.
+        trust: See `simulate`.
         how: Further arguments of `run_scenario`.
 
     Raises:

@@ -30,11 +30,11 @@ from .vehicles import load_vehicle
 
 Array = NDArray[np.float64]
 _INTERVAL_S = 0.01
-"""Between two rows of a recording, s."""
+"""Time between two rows of a recording, s."""
 MAX_STEPS = 10**8
-"""Of one run: 28 hours in steps of 1 ms."""
+"""Most steps of one run: 28 hours in steps of 1 ms."""
 MAX_VALUES = 2**28
-"""Recorded in one run: 2 GiB."""
+"""Most values recorded in one run: 2 GiB."""
 DEFAULT_VEHICLE = "copter_default"
 """Built-in vehicle that flies where none is named."""
 
@@ -45,17 +45,17 @@ class Scenario:
 
     Attributes:
         target: Name of a mission, or an `.ssp` file.
-        vehicle: That flies; None: `DEFAULT_VEHICLE`, or the `.ssp`'s own.
+        vehicle: Vehicle to fly; None: `DEFAULT_VEHICLE`, or the `.ssp`'s own.
         controller: Name of the flight controller.
         wind_m_s: Velocity of the air, NED.
         gusts: Whether the wind gusts.
-        seed: Of every noise.
+        seed: Seed of every noise.
         effects: Effects to switch on: names, at their start values where `starts` says nothing
             else; or numbers by effect.
         starts: Start values, "part.variable" -> value.
         fused: Whether the whole twin runs as one FMU.
-        law: Of force and moment that were learned; None: nothing was.
-        compensator: Of the sensors; None: without.
+        law: Learned law of force and moment; None: none.
+        compensator: Compensator of the sensors; None: none.
     """
 
     target: str | Path
@@ -79,7 +79,7 @@ class Scenario:
 
     @property
     def name(self) -> str:
-        """Of the mission, or of the file."""
+        """Name of the mission, or of the file."""
         return Path(self.target).name
 
 
@@ -176,8 +176,8 @@ def ineffective(twin: Assembly, scenario: Scenario) -> list[str]:
     """What a scenario asks for although it changes nothing of this twin, with the way out.
 
     Args:
-        twin: With the start values of the scenario.
-        scenario: It is flown in.
+        twin: The twin, with the start values of the scenario.
+        scenario: Scenario of the flight.
     """
     starts = {f"{k}.{v.name}": v.start for k, part in twin.parts.items() for v in part.variables}
     off = [
@@ -219,8 +219,8 @@ class Times:
     """When a run begins and ends, and its steps.
 
     Attributes:
-        begin_s: Of the first communication point.
-        end_s: Of the last one.
+        begin_s: Time of the first communication point.
+        end_s: Time of the last communication point.
         step_s: Communication step.
         every: Steps between two rows of the recording.
     """
@@ -232,7 +232,7 @@ class Times:
 
     @property
     def rows(self) -> float:
-        """Of the recording, but for the first."""
+        """Rows of the recording after the first one."""
         return (self.end_s - self.begin_s) / (self.step_s * self.every)
 
 
@@ -294,7 +294,7 @@ def run_scenario(
         algorithm: See `cosim.stepping`.
         realtime: Simulated seconds per second of the clock; None: as fast as possible.
         progress: Called with the share done.
-        limits: Of the process that foreign FMUs run in; None: its usual ones.
+        limits: Limits of the process that foreign FMUs run in; None: its usual ones.
 
     Raises:
         TwinError: No stop time is known, a time is not positive, the interval is not a whole

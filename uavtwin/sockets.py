@@ -10,7 +10,7 @@ from twin.errors import TwinError
 
 _FORM = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+):([0-9]{1,5})")  # host and port
 USUAL_PORTS = {"": 8080, "udpin": 14550, "udpout": 14550, "tcpin": 4560}
-"""Of pages, of ground stations, and of PX4's simulators, by what stands in front of the host."""
+"""Default port by prefix of the address: of pages, ground stations and PX4's simulators."""
 _FORCED = getattr(socket, "SO_RCVBUFFORCE", 33)
 """Socket option of Linux for administrators, which has no name in Python."""
 _BUFFER = 8 << 20
@@ -34,7 +34,7 @@ class Address:
 
     @property
     def pair(self) -> tuple[str, int]:
-        """As sockets take it."""
+        """The address in the form of Python's `socket`."""
         return self.host, self.port
 
 
@@ -42,9 +42,9 @@ def address(text: str, direction: str, option: str) -> Address:
     """The address of an option.
 
     Args:
-        text: As given.
+        text: Address as the user wrote it.
         direction: A member of `USUAL_PORTS`, which stands in front of the host.
-        option: By which it was given.
+        option: Option that gave the address.
 
     Raises:
         TwinError: It is not of that form.

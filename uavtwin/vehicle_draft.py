@@ -71,11 +71,11 @@ class EntryRecord(Record, frozen=True, kw_only=True):
     """An entry of the vehicle file.
 
     Attributes:
-        key: In the file.
+        key: Key in the vehicle file.
         value: Number, text, or list of numbers.
-        unit: As in the file.
-        sd: In the unit, or "5 %"; null: none.
-        source: As in the file.
+        unit: Unit in the vehicle file.
+        sd: Standard deviation, in the unit or as "5 %"; null: none.
+        source: Source in the vehicle file.
         from: `given`, `log` or `usual`.
     """
 
@@ -92,10 +92,10 @@ class DraftRecord(Record, frozen=True, kw_only=True):
 
     Attributes:
         vehicle: Its name.
-        hover: Of draft and flights.
+        hover: Hover of the draft and of the flights.
         numbers: Entries of the file.
         warnings: What does not fit together.
-        file: That was written; missing where none was.
+        file: The file that was written; missing where none was.
         next: The command to run next.
     """
 
@@ -112,7 +112,7 @@ class DraftResult(DisplayMixin):
     """A vehicle in draft.
 
     Attributes:
-        vehicle: With the text of its file.
+        vehicle: The vehicle, with the text of its file.
         details: What the flights tell, and where each number comes from.
         files: The flights, as they were read.
     """
@@ -207,14 +207,15 @@ def draft_vehicle(
     """Draft a vehicle from flights and what is known of the aircraft.
 
     Args:
-        flights: Of one aircraft, PX4 logs or flight tables.
-        mass_kg: As it flew, battery included: no log tells it.
+        flights: Flights of one aircraft, PX4 logs or flight tables.
+        mass_kg: Mass in flight, battery included: no log states it.
         frame: "x", "+", "h", "wide", "betaflight x"; of six and eight rotors "x" and "+". Default:
             as the log says, else as it turned.
         wheelbase_m: Distance of two motors across.
-        arm_m: From the centre to a motor; one of the two where the log has no coordinates in m.
+        arm_m: Distance from the centre to a motor; needed, or `wheelbase_m`, where the log has no
+            coordinates in m.
         propeller: "10x4.5", diameter and pitch in inches. Default: usual for such an aircraft.
-        name: Of the vehicle.
+        name: Name of the vehicle.
 
     Raises:
         TwinError: Something is missing or wrong; the text says what to give.

@@ -25,8 +25,8 @@ class Vehicle(numbers.Vehicle):
     point downwards.
 
     Attributes:
-        text: Of the vehicle file that it was read from; "" where it was made in Python. Changed
-            copies (`with_mass`, `dataclasses.replace`) keep it, and with it the comments.
+        text: Text of the vehicle file that it was read from; "" where it was made in Python.
+            Changed copies (`with_mass`, `dataclasses.replace`) keep it, and with it the comments.
     """
 
     text: str = field(default="", repr=False, compare=False)

@@ -21,7 +21,7 @@ def said(effect: str, change: Changes, since: bool) -> str:
 
     Args:
         effect: Identifier.
-        change: Of its numbers, from no effect or from a calibration.
+        change: Change of each of its numbers, from no effect or from a calibration.
         since: Whether something has changed; else that is how the aircraft is, compared with its
             file.
     """
@@ -36,8 +36,8 @@ def clause(effect: str, change: Changes, since: bool) -> str:
 
 
 def said_numbers(effect: str, change: Changes) -> dict[str, float]:
-    """Of some changes those that a clause about them gives: in each unit none that is small beside
-    the largest, and a single one of an effect that is spoken of by its largest."""
+    """The changes that a clause gives as numbers: in each unit none that is small compared with
+    the largest, and for an effect with one headline number only the largest."""
     wording = EFFECTS[effect].wording
     secondary = wording.secondary if wording else ()
     change = {n: v for n, v in change.items() if n not in secondary} or change
@@ -99,7 +99,7 @@ def drive_sentence(driven_by: Mapping[str, str]) -> str:
     """What drives the twins of some flights; "" of none, and where there was no choice.
 
     Args:
-        driven_by: By flight, as of `twin.residuals.teacher_forced.driven_by`.
+        driven_by: What drives the twin, by flight; see `twin.residuals.teacher_forced.driven_by`.
     """
     flights = {w: [f for f, own in driven_by.items() if own == w] for w in driven_by.values() if w}
     if {*flights} == {COMMANDS}:
@@ -191,7 +191,7 @@ class Kind:
 
     Attributes:
         prefix: Its channels begin with it.
-        title: Of its figures.
+        title: Title of its figures.
         axes: Names of its axes.
         words: It in a sentence.
         axis: Words for an axis, by its letter.
@@ -237,7 +237,7 @@ KINDS = (
     *(kind for s in SENSORS if s.group != BODY for kind in _of_sensor(s)),
     Kind("", "Other channels"),
 )
-"""In the order of the pages; the first whose prefix fits counts."""
+"""Kinds in the order of the pages; the first whose prefix fits counts."""
 
 
 def describe(channel: str) -> str:
