@@ -213,7 +213,7 @@ def measured_accuracy(
     """Bands of the driven twins of a vehicle.
 
     Args:
-        vehicle: Whose twins.
+        vehicle: Vehicle file of the twins.
         flights: Flights that took no part in the fit of the vehicle.
         progress: Called with the share done.
 
@@ -275,7 +275,7 @@ def write_accuracy(
     """Write the bands of what was explained, by whole flights that were held out; names of files.
 
     Args:
-        found: What was found; nothing is written where nothing is named.
+        found: Result of `explain`; nothing is written where nothing is named.
         held_out: Flights; nothing is written without.
         folder: Folder of the results.
         steps: Takes it as one of its own: the compiler may fail, the disk be full.

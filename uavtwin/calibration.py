@@ -44,7 +44,7 @@ class NumberRecord(Record, frozen=True, kw_only=True):
     Attributes:
         name: "effect.number".
         value: Estimate, in `unit`.
-        unit: SI.
+        unit: SI unit.
         ci95: 95 % interval; null: it has none.
         no_effect: Value where the effect is absent.
         before: Value in the draft.
@@ -67,7 +67,7 @@ class DifferenceRecord(Record, frozen=True, kw_only=True):
 
     Attributes:
         difference: Number of this flight minus the one that all flights share.
-        sd: Its standard deviation.
+        sd: Standard deviation of `difference`.
     """
 
     difference: float
@@ -80,7 +80,7 @@ class DaysRecord(Record, frozen=True, kw_only=True):
     Attributes:
         determined: Whether there were flights enough to estimate it.
         sd: Standard deviation between flights, by number.
-        per_flight: What stands out: flight, then number.
+        per_flight: Numbers that differ from their mean in one flight: flight, then number.
     """
 
     determined: bool
@@ -94,12 +94,12 @@ class CalibrateRecord(Record, frozen=True, kw_only=True):
     Attributes:
         headline: The sentence on top.
         vehicle: Name of the draft.
-        flights: Names of those that were fitted.
-        warnings: What a reader must know, flights that were left out among it.
+        flights: Names of the fitted flights.
+        warnings: Warnings to the reader, among them flights that were left out.
         hover: Hover of each flight that hovers, by the draft.
         numbers: Fitted numbers, the most important first.
         undetermined: Numbers that these flights do not determine.
-        days: How much days differ.
+        days: Variation between days.
         fly_next: Flights that would determine them.
     """
 
@@ -124,7 +124,7 @@ class CalibrateResult(DisplayMixin):
     Attributes:
         details: Everything that was fitted.
         draft: The vehicle as it stood.
-        warnings: What to keep in mind, the worst first.
+        warnings: Warnings, the most important first.
         hovers: Diagnosis of the draft in the hover of each flight that hovers.
     """
 

@@ -40,7 +40,7 @@ class UnreadRecord(Record, frozen=True, kw_only=True):
     """A log of several that cannot be read, as `why --json` prints it.
 
     Attributes:
-        flight: Its name.
+        flight: Name of the flight.
         error: Why it cannot be read, and the way out.
     """
 

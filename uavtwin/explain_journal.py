@@ -102,7 +102,7 @@ def run_key(
         flights: Logs to fit on.
         held: Logs held out.
         vehicle: The vehicle, unchanged.
-        options: What else it was called with, as JSON has it.
+        options: Other options of the call, as JSON.
         settings: Settings of the search.
     """
     logs = [[(p.stem, *map(sha256, _files(p))) for p in some] for some in (flights, held)]

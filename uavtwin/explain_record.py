@@ -41,7 +41,7 @@ class ParameterRecord(Record, frozen=True, kw_only=True):
 
     Attributes:
         value: Estimate, in `unit`.
-        unit: SI.
+        unit: SI unit.
         ci95: 95 % interval; null: it has none.
         no_effect: Value in the model, or at the calibration, from which it differs; null for a
             shape.
@@ -80,10 +80,10 @@ class EffectRecord(Record, frozen=True, kw_only=True):
     Attributes:
         name: Name of the effect.
         probability: Probability that the effect is missing, alone or with others.
-        parameters: Its numbers, by name.
+        parameters: Numbers of the effect, by name.
         one_of: Other causes that are there where this one is not: effects, or the part of one that
             a rotor or a clock has, "effect:part".
-        channels: On which it acts, the clearest first.
+        channels: Channels on which it acts, the clearest first.
         phases: Flight phases in which it acts on the first of `channels`.
         rivals: Other explanations, the most probable first; of an effect without a mean `nothing`.
     """
@@ -113,8 +113,8 @@ class CalibratedRecord(Record, frozen=True, kw_only=True):
     """An effect that lacks nothing that is worth a name.
 
     Attributes:
-        effect: Its name.
-        parameters: Its numbers, by name.
+        effect: Name of the effect.
+        parameters: Numbers of the effect, by name.
     """
 
     effect: str
@@ -126,7 +126,7 @@ class ChangeRecord(Record, frozen=True, kw_only=True):
 
     Attributes:
         value: Size of the change.
-        unit: SI.
+        unit: SI unit.
     """
 
     value: float
@@ -153,8 +153,8 @@ class DayRecord(Record, frozen=True, kw_only=True):
 
     Attributes:
         difference: Number of this flight minus the one that all flights share.
-        sd: Its standard deviation.
-        unit: SI.
+        sd: Standard deviation of `difference`.
+        unit: SI unit.
     """
 
     difference: float
@@ -180,7 +180,7 @@ class EquationRecord(Record, frozen=True, kw_only=True):
     """An equation for what no effect explains.
 
     Attributes:
-        channel: Whose residual it gives.
+        channel: Channel of the residual that the equation gives.
         unit: Unit of the residual.
         expression: The equation as text.
         share: Share of residual power explained out of sample, in the equation's frequency band.
@@ -210,7 +210,7 @@ class PlaceRecord(Record, frozen=True, kw_only=True):
     """A place of disagreement.
 
     Attributes:
-        channel: Its name.
+        channel: Name of the channel.
         phase: Flight phase, "" where unknown.
         unit: Unit of `rms`.
         n: Samples.
@@ -244,7 +244,7 @@ class ChannelRecord(Record, frozen=True, kw_only=True):
             they lack the channel.
         noise_floor: Least rms that any model of the library leaves.
         shrink: Share of the rms that is gone.
-        shrink_ci95: Its 95 % interval; null where there is too little time for one.
+        shrink_ci95: 95 % interval of `shrink`; null where there is too little time for one.
         closed: Share of what stood above the noise floor that is gone.
         n: Samples.
     """
@@ -270,7 +270,7 @@ class HeldOutRecord(Record, frozen=True, kw_only=True):
     """A flight that took no part in the fit.
 
     Attributes:
-        flight: Its name.
+        flight: Name of the flight.
         spans_s: Parts of it that took no part; null: all of it.
     """
 
@@ -296,7 +296,7 @@ class ClosedLoopRecord(Record, frozen=True, kw_only=True):
     """Flights of the new model.
 
     Attributes:
-        stable: Whether all are.
+        stable: Whether all missions are stable.
         worst_tracking_m: Largest distance from the setpoint of all.
         missions: Result of each mission, by name.
     """
@@ -322,7 +322,7 @@ class OneOfRecord(Record, frozen=True, kw_only=True):
     """One of some causes that flights cannot tell apart.
 
     Attributes:
-        cause: Effect.
+        cause: Name of the effect.
         rotor: Rotors that it is of, from 1; null: none in particular.
         probability: Probability of the cause with any rotor; of these rotors where rotors alone
             compete.
@@ -338,7 +338,7 @@ class TotalRecord(Record, frozen=True, kw_only=True):
 
     Attributes:
         name: Name of the family.
-        effects: Those that it may be, the more probable first.
+        effects: Effects of the family that may be present, the more probable first.
         probability: Probability that one effect of the family is present.
         value: Size of the sum of the family, in `unit`.
         unit: Unit for display.
@@ -359,37 +359,37 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
     Attributes:
         verdict: `named`, `nothing`, `unnamed`, `cannot_tell` or `unusable`.
         headline: The sentence on top.
-        reasons: Why nothing can be learnt, for `unusable`.
-        warnings: What a reader must know.
-        flights: Names of those that were fitted.
-        since: Flights of the calibration since which it is asked what has changed; null: it was
-            asked what the model lacks.
+        reasons: For `unusable`, why the flights cannot be used.
+        warnings: Warnings to the reader.
+        flights: Names of the fitted flights.
+        since: Calibration flights, with `--since`: the result is what has changed since then;
+            null: the result is what the model lacks.
         vehicle: Name of the model.
         nothing_probability: Probability that no effect which changes a mean is missing.
-        one_of_causes: Causes, one of which it is, and that these flights cannot tell apart.
+        one_of_causes: Causes that these flights cannot tell apart; one of them is present.
         outside_probability: Probability that the cause lies outside the library, though the best
             set gives it a name.
-        effects: For `named` and `cannot_tell`, the surest first.
-        undecided: Those of `effects`, for `named`, that something else may stand for.
-        totals: What is sure of families of effects. Where several of a family may be there, its
-            first stands for it in `effects`, with this probability and figure.
-        inclusion: Probability that an effect is there and worth a name, by effect; whether its law
-            fits (`outside_probability`) is not in it.
-        acts_like: Effects that something acts like and that are not named.
-        calibrated: Effects that lack nothing beyond the uncertainty that the file states.
-        doubtful: Effects that the new vehicle file has beside these, too doubtful for a name: each
+        effects: For `named` and `cannot_tell`, the most probable first.
+        undecided: Members of `effects`, for `named`, in whose place another effect may be.
+        totals: Sums over families of effects. Where several of a family may be present, the first
+            represents the family in `effects`, with this probability and figure.
+        inclusion: Probability that an effect is present and large enough to be named, by effect;
+            without the test of its law (`outside_probability`).
+        acts_like: Effects that resemble the cause and are not named.
+        calibrated: Effects whose numbers agree with the file within the uncertainty that it states.
+        doubtful: Effects of the new vehicle file that are not probable enough for a name; each
             number is its mean over all sets of effects.
-        driven_by: What drives the twin of each flight, and why.
+        driven_by: What drives the twin, and why, by flight.
         hover: Hover of each flight that hovers.
         not_visible: Effects that are not in the final set.
-        per_flight: What stands out of a day: flight, then "effect.number".
+        per_flight: Numbers that differ from their mean in one flight: flight, then "effect.number".
         unnamed: Equations for what no effect explains.
-        where: Places of disagreement.
+        where: Channels and phases in which model and flights disagree, the largest first.
         gap: Held-out flights before and after, by channel.
-        holdout: What took no part in the fit.
+        holdout: Flights and parts of flights that took no part in the fit.
         closed_loop: Flights of the new model; null where nothing was named.
-        next_manoeuvre: What to fly to learn more; null: nothing.
-        settings: What decided.
+        next_manoeuvre: Manoeuvre that would tell most; null: none.
+        settings: Settings of the search.
     """
 
     section = "explain.json"

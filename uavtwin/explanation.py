@@ -223,7 +223,7 @@ class ExplainResult(PageMixin):
 
         Args:
             first: Title of their column.
-            effects: Whose numbers they are.
+            effects: Effects whose numbers are listed.
         """
         rows = (
             (f"{c.effect}.{n}", *number_cells(p.value, p.unit, p.ci95), self.remark(p.prior_share))
@@ -397,7 +397,7 @@ def explain(
     """Name the physical effect that a vehicle lacks, add it, and show that the gap shrinks.
 
     Args:
-        flights: To fit on.
+        flights: Flights to fit.
         holdout: Flights that take no part in the fit and show the gap; none (`[]`): blocks of time
             of the others stand in, which is weaker.
         vehicle: The model to be examined.
@@ -405,7 +405,7 @@ def explain(
             numbers are held as well as they are known.
         payloads: Known mass aboard by the name of a flight, kg.
         seed: Seed of every bootstrap.
-        missions: To fly with the new model at the end; default: all.
+        missions: Missions flown with the new model at the end; default: all.
         settings: The numbers that decide what is said, `docs/reference/settings.md`.
         indoors: Whether all flights were within walls; default: as each flight says, outdoors
             where it does not.
@@ -586,7 +586,7 @@ def write_fmus(
     """Build the components on which the named effects act; names of the files.
 
     Args:
-        found: What was found.
+        found: Result of `explain`.
         folder: Folder of the results.
         steps: Takes the build as one of its own: the compiler may fail, the disk be full.
         progress: Called with the share done.

@@ -44,7 +44,7 @@ class FlightHover(Record, frozen=True, kw_only=True):
         level: Median of the mean of the motors.
         each: Median of each motor.
         split: Output of each motor over the mean of all motors, minus 1.
-        seconds: How long it is.
+        seconds: Length of the hover, s.
         hovers: False: the flight hovers nowhere, this is all of it.
         voltage_v: Median battery voltage; null: not logged.
         twin: Hover of the twin; only with `--vehicle`.
@@ -64,7 +64,7 @@ class UnreadFile(Record, frozen=True, kw_only=True):
     """What `check --json` says of a file that cannot be read.
 
     Attributes:
-        file: Its name.
+        file: Name of the file.
         error: Why it cannot be read.
     """
 
@@ -83,14 +83,14 @@ class CheckReport(Record, DisplayMixin, frozen=True, kw_only=False):
     """What `check` says of one file.
 
     Attributes:
-        file: Its name.
+        file: Name of the file.
         facts: What it holds, by name; of a flight the kind of aircraft, hover, split of the motors
             and voltage first, with `--vehicle` the hover of both.
-        problems: What is wrong: exit code 1.
-        warnings: What is likely wrong, or missing: exit code 1.
-        questions: What is odd about a vehicle and may yet be right.
-        notes: What was done or assumed.
-        good_for: What it can be used for.
+        problems: Errors: exit code 1.
+        warnings: Likely errors, and missing data: exit code 1.
+        questions: Unusual values of a vehicle file, which may be right.
+        notes: What was done or assumed while reading.
+        good_for: Commands that can use the file.
         observable: Effects that `explain` can look for in a flight, by component.
         not_observable: Effects that it cannot, and what is missing.
         hover: Hover of the flight; null: it does not hover.
@@ -178,7 +178,7 @@ def check_file(
 
     Args:
         path: The file, or the folder of a ROS 2 bag.
-        vehicle: Whose hover is compared with that of a flight.
+        vehicle: Vehicle whose hover is compared with that of a flight.
         key: Public key of minisign that its detached signature, `FILE.minisig`, has to be of.
 
     Raises:
@@ -322,7 +322,7 @@ def check_flight(flight: AnyFlight, file: str, vehicle: Vehicle | None = None) -
     Args:
         flight: A flight from `open_flight`.
         file: Name of its file.
-        vehicle: Whose hover is compared with that of the flight.
+        vehicle: Vehicle whose hover is compared with that of the flight.
 
     Raises:
         LogError: The flight cannot be compared with the vehicle.
@@ -423,7 +423,7 @@ def aircraft_facts(flight: AnyFlight, hover: Hover | None) -> dict[str, str]:
 
     Args:
         flight: The flight.
-        hover: Its hover; None: it has none.
+        hover: Hover of the flight; None: it does not hover.
     """
     facts = {"kind": _kind(flight)}
     if hover is not None:

@@ -251,8 +251,8 @@ def check_untaught(flights: Iterable[Flight], model: Path, taught: Mapping[str, 
     """Refuse flights of the training of a model, whatever they are called now.
 
     Args:
-        flights: To evaluate it on.
-        model: Its folder.
+        flights: Flights for the evaluation.
+        model: Folder of the model.
         taught: Names of its flights by their fingerprints.
 
     Raises:

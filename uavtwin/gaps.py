@@ -68,7 +68,7 @@ class HoverRecord(Section, frozen=True, kw_only=True):
     """A twin at the motor commands of a hover.
 
     Attributes:
-        flight: Its name.
+        flight: Name of the flight.
         seconds: Length of the hover.
         carried: Thrust of the twin at the logged commands over what the flight shows.
         back_m: Distance by which the centre of mass would have to move back for the mean moment of
@@ -76,7 +76,7 @@ class HoverRecord(Section, frozen=True, kw_only=True):
         right_m: The same to the right, for the moment about roll.
         lean_forward_rad: Angle by which the thrust of the flight leans forward of that of the twin,
             of the rotors or of the board with the accelerometer.
-        lean_right_rad: The same to the right.
+        lean_right_rad: The same angle to the right.
         sd: Standard errors.
         split: Command of each motor, or else its speed, over the mean of all motors, minus 1.
         weakest: The single rotor that would do what `back_m` and `right_m` do; null: none would.
@@ -122,7 +122,7 @@ class GapFlight(Record, frozen=True, kw_only=True):
         phases: Phases of the flight.
         facts: Facts that the log states, as text.
         hover: Null where it does not hover.
-        driven_by: What drives the twin, and why where its log has rotor speeds that do not.
+        driven_by: What drives the twin; if not logged rotor speeds, why.
     """
 
     name: str
@@ -191,7 +191,7 @@ class GapPlace(ScoreRecord, frozen=True, kw_only=True):
     """A place where twin and flights disagree.
 
     Attributes:
-        channel: Its name.
+        channel: Name of the channel.
         phase: Flight phase.
         unit: Unit of all numbers here.
     """
@@ -209,7 +209,7 @@ class GapRecord(Section, frozen=True, kw_only=True):
         flights: The flights that were compared.
         channels: All flights together, by channel.
         worst: Ranked places, the worst first.
-        warnings: What a reader must know.
+        warnings: Warnings to the reader.
     """
 
     section = "gap.json"
@@ -490,7 +490,7 @@ def gap(
 
     Args:
         flights: One or several.
-        vehicle: Whose twin flies.
+        vehicle: Vehicle of the twin.
         horizon_s: Short horizon: the twin restarts from the measured state that often; a multiple
             of 1 ms, at least 10 ms.
         progress: Called with the share done, 0..1.

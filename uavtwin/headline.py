@@ -333,7 +333,7 @@ def sizes(effect: str, estimates: Sequence[Estimate], most: int, since: bool = F
 
     Args:
         effect: Identifier.
-        estimates: Its numbers.
+        estimates: Numbers of the effect.
         most: Numbers to give without a clause.
         since: Whether the change since a calibration is meant.
     """
@@ -540,7 +540,7 @@ def calibrated_headline(found: "Calibrated", lead: str) -> Headline:
     """What stands on top of a calibration.
 
     Args:
-        found: What was fitted.
+        found: Result of the fit.
         lead: Main clause, without a stop.
     """
     own: dict[str, list[Estimate]] = {}
@@ -570,8 +570,8 @@ def undetermined(none: Sequence[str], unsized: Sequence[str]) -> str:
     """Sentences about effects without a number that a headline may give; begins with a blank.
 
     Args:
-        none: Those whose intervals contain no effect.
-        unsized: Those whose numbers the prior says more of than the flights.
+        none: Effects whose intervals contain "no effect".
+        unsized: Effects whose numbers are determined by the prior more than by the flights.
     """
     text = ""
     if none:

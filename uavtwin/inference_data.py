@@ -38,7 +38,7 @@ def inference_data(found: Explanation, draws: int, seed: int) -> "arviz.Inferenc
     """Draws of the numbers of effects that may be missing.
 
     Args:
-        found: What was found.
+        found: Result of `explain`.
         draws: Draws of each chain.
         seed: Seed of the draws.
 

@@ -38,7 +38,7 @@ class TrainRecord(Record, frozen=True, kw_only=True):
     """What training made.
 
     Attributes:
-        claim: What the model is good for, a sentence.
+        claim: Purpose and benefit of the model, in one sentence.
         files: Names of what was written, the page first.
         seed: Seed of all random numbers.
         options: Options of the training, defaults filled in, by name.
@@ -57,7 +57,7 @@ class TrainResult(DisplayMixin):
     Attributes:
         folder: Folder of the model: weights, ONNX, vehicle, learning curve, page.
         files: Names of what was written, the page first.
-        claim: What it is good for, in one sentence.
+        claim: Purpose and benefit of the model, in one sentence.
         seed: Seed of all random numbers.
         options: Options of the training, defaults filled in.
         tables: Effect of the model on each reading in use.
@@ -134,9 +134,9 @@ def train(
     A training that was interrupted goes on where it was when it is called again.
 
     Args:
-        flights: To train on.
-        vehicle: Whose twin is to be corrected.
-        folder: To write the model into.
+        flights: Flights to train on.
+        vehicle: Vehicle whose twin is corrected.
+        folder: Folder of the model.
         model: `svq`: ours, taken where nothing is said, but of `free` without epochs; `linear`: no
             network, taken there.
         preset: Preset of the model. For `svq`: `best`: ours, `paper`: the paper's text,
@@ -198,7 +198,7 @@ def run_train(
     Args:
         flights, vehicle, force, progress: See `train`.
         out: Folder of the model.
-        wanted: What is trained.
+        wanted: Settings of the training.
         alongside: Takes the result and the folder to write into what else belongs there.
 
     Raises:
@@ -316,9 +316,9 @@ def write_measured_card(
 
     Args:
         model: Folder of the model, which stays as it is.
-        found: What `evaluate` returned.
+        found: Result of `evaluate`.
         flights: Flights that it was measured on.
-        folder: To write it into.
+        folder: Folder of the copy.
 
     Raises:
         TwinError: The head of the model's own card cannot be read.
@@ -347,7 +347,7 @@ def evaluate(
     """Measure a compensator on other flights, against trivial baselines.
 
     Args:
-        model: What `train` returned, the folder that it wrote, or the name of a shipped model.
+        model: A result of `train`, the folder that it wrote, or the name of a shipped model.
         flights: Flights that did not train the model.
         explained: Vehicle that `explain` found, drawn with the model's own.
         physics: Vehicle before it was explained, flown for comparison with a learned force.

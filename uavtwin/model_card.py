@@ -116,7 +116,7 @@ class Result:
         table: Models alongside each other.
         metrics: Metrics of the model itself: `type`, `name`, `value`.
         worse: One text per metric in which a baseline is better.
-        spread: How far the spread holds that the model predicts; None: it predicts none.
+        spread: Coverage of the predicted spread; None: the model predicts none.
     """
 
     caption: str
@@ -342,7 +342,7 @@ def card_text(
 
     Args:
         folder: Folder that `train` wrote.
-        claim: What the model is, in one sentence.
+        claim: Purpose of the model, in one sentence.
         license: License of the model, as Hugging Face names it.
         measured: On flights of its own; None: not yet.
     """
@@ -428,7 +428,7 @@ def write_card(folder: Path, claim: str, license: str = UNSAID) -> str:
 
     Args:
         folder: Folder that `train` wrote.
-        claim: What the model is, in one sentence.
+        claim: Purpose of the model, in one sentence.
         license: License of the model.
     """
     (folder / FILE).write_text(card_text(folder, claim, license), "utf-8")
@@ -440,8 +440,8 @@ def write_completed_card(model: Path, claim: str, measured: Measured, folder: Pa
 
     Args:
         model: Folder of the model; the licence is that of its own card.
-        claim: What the model is, in one sentence.
-        measured: What was found.
+        claim: Purpose of the model, in one sentence.
+        measured: Result of the evaluation.
         folder: Folder of the evaluation.
     """
     text = card_text(model, claim, written_license(model / FILE), measured)

@@ -206,7 +206,7 @@ class OptionalSteps:
     One that fails leaves nothing; the other results go to their place all the same.
 
     Attributes:
-        failed: What failed and why, by step.
+        failed: Steps that failed, and why.
     """
 
     def __init__(self) -> None:
@@ -384,7 +384,7 @@ def _take_back_all(out: Path, own: set[str]) -> set[str]:
 
     Args:
         out: Folder.
-        own: What an unfinished run, which is to be resumed, has there.
+        own: Files of an unfinished run that is to be resumed.
 
     Raises:
         TwinError: Not all that a list names and that is there are the files of the list, or there
@@ -495,9 +495,9 @@ class RunRecord(Record, frozen=True, kw_only=True):
             taken, and `source`.
         seed: Seed of the random numbers; null: none are drawn.
         inputs: Files that were read.
-        python: Its version.
+        python: Version of Python.
         packages: Versions, by name.
-        fmus: How each FMU of a simulation was run, by its name there.
+        fmus: How each FMU of a simulation was run, by its name in the system.
         incomplete: Optional steps that failed and why, as "FMUs: the C compiler failed ..."; of
             `simulate`, why the run did not come to its end. Missing where all is there.
     """
@@ -533,13 +533,13 @@ def write_run(
     Args:
         out: Folder.
         verb: Verb of the command line.
-        options: It was called with.
+        options: Options of the call.
         inputs: Files that it read.
         seed: Seed of the random numbers.
         file: Another name, where the folder is not of this run alone.
         incomplete: Why the results are of a part of the run, or which optional steps failed; "":
             they are of all of it.
-        fmus: How each FMU of a simulation was run, by its name there; None: there were none.
+        fmus: How each FMU of a simulation was run, by its name in the system; None: no FMU.
     """
     record = RunRecord(
         verb=verb,

@@ -93,7 +93,7 @@ class Key:
     Attributes:
         path: Path from the top: "channels.*.rms", "flights[].name".
         type: "number", "text", "list of number", ...
-        meaning: What it holds.
+        meaning: Meaning of the value.
     """
 
     path: str
@@ -115,7 +115,7 @@ def _keys(kind: inspect.Type, path: str) -> Iterator[Key]:
 
     Args:
         kind: Type of the value.
-        path: To the value.
+        path: Path of the value.
     """
     match kind:
         case inspect.StructType() | inspect.DataclassType():

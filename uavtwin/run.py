@@ -70,8 +70,8 @@ class Run(PageMixin):
         name: Name of the mission or of the `.ssp`.
         recording: Every output over time.
         units: Unit of each column, "" where it has none.
-        facts: What it was run with, for the page.
-        ended: What ended it early; None where it came to its end.
+        facts: Settings of the run, for the page.
+        ended: Why it ended early; None where it came to its end.
         fmus: How each FMU was run, by its name in the system: "FMI 3.0, co-simulation".
         warnings: What was asked for although it changes nothing.
     """
@@ -290,7 +290,7 @@ def run_plan(
     """Build what a scenario needs and run it; `Run.ended` says whether it came to its end.
 
     Args:
-        plan: What to simulate.
+        plan: The scenario.
         duration_s: Time from its start on; None: until `stop_s`, or the system's own.
         progress: Called with the share done, 0..1.
         trust: See `simulate`.

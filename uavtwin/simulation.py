@@ -95,7 +95,7 @@ def scenario_system(
     compiled once.
 
     Args:
-        scenario: What to simulate.
+        scenario: The scenario.
         folder: For the FMUs.
         progress: Called with the share built.
         warn: Called with each sentence of `ineffective`, and on equal entries of an archive.

@@ -37,12 +37,12 @@ class DraftHover(Record, frozen=True, kw_only=True):
     """The hover of a flight.
 
     Attributes:
-        flight: Its name.
+        flight: Name of the flight.
         level: Median of the mean of the motors.
         each: Median of each motor.
-        seconds: How long it is.
+        seconds: Length of the hover, s.
         hovers: False: the flight hovers nowhere, this is all of it.
-        where: Which part of the flight it is, in words.
+        where: Part of the flight, in words.
     """
 
     flight: str
@@ -91,10 +91,10 @@ class DraftRecord(Record, frozen=True, kw_only=True):
     """A vehicle in draft.
 
     Attributes:
-        vehicle: Its name.
+        vehicle: Name of the vehicle.
         hover: Hover of the draft and of the flights.
         numbers: Entries of the file.
-        warnings: What does not fit together.
+        warnings: Contradictions between the numbers.
         file: The file that was written; missing where none was.
         next: The command to run next.
     """
@@ -113,7 +113,7 @@ class DraftResult(DisplayMixin):
 
     Attributes:
         vehicle: The vehicle, with the text of its file.
-        details: What the flights tell, and where each number comes from.
+        details: Results from the flights, and the source of each number.
         files: The flights, as they were read.
     """
 

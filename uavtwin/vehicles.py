@@ -102,7 +102,7 @@ def convert_vehicle(path: str | Path, name: str | None = None) -> Vehicle:
 
     Args:
         path: The file; its format is recognised by what it holds.
-        name: Which aircraft, where the file holds several.
+        name: Name of the aircraft, where the file holds several.
 
     Raises:
         ModelError: No such file, a format that is not known, or a vehicle that a vehicle file

@@ -87,7 +87,7 @@ def blind_clause(effect: str, value: float, unit: str, since: bool) -> str:
     Args:
         effect: One of `BLIND_ORDER`.
         value: The smallest one that would show, a change from no effect.
-        unit: SI.
+        unit: SI unit.
         since: Whether it is a change since a calibration.
     """
     size = percent(value) if unit == "1" else quantity(value, unit)
@@ -190,10 +190,10 @@ class Kind:
     """A physical quantity.
 
     Attributes:
-        prefix: Its channels begin with it.
+        prefix: Prefix of the names of its channels.
         title: Title of its figures.
         axes: Names of its axes.
-        words: It in a sentence.
+        words: Name of the kind in a sentence.
         axis: Words for an axis, by its letter.
     """
 
