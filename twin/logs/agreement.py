@@ -1,8 +1,7 @@
-"""Signals of a flight held against each other: rates and attitude, velocity and position, force and
-velocity.
+"""Consistency of flight signals: rates and attitude, velocity and position, force and velocity.
 
-What each says of a window of half a second is compared, where both have samples in it: of noise
-little is left there.
+Signals are compared by their integrals over windows of half a second in which both have samples;
+integration suppresses most of the noise.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,49 +17,52 @@ from .columns import ACC, ACC_NED, GYRO, MAG, POS, QUAT, VEL, Columns
 from .flight import Array, Finding
 from .samples import interpolated
 
-_WINDOW_S = 0.5  # shorter in a short record
-_LONGEST_S = 36_000.0  # of a record that is compared: windows without end otherwise
-_FEWEST = 20  # windows
-_STEPS = 0.02  # windows with a reset of the estimator: three in a minute and a half
+_WINDOW_S = 0.5  # length of a window; shorter in a short record
+_LONGEST_S = 36_000.0  # longest record that is compared; limits the number of windows
+_FEWEST = 20  # smallest number of windows
+_STEPS = 0.02  # share of windows with a reset of the estimator: three in a minute and a half
 _TURNED_RAD = 0.02
-"""In a window, rms: of a gyroscope that is off by 2 deg/s at rest it is less."""
+"""Least rms rotation per window; a gyroscope with a bias of 2 deg/s at rest shows less."""
 _BOTH_TURNED_RAD = 0.005
-"""The same where both turn: of an attitude that is known to 0.2 deg it is less at rest."""
-_MOVED_M = 0.02  # in a window, of a position that moves; one at rest is noise
+"""Least rms rotation per window in both signals; an attitude accurate to 0.2 deg shows less at
+rest."""
+_MOVED_M = 0.02  # least displacement per window of a moving position; below it is noise
 _AGAINST_M = 0.003
-"""In a window: noise hides that two signals are the same, and does not turn their sign."""
+"""Least rms change per window for a sign test: noise hides a correlation but does not invert it."""
 _ROWS = 1 << 12
-"""Samples at a time, where an equation has many terms."""
+"""Samples per block, where an equation has many terms."""
 
 _SAME, _OTHER = 0.8, 0.5
-"""Correlation from which on two axes are one motion, and below which they are not."""
+"""Correlation from which two axes are the same motion, and below which they are different ones."""
 _SCALES = (0.45, 2.2)
-"""Ratio of the sizes of one motion outside of which one axis is scaled. Of all recorded logs at
-hand (docs/results/axis_faults.md) it is 0.66 to 1.93 where the correlation is above `_SAME`."""
+"""Ratio of rms values of the same motion outside of which one axis is scaled wrongly. All recorded
+logs at hand (docs/results/axis_faults.md) have 0.66 to 1.93 where the correlation is above
+`_SAME`."""
 _SURE = 4.0
-"""Deviations of a correlation by chance that an opposite sign has to be away from none."""
+"""Standard errors by which a correlation of opposite sign must differ from zero."""
 _FAR = 5.0
-"""Windows that are farther from the median, over the usual distance, are falls and resets."""
+"""Windows this many times the median distance from the median are falls or resets."""
 _TURNING_RAD = 0.002
-"""Turn in a window, from the median, from which on an axis of the gyroscope is judged by itself."""
+"""Rotation per window, from the median, from which an axis of the gyroscope is tested by itself."""
 _MOUNTED_RAD = np.radians(15.0)
-"""Angle about body down from which on an IMU is mounted at it: of all recorded logs at hand it is 6
-degrees at most."""
+"""Mounting angle of the IMU about body z from which it is reported; recorded logs have at most 6
+degrees."""
 _PUSHED_M_S2 = 0.1
-"""The same of the accelerometer; below, levelling and wind decide across the thrust."""
+"""Change of the acceleration from which an axis is tested; below it levelling and wind dominate."""
 _HEADINGS = 0.3
-"""Rms of the nose's direction from which on the axes of a compass are judged: +-20 degrees."""
+"""Rms variation of the heading direction from which compass axes are tested: +-20 degrees."""
 _TILTS = 0.05
-"""The same of the vertical axis, which shows the level field by tilts."""
+"""Rms variation of the vertical axis, which observes the level field through tilts."""
 _LIKE, _UNLIKE = 0.1, 0.2
-"""Share of the variance of a compass that one field leaves, and from which on it is none."""
+"""Share of compass variance unexplained by one constant field: consistent up to the first value,
+not from the second."""
 
 Signals = dict[str, tuple[str, ...]]
 """Columns that are sampled together, by the name of their signal."""
 
 
 def signals(table: Columns) -> Signals:
-    """Columns that are sampled together and there, by the name of their signal."""
+    """Columns of this table that are sampled together, by the name of their signal."""
     vectors = [s.columns for s in SENSORS if len(s.columns) > 1]
     scalars = [s.columns[0] for s in SENSORS if len(s.columns) == 1]
     groups: dict[str, tuple[str, ...]] = {
@@ -76,7 +78,8 @@ def signals(table: Columns) -> Signals:
 
 
 def samples(table: Columns, columns: Sequence[str]) -> tuple[Array, Array]:
-    """Times, s, shape (n,), and values, shape (n, k), where all of the columns are there."""
+    """Times, s, shape (n,), and values, shape (n, k), of the rows in which all of the columns have
+    a sample."""
     t_s = table["time"]
     values = np.empty((len(t_s), len(columns)))
     for k, column in enumerate(columns):
@@ -86,7 +89,7 @@ def samples(table: Columns, columns: Sequence[str]) -> tuple[Array, Array]:
 
 
 def _windows(*times_s: Array) -> Array:
-    """Edges of the windows that all of these times cover, s."""
+    """Edges of the windows within the time span that all of these series share, s."""
     start = max(float(t[0]) for t in times_s)
     end = min(float(t[-1]) for t in times_s)
     if not 0.0 < end - start < _LONGEST_S:
@@ -114,7 +117,7 @@ def _known(t_s: Array, edges_s: Array) -> NDArray[np.bool_]:
 
 
 def _compared(a: Array, b: Array, good: NDArray[np.bool_]) -> tuple[float, float, int]:
-    """Correlation about zero, ratio of sizes |b| / |a|, and number of windows."""
+    """Correlation about zero, ratio of rms values |b| / |a|, and number of windows."""
     a, b = a[good], b[good]
     size_a, size_b = float(np.sqrt(np.sum(a * a))), float(np.sqrt(np.sum(b * b)))
     if size_a == 0.0 or size_b == 0.0:
@@ -123,13 +126,13 @@ def _compared(a: Array, b: Array, good: NDArray[np.bool_]) -> tuple[float, float
 
 
 def axis_faults(reference: Array, measured: Array, least: float) -> Iterator[str]:
-    """Axes of a vector signal that are not those of another of the same motion, in words.
+    """Texts on axes of a vector signal that disagree with a reference of the same motion.
 
     Args:
         reference: Mean or integral over windows, shape (n, 3).
-        measured: The same of the signal that is judged, shape (n, 3).
-        least: Deviation of the reference from which on an axis is judged; a fifth of the windows
-            have to be so far from the median, so that no single fall decides.
+        measured: Mean or integral over windows of the tested signal, shape (n, 3).
+        least: Deviation of the reference from its median from which an axis is tested; a fifth of
+            the windows must exceed it, so that no single fall decides.
     """
     if len(reference) < _FEWEST:
         return
@@ -162,7 +165,7 @@ class Turns:
     """Rotations over windows, in the axes of the body.
 
     Attributes:
-        by_attitude: From one attitude to the next, rad, shape (n, 3).
+        by_attitude: Rotation from one attitude to the next, rad, shape (n, 3).
         by_gyro: Integral of the body rates, rad, shape (n, 3).
         lasting_s: Length of each window, s, shape (n,).
     """
@@ -172,7 +175,8 @@ class Turns:
     lasting_s: Array
 
     def without_steps(self) -> "Turns":
-        """Without the 2 % in which they are farthest apart: resets of an estimator."""
+        """The rotations without the 2 % of windows with the largest difference: resets of an
+        estimator."""
         apart = np.linalg.norm(self.by_attitude - self.by_gyro, axis=1)
         order = np.argsort(apart, kind="stable")
         nearest = np.sort(order[: len(order) - int(np.ceil(_STEPS * len(order)))])
@@ -190,11 +194,11 @@ class Turns:
 
 
 def turns(table: Columns, there: Signals | None = None) -> Turns | None:
-    """How attitude and gyroscope say that the body turns; None where they do not say enough.
+    """Rotations by attitude and by gyroscope; None where too few windows show rotation.
 
     Args:
         table: Flight table by column.
-        there: Its signals, where they have been looked for already.
+        there: Signals of the table, where they are known already.
     """
     there = signals(table) if there is None else there
     if not {"gyro", "q"} <= there.keys():
@@ -207,13 +211,13 @@ def turns(table: Columns, there: Signals | None = None) -> Turns | None:
     if len(edges) < _FEWEST:
         return None
     near = np.clip(np.searchsorted(t_q, edges), 0, len(t_q) - 1)
-    edges = t_q[near]  # attitudes as they are: those between are not on the way
+    edges = t_q[near]  # logged attitudes, not interpolated ones
     edges, first = np.unique(edges, return_index=True)
     q = q[near][first]
     q = q / np.linalg.norm(q, axis=1, keepdims=True)
     turned = rotation_vector(q[1:], q[:-1])
     integrated = window_integrals(t_gyro, gyro, edges)
-    small = np.abs(integrated).max(axis=1) < 1.0  # beyond, angles do not add up
+    small = np.abs(integrated).max(axis=1) < 1.0  # beyond, rotation angles do not add up
     if small.sum() < _FEWEST:
         small = np.abs(turned).max(axis=1) < 1.0
     good = _known(t_gyro, edges) & _known(t_q, edges) & small
@@ -221,8 +225,8 @@ def turns(table: Columns, there: Signals | None = None) -> Turns | None:
 
 
 def mounted_at(turned: Turns) -> float:
-    """Angle about body down by which a gyroscope is turned against the attitude, rad, -pi to pi; 0
-    where no such turn makes them one motion about each of the level axes."""
+    """Mounting angle of a gyroscope about body z against the attitude, rad, -pi to pi; 0 where no
+    such rotation makes both agree about each of the level axes."""
     shown, real = turned.by_gyro, turned.by_attitude
     (gx, gy, gz), (ax, ay, az) = shown.T, real.T
     angle = float(np.arctan2(gx @ ay - gy @ ax, gx @ ax + gy @ ay))
@@ -237,7 +241,7 @@ def mounted_at(turned: Turns) -> float:
 
 
 def doubt_turning(table: Columns, there: Signals) -> list[Finding]:
-    """Body rates and attitude that do not turn together."""
+    """Findings where body rates and attitude do not agree."""
     found = turns(table, there)
     if found is None or len(found.lasting_s) == 0:
         return []
@@ -270,7 +274,7 @@ def doubt_turning(table: Columns, there: Signals) -> list[Finding]:
 
 
 def doubt_velocity(table: Columns, there: Signals) -> list[Finding]:
-    """Velocity that is not the slope of the position, axis by axis."""
+    """Findings where the velocity is not the slope of the position, axis by axis."""
     if not {"pos", "vel"} <= there.keys():
         return []
     t_pos, pos = samples(table, POS)
@@ -309,12 +313,12 @@ def doubt_velocity(table: Columns, there: Signals) -> list[Finding]:
 
 
 def _median_way(way: Array) -> float:
-    """What a window usually covers, m, at least a little."""
+    """Median displacement per window, m, with a small lower bound."""
     return max(float(np.median(np.abs(way).max(axis=1))), 0.02)
 
 
 def _force_ned(t_acc: Array, acc: Array, t_q: Array, q: Array) -> Array:
-    """Specific force in NED by the attitude next after each sample, shape as `acc`."""
+    """Specific force in NED, rotated by the attitude nearest to each sample, shape as `acc`."""
     force_n = np.empty_like(acc)
     for first in range(0, len(acc), _ROWS):
         rows = slice(first, first + _ROWS)
@@ -325,7 +329,7 @@ def _force_ned(t_acc: Array, acc: Array, t_q: Array, q: Array) -> Array:
 
 
 def doubt_force(table: Columns, there: Signals) -> list[Finding]:
-    """Specific force that does not explain how the velocity changes."""
+    """Findings where specific force does not explain the change of velocity."""
     if not {"acc", "q", "vel"} <= there.keys():
         return []
     t_acc, acc = samples(table, ACC)
@@ -337,7 +341,7 @@ def doubt_force(table: Columns, there: Signals) -> list[Finding]:
     if len(edges) < _FEWEST:
         return []
     gained = np.diff(interpolated(edges, t_vel, vel), axis=0)
-    del vel  # of a long flight each is a good part of what memory there is
+    del vel  # frees memory: in a long flight each is a large array
     read = window_integrals(t_acc, acc, edges)
     force_n = _force_ned(t_acc, acc, t_q, q)
     del acc
@@ -377,18 +381,18 @@ def doubt_force(table: Columns, there: Signals) -> list[Finding]:
 
 
 def _in_body(t_s: Array, vector_n: Array, t_q: Array, q: Array) -> Array:
-    """Vectors in body axes by the attitude next after each time, shape as `vector_n`."""
+    """Vectors in body axes, rotated by the attitude nearest to each time, shape as `vector_n`."""
     near = q[np.clip(np.searchsorted(t_q, t_s), 0, len(t_q) - 1)]
     unit = near / np.linalg.norm(near, axis=1, keepdims=True)
     return np.stack(to_body(list(unit.T), list(vector_n.T)), axis=1)
 
 
 def doubt_compass(table: Columns, there: Signals) -> list[Finding]:
-    """Axes of a magnetometer that do not show one field that the earth holds still.
+    """Findings where magnetometer axes do not measure one constant field of the Earth.
 
-    Each axis by itself is fitted by a field and a bias, m_k = (R_bn m_n)_k + b_k; the level parts
-    of the fields of two axes have to be one. Axes are swapped where one field fits all of them
-    swapped and none as they are.
+    Each axis alone is fitted by a field and a bias, m_k = (R_bn m_n)_k + b_k; the level parts of
+    the fields of two axes must agree. Axes are swapped where one field fits them all when swapped
+    and none fits them as they are.
     """
     if not {"mag", "q"} <= there.keys():
         return []
@@ -403,7 +407,7 @@ def doubt_compass(table: Columns, there: Signals) -> list[Finding]:
     rows -= rows.mean(axis=0)
 
     def fitted(x: Array, y: Array) -> tuple[Array, float]:
-        """A field, and the share of the variance that it leaves."""
+        """Least-squares field, and the share of the variance that it does not explain."""
         field = np.linalg.lstsq(x, y, rcond=1e-2)[0]
         share = float(np.sum((y - x @ field) ** 2)) / max(float(y @ y), 1e-300)
         return np.asarray(field, dtype=np.float64), share

@@ -1,4 +1,4 @@
-"""What a log says of the aircraft that made it; every reader of an autopilot's logs fills it."""
+"""Facts of the aircraft that its log contains; each reader of an autopilot's logs fills them."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,11 +17,11 @@ Array = NDArray[np.float64]
 
 
 class SourcedValue(NamedTuple, Generic[T]):
-    """A fact of the aircraft, with the parameter or topic that says so.
+    """A fact of the aircraft, with the parameter or topic that states it.
 
     Attributes:
-        value: In SI units.
-        source: The parameter or topic of the log, with what it holds.
+        value: Value in SI units.
+        source: Parameter or topic of the log, with its content.
     """
 
     value: T
@@ -29,7 +29,7 @@ class SourcedValue(NamedTuple, Generic[T]):
 
 
 def positive_parameter(params: Mapping[str, float], name: str) -> SourcedValue[float] | None:
-    """A parameter that says something where it is positive; None where it is not, or missing."""
+    """A parameter that is valid where it is positive; None where it is not, or missing."""
     value = params.get(name, 0.0)
     return SourcedValue(value, f"{name} of the log") if value > 0.0 else None
 
@@ -54,7 +54,7 @@ NO_MULTIROTOR = {
     46: "a walking robot",
     **dict.fromkeys((18, 26, 27, *range(30, 35), *range(36, 43), 44, 48), "a device, no aircraft"),
 }
-"""What is none, by MAV_TYPE of the MAVLink common message set."""
+"""Vehicles that are no multirotor, by MAV_TYPE of the MAVLink common message set."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +62,9 @@ class Place:
     """Where and when a log was made.
 
     Attributes:
-        latitude_rad: Geodetic, north positive.
-        longitude_rad: East positive.
-        height_m: Over the ellipsoid, or over the sea where the log has no other.
+        latitude_rad: Geodetic latitude, north positive.
+        longitude_rad: Longitude, east positive.
+        height_m: Height above the ellipsoid, or above sea level where the log has no other.
         year: Decimal year; None: the log has no date.
     """
 
@@ -77,12 +77,12 @@ class Place:
     def of_degrees(
         cls, latitude: float, longitude: float, height_m: float, year: float | None = None
     ) -> "Place":
-        """The place of a latitude and a longitude in degrees."""
+        """Place from latitude and longitude in degrees."""
         return cls(math.radians(latitude), math.radians(longitude), float(height_m), year)
 
 
 def decimal_year(day: date) -> float:
-    """A date as a year and its part."""
+    """Decimal year of a date."""
     return day.year + (day.timetuple().tm_yday - 1) / 365.25
 
 
@@ -91,7 +91,7 @@ _EARTH_M = 6_371_000.0
 
 
 def local_ned(latitude_deg: Array, longitude_deg: Array, up_m: Array) -> Array:
-    """Places on the globe, shape (n,) each -> NED from the first of them, m, shape (n, 3).
+    """NED coordinates from the first of several places, shape (n,) each, m, shape (n, 3).
 
     Valid for: some kilometres.
     """
@@ -103,14 +103,14 @@ def local_ned(latitude_deg: Array, longitude_deg: Array, up_m: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """The battery as the autopilot's parameters have it.
+    """The battery as described by the autopilot's parameters.
 
     Attributes:
         count: Cells in series.
         full_v: Voltage of a full cell.
         empty_v: Voltage of an empty cell.
-        capacity_a_s: None: not logged.
-        resistance_ohm: Of the whole battery; None: not logged.
+        capacity_a_s: Capacity of the battery, A s; None: not logged.
+        resistance_ohm: Resistance of the whole battery; None: not logged.
     """
 
     count: int
@@ -122,7 +122,7 @@ class Cells:
 
 @dataclass(frozen=True, slots=True)
 class ThrustCurve:
-    """How an autopilot believes that thrust follows the command of a motor.
+    """Thrust over motor command, as the autopilot models it.
 
     With x = (u - start) / (full - start) of the command u, thrust over that at full command is
     f x^2 + (1 - f) x.
@@ -138,7 +138,7 @@ class ThrustCurve:
     full: float = 1.0
 
     def thrust(self, command: Array) -> Array:
-        """Thrust over that at full command, of commands of any shape."""
+        """Thrust over that at full command, for commands of any shape."""
         x = np.clip((command - self.start) / (self.full - self.start), 0.0, 1.0)
         return np.asarray(self.factor * x * x + (1.0 - self.factor) * x)
 
@@ -150,27 +150,28 @@ class ThrustCurve:
 
 
 def origin_of(airframe: "Airframe | None") -> Place | None:
-    """From where the positions of a flight are counted; None where its log does not say."""
+    """Origin of the positions of a flight; None where its log does not contain it."""
     return None if airframe is None or airframe.origin is None else airframe.origin.value
 
 
 @dataclass(frozen=True, slots=True)
 class Airframe:
-    """Facts of an aircraft that its log holds besides the signals; None where it does not say.
+    """Facts of an aircraft in its log besides the signals; None where the log has no such fact.
 
     Attributes:
-        no_multirotor: Why it is none, "" where it may be one.
+        no_multirotor: Why the vehicle is no multirotor, "" where it may be one.
         rotors: Number of rotors.
-        layout: Where they are and how they turn, in the order of `cmd_1..n`.
-        thrust: Thrust by command, as the autopilot takes it.
+        layout: Positions and directions of rotation of the rotors, in the order of `cmd_1..n`.
+        thrust: Thrust over command, as the autopilot models it.
         pulse_us: Pulse widths that stand for the commands 0 and 1, us.
         cells: The battery.
-        imu_position_m: Accelerometer from the centre of mass, body FRD, three numbers.
-        accel_cutoff_hz: Low-pass that the accelerometer in the log went through.
-        gyro_cutoff_hz: Low-pass that the gyroscope in the log went through.
-        place: Where it flew.
-        origin: From where its positions are counted; its height is over the sea.
-        filters: Filters on board that the signals in the log did not go through, in words.
+        imu_position_m: Position of the accelerometer from the centre of mass, body FRD, three
+            numbers.
+        accel_cutoff_hz: Cut-off of the low-pass applied to the logged accelerometer.
+        gyro_cutoff_hz: Cut-off of the low-pass applied to the logged gyroscope.
+        place: Place of the flight.
+        origin: Origin of the positions; its height is above sea level.
+        filters: Description of filters on board that were not applied to the logged signals.
     """
 
     no_multirotor: str = ""
@@ -190,7 +191,7 @@ class Airframe:
 
     @classmethod
     def together(cls, several: Sequence["Airframe"]) -> "Airframe":
-        """Of several logs of one aircraft: each fact of the first log that has it."""
+        """Facts of several logs of one aircraft: each from the first log that contains it."""
         facts: dict[str, Any] = {
             f.name: next((v for a in several if (v := getattr(a, f.name))), f.default)
             for f in fields(cls)

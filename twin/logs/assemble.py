@@ -1,4 +1,5 @@
-"""Signals with their own clocks put together into one flight table: attitude of unit norm, rows."""
+"""Signals with different time stamps combined into one flight table: rows, attitude of unit
+norm."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -17,29 +18,29 @@ from .motors import MotorCommands
 from .stamps import filter_delay_us, longest_stretch, mean_rate_hz
 
 _SHOWN = 8
-"""Times that a finding lists."""
+"""Largest number of times that a finding lists."""
 
 
 # -- attitude -----------------------------------------------------------------------------------
 #
-# Attitude as logs have it: quaternions of unit norm, Euler angles turned into them.
+# Logged attitudes: quaternions normalised, Euler angles converted to quaternions.
 
 NORM_DOUBT = 1e-3
-"""Distance of a norm from 1 beyond which that a quaternion was normalised is said."""
-_LEAST_NORM, _MOST_NORM = 0.5, 2.0  # of a quaternion; beyond is damage
+"""Distance of a norm from 1 beyond which the normalisation of a quaternion is reported."""
+_LEAST_NORM, _MOST_NORM = 0.5, 2.0  # norm of a quaternion; beyond is damage
 
 
 def unit_quaternions(log: FindingCollector, q: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Logged quaternions normalised, those left out whose norm is far from 1; findings count both.
+    """Logged quaternions normalised, without those of norm far from 1; findings count both.
 
     Args:
-        log: Which has them; gets the findings.
-        q: Shape (n, 4).
+        log: Log with the quaternions; collects the findings.
+        q: Logged quaternions, shape (n, 4).
 
     Returns:
-        Which are used, shape (n,), and these, shape (m, 4).
+        Mask of the quaternions in use, shape (n,), and these quaternions, shape (m, 4).
     """
-    with np.errstate(invalid="ignore", over="ignore"):  # damaged logs hold any number
+    with np.errstate(invalid="ignore", over="ignore"):  # damaged logs contain any number
         norm = np.linalg.norm(q, axis=1)
     usable = np.isfinite(norm) & (norm > _LEAST_NORM) & (norm < _MOST_NORM)
     off = usable & (np.abs(norm - 1.0) > NORM_DOUBT)
@@ -54,7 +55,7 @@ def unit_quaternions(log: FindingCollector, q: Array) -> tuple[NDArray[np.bool_]
 
 
 def phases_of_table(table: pd.DataFrame, ground: list[Span]) -> list[Span]:
-    """Phases as of `motion_spans`, by the velocity of a table; `ground` alone where it has none."""
+    """Phases as in `motion_spans`, by the velocity of a table; `ground` alone where it has none."""
     if not set(VEL) <= set(table):
         return ground
     known = table[["time", *VEL]].dropna().to_numpy(dtype=np.float64)
@@ -66,12 +67,12 @@ class FlightBuilder:
     """The flight of a log while it is read: signals, each with its own time stamps, and facts.
 
     Attributes:
-        log: Takes the findings.
-        path: File.
-        facts: What the log says about itself, printable key by key.
-        begin: What happens at time 0.
+        log: Collects the findings.
+        path: Path of the log file.
+        facts: Facts of the log, printable key by key.
+        begin: Event at time 0.
         signals: Columns that are sampled together, their times, us, shape (n,), and values.
-        t_us: Times of the rows of the table, shape (n,), once it is laid out.
+        t_us: Times of the rows of the table, shape (n,), once they are known.
     """
 
     log: FindingCollector
@@ -87,10 +88,10 @@ class FlightBuilder:
         """Add a signal; findings count the samples that it loses.
 
         Args:
-            where: What the signal is called in findings, and in `columns.LIMITS`.
-            names: Its columns.
+            where: Name of the signal in findings, and in `columns.LIMITS`.
+            names: Columns of the signal.
             t_us: Strictly increasing times, us, shape (n,).
-            values: Shape (n, len(names)).
+            values: Samples, shape (n, len(names)).
         """
         absurd = beyond_limit(where, values)
         if absurd.any():
@@ -104,24 +105,24 @@ class FlightBuilder:
         self.log.note("error", where, "samples left out, a value is NaN or infinite", broken)
 
     def add_attitude(self, t_us: NDArray[np.int64], q: Array) -> None:
-        """Add logged quaternions FRD to NED, shape (n, 4), as of `unit_quaternions`."""
+        """Add logged quaternions FRD to NED, shape (n, 4), as in `unit_quaternions`."""
         usable, unit = unit_quaternions(self.log, q)
         self.add("q", QUAT, t_us[usable], unit)
 
     def add_commands(self, commands: MotorCommands | None) -> None:
-        """Add commands of all motors and what is to be printed about them, where there are any."""
+        """Add commands of all motors and their facts, where there are any."""
         if commands is not None:
             columns = motor_columns("cmd", commands.cmd.shape[1])
             self.add("cmd", columns, commands.t_us, commands.cmd)
             self.facts |= commands.facts
 
     def filter_delay_us(self, where: str, cutoff_hz: float, source: str = "") -> int:
-        """Delay of the low-pass that a signal went through before it was logged, us; a finding.
+        """Delay of the low-pass applied to a signal before logging, us; a finding reports it.
 
         Args:
             where: Name of the signal.
-            cutoff_hz: Of a second-order Butterworth low-pass.
-            source: Parameter that says so.
+            cutoff_hz: Cut-off of the second-order Butterworth low-pass.
+            source: Parameter that states the cut-off.
         """
         delay_us = filter_delay_us(cutoff_hz)
         self.log.note(
@@ -138,11 +139,11 @@ class FlightBuilder:
         `phase`; NaN where a signal has no sample.
 
         Args:
-            advice: What to do where nothing of the motion is there, a sentence.
-            doubt: What may be the cause where rows are left out, begun by a colon.
+            advice: Sentence on the remedy where no signal of the motion is available.
+            doubt: Possible cause of dropped rows, starting with a colon.
 
         Raises:
-            LogError: Nothing of the motion is there.
+            LogError: No signal of the motion is available.
         """
         every = [t for _, t, _ in self.signals]
         t_us = np.unique(np.concatenate(every)) if every else np.zeros(0, dtype=np.int64)
@@ -173,8 +174,8 @@ class FlightBuilder:
         airframe: Airframe | None = None,
         autopilot: Autopilot | None = None,
     ) -> Flight:
-        """The flight of a table as of `lay_out`, its phases, and the rates of its signals as facts;
-        other arguments as of `Flight`."""
+        """The flight of a table as from `lay_out`, its phases, and the rates of its signals as
+        facts; other arguments as in `Flight`."""
         t_s = table["time"].to_numpy()
         table["phase"] = pd.Series(label_phases(t_s, phases), dtype=object)
         length_s = (self.t_us[-1] - self.t_us[0]) * 1e-6
@@ -198,7 +199,7 @@ class FlightBuilder:
 
 
 def _note_resets(log: FindingCollector, resets: Sequence[Reset]) -> None:
-    """Findings on steps that an estimator put into its own output."""
+    """Findings on steps that an estimator made in its own output."""
     for of in dict.fromkeys(r.of for r in resets):
         times = sorted({r.t_s for r in resets if r.of == of})
         at = ", ".join(f"{t:.2f}" for t in times[:_SHOWN])

@@ -1,19 +1,19 @@
 """The attitude of a flight table as a quaternion: from Euler angles, and from the acceleration
 where some of them are not logged.
 
-A flight with an accelerometer or a gyroscope is left as it is: its IMU shows forces and torques by
+A flight with an accelerometer or a gyroscope is not changed: its IMU shows forces and torques by
 itself.
 
-Rotors push along -z of the body, and drag is small beside them. So the specific force f = a - g of
-the motion shows where the thrust points: -f/|f| is the z axis of the body in NED, and in the frame
-of the heading it is
+Rotors push along -z of the body, and drag is small compared with thrust. So the specific force f =
+a - g of the motion has the direction of thrust: -f/|f| is the z axis of the body in NED, and in
+axes rotated by the heading it is
 
     (cos(roll) sin(pitch), -sin(roll), cos(roll) cos(pitch)).
 
 Without an acceleration a missing angle is 0: in a flight without aerobatics its mean rate of change
-is, too, which is what the balance of moments takes. What such an angle cannot show is what it was
-made from. `Flight.derived_angles` names them, and the
-model leaves out the axes that they are of.
+is 0, too, as the balance of moments requires. A derived angle carries no information on the signal
+it was derived from. `Flight.derived_angles` names them, and the model omits the channels that
+depend on them.
 """
 
 from dataclasses import dataclass
@@ -28,16 +28,17 @@ from .columns import ACC, ACC_NED, EULER, GYRO, POS, QUAT, VEL, Columns
 from .flight import Array, Finding
 
 TILT_HZ = 5.0
-"""Low-pass of the acceleration before it is taken for a tilt: thrust turns no faster, and above it
-there is vibration."""
+"""Cut-off of the low-pass before a tilt is read from the acceleration: thrust turns more slowly,
+vibration is faster."""
 SHARE_OF_RATE = 0.2
-"""The same as a share of the rate of the acceleration, where that is slow."""
+"""Cut-off of that low-pass as a share of the sample rate, where the rate is low."""
 LEAST_PUSH_M_S2 = 3.0
-"""Upward specific force below which no direction is read from it: it falls."""
+"""Upward specific force below which no direction is read from it: the aircraft falls."""
 _FARTHEST_RAD = 2 * np.pi
-"""No angle of an attitude is beyond a whole turn."""
+"""Largest angle of an attitude: one turn."""
 _APART_RAD = 0.02
-"""Made up: over the rounding of any log, under any mistake of axes."""
+"""Largest difference of two attitudes; made up: above the rounding of any log, below any mistake of
+axes."""
 _SETTLED = 16
 """Samples over which the filters settle; half of the fewest that are read."""
 _LOST = {
@@ -45,17 +46,18 @@ _LOST = {
     "pitch_rad": "force along x and the answer of pitch above 1 Hz (inertia, lag)",
     "yaw_rad": "forces along x and y and the torque about z (drag, wind, yaw torque)",
 }
-"""What is not told without an angle."""
+"""What the flights do not determine without an angle."""
 
 
 @dataclass(frozen=True, slots=True)
 class Completed:
-    """An attitude that a table has not as a quaternion.
+    """Attitude of a table that has no quaternion.
 
     Attributes:
-        columns: q_*; none where the table has a quaternion, or nothing that shows an attitude.
-        derived: Euler angles that were not logged and come from the acceleration.
-        findings: What was left out or derived.
+        columns: Columns q_*; empty where the table has a quaternion, or no signal that shows an
+            attitude.
+        derived: Euler angles derived from the acceleration because they were not logged.
+        findings: Findings on samples that were dropped or derived.
     """
 
     columns: dict[str, Array]
@@ -64,14 +66,14 @@ class Completed:
 
 
 def with_quaternion(name: str, table: Columns) -> Completed:
-    """The q_* that stand in for roll, pitch and yaw.
+    """The columns q_* computed from roll, pitch and yaw.
 
     Args:
         name: File name, for messages.
-        table: By column, one for each of what the file gives.
+        table: Columns of the file by name.
 
     Raises:
-        LogError: Angles that cannot be radians, or another attitude than that of the quaternion.
+        LogError: Angles that cannot be radians, or that contradict the quaternion.
     """
     given = [c for c in EULER if c in table]
     of_imu = any(c in table for c in (*ACC, *GYRO))
@@ -109,7 +111,7 @@ def with_quaternion(name: str, table: Columns) -> Completed:
 
 
 def _partial(angles: Array) -> list[Finding]:
-    """Rows that have a part of the angles that are logged."""
+    """Findings on rows in which only some of the logged angles have a value."""
     there = np.isfinite(angles)
     count = int(np.count_nonzero(there.any(axis=1) & ~there.all(axis=1)))
     message = "rows with NaN in a part of the Euler angles; they are left out there"
@@ -120,9 +122,10 @@ def _partial(angles: Array) -> list[Finding]:
 
 
 def _acceleration(table: Columns) -> tuple[str, Array, Array] | None:
-    """Acceleration of the motion: signal that it comes from, times, s, and values, NED, (n, 3).
+    """Acceleration of the motion: name of its signal, times, s, and values, NED, shape (n, 3).
 
-    That of the table, else the slope of its velocity, else that of the slope of its position.
+    The acceleration of the table, else the slope of its velocity, else the second slope of its
+    position.
     """
     for signal, columns, slopes in (("acc_ned", ACC_NED, 0), ("vel", VEL, 1), ("pos", POS, 2)):
         if not all(c in table for c in columns):
@@ -142,14 +145,14 @@ def _acceleration(table: Columns) -> tuple[str, Array, Array] | None:
 
 
 def _by_force(time_s: Array, angles: Array, t_s: Array, acceleration_n: Array) -> Array:
-    """Angles with roll and pitch, where they are missing, of the direction of the specific force,
-    and a heading of north.
+    """Angles with missing roll and pitch from the direction of the specific force, and a missing
+    heading set to north.
 
     Args:
-        time_s: Rows, shape (n,).
+        time_s: Times of the rows, shape (n,).
         angles: Roll, pitch, yaw, rad, NaN where missing, shape (n, 3).
-        t_s: Of the acceleration, shape (m,).
-        acceleration_n: Of the motion, NED, m/s^2, shape (m, 3).
+        t_s: Times of the acceleration, shape (m,).
+        acceleration_n: Acceleration of the motion, NED, m/s^2, shape (m, 3).
     """
     force = np.stack([np.interp(time_s, t_s, a, np.nan, np.nan) for a in acceleration_n.T])
     force[2] = np.minimum(force[2] - GRAVITY_M_S2, -LEAST_PUSH_M_S2)
@@ -167,11 +170,11 @@ def _by_force(time_s: Array, angles: Array, t_s: Array, acceleration_n: Array) -
 
 
 def _what_is_lost(missing: tuple[str, ...], signal: str) -> str:
-    """What was derived, and what these flights do not tell for it.
+    """Text on the derived angles and on what the flight no longer determines.
 
     Args:
-        missing: Angles.
-        signal: That the acceleration comes from; "": there is none.
+        missing: Missing angles.
+        signal: Signal of the acceleration; "": there is none.
     """
     tilts = [c for c in missing if signal and c != "yaw_rad"]
     how = []
@@ -189,7 +192,7 @@ def _what_is_lost(missing: tuple[str, ...], signal: str) -> str:
 
 
 def _check_radians(name: str, angles: Array) -> None:
-    """No angle beyond a whole turn."""
+    """Check that no angle exceeds a whole turn."""
     rows, columns = np.nonzero(np.abs(angles) > _FARTHEST_RAD)
     if len(rows):
         value, column = angles[rows[0], columns[0]], EULER[columns[0]]
@@ -200,7 +203,7 @@ def _check_radians(name: str, angles: Array) -> None:
 
 
 def _check_same(name: str, q_nb: Array, q_euler: Array) -> None:
-    """Both attitudes are the same wherever both are there."""
+    """Check that both attitudes agree wherever both have a value."""
     size = np.linalg.norm(q_nb, axis=1)
     both = np.flatnonzero(np.isfinite(size) & (size > 0.5) & np.isfinite(q_euler[:, 0]))
     unit = q_nb[both] / size[both, None]

@@ -1,6 +1,6 @@
-"""What the autopilot itself says of a flight: its modes, setpoints, failures, messages, filters.
+"""Records of the autopilot itself: its modes, setpoints, failures, messages, filters.
 
-Every reader of an autopilot's logs fills it; a flight table in Parquet keeps it.
+Every reader of an autopilot's logs fills them; a flight table in Parquet stores them.
 """
 
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ Sensor = Literal["gyro", "acc"]
 ResetOf = Literal["attitude", "yaw", "height", "position", "velocity"]
 FilterKind = Literal["low-pass", "notch", "tracking notch"]
 Level = Literal["emergency", "alert", "critical", "error", "warning", "notice", "info", "debug", ""]
-"""Of a message, as syslog has them; "": not logged."""
-LEVELS: tuple[Level, ...] = get_args(Level)  # gravest first
+"""Severity of a message, as in syslog; "": not logged."""
+LEVELS: tuple[Level, ...] = get_args(Level)  # most severe first
 
 SETPOINTS: tuple[tuple[str, ...], ...] = (POS, VEL, QUAT, GYRO)
 """Columns of the flight table that may have a setpoint."""
@@ -30,7 +30,8 @@ MOST_EVENTS = 1000
 MOST_MESSAGES = 2000  # largest number that is stored
 MOST_PARAMETERS = 5000  # largest number that is stored
 MOST_SAMPLES = 10_000
-"""Of a setpoint: more than any screen shows; some megabytes of a flight table at most."""
+"""Largest number of samples of a setpoint: beyond the resolution of a screen, some megabytes of a
+flight table."""
 LONGEST = 300
 """Largest number of characters of a text that is stored."""
 
@@ -44,8 +45,8 @@ class Mode:
     """A flight mode; it lasts until the next one begins.
 
     Attributes:
-        name: As the autopilot's users call it.
-        start_s: Begin, s from the start of the record.
+        name: Name of the mode in the autopilot's documentation.
+        start_s: Start, s from the start of the record.
     """
 
     name: str
@@ -54,12 +55,13 @@ class Mode:
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """Something that lasted: armed motors, a failsafe, a phase of flight.
+    """A state that lasted: armed motors, a failsafe, a phase of flight.
 
     Attributes:
-        name: What lasted.
-        start_s: Begin, s from the start of the record.
-        end_s: End, that of the record where nothing ended it.
+        name: Name of the state.
+        start_s: Start, s from the start of the record.
+        end_s: End, s from the start of the record, or the end of the record where the state did not
+            end.
     """
 
     name: str
@@ -72,9 +74,9 @@ class Message:
     """A text that the autopilot logged.
 
     Attributes:
-        t_s: When, s from the start of the record; negative before it.
-        level: How grave it is.
-        text: As logged.
+        t_s: Time, s from the start of the record; negative before it.
+        level: Severity of the message.
+        text: Text as logged.
     """
 
     t_s: float
@@ -92,10 +94,10 @@ class Parameter:
     """A parameter that differs from its default.
 
     Attributes:
-        name: Of the autopilot.
-        value: As it is at the end of the log, in the autopilot's unit.
-        default: What it is as delivered: of the airframe that is set up where that has one of its
-            own, else of the firmware.
+        name: Name in the autopilot.
+        value: Value at the end of the log, in the autopilot's unit.
+        default: Default value: that of the configured airframe where it has one of its own, else
+            that of the firmware.
     """
 
     name: str
@@ -108,10 +110,10 @@ class Filter:
     """A filter on board.
 
     Attributes:
-        sensor: Of which readings.
-        kind: What it does; a tracking notch follows the rotors from its frequency upwards.
+        sensor: Sensor whose readings are filtered.
+        kind: Type of the filter; a tracking notch follows the rotors from its frequency upwards.
         frequency_hz: Cut-off of a low-pass, centre of a notch.
-        source: The parameter that says it.
+        source: Parameter that states the filter.
     """
 
     sensor: Sensor
@@ -127,9 +129,9 @@ class Setpoint:
     Attributes:
         columns: Columns of the flight table that should follow it, one of `SETPOINTS`.
         t_s: Times, s from the start of the record, strictly increasing, shape (n,).
-        values: NED, FRD, SI, quaternions body to NED, shape (n, len(columns)); NaN where the
-            autopilot leaves a number free.
-        every: One in so many of the logged samples is stored.
+        values: Setpoints, NED, FRD, SI, quaternions body to NED, shape (n, len(columns)); NaN where
+            the autopilot leaves a number free.
+        every: Decimation: one in this many logged samples is stored.
     """
 
     columns: tuple[str, ...]
@@ -142,11 +144,11 @@ class Setpoint:
 
 @dataclass(frozen=True, slots=True)
 class Reset:
-    """A step that an estimator puts into its own output, and says so.
+    """A step that an estimator makes in its own output and reports.
 
     Attributes:
-        of: Of what.
-        t_s: When, s.
+        of: State that was reset.
+        t_s: Time, s.
     """
 
     of: ResetOf
@@ -155,17 +157,17 @@ class Reset:
 
 @dataclass(frozen=True, slots=True)
 class Autopilot:
-    """What an autopilot says of its flight; empty where its log does not say.
+    """Records of an autopilot on its flight; empty where its log has none.
 
     Attributes:
-        modes: Flight modes in order.
-        armed: When the motors were armed.
-        failsafes: When a failsafe was active.
-        messages: In order of time.
-        setpoints: At most one of each of `SETPOINTS`.
-        parameters: Those that differ from their default, by name; none without defaults.
-        filters: On board, by frequency; the logged signals need not have gone through them.
-        resets: Of its estimator.
+        modes: Flight modes in order of time.
+        armed: Intervals in which the motors were armed.
+        failsafes: Intervals in which a failsafe was active.
+        messages: Messages in order of time.
+        setpoints: Setpoints, at most one for each of `SETPOINTS`.
+        parameters: Parameters that differ from their default, by name; none without defaults.
+        filters: Filters on board, by frequency; the logged signals need not be filtered by them.
+        resets: Resets of its estimator.
     """
 
     modes: tuple[Mode, ...] = ()
@@ -180,7 +182,7 @@ class Autopilot:
     __repr__ = short_repr
 
     def mode_stretches(self, end_s: float) -> tuple[Interval, ...]:
-        """When each mode was on, in a record that ends then, s."""
+        """Interval of each mode in a record that ends at this time, s."""
         ends = [*(m.start_s for m in self.modes[1:]), end_s]
         return tuple(Interval(m.name, m.start_s, e) for m, e in zip(self.modes, ends, strict=False))
 
@@ -190,16 +192,17 @@ class Autopilot:
 
 
 def as_text(raw: object) -> str:
-    """A text of a log as it is stored: in one line, without half characters, not endless."""
+    """A text of a log as it is stored: in one line, without half characters, of bounded length."""
     text = " ".join(str(raw).encode("utf-8", "replace").decode("utf-8").split())
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
 
 
 def modes_of(t_s: Array, names: Sequence[str], end_s: float) -> tuple[Mode, ...]:
-    """Flight modes of a record from what was logged of them.
+    """Flight modes of a record from logged samples of the mode.
 
     Args:
-        t_s: When a mode was reported, s, ascending, shape (n,); what holds at 0 may be older.
+        t_s: Times at which a mode was reported, s, ascending, shape (n,); the mode at time 0 may be
+            older.
         names: Mode at each of these times.
         end_s: End of the record.
     """
@@ -217,13 +220,13 @@ def modes_of(t_s: Array, names: Sequence[str], end_s: float) -> tuple[Mode, ...]
 def stretches_of(
     t_s: Array, on: NDArray[np.bool_], name: str, end_s: float
 ) -> tuple[Interval, ...]:
-    """When something was on, from samples of it; each holds until the next.
+    """Intervals in which a state was active, from samples that are valid until the next.
 
     Args:
         t_s: Times, s, ascending, shape (n,).
-        on: Shape (n,).
-        name: What it is.
-        end_s: End of the record, until when the last one holds.
+        on: Whether the state was active, shape (n,).
+        name: Name of the state.
+        end_s: End of the record, where the last sample ends.
     """
     times = np.append(t_s, end_s)
     pairs = [(float(times[a]), float(times[b])) for a, b in stretches_where(on)]
@@ -237,7 +240,7 @@ def setpoint_of(columns: tuple[str, ...], t_s: Array, values: Array) -> Setpoint
     Args:
         columns: One of `SETPOINTS`.
         t_s: Times, s, strictly increasing, shape (n,).
-        values: Shape (n, len(columns)); infinite or beyond `columns.LIMITS`: free.
+        values: Setpoints, shape (n, len(columns)); infinite or beyond `columns.LIMITS`: free.
     """
     signal = next((s for s, names in SIGNALS.items() if names == columns), "")
     with np.errstate(invalid="ignore"):
@@ -253,7 +256,7 @@ def setpoint_of(columns: tuple[str, ...], t_s: Array, values: Array) -> Setpoint
 
 
 def differing(values: dict[str, float], defaults: dict[str, float]) -> tuple[Parameter, ...]:
-    """Parameters that differ from their default, by name; those without one are left out."""
+    """Parameters that differ from their default, by name; those without a default are omitted."""
     found = [
         Parameter(name[:LONGEST], values[name], default)
         for name, default in sorted(defaults.items())
@@ -263,10 +266,10 @@ def differing(values: dict[str, float], defaults: dict[str, float]) -> tuple[Par
 
 
 def check_autopilot(record: Autopilot) -> None:
-    """Refuse what has the right types and no meaning, or more of it than any reader stores.
+    """Refuse records with valid types but invalid values, or more of them than any reader stores.
 
     Raises:
-        ValueError: It is such.
+        ValueError: A value is invalid, or there are too many.
     """
     for what, several, most in (
         ("modes", record.modes, MOST_EVENTS),
@@ -309,22 +312,22 @@ def _check_setpoint(given: Setpoint) -> None:
 
 # -- phases -------------------------------------------------------------------------------------
 #
-# Phases of a flight from what every autopilot logs: landed or not, and the velocity.
+# Phases of a flight from signals of every autopilot: landed or not, and the velocity.
 
 Span = tuple[str, float, float]
 """Name of a phase, its start and its end in s; the end belongs to the next span."""
 
-_CLIMB_M_S = 0.3  # mean of a step, by which takeoff and landing are known; made up
-_CRUISE_M_S = 1.0  # over ground, between hover and forward flight; made up
+_CLIMB_M_S = 0.3  # mean velocity of a step in takeoff and landing; made up
+_CRUISE_M_S = 1.0  # speed over ground between hover and forward flight; made up
 _STEP_S = 0.5  # length of a phase by motion
 
 
 def label_phases(t_s: Array, spans: Sequence[Span]) -> NDArray[np.object_]:
-    """Phase of each time, "" outside all spans; later spans win.
+    """Phase at each time, "" outside all spans; later spans override earlier ones.
 
     Args:
         t_s: Times, s, shape (n,).
-        spans: In the order in which they are laid over each other.
+        spans: Spans in the order in which they override each other.
     """
     phase = np.full(len(t_s), "", dtype=object)
     for name, start, end in spans:
@@ -336,9 +339,9 @@ def ground_spans(t_s: Array, landed: NDArray[np.bool_]) -> list[Span]:
     """Spans on the ground, from a land detector.
 
     Args:
-        t_s: When it spoke, s, shape (n,); what it says first also holds before, and what it says
-            last from then on.
-        landed: What it said, shape (n,).
+        t_s: Times of the detector's samples, s, shape (n,); its first state also applies before the
+            first sample, its last state until the end.
+        landed: State of the detector, shape (n,).
     """
     edges = np.append(t_s, np.inf)
     spans = [
@@ -352,15 +355,15 @@ def ground_spans(t_s: Array, landed: NDArray[np.bool_]) -> list[Span]:
 
 
 def motion_spans(t_s: Array, velocity_n: Array, ground: list[Span]) -> list[Span]:
-    """Phases of half a second each from how the vehicle moves.
+    """Phases of half a second each from the motion of the vehicle.
 
-    Faster than 1 m/s over ground is `forward`, else it is `hover`; climbing by more than 0.3 m/s
-    next to a time on the ground is `takeoff`, sinking so before one is `land`.
+    Faster than 1 m/s over ground is `forward`, else `hover`; climbing by more than 0.3 m/s next to
+    a time on the ground is `takeoff`, sinking by more than that before one is `land`.
 
     Args:
         t_s: Times of the velocity, s, shape (n,).
         velocity_n: NED, m/s, shape (n, 3).
-        ground: From `ground_spans`; without any, takeoff and landing cannot be distinguished.
+        ground: Spans from `ground_spans`; without any, takeoff and landing cannot be distinguished.
 
     Returns:
         The phases flown, then `ground`; `ground` alone where it or the velocity is missing.
@@ -392,13 +395,13 @@ def _spread(
     name: str,
     after: bool,
 ) -> None:
-    """Name the vertical motion next to a time on the ground; `after` it, or before it."""
+    """Label the vertical motion that follows (`after`) or precedes a time on the ground."""
     order = range(len(kind)) if after else range(len(kind) - 1, -1, -1)
     state = "air"
     for i in order:
         if on_ground[i]:
             state = "ground"
-        elif state == "ground":  # lift-off may begin slower than the threshold
+        elif state == "ground":  # lift-off may begin below the threshold
             state = "moving" if moving[i] else "ground"
             kind[i] = name
         elif state == "moving":
@@ -409,13 +412,13 @@ def _spread(
 
 
 def setpoints_of_mission(setpoints: Array, step_s: float, gravity_m_s2: float) -> Autopilot:
-    """Position, velocity and attitude that a mission asks for, as an autopilot logs them: the
-    attitude is that of its acceleration and heading, whatever pushes the aircraft.
+    """Position, velocity and attitude setpoints of a mission, as an autopilot logs them: the
+    attitude is that of the demanded acceleration and heading, without disturbances.
 
     Args:
-        setpoints: In the order of `twin.flight.closed_loop.SETPOINTS`, of which the first ten, one
-            row per step, shape (n, 10) or wider.
-        step_s: Time between two of them.
+        setpoints: Setpoints in the order of `twin.flight.closed_loop.SETPOINTS`, of which the first
+            ten, one row per step, shape (n, 10) or wider.
+        step_s: Time between two rows.
         gravity_m_s2: Acceleration of free fall.
     """
     rows = setpoints[:: round(SETPOINT_S / step_s)]

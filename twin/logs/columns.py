@@ -1,7 +1,6 @@
 """The flight table: every column, its unit and its meaning, written once.
 
-Those of a sensor, and what no reading of it reaches, are of its declaration in
-`twin.physics.sensors.table`.
+Columns and limits of a sensor come from its declaration in `twin.physics.sensors.table`.
 """
 
 import re
@@ -18,8 +17,8 @@ Columns = Mapping[str, NDArray[Any]]
 """A flight table by column: numbers as float64, `phase` as text, shape (n,) each. In memory, or in
 a file from which each is read on demand."""
 
-PHASES = ("takeoff", "hover", "forward", "tour", "land", "ground")  # of a flight
-MIN_MOTORS, MAX_MOTORS = 3, 12  # of a multirotor
+PHASES = ("takeoff", "hover", "forward", "tour", "land", "ground")  # phases of a flight
+MIN_MOTORS, MAX_MOTORS = 3, 12  # number of motors of a multirotor
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +31,7 @@ class Column:
 
     @property
     def per_motor(self) -> bool:
-        """Whether there is one such column for each motor."""
+        """Whether the table has one such column for each motor."""
         return "{i}" in self.name
 
 
@@ -77,8 +76,8 @@ QUAT = ("q_w", "q_x", "q_y", "q_z")  # body FRD to NED, Hamilton, unit norm
 ACC_NED = ("acc_ned_x", "acc_ned_y", "acc_ned_z")  # acceleration of the motion, NED, m/s^2
 EULER = ("roll_rad", "pitch_rad", "yaw_rad")  # yaw, then pitch, then roll
 ALIASES = {f"acc_world_{a}": f"acc_ned_{a}" for a in "xyz"}
-"""Other names of columns, by what they are read as."""
-MOTION = (*ACC, *GYRO, *POS, *VEL, *QUAT, *ACC_NED)  # of which a flight needs one
+"""Names of columns that stand for another column, and that column."""
+MOTION = (*ACC, *GYRO, *POS, *VEL, *QUAT, *ACC_NED)  # a flight needs at least one of these
 
 _MOTOR = re.compile(r"(cmd|rotor)_([1-9][0-9]{0,3})")  # name of a motor's column
 
@@ -104,7 +103,7 @@ def in_order(names: Iterable[str]) -> list[str]:
     rank = {c.name: k for k, c in enumerate(COLUMNS)}
 
     def key(name: str) -> tuple[int, int]:
-        """Rank of the definition, then number of the motor."""
+        """Rank in the definition, then number of the motor."""
         number = motor_number(name)
         if number is None:
             return rank.get(name, len(rank)), 0
@@ -114,7 +113,7 @@ def in_order(names: Iterable[str]) -> list[str]:
 
 
 class _Over(Columns):
-    """See `over`."""
+    """Columns of a table, some of them replaced: `over`."""
 
     def __init__(self, changed: Columns, table: Columns) -> None:
         self._changed, self._table = changed, table
@@ -133,14 +132,14 @@ class _Over(Columns):
 
 
 def over(changed: Columns, table: Columns) -> Columns:
-    """A table with some columns changed, others new, in the order of the definition; nothing of it
-    is read or copied."""
+    """A table with some columns changed, others new, in the order of the definition; no data is
+    read or copied."""
     return _Over(changed, table)
 
 
 # -- limits -------------------------------------------------------------------------------------
 #
-# What no flight reaches: a value beyond it is damaged, or in another unit. For every format.
+# Limits that no flight exceeds: a value beyond is damaged, or in another unit. For every format.
 
 Array = NDArray[np.float64]
 
@@ -153,7 +152,7 @@ LIMITS = {
     "ibat_a": 1e4,
     "rotor": 1e5,
 }
-"""By signal, of the magnitude of each of its parts, SI."""
+"""Largest magnitude of each component of a signal, SI, by signal."""
 SIGNALS: dict[str, tuple[str, ...]] = {
     **{s.signal: s.columns for s in SENSORS},
     "acc_ned": ACC_NED,
@@ -162,7 +161,7 @@ SIGNALS: dict[str, tuple[str, ...]] = {
     "vbat_v": ("vbat_v",),
     "ibat_a": ("ibat_a",),
 }
-"""Columns that a limit is of; `rotor` has one column per motor."""
+"""Columns to which a limit applies; `rotor` has one column per motor."""
 
 _DAMAGED = {  # the likeliest mistake, by signal
     **{s.signal: s.damaged for s in SENSORS},
@@ -184,21 +183,21 @@ READINGS: dict[str, tuple[str, float, float, tuple[tuple[str, float], ...]]] = {
     "vbat_v": ("V", 2.0, 120.0, _parts("a volt", "mV")),
     "ibat_a": ("A", 0.05, 400.0, _parts("an ampere", "mA")),
 }
-"""Unit of a signal, within what the median of its magnitude lies while a multirotor flies, and
-other units in which it is written, with what takes them to the unit. Current and voltage are those
-of a 1S whoop to a 24S lifter, by judgement, pressure up to 9 km, the field the Earth's near iron.
+"""Unit of a signal, range of the median of its magnitude while a multirotor flies, and other units
+in which it is written, with their factors to the unit. Current and voltage cover a 1S whoop to a
+24S lifter, by judgement, pressure up to 9 km, the magnetic field that of the Earth near iron.
 """
 
 
 def other_unit(signal: str, reading: float) -> str:
-    """In which other units a reading would be one of the sensor: `in mV 16.4 V, ...?`.
+    """Other units in which a reading would be plausible: `in mV 16.4 V, ...?`.
 
     Args:
-        signal: A key of `READINGS`, "" comes back for any other.
-        reading: Median of its magnitude, in the unit of the flight table.
+        signal: A key of `READINGS`; the result is "" for any other.
+        reading: Median magnitude, in the unit of the flight table.
 
     Returns:
-        "" where it is possible as it is, or is in none of the other units.
+        "" where the reading is plausible as it is, or in none of the other units.
     """
     if signal not in READINGS:
         return ""
@@ -214,21 +213,21 @@ def other_unit(signal: str, reading: float) -> str:
 
 
 def beyond_limit(signal: str, values: Array) -> NDArray[np.bool_]:
-    """Samples of which a part is beyond the limit of the signal, shape (n,).
+    """Samples with a component beyond the limit of the signal, shape (n,).
 
     Args:
-        signal: A key of `LIMITS`; nothing is beyond where it is none.
-        values: Shape (n, k).
+        signal: A key of `LIMITS`; for any other no sample is beyond.
+        values: Samples, shape (n, k).
     """
     return np.asarray((np.abs(values) > LIMITS.get(signal, np.inf)).any(axis=1))
 
 
 def beyond_message(signal: str, values: Array) -> str:
-    """The text of a finding on such samples.
+    """The text of a finding on samples beyond the limit.
 
     Args:
         signal: A key of `LIMITS`.
-        values: The samples, shape (n, k).
+        values: Samples beyond the limit, shape (n, k).
     """
     with np.errstate(over="ignore", invalid="ignore"):
         size = np.linalg.norm(values, axis=1)

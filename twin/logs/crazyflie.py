@@ -1,8 +1,8 @@
-"""Crazyflie uSD-card log -> Flight; Bitcraze's units, axes and names stand here alone.
+"""Reader of Crazyflie uSD-card logs; the only module with Bitcraze's units, axes and names.
 
-Axes of the firmware: body x forward, y left, z up; world x, y, z up, as its positioning system lays
-it. Both are turned by half a turn about x, which makes them FRD and NED, x of the world taken for
-north. Source of names and units: Bitcraze, logging groups of crazyflie-firmware.
+Axes of the firmware: body x forward, y left, z up; world x, y, z up, as defined by its positioning
+system. Both are rotated by half a turn about x into FRD and NED; x of the world is taken for north.
+Source of names and units: Bitcraze, logging groups of crazyflie-firmware.
 """
 
 import struct
@@ -41,23 +41,23 @@ from .stamps import monotonic, monotonic_samples
 
 _TYPES = frozenset("bBhHiIqQefd?")  # letters of Python's struct
 _STAMPS = {1: ("<u4", 1000), 2: ("<u8", 1)}
-"""By version: type of a time, and how many us its unit has."""
+"""Type of a time stamp and its unit in us, by version."""
 _HEAD = struct.Struct("<BHH")  # magic byte, version, number of kinds
-_CRC_BYTES = 4  # at the end
+_CRC_BYTES = 4  # checksum at the end
 _LONGEST_NAME = 256  # bytes; longer ones are damage
-_MOST_VARIABLES = 10_000  # of all kinds; more are damage
-_NEVER_US = 2**62  # what a time beyond int64 becomes
+_MOST_VARIABLES = 10_000  # variables of all kinds together; more are damage
+_NEVER_US = 2**62  # replaces a time beyond int64
 TIME, KIND = "#time", "#kind"
-"""Fields of an event that are no variables; no C name begins so."""
+"""Fields of an event that are no variables; no C name begins with #."""
 
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """One kind of events.
+    """Definition of one kind of events.
 
     Attributes:
-        name: `fixedFrequency`, or that of what triggers it.
-        layout: Of one event, number and time included.
+        name: Name of the kind: `fixedFrequency`, or that of the event that triggers it.
+        layout: Layout of one event, number and time included.
     """
 
     name: str
@@ -74,9 +74,9 @@ class Events:
     """All events of one kind, in the order of the file.
 
     Attributes:
-        kind: What they are.
+        kind: Kind of the events.
         t_us: Time since boot, us, shape (n,).
-        rows: Structured, shape (n,).
+        rows: Events as a structured array, shape (n,).
     """
 
     kind: Kind
@@ -85,19 +85,19 @@ class Events:
 
     def values(self, names: tuple[str, ...]) -> Array:
         """Variables side by side, shape (n, len(names))."""
-        with np.errstate(invalid="ignore"):  # damaged logs hold signalling NaN
+        with np.errstate(invalid="ignore"):  # damaged logs contain signalling NaN
             return np.column_stack([self.rows[n].astype(np.float64) for n in names])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Content:
-    """What a file holds.
+    """Content of a uSD-card log.
 
     Attributes:
-        version: Of the format.
-        events: By kind, those without events left out.
-        lost: Bytes at the end of which nothing can be made.
-        whole: Whether the checksum at the end is that of the file.
+        version: Version of the format.
+        events: Events by kind, without kinds that have no events.
+        lost: Number of bytes at the end that could not be decoded.
+        whole: Whether the checksum at the end is correct.
     """
 
     version: int
@@ -107,14 +107,14 @@ class Content:
 
 
 def read_content(path: Path, blob: bytes) -> Content:
-    """Decode a file; what follows an event of no known kind is lost.
+    """Decode a file; bytes after an event of an unknown kind are lost.
 
     Args:
         path: File name, for messages.
         blob: Content of the file.
 
     Raises:
-        LogError: Its head is cut or makes no sense.
+        LogError: Its head is incomplete or invalid.
     """
     try:
         version, kinds, begin = _head(blob)
@@ -141,7 +141,7 @@ def read_content(path: Path, blob: bytes) -> Content:
 
 
 def _head(blob: bytes) -> tuple[int, dict[int, Kind], int]:
-    """Version, kinds by number, and where the events begin."""
+    """Version, kinds by number, and offset of the first event."""
     _, version, count = _HEAD.unpack_from(blob)
     stamp, _ = _STAMPS[version]
     kinds: dict[int, Kind] = {}
@@ -167,7 +167,7 @@ def _head(blob: bytes) -> tuple[int, dict[int, Kind], int]:
 
 
 def _text(blob: bytes, at: int) -> tuple[str, int]:
-    """A text that a zero ends, and where it goes on behind it."""
+    """A zero-terminated text, and the offset behind it."""
     end = blob.find(b"\0", at, at + _LONGEST_NAME)
     if end < 0:
         raise ValueError(f"a name without an end at byte {at}")
@@ -177,7 +177,7 @@ def _text(blob: bytes, at: int) -> tuple[str, int]:
 def _starts(
     blob: bytes, begin: int, end: int, kinds: Mapping[int, Kind]
 ) -> tuple[dict[int, "array[int]"], int]:
-    """Where the events of each kind begin, and where nothing can be made of it any more."""
+    """Offsets of the events of each kind, and the offset from which nothing can be decoded."""
     starts = {number: array("q") for number in kinds}
     sizes = {number: kind.layout.itemsize for number, kind in kinds.items()}
     at = begin
@@ -193,34 +193,35 @@ def _starts(
 
 # -- the flight ---------------------------------------------------------------------------------
 
-_MOTORS = 4  # of every Crazyflie
+_MOTORS = 4  # number of motors of every Crazyflie
 _FULL = 65535.0  # PWM of command 1
 _ACC_HZ, _GYRO_HZ = 30.0, 80.0
 """ACCEL_LPF_CUTOFF_FREQ and GYRO_LPF_CUTOFF_FREQ of the firmware, at 1 kHz, second order."""
 _IS_FLYING = 4
-"""Bit of supervisor.info."""
+"""Bit of supervisor.info that is set in flight."""
 _PER_RPM = 2.0 * np.pi / 60.0  # rad/s
 
 
 def _turned(factor: float) -> Callable[[Array], Array]:
-    """Forward, left, up -> forward, right, down, times a factor."""
+    """Conversion forward, left, up -> forward, right, down, times a factor."""
 
     def turned(values: Array) -> Array:
-        with np.errstate(invalid="ignore"):  # damaged logs hold signalling NaN
+        with np.errstate(invalid="ignore"):  # damaged logs contain signalling NaN
             return np.asarray(values * (factor, -factor, -factor))
 
     return turned
 
 
 def _attitude(values: Array) -> Array:
-    """Of a quaternion x, y, z, w; both frames are turned about x, so that y and z change sign."""
-    with np.errstate(invalid="ignore"):  # damaged logs hold signalling NaN
+    """Attitude from a quaternion x, y, z, w; both frames are rotated about x, so y and z change
+    sign."""
+    with np.errstate(invalid="ignore"):  # damaged logs contain signalling NaN
         return np.asarray(values[:, [3, 0, 1, 2]] * (1.0, 1.0, -1.0, -1.0))
 
 
 def _from_angles(values: Array) -> Array:
-    """Of roll, pitch, yaw in degrees; the firmware's pitch is positive nose up already, and its yaw
-    counts to the left."""
+    """Attitude from roll, pitch, yaw in degrees; the firmware's pitch is positive nose up as in
+    FRD, its yaw is positive to the left."""
     roll, pitch, yaw = np.deg2rad(values).T
     return from_euler(roll, pitch, -yaw).T
 
@@ -231,10 +232,10 @@ class _Signal:
 
     Attributes:
         where: Name in findings and limits.
-        columns: Of the table.
-        variables: `group.name`, each in its own unit.
-        convert: From these to SI, NED, FRD; shapes (n, k) to (n, len(columns)).
-        cutoff_hz: Of the low-pass that it went through before it was logged; 0: none.
+        columns: Columns of the flight table.
+        variables: Variables, `group.name`, each in its own unit.
+        convert: Conversion to SI, NED, FRD; shapes (n, k) to (n, len(columns)).
+        cutoff_hz: Cut-off of the low-pass applied before logging; 0: none.
     """
 
     where: str
@@ -250,7 +251,7 @@ def _three(group: str, names: str = "x y z") -> tuple[str, ...]:
 
 _CMD, _ROTOR = motor_columns("cmd", _MOTORS), motor_columns("rotor", _MOTORS)
 """Columns of the motors."""
-_VELOCITIES = "vx vy vz"  # of stateEstimate
+_VELOCITIES = "vx vy vz"  # variables of stateEstimate
 _SIGNALS = (
     _Signal("acc", ACC, _three("acc"), _turned(GRAVITY_M_S2), _ACC_HZ),
     _Signal("gyro", GYRO, _three("gyro"), _turned(np.pi / 180.0), _GYRO_HZ),
@@ -269,7 +270,7 @@ _SIGNALS = (
     _Signal("vbat_v", ("vbat_v",), ("pm.vbat",), lambda volts: volts),
     _Signal("vbat_v", ("vbat_v",), ("pm.vbatMV",), lambda millivolts: 1e-3 * millivolts),
 )
-"""Of several for the same columns the first that the log has."""
+"""Signals of the log; of several with the same columns the first that the log contains is used."""
 
 
 @dataclass(slots=True)
@@ -277,10 +278,10 @@ class _Log(FindingCollector):
     """A log while it is read.
 
     Attributes:
-        path: File.
-        content: What it holds.
-        start_us: Time since boot that counts as 0.
-        findings: Grows.
+        path: Path of the file.
+        content: Decoded content of the file.
+        start_us: Time since boot that is time 0.
+        findings: Findings so far.
     """
 
     path: Path
@@ -289,17 +290,17 @@ class _Log(FindingCollector):
     findings: list[Finding] = field(default_factory=list)
 
     def having(self, variables: tuple[str, ...]) -> Events | None:
-        """Of the kinds of events that have all variables, the one with most."""
+        """Events of the kind that has all variables; of several, the kind with most events."""
         fit = [e for e in self.content.events if set(variables) <= set(e.kind.variables)]
         return max(fit, key=lambda e: len(e.t_us), default=None)
 
     def ordered(self, events: Events, where: str) -> NDArray[np.bool_]:
-        """Which of them can stay so that time increases; findings count the others."""
+        """Mask of the events whose time increases; findings count the others."""
         return monotonic_samples(self, where, events.t_us - self.start_us, "events")
 
 
 def read_usd_log(path: Path, blob: bytes, options: ReadOptions) -> Flight:
-    """Read the log of a Crazyflie's uSD-card deck; arguments and errors as of `formats.Reader`."""
+    """Read the log of a Crazyflie's uSD-card deck; arguments and errors as in `formats.Reader`."""
     content = read_content(path, blob)
     if not content.events:
         raise LogError(f"{path.name}: a Crazyflie log without a single event; nothing was logged.")
@@ -329,7 +330,7 @@ def read_usd_log(path: Path, blob: bytes, options: ReadOptions) -> Flight:
 
 
 def _note_damage(log: _Log) -> None:
-    """What of the file is missing or makes no sense."""
+    """Findings on parts of the file that are missing or invalid."""
     content = log.content
     if content.lost:
         message = "bytes at the end of which nothing can be made: the log was cut or damaged"
@@ -344,7 +345,7 @@ def _note_damage(log: _Log) -> None:
 
 
 def _add(log: _Log, flight: FlightBuilder, signal: _Signal) -> bool:
-    """Put a signal into the table, if the log has it."""
+    """Add a signal to the table, if the log has it."""
     events = log.having(signal.variables)
     if events is None:
         return False
@@ -361,7 +362,7 @@ def _add(log: _Log, flight: FlightBuilder, signal: _Signal) -> bool:
 
 
 def _phases(log: _Log, table: pd.DataFrame) -> list[Span]:
-    """By whether the firmware believes that it flies, and by the velocity."""
+    """Phases by the firmware's flag for flight, and by the velocity."""
     ground: list[Span] = []
     for name, bit in (("supervisor.info", _IS_FLYING), ("sys.isFlying", 0)):
         events = log.having((name,))

@@ -1,6 +1,4 @@
-"""What is doubtful about a flight table, whatever its format: units, frames, signals that stand
-still. Findings, never errors.
-"""
+"""Findings on doubtful values of a flight table of any format: units, frames, frozen signals."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -26,24 +24,25 @@ from .samples import interpolated, stretches_where
 from .stamps import missing_ends, pauses
 
 _FASTEST_ROTOR_RAD_S = 4500.0  # 43,000 rpm: over the fastest racing motors under load
-_FROZEN_S = 2.0  # without a change, from which on a signal is frozen; made up
+_FROZEN_S = 2.0  # without a change, from which a signal is frozen; made up
 _FEWEST = 20  # samples of a signal below which nothing is tested
 _NOTHING = 0.9
-"""Share of samples that are exactly zero in a column that holds nothing."""
+"""Share of samples that are exactly zero in a column without data."""
 _LEVEL = 0.9999
-"""Component of a quaternion that rounds to one while the others change by little."""
+"""Component of a quaternion that rounds to one while the others hardly change."""
 _APART = 2.0
-"""Factor between one motor and the others; of recorded flights it is 0.84 to 1.18."""
+"""Ratio of one motor to the others from which it is reported; recorded flights have 0.84 to
+1.18."""
 _OF_MOTION = ("acc", "gyro", "q", "vel", "pos")  # signals that change in flight
 _AIRBORNE = ("hover", "forward", "tour")  # phases in the air
 
 
 def doubts(table: Columns, layout: Layout | None = None) -> list[Finding]:
-    """What the values of a flight table contradict.
+    """Findings on values of a flight table that contradict each other.
 
     Args:
-        table: By column; angles, frames and units as in its definition.
-        layout: Rotors in the order of the commands, as the log has them; None: not known.
+        table: Columns by name; angles, frames and units as in the definition of the table.
+        layout: Rotors in the order of the commands, by the log; None: not known.
     """
     there = signals(table)
     found = [
@@ -61,12 +60,13 @@ def doubts(table: Columns, layout: Layout | None = None) -> list[Finding]:
         *doubt_motors(table, there, layout),
     ]
     if not any(f.where == "acc" and f.severity == "error" for f in found):
-        found += doubt_force(table, there)  # else it would say the same again
+        found += doubt_force(table, there)  # else it would report the same fault again
     return found
 
 
 def gaps(table: Columns, there: Signals) -> list[Finding]:
-    """Pauses and early ends of each signal; the reader of a log does it topic by topic."""
+    """Findings on pauses and early ends of each signal; readers of logs check each topic
+    themselves."""
     found = []
     begin_us, end_us = (round(float(table["time"][k]) * 1e6) for k in (0, -1))
     for name, columns in there.items():
@@ -79,7 +79,7 @@ def gaps(table: Columns, there: Signals) -> list[Finding]:
 
 
 def _doubt_time(table: Columns) -> list[Finding]:
-    """Time in another unit, or not from the start of the record."""
+    """Findings on time in another unit, or not counted from the start of the record."""
     t_s = table["time"]
     found = []
     step = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
@@ -93,7 +93,7 @@ def _doubt_time(table: Columns) -> list[Finding]:
 
 
 def _norms(table: Columns, columns: tuple[str, ...]) -> Array:
-    """Norm of a vector signal where all its parts are there, shape (n,)."""
+    """Norm of a vector signal in rows where all its components have a sample, shape (n,)."""
     if any(c not in table for c in columns):
         return np.zeros(0)
     squares = np.zeros(len(table["time"]))
@@ -104,13 +104,13 @@ def _norms(table: Columns, columns: tuple[str, ...]) -> Array:
 
 
 def _finite(table: Columns, column: str) -> Array:
-    """Samples of a column, shape (n,); none where it is not there."""
+    """Finite samples of a column, shape (n,); empty where the table has no such column."""
     values = table[column] if column in table else np.zeros(0)
     return np.asarray(values[np.isfinite(values)])
 
 
 def _doubt_units(table: Columns) -> list[Finding]:
-    """Magnitudes that fit another unit better."""
+    """Findings on magnitudes that are plausible in another unit only."""
     found = []
     acc, gyro, mag = (_norms(table, g) for g in (ACC, GYRO, MAG))
     if len(acc) and np.median(acc) < 3.0:
@@ -160,7 +160,7 @@ def _doubt_units(table: Columns) -> list[Finding]:
 
 
 def _doubt_frames(table: Columns) -> list[Finding]:
-    """Signs that fit another frame better."""
+    """Findings on signs that are plausible in another frame only."""
     found = []
     if len(values := _finite(table, "acc_z")) and (down := float(np.median(values))) > 0.3:
         message = (
@@ -189,7 +189,8 @@ def _doubt_frames(table: Columns) -> list[Finding]:
 
 
 def _doubt_height(table: Columns) -> list[Finding]:
-    """Height that is counted upwards, by the pressure and by motors that idle at the start."""
+    """Findings on height that is positive upward, by the pressure and by motors that idle at the
+    start."""
     if not len(_finite(table, "pos_z")):
         return []
     found = []
@@ -218,8 +219,8 @@ def _doubt_height(table: Columns) -> list[Finding]:
 
 
 def _frozen(table: Columns, there: Signals) -> list[Finding]:
-    """Signals that keep a value for seconds of a flight, or for all of it, while others change;
-    and a flight in which no signal of the motion changes."""
+    """Findings on signals that are constant for seconds of a flight, or for all of it, while others
+    change; and on a flight in which no signal of the motion changes."""
     ground = np.asarray(table["phase"] == "ground")
     time = table["time"]
     found = [
@@ -246,8 +247,8 @@ def _frozen(table: Columns, there: Signals) -> list[Finding]:
 
 
 def _frozen_axes(table: Columns, there: Signals, ground: NDArray[np.bool_]) -> Iterator[Finding]:
-    """Single columns that keep a value for seconds in which others of their signal change in most
-    of the samples; motors may do so at either end of their range."""
+    """Findings on single columns that are constant for seconds in which the rest of their signal
+    changes in most samples; motors may be constant at either end of their range."""
     time = table["time"]
     for name in ("acc", "gyro", "mag", "pos", "vel", "q", "cmd", "rotor"):
         if name not in there:
@@ -265,7 +266,7 @@ def _frozen_axes(table: Columns, there: Signals, ground: NDArray[np.bool_]) -> I
             may = ends & (name in ("cmd", "rotor"))
             lasts = t_s[last] - t_s[first] > max(_FROZEN_S, 20.0 * usual_s)
             if name in ("acc", "gyro", "q") and np.mean(own == 0.0) > _NOTHING:
-                continue  # of a simulation without drag, or in a plane
+                continue  # a simulation without drag, or in a plane
             if name == "q":
                 may = np.abs(own[first]) > _LEVEL
             busy = steps[last] - steps[first] > 0.5 * (last - first)
@@ -278,7 +279,7 @@ def _frozen_axes(table: Columns, there: Signals, ground: NDArray[np.bool_]) -> I
 
 
 def _one_apart(table: Columns, there: Signals) -> Iterator[Finding]:
-    """A motor whose command or speed is far from those of the others while the aircraft flies."""
+    """Findings on a motor whose command or speed differs far from those of the others in flight."""
     flying = np.asarray(table["phase"] != "ground")
     for name, unit in (("cmd", ""), ("rotor", " rad/s")):
         if name not in there:
@@ -303,7 +304,7 @@ def _one_apart(table: Columns, there: Signals) -> Iterator[Finding]:
 
 
 def _unpowered(table: Columns, there: Signals) -> list[Finding]:
-    """Commands or rotor speeds that are all 0 while the phase says that it flies."""
+    """Findings on commands or rotor speeds that are all 0 while the phase is a phase in the air."""
     flying = np.logical_or.reduce([np.asarray(table["phase"] == p) for p in _AIRBORNE])
     if not flying.any():
         return []
@@ -322,13 +323,13 @@ def _unpowered(table: Columns, there: Signals) -> list[Finding]:
 
 
 def _still(t_s: Array, values: Array, may_stand: bool) -> list[tuple[float, float]]:
-    """Spans, s, over which a signal keeps its value for much longer than it does otherwise; all of
-    its time where it never changes.
+    """Spans, s, in which a signal is constant for much longer than usual; all of its time where it
+    never changes.
 
     Args:
-        t_s: Shape (n,).
-        values: Shape (n, k).
-        may_stand: Whether all zeros are no fault: motors that stand.
+        t_s: Times, shape (n,).
+        values: Samples, shape (n, k).
+        may_stand: Whether all zeros are valid: stopped motors.
     """
     changes = np.flatnonzero(_changed(values)) + 1
     if len(t_s) >= _FEWEST and not len(changes) and not (may_stand and not values[0].any()):
@@ -358,7 +359,7 @@ def _changed(values: Array) -> NDArray[np.bool_]:
 def _moving(
     table: Columns, there: Signals, spans: Sequence[tuple[str, float, float]]
 ) -> NDArray[np.bool_]:
-    """Whether a signal of the motion changes all along each span, other than that of the span."""
+    """Whether a signal of the motion, other than that of the span, changes throughout each span."""
     moving = np.zeros(len(spans), dtype=np.bool_)
     for name in _OF_MOTION:
         candidates = [k for k, span in enumerate(spans) if not moving[k] and span[0] != name]
@@ -380,10 +381,10 @@ def _moving(
 # Thresholds are by judgement, none was fitted to a flight.
 
 _LYING_COS = np.cos(np.radians(45.0))
-"""A multirotor that is tilted further cannot stand still in the air."""
-_STILL_M_S2, _STILL_M_S = 2.0, 0.3  # of what is at rest: off gravity; and as velocity
-_LYING_S = 1.0  # on its side, of a tip-over
-_RAN_S = 0.5  # before a tip-over in which motors ran
+"""Largest tilt of a multirotor that can be stationary in the air, as a cosine."""
+_STILL_M_S2, _STILL_M_S = 2.0, 0.3  # of an aircraft at rest: specific force less gravity; velocity
+_LYING_S = 1.0  # duration of a tip-over
+_RAN_S = 0.5  # time before a tip-over in which motors ran
 _RUNS = 0.05  # mean command of motors that run
 _FLIES = 0.15  # mean command of an aircraft in the air
 _AT_LIMIT = 0.01  # distance of a command from an end of its range
@@ -392,19 +393,19 @@ _LOWER_V, _LOWER_SHARE = 0.25, 0.015  # below the others, V and share, of a lowe
 
 
 def incidents(table: Columns) -> list[Finding]:
-    """Findings on a flight, most severe first.
+    """Findings on incidents of a flight, most severe first.
 
     Args:
-        table: By column.
+        table: Flight table by column.
     """
     return [*_tip_over(table), *_limits(table)]
 
 
 def _tip_over(table: Columns) -> list[Finding]:
-    """Tilted by over 45 degrees and at rest for a second, with motors that ran when it tilted.
+    """Finding on a tilt of over 45 degrees, at rest for a second, with running motors as it tilted.
 
-    At rest is a specific force, turned to NED, that is that of gravity alone; without an
-    accelerometer no velocity.
+    At rest means that the specific force in NED is that of gravity alone; without an accelerometer,
+    that the velocity is zero.
     """
     drives = [c for c in table if c.startswith("cmd_")]
     if any(c not in table for c in QUAT) or not drives:
@@ -413,7 +414,7 @@ def _tip_over(table: Columns) -> list[Finding]:
     upright = 1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2)  # cosine of the tilt
     tilted = upright < _LYING_COS
     if len(t_s) < _FEWEST or not tilted.any():
-        return []  # of a long flight, before anything else of it is held
+        return []  # before other columns of a long flight are loaded
     t_cmd, cmd = samples(table, drives)
     still = _at_rest(table, t_s, q)
     if len(t_cmd) < _FEWEST or still is None:
@@ -438,7 +439,7 @@ def _tip_over(table: Columns) -> list[Finding]:
 
 
 def _at_rest(table: Columns, t_s: Array, q: Array) -> NDArray[np.bool_] | None:
-    """Whether nothing accelerates the aircraft at these times; None without a signal of it."""
+    """Whether the aircraft is unaccelerated at these times; None without a signal of it."""
     if all(c in table for c in ACC):
         t_acc, acc = samples(table, ACC)
         if len(t_acc) >= _FEWEST:
@@ -455,7 +456,8 @@ def _at_rest(table: Columns, t_s: Array, q: Array) -> NDArray[np.bool_] | None:
 
 
 def _limits(table: Columns) -> list[Finding]:
-    """Motors whose command is at an end of its range while the others fly the aircraft."""
+    """Findings on motors whose command is at an end of its range while the others fly the
+    aircraft."""
     columns = [c for c in table if c.startswith("cmd_")]
     if not columns:
         return []
@@ -486,10 +488,10 @@ def _limits(table: Columns) -> list[Finding]:
 
 
 def lower_voltage(volts: Mapping[int, Array]) -> list[Finding]:
-    """Speed controllers that read a lower supply voltage than the others of the same battery.
+    """Findings on speed controllers with a lower supply voltage than others on the battery.
 
     Args:
-        volts: By motor, from 1: voltages while it turns, V, shape (n,).
+        volts: Voltages of each motor, from 1, while it turns, V, shape (n,).
     """
     known = {m: v[np.isfinite(v) & (v > 1.0)] for m, v in volts.items()}
     medians = {m: float(np.median(v)) for m, v in known.items() if len(v) >= _FEWEST}

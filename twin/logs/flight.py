@@ -1,4 +1,5 @@
-"""A flight in memory: the table of `docs/reference/flight_table.md` plus what its reader doubts."""
+"""A flight in memory: the table of `docs/reference/flight_table.md` plus the findings of its
+reader."""
 
 import hashlib
 import pickle
@@ -25,7 +26,7 @@ Severity = Literal["info", "warning", "error"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something a reader counted, dropped, filled or doubts."""
+    """Something that a reader counted, dropped, filled or found doubtful."""
 
     severity: Severity
     where: str
@@ -34,7 +35,7 @@ class Finding:
 
 
 class FindingCollector:
-    """What is being read, with findings that grow meanwhile."""
+    """A source that is being read, with the findings so far."""
 
     __slots__ = ()
     findings: list[Finding]
@@ -49,10 +50,10 @@ class FindingCollector:
         """Add a finding.
 
         Args:
-            severity: How bad it is.
+            severity: Severity of the finding.
             where: Signal or part of the file.
             message: What was found.
-            count: How many samples it is of, or which; nothing is added of none.
+            count: Number of samples concerned, or their mask; with 0 no finding is added.
         """
         n = int(np.count_nonzero(count)) if isinstance(count, np.ndarray) else int(count)
         if n:
@@ -61,11 +62,11 @@ class FindingCollector:
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Where a flight took place, as far as it matters to the air around it.
+    """Place of a flight, as far as it affects the air around the aircraft.
 
     Attributes:
-        indoors: Within walls: no wind, and a compass among metal.
-        source: What says so.
+        indoors: Within walls: no wind, and a compass near metal.
+        source: Source of this information.
     """
 
     indoors: bool
@@ -77,14 +78,15 @@ class Site:
 
 @dataclass(frozen=True, slots=True)
 class Settled:
-    """What was settled while a flight was still going on, for computing it again later.
+    """Values that were fixed during a live flight, for computing the same results again later.
 
-    Afterwards all of it could be had of the whole flight, a little different; a filter that is
-    designed for another rate gives other numbers.
+    The whole flight would give slightly different values; a filter that is designed for another
+    sample rate gives other numbers.
 
     Attributes:
-        rates_hz: Rates of signals, by the first of their columns.
-        resting_down_m: Where the aircraft rested before it flew, NED; None: not known.
+        rates_hz: Sample rates of signals, by the first of their columns.
+        resting_down_m: Position of the aircraft at rest before the flight, NED, down; None: not
+            known.
     """
 
     rates_hz: dict[str, float] = field(default_factory=dict)
@@ -93,21 +95,20 @@ class Settled:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Notes:
-    """What is known of a flight besides its table; a flight table in Parquet keeps it.
+    """Information on a flight besides its table; a flight table in Parquet stores it.
 
     Attributes:
-        facts: What the log says about itself (vehicle, firmware, rates, match of rebuilt
-            commands), printable key by key.
-        findings: What the reader counted or doubts, in the order of reading.
-        site: Indoors or outdoors, and how that is known; None: not known.
-        airframe: What the log says of the aircraft itself; None: nothing.
-        autopilot: What the autopilot says of the flight: modes, failsafes, setpoints; None:
-            nothing.
-        settled: What was settled while it was recorded; None: it is all of one piece.
-        derived_angles: Columns of Euler angles that were not logged: the attitude has them from
-            the acceleration (`twin.logs.attitude`).
-        speeds_late_s: By how much the stamps of rotor speeds were late and are set earlier, s
-            (`twin.logs.rotor_lag`): the link that delayed the speeds has smoothed them as well.
+        facts: Facts of the log (vehicle, firmware, rates, match of rebuilt commands), printable key
+            by key.
+        findings: Findings of the reader, in the order of reading.
+        site: Indoors or outdoors, and the source of that; None: not known.
+        airframe: Facts of the aircraft in the log; None: there are none.
+        autopilot: Records of the autopilot: modes, failsafes, setpoints; None: there are none.
+        settled: Values that were fixed during recording; None: the flight was not recorded live.
+        derived_angles: Euler angles that were not logged and were derived from the acceleration
+            (`twin.logs.attitude`).
+        speeds_late_s: Correction of the late time stamps of rotor speeds, s
+            (`twin.logs.rotor_lag`): the link that delayed the speeds has also smoothed them.
     """
 
     facts: dict[str, str] = field(default_factory=dict)
@@ -121,7 +122,7 @@ class Notes:
 
     @property
     def notes(self) -> dict[str, Any]:
-        """All of it by name."""
+        """All fields by name."""
         return {f.name: getattr(self, f.name) for f in fields(Notes)}
 
 
@@ -133,7 +134,7 @@ class Flight(Notes):
         name: Short name, usually the stem of the file.
         table: Flight table; `time` in s from 0, strictly increasing; NaN where a signal has no
             sample in that row. `phase` is a text column, "" where unknown.
-        source: File it came from.
+        source: Path of the file.
     """
 
     name: str
@@ -144,12 +145,12 @@ class Flight(Notes):
 
     @property
     def indoors(self) -> bool | None:
-        """Whether it flew within walls; None: not known."""
+        """Whether the flight was within walls; None: not known."""
         return None if self.site is None else self.site.indoors
 
     @property
     def columns(self) -> Columns:
-        """The table by column, in the order of the definition: motors by number, not by place."""
+        """The table by column, in the order of the definition, motors by number."""
         return {c: self.table[c].to_numpy() for c in in_order(map(str, self.table))}
 
     @property
@@ -159,7 +160,7 @@ class Flight(Notes):
 
     @property
     def phase_codes(self) -> tuple[NDArray[np.int8], NDArray[np.object_]]:
-        """Phase of each row as a place in a list of names, and the list."""
+        """Phase of each row as an index into a list of names, and the list."""
         if "phase" not in self.table:
             return np.zeros(len(self.table), dtype=np.int8), np.array([""], dtype=object)
         codes, names = pd.factorize(self.table["phase"].fillna("").to_numpy(dtype=object))
@@ -167,7 +168,7 @@ class Flight(Notes):
 
     @property
     def fingerprint(self) -> str:
-        """Hash of all its numbers, whatever its file is called and however columns are ordered."""
+        """Hash of all its numbers, independent of file name and column order."""
         digest = hashlib.sha256()
         for column in sorted(self.table):
             values = self.table[column]
@@ -179,7 +180,7 @@ class Flight(Notes):
         return digest.hexdigest()
 
     def has(self, *columns: str) -> bool:
-        """Whether every column is there with at least one finite sample."""
+        """Whether the table has every column with at least one finite sample."""
         return all(c in self.table and _is_known(self.table[c].to_numpy()) for c in columns)
 
     def signal(self, columns: Sequence[str]) -> tuple[Array, Array]:
@@ -214,8 +215,8 @@ _Made = TypeVar("_Made")
 def once_per_flight(
     make: Callable[Concatenate[_Flight, _Given], _Made],
 ) -> Callable[Concatenate[_Flight, _Given], _Made]:
-    """A function of a flight whose results, which must not hold it, are kept as long as the flight
-    is, by the values of its other arguments."""
+    """Decorator: cache results of a function of a flight as long as the flight exists, by the
+    values of the other arguments; a result must not refer to the flight."""
     stored: WeakKeyDictionary[_Flight, dict[bytes, _Made]] = WeakKeyDictionary()
 
     @wraps(make)
@@ -229,18 +230,19 @@ def once_per_flight(
 
 
 def _is_known(values: NDArray[Any]) -> bool:
-    """Whether a column has a sample."""
+    """Whether a column has a finite sample."""
     return not bool(np.isnan(values).all() if values.dtype.kind == "f" else pd.isna(values).all())
 
 
 def missing_signal(name: str, missing: Sequence[str], there: Sequence[str]) -> LogError:
-    """The error where a flight lacks the requested columns."""
+    """The error for columns that a flight does not have."""
     return LogError(
         f"{name}: no samples of {', '.join(missing)}. The flight has: {', '.join(there)}."
     )
 
 
 def finite_rows(t_s: Array, values: Array) -> tuple[Array, Array]:
-    """Times and values of the rows that are known altogether; the same arrays where all are."""
+    """Times and values of the rows in which every column is finite; the same arrays where all
+    are."""
     known = ~np.isnan(values).any(axis=1) & ~np.isnan(t_s)
     return (t_s, values) if known.all() else (t_s[known], values[known])

@@ -1,7 +1,7 @@
-"""The log formats that are read: one row each, and all that is said of formats comes from here.
+"""The supported log formats, one row each; the only place that describes formats.
 
-A format is its reader, in a module of its own with the format's units and frames, and its row in
-`FORMATS`. docs/dev/extending/log_format.md adds one step by step.
+A format consists of its reader, in a module of its own with the format's units and frames, and its
+row in `FORMATS`. docs/dev/extending/log_format.md adds one step by step.
 """
 
 import re
@@ -20,45 +20,47 @@ HEAD = 4096
 _TELLING = 4
 """Bytes of a longer signature after which a difference is damage, not another format."""
 _LETTERS = string.ascii_letters.encode() + string.digits.encode() + b" :"
-"""Of text that is no signature."""
+"""Bytes of text, which is no signature."""
 _CENTURY_US = 946_684_800_000_000, 4_102_444_800_000_000  # 2000 to 2100, us since 1970
 _BEFORE_TEXT = b"\xef\xbb\xbf \t\r\n\"'"  # byte-order mark, blanks, quotes
 
 
 class Signature(Protocol):
-    """What files of one kind begin with."""
+    """Test of the first bytes of a file for one format."""
 
     def matches(self, head: bytes) -> bool:
-        """Whether a file that begins so is of this kind; `head` has at most `HEAD` bytes."""
+        """Whether a file with these first bytes is of this format; `head` has at most `HEAD`
+        bytes."""
         ...
 
     def damage(self, head: bytes) -> str:
-        """What is wrong where a file is nearly of this kind, "" where it is nothing like it."""
+        """Description of the damage to a signature, "" where the file is not similar to the
+        format."""
         ...
 
     def __str__(self) -> str:
-        """The signature for a reader of the documentation."""
+        """The signature as printed in the documentation."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Magic:
-    """Fixed bytes at a fixed place.
+    """Fixed bytes at a fixed offset.
 
     Attributes:
-        content: The bytes.
-        at: Where they begin.
+        content: Expected bytes.
+        at: Offset of the first byte.
     """
 
     content: bytes
     at: int = 0
 
     def matches(self, head: bytes) -> bool:
-        """Whether the bytes stand there."""
+        """Whether the bytes are at that offset."""
         return head[self.at :].startswith(self.content)
 
     def damage(self, head: bytes) -> str:
-        """Cut off within the signature, or its later bytes changed."""
+        """Text for a file that ends within the signature, or with its later bytes changed."""
         if self.at or self.matches(head):
             return ""
         if 1 < len(head) < len(self.content) and self.content.startswith(head):
@@ -81,11 +83,11 @@ class FirstWord:
     word: bytes
 
     def matches(self, head: bytes) -> bool:
-        """Whether the text begins so."""
+        """Whether the text begins with the word."""
         return head.lstrip(_BEFORE_TEXT).lower().startswith(self.word)
 
     def damage(self, head: bytes) -> str:
-        """Text has no signature that could be damaged."""
+        """Always "": text has no signature that could be damaged."""
         return ""
 
     def __str__(self) -> str:
@@ -94,20 +96,20 @@ class FirstWord:
 
 @dataclass(frozen=True, slots=True)
 class Stamped:
-    """A time of this century, us since 1970 in 8 bytes, the first the highest, and then one of some
+    """A time of this century, us since 1970 in 8 bytes, big-endian, followed by one of some
     bytes."""
 
     then: tuple[bytes, ...]
 
     def matches(self, head: bytes) -> bool:
-        """Whether both stand there."""
+        """Whether both are at the start."""
         return (
             head[8:].startswith(self.then)
             and _CENTURY_US[0] < int.from_bytes(head[:8]) < _CENTURY_US[1]
         )
 
     def damage(self, head: bytes) -> str:
-        """A time alone says too little."""
+        """Always "": a time alone does not identify a format."""
         return ""
 
     def __str__(self) -> str:
@@ -117,11 +119,12 @@ class Stamped:
 
 @dataclass(frozen=True, slots=True)
 class ReadOptions:
-    """What a caller may ask of a reader; one that has no use for an option leaves it.
+    """Options of a caller for a reader; a reader ignores options that do not apply.
 
     Attributes:
         rebuild_commands: Re-run the autopilot's rate controller to get the motor commands at full
-            rate. None: where they are logged slower than 100 Hz and the log has what it takes.
+            rate. None: where they are logged slower than 100 Hz and the log contains the necessary
+            signals.
     """
 
     rebuild_commands: bool | None = None
@@ -134,12 +137,12 @@ class Reader(Protocol):
         """A flight from the content of a file.
 
         Args:
-            path: Its name, for messages.
-            blob: Its content, which has the signature of the format.
-            options: What the caller asks for.
+            path: Name of the file, for messages.
+            blob: Content of the file, which has the signature of the format.
+            options: Options of the caller.
 
         Raises:
-            LogError: It cannot be used; the text says why and what to do.
+            LogError: The file cannot be used; the text states the reason and the remedy.
         """
         ...
 
@@ -149,14 +152,14 @@ class LogFormat:
     """One format of flight logs.
 
     Attributes:
-        name: As printed.
-        suffixes: Endings that its files usually have; they are said, and decide on no format.
-        signature: What its files begin with; no file has the signatures of two formats.
+        name: Name as printed.
+        suffixes: Usual extensions of its files; they are printed, and do not decide on a format.
+        signature: First bytes of its files; no file has the signatures of two formats.
         reader: `MODULE:FUNCTION` below `twin.logs`, imported when the first such file is read.
         packages: Distributions that the reader needs besides numpy and pandas.
-        holds: What a flight of such a file holds, in a line.
-        sought: What the log begins with so surely that it is looked for behind bytes of another
-            program; None: only the first bytes of the file count.
+        holds: Content of a flight from such a file, in one line.
+        sought: Pattern at the start of the log that is specific enough to be searched behind bytes
+            of another program; None: only the first bytes of the file count.
     """
 
     name: str
@@ -174,7 +177,7 @@ class LogFormat:
         """The reader, imported.
 
         Raises:
-            LogError: A package that it needs is not installed.
+            LogError: A package that the reader needs is not installed.
         """
         module, _, function = self.reader.partition(":")
         try:
@@ -287,11 +290,11 @@ FORMATS: tuple[LogFormat, ...] = (
         holds="every column",
     ),
 )
-"""Every log format, how a file of it is known and which function reads it."""
+"""Every log format, with its signature and its reader."""
 
 
 OF_LOGS_ALONE = (".ulg", ".bbl", ".bfl", ".tlog")
-"""Endings that no other files have: one without a known signature is a damaged log."""
+"""Extensions of logs only: a file with one and without a known signature is a damaged log."""
 
 
 def known_formats(formats: Sequence[LogFormat] = FORMATS) -> str:
@@ -303,7 +306,7 @@ def recognise(blob: bytes, formats: Sequence[LogFormat] = FORMATS) -> LogFormat 
     """The format of a file, by its first bytes; None where it has none of these.
 
     Raises:
-        LogError: Two formats claim it.
+        LogError: Two formats have this signature.
     """
     found = [f for f in formats if f.signature.matches(blob[:HEAD])]
     if len(found) > 1:
@@ -315,7 +318,7 @@ def recognise(blob: bytes, formats: Sequence[LogFormat] = FORMATS) -> LogFormat 
 
 
 def damaged_signature(blob: bytes, formats: Sequence[LogFormat] = FORMATS) -> str:
-    """What is wrong with a file whose signature is damaged, "" where it has none."""
+    """Description of the damage to a file's signature, "" where it has no similar signature."""
     for each in formats:
         if damage := each.signature.damage(blob[:HEAD]):
             return f"{each.name}, {damage}"

@@ -1,7 +1,7 @@
-"""At which lag inputs explain channels best: one search for the numbering of motors
+"""Lag at which inputs explain channels best: one search for the numbering of motors
 (`motor_checks.py`) and for late stamps of rotor speeds (`rotor_lag.py`).
 
-All of it goes by second moments, of each lag and, for standard deviations, of each block of time.
+Computed from second moments, of each lag and, for standard deviations, of each block of time.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,20 +13,20 @@ from numpy.typing import NDArray
 from .flight import Array
 
 Blocks = slice | NDArray[np.bool_]
-"""Which blocks of time count."""
-TINY = 1e-12  # keeps a division finite
+"""Blocks of time in use."""
+TINY = 1e-12  # avoids division by zero
 _RIDGE = 1e-9
-"""Of the trace of the inputs, added to their moments: motors that do the same share a weight."""
+"""Ridge as a share of the trace of the input moments: motors with equal signals share a weight."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaggedMoments:
-    """Second moments of inputs at several lags and of the channels that they are to explain.
+    """Second moments of inputs at several lags and of the channels that they explain.
 
     Attributes:
-        inputs: Of the inputs, shape (lags, n, n); of each block, (lags, blocks, n, n).
-        cross: Of inputs and channels, shape (lags, n, k) or (lags, blocks, n, k).
-        channels: Of the channels, shape (k,) or (blocks, k).
+        inputs: Second moments of the inputs, shape (lags, n, n); by block, (lags, blocks, n, n).
+        cross: Cross moments of inputs and channels, shape (lags, n, k) or (lags, blocks, n, k).
+        channels: Second moments of the channels, shape (k,) or (blocks, k).
     """
 
     inputs: Array
@@ -40,9 +40,9 @@ class LaggedMoments:
         """Moments of samples, block by block.
 
         Args:
-            inputs: At each lag, shape (m, n).
-            channels: Shape (m, k).
-            rows: Of each block.
+            inputs: Inputs at each lag, shape (m, n).
+            channels: Channels, shape (m, k).
+            rows: Row indices of each block.
         """
         gram = [[u[r].T @ u[r] for r in rows] for u in inputs]
         cross = [[u[r].T @ channels[r] for r in rows] for u in inputs]
@@ -50,23 +50,23 @@ class LaggedMoments:
         return cls(np.array(gram), np.array(cross), size)
 
     def over(self, blocks: Blocks) -> "LaggedMoments":
-        """Sums over some of the blocks."""
+        """Moments summed over some of the blocks."""
         inputs, cross = (m[:, blocks].sum(axis=1) for m in (self.inputs, self.cross))
         return LaggedMoments(inputs, cross, self.channels[blocks].sum(axis=0))
 
     def at(self, lag: int) -> "LaggedMoments":
-        """Those at one of the lags."""
+        """Moments at one of the lags."""
         return LaggedMoments(self.inputs[[lag]], self.cross[[lag]], self.channels)
 
     def r2(self, weights: Array, channel: int) -> Array:
-        """R^2, negative for a negative correlation, of weighted sums of the inputs.
+        """R^2 of weighted sums of the inputs, negative for a negative correlation.
 
         Args:
-            weights: Shape (..., n).
-            channel: Which one is to be explained.
+            weights: Weights of the inputs, shape (..., n).
+            channel: Index of the channel.
 
         Returns:
-            Shape (lags, ...).
+            R^2, shape (lags, ...).
         """
         along = np.moveaxis(weights @ self.cross[:, :, channel].T, -1, 0)
         size = np.einsum("...i,lij,...j->l...", weights, self.inputs, weights)
@@ -74,8 +74,8 @@ class LaggedMoments:
         return np.asarray(np.sign(along) * along**2 / size)
 
     def regressed(self) -> tuple[Array, Array]:
-        """Weights of a free regression at each lag, shape (lags, n, k), and what of the moments of
-        the channels they explain, shape (lags, k)."""
+        """Regression weights at each lag, shape (lags, n, k), and explained second moments of the
+        channels, shape (lags, k)."""
         size = np.trace(self.inputs, axis1=1, axis2=2)[:, None, None]
         ridge = _RIDGE * np.maximum(size, TINY) * np.eye(self.inputs.shape[1])
         weights = np.linalg.solve(self.inputs + ridge, self.cross)
@@ -89,8 +89,8 @@ def best_lag(
 
     Args:
         lags_s: Evenly spaced, shape (lags,).
-        r2: By some of the blocks, shape (lags,).
-        blocks: How many there are.
+        r2: R^2 as a function of the blocks in use, shape (lags,).
+        blocks: Number of blocks.
     """
     every = r2(slice(None))
     without = np.array([_top(lags_s, r2(np.arange(blocks) != b)) for b in range(blocks)])
@@ -99,7 +99,7 @@ def best_lag(
 
 
 def _top(at: Array, values: Array) -> float:
-    """Place of the top of a parabola through the largest of some values and its neighbours."""
+    """Position of the vertex of a parabola through the largest value and its neighbours."""
     k = int(values.argmax())
     if not 0 < k < len(at) - 1:
         return float(at[k])

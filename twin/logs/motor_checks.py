@@ -1,15 +1,16 @@
-"""Commands, rotor speeds and motion of a flight held against each other and against the airframe.
+"""Consistency of commands, rotor speeds and motion of a flight, and with the airframe.
 
-A wrong order, sign or unit of the motors becomes a wrong mass or inertia in whatever is estimated
-afterwards. Three relations are tested, each only where the flight excites it:
+A wrong order, sign or unit of the motors becomes a wrong mass or inertia in later estimates. Three
+relations are tested, each only where the flight excites it:
 
 * speed of rotor i follows the command of motor i better than that of another motor;
-* angular acceleration follows the moments that the commands have by the rotors' places and senses;
+* angular acceleration follows the moments of the commands, by the rotors' positions and directions
+of rotation;
 * specific force follows the sum of the commands, which hover between 0.1 and 0.95.
 
-Signals are means over cells of 20 ms or longer, without what is slower than 2 s; a lag of up to
-0.3 s (motor, telemetry) is searched for. One labelling explains a channel with R^2; it is doubted
-where another one explains it far better: `_CARRIES`, `_UNEXPLAINED`, `_HALF`.
+Signals are means over cells of 20 ms or longer, with variations slower than 2 s removed; a lag of
+up to 0.3 s (motor, telemetry) is estimated. One labelling explains a channel with R^2; it is
+doubted where another one explains it far better: `_CARRIES`, `_UNEXPLAINED`, `_HALF`.
 """
 
 from collections.abc import Iterator
@@ -27,42 +28,44 @@ from .flight import Array, Finding
 from .lags import TINY, LaggedMoments
 
 _CARRIES = 0.3
-"""R^2 from which on a channel says anything about the motors."""
+"""R^2 from which a channel is informative on the motors."""
 _UNEXPLAINED = 1.2
-"""Ratio of the variance that the labelling of the log leaves to what another one leaves, from which
-on the first is doubted, if its R^2 is also at most `_HALF` of the other's on a channel."""
+"""Ratio of the variance unexplained by the labelling of the log to that unexplained by another one,
+from which the first is doubted, if its R^2 is also at most `_HALF` of the other's on a channel."""
 _HALF = 0.5  # see `_UNEXPLAINED`
 _CLEARLY = 1.5
-"""The ratio that suffices alone: neighbours of a hexarotor act nearly alike.
+"""The ratio that suffices alone: neighbouring motors of a hexarotor have nearly equal effects.
 
 Chosen on the recorded flights of rflysimdt, px4_negatives, quiver_pt1, nanobench,
 crazyflie_motor_delay and rflymad_sil (docs/dev/decisions/motor_checks.md): none is doubted. Lowered
-from 2 on a simulated octorotor of the tests, which therefore do not score it.
+from 2 on a simulated octorotor of the tests, which is therefore no evidence for it.
 """
-_CELL_S = 0.02  # shortest over which signals are averaged
+_CELL_S = 0.02  # shortest cell over which signals are averaged
 _MARGIN_S = 1.0
-"""Around the cells, for the lags."""
-_SLOW_S = 2.0  # variations slower than that are taken out
+"""Margin around the cells, for the lags."""
+_SLOW_S = 2.0  # slower variations are removed
 _LAGS_S = (-0.04, -0.02, 0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2, 0.3)
-"""Of motor and telemetry."""
+"""Candidate lags of motor and telemetry together."""
 _FEWEST, _MOST = 200, 30_000
-"""Cells."""
+"""Smallest and largest number of cells."""
 _MOST_EXHAUSTIVE, _LIKELY = 8, 50
-"""Motors of which every order is tried; orders of which every lag is."""
+"""Largest number of motors of which every order is tested; number of orders tested at every lag."""
 _ALIKE = 0.03
-"""R^2 within which two labellings cannot be distinguished."""
+"""Difference of R^2 below which two labellings cannot be distinguished."""
 _FEW_CHANGES = 2
-"""Up to which the least of several labellings alike is named: two motors exchanged, a sign."""
+"""Largest number of changes (two motors exchanged, a sign) for one of several equal labellings to
+be named."""
 _STILL = 0.2
-"""Root mean square of a command over the median of all; recorded flights have 0.8 at least."""
+"""Least rms of a command over the median of all motors; recorded flights have 0.8 or more."""
 _FLOWN = 0.5
-"""Of the upper quartile of the mean command: what lies below is no flight."""
+"""Least mean command in flight, as a share of its upper quartile."""
 _HOVER = 0.1, 0.95
-"""Recorded flights hover between 0.13 (ekf_failure) and 0.91 (B3_figure8_medium_rep2)."""
+"""Plausible command in hover; recorded flights: 0.13 (ekf_failure) to 0.91
+(B3_figure8_medium_rep2)."""
 _ELASTICITY = 0.35, 5.0
-"""Relative thrust by relative command: 2 for a speed proportional to the command, 1 for a thrust;
-recorded flights have 0.8 to 1.6."""
-_AXES = "xyz"  # of the body
+"""Plausible relative thrust per relative command: 2 for a speed proportional to the command, 1 for
+a thrust; recorded flights have 0.8 to 1.6."""
+_AXES = "xyz"  # body axes
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +73,8 @@ class _Cells:
     """Signals as means over cells of time.
 
     Attributes:
-        edges_s: Shape (cells + 1,).
-        flown: Which cells are in the air, with what is near them, shape (cells,).
+        edges_s: Edges of the cells, shape (cells + 1,).
+        flown: Whether a cell and its surroundings are in the air, shape (cells,).
     """
 
     edges_s: Array
@@ -88,7 +91,8 @@ class _Cells:
         return window_integrals(t_s, values, self.edges_s - lag_s) / self.width_s
 
     def fast(self, values: Array) -> Array:
-        """What changes within two seconds, of the cells in the air, shape (cells in the air, k)."""
+        """Values without variations slower than two seconds, for cells in the air, shape (cells in
+        the air, k)."""
         wide = max(round(_SLOW_S / self.width_s), 3)
         quick = values - scipy.ndimage.uniform_filter1d(values, wide, axis=0, mode="nearest")
         chosen = quick[self.flown]
@@ -96,12 +100,13 @@ class _Cells:
 
 
 def doubt_motors(table: Columns, there: Signals, layout: Layout | None) -> list[Finding]:
-    """Order, signs and unit of the motors that the flight itself contradicts.
+    """Findings on order, signs and unit of the motors that contradict the flight.
 
     Args:
         table: Flight table by column.
-        there: Its signals, of `agreement.signals`.
-        layout: Places and senses of the rotors by the log or by the vehicle; None: not known.
+        there: Signals of the table, from `agreement.signals`.
+        layout: Positions and directions of rotation of the rotors by the log or the vehicle; None:
+            not known.
     """
     if "cmd" not in there:
         return []
@@ -130,7 +135,7 @@ def _cells(table: Columns, there: Signals, *others: str) -> _Cells | None:
     lifted = (cells.means(t_cmd, mean[:, None])[:, 0] > level).astype(np.float64)
     wide = max(round(_SLOW_S / width_s), 3)
     flown = scipy.ndimage.uniform_filter1d(lifted, wide, mode="nearest") > 1.0 - 0.5 / wide
-    for t in times:  # without what lies in a pause of a signal
+    for t in times:  # without cells in a pause of a signal
         flown &= np.diff(np.searchsorted(t, edges)) > 0 if width_s > _CELL_S else _near(t, edges)
     return _Cells(edges, flown) if np.count_nonzero(flown) >= _FEWEST else None
 
@@ -142,7 +147,7 @@ def _near(t_s: Array, edges_s: Array) -> NDArray[np.bool_]:
 
 
 def _moments(cells: _Cells, inputs: tuple[Array, Array], channels: Array) -> LaggedMoments:
-    """Second moments at every lag of the inputs, times and values, before the channels."""
+    """Second moments of inputs (times and values) at every lag and of the channels."""
     lagged = [cells.fast(cells.means(*inputs, lag_s)) for lag_s in _LAGS_S]
     fast = cells.fast(channels)
     return LaggedMoments.of(lagged, fast, [np.arange(len(fast))]).over(slice(None))
@@ -152,8 +157,8 @@ def _beaten(own: Array, other: Array) -> bool:
     """Whether another labelling explains channels far better than that of the log.
 
     Args:
-        own: R^2 of the log's labelling by channel, negative where it acts the other way.
-        other: The same of the other one.
+        own: R^2 of the log's labelling by channel, negative for an inverted effect.
+        other: R^2 of the other labelling by channel.
     """
     carries = other >= _CARRIES
     if not carries.any():
@@ -166,16 +171,17 @@ def _beaten(own: Array, other: Array) -> bool:
 # -- rotor speeds behind commands -------------------------------------------------------------
 
 _MISNUMBERED = "left out: speeds do not follow the commands of their own motors"
-"""Begin of a finding, by which it is known."""
+"""Start of the text of a finding, by which it is recognised."""
 
 
 def is_misnumbered(finding: Finding) -> bool:
-    """Whether a finding says that rotor speeds are those of other motors."""
+    """Whether a finding states that rotor speeds are those of other motors."""
     return finding.where == "rotor" and finding.message.startswith(_MISNUMBERED)
 
 
 def doubt_rotors(table: Columns, there: Signals) -> list[Finding]:
-    """Speeds that follow another motor's command, by what sets each motor apart from the mean."""
+    """Findings on speeds that follow another motor's command, by the differences from the mean
+    motor."""
     if not {"cmd", "rotor"} <= there.keys() or len(there["cmd"]) != len(there["rotor"]):
         return []
     cells = _cells(table, there, "rotor")
@@ -213,12 +219,12 @@ def doubt_rotors(table: Columns, there: Signals) -> list[Finding]:
 
 @dataclass(frozen=True, slots=True)
 class _Labelling:
-    """What the commands might be instead of what the log says.
+    """A possible meaning of the commands other than that of the log.
 
     Attributes:
-        weights: Moments about x, y, z by command, up to a factor each, shape (3, n).
-        text: What that would be, in words.
-        changes: Of how many changes to the log's labelling it consists.
+        weights: Moments about x, y, z per command, up to a factor each, shape (3, n).
+        text: Description of the labelling.
+        changes: Number of changes from the log's labelling.
     """
 
     weights: Array
@@ -227,17 +233,17 @@ class _Labelling:
 
 
 def moments_of(layout: Layout) -> Array:
-    """Moments about x, y, z of a thrust of each rotor, each up to a factor, shape (3, n)."""
+    """Moments about x, y, z of unit thrust of each rotor, each up to a factor, shape (3, n)."""
     forward, right = layout.position[:, 0], layout.position[:, 1]
     return np.stack([-right, forward, -layout.direction])
 
 
 def _labellings(allocation: Array, hint: Array, at: LaggedMoments) -> Iterator[_Labelling]:
-    """Everything that is tried: other orders, signs, and a command that drives nothing.
+    """All tested labellings: other orders, signs, and a command without a motor.
 
     Args:
-        allocation: Of the layout, shape (3, n).
-        hint: Weights of a free regression, shape (3, n).
+        allocation: Moments of the rotors by the layout, shape (3, n).
+        hint: Weights of an unconstrained regression, shape (3, n).
         at: Moments at the lag of that regression.
     """
     n = allocation.shape[1]
@@ -259,8 +265,8 @@ def _labellings(allocation: Array, hint: Array, at: LaggedMoments) -> Iterator[_
 
 
 def _orders(allocation: Array, hint: Array, at: LaggedMoments) -> NDArray[np.intp]:
-    """The likeliest other orders of the motors, shape (orders, n): of all of up to eight motors, of
-    all pairs and the one that regression suggests of more."""
+    """The likeliest other orders of the motors, shape (orders, n): from all orders for up to eight
+    motors; for more, all exchanges of two and the order that regression suggests."""
     n = allocation.shape[1]
     if n <= _MOST_EXHAUSTIVE:
         orders = np.array(list(permutations(range(n))))[1:]
@@ -277,10 +283,10 @@ def _orders(allocation: Array, hint: Array, at: LaggedMoments) -> NDArray[np.int
 
 
 def doubt_moments(table: Columns, there: Signals, layout: Layout) -> list[Finding]:
-    """Angular acceleration that does not follow the moments of the commands.
+    """Findings on angular acceleration that does not follow the moments of the commands.
 
     Roll and pitch share a lag, that of thrust; yaw has its own, as the reaction to a rotor's
-    acceleration comes before that to its drag.
+    acceleration precedes that to its drag.
     """
     if "gyro" not in there:
         return []
@@ -300,7 +306,7 @@ def doubt_moments(table: Columns, there: Signals, layout: Layout) -> list[Findin
     every = np.stack([allocation, *(o.weights for o in others)])
     r2 = np.stack([moments.r2(every[:, a], a) for a in range(3)], axis=1)  # lag, axis, label
     level = r2[:, :2].sum(axis=1)
-    lag = level.argmax(axis=0)  # of each labelling
+    lag = level.argmax(axis=0)  # for each labelling
     yaw = r2[:, 2].max(axis=0)
     total = level.max(axis=0) + yaw
     best = int(total.argmax())
@@ -335,8 +341,8 @@ def doubt_moments(table: Columns, there: Signals, layout: Layout) -> list[Findin
 
 
 def _regressed(moments: LaggedMoments) -> tuple[Array, LaggedMoments, Array]:
-    """R^2 of a free regression on all commands by channel, roll and pitch at one lag; the moments
-    at that lag, and the weights there, of unit size, shape (3, n)."""
+    """R^2 by channel of an unconstrained regression on all commands, roll and pitch at one lag; the
+    moments at that lag, and the weights there, of unit norm, shape (3, n)."""
     weights, explained = moments.regressed()
     r2 = explained / np.maximum(moments.channels, TINY)
     lag = int(r2[:, :2].sum(axis=1).argmax())
@@ -348,7 +354,8 @@ def _regressed(moments: LaggedMoments) -> tuple[Array, LaggedMoments, Array]:
 
 
 def _doubt_still(commands: Array) -> list[Finding]:
-    """A command that does not take part in what the others do, of fast parts, shape (cells, n)."""
+    """Finding on a command that does not vary as the others do, from fast parts, shape (cells,
+    n)."""
     rms = np.sqrt(np.mean(commands**2, axis=0))
     share = rms / max(float(np.median(rms)), TINY)
     still = [f"cmd_{k + 1} ({share[k]:.1%})" for k in np.flatnonzero(share < _STILL)]
@@ -362,7 +369,8 @@ def _doubt_still(commands: Array) -> list[Finding]:
 
 
 def doubt_thrust(table: Columns, there: Signals) -> list[Finding]:
-    """A sum of commands that specific force does not follow, and a hover that no motor has."""
+    """Findings where specific force does not follow the sum of commands, or the hover command is
+    implausible."""
     cells = _cells(table, there, *(["acc"] if "acc" in there else []))
     if cells is None:
         return []

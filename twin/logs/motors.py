@@ -1,8 +1,8 @@
-"""Which physical output drives which motor, in which unit and range, and what in a log says so.
+"""Assignment of physical outputs to motors, with unit and range, and its source in the log.
 
-Every reader of an autopilot's log fills one `MotorOutput` per motor; commands are made of nothing
-else. Where the log does not say it, `source` names what was missing and the reader adds a
-finding.
+Every reader of an autopilot's log fills one `MotorOutput` per motor; commands are computed from
+these only. Where the log lacks the information, `source` names what was missing and the reader adds
+a finding.
 """
 
 from collections.abc import Sequence
@@ -17,11 +17,11 @@ from .stamps import mean_rate_hz
 _STOPPED = 0.01
 """Command above which a motor runs."""
 _ABSURD = 3.0
-"""Size of a command that is damaged; a pulse width of 0, of motors that are off, is -1 or -2."""
+"""Magnitude of a damaged command; a pulse width of 0, of motors that are off, gives -1 or -2."""
 _IDLE, _WORKING = 0.05, 0.2
 """Mean command below which motors idle, and above which they draw a current."""
 _STEADY_A = 1e-4
-"""Standard deviation of a current that never changes."""
+"""Standard deviation below which a current is constant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,10 +31,10 @@ class MotorOutput:
     Attributes:
         motor: Number of the motor, from 1: `cmd_i` and `rotor_i` of the flight table.
         place: Message or topic and the field of this output.
-        unit: Of the logged values: "us", "DShot", "CAN", "" for a command 0..1.
+        unit: Unit of the logged values: "us", "DShot", "CAN", "" for a command 0..1.
         low: Logged value of command 0.
         high: Logged value of command 1; below `low` for a reversed output.
-        source: Parameters or fields that say all this.
+        source: Parameters or fields that state this assignment.
     """
 
     motor: int
@@ -46,14 +46,14 @@ class MotorOutput:
 
 
 def commands_of(outputs: Sequence[MotorOutput], values: Array) -> Array:
-    """Commands of logged values, not clipped, shape (n, motors) as `values`."""
+    """Commands from logged values, not clipped, shape (n, motors) as `values`."""
     low = np.array([o.low for o in outputs])
     high = np.array([o.high for o in outputs])
     return np.asarray((values - low) / (high - low))
 
 
 def describe_outputs(outputs: Sequence[MotorOutput]) -> str:
-    """All outputs in a line, in the order of the motors, with what says so."""
+    """All outputs in one line, in the order of the motors, with their source."""
     ranges = [f"{o.low:g} to {o.high:g} {o.unit}".rstrip() for o in outputs]
     same = len(set(ranges)) == 1
     places = [o.place if same else f"{o.place} {r}" for o, r in zip(outputs, ranges, strict=True)]
@@ -68,8 +68,8 @@ class MotorCommands:
 
     Attributes:
         t_us: Times, us, shape (n,).
-        cmd: Shape (n, motors).
-        facts: What to print about them.
+        cmd: Commands, shape (n, motors).
+        facts: Printable facts about the commands.
     """
 
     t_us: NDArray[np.int64]
@@ -78,11 +78,11 @@ class MotorCommands:
 
     @property
     def running(self) -> NDArray[np.bool_]:
-        """Whether any motor gets more than a hundredth, shape (n,)."""
+        """Whether any motor has a command above a hundredth, shape (n,)."""
         return np.asarray((self.cmd > _STOPPED).any(axis=1))
 
     def note_slow(self, log: FindingCollector, enough_hz: float) -> float:
-        """Their rate, Hz; a finding where it is below what is enough."""
+        """Rate of the commands, Hz; a finding where it is below `enough_hz`."""
         rate_hz = mean_rate_hz(self.t_us)
         if rate_hz < enough_hz:
             message = f"motor commands at only {rate_hz:.0f} Hz; each is held until the next"
@@ -90,11 +90,11 @@ class MotorCommands:
         return rate_hz
 
     def clipped(self, log: FindingCollector, source: str) -> "MotorCommands":
-        """The same within 0..1; findings count what lay outside.
+        """The commands clipped to 0..1; findings count the samples outside.
 
         Args:
-            log: Takes the findings.
-            source: Topic or message that they are from.
+            log: Collects the findings.
+            source: Topic or message of the commands.
         """
         absurd = np.abs(self.cmd) > _ABSURD
         log.note("error", "cmd", f"values of {source} beyond {_ABSURD:g} set to 0 or 1", absurd)
@@ -112,8 +112,8 @@ def doubt_current(
     Args:
         t_us: Times, us, shape (n,).
         amps: Current, A, shape (n,); NaN: no sample.
-        commands: Clipped; None: not known.
-        source: Topic or message.
+        commands: Clipped commands; None: not known.
+        source: Topic or message of the current.
     """
     known = np.isfinite(amps)
     t_us, amps = t_us[known], amps[known]

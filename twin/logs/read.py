@@ -1,4 +1,4 @@
-"""Open a flight, whatever its format and whatever it is packed in."""
+"""Open a flight of any format and in any container."""
 
 import bz2
 import gzip
@@ -39,19 +39,19 @@ from .table import open_parquet
 # that are no log, by name. What counts is the log inside, not what it is wrapped in.
 
 _MOST_RATIO = 100
-"""Of the size unpacked over that of the archive: text logs compress by up to 20."""
+"""Largest ratio of unpacked size to archive size: text logs compress by up to 20."""
 _ALWAYS = 16_000_000
 """Bytes that may be unpacked whatever the ratio."""
 DAMAGED = (
     *(zipfile.BadZipFile, zlib.error, lzma.LZMAError),
     *(OSError, EOFError, ValueError, NotImplementedError),
 )
-"""What opening an archive, or a file in it, raises where it is damaged or of an unknown kind."""
+"""Exceptions from opening an archive, or a file in it, that is damaged or of an unknown kind."""
 _SHOWN = 6  # files of an archive that an error lists
 _FEWEST = 16
-"""Bytes alike from which on a file counts as erased."""
-_ZIP = (Magic(b"PK\x03\x04"), Magic(b"PK\x05\x06"))  # of archives with and without members
-_STREAMS = (  # signature, name, how it is opened
+"""Equal bytes from which a file counts as erased."""
+_ZIP = (Magic(b"PK\x03\x04"), Magic(b"PK\x05\x06"))  # archives with and without members
+_STREAMS = (  # signature, name, function that opens it
     (Magic(b"\x1f\x8b"), "gzip-compressed", gzip.open),
     (Magic(b"BZh"), "bzip2-compressed", bz2.open),
 )
@@ -61,7 +61,7 @@ _OF_SYSTEMS = {
     "SystemStructure.ssd": "a system of FMUs (SSP), no flight. uavtwin simulate runs it.",
     "xl/workbook.xml": "an Excel workbook. Save the sheet as CSV, with a column 'time'.",
 }
-"""Archives that are no container of logs, by a member."""
+"""Archives that contain no logs, by a member."""
 
 _Named = tuple[tuple[Signature, str], ...]
 
@@ -104,7 +104,7 @@ CERTAIN: _Named = (
     *((Magic(magic), "a picture, no flight log.") for magic in (b"\x89PNG\r\n", b"\xff\xd8\xff")),
     (Magic(b"%PDF-"), "a PDF document, no flight log."),
 )
-"""Files that are no log, by what they begin with, and what to do then."""
+"""Files that are no log, by their first bytes, and the remedy."""
 PERHAPS: _Named = (
     (FirstWord(b"{"), "JSON, no flight log: the answer of a server, or results of a program?"),
     *(
@@ -119,16 +119,16 @@ PERHAPS: _Named = (
         for marker in (b"\xfd", b"\xfe")
     ),
 )
-"""The same by so few bytes that a log may yet stand behind them."""
+"""Files that are probably no log, by few first bytes: a log may still follow."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unpacked:
-    """A log taken out of what is around it.
+    """A log taken out of its container.
 
     Attributes:
-        blob: Its content.
-        findings: What it was taken out of.
+        blob: Content of the log.
+        findings: Findings that name its containers.
     """
 
     blob: bytes
@@ -145,7 +145,7 @@ def is_archive_of(path: Path, member: str) -> bool:
 
 
 _DEEPEST = 3
-"""Archives and compressed files within each other."""
+"""Largest depth of nested archives and compressed files."""
 
 
 def unpacked(blob: bytes, deepest: int = _DEEPEST) -> Unpacked:
@@ -153,10 +153,10 @@ def unpacked(blob: bytes, deepest: int = _DEEPEST) -> Unpacked:
 
     Args:
         blob: Content of a file.
-        deepest: Archives and compressed files within each other that are opened.
+        deepest: Depth of nested archives and compressed files that are opened.
 
     Raises:
-        LogError: It is damaged, holds no log, or several.
+        LogError: The archive is damaged, contains no log, or several.
     """
     if not deepest:
         return Unpacked(blob)
@@ -182,11 +182,11 @@ def unpacked(blob: bytes, deepest: int = _DEEPEST) -> Unpacked:
 TOO_LARGE = (
     f"over {_MOST_RATIO} times its size, as no flight log does. Unpack it first if it is one."
 )
-"""End of an error on what unpacks to more than `most_unpacked`."""
+"""End of the error on content that unpacks to more than `most_unpacked`."""
 
 
 def most_unpacked(size: int) -> int:
-    """Bytes that an archive of some size may unpack to."""
+    """Largest unpacked size of an archive of some size, bytes."""
     return max(_ALWAYS, _MOST_RATIO * size)
 
 
@@ -215,10 +215,10 @@ def _from_archive(blob: bytes) -> Unpacked:
 def _members(
     archive: zipfile.ZipFile,
 ) -> tuple[list[zipfile.ZipInfo], list[zipfile.ZipInfo]]:
-    """Files in an archive, and those of them that are logs.
+    """Files in an archive, and the logs among them.
 
     Raises:
-        LogError: It is no container of logs, or has a password.
+        LogError: The archive is no container of logs, or has a password.
     """
     names = set(archive.namelist())
     for member, what in _OF_SYSTEMS.items():
@@ -251,7 +251,7 @@ def _is_log(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bool:
 
 
 def _which(files: Sequence[zipfile.ZipInfo], logs: Sequence[zipfile.ZipInfo]) -> str:
-    """What an archive holds that does not hold one log."""
+    """Description of the content of an archive without exactly one log."""
     shown = logs or files
     named = ", ".join(f"{m.filename[:60]} ({m.file_size} bytes)" for m in shown[:_SHOWN])
     more = f" and {len(shown) - _SHOWN} more" if len(shown) > _SHOWN else ""
@@ -263,8 +263,8 @@ def _which(files: Sequence[zipfile.ZipInfo], logs: Sequence[zipfile.ZipInfo]) ->
 
 
 def find_embedded_log(blob: bytes) -> tuple[int, LogFormat] | None:
-    """Where a log begins behind bytes of another program, a serial logger's or a console's, and its
-    format; None where nothing does."""
+    """Offset and format of a log behind bytes of another program, of a serial logger or console;
+    None where there is none."""
     starts = [
         (match.start(), k)
         for k, f in enumerate(FORMATS)
@@ -290,7 +290,7 @@ def leading_bytes_finding(blob: bytes, at: int) -> Finding:
 
 
 def erased_text(blob: bytes) -> str:
-    """What is said of a file in which all bytes are the same, "" of any other."""
+    """Text for a file in which all bytes are equal, "" for any other."""
     if len(blob) < _FEWEST or blob.strip(blob[:1]):
         return ""
     return (
@@ -300,12 +300,12 @@ def erased_text(blob: bytes) -> str:
 
 
 def named_kind(blob: bytes, named: _Named) -> str:
-    """What a file is by its first bytes, "" where they say nothing."""
+    """Kind of a file by its first bytes, "" where they are not known."""
     return next((text for signature, text in named if signature.matches(blob[:HEAD])), "")
 
 
 def likely_kind(blob: bytes) -> str:
-    """One sentence on what a file of no known format seems to be."""
+    """One sentence on the probable kind of a file of unknown format."""
     if said := named_kind(blob, (*CERTAIN, *PERHAPS)):
         return said
     head = blob[:64]
@@ -323,15 +323,15 @@ _F = TypeVar("_F", bound=AnyFlight)
 def read_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> Flight:
     """Read a flight log or flight table, also one in a ZIP archive or compressed by gzip or bzip2.
 
-    The content decides on the format, not the name; bytes of another program before the head of a
-    log are left out and counted.
+    The format is recognised by content, not by name; bytes of another program before the head of a
+    log are dropped and counted.
 
     Args:
-        path: File, of one of `formats.FORMATS`.
+        path: File in one of `formats.FORMATS`.
         rebuild_commands: As in `formats.ReadOptions`.
 
     Raises:
-        LogError: The file cannot be used; the text says why and what to do.
+        LogError: The file cannot be used; the text states the reason and the remedy.
     """
     path = file_of_bag(Path(path))
     blob = _content(path)
@@ -345,10 +345,10 @@ def read_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> Fl
 
 
 def _located(blob: bytes) -> tuple[LogFormat, bytes, tuple[Finding, ...]]:
-    """Format and content of the log in a file, and findings on what is around it.
+    """Format and content of the log in a file, and findings on its containers.
 
     Raises:
-        LogError: There is none.
+        LogError: The file contains no log.
     """
     inside = unpacked(blob)
     blob, findings = inside.blob, inside.findings
@@ -367,21 +367,22 @@ def _located(blob: bytes) -> tuple[LogFormat, bytes, tuple[Finding, ...]]:
 
 
 def open_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> AnyFlight:
-    """The same, a long flight table in Parquet left in its file: memory does not grow with it.
+    """Read a flight as `read_flight` does, but leave a long flight table in Parquet in its file:
+    memory use stays bounded.
 
     Args:
-        path: As of `read_flight`.
-        rebuild_commands: As of `read_flight`.
+        path: As in `read_flight`.
+        rebuild_commands: As in `read_flight`.
 
     Raises:
-        LogError: As of `read_flight`.
+        LogError: As in `read_flight`.
     """
     path = Path(path)
     try:
         with path.open("rb") as file:
             head = file.read(HEAD)
     except (OSError, ValueError):
-        return read_flight(path, rebuild_commands=rebuild_commands)  # which says why
+        return read_flight(path, rebuild_commands=rebuild_commands)  # raises the error
     if Magic(b"PAR1").matches(head) and (found := recognise(head)) is not None:
         stored = open_parquet(path)
         if stored is not None:
@@ -390,11 +391,11 @@ def open_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> An
 
 
 def _doubted(flight: _F, read_as: LogFormat) -> _F:
-    """The flight with its format, late rotor speeds in step, and what its values contradict; rotor
-    speeds of other motors than their numbers say are left out: the commands drive the twin."""
+    """The flight with its format, time stamps of late rotor speeds corrected, and doubts about its
+    values; rotor speeds with wrong motor numbers are omitted: the commands drive the twin."""
     said = set(flight.findings)
     layout = None if flight.airframe is None else flight.airframe.layout
-    more = [f for f in doubts(flight.columns, layout) if f not in said]  # a writer may note them
+    more = [f for f in doubts(flight.columns, layout) if f not in said]  # some noted by a writer
     facts = {"format": read_as.name, **flight.facts}
     changed = replace(flight, facts=facts, findings=(*flight.findings, *more))
     if not any(is_misnumbered(f) for f in more):
@@ -406,7 +407,7 @@ def _doubted(flight: _F, read_as: LogFormat) -> _F:
 
 
 def file_of_bag(path: Path) -> Path:
-    """The one file of a ROS 2 bag where the folder of one is given; any other path as it is.
+    """The one file of a ROS 2 bag for the path of its folder; any other path unchanged.
 
     Raises:
         LogError: The bag has several files, or compressed ones.

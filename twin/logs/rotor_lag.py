@@ -1,17 +1,17 @@
-"""Lag of the measured rotor speeds behind the motor commands, and stamps that are late by it.
+"""Lag of the measured rotor speeds behind the motor commands, and correction of late time stamps.
 
 A rotor follows its command by a first-order lag; a telemetry link adds a pure delay, which no rotor
 has. Both are fitted to the speeds,
 
     w_i(t) = g_i x_i(t - d) + slow,    T dx_i/dt = c_i - x_i,
 
-by least squares over a grid of (T, d), one gain per motor, variations slower than `_SLOW_S` taken
-out. A second regression asks when the motion that the speeds cause takes place: angular
+by least squares over a grid of (T, d), one gain per motor, with variations slower than `_SLOW_S`
+removed. A second regression estimates the time of the motion that the speeds cause: angular
 acceleration about x and y and specific force along z on the squares of all speeds, with free
-coefficients, so that neither needs the vehicle. Speeds cannot come after what they cause: where
-they do, their stamps are late. Where they do not, the commands act late, and the stamps stay.
+coefficients, so that neither needs the vehicle. Speeds cannot come after their effect: where they
+do, their stamps are late. Where they do not, the commands act late, and the stamps stay.
 
-Standard deviations are those of a jackknife over blocks of `_BLOCK_S`.
+Standard deviations come from a jackknife over blocks of `_BLOCK_S`.
 """
 
 from collections.abc import Sequence
@@ -31,48 +31,49 @@ from .stored import AnyFlight, StoredFlight
 _F = TypeVar("_F", bound=AnyFlight)
 
 LONGEST_DEAD_TIME_S = 0.03
-"""Pure delay from a command to its rotor: a frame of 50 Hz servo pulses, 20 ms, is the slowest
-protocol of speed controllers; half as much again for the controller, by judgement."""
+"""Longest pure delay from a command to its rotor: a frame of 50 Hz servo pulses, 20 ms, is the
+slowest protocol of speed controllers; half as much again for the controller, by judgement."""
 LONGEST_TIME_CONSTANT_S = 0.2
-"""Published first-order lags are 15 to 75 ms, that of the 0.6 m propellers of an 18 kg aircraft is
-0.1 s (Quiver PT1, measured here); twice that, by judgement."""
+"""Longest time constant: published first-order lags are 15 to 75 ms, that of the 0.6 m propellers
+of an 18 kg aircraft is 0.1 s (Quiver PT1, measured here); twice that, by judgement."""
 LEAST_R2 = 0.3
-"""Below it a regression says nothing."""
+"""Smallest R^2 of an informative regression."""
 _SURE = 2.0
-"""Standard deviations by which a delay is beyond a limit."""
+"""Standard deviations by which a delay must exceed a limit."""
 _BLOCK_S = 2.0  # of the jackknife: several time constants
-_FEWEST_BLOCKS, _MOST_BLOCKS = 5, 150  # of a record
-_FEWEST_SAMPLES = 40  # of a signal
-_SLOW_S = 1.0  # variations slower than that are taken out
-_TURNING = 0.05  # command
-_MOST_HZ = 50.0  # of speeds that are used: more say the same
+_FEWEST_BLOCKS, _MOST_BLOCKS = 5, 150  # blocks of a record
+_FEWEST_SAMPLES = 40  # samples of a signal
+_SLOW_S = 1.0  # slower variations are removed
+_TURNING = 0.05  # least command of a turning motor
+_MOST_HZ = 50.0  # highest rate of speeds in use: more adds no information
 _CONSTANTS_S = np.array([0.0, 0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.14, 0.2, 0.28, 0.4])
 """Grid of T."""
 _DELAYS_S = np.arange(-0.1, 0.601, 0.02)  # coarse grid of d
 _NEAR_S = np.arange(-0.04, 0.0401, 0.005)  # fine grid about the best of it
-_LAG_STEP_S = 0.005  # by which the lag is integrated
+_LAG_STEP_S = 0.005  # step of integration of the lag
 _INTERPOLATED = 0.1
-"""Of the interval of the commands: by this the smoothing of a straight line between two of them
+"""Uncertainty from straight lines between commands, as a share of their interval: the smoothing
 shifts the delay, which the jackknife does not show (found at 10 Hz on simulated flights)."""
 _GRID_S = 0.02  # of motion and speeds
-_AHEAD = np.arange(-15, 31)  # steps of the grid by which the motion may be ahead of the speeds
-_BAND_HZ = (0.4, 4.0)  # in which motion follows the speeds
+_AHEAD = np.arange(-15, 31)  # candidate leads of the motion over the speeds, in steps of the grid
+_BAND_HZ = (0.4, 4.0)  # frequencies at which motion follows the speeds
 _LONGEST_S = 1200.0
-"""Of a longer record its middle is used."""
+"""Longest record in use; of a longer one, the middle."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpeedLag:
-    """By how much the speeds of a flight are behind its commands and its motion.
+    """Lag of the speeds of a flight behind its commands and its motion.
 
     Attributes:
         delay_s: Pure delay behind the commands.
-        delay_sd_s: Its standard deviation.
-        time_constant_s: Of the first-order lag behind the commands, on the grid of the fit.
+        delay_sd_s: Standard deviation of the delay.
+        time_constant_s: Time constant of the first-order lag behind the commands, on the grid of
+            the fit.
         r2: Share of the variance of the speeds that the commands explain.
-        motion_s: By how much the motion is ahead of the speeds; None: it does not show.
-        motion_sd_s: Its standard deviation.
-        motion_r2: Share of the variance of the motion that the speeds explain, so shifted.
+        motion_s: Lead of the motion over the speeds; None: not observable.
+        motion_sd_s: Standard deviation of that lead.
+        motion_r2: Share of the variance of the motion that the speeds explain at that lead.
     """
 
     delay_s: float
@@ -85,13 +86,14 @@ class SpeedLag:
 
     @property
     def surplus_s(self) -> float:
-        """What a motor cannot have of the lag, s; 0 where it may have all of it."""
+        """Part of the lag that no motor can have, s; 0 where a motor may have all of it."""
         late_s = self.delay_s + max(self.time_constant_s - LONGEST_TIME_CONSTANT_S, 0.0)
         return late_s if late_s - _SURE * self.delay_sd_s > LONGEST_DEAD_TIME_S else 0.0
 
     @property
     def in_step(self) -> bool:
-        """Whether the motion shows that the stamps of the speeds are right all the same."""
+        """Whether the motion shows that the time stamps of the speeds are correct despite the
+        lag."""
         if self.motion_s is None:
             return False
         return self.motion_s + _SURE * self.motion_sd_s < self.surplus_s / 2
@@ -110,9 +112,10 @@ class SpeedLag:
 
 
 def align_speed_stamps(flight: _F) -> _F:
-    """The flight with the stamps of its rotor speeds earlier by what no motor can have.
+    """The flight with time stamps of rotor speeds corrected by the lag that no motor can have.
 
-    A fact holds the lag of every flight that shows it; a finding says what was done.
+    A fact states the lag of every flight in which it is observable; a finding states the
+    correction.
     """
     lag = speed_lag(flight)
     if lag is None:
@@ -137,7 +140,7 @@ def align_speed_stamps(flight: _F) -> _F:
 
 
 def as_stamped(flight: Flight) -> Flight:
-    """The flight with its rotor speeds at the times at which they were stamped."""
+    """The flight with its rotor speeds at their original time stamps."""
     if flight.speeds_late_s == 0.0:
         return flight
     return replace(_earlier(flight, -flight.speeds_late_s), speeds_late_s=0.0)
@@ -148,10 +151,10 @@ def _noted(flight: _F, finding: Finding) -> _F:
 
 
 def _earlier(flight: _F, late_s: float) -> _F:
-    """The flight with its speeds earlier; what falls before the record is left out."""
+    """The flight with its speeds earlier; samples before the start of the record are dropped."""
     speeds = [c for c in motor_columns("rotor", MAX_MOTORS) if flight.has(c)]
     if isinstance(flight, StoredFlight):
-        # its rows are those of the file: values move onto the rows that had some
+        # the rows of the file remain: values move to rows that had a value
         mended = dict(flight.mended)
         for column in speeds:
             t_s, values = flight.signal([column])
@@ -164,7 +167,7 @@ def _earlier(flight: _F, late_s: float) -> _F:
     own = own.assign(time=np.round(own["time"] - late_s, 6))
     own = own[own["time"] >= flight.table["time"].iloc[0]]
     rest = flight.table.drop(columns=speeds)
-    nearest = np.round(rest["time"], 6)  # rows of one microsecond are one row
+    nearest = np.round(rest["time"], 6)  # rows within one microsecond are one row
     table = pd.merge(
         rest.assign(_key=nearest), own.rename(columns={"time": "_key"}), on="_key", how="outer"
     ).sort_values("_key", ignore_index=True)
@@ -178,10 +181,10 @@ def _earlier(flight: _F, late_s: float) -> _F:
 
 
 def speed_lag(flight: AnyFlight) -> SpeedLag | None:
-    """By how much the rotor speeds of a flight are behind its commands and its motion.
+    """Lag of the rotor speeds of a flight behind its commands and its motion.
 
     Returns:
-        None where it has not both, or they do not show it.
+        None where the flight lacks either signal, or the lag is not observable.
     """
     n = next((k for k in range(MAX_MOTORS) if not flight.has(f"rotor_{k + 1}")), MAX_MOTORS)
     if n == 0 or not flight.has(*motor_columns("cmd", n)):
@@ -221,8 +224,8 @@ def _one(flight: AnyFlight, column: str) -> Samples:
 
 
 def _blocks(signals: list[Samples], commands: list[Samples]) -> Array | None:
-    """Begins of the blocks in which all motors turn and every signal has its samples, shape (b,);
-    evenly chosen where there are very many."""
+    """Starts of the blocks in which all motors turn and every signal has its samples, shape (b,);
+    an evenly spaced selection where there are very many."""
     if any(len(t) < _FEWEST_SAMPLES for t, _ in signals):
         return None
     begin = max(t[0] for t, _ in signals) + _SLOW_S
@@ -246,7 +249,7 @@ def _blocks(signals: list[Samples], commands: list[Samples]) -> Array | None:
 
 
 def _block_of(t_s: Array, begins: Array) -> NDArray[np.intp]:
-    """Number of the block of each time, -1 outside."""
+    """Number of the block at each time, -1 outside."""
     block = np.searchsorted(begins, t_s, side="right") - 1
     inside = (block >= 0) & (t_s < begins[np.maximum(block, 0)] + _BLOCK_S)
     return np.asarray(np.where(inside, block, -1), dtype=np.intp)
@@ -262,7 +265,7 @@ def _without_slow(t_s: Array, values: Array) -> Array:
 
 
 class _Motor:
-    """Speeds of one motor, and what its commands make of them."""
+    """Speeds of one motor and its commands."""
 
     def __init__(self, speed: Samples, command: Samples, begins: Array) -> None:
         t_s, values = speed
@@ -286,7 +289,7 @@ class _Motor:
         return np.asarray(np.bincount(self._block, values, self._count), dtype=np.float64)
 
     def lagged(self, constant_s: float) -> Array:
-        """The command behind a first-order lag, on its grid."""
+        """The command after a first-order lag, on the grid of the commands."""
         if constant_s <= 0.0:
             return self._command
         keep, first = float(np.exp(-_LAG_STEP_S / constant_s)), self._command[0]
@@ -345,7 +348,7 @@ def _behind_commands(
 def _behind_motion(
     flight: AnyFlight, speeds: list[Samples], begins: Array
 ) -> dict[str, float] | None:
-    """By how much angular acceleration and specific force are ahead of the speeds."""
+    """Lead of angular acceleration and specific force over the speeds."""
     channels: list[Samples] = []
     if flight.has(*GYRO):
         t_s, rates = _samples(flight, GYRO)
@@ -369,7 +372,7 @@ def _behind_motion(
     x = np.column_stack([np.interp(grid_s, t, np.square(w)) for t, w in speeds])
     y, x = (scipy.signal.sosfiltfilt(filters, v, axis=0) for v in (y, x))
     block = _block_of(grid_s, begins)
-    for t, _ in channels:  # a block with a hole says nothing
+    for t, _ in channels:  # a block with a gap is not used
         count = np.diff(np.searchsorted(t, np.column_stack([begins, begins + _BLOCK_S])), axis=1)
         hole = count[:, 0] < 0.5 * _BLOCK_S / float(np.median(np.diff(t)))
         block[hole[np.maximum(block, 0)]] = -1

@@ -1,6 +1,4 @@
-"""Time stamps put in order: which samples of a series can stay, and whether stamps and the order in
-the file agree.
-"""
+"""Order of time stamps: samples of increasing time, and agreement with the order in the file."""
 
 import math
 from abc import abstractmethod
@@ -15,16 +13,16 @@ from numpy.typing import NDArray
 
 from .flight import FindingCollector, Severity
 
-_JUMP_US = 60_000_000  # between two groups of samples that are not of one flight
+_JUMP_US = 60_000_000  # gap between two groups of samples from different flights
 _FEW = 0.02  # share of samples below which such a group is damage
 _PAUSE_S = 0.2  # shortest pause of a steady signal
-_PAUSE_INTERVALS = 2.2  # the same in median intervals
-_SHOWN = 8  # times that a finding lists
+_PAUSE_INTERVALS = 2.2  # shortest pause in median intervals
+_SHOWN = 8  # number of times that a finding lists
 _LATEST = 0.5  # share of the record after which a signal begins late
 
 
 def filter_delay_us(cutoff_hz: float) -> int:
-    """Delay of a second-order Butterworth low-pass for what is slow, sqrt(2) / (2 pi f), us."""
+    """Low-frequency delay of a second-order Butterworth low-pass, sqrt(2) / (2 pi f), us."""
     return round(1e6 * math.sqrt(2.0) / (2.0 * math.pi * cutoff_hz))
 
 
@@ -39,7 +37,7 @@ class Timed:
     """Samples with times.
 
     Attributes:
-        t_us: Time of each, us, shape (n,).
+        t_us: Time of each sample, us, shape (n,).
     """
 
     __slots__ = ()
@@ -52,12 +50,12 @@ class Timed:
 
     @property
     def rate_hz(self) -> float:
-        """Mean rate between the first and the last, 0 for fewer than two."""
+        """Mean rate between the first and the last sample, Hz; 0 for fewer than two."""
         return mean_rate_hz(self.t_us)
 
     @abstractmethod
     def has(self, *fields: str) -> bool:
-        """Whether every field is there and holds numbers."""
+        """Whether the topic has every field as numbers."""
 
 
 AnyTopic = TypeVar("AnyTopic", bound=Timed)
@@ -79,9 +77,9 @@ class Pauses:
     """Intervals in which samples are missing.
 
     Attributes:
-        count: How many.
-        longest_s: The longest of them.
-        at_s: When that begins.
+        count: Number of pauses.
+        longest_s: Length of the longest pause.
+        at_s: Start of the longest pause.
     """
 
     count: int
@@ -95,7 +93,7 @@ class Pauses:
 
 
 def pauses(t_us: NDArray[np.int64]) -> Pauses | None:
-    """Where a signal of a steady rate pauses: 0.2 s and 2.2 of its median intervals; None: nowhere.
+    """Pauses of a steady signal: over 0.2 s and over 2.2 median intervals; None without any.
 
     Args:
         t_us: Increasing times, us, shape (n,).
@@ -111,18 +109,18 @@ def pauses(t_us: NDArray[np.int64]) -> Pauses | None:
 
 
 def missing_ends(t_us: NDArray[np.int64], begin_us: int, end_us: int) -> list[str]:
-    """Texts of findings where a signal of a steady rate is not there at the ends of a record.
+    """Texts of findings where a signal of steady rate is missing at the ends of a record.
 
-    It may stop before the end for as long as in `pauses`: of six recorded PX4 logs all topics end
-    within 1.5 intervals. It may begin in the first half: their estimates take up to 22 % of it.
+    It may stop before the end by as long as in `pauses`: in six recorded PX4 logs all topics end
+    within 1.5 intervals. It may begin in the first half: estimates begin within 22 % of it.
 
     Args:
         t_us: Increasing times, us, shape (n,).
-        begin_us: When the record begins, us.
-        end_us: When it ends.
+        begin_us: Start of the record, us.
+        end_us: End of the record, us.
 
     Returns:
-        None of one sample or none.
+        Texts; none for fewer than two samples.
     """
     if len(t_us) < 2:
         return []
@@ -136,7 +134,7 @@ def missing_ends(t_us: NDArray[np.int64], begin_us: int, end_us: int) -> list[st
 
 
 def _longest_s(steps_s: NDArray[np.float64]) -> float:
-    """Beyond which an interval of a steady signal is a pause, s."""
+    """Interval of a steady signal beyond which it is a pause, s."""
     return max(_PAUSE_S, _PAUSE_INTERVALS * float(np.median(steps_s)))
 
 
@@ -148,7 +146,7 @@ def monotonic(t: NDArray[np.int64]) -> tuple[NDArray[np.bool_], int, int, int]:
 
     Returns:
         Mask of the samples to keep, shape (n,), then how many are dropped because time runs
-        backward, because it repeats, and because they lie over a minute from the rest.
+        backward, because it repeats, and because they are over a minute from the rest.
     """
     keep = np.ones(len(t), dtype=np.bool_)
     far = far_off(t)
@@ -166,7 +164,7 @@ def monotonic(t: NDArray[np.int64]) -> tuple[NDArray[np.bool_], int, int, int]:
 
 
 def far_off(t: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Samples of a small group (under 2 %) that is over a minute from every other sample."""
+    """Samples in a small group (under 2 %) that is over a minute from every other sample."""
     order = np.argsort(t, kind="stable")
     group = np.concatenate([[0], np.cumsum(np.diff(t[order]) > _JUMP_US)])
     if group[-1] == 0:
@@ -217,17 +215,17 @@ def monotonic_samples(
     what: str,
     severity: Severity = "error",
 ) -> NDArray[np.bool_]:
-    """Samples to keep so that time strictly increases, as of `monotonic`; findings count the rest.
+    """Mask of samples whose time strictly increases, as in `monotonic`; findings count the rest.
 
     Args:
-        log: Takes the findings.
-        where: What the signal is called in them.
+        log: Collects the findings.
+        where: Name of the signal in findings.
         t_us: Time stamps, us, shape (n,), in the order of the file.
-        what: What a sample is called in the log.
-        severity: Of the findings.
+        what: Name of a sample in the log.
+        severity: Severity of the findings.
 
     Returns:
-        Shape (n,).
+        Mask of the samples to keep, shape (n,).
     """
     keep, backward, repeated, jumped = monotonic(t_us)
     for count, why in (
@@ -240,7 +238,7 @@ def monotonic_samples(
 
 
 def note_cut(log: FindingCollector, tail: int) -> None:
-    """The finding on a log that ends inside a message, of so many bytes; none of 0."""
+    """The finding on a log that ends inside a message, with the number of bytes; none for 0."""
     message = f"cut short: it ends inside a message; the last {tail} bytes are not used"
     log.note("error", "log", message, tail)
 
@@ -253,26 +251,27 @@ def note_cut(log: FindingCollector, tail: int) -> None:
 # same moment whatever their topic.
 
 _NEIGHBOURS = 101
-"""Samples of whose stamps the median is taken."""
+"""Number of samples of which the median stamp is computed."""
 _MANY = 0.2
-"""Share of all samples from which on a topic would outvote the others."""
+"""Share of all samples from which a topic would dominate the median."""
 _FAR_US = 10_000_000
-"""A stamp farther than that from its neighbours is of another clock."""
+"""Distance of a stamp from its neighbours beyond which it comes from another clock."""
 APART_S = 0.15
-"""Median of a whole topic; sound PX4 logs: under 80 ms for GPS, 10 ms for what is fast."""
+"""Largest median offset of a whole topic; valid PX4 logs: under 80 ms for GPS, 10 ms for fast
+topics."""
 
 
 def stamp_offsets(
     places: Sequence[NDArray[np.int64]], stamps_us: Iterable[NDArray[np.int64]]
 ) -> list[NDArray[np.int64]]:
-    """How far each stamp is from the median of its neighbours in the file, us.
+    """Difference of each stamp from the median of its neighbours in the file, us.
 
     Args:
-        places: Per topic, where its samples stand in the file, each of shape (n,).
-        stamps_us: Their stamps, each of the same shape.
+        places: Positions of the samples of each topic in the file, each of shape (n,).
+        stamps_us: Time stamps of each topic, each of the same shape.
 
     Returns:
-        Per topic, shape (n,); positive: stamped later than its neighbours in the file.
+        Offset per topic, us, shape (n,); positive: stamped later than its neighbours in the file.
     """
     if not any(map(len, places)):
         return [np.zeros(0, dtype=np.int64) for _ in places]
@@ -285,7 +284,7 @@ def stamp_offsets(
     out = []
     for k, (own_place, own_stamp) in enumerate(zip(places, stamps, strict=True)):
         others = owner != k
-        if len(own_place) > _MANY * len(place) and others.any():  # it would outvote the others
+        if len(own_place) > _MANY * len(place) and others.any():  # it would dominate the median
             clock = np.interp(own_place, place[others], _clock(stamp[others]))
         else:
             clock = np.interp(own_place, place, every)
@@ -296,16 +295,16 @@ def stamp_offsets(
 def stray_samples(
     log: FindingCollector, names: Sequence[str], off_us: Sequence[NDArray[np.int64]], what: str
 ) -> Iterator[NDArray[np.bool_]]:
-    """Samples stamped far from their neighbours in the file; findings count them and doubt topics.
+    """Mask of samples stamped far from their neighbours in the file; findings count them.
 
     Args:
         log: Takes the findings.
-        names: Of the topics.
-        off_us: Per topic, as of `stamp_offsets`.
-        what: What a sample is called in the log.
+        names: Names of the topics.
+        off_us: Offsets per topic, as from `stamp_offsets`.
+        what: Name of a sample in the log.
 
     Returns:
-        Per topic, shape (n,): those to be dropped.
+        Mask of the samples to drop per topic, shape (n,).
     """
     for name, off in zip(names, off_us, strict=True):
         far = np.abs(off) > _FAR_US
@@ -322,7 +321,7 @@ def stray_samples(
 
 
 def _clock(stamp_us: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Median of each stamp and its neighbours, us, the first and the last one repeated."""
+    """Median of each stamp and its neighbours, us, with the first and the last one repeated."""
     half = _NEIGHBOURS // 2
     repeated = pd.Series(np.pad(stamp_us, half, mode="edge"))
     median = repeated.rolling(_NEIGHBOURS, center=True).median().to_numpy(dtype=np.float64)

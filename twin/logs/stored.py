@@ -30,10 +30,10 @@ from .flight import Array, Flight, Notes, finite_rows, missing_signal
 _MAGIC = b"PAR1"  # first and last bytes of Parquet
 _TAIL = 8  # bytes: length of the footer and magic
 MOST_FOOTER = 16 << 20
-"""Bytes: 10,000 columns in 8 row groups take 8 MB."""
+"""Largest footer, bytes: 10,000 columns in 8 row groups take 8 MB."""
 _MOST_TEXT = 4 << 20  # bytes of a text in a footer
 _MOST_ENTRIES = 100_000
-"""Of one text and one list in the footer."""
+"""Largest number of entries of one text and one list in the footer."""
 
 
 @contextmanager
@@ -61,12 +61,12 @@ def opened(
 
     Args:
         source: The file, or its content.
-        name: Of the file, for errors.
-        as_dictionary: Columns of text of which each value is held once.
-        metadata: Its footer, where it has been read before.
+        name: Name of the file, for errors.
+        as_dictionary: Text columns in which each distinct value is held in memory once.
+        metadata: Footer of the file, where it was read before.
 
     Raises:
-        LogError: It is damaged, or its footer is larger than that of any table of numbers.
+        LogError: The file is damaged, or its footer is larger than that of any table of numbers.
     """
     if metadata is None:
         _check_footer(source, name)
@@ -89,7 +89,7 @@ def _check_footer(source: Path | bytes, name: str) -> None:
     """Refuse a footer out of bounds, before pyarrow takes memory for it.
 
     Raises:
-        LogError: As of `opened`.
+        LogError: As in `opened`.
     """
     with as_log_error(name):
         if isinstance(source, bytes):
@@ -116,21 +116,21 @@ def _check_footer(source: Path | bytes, name: str) -> None:
 _BATCH = 1 << 16
 """Rows that are unpacked at a time."""
 _CACHE_BYTES = 200_000_000
-"""Of the parts of columns that were read last: neighbouring blocks of rows lie in the same."""
+"""Size of the cache of recently read columns: neighbouring blocks of rows share a row group."""
 
 
 class ParquetColumns(Columns):
     """Columns of numbers and the phase of a Parquet file, each read on demand."""
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
-        """Look at a file; only its phase is read.
+        """Open a file; only its phase is read.
 
         Args:
             path: Parquet file.
-            names: Columns, numbers all but `phase`.
+            names: Columns: `phase` is text, all others are numbers.
 
         Raises:
-            LogError: It is damaged.
+            LogError: The file is damaged.
         """
         self._path, self._names = path, tuple(names)
         with opened(path, path.name) as file:
@@ -143,7 +143,7 @@ class ParquetColumns(Columns):
 
     @property
     def rows(self) -> int:
-        """How many there are."""
+        """Number of rows."""
         return int(self._edges[-1])
 
     def __getitem__(self, name: str) -> NDArray[Any]:
@@ -176,12 +176,12 @@ class ParquetColumns(Columns):
         return found
 
     def has_sample(self, name: str) -> bool:
-        """Whether a value of a column is finite."""
+        """Whether a column has a finite value."""
         batches = self._batches(range(len(self._edges) - 1), name)
         return any(np.isfinite(b.to_numpy(zero_copy_only=False)).any() for b in batches)
 
     def _group(self, group: int, name: str) -> Array:
-        """A column in one row group; those read last stay in a cache."""
+        """A column in one row group; recently read ones stay in a cache."""
         key = group, name
         if key not in self._cached:
             self._cached[key] = self._unpacked(range(group, group + 1), name)
@@ -201,7 +201,7 @@ class ParquetColumns(Columns):
         return found
 
     def _phase(self) -> tuple[NDArray[np.int8], NDArray[np.object_]]:
-        """Phase of each row as a place in a list of names, and the list."""
+        """Phase of each row as an index into a list of names, and the list."""
         codes, names = np.zeros(self.rows, dtype=np.int8), [""]
         if "phase" not in self._metadata.schema.to_arrow_schema().names:
             return codes, np.array(names, dtype=object)
@@ -234,13 +234,13 @@ class ParquetColumns(Columns):
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class StoredFlight(Notes):
-    """One recorded flight as in `Flight`, its table in the file that it came from.
+    """One recorded flight as `Flight`, with its table in the file that it came from.
 
     Attributes:
         name: Short name, usually the stem of the file.
         stored: Columns as they are in the file.
-        mended: Columns that are not what they are in the file.
-        source: File it came from.
+        mended: Columns whose values were corrected and differ from those of the file.
+        source: Path of the file.
         time_s: Times of the rows, s, strictly increasing, shape (n,).
         known: Columns with a finite sample.
     """
@@ -261,21 +261,21 @@ class StoredFlight(Notes):
 
     @property
     def phase_codes(self) -> tuple[NDArray[np.int8], NDArray[np.object_]]:
-        """Phase of each row as a place in a list of names, and the list."""
+        """Phase of each row as an index into a list of names, and the list."""
         return self.stored.phase_codes, self.stored.phase_names
 
     @property
     def fingerprint(self) -> str:
-        """Hash of its file: two of one content are the same flight."""
+        """Hash of the file: files of equal content are the same flight."""
         with self.source.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
     def has(self, *columns: str) -> bool:
-        """Whether every column is there with at least one finite sample."""
+        """Whether the table has every column with at least one finite sample."""
         return self.known.issuperset(columns)
 
     def signal(self, columns: Sequence[str]) -> tuple[Array, Array]:
-        """Samples at the rows where all the columns are finite, as of `Flight.signal`."""
+        """Samples at the rows where all the columns are finite, as in `Flight.signal`."""
         missing = [c for c in columns if not self.has(c)]
         if missing:
             raise missing_signal(self.name, missing, [c for c in self.columns if self.has(c)])
@@ -284,8 +284,8 @@ class StoredFlight(Notes):
     def around(
         self, columns: Sequence[str], start_s: float, end_s: float
     ) -> tuple[Array, Array, int]:
-        """The same from two samples before a span of time to two samples after it, as far as there
-        are any, and a row before which there are none of them."""
+        """Such samples from two before a span of time to two after it, as far as available, and a
+        row number before which there are none of them."""
         first, end = (int(i) for i in np.searchsorted(self.time_s, [start_s, end_s], side="right"))
         reach = 16
         while True:
@@ -298,7 +298,7 @@ class StoredFlight(Notes):
             reach *= 8
 
     def rows_of(self, t_s: Array, first: int) -> NDArray[np.intp]:
-        """Rows of some of its times, `first` or later."""
+        """Row numbers of times of this flight, `first` or later."""
         end = int(np.searchsorted(self.time_s, t_s[-1], side="right")) if len(t_s) else first
         return first + np.searchsorted(self.time_s[first:end], t_s)
 
@@ -331,7 +331,7 @@ class StoredFlight(Notes):
 
 
 AnyFlight = Flight | StoredFlight
-"""In memory, or in its file."""
+"""A flight in memory, or in its file."""
 
 
 def rows_before(flight: AnyFlight, t_s: Array) -> NDArray[np.intp]:
@@ -341,7 +341,7 @@ def rows_before(flight: AnyFlight, t_s: Array) -> NDArray[np.intp]:
 
 
 def phases_at(flight: AnyFlight, t_s: Array) -> NDArray[np.str_]:
-    """Phases of flight at some times: of the last row of the table at or before each, "" where the
-    flight says nothing."""
+    """Phase of flight at each time: that of the last row of the table at or before it, "" where the
+    flight has none."""
     codes, names = flight.phase_codes
     return np.asarray(names.astype("<U8")[codes[rows_before(flight, t_s)]])

@@ -1,6 +1,6 @@
-"""The flight table as a file: Parquet, or CSV with the same header; a stream while it grows.
+"""The flight table as a file: Parquet, or CSV with the same header; a stream during recording.
 
-`twin.logs.columns.COLUMNS` is the definition of the table; `validate.validate` what is checked.
+`twin.logs.columns.COLUMNS` defines the table; `validate.validate` checks it.
 """
 
 import io
@@ -32,8 +32,8 @@ from .validate import check_columns, validate
 #
 # What a flight table in Parquet says besides its columns, as JSON in the metadata of the file.
 
-_KEY = b"uavtwin"  # of the metadata
-_MOST_ROTORS = 64  # of a layout; more are damage
+_KEY = b"uavtwin"  # key in the metadata
+_MOST_ROTORS = 64  # rotors of a layout; more are damage
 
 
 def noted(notes: Notes) -> dict[bytes, bytes]:
@@ -45,7 +45,7 @@ def read_notes(metadata: Mapping[bytes, bytes] | None) -> Notes:
     """The notes in the metadata of a Parquet file, all of them or none.
 
     Returns:
-        Of a file without notes: none; of one whose notes cannot be read: a finding that says so.
+        No notes for a file without any; a finding for a file whose notes cannot be read.
     """
     content = (metadata or {}).get(_KEY)
     if content is None:
@@ -61,10 +61,10 @@ def read_notes(metadata: Mapping[bytes, bytes] | None) -> Notes:
 
 
 def _check(notes: Notes) -> None:
-    """Refuse what has the right types and no meaning.
+    """Refuse notes with valid types but invalid values.
 
     Raises:
-        ValueError: It is such.
+        ValueError: A value is invalid.
     """
     if notes.autopilot is not None:
         check_autopilot(notes.autopilot)
@@ -86,7 +86,7 @@ def _check(notes: Notes) -> None:
 
 
 def _listed(value: Any) -> Any:
-    """What JSON has no word for."""
+    """Conversion of types that JSON does not have."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} cannot be noted")
@@ -101,10 +101,10 @@ def _array(kind: type, value: Any) -> Any:
 
 
 def check_suffix(path: Path) -> None:
-    """Refuse a name by which no flight table can be written.
+    """Refuse a file name with an extension in which no flight table can be written.
 
     Raises:
-        LogError: It ends neither in `.parquet` nor in `.csv`.
+        LogError: The extension is neither `.parquet` nor `.csv`.
     """
     if path.suffix not in (".parquet", ".csv"):
         raise LogError(f"{path.name}: a flight table is written as .parquet or .csv.")
@@ -114,8 +114,8 @@ def write_flight(flight: Flight, path: str | Path) -> None:
     """Write the table of a flight; an existing file is replaced.
 
     Args:
-        flight: Flight; its notes go along in Parquet, CSV has no room for them, so that late rotor
-            speeds keep their stamps there, and are found late again.
+        flight: Flight to write. Parquet stores its notes, CSV cannot, so late rotor speeds return
+            to their original time stamps there, and are corrected again on reading.
         path: File ending in `.parquet` or `.csv`.
     """
     path = Path(path)
@@ -144,7 +144,7 @@ _EMPTY = ["", "nan", "NaN", "NAN"]  # cells without a sample
 
 
 def header(path: Path) -> list[str]:
-    """Names of the columns of a table in Parquet or CSV; nothing of any other file."""
+    """Names of the columns of a table in Parquet or CSV; none for any other file."""
     with path.open("rb") as file:
         line = file.readline(_LONGEST_LINE)
     if line.startswith(b"PAR1"):
@@ -152,34 +152,33 @@ def header(path: Path) -> list[str]:
             with opened(path, path.name) as file:
                 return list(file.schema_arrow.names)
         except LogError:
-            return []  # it is said why when it is read
+            return []  # the reader raises the error
     text = line.decode("utf-8-sig", errors="replace").strip()
     return [c.strip().strip('"') for c in text.split(",")] if text.startswith("time") else []
 
 
 def read_parquet(path: Path, blob: bytes, options: ReadOptions) -> Flight:
-    """Read a flight table in Parquet, with what its writer noted; arguments and errors as of
+    """Read a flight table in Parquet with its notes; arguments and errors as in
     `formats.Reader`."""
     raw, notes, found = _parquet(path, blob)
     return _checked(path, raw, notes, [*notes.findings, *found])
 
 
 def read_csv(path: Path, blob: bytes, options: ReadOptions) -> Flight:
-    """Read a flight table in CSV; arguments and errors as of `formats.Reader`."""
+    """Read a flight table in CSV; arguments and errors as in `formats.Reader`."""
     findings: list[Finding] = []
     return _checked(path, _csv(path, blob, findings), Notes(), findings)
 
 
 def open_parquet(path: Path) -> StoredFlight | None:
-    """A flight table in Parquet, left in its file where it is large and holds plain numbers.
+    """A flight table in Parquet that stays in its file if large and of plain numbers.
 
     Args:
-        path: The file.
+        path: Path of the file.
 
     Returns:
-        None where it is to be read whole: smaller than `HELD_CELLS`, with Euler angles that have to
-        be turned into a quaternion first, with a column of another name, or one that holds no plain
-        numbers.
+        None where it must be read whole: smaller than `HELD_CELLS`, with Euler angles to be
+        converted to a quaternion, with a column of another name, or one without plain numbers.
 
     Raises:
         LogError: It contradicts the definition of the flight table.
@@ -208,7 +207,7 @@ def open_parquet(path: Path) -> StoredFlight | None:
 
 
 def _checked(path: Path, raw: pa.Table, notes: Notes, findings: list[Finding]) -> Flight:
-    """The flight of known columns as they are in the file."""
+    """The flight of the known columns as they are in the file, checked."""
     columns: dict[str, Any] = {}
     phase = _phase(raw)
     for name in [c for c in raw.column_names if c != "phase"]:
@@ -228,7 +227,7 @@ def _checked(path: Path, raw: pa.Table, notes: Notes, findings: list[Finding]) -
 
 
 def _parquet(path: Path, blob: bytes) -> tuple[pa.Table, Notes, list[Finding]]:
-    """Parquet -> known columns as they are, what the writer noted, and what is found of columns."""
+    """Known columns of a Parquet file as they are, its notes, and findings on columns."""
     with opened(blob, path.name) as file:
         schema, size = file.schema_arrow, file.metadata
         _check_size(path, size.num_rows, size.num_columns)
@@ -237,7 +236,7 @@ def _parquet(path: Path, blob: bytes) -> tuple[pa.Table, Notes, list[Finding]]:
         held = [n for n, own in zip(schema.names, names, strict=True) if is_known(own)]
         found = [*_renamed(schema.names), *check_columns(path.name, names)]
         _check_flat(path, schema, held)
-    # A text that stands in many rows is held once.
+    # A text that is repeated in many rows is held in memory once.
     texts = [n for n in held if not _is_number(schema.field(n).type)]
     with opened(blob, path.name, texts, size) as file, as_log_error(path.name):
         raw = file.read(columns=held, use_threads=False)
@@ -246,14 +245,14 @@ def _parquet(path: Path, blob: bytes) -> tuple[pa.Table, Notes, list[Finding]]:
 
 
 def _renamed(names: list[str]) -> list[Finding]:
-    """Columns that are read by another name."""
+    """Findings on columns with an alternative name."""
     found = [n for n in names if n in ALIASES]
     text = f"read from {', '.join(found)}: of the motion, north-east-down, no gravity in it"
     return [Finding("info", ALIASES[found[0]][:-2], text)] if found else []
 
 
 def _check_size(path: Path, rows: int, columns: int) -> None:
-    """Refuse what would not fit in memory, before it is unpacked."""
+    """Refuse a table that would not fit in memory, before it is unpacked."""
     _check_rows(path, rows, columns)
     if rows * columns > _MOST_CELLS:
         raise LogError(
@@ -265,7 +264,7 @@ def _check_size(path: Path, rows: int, columns: int) -> None:
 
 
 def _check_rows(path: Path, rows: int, columns: int) -> None:
-    """Refuse what no flight is."""
+    """Refuse a table with too few or too many rows for a flight."""
     if rows > _MOST_ROWS or columns > _MOST_COLUMNS:
         raise LogError(
             f"{path.name}: {rows} rows of {columns} columns; at most {_MOST_ROWS} rows and "
@@ -307,7 +306,8 @@ def _check_flat(path: Path, schema: pa.Schema, names: list[str]) -> None:
 
 
 def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pa.Table:
-    """CSV -> known columns as they are; a last row without line end is dropped and counted."""
+    """Known columns of a CSV file as they are; a last row without line end is dropped and
+    counted."""
     try:
         text = blob.decode("utf-8-sig").lstrip("\r\n")
     except UnicodeDecodeError as error:
@@ -360,7 +360,7 @@ def _numbers(path: Path, name: str, column: "pd.Series[Any]") -> Array:
     """A column as float64; anything else is an error with its row."""
     if pd.api.types.is_numeric_dtype(column.dtype) or column.isna().all():
         return np.array(column.to_numpy(dtype=np.float64, na_value=np.nan))
-    if isinstance(column.dtype, pd.CategoricalDtype):  # one text each, however many rows have it
+    if isinstance(column.dtype, pd.CategoricalDtype):  # each distinct text once
         each = pd.to_numeric(column.cat.categories.to_series(), errors="coerce")
         values = np.append(each.to_numpy(np.float64), np.nan)[column.cat.codes]
         numbers = pd.Series(values, index=column.index)
@@ -389,24 +389,24 @@ def _phase(raw: pa.Table) -> NDArray[np.object_]:
 
 # -- a table that grows -------------------------------------------------------------------------
 #
-# Tables that are written while they grow, as an Arrow stream: each second a batch of rows.
+# Tables that are written during recording, as an Arrow stream: each second a batch of rows.
 #
-# Cut off at any byte, such a file is whole up to the last batch before it. At its end it is folded
-# into Parquet, batch by batch.
+# Cut off at any byte, such a file is complete up to the last batch before it. At its end it is
+# converted to Parquet, batch by batch.
 
 _GROUP_ROWS = 1 << 16  # rows of a row group
 _UNUSED = ("roll_rad", "pitch_rad", "yaw_rad", "acc_ned_x", "acc_ned_y", "acc_ned_z")
 """Columns that no live flight has."""
 _END = b"\xff\xff\xff\xff\x00\x00\x00\x00"
-"""Of a stream that was ended."""
+"""End marker of a complete stream."""
 CUT = "cut off while it was written; what came in the last second before that is missing"  # finding
 
 
 def flight_schema(motors: int) -> pa.Schema:
-    """Columns of a flight table that grows, of which any may stay empty.
+    """Columns of a flight table during recording, of which any may stay empty.
 
     Args:
-        motors: How many, up to `MAX_MOTORS`.
+        motors: Number of motors, up to `MAX_MOTORS`.
     """
     names = [c.name for c in COLUMNS if not c.per_motor and c.name not in _UNUSED]
     for stem in ("cmd", "rotor"):
@@ -416,7 +416,7 @@ def flight_schema(motors: int) -> pa.Schema:
 
 
 class TableStream:
-    """A table that grows in a file."""
+    """A file to which a table is written during recording."""
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
         """Begin a file.
@@ -435,11 +435,11 @@ class TableStream:
     def append(
         self, columns: Mapping[str, Any], metadata: Mapping[bytes, bytes] | None = None
     ) -> None:
-        """Write rows at once, those that are killed afterwards leave them.
+        """Write rows immediately, so that they survive if the process is killed.
 
         Args:
-            columns: By name, shape (n,) each; what is not there is empty.
-            metadata: Of the table, as it is known now.
+            columns: Columns by name, shape (n,) each; a missing one is empty.
+            metadata: Metadata of the table at this time.
         """
         n = len(next(iter(columns.values())))
         arrays = [
@@ -459,7 +459,7 @@ class TableStream:
 
 
 def batches(source: BinaryIO) -> Iterator[tuple[pa.RecordBatch, dict[bytes, bytes]] | None]:
-    """Whole batches with their metadata; None at the end, where the stream was cut off."""
+    """Complete batches with their metadata; None at the end where the stream was cut off."""
     try:
         reader = pa.ipc.open_stream(source)
         while True:
@@ -473,14 +473,14 @@ def batches(source: BinaryIO) -> Iterator[tuple[pa.RecordBatch, dict[bytes, byte
 
 
 def fold(stream: Path, parquet: Path) -> int:
-    """Write a stream as Parquet and take it away; empty columns are left out.
+    """Convert a stream to Parquet and delete it; empty columns are omitted.
 
     Args:
-        stream: Written by `TableStream`.
-        parquet: Takes its place when it is whole.
+        stream: File written by `TableStream`.
+        parquet: Path of the Parquet file, which replaces the stream once it is complete.
 
     Returns:
-        How many rows it has; without any, no file is written.
+        Number of rows; with 0, no file is written.
     """
     filled: set[str] = set()
     metadata: dict[bytes, bytes] = {}
@@ -517,7 +517,7 @@ def _whole(stream: Path) -> Iterator[tuple[pa.RecordBatch, dict[bytes, bytes]]]:
 
 
 def read_stream(path: Path, blob: bytes, options: ReadOptions) -> Flight:
-    """Read a flight table that was being written; arguments and errors as of `formats.Reader`."""
+    """Read an incomplete flight table; arguments and errors as in `formats.Reader`."""
     found: list[pa.RecordBatch] = []
     metadata: dict[bytes, bytes] = {}
     for each in batches(io.BytesIO(blob)):

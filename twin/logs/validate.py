@@ -1,4 +1,4 @@
-"""What a flight table must be (LogError) and what is doubtful about it (Finding)."""
+"""Requirements on a flight table (LogError) and doubts about it (Finding)."""
 
 import difflib
 
@@ -39,18 +39,19 @@ _MOST_UNKNOWN = 100  # columns that are listed by name
 _SHOWN = 40  # characters of a name in an error
 _TINY = 1e-6  # rounding of a command
 _OVERFLOW = 0.5
-"""Commands may be so far outside 0..1 and count as overflow, where less than `_MOSTLY` are."""
-_MOSTLY = 0.2  # share of commands outside from which on the unit is wrong
+"""Excess of commands outside 0..1 that counts as overflow, where less than `_MOSTLY` are
+outside."""
+_MOSTLY = 0.2  # share of commands outside from which the unit is wrong
 
 
-NO_TABLE = (  # of a recording
+NO_TABLE = (  # text for a recording
     "a recording of uavtwin simulate holds what the parts of a simulation gave, no flight table: "
     "to use it as one, keep time and rename the columns that a flight would log, imu.acc_x to acc_x"
 )
 
 
 def is_recording(columns: list[str]) -> bool:
-    """Whether a table is a recording of a simulation: time, and columns PART.VARIABLE alone."""
+    """Whether a table is a recording of a simulation: only time and columns PART.VARIABLE."""
     others = [c for c in columns if c != "time"]
     return bool(others) and len(others) < len(columns) and all("." in c for c in others)
 
@@ -109,7 +110,8 @@ def check_columns(name: str, columns: list[str]) -> list[Finding]:
 
 
 def _check_motors(name: str, columns: list[str]) -> None:
-    """Motors are numbered 1..n without holes, 3 to 12 of them, as many commands as rotors."""
+    """Check that motors are numbered 1..n without gaps, 3 to 12 of them, with as many commands as
+    rotors."""
     counts = {}
     for stem in ("cmd", "rotor"):
         numbers = sorted(n for c in columns if (n := motor_number(c)) and c.startswith(stem))
@@ -136,11 +138,11 @@ def validate(name: str, table: Columns) -> tuple[dict[str, Array], list[Finding]
 
     Args:
         name: File name, for messages.
-        table: By column, `phase` among them.
+        table: Flight table by column, `phase` among them.
 
     Returns:
-        Columns that had to be mended: samples beyond all limits left out, commands a little outside
-        0..1 set to its end, quaternions off unit norm normalised. And the doubts.
+        Columns that had to be corrected: samples beyond all limits dropped, commands slightly
+        outside 0..1 clipped, quaternions normalised. And the doubts.
 
     Raises:
         LogError: Time that does not increase, infinite values, commands outside 0..1, ...
@@ -166,7 +168,7 @@ def validate(name: str, table: Columns) -> tuple[dict[str, Array], list[Finding]
 
 
 def _partial_vectors(table: Columns) -> list[Finding]:
-    """Rows in which a vector has some of its components and NaN for the others."""
+    """Findings on rows in which some components of a vector are NaN."""
     found = []
     for group in (ACC, GYRO, MAG, POS, VEL, QUAT, ACC_NED):
         there = [~np.isnan(table[c]) for c in group if c in table]
@@ -185,7 +187,7 @@ def _partial_vectors(table: Columns) -> list[Finding]:
 
 
 def _check_time(name: str, t_s: Array) -> None:
-    """Time is there in every row and increases."""
+    """Check that every row has a time and that time increases."""
     bad = np.flatnonzero(~np.isfinite(t_s))
     if len(bad):
         raise LogError(f"{name}: time in data row {bad[0] + 1} is {t_s[bad[0]]} ({len(bad)} such).")
@@ -200,14 +202,14 @@ def _check_time(name: str, t_s: Array) -> None:
 
 
 def _bounded(table: Columns) -> tuple[dict[str, Array], list[Finding]]:
-    """Samples beyond all limits left out, commands a little outside 0..1 set to its end."""
+    """Columns with samples beyond all limits dropped and commands slightly outside 0..1 clipped."""
     mended: dict[str, Array] = {}
     found = []
     rotors = {"rotor": tuple(c for c in table if c.startswith("rotor_"))}
     for signal, columns in (SIGNALS | rotors).items():
         there = [c for c in columns if c in table]
         out = np.zeros(len(table["time"]), dtype=np.bool_)
-        refused = out.copy()  # infinite values are, below
+        refused = out.copy()  # infinite values are refused, below
         for column in there:
             out |= beyond_limit(signal, table[column][:, None])
             refused |= np.isinf(table[column])
@@ -242,7 +244,8 @@ def _bounded(table: Columns) -> tuple[dict[str, Array], list[Finding]]:
 
 
 def _check_range(name: str, column: str, values: Array) -> None:
-    """Finite or empty; commands 0..1; rotor speeds and pressure not negative."""
+    """Check that values are finite or empty; commands 0..1; rotor speeds and pressure not
+    negative."""
     bad = np.flatnonzero(np.isinf(values))
     if len(bad):
         raise LogError(
@@ -270,7 +273,7 @@ def _check_range(name: str, column: str, values: Array) -> None:
 
 
 def _check_phase(name: str, phase: NDArray[np.object_]) -> None:
-    """Only the known phases."""
+    """Check that phases are known ones."""
     for value in pd.unique(phase):
         if value and value not in PHASES:
             shown = value[:_SHOWN]
@@ -284,7 +287,7 @@ def _check_phase(name: str, phase: NDArray[np.object_]) -> None:
 
 
 def _unit_quaternions(name: str, table: Columns) -> tuple[dict[str, Array], list[Finding]]:
-    """Quaternions of unit norm; small deviations are mended and counted."""
+    """Quaternions of unit norm; small deviations are corrected and counted."""
     if "q_w" not in table:
         return {}, []
     norm = np.zeros(len(table["time"]))

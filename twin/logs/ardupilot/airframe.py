@@ -37,7 +37,7 @@ from .log import (
 
 # -- geometry -----------------------------------------------------------------------------------
 #
-# Where ArduPilot's motors sit and how they turn, by FRAME_CLASS and FRAME_TYPE.
+# Positions and directions of rotation of ArduPilot's motors, by FRAME_CLASS and FRAME_TYPE.
 #
 # The order of the motors is that of the frame: motor i is `cmd_i` and `rotor_i` of the flight
 # table. Source: ArduPilot, libraries/AP_Motors/AP_MotorsMatrix.cpp and the documentation of
@@ -52,9 +52,10 @@ class Geometry:
 
     Attributes:
         frame: FRAME_CLASS and FRAME_TYPE by name, such as `quad x`.
-        direction: Forward and right of the centre, the farthest rotor at 1, shape (n, 2).
-        sense: Of each rotor, seen from above.
-        below: Whether a rotor sits below another one, coaxially.
+        direction: Forward and right coordinates from the centre, the farthest rotor at 1, shape (n,
+            2).
+        sense: Direction of rotation of each rotor, seen from above.
+        below: Whether a rotor is mounted coaxially below another one.
     """
 
     frame: str
@@ -69,7 +70,7 @@ class Geometry:
 
     @property
     def turn(self) -> Array:
-        """+1 for a rotor that turns counter-clockwise, -1 for the others, shape (n,)."""
+        """+1 for a counter-clockwise rotor, -1 for the others, shape (n,)."""
         return np.array([1.0 if s == "ccw" else -1.0 for s in self.sense])
 
 
@@ -86,7 +87,7 @@ CLASSES = {  # FRAME_CLASS
 NO_MULTIROTOR = {6: "helicopter", 8: "singlecopter", 9: "coaxcopter", 11: "dual helicopter"} | {
     13: "quad helicopter"
 }
-"""FRAME_CLASS whose motors, as SERVOn_FUNCTION calls them, are swash plates and flaps."""
+"""FRAME_CLASS whose motor functions in SERVOn_FUNCTION are swash plates and flaps."""
 TYPES = {  # FRAME_TYPE
     0: "plus",
     1: "x",
@@ -106,7 +107,7 @@ TYPES = {  # FRAME_TYPE
     18: "bf_x_rev",
 }
 
-# clockwise from the front, degrees, and the sense: + counter-clockwise, - clockwise
+# clockwise angle from the front, degrees, and direction: + counter-clockwise, - clockwise
 _CIRCLES: dict[tuple[str, str], str] = {
     ("quad", "plus"): "90+ -90+ 0- 180-",
     ("quad", "x"): "45+ -135+ -45- 135-",
@@ -132,7 +133,7 @@ _CIRCLES: dict[tuple[str, str], str] = {
     ("dodecahexa", "plus"): "0+ 0- 60- 60+ 120+ 120- 180- 180+ -120+ -120- -60- -60+",
     ("dodecahexa", "x"): "30+ 30- 90- 90+ 150+ 150- -150- -150+ -90+ -90- -30- -30+",
 }
-# forward and right instead, in the units of the mixer, and the sense
+# forward and right coordinates instead, in units of the mixer, and the direction
 _PLACES: dict[tuple[str, str], str] = {
     ("hexa", "h"): "0,1- 0,-1+ 1,-1- -1,1+ 1,1+ -1,-1-",
     ("octa", "v"): ".34,-.83- -.32,.67- -.32,-.67+ -1,.5+ 1,-1+ .34,.83+ 1,1- -1,-.5-",
@@ -145,7 +146,7 @@ _PLACES: dict[tuple[str, str], str] = {
 
 
 def geometry(frame_class: int, frame_type: int) -> Geometry | None:
-    """Rotors of a frame; None where it is not known here, or has no fixed places or senses."""
+    """Rotors of a frame; None where it is unknown, or has no fixed positions or directions."""
     kind, form = CLASSES.get(frame_class, ""), TYPES.get(frame_type, "")
     if kind == "y6" and (kind, form) not in _PLACES:
         form = ""
@@ -164,17 +165,17 @@ def geometry(frame_class: int, frame_type: int) -> Geometry | None:
 
 
 def frame_name(frame_class: int, frame_type: int) -> str:
-    """FRAME_CLASS and FRAME_TYPE by name as far as they are known, else by number."""
+    """FRAME_CLASS and FRAME_TYPE by name where known, else by number."""
     kind = CLASSES.get(frame_class, f"FRAME_CLASS {frame_class}")
     return f"{kind} {TYPES.get(frame_type, f'FRAME_TYPE {frame_type}')}"
 
 
 # -- site ---------------------------------------------------------------------------------------
 #
-# Where and when a DataFlash log was flown, by its satellites.
+# Place and date of a DataFlash log, by its satellite fixes.
 
 _FIX_3D = 3  # GPS.Status
-_GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)  # of weeks of GPS
+_GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)  # origin of GPS weeks
 _LEAP_S = 18  # since 2017
 _MOST_WEEKS = 4000  # to the year 2056: later ones are damage
 
@@ -186,7 +187,7 @@ def _fixes(log: ArduPilotLog) -> tuple[Topic, "np.ndarray[tuple[int], np.dtype[n
 
 
 def from_ardupilot_site(log: ArduPilotLog) -> Site | None:
-    """A fix by satellites for at least half of the samples: outdoors; else not known."""
+    """Outdoors where at least half of the samples have a satellite fix; else not known."""
     found = _fixes(log)
     if found is None or found[1].mean() < 0.5:
         return None
@@ -194,12 +195,12 @@ def from_ardupilot_site(log: ArduPilotLog) -> Site | None:
 
 
 def median_fix(log: ArduPilotLog) -> tuple[Place, str] | None:
-    """Median of the fixes, also as text; None without any."""
+    """Median of the fixes, with its source as text; None without any."""
     found = _fixes(log)
     if found is None or not found[1].any():
         return None
     topic, fixed = found
-    date = ("GWk", "GMS") if topic.has("GWk") else ("Week", "TimeMS")  # the latter up to 3.2
+    date = ("GWk", "GMS") if topic.has("GWk") else ("Week", "TimeMS")  # the latter up to Copter 3.2
     if not topic.has("Lat", "Lng", "Alt", *date):
         return None
     where = [float(np.median(topic.raw(c)[fixed])) for c in ("Lat", "Lng", "Alt")]
@@ -217,20 +218,20 @@ def median_fix(log: ArduPilotLog) -> tuple[Place, str] | None:
 
 # -- motor outputs ------------------------------------------------------------------------------
 #
-# Motor commands of a DataFlash log: the pulse widths of RCOU, of the outputs that drive motors.
+# Motor commands of a DataFlash log: pulse widths of RCOU, for the outputs that drive motors.
 
-_ENOUGH_HZ = 50.0  # of motor commands; below, a finding
-_OUTPUT = re.compile(r"(?:C|Ch|Chan)([1-9][0-9]?)")  # column of RCOU by release
+_ENOUGH_HZ = 50.0  # rate of motor commands; below, a finding
+_OUTPUT = re.compile(r"(?:C|Ch|Chan)([1-9][0-9]?)")  # column of RCOU in each release
 _ONESHOT125, _SHORT_US = 2.0, 300.0
-"""MOT_PWM_TYPE, and what its pulses of 125 to 250 us stay below."""
+"""MOT_PWM_TYPE of OneShot125, and upper limit of its pulses of 125 to 250 us."""
 
 
 def logged_commands(log: ArduPilotLog, get: Callable[[str], Topic | None]) -> MotorCommands | None:
-    """Commands of all motors, None where the log has not got them all.
+    """Commands of all motors; None where the log does not have them all.
 
     Args:
-        log: The log; what does not fit is noted by `from_ardupilot_commands` alone.
-        get: How a topic of the log is had.
+        log: The log; problems are reported by `from_ardupilot_commands` only.
+        get: Function that returns a topic of the log.
     """
     channels = channels_of(log)
     if not MIN_MOTORS <= len(channels) <= MAX_MOTORS:
@@ -247,14 +248,14 @@ def logged_commands(log: ArduPilotLog, get: Callable[[str], Topic | None]) -> Mo
 
 
 def motor_outputs(log: ArduPilotLog, channels: list[int], widths_us: Array) -> list[MotorOutput]:
-    """Output, range and source of each motor.
+    """Output, range and source of the range of each motor.
 
-    Until Copter 3.5 pulses of OneShot125 were divided by 8 before they were logged.
-    Source: ArduPilot, AP_Motors::rc_write of that time.
+    Until Copter 3.5 pulses of OneShot125 were divided by 8 before logging. Source: ArduPilot,
+    AP_Motors::rc_write of that time.
 
     Args:
         log: The log.
-        channels: Output of each motor, from 1.
+        channels: Output number of each motor, from 1.
         widths_us: Logged pulse widths, shape (n, motors).
     """
     low, high = pulse_range_us(log.params)
@@ -271,8 +272,8 @@ def motor_outputs(log: ArduPilotLog, channels: list[int], widths_us: Array) -> l
 
 
 def channels_of(log: ArduPilotLog) -> list[int]:
-    """Outputs of the motors: by their functions, else the first ones, as many as the frame has; []
-    of what is no multirotor."""
+    """Output numbers of the motors: by their functions, else the first ones, as many as the frame
+    has; [] for a vehicle that is no multirotor."""
     frame = frame_of(log)
     if frame.kind in NO_MULTIROTOR:
         return []
@@ -285,12 +286,12 @@ def channels_of(log: ArduPilotLog) -> list[int]:
 
 
 def has_functions(params: Mapping[str, float]) -> bool:
-    """Whether a log has SERVOn_FUNCTION, as since Copter 3.5."""
+    """Whether a log has SERVOn_FUNCTION parameters (since Copter 3.5)."""
     return any(name.startswith("SERVO") and name.endswith("_FUNCTION") for name in params)
 
 
 def _widths(get: Callable[[str], Topic | None], channels: list[int]) -> tuple[Topic, Array] | None:
-    """Pulse widths of the outputs, on the clock of the message that has the first of them."""
+    """Pulse widths of the outputs, at the times of the message with the first output."""
     where: dict[int, tuple[Topic, str]] = {}
     for name in ("RCOU", "RCO2", "RCO3"):
         topic = get(name)
@@ -309,7 +310,7 @@ def _widths(get: Callable[[str], Topic | None], channels: list[int]) -> tuple[To
 
 
 def from_ardupilot_commands(log: ArduPilotLog) -> MotorCommands | None:
-    """Commands of a flight, clipped; what is missing or clipped is noted."""
+    """Commands of a flight, clipped; findings report missing and clipped ones."""
     commands = logged_commands(log, log.topic)
     if commands is None:
         channels = channels_of(log)
@@ -327,20 +328,20 @@ def from_ardupilot_commands(log: ArduPilotLog) -> MotorCommands | None:
 
 # -- yaw trim -----------------------------------------------------------------------------------
 #
-# The yaw trim of a flight: what rotors of one sense get beyond those of the other.
+# The yaw trim of a flight: difference of command between rotors of the two directions.
 
-_FLYING = ("hover", "forward", "tour")  # phases in which the heading is held
-_FEWEST = 20  # samples of a mean
+_FLYING = ("hover", "forward", "tour")  # phases in which the heading is controlled
+_FEWEST = 20  # samples for a mean
 
 
 @dataclass(frozen=True, slots=True)
 class YawTrim:
-    """What a flight gives to rotors of one sense beyond those of the other, to hold its heading.
+    """Difference of command between rotors of the two directions that holds the heading.
 
     Attributes:
         command: Mean command of the clockwise rotors less that of the others.
-        share: The same as a share of the mean command of all.
-        n: Samples.
+        share: That difference as a share of the mean command of all.
+        n: Number of samples.
     """
 
     command: float
@@ -360,10 +361,10 @@ def yaw_trim(table: pd.DataFrame, rotors: Geometry) -> YawTrim | None:
 
     Args:
         table: Flight table, its commands in the order of the rotors.
-        rotors: Senses of the rotors.
+        rotors: Directions of rotation of the rotors.
 
     Returns:
-        None where it has too few commands in the air.
+        None where the flight has too few commands in the air.
     """
     names = [f"cmd_{k + 1}" for k in range(rotors.count)]
     if any(c not in table for c in names) or f"cmd_{rotors.count + 1}" in table:
@@ -382,13 +383,14 @@ def yaw_trim(table: pd.DataFrame, rotors: Geometry) -> YawTrim | None:
 # Facts of an aircraft from the parameters and the head of an ArduPilot log.
 
 _FRAME_SD = 0.05
-"""How far a real frame is from the circle of its name, over the arm; by judgement, as of PX4."""
-_FULL_CELL_V = 4.2  # of a lithium polymer cell
-_IMU = tuple(f"INS_POS1_{a}" for a in "XYZ")  # place of the first IMU, m
+"""Standard deviation of rotor positions about those of the named frame, over the arm; by judgement,
+as for PX4."""
+_FULL_CELL_V = 4.2  # voltage of a full lithium polymer cell
+_IMU = tuple(f"INS_POS1_{a}" for a in "XYZ")  # position of the first IMU, m
 _SPIN_MIN, _SPIN_MAX = 0.15, 0.95  # ArduPilot's defaults
 _EKF_ORIGIN = 0  # ORGN.Type
 _COUNTED = {"XKF1", "NKF1", "EKF1", "PSCN"}
-"""Messages whose positions are counted from it."""
+"""Messages whose positions are relative to the origin of the EKF."""
 _OTHERS = {  # firmware by the first word of its name
     "Plane": "a fixed-wing aircraft",
     "Rover": "a rover",
@@ -399,7 +401,7 @@ _OTHERS = {  # firmware by the first word of its name
 
 
 def from_ardupilot_airframe(log: ArduPilotLog) -> Airframe:
-    """What an ArduPilot log says of its aircraft; the place is that of the flight."""
+    """Facts of the aircraft in an ArduPilot log; the place is that of the flight."""
     params, count, place = log.params, len(channels_of(log)), median_fix(log)
     return Airframe(
         no_multirotor=_no_multirotor(log),
@@ -417,7 +419,7 @@ def from_ardupilot_airframe(log: ArduPilotLog) -> Airframe:
 
 
 def _motors_from(log: ArduPilotLog) -> str:
-    """Where the number of motors comes from."""
+    """Source of the number of motors."""
     if has_functions(log.params):
         return "outputs by SERVOn_FUNCTION of the log"
     return frame_of(log).source
@@ -434,7 +436,7 @@ def _no_multirotor(log: ArduPilotLog) -> str:
 
 
 def _layout(frame: Frame, motors: int) -> Layout | None:
-    """Places on a circle: ArduPilot knows no size."""
+    """Rotor positions on a circle: ArduPilot has no parameter for the size."""
     rotors = geometry(frame.kind, frame.form)
     if rotors is None or rotors.count != (motors or rotors.count):
         return None
@@ -448,7 +450,7 @@ def _layout(frame: Frame, motors: int) -> Layout | None:
 
 
 def _thrust(params: Mapping[str, float]) -> SourcedValue[ThrustCurve] | None:
-    """Of a log that says at least the exponent; ArduPilot, Motor Thrust Scaling."""
+    """Thrust curve of a log with at least the exponent; ArduPilot, Motor Thrust Scaling."""
     expo = motor_value(params, "MOT_THST_EXPO", -1.0)
     if not 0.0 <= expo <= 1.0:
         return None
@@ -467,7 +469,7 @@ def _thrust(params: Mapping[str, float]) -> SourcedValue[ThrustCurve] | None:
 
 
 def _cells(params: Mapping[str, float]) -> SourcedValue[Cells] | None:
-    """By the voltages between which thrust is scaled."""
+    """Battery by the voltages between which thrust is scaled."""
     low, high = (motor_value(params, f"MOT_BAT_VOLT_{k}", 0.0) for k in ("MIN", "MAX"))
     if not 0.0 < low < high:
         return None
@@ -485,8 +487,8 @@ def _imu_position(params: Mapping[str, float]) -> SourcedValue[tuple[float, floa
 
 
 def _origin(log: ArduPilotLog) -> SourcedValue[Place] | None:
-    """What the estimator counts positions from; POS alone is counted from its first sample."""
-    topic = log.whole("ORGN")  # said once, mostly before the flight
+    """Origin of the estimator's positions; those of POS alone start at its first sample."""
+    topic = log.whole("ORGN")  # logged once, mostly before the flight
     if topic is None or not topic.has("Type", "Lat", "Lng", "Alt"):
         return None
     if not _COUNTED & log.content.messages.keys():

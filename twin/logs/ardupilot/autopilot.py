@@ -1,4 +1,4 @@
-"""What ArduPilot says of its flight: arming, estimator, phases, modes, setpoints, filters."""
+"""ArduPilot's records of a flight: arming, estimator, phases, modes, setpoints, filters."""
 
 from dataclasses import dataclass
 
@@ -36,22 +36,24 @@ from .log import OTHERS, ArduPilotLog, Topic, firmware
 
 # -- arming -------------------------------------------------------------------------------------
 #
-# Which part of a log is a flight: the stretch in which the motors run, without a pause of a minute.
+# The part of a log that is a flight: the stretch in which the motors run, without a pause of a
+# minute.
 
 SpanUs = tuple[int, int]
-"""Begin and end, us."""
+"""Start and end, us."""
 
-_PAUSE_US = 60_000_000  # with stopped motors, which parts two flights
+_PAUSE_US = 60_000_000  # with stopped motors, which separates two flights
 ARMED, DISARMED, _AUTO_ARMED = 10, 11, 15
-"""EV by number."""
-_STILL_ON_US = 500_000  # between the last command and the end of a log that was cut
+"""Event numbers in EV."""
+_STILL_ON_US = 500_000  # between the last command and the end of a truncated log
 _SHOWN = 8  # events that a text lists
 
 
 def armed_spans(log: ArduPilotLog) -> list[SpanUs]:
-    """When the motors were armed, on the clock of the log so far.
+    """Spans in which the motors were armed, in time of the log.
 
-    By the outputs of the motors, which rest while disarmed; where the log has none, by its events.
+    By the outputs of the motors, which are constant while disarmed; where the log has none, by its
+    events.
     """
     commands = logged_commands(log, log.whole)
     if commands is not None and commands.running.any():
@@ -61,7 +63,7 @@ def armed_spans(log: ArduPilotLog) -> list[SpanUs]:
 
 
 def _by_events(log: ArduPilotLog) -> list[SpanUs]:
-    """Spans by EV; armed before the first event where that disarms, to the end after the last."""
+    """Spans by EV; armed before the first event if it disarms, and until the end after the last."""
     events = log.whole("EV")
     ends = _ends(log)
     if events is None or ends is None:
@@ -80,7 +82,7 @@ def _by_events(log: ArduPilotLog) -> list[SpanUs]:
 
 
 def _ends(log: ArduPilotLog) -> SpanUs | None:
-    """Begin and end of what is logged of the motion."""
+    """Start and end of the logged motion."""
     found = [t for n in ("IMU", "ATT", "XKF1", "NKF1", "EKF1") if (t := log.whole(n)) is not None]
     if not found:
         return None
@@ -91,7 +93,7 @@ def cut_to_flight(log: ArduPilotLog) -> dict[str, str]:
     """Cut a log to its longest stretch of armed time without a pause of a minute.
 
     Returns:
-        Facts on what is used.
+        Facts on the part in use.
     """
     spans, ends = armed_spans(log), _ends(log)
     if not spans:
@@ -128,24 +130,24 @@ def cut_to_flight(log: ArduPilotLog) -> dict[str, str]:
 
 # -- estimator ----------------------------------------------------------------------------------
 #
-# The estimator that flies the aircraft: which core, which of the sensors it uses.
+# The estimator in control of the aircraft: its core and the sensors it uses.
 
 _FAMILIES = {3: "XK", 2: "NK", 1: "EK"}
-"""By AHRS_EKF_TYPE."""
-_HIGHEST = 16  # cores and sensors by number; beyond is damage
+"""Prefix of the messages, by AHRS_EKF_TYPE."""
+_HIGHEST = 16  # largest number of a core or sensor; beyond is damage
 
 
 @dataclass(frozen=True, slots=True)
 class ActiveEstimator:
-    """The core of the EKF that is in charge for most of the flight.
+    """The EKF core that is active for most of the flight.
 
     Attributes:
-        family: `XK` of EKF3, `NK` of EKF2, `EK` of the first EKF, "" without any.
-        core: Its number.
-        imu: Instance of IMU that it uses.
-        compass: Instance of MAG.
-        barometer: Instance of BARO.
-        gps: Instance of GPS.
+        family: `XK` for EKF3, `NK` for EKF2, `EK` for the first EKF, "" without any.
+        core: Number of the core.
+        imu: Instance of IMU that the core uses.
+        compass: Instance of MAG that the core uses.
+        barometer: Instance of BARO that the core uses.
+        gps: Instance of GPS that the core uses.
     """
 
     family: str
@@ -157,10 +159,10 @@ class ActiveEstimator:
 
 
 def active_estimator(log: ArduPilotLog) -> ActiveEstimator:
-    """What flies the aircraft; a change of core, or of what it uses, is noted.
+    """The estimator in control of the aircraft; findings report changes of core or sensors.
 
-    Source: ArduPilot, LogStructure.h of AP_NavEKF3 (XKF4.PI, XKFS) and EK3_IMU_MASK, of whose
-    sensors each core takes one in turn.
+    Source: ArduPilot, LogStructure.h of AP_NavEKF3 (XKF4.PI, XKFS) and EK3_IMU_MASK, from which
+    core k takes the k-th sensor.
     """
     found = {
         f: sorted({*log.instances(f"{f}F1"), *log.instances(f"{f}Q")}) for f in _FAMILIES.values()
@@ -186,7 +188,7 @@ def active_estimator(log: ArduPilotLog) -> ActiveEstimator:
 
 
 def _imu(mask: int, core: int) -> int:
-    """The sensor that a core takes: of those in the mask, the one of its own number."""
+    """The IMU of a core: the sensor in the mask at the position of the core's number."""
     sensors = [k for k in range(_HIGHEST) if mask >> k & 1]
     return sensors[core] if core < len(sensors) else core
 
@@ -197,7 +199,8 @@ def _first(log: ArduPilotLog, name: str) -> int | None:
 
 
 def _most(log: ArduPilotLog, topic: Topic | None, column: str, where: str, what: str) -> int:
-    """The number of a core or sensor that holds for most of the time; -1 where nothing says so."""
+    """Number of the core or sensor that is active for most of the time; -1 where it is not
+    logged."""
     if topic is None or not topic.has(column):
         return -1
     values = topic.raw(column)
@@ -237,11 +240,11 @@ SUBSYSTEMS = {
 }
 """Subsystems of ERR by number."""
 _NOT_LANDED, _LANDED = 28, 18  # EV by number
-_MOST = 2.0**53  # counters beyond lose whole numbers as float64
+_MOST = 2.0**53  # counters beyond are inexact as float64
 
 
 def from_ardupilot_phases(log: ArduPilotLog, used: ActiveEstimator) -> list[Span]:
-    """Phases from EV of the land detector, speed and climb rate."""
+    """Phases from land-detector events in EV, speed and climb rate."""
     ground = _ground(log)
     topic = log.topic(f"{used.family}F1", used.core) if used.family else None
     if topic is None or not topic.has("VN", "VE", "VD"):
@@ -253,7 +256,7 @@ def from_ardupilot_phases(log: ArduPilotLog, used: ActiveEstimator) -> list[Span
 
 
 def _ground(log: ArduPilotLog) -> list[Span]:
-    """Spans on the ground; before it is first left, too."""
+    """Spans on the ground, including the time before the first take-off."""
     events = log.topic("EV", None, "Id")
     if events is None:
         return []
@@ -262,13 +265,13 @@ def _ground(log: ArduPilotLog) -> list[Span]:
     if not known.any():
         return []
     t_s, landed = events.t_s[known], kinds[known] == _LANDED
-    if not landed[0]:  # it stood until it left the ground
+    if not landed[0]:  # it stood until it took off
         t_s, landed = np.append(-np.inf, t_s), np.append(True, landed)
     return ground_spans(t_s, landed)
 
 
 def modes(log: ArduPilotLog) -> str:
-    """Flight modes with the times of their begin, "" where there are none."""
+    """Flight modes with their start times, "" where there are none."""
     topic = log.whole("MODE")
     if topic is None or not (names := mode_names(log, topic)):
         return ""
@@ -282,7 +285,7 @@ def modes(log: ArduPilotLog) -> str:
 
 
 def mode_names(log: ArduPilotLog, topic: Topic) -> list[str]:
-    """Mode of each MODE by name: from ModeNum, up to Copter 3.1 from Mode (text logs: a name);
+    """Name of the mode in each MODE: from ModeNum, up to Copter 3.1 from Mode (text logs: a name);
     [] where they have neither."""
     for column in ("ModeNum", "Mode"):
         if column in topic.source.data:
@@ -292,7 +295,7 @@ def mode_names(log: ArduPilotLog, topic: Topic) -> list[str]:
 
 
 def _named(log: ArduPilotLog, value: object) -> str:
-    """Name of a mode that is a number, or already a name."""
+    """Name of a mode that is logged as a number or as a name."""
     if isinstance(value, int | float):
         return mode_name(log, value)
     text = as_text(value.decode("utf-8", "replace") if isinstance(value, bytes) else value)
@@ -300,7 +303,7 @@ def _named(log: ArduPilotLog, value: object) -> str:
 
 
 def mode_name(log: ArduPilotLog, number: float) -> str:
-    """Name of a flight mode; its number alone where the firmware is none of a copter."""
+    """Name of a flight mode; its number only where the firmware is not Copter."""
     known = {} if OTHERS.match(firmware(log)) else MODES
     whole = int(number) if np.isfinite(number) else -1
     return known.get(whole, f"mode {whole}")
@@ -312,7 +315,7 @@ def subsystem(number: float) -> str:
 
 
 def note_failures(log: ArduPilotLog) -> None:
-    """Failsafes and errors, clipping, messages that were not logged, failed motors."""
+    """Findings on failsafes and errors, clipping, messages that were not logged, failed motors."""
     errors = log.topic("ERR", None, "Subsys", "ECode")
     if errors is not None:
         codes = errors.raw("ECode")
@@ -336,7 +339,7 @@ def note_failures(log: ArduPilotLog) -> None:
 
 
 def _grown(log: ArduPilotLog, name: str, instance: int | None, field: str) -> int:
-    """By how much a counter grows in the flight, 0 where the log has not got it."""
+    """Increase of a counter during the flight, 0 where the log does not have it."""
     topic = log.topic(name, instance)
     if topic is None or not topic.has(field):
         return 0
@@ -351,13 +354,14 @@ def _grown(log: ArduPilotLog, name: str, instance: int | None, field: str) -> in
 
 _AXES = "NED"  # PSCN, PSCE, PSCD
 _TOGETHER_S = 0.2
-"""The messages of three axes are of one step of the controller: sound logs, under 1 ms."""
+"""Largest difference of time between messages of three axes for one controller step; valid logs:
+under 1 ms."""
 _ANGLES = ("DesRoll", "DesPitch", "DesYaw")  # of ATT
 _RATES = ("RDes", "PDes", "YDes")  # of RATE
 
 
 def setpoints(log: ArduPilotLog, end_s: float) -> tuple[Setpoint, ...]:
-    """Setpoints of position, velocity, attitude and rates, those that the log has.
+    """Setpoints of position, velocity, attitude and rates, as far as the log has them.
 
     Args:
         log: The log, cut to the flight.
@@ -375,11 +379,12 @@ def setpoints(log: ArduPilotLog, end_s: float) -> tuple[Setpoint, ...]:
 def _course(
     log: ArduPilotLog, columns: tuple[str, ...], letters: tuple[str, ...], end_s: float
 ) -> Setpoint | None:
-    """Targets of PSCN, PSCE and PSCD (ArduPilot 4.1 and later), at the times of the last, by the
-    first of some letters that a message has: DV is the velocity that mission or pilot desire, TV
-    has what the position controller adds to it.
+    """Targets of PSCN, PSCE and PSCD (ArduPilot 4.1 and later), at the times of the last, from the
+    first of several columns that a message has: DV is the velocity demanded by mission or pilot, TV
+    includes the output of the position controller.
 
-    The horizontal controller rests where the pilot gives a lean angle: it has no setpoint then.
+    The horizontal controller is inactive where the pilot sets a lean angle: there is no setpoint
+    then.
     """
     axes = [log.whole(f"PSC{a}") for a in _AXES]
     down = axes[-1]
@@ -395,7 +400,7 @@ def _course(
 
 
 def _nearest(topic: Topic, values: Array, t_s: Array) -> Array:
-    """Values at the nearest of a topic's times; NaN where none is near."""
+    """Values at the nearest of a topic's times; NaN where there is none near."""
     after = np.clip(np.searchsorted(topic.t_s, t_s), 0, len(values) - 1)
     before = np.maximum(after - 1, 0)
     nearer = np.abs(topic.t_s[before] - t_s) < np.abs(topic.t_s[after] - t_s)
@@ -422,7 +427,7 @@ def _rates(log: ArduPilotLog, end_s: float) -> Setpoint | None:
 
 
 def _until(topic: Topic, end_s: float) -> tuple[Topic, Array]:
-    """A topic in the record, and its times, s."""
+    """A topic within the record, and its times, s."""
     inside = (topic.t_us >= 0) & (topic.t_s <= end_s)
     cut = Topic(topic.name, topic.t_us[inside], topic.source, topic.rows[inside])
     return cut, cut.t_s
@@ -433,23 +438,25 @@ def _until(topic: Topic, end_s: float) -> tuple[Topic, Array]:
 # Modes, arming, failsafes, messages, parameters and filters of a DataFlash log.
 
 _LASTING = (2, 3, 5, 6, 8, 9, 11, 16, 17, 18, 23, 26, 27, 29)
-"""Subsystems of ERR whose code 0 says that it is over; those of the others are instants."""
+"""Subsystems of ERR whose code 0 marks the end of the error; errors of the others are
+instantaneous."""
 _RESETS: dict[int, ResetOf] = {60: "height", 62: "yaw"}
-"""EV of a reset of the estimator. Source: ArduPilot, libraries/AP_Logger/AP_Logger.h."""
+"""Event number in EV of a reset of the estimator. Source: ArduPilot,
+libraries/AP_Logger/AP_Logger.h."""
 _LONGEST_S = 365 * 86_400.0  # a year: times beyond are damage
-_LEAST_HZ = 1.0  # of a filter that is switched on
+_LEAST_HZ = 1.0  # cut-off of an enabled filter
 _LOW_PASSES: tuple[tuple[str, Sensor], ...] = (  # parameter and sensor
     ("INS_GYRO_FILTER", "gyro"),
     ("INS_ACCEL_FILTER", "acc"),
 )
 _HARMONIC_NOTCHES = ("INS_HNTCH", "INS_HNTC2")  # stems of parameters since 4.2
 _NOTCH = "INS_NOTCH"
-"""Before ArduPilot 4.2."""
+"""Stem of the notch parameters before ArduPilot 4.2."""
 _MOST_HARMONICS = 16  # bits of INS_HNTCH_HMNCS
 
 
 def from_ardupilot_autopilot(log: ArduPilotLog, end_s: float) -> Autopilot:
-    """What an ArduPilot log says of its flight; nothing of it is a finding.
+    """ArduPilot's records of a flight; none of them is a finding.
 
     Args:
         log: The log, cut to the flight.
@@ -470,7 +477,7 @@ def from_ardupilot_autopilot(log: ArduPilotLog, end_s: float) -> Autopilot:
 
 
 def _resets(log: ArduPilotLog, end_s: float) -> tuple[Reset, ...]:
-    """Steps that the estimator put into its own output."""
+    """Steps that the estimator made in its own output."""
     events = log.whole("EV")
     if events is None or not events.has("Id"):
         return ()
@@ -486,8 +493,8 @@ def _modes(log: ArduPilotLog, end_s: float) -> tuple[Mode, ...]:
 
 
 def _armed(log: ArduPilotLog, end_s: float) -> tuple[Interval, ...]:
-    """By the events of arming; a log that begins with one that disarms began armed. Without any, by
-    the outputs of the motors."""
+    """Armed intervals by the arming events; a log whose first event disarms began armed. Without
+    events, by the outputs of the motors."""
     events = log.whole("EV")
     if events is not None and events.has("Id"):
         kinds = events.raw("Id")
@@ -501,7 +508,7 @@ def _armed(log: ArduPilotLog, end_s: float) -> tuple[Interval, ...]:
 
 
 def _errors(log: ArduPilotLog, end_s: float) -> tuple[tuple[Interval, ...], list[Message]]:
-    """Failures that last, of the flight, and those that are instants, as messages."""
+    """Failures with a duration, and instantaneous ones as messages."""
     topic = log.whole("ERR")
     if topic is None or not topic.has("Subsys", "ECode"):
         return (), []
@@ -523,7 +530,7 @@ def _errors(log: ArduPilotLog, end_s: float) -> tuple[tuple[Interval, ...], list
 
 
 def _messages(log: ArduPilotLog) -> list[Message]:
-    """Texts of MSG, which has no levels."""
+    """Texts of MSG, which has no severity levels."""
     topic = log.whole("MSG")
     if topic is None or "Message" not in topic.source.data or topic.has("Message"):
         return []
@@ -536,13 +543,13 @@ def _messages(log: ArduPilotLog) -> list[Message]:
 
 
 def _parameters(log: ArduPilotLog) -> tuple[Parameter, ...]:
-    """Parameters that differ from the defaults that PARM has since ArduPilot 4.3."""
+    """Parameters that differ from the defaults in PARM (since ArduPilot 4.3)."""
     messages = log.content.messages.get("PARM")
     if messages is None or not {"Name", "Default"} <= set(messages.data):
         return ()
     values = messages.data["Default"].astype(np.float64).tolist()
     defaults = {
-        name: float(f"{value:.7g}")  # written as float
+        name: float(f"{value:.7g}")  # logged as float32
         for name, value in zip(messages.texts("Name"), values, strict=True)
         if np.isfinite(value)
     }
@@ -550,7 +557,7 @@ def _parameters(log: ArduPilotLog) -> tuple[Parameter, ...]:
 
 
 def _filters(params: dict[str, float]) -> tuple[Filter, ...]:
-    """Low-passes and notches that are switched on.
+    """Low-passes and notches that are enabled.
 
     Source: ArduPilot, AP_InertialSensor and HarmonicNotchFilter; bit k of HMNCS is harmonic k + 1.
     """

@@ -1,6 +1,6 @@
-"""ArduPilot DataFlash -> Flight.
+"""Reader of ArduPilot DataFlash logs.
 
-ArduPilot's axes are those of the table, FRD and NED; its quaternion turns the body into NED,
+ArduPilot's axes are those of the table, FRD and NED; its quaternion rotates body into NED,
 Hamilton, scalar first.
 """
 
@@ -41,18 +41,18 @@ from .log import OTHERS, ArduPilotLog, Topic, board, firmware, frame_of, motor_v
 
 # -- sensors ------------------------------------------------------------------------------------
 #
-# In SI: inertial sensors, compass, barometer, battery.
+# Signals in SI: inertial sensors, compass, barometer, battery.
 
 _ACC = ("AccX", "AccY", "AccZ")  # of IMU
 _GYRO = ("GyrX", "GyrY", "GyrZ")  # of IMU
 _RATES = ("R", "P", "Y")  # of RATE
 _MAG = ("MagX", "MagY", "MagZ")  # of MAG
 _FILTERS = {"gyro": "INS_GYRO_FILTER", "acc": "INS_ACCEL_FILTER"}
-"""Cut-off of the low-pass of each sensor."""
+"""Parameter with the low-pass cut-off of each sensor."""
 _IN_SENSOR = "INS_MPU6K_FILTER"
-"""Low-pass of the sensor up to Copter 3.2; the firmware had none of its own."""
-_LEAST_HZ = 1.0  # of a filter that is switched on
-_LEAST_V = 1.0  # of a battery that is connected
+"""Low-pass in the sensor up to Copter 3.2, before the firmware had one."""
+_LEAST_HZ = 1.0  # cut-off of an enabled filter
+_LEAST_V = 1.0  # voltage of a connected battery
 
 
 def si(log: ArduPilotLog, topic: Topic, where: str, fields: tuple[str, ...]) -> Array:
@@ -65,7 +65,7 @@ def si(log: ArduPilotLog, topic: Topic, where: str, fields: tuple[str, ...]) -> 
 
 
 def add_imu(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) -> None:
-    """Accelerometer and gyroscope that the estimator uses; facts on rates and filters."""
+    """Add the accelerometer and gyroscope that the estimator uses; facts on rates and filters."""
     for where, fields, names in (("gyro", _GYRO, GYRO), ("acc", _ACC, ACC)):
         there = log.instances("IMU")
         if not there:
@@ -88,7 +88,7 @@ def add_imu(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) -> 
 
 
 def _add_rates(log: ArduPilotLog, flight: FlightBuilder) -> None:
-    """Body rates as the rate controller has them, for logs without IMU."""
+    """Add body rates from the rate controller, for logs without IMU."""
     topic = log.topic("RATE", None, *_RATES)
     if topic is None:
         return
@@ -99,9 +99,9 @@ def _add_rates(log: ArduPilotLog, flight: FlightBuilder) -> None:
 
 
 def _filter_delay_us(log: ArduPilotLog, flight: FlightBuilder, where: str) -> int:
-    """Delay of the low-pass that a sensor went through before it was logged, us.
+    """Delay of the low-pass applied to a sensor before logging, us.
 
-    Source: ArduPilot, LowPassFilter2p, as AP_InertialSensor applies it.
+    Source: ArduPilot, LowPassFilter2p, as applied by AP_InertialSensor.
     """
     name = _FILTERS[where]
     cutoff_hz = log.params.get(name, 0.0)
@@ -118,7 +118,7 @@ def _filter_delay_us(log: ArduPilotLog, flight: FlightBuilder, where: str) -> in
 
 
 def add_compass(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) -> None:
-    """Compass that the estimator uses."""
+    """Add the compass that the estimator uses."""
     there = log.instances("MAG")
     if not there:
         return
@@ -133,7 +133,7 @@ def add_compass(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator)
 
 
 def add_barometer(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) -> None:
-    """Static pressure of the barometer that the estimator uses."""
+    """Add the static pressure of the barometer that the estimator uses."""
     there = log.instances("BARO")
     if not there:
         return
@@ -144,7 +144,7 @@ def add_barometer(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimato
 
 
 def add_battery(log: ArduPilotLog, flight: FlightBuilder, commands: MotorCommands | None) -> None:
-    """Voltage of the first battery that has one, and its current where it is worth anything."""
+    """Add the voltage of the first battery that has one, and its current where it is valid."""
     for topic in _batteries(log):
         volts = si(log, topic, "vbat_v", ("Volt",))
         if np.nanmax(volts, initial=0.0) < _LEAST_V:
@@ -157,8 +157,8 @@ def add_battery(log: ArduPilotLog, flight: FlightBuilder, commands: MotorCommand
 
 
 def _batteries(log: ArduPilotLog) -> list[Topic]:
-    """Batteries by instance, else CURR of ArduPilot before 3.6: first the one by which thrust is
-    scaled (MOT_BAT_IDX), last those whose monitor is switched off (BATTn_MONITOR 0)."""
+    """Batteries by instance, else CURR of ArduPilot before 3.6: first the one that scales thrust
+    (MOT_BAT_IDX), last those with a disabled monitor (BATTn_MONITOR 0)."""
     index = motor_value(log.params, "MOT_BAT_IDX", -1.0)
 
     def rank(instance: int) -> tuple[bool, bool, int]:
@@ -185,7 +185,7 @@ def _add_current(
 
 # -- motion -------------------------------------------------------------------------------------
 #
-# Attitude, velocity and position of a DataFlash log, as the estimator had them.
+# Attitude, velocity and position of a DataFlash log, as estimated on board.
 
 _Q = ("Q1", "Q2", "Q3", "Q4")  # of XKQ and NKQ
 _ANGLES = ("Roll", "Pitch", "Yaw")  # of ATT and XKF1
@@ -194,13 +194,13 @@ _CONTROLLERS = (
     (("PSC", "PX", "VX", 1.0), ("PSC", "PY", "VY", 1.0), ("CTUN", "Alt", "CRt", -1.0)),
     (("NTUN", "PosX", "VelX", 1.0), ("NTUN", "PosY", "VelY", 1.0), ("CTUN", "Alt", "CRt", -1.0)),
 )
-"""Message, place, rate and sign per axis of NED: since ArduPilot 4.1, Copter 3.6 to 4.0, up to 3.5;
-CTUN counts upwards."""
-_FASTER = 2.0  # ratio of rates from which on ATT is taken instead of quaternions
+"""Message, position, velocity and sign for each NED axis: since ArduPilot 4.1, Copter 3.6 to 4.0,
+up to 3.5; CTUN is positive upward."""
+_FASTER = 2.0  # ratio of rates from which ATT is used instead of quaternions
 
 
 def add_motion(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) -> None:
-    """Attitude, velocity and position; facts on where they come from."""
+    """Add attitude, velocity and position; facts on their sources."""
     if source := _add_attitude(log, flight, used):
         flight.facts["attitude from"] = source
     if source := _add_course(log, flight, used):
@@ -208,7 +208,7 @@ def add_motion(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) 
 
 
 def _add_attitude(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) -> str:
-    """Quaternions of the core in charge, or ATT where that is logged much faster."""
+    """Add the quaternion of the active core, or ATT where it is logged much faster."""
     topic = log.topic(f"{used.family}Q", used.core, *_Q) if used.family else None
     angles = log.topic("ATT", None, *_ANGLES)
     if angles is None and used.family:
@@ -228,7 +228,8 @@ def _add_attitude(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimato
 
 
 def _add_course(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator) -> str:
-    """Position and velocity of the core in charge, else of the position controller, else of POS."""
+    """Add position and velocity of the active core, else of the position controller, else of
+    POS."""
     topic = log.topic(f"{used.family}F1", used.core) if used.family else None
     pos, vel = ("PN", "PE", "PD"), ("VN", "VE", "VD")
     if topic is not None and topic.has(*pos, *vel):
@@ -245,7 +246,8 @@ def _add_course(log: ArduPilotLog, flight: FlightBuilder, used: ActiveEstimator)
 
 
 def _controller_course(log: ArduPilotLog, flight: FlightBuilder) -> str:
-    """What the controllers of position and height are given, where all three axes are there."""
+    """Add the measured position and velocity of the controllers, where all three axes are
+    logged."""
     for axes in _CONTROLLERS:
         if any(message not in log.content.messages for message, *_ in axes):
             continue
@@ -269,7 +271,7 @@ def _controller_course(log: ArduPilotLog, flight: FlightBuilder) -> str:
 
 
 def _global_course(log: ArduPilotLog, flight: FlightBuilder) -> str:
-    """Position alone, from latitude, longitude and height over home."""
+    """Add position alone, from latitude, longitude and height over home."""
     topic = log.topic("POS", None, "Lat", "Lng", "Alt")
     if topic is None:
         log.note("warning", "pos", "no XKF1, PSCN or POS in the log: no position, no velocity")
@@ -282,19 +284,20 @@ def _global_course(log: ArduPilotLog, flight: FlightBuilder) -> str:
 
 # -- rotor speeds -------------------------------------------------------------------------------
 #
-# Rotor speeds that the speed controllers report (ESC), put on one clock where they are good.
+# Rotor speeds reported by the speed controllers (ESC), resampled to common times where they are
+# good.
 
-_TURNING = 0.1  # command from which on a rotor must report a speed
-_LONGEST_S = 0.25  # between two reports that are interpolated
-_LEAST_GOOD = 0.8  # share of its working time in which a rotor is reported
-_FEWEST = 20  # reports of a controller that is read
+_TURNING = 0.1  # command from which a rotor must report a speed
+_LONGEST_S = 0.25  # longest interval that is interpolated
+_LEAST_GOOD = 0.8  # share of working time in which a rotor must report
+_FEWEST = 20  # fewest reports of a controller in use
 
 
 def add_rotors(log: ArduPilotLog, flight: FlightBuilder, commands: MotorCommands | None) -> None:
-    """Rotor speeds of all motors, from the instances of ESC that belong to their outputs.
+    """Add rotor speeds of all motors, from the instances of ESC that belong to their outputs.
 
-    Speeds come from each controller in its own time. They are put on the times of the one that
-    reports least, linear between two reports at most 0.25 s apart. A fact says which they are.
+    Each controller reports at its own times. Speeds are interpolated linearly to the times of the
+    one with the fewest reports, between reports at most 0.25 s apart. A fact names the instances.
     """
     there = log.instances("ESC")
     if not there or commands is None:
@@ -348,10 +351,10 @@ def add_rotors(log: ArduPilotLog, flight: FlightBuilder, commands: MotorCommands
 
 
 def instances_of(channels: tuple[int, ...], there: list[int]) -> list[int]:
-    """Instances of ESC of the motors, [] where that is ambiguous.
+    """ESC instances of the motors, [] where the assignment is ambiguous.
 
-    An instance is an output counted from 0, or, where the controllers are counted from the first
-    one that is a motor, its place among the outputs of motors.
+    An instance is an output counted from 0 or, where the controllers are counted from the first one
+    that is a motor, its index among the outputs of motors.
     """
     by_output = [c - 1 for c in channels]
     if set(by_output) <= set(there):
@@ -363,7 +366,7 @@ def instances_of(channels: tuple[int, ...], there: list[int]) -> list[int]:
 
 
 def _at(t_us: NDArray[np.int64], own_us: NDArray[np.int64], values: Array) -> Array:
-    """A controller's speeds at other times, NaN where its reports are too far apart."""
+    """Speeds of a controller at other times, NaN where its reports are too far apart."""
     after = np.clip(np.searchsorted(own_us, t_us), 1, len(own_us) - 1)
     near = (own_us[after] - own_us[after - 1]) <= _LONGEST_S * 1e6
     near |= np.isin(t_us, own_us)
@@ -372,7 +375,7 @@ def _at(t_us: NDArray[np.int64], own_us: NDArray[np.int64], values: Array) -> Ar
 
 
 def _doubt(topics: list[Topic], speeds: list[Array], commands: MotorCommands) -> str:
-    """Why the speeds are not those of the motors, "" where they may be."""
+    """Why the speeds cannot be those of the motors, "" where they can."""
     cmd = commands.cmd
     for motor, (topic, speed) in enumerate(zip(topics, speeds, strict=True)):
         own = np.interp(topic.t_us, commands.t_us, cmd[:, motor])
@@ -395,7 +398,7 @@ def _doubt(topics: list[Topic], speeds: list[Array], commands: MotorCommands) ->
 
 
 def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:
-    """Read a DataFlash log, binary or text; arguments and errors as of `formats.Reader`."""
+    """Read a DataFlash log, binary or text; arguments and errors as in `formats.Reader`."""
     log = open_ardupilot(path, blob)
     flight = FlightBuilder(log, path, _facts(log) | cut_to_flight(log), "the motors ran")
     facts, used = flight.facts, active_estimator(log)
@@ -429,7 +432,7 @@ def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:
 
 
 def _facts(log: ArduPilotLog) -> dict[str, str]:
-    """What the log says about the vehicle."""
+    """Facts of the log about the vehicle."""
     version = firmware(log)
     facts = {"firmware": version or "ArduPilot"}
     if other := OTHERS.match(version):

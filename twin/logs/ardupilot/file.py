@@ -1,4 +1,4 @@
-"""DataFlash files: definitions, and the messages that they describe, binary or text."""
+"""DataFlash files, binary or text: definitions of messages, and the messages."""
 
 import struct
 from array import array
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 # -- definitions --------------------------------------------------------------------------------
 #
-# What the messages of a DataFlash log are made of: FMT, and FMTU, UNIT and MULT for the units.
+# Layout of the messages of a DataFlash log: FMT, and FMTU, UNIT and MULT for the units.
 #
-# Source: ArduPilot, libraries/AP_Logger/README.md and LogStructure.h, for what they mean.
+# Source of the meanings: ArduPilot, libraries/AP_Logger/README.md and LogStructure.h.
 
 HEADER = 3
-"""Bytes before the content of a message: two that mark it, and its type."""
-FMT_NUMBER = 0x80  # type of FMT, LogStructure.h
+"""Bytes before the content of a message: two markers and its type."""
+FMT_NUMBER = 0x80  # type number of FMT, LogStructure.h
 
 _TYPES: dict[str, tuple[str, float]] = {
     **{k: (v, 1.0) for k, v in {"b": "i1", "B": "u1", "M": "u1", "h": "<i2", "H": "<u2"}.items()},
@@ -27,7 +27,7 @@ _TYPES: dict[str, tuple[str, float]] = {
     **{"c": ("<i2", 1e2), "C": ("<u2", 1e2), "e": ("<i4", 1e2), "E": ("<u4", 1e2)},
     "L": ("<i4", 1e7),
 }
-"""Of each letter of a format: the type in the file, and what a number is divided by."""
+"""Type in the file and divisor of a number, by format letter."""
 _MOST_COLUMNS = 64  # a message has 16 letters of format; beyond is damage
 
 
@@ -36,9 +36,9 @@ class Definition:
     """One kind of message.
 
     Attributes:
-        number: By which its messages are marked.
-        name: Of up to four letters.
-        letters: A letter per column, the format.
+        number: Type number in the header of its messages.
+        name: Name of up to four letters.
+        letters: Format: one letter per column.
         columns: Names of the columns.
     """
 
@@ -49,7 +49,7 @@ class Definition:
 
     @property
     def dtype(self) -> "np.dtype[np.void]":
-        """A message behind its header, column by column."""
+        """Type of a message without its header, column by column."""
         return np.dtype(
             [(c, _TYPES[k][0]) for c, k in zip(self.columns, self.letters, strict=True)]
         )
@@ -60,7 +60,7 @@ class Definition:
         return HEADER + self.dtype.itemsize
 
     def divisor(self, column: str) -> float:
-        """What the number in the file is divided by; 1 for most formats."""
+        """Divisor of the number in the file; 1 for most formats."""
         return _TYPES[self.letters[self.columns.index(column)]][1]
 
     def is_text(self, column: str) -> bool:
@@ -73,17 +73,17 @@ FMT = Definition(FMT_NUMBER, "FMT", "BBnNZ", ("Type", "Length", "Name", "Format"
 
 
 def define(number: int, length: int | None, name: str, letters: str, columns: str) -> Definition:
-    """A definition as FMT gives it.
+    """A definition from the fields of FMT.
 
     Args:
-        number: Type, 0 to 255.
+        number: Type number, 0 to 255.
         length: Bytes of a message with its header; None: not checked, as in a text log.
-        name: Of the message.
-        letters: Format.
-        columns: Names, with commas between.
+        name: Name of the message.
+        letters: Format letters.
+        columns: Names, separated by commas.
 
     Raises:
-        ValueError: It makes no sense; the text says why.
+        ValueError: The definition is invalid; the text says why.
     """
     names = tuple(c.strip() for c in columns.split(",")) if columns else ()
     if not name.isalnum():
@@ -102,12 +102,12 @@ def define(number: int, length: int | None, name: str, letters: str, columns: st
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """Units of the columns of one kind of message, as FMTU, UNIT and MULT say.
+    """Units of the columns of one kind of message, from FMTU, UNIT and MULT.
 
     Attributes:
-        labels: By column: ArduPilot's name of the unit, such as `deg/s`.
-        multipliers: By column: times which a number in the file is in that unit.
-        instance: The column that numbers instances, "" where none does.
+        labels: ArduPilot's name of the unit, such as `deg/s`, by column.
+        multipliers: Factor from a number in the file to that unit, by column.
+        instance: The column with instance numbers, "" without any.
     """
 
     labels: Mapping[str, str] = field(default_factory=dict)
@@ -125,9 +125,9 @@ def units_of(
     """Units of one kind of message.
 
     Args:
-        definition: Of the message.
+        definition: Definition of the message.
         unit_ids: UnitIds of its FMTU, a letter per column.
-        multiplier_ids: MultIds of it.
+        multiplier_ids: MultIds of its FMTU, a letter per column.
         units: Labels by letter, from UNIT.
         multipliers: Numbers by letter, from MULT.
     """
@@ -146,18 +146,18 @@ def units_of(
     return Units(labels, factors, instance)
 
 
-_INSTANCE = ("I", "C", "Instance", "Inst")  # columns that number instances before FMTU
+_INSTANCE = ("I", "C", "Instance", "Inst")  # columns with instance numbers before FMTU
 
 
 def instance_column(definition: Definition, units: Units) -> str:
-    """The column that numbers instances, also in logs older than FMTU; "" where none does."""
+    """The column with instance numbers, also in logs older than FMTU; "" without any."""
     usual = [c for c in _INSTANCE if c in definition.columns and not definition.is_text(c)]
     found = units.instance or (usual[0] if usual else "")
     return found if found and not definition.is_text(found) else ""
 
 
 def text(raw: bytes | str) -> str:
-    """Text up to its end mark, whatever bytes there are."""
+    """Text up to its end mark, decoded whatever bytes it contains."""
     decoded = raw.decode("utf-8", "replace") if isinstance(raw, bytes) else raw
     return decoded.partition("\0")[0]
 
@@ -181,15 +181,15 @@ SI: dict[str, tuple[str, float]] = {
     "PWM": ("pulse width", 1.0),
     "1": ("number", 1.0),
 }
-"""ArduPilot's units: of what they are, and times which they are SI (pulse widths: us)."""
+"""ArduPilot's units: quantity and factor to SI (pulse widths: us)."""
 
 
 def in_si(label: str, assumed: str) -> tuple[float, bool]:
-    """What takes a column to SI, and whether its unit contradicts what it should be.
+    """Factor of a column to SI, and whether its unit contradicts the documented one.
 
     Args:
-        label: Unit that the log gives, "" or an unknown one where it gives none.
-        assumed: Unit by ArduPilot's documentation.
+        label: Unit in the log, "" or an unknown one where the log has none.
+        assumed: Unit in ArduPilot's documentation.
     """
     kind, factor = SI[assumed]
     if label not in SI:
@@ -200,8 +200,7 @@ def in_si(label: str, assumed: str) -> tuple[float, bool]:
 
 # -- messages -----------------------------------------------------------------------------------
 #
-# The messages of a DataFlash log, binary or text, by name; what of the file makes no sense is
-# counted.
+# Messages of a DataFlash log, binary or text, by name; invalid parts of the file are counted.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,10 +208,10 @@ class Messages:
     """All messages of one name, in the order of the file.
 
     Attributes:
-        definition: Of what they are made.
-        places: Place of each among all messages of the file, shape (n,).
-        data: By column, shape (n,): numbers after the divisor of their format, or text.
-        units: Of the columns.
+        definition: Definition of the messages.
+        places: Position of each among all messages of the file, shape (n,).
+        data: Data by column, shape (n,): numbers after the divisor of their format, or text.
+        units: Units of the columns.
     """
 
     definition: Definition
@@ -227,14 +226,14 @@ class Messages:
 
 @dataclass(slots=True)
 class Damage:
-    """What of a file could not be read.
+    """Parts of a file that could not be read.
 
     Attributes:
-        lost: Bytes between messages that make no sense (lines of a text log).
-        stretches: In how many pieces they lie.
-        tail: Bytes of a message that is cut off at the end.
-        redefined: Kinds of message that are defined twice, and differently.
-        undefined: Definitions that make no sense, and why.
+        lost: Number of invalid bytes between messages (lines of a text log).
+        stretches: Number of stretches of invalid bytes.
+        tail: Bytes of an incomplete message at the end.
+        redefined: Kinds of message with two different definitions.
+        undefined: Invalid definitions, with the reason.
     """
 
     lost: int = 0
@@ -246,12 +245,12 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """What a file holds.
+    """Content of a file.
 
     Attributes:
-        messages: By name, those requested.
-        counts: Number of messages by name, of all.
-        damage: What could not be read.
+        messages: Requested messages by name.
+        counts: Number of messages by name, of all kinds.
+        damage: Parts that could not be read.
     """
 
     messages: dict[str, Messages]
@@ -259,14 +258,14 @@ class Content:
     damage: Damage
 
 
-UNIT_MESSAGES = ("FMTU", "UNIT", "MULT")  # messages that give units to the others
+UNIT_MESSAGES = ("FMTU", "UNIT", "MULT")  # messages that define units of the others
 
 
 def with_units(found: Mapping[str, Messages], wanted: Collection[str]) -> dict[str, Messages]:
-    """Messages with the units that FMTU, UNIT and MULT give them.
+    """Messages with their units from FMTU, UNIT and MULT.
 
     Args:
-        found: By name, those three among them where the log has them.
+        found: Messages by name, with those three where the log has them.
         wanted: Names to keep.
     """
     labels = _by_letter(found.get("UNIT"), "Label")
@@ -276,7 +275,7 @@ def with_units(found: Mapping[str, Messages], wanted: Collection[str]) -> dict[s
         numbers = given.data["FmtType"].tolist()
         pairs = zip(given.texts("UnitIds"), given.texts("MultIds"), strict=True)
         by_number = dict(zip(map(int, numbers), pairs, strict=True))
-    multipliers = {k: float(f"{v:.7g}") for k, v in factors.items()}  # written as float
+    multipliers = {k: float(f"{v:.7g}") for k, v in factors.items()}  # logged as float32
     names = {k: str(v) for k, v in labels.items()}
     labelled = {}
     for name, each in found.items():
@@ -288,7 +287,7 @@ def with_units(found: Mapping[str, Messages], wanted: Collection[str]) -> dict[s
 
 
 def _by_letter(given: Messages | None, column: str) -> dict[str, str | float]:
-    """UNIT or MULT: a letter and what it stands for."""
+    """Content of UNIT or MULT by letter."""
     if given is None or not {"Id", column} <= set(given.data):
         return {}
     values: list[Any] = (
@@ -304,10 +303,10 @@ def _by_letter(given: Messages | None, column: str) -> dict[str, str | float]:
 
 # -- binary files -------------------------------------------------------------------------------
 #
-# Binary DataFlash logs: messages found by their marks and the lengths that FMT gives.
+# Binary DataFlash logs: messages are found by their marks and the lengths in FMT.
 #
-# A message counts where the next one begins right behind it. Where that is not so, or its type is
-# not defined, the bytes up to the next such message are lost and counted, nothing more.
+# A message is accepted where the next one begins directly behind it. Otherwise, or if its type is
+# not defined, only the bytes up to the next such message are lost and counted.
 
 MARK = b"\xa3\x95"  # first bytes of a message, HEAD_BYTE1 and 2
 _SHOWN = 8  # characters of a name in a finding
@@ -316,12 +315,12 @@ _Places = tuple["array[int]", "array[int]"]
 
 @dataclass(slots=True)
 class _Walk:
-    """A way through a file.
+    """State of a pass through a file.
 
     Attributes:
-        defined: Definition by type, as far as the file has been read.
-        starts: Begin of the content of each message, and its place among all, by definition.
-        damage: What made no sense on the way.
+        defined: Definition by type number, as far as the file has been read.
+        starts: Offset of the content of each message, and its position among all, by definition.
+        damage: Invalid parts so far.
     """
 
     defined: dict[int, Definition] = field(default_factory=lambda: {FMT_NUMBER: FMT})
@@ -355,7 +354,7 @@ def read_binary(blob: bytes, wanted: Collection[str]) -> Content:
 
 
 def _walked(blob: bytes) -> _Walk:
-    """All messages of the file."""
+    """Positions of all messages of the file."""
     walk = _Walk()
     sizes = {FMT_NUMBER: FMT.size}
     solid = min(len(blob.rstrip(b"\0")), len(blob.rstrip(b"\xff")))
@@ -382,9 +381,10 @@ def _walked(blob: bytes) -> _Walk:
 
 
 def _whole(blob: bytes, at: int, sizes: dict[int, int], solid: int) -> int:
-    """Bytes of the message that begins there, 0 where none does or it is not whole.
+    """Size of the message at this offset, 0 where there is none or it is incomplete.
 
-    Behind it there is the next one, or the end of what is not padding, or half a mark.
+    It must be followed by the next message, the end of the content before padding, or half a
+    marker.
     """
     if not blob.startswith(MARK, at) or at + HEADER > len(blob):
         return 0
@@ -397,7 +397,7 @@ def _whole(blob: bytes, at: int, sizes: dict[int, int], solid: int) -> int:
 
 
 def _lost(blob: bytes, first: int, sizes: dict[int, int], solid: int, damage: Damage) -> int:
-    """Skip what makes no sense; where the next message begins, or the end of the file."""
+    """Skip invalid bytes; returns the offset of the next message, or the end of the file."""
     at = blob.find(MARK, first + 1)
     while at >= 0:
         if _whole(blob, at, sizes, solid):
@@ -418,17 +418,17 @@ def _lost(blob: bytes, first: int, sizes: dict[int, int], solid: int, damage: Da
 def _define_message(
     blob: bytes, at: int, walk: _Walk, sizes: dict[int, int], lists: dict[int, _Places]
 ) -> None:
-    """Take a FMT message in."""
+    """Add the definition in an FMT message."""
     number, length, *texts = struct.unpack_from("<BB4s16s64s", blob, at)
     if number == FMT_NUMBER:
-        return  # it never changes
+        return  # a definition never changes
     name, letters, columns = map(text, texts)
     shown = "".join(c for c in name if c.isprintable())[:_SHOWN] or f"of type {number}"
     try:
         made = define(number, length, name, letters, columns)
     except ValueError as why:
         walk.damage.undefined.append(f"{shown}: {why}")
-        made = Definition(number, shown, "", ())  # its messages are stepped over
+        made = Definition(number, shown, "", ())  # its messages are skipped
     before = walk.defined.get(number)
     if before == made:
         return
@@ -442,7 +442,7 @@ def _define_message(
 def _decoded(
     raw: NDArray[np.uint8], definition: Definition, starts: "array[int]", places: "array[int]"
 ) -> Messages:
-    """Columns of the messages that begin there."""
+    """Columns of the messages at these offsets."""
     dtype = definition.dtype
     windows = np.lib.stride_tricks.sliding_window_view(raw, dtype.itemsize)
     rows = windows[np.array(starts, dtype=np.int64)].view(dtype)[:, 0]
@@ -456,7 +456,7 @@ def _decoded(
 
 # -- text files ---------------------------------------------------------------------------------
 #
-# DataFlash logs as text, a message per line: `ATT, 1234, 0.1, ...`, numbers as they are meant.
+# DataFlash logs as text, a message per line: `ATT, 1234, 0.1, ...`, numbers already scaled.
 
 _LONGEST_LINE = 10_000  # of a text log; longer ones are damage
 
@@ -464,11 +464,11 @@ _LONGEST_LINE = 10_000  # of a text log; longer ones are damage
 def read_plain(blob: bytes, wanted: Collection[str]) -> Content:
     """Messages of a text log; arguments as in `read_binary`.
 
-    FILE holds parts of files with their line ends, so that lines behind it may be of anything.
+    FILE contains parts of files with their line ends, so lines behind it may be arbitrary.
     """
     lines = blob.decode("utf-8", "replace").split("\n")
     damage = Damage()
-    if lines[-1].strip():  # the last line has no end
+    if lines[-1].strip():  # the last line is incomplete
         damage.tail = len(lines[-1].encode())
     needed = {*wanted, *UNIT_MESSAGES}
     defined: dict[str, Definition] = {"FMT": FMT}
@@ -505,7 +505,7 @@ def read_plain(blob: bytes, wanted: Collection[str]) -> Content:
 
 
 def _fields(definition: Definition, rest: str) -> list[str]:
-    """As many fields as there are columns, the last with its commas; [] where there are fewer."""
+    """As many fields as there are columns, the last with its commas; [] if the line has fewer."""
     n = len(definition.columns)
     fields = [f.strip() for f in rest.split(",", n - 1)]
     whole = len(fields) == n and (
@@ -515,10 +515,10 @@ def _fields(definition: Definition, rest: str) -> list[str]:
 
 
 def _define_line(fields: list[str], defined: dict[str, Definition], damage: Damage) -> None:
-    """Take a line of FMT in."""
+    """Add the definition in a line of FMT."""
     number, _, name, letters, columns = fields
     if name == "FMT":
-        return  # it never changes, and old logs leave a name out
+        return  # a definition never changes, and old logs omit a name
     shown = "".join(c for c in name if c.isprintable())[:_SHOWN]
     try:
         made = define(int(number), None, name, letters, columns)
@@ -535,12 +535,12 @@ def _define_line(fields: list[str], defined: dict[str, Definition], damage: Dama
 def _columns(
     definition: Definition, rows: list[list[str]], places: NDArray[np.int64], damage: Damage
 ) -> Messages:
-    """Columns of the lines of one name; lines in which a number is none are lost."""
+    """Columns of the lines of one name; lines with invalid numbers are dropped."""
     texts = dict(zip(definition.columns, zip(*rows, strict=True), strict=True))
     data: dict[str, NDArray[Any]] = {}
     good = np.ones(len(rows), dtype=np.bool_)
     for column, letter in zip(definition.columns, definition.letters, strict=True):
-        if definition.is_text(column) or letter == "M":  # a mode may have its name there
+        if definition.is_text(column) or letter == "M":  # a mode may be logged by name
             data[column] = np.array(texts[column], dtype=object)
             continue
         numbers, readable = _numbers(texts[column])
@@ -553,7 +553,7 @@ def _columns(
 
 
 def _numbers(texts: tuple[str, ...]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Numbers, and which of the texts are some."""
+    """Numbers, and a mask of the texts that are numbers."""
     try:
         return np.array(texts, dtype=np.float64), np.ones(len(texts), dtype=np.bool_)
     except ValueError:

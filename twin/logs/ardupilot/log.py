@@ -1,4 +1,4 @@
-"""DataFlash files opened with care: what can be read is read, what cannot is counted."""
+"""Tolerant reader of DataFlash files: unreadable parts are counted, the others are read."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -28,19 +28,19 @@ from .file import MARK, Content, Damage, Messages, in_si, instance_column, read_
 #
 # One table for all releases: message and field, and where the releases differ the letter of the
 # field's format. Source: ArduPilot, LogStructure.h of DataFlash and AP_Logger and Log.cpp of
-# ArduCopter, 3.1 to 4.6, and what the functions that write the messages multiply by.
+# ArduCopter, 3.1 to 4.6, and the factors in the functions that write the messages.
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """What fields of a message hold.
+    """Unit of several fields of several messages.
 
     Attributes:
-        messages: Names, of instance 0.
-        fields: Names.
-        unit: ArduPilot's name of it, a key of `definitions.SI`.
-        multiplier: Times which a number is in that unit, after the divisor of its format.
-        by_letter: The same for single letters of the format.
+        messages: Names of the messages, for instance 0.
+        fields: Names of the fields.
+        unit: ArduPilot's name of the unit, a key of `definitions.SI`.
+        multiplier: Factor from a number to that unit, after the divisor of its format.
+        by_letter: Factor for single letters of the format.
     """
 
     messages: str
@@ -50,7 +50,7 @@ class Quantity:
     by_letter: Mapping[str, float] = field(default_factory=dict)
 
 
-_HUNDREDTHS = {"h": 1e-2}  # of a field that was int16 in hundredths
+_HUNDREDTHS = {"h": 1e-2}  # int16 fields in hundredths
 QUANTITIES = (
     Quantity("IMU", "GyrX GyrY GyrZ", "rad/s"),
     Quantity("IMU", "AccX AccY AccZ", "m/s/s"),
@@ -77,28 +77,28 @@ QUANTITIES = (
     Quantity("ESC", "RPM", "rpm", by_letter={"c": 1e3}),
     Quantity("ESC", "Volt", "V"),
 )
-"""Frames are those of the flight table in every release, FRD and NED; what counts upwards (Alt and
-CRt) changes its sign where it is read."""
+"""Documented units. Frames are those of the flight table in every release, FRD and NED; fields that
+are positive upward (Alt and CRt) change their sign in the reader."""
 _BY_FIELD = {(m, f): q for q in QUANTITIES for m in q.messages.split() for f in q.fields.split()}
 """Quantity by message and field."""
 
 
 def documented_unit(message: str, column: str, letter: str) -> tuple[str, float]:
-    """Unit of a field by ArduPilot's history, and times which its number is in that unit.
+    """Documented unit of a field in ArduPilot, and the factor from its number to that unit.
 
     Args:
-        message: Name, of instance 0.
-        column: Field.
-        letter: Of its format.
+        message: Name of the message, for instance 0.
+        column: Name of the field.
+        letter: Letter of the field's format.
     """
     found = _BY_FIELD[message, column]
     return found.unit, found.by_letter.get(letter, found.multiplier)
 
 
 def clock_of(columns: Mapping[str, object]) -> tuple[str, int] | None:
-    """The column with the time since boot, and us in its unit; None where a message has none.
+    """The column with the time since boot, and its unit in us; None where a message has none.
 
-    GPS of Copter up to 3.2 has the time of the week as TimeMS, and that since boot as T. PARM, MSG,
+    GPS of Copter up to 3.2 has the time of week in TimeMS, and the time since boot in T. PARM, MSG,
     EV, ERR and MODE have no time up to 3.2.
     """
     if "TimeUS" in columns:
@@ -113,7 +113,7 @@ NAMES = {
     "MOT_BAT_VOLT_MAX": "MOT_THST_BAT_MAX",
     "MOT_BAT_VOLT_MIN": "MOT_THST_BAT_MIN",
 }
-"""Parameters that had another name up to Copter 3.4."""
+"""Parameter names of Copter up to 3.4, by present name."""
 FRAMES = {
     **{"QUAD": 1, "HEXA": 2, "OCTA": 3, "OCTA_QUAD": 4, "Y6": 5},
     **{"HELI": 6, "TRI": 7, "SINGLE": 8, "COAX": 9},
@@ -130,13 +130,13 @@ STEADY = (
     *("GPS", "GPS2", "IMU", "IMU2", "IMU3", "MAG", "MAG2", "MAG3", "MOTB"),
     *("NTUN", "POS", "PSC", "PSCD", "PSCE", "PSCN", "RATE", "RCO2", "RCO3", "RCOU", "VIBE"),
 )
-"""Messages at a steady rate."""
+"""Messages at a constant rate."""
 SELDOM = ("DSF", "NKF4", "NKF9", "ORGN", "XKF4", "XKFS")
-"""Messages at a low rate, or of which a few are used."""
+"""Messages at a low rate, or of which few are used."""
 EVENTS = ("ARM", "ERR", "EV", "MODE", "MSG", "PARM", "VER")
-"""Messages of what happens; several may carry the same time."""
+"""Messages on events; several may have the same time."""
 NEEDED = ("IMU", "RCOU", "XKF1", "XKQ", "ATT")
-"""Some of them, for an error."""
+"""The most important messages, for an error text."""
 OLDER = {
     "BARO": ("BARO", "BAR2"),
     "BAT": ("BAT", *(f"BAT{k}" for k in range(2, 10))),
@@ -149,13 +149,13 @@ OLDER = {
     "NKF4": ("NKF4", "NKF9"),
     "NKQ": ("NKQ1", "NKQ2"),
 }
-"""Before ArduPilot 4.1 an instance had a name of its own: the names of instance 0, 1, ..."""
+"""Names of instance 0, 1, ... of a message before ArduPilot 4.1."""
 
 _LONGEST_US = 365 * 86_400 * 1_000_000  # a year: times beyond are damage
-_NEVER_US = 2**62  # what a time beyond int64 becomes
+_NEVER_US = 2**62  # replaces a time beyond int64
 _BLOCK = 512  # bytes that ArduPilot writes at once
 _PAUSE_OF_TELEMETRY = ("ESC", *OLDER["ESC"])
-"""Messages that come when the bus has them: their pauses are reported with the rotor speeds."""
+"""Messages at irregular times: their pauses are reported with the rotor speeds."""
 _NAMED = 3  # definitions that a finding lists
 
 
@@ -164,10 +164,10 @@ class Topic(Timed):
     """Messages of one name and instance, in order of time.
 
     Attributes:
-        name: Of the messages.
+        name: Name of the messages.
         t_us: Time of each since the start of the flight, us, shape (n,).
-        source: The messages that they are part of, with their units.
-        rows: Which of them, shape (n,).
+        source: The messages with their units, of which this topic is a selection.
+        rows: Indices into these messages, shape (n,).
     """
 
     name: str
@@ -176,24 +176,24 @@ class Topic(Timed):
     rows: NDArray[np.int64]
 
     def has(self, *fields: str) -> bool:
-        """Whether every field is there and holds numbers."""
+        """Whether the topic has every field as numbers."""
         return all(f in self.source.data and not self.source.definition.is_text(f) for f in fields)
 
     def raw(self, name: str) -> Array:
         """Numbers of a field as they are in the file, after the divisor of its format."""
         values = self.source.data[name][self.rows]
-        with np.errstate(invalid="ignore"):  # damaged logs hold signalling NaN
+        with np.errstate(invalid="ignore"):  # damaged logs contain signalling NaN
             return np.asarray(values.astype(np.float64))
 
     def documented(self, column: str) -> tuple[str, float]:
-        """Unit of a field by ArduPilot's history, and times which its number is in that unit."""
+        """Documented unit of a field in ArduPilot, and the factor from its number to that unit."""
         layout = self.source.definition
         return documented_unit(self.name, column, layout.letters[layout.columns.index(column)])
 
     def si(self, fields: Sequence[str]) -> Array:
         """Fields side by side in SI, shape (n, len(fields)).
 
-        In the unit that the log gives, else (before ArduPilot 3.6) in the documented one.
+        From the unit in the log, else (before ArduPilot 3.6) from the documented one.
         """
         units = self.source.units
         scaled = []
@@ -206,23 +206,24 @@ class Topic(Timed):
             return np.column_stack(scaled)
 
     def contradicted(self, fields: Sequence[str]) -> list[str]:
-        """Those of the fields that the log gives in a unit of another kind."""
+        """Fields whose unit in the log is one of another quantity."""
         labels = self.source.units.labels
         return [f for f in fields if in_si(labels.get(f, ""), self.documented(f)[0])[1]]
 
 
 @dataclass(slots=True)
 class ArduPilotLog(FindingCollector):
-    """One DataFlash log on the clock of a flight.
+    """One DataFlash log in time of a flight.
 
     Attributes:
-        path: File.
-        content: What it holds.
-        start_us: Time since boot that counts as 0, us.
-        length_us: Length of the flight from there, the rest is not used; None: all of the log is.
-        params: Parameters as they are at the end of the log.
-        changed: Parameters that change in it.
-        findings: Grows while the log is read.
+        path: Path of the file.
+        content: Content of the file.
+        start_us: Time since boot that is time 0, us.
+        length_us: Length of the flight from time 0; later data are not used; None: all of the log
+            is used.
+        params: Parameters at the end of the log.
+        changed: Parameters that change during the log.
+        findings: Findings so far.
     """
 
     path: Path
@@ -233,7 +234,7 @@ class ArduPilotLog(FindingCollector):
     changed: frozenset[str] = frozenset()
     findings: list[Finding] = field(default_factory=list)
     _dropped: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
-    """Of messages by name: those whose time is another clock's."""
+    """Masks of messages with a time of another clock, by name."""
     _topics: dict[tuple[str, int | None], Topic | None] = field(default_factory=dict)
 
     def texts(self, name: str, column: str) -> list[str]:
@@ -252,12 +253,12 @@ class ArduPilotLog(FindingCollector):
         return [k for k, n in enumerate(names) if n in self.content.messages]
 
     def topic(self, name: str, instance: int | None = None, *needs: str) -> Topic | None:
-        """Messages in order, None where the log has none with these fields.
+        """Messages in order of time, None where the log has none with these fields.
 
         Args:
-            name: As of ArduPilot 4.1.
-            instance: Which of several; None: all of them, for messages that have no instances.
-            needs: Fields.
+            name: Name of the message as in ArduPilot 4.1.
+            instance: Number of the instance; None: all messages, for messages without instances.
+            needs: Names of required fields, separated by spaces.
         """
         key = (name, instance)
         if key not in self._topics:
@@ -265,22 +266,22 @@ class ArduPilotLog(FindingCollector):
         return with_fields(self, name, self._topics[key], needs)
 
     def cut_to(self, begin_us: int, end_us: int) -> None:
-        """Use a part of the log alone, and count time from its begin.
+        """Restrict a log to a part of it, and count time from the start of that part.
 
         Args:
-            begin_us: Begin, us, on the clock of the log so far.
-            end_us: End.
+            begin_us: Start, us, in time of the log so far.
+            end_us: End, us, in the same time.
         """
         self.start_us += begin_us
         self.length_us = end_us - begin_us
         self._topics.clear()
 
     def whole(self, name: str, instance: int | None = None) -> Topic | None:
-        """The same over all of the log, also outside the flight, without findings."""
+        """Messages as from `topic`, but also outside the flight, and without findings."""
         return self._ordered(name, instance, with_findings=False)
 
     def _messages(self, name: str, instance: int | None) -> tuple[Messages, NDArray[np.int64]]:
-        """Messages of an instance: those they are among, and which rows."""
+        """All messages with the name of an instance, and the row numbers of the instance."""
         messages = self.content.messages.get(name)
         column = _instance(messages) if messages is not None else ""
         if messages is not None and (instance is None or column):
@@ -344,7 +345,7 @@ def open_ardupilot(path: Path, blob: bytes) -> ArduPilotLog:
         blob: Content of the file.
 
     Raises:
-        LogError: Nothing in it can be used.
+        LogError: Nothing in the file can be used.
     """
     wanted = {*STEADY, *SELDOM, *EVENTS, "TIME"}
     binary = blob.startswith(MARK)
@@ -378,8 +379,8 @@ def open_ardupilot(path: Path, blob: bytes) -> ArduPilotLog:
 
 
 def _stamped(found: Mapping[str, Messages]) -> dict[str, Messages]:
-    """Messages that have a clock, and events that have none (up to Copter 3.2) with the time of the
-    last message before them in the file that has one, the first one's before that."""
+    """Messages with times; events without any (up to Copter 3.2) get the time of the last message
+    with one before them in the file, or of the first."""
     timed = {n: m for n, m in found.items() if clock_of(m.data) and len(m.places)}
     steady = [m for n, m in timed.items() if n in STEADY]
     if not steady:
@@ -396,13 +397,13 @@ def _stamped(found: Mapping[str, Messages]) -> dict[str, Messages]:
 
 
 def _used_stamps(log: ArduPilotLog, name: str, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Stamps of the messages that are used, in order."""
+    """Time stamps of the messages in use, in order."""
     dropped = log._dropped.get(name)
     return np.sort(stamps if dropped is None else stamps[~dropped])
 
 
 def _note_damage(log: ArduPilotLog, damage: Damage, size: int) -> None:
-    """Findings on a log cut short or damaged; `size` is that of a binary one."""
+    """Findings on a truncated or damaged log; `size` is that of a binary one."""
     places = f"{damage.stretches} {'place' if damage.stretches == 1 else 'places'}"
     message = f"damaged: {damage.lost} bytes in {places} make no sense and are not used"
     log.note("error", "log", message, damage.lost)
@@ -424,7 +425,7 @@ def _note_damage(log: ArduPilotLog, damage: Damage, size: int) -> None:
 
 
 def _drop_misplaced(log: ArduPilotLog, timed: Mapping[str, NDArray[np.int64]]) -> None:
-    """Drop messages stamped far from their neighbours in the file; doubt whole topics."""
+    """Drop messages stamped far from their neighbours in the file; findings on topics with many."""
     names = [n for n in timed if n not in EVENTS]
     places = [log.content.messages[n].places for n in names]
     stamps = [np.clip(timed[n] - log.start_us, -_LONGEST_US, _LONGEST_US) for n in names]
@@ -435,7 +436,7 @@ def _drop_misplaced(log: ArduPilotLog, timed: Mapping[str, NDArray[np.int64]]) -
 
 
 def _parameters(log: ArduPilotLog) -> None:
-    """Parameters, and those that change; values that are none are left out."""
+    """Parameters, and the names of those that change; invalid values are dropped."""
     messages = log.content.messages.get("PARM")
     if messages is None or not {"Name", "Value"} <= set(messages.data):
         return
@@ -445,7 +446,7 @@ def _parameters(log: ArduPilotLog) -> None:
     ):
         if not np.isfinite(value):
             continue
-        value = float(f"{value:.7g}")  # written as float
+        value = float(f"{value:.7g}")  # logged as float32
         if log.params.get(name, value) != value:
             changed.add(name)
         log.params[name] = value
@@ -454,22 +455,22 @@ def _parameters(log: ArduPilotLog) -> None:
 
 # -- firmware, board, frame ---------------------------------------------------------------------
 #
-# Which firmware wrote a log, on which board, of which frame.
+# Firmware, board and frame of a log.
 
 OTHERS = re.compile(r"(?:Ardu|APM:)(Plane|Rover|Sub)|AntennaTracker|Blimp")
-"""Firmware that flies no multirotor, but for quadplanes."""
-_FIRMWARE = re.compile(r"Ardu|APM:|AntennaTracker|Blimp")  # how its message begins
+"""Firmware of vehicles that are no multirotors, except for quadplanes."""
+_FIRMWARE = re.compile(r"Ardu|APM:|AntennaTracker|Blimp")  # start of its message
 _FRAME = re.compile(r"Frame: (\w+)")  # message of Copter up to 3.4
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """The frame that a log names.
+    """Frame named in a log.
 
     Attributes:
         kind: FRAME_CLASS, 0 where the log has none.
         form: FRAME_TYPE.
-        source: Where it is named.
+        source: Message or parameter that names the frame.
     """
 
     kind: int
@@ -478,8 +479,8 @@ class Frame:
 
 
 def frame_of(log: ArduPilotLog) -> Frame:
-    """FRAME_CLASS and FRAME_TYPE, of quadplanes with `Q_`; up to Copter 3.4 the frame of which the
-    firmware is (message `Frame: QUAD`) and FRAME."""
+    """FRAME_CLASS and FRAME_TYPE, for quadplanes with `Q_`; up to Copter 3.4 the frame of the
+    firmware (message `Frame: QUAD`) and FRAME."""
     for stem in ("", "Q_"):
         if f"{stem}FRAME_CLASS" in log.params:
             kind, form = (log.params.get(f"{stem}FRAME_{k}", 1.0) for k in ("CLASS", "TYPE"))
@@ -494,13 +495,14 @@ def frame_of(log: ArduPilotLog) -> Frame:
 
 
 def firmware(log: ArduPilotLog) -> str:
-    """What the log says of its firmware, "" where it says nothing."""
+    """Firmware named in the log, "" without any."""
     texts = log.texts("VER", "FWS") + log.texts("MSG", "Message")
     return next((t for t in texts if _FIRMWARE.match(t) and re.search(r"[Vv]\d|solo-", t)), "")
 
 
 def board(log: ArduPilotLog) -> str:
-    """The message of a board and its serial number: a name, three words of eight hex digits."""
+    """The message with a board's name and serial number: a name, three words of eight hex
+    digits."""
     for text in log.texts("MSG", "Message"):
         words = text.split()
         if len(words) == 4 and all(len(w) == 8 and _is_hex(w) for w in words[1:]):
@@ -514,14 +516,14 @@ def _is_hex(word: str) -> bool:
 
 # -- parameters ---------------------------------------------------------------------------------
 #
-# What parameters of ArduPilot say of motors, filters and limits, by the names of Copter or, with
-# `Q_` before them, of Plane's quadplanes.
+# Parameters of ArduPilot on motors, filters and limits, by the names in Copter or, with prefix
+# `Q_`, in Plane's quadplanes.
 
 MOTOR_FUNCTIONS = {**{33 + k: k + 1 for k in range(8)}, **{82 + k: k + 9 for k in range(4)}}
-"""SERVOn_FUNCTION of an output that drives a motor: the number of the motor."""
+"""Motor number by SERVOn_FUNCTION of an output that drives a motor."""
 _OUTPUTS = 32  # SERVO1 to SERVO32
 TRICOPTER = (1, 2, 4)
-"""Its motors by number."""
+"""Motor numbers of a tricopter."""
 _DIGITAL = range(4, 9)
 """MOT_PWM_TYPE of DShot, whose outputs are logged as 1000 to 2000."""
 _DIGITAL_US = (1000.0, 2000.0)  # range of outputs without pulses of their own
@@ -535,25 +537,26 @@ def motor_value(params: Mapping[str, float], name: str, default: float) -> float
 
 
 def motor_channels(params: Mapping[str, float]) -> list[int]:
-    """Output, from 1, of motor 1, 2, ... by SERVOn_FUNCTION; [] where that leaves a hole.
+    """Output number, from 1, of motor 1, 2, ... by SERVOn_FUNCTION; [] where a motor has none.
 
     A tricopter has motors 1, 2 and 4.
     """
     outputs = {}
-    for n in range(_OUTPUTS, 0, -1):  # of two outputs for one motor the first counts
+    for n in range(_OUTPUTS, 0, -1):  # of two outputs for one motor the first is used
         function = int(params.get(f"SERVO{n}_FUNCTION", 0.0))
         if function in MOTOR_FUNCTIONS:
             outputs[MOTOR_FUNCTIONS[function]] = n
     motors = sorted(outputs)
     if motors[:3] == list(TRICOPTER) and 3 not in motors:
-        motors = list(TRICOPTER)  # the seventh tilts the tail
+        motors = list(TRICOPTER)  # motor 7 is the servo that tilts the tail
     elif motors != list(range(1, len(motors) + 1)):
         return []
     return [outputs[m] for m in motors]
 
 
 def pulse_range_us(params: Mapping[str, float]) -> tuple[float, float]:
-    """Pulse widths of command 0 and 1, us: of MOT_PWM_MIN and _MAX, else of the throttle stick."""
+    """Pulse widths of command 0 and 1, us: from MOT_PWM_MIN and _MAX, else from the throttle
+    stick."""
     if int(motor_value(params, "MOT_PWM_TYPE", 0.0)) in _DIGITAL:
         return _DIGITAL_US
     low, high = (motor_value(params, f"MOT_PWM_{k}", 0.0) for k in ("MIN", "MAX"))

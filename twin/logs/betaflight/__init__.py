@@ -1,1 +1,1 @@
-"""Betaflight Blackbox logs -> Flight; Betaflight's units, axes and names stand here alone."""
+"""Reader of Betaflight Blackbox logs; the only package with Betaflight's units, axes and names."""

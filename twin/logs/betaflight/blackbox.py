@@ -1,10 +1,10 @@
 """Betaflight Blackbox log -> Flight.
 
 Axes of Betaflight: body x forward, y left, z up (roll right, nose down and nose left are positive);
-world x north, y west, z up. Half a turn about x makes them FRD and NED. The accelerometer at rest
-reads +1 g along z. Source: Betaflight's mixer.c, rc.c, imu.c and sitl.c: the mixer raises the rear
-motors for a positive pitch, the left ones for a positive roll; stick forward and stick right are
-positive there, and yaw is taken negative of the stick.
+world x north, y west, z up. Half a turn about x converts them to FRD and NED. The accelerometer at
+rest reads +1 g along z. Source: Betaflight's mixer.c, rc.c, imu.c and sitl.c: the mixer raises the
+rear motors for a positive pitch, the left ones for a positive roll; stick forward and stick right
+are positive there, and yaw is the negative of the stick.
 """
 
 import re
@@ -42,23 +42,23 @@ from .frames import DISARM, MODES, SYNC_BEEP, BlackboxLog, open_blackbox
 
 Times = NDArray[np.int64]
 TURNED = np.array((1.0, -1.0, -1.0))
-"""From Betaflight's axes to FRD or NED."""
+"""Conversion from Betaflight's axes to FRD or NED."""
 _FULL_16_BITS = 32767.0  # value of 1 in imuQuaternion
 _SEA_LEVEL_PA, _SCALE_M, _EXPONENT = 101_325.0, 44_330.0, 0.190295
-"""Betaflight's own height by pressure, barometer.c."""
+"""Constants of Betaflight's height over pressure, barometer.c."""
 _HIGH_RESOLUTION = 10.0  # factor on rates with blackbox_high_resolution
-_FRESH_US = 100_000  # after which a value that did not change counts as new
-_HUNDREDTHS_SINCE = (4, 0)  # release from which on vbatLatest is in 0.01 V
+_FRESH_US = 100_000  # time after which an unchanged value counts as a new sample
+_HUNDREDTHS_SINCE = (4, 0)  # release from which vbatLatest is in 0.01 V
 
 
 def vector_fields(stem: str) -> tuple[str, ...]:
-    """Fields of three axes."""
+    """Names of the fields of three axes."""
     return tuple(f"{stem}[{k}]" for k in range(3))
 
 
 def rate_scale(log: BlackboxLog) -> float:
-    """From logged rates to rad/s: `gyro_scale` is degrees per second, a tenth of it with
-    blackbox_high_resolution. NaN: the head does not say."""
+    """Factor from logged rates to rad/s: `gyro_scale` is degrees per second, a tenth of it with
+    blackbox_high_resolution. NaN: the head does not contain it."""
     scale = log.header.bits("gyro_scale")
     fine = log.header.number("blackbox_high_resolution", 0.0) > 0.0
     if scale is None or not np.isfinite(scale) or scale <= 0.0:
@@ -67,13 +67,14 @@ def rate_scale(log: BlackboxLog) -> float:
 
 
 def gyro_field(log: BlackboxLog) -> str:
-    """The rates that are read: before the filters on board where they are logged."""
+    """Field of the body rates: those before the filters on board where they are logged."""
     main = log.recording.main
     return next((f for f in ("gyroUnfilt", "gyroADC") if main.has(*vector_fields(f))), "")
 
 
 def accel_cutoff_hz(log: BlackboxLog) -> float:
-    """Low-pass before the logged acceleration, Hz; 0: none. The head has 100 times as much."""
+    """Cut-off of the low-pass before the logged acceleration, Hz; 0: none. The head has 100 times
+    that."""
     return max(log.header.number("acc_lpf_hz", 0.0), 0.0) / 100.0
 
 
@@ -85,14 +86,14 @@ def add(
     t_us: Times,
     values: Array,
 ) -> None:
-    """Add a signal whose times are those of the firmware."""
+    """Add a signal with times of the firmware's clock."""
     t_us = t_us - log.start_us
     keep = monotonic_samples(log, where, t_us, "frames")
     flight.add(where, names, t_us[keep], values[keep])
 
 
 def add_signals(log: BlackboxLog, flight: FlightBuilder) -> None:
-    """Everything but motors and satellites."""
+    """Add all signals but motors and satellites."""
     _add_gyro(log, flight)
     _add_acceleration(log, flight)
     _add_attitude(log, flight)
@@ -133,7 +134,7 @@ def _add_acceleration(log: BlackboxLog, flight: FlightBuilder) -> None:
 
 
 def _add_attitude(log: BlackboxLog, flight: FlightBuilder) -> None:
-    """The vector part of the quaternion; its scalar part is never negative."""
+    """Add the attitude from the vector part of a quaternion with non-negative scalar part."""
     main = log.recording.main
     if not main.has(*vector_fields("imuQuaternion")):
         return
@@ -146,7 +147,8 @@ def _add_attitude(log: BlackboxLog, flight: FlightBuilder) -> None:
 
 
 def _add_barometer(log: BlackboxLog, flight: FlightBuilder) -> None:
-    """Height over the place of arming, as the pressure that Betaflight's formula has there."""
+    """Add the pressure that gives the logged height over the place of arming by Betaflight's
+    formula."""
     main = log.recording.main
     if not main.has("baroAlt"):
         return
@@ -182,8 +184,8 @@ def _add_battery(log: BlackboxLog, flight: FlightBuilder) -> None:
 
 
 def _fresh(t_us: Times, values: Array) -> NDArray[np.int64]:
-    """Of a signal that is measured seldom and logged often: where it changes, or 0.1 s after
-    the last one."""
+    """Indices of new samples of a slow signal that is logged often: where it changes, or 0.1 s
+    after the last one."""
     changed = np.append(True, np.any(np.diff(values, axis=0) != 0.0, axis=1)).tolist()
     fresh, last = [], -_FRESH_US
     for k, (t, new) in enumerate(zip((t_us - t_us[0]).tolist(), changed, strict=True)):
@@ -206,7 +208,7 @@ _DATE = re.compile(r"(20\d\d)-(\d\d)-(\d\d)T")
 
 
 def add_satellites(log: BlackboxLog, flight: FlightBuilder) -> SourcedValue[Place] | None:
-    """Positions and velocities of the fixes into the table; where they are counted from."""
+    """Add positions and velocities of the fixes; returns the origin of the positions."""
     gps = log.recording.gps
     if not gps.has(*_COORDINATES, "GPS_numSat", "GPS_altitude"):
         return None
@@ -234,7 +236,7 @@ def add_satellites(log: BlackboxLog, flight: FlightBuilder) -> SourcedValue[Plac
 
 
 def _year(log: BlackboxLog) -> float | None:
-    """Decimal year by the clock of the flight controller, None where it has none."""
+    """Decimal year by the clock of the flight controller, None where the clock is not set."""
     found = _DATE.match(log.header.settings.get("Log start datetime", ""))
     if found is None:
         return None
@@ -251,7 +253,7 @@ def site_of(origin: SourcedValue[Place] | None) -> Site | None:
 
 # -- motors -------------------------------------------------------------------------------------
 #
-# Motor outputs and rotor speeds of a Blackbox log, and what they say of the mixer.
+# Motor outputs and rotor speeds of a Blackbox log, and the mixer inferred from them.
 #
 # Motors of Betaflight's QUADX: 1 rear right, 2 front right, 3 rear left, 4 front left; 1 and 4 turn
 # clockwise unless yaw_motors_reversed. Source: mixer.c and motor.h of Betaflight, and its manual.
@@ -262,27 +264,27 @@ _DSHOT_STOP, _DSHOT_FULL = 48.0, 2047.0  # DSHOT values of command 0 and 1
 _PULSE_STOP, _PULSE_FULL = 1000.0, 2000.0  # us, defaults of mincommand and maxthrottle
 _FEATURE_3D = 1 << 12  # bit of features
 _PER_ERPM = 100.0 * 2.0 * np.pi / 60.0  # rad/s of a hundred revolutions per minute
-_TURNING = 0.05  # command from which on a rotor must report a speed
-_MOST_SILENT = 0.2  # share of frames without such a report
-_SURE = 0.5  # correlation from which on the mixer counts as known
+_TURNING = 0.05  # command from which a rotor must report a speed
+_MOST_SILENT = 0.2  # share of frames without a report
+_SURE = 0.5  # correlation from which the mixer is confirmed
 _QUAD = {
     "roll": np.array((-1.0, -1.0, 1.0, 1.0)),
     "pitch": np.array((1.0, -1.0, 1.0, -1.0)),
     "yaw": np.array((1.0, -1.0, -1.0, 1.0)),
 }
-"""What QUADX adds to each motor for a positive output of a controller."""
+"""Sign of each motor's output in QUADX for a positive output of a controller."""
 _CONFIRMED = "QUADX, as the motors follow the controllers"  # source of a layout
 _DOUBT = "four motors, taken for QUADX"  # source of a layout
 
 
 @dataclass(frozen=True, slots=True)
 class Motors:
-    """The outputs.
+    """Outputs of the motors.
 
     Attributes:
-        count: Number of them.
-        commands: 0..1, shape (n, count); None: left out.
-        pulse_us: Pulse widths that stand for 0 and 1; None: digital.
+        count: Number of motors.
+        commands: Commands 0..1, shape (n, count); None: omitted.
+        pulse_us: Pulse widths of commands 0 and 1; None: digital.
     """
 
     count: int
@@ -291,7 +293,7 @@ class Motors:
 
 
 def add_motors(log: BlackboxLog, flight: FlightBuilder) -> Motors:
-    """Commands and rotor speeds into the table."""
+    """Add commands and rotor speeds to the table."""
     main = log.recording.main
     count = next((k for k in range(MAX_MOTORS) if f"motor[{k}]" not in main.names), MAX_MOTORS)
     if count < MIN_MOTORS:
@@ -313,7 +315,7 @@ def add_motors(log: BlackboxLog, flight: FlightBuilder) -> Motors:
 
 
 def _range(log: BlackboxLog) -> tuple[float, float, bool]:
-    """Outputs for a motor that stands and for full power, and whether they are digital."""
+    """Outputs for a stopped motor and for full power, and whether they are digital."""
     header = log.header
     outputs = header.numbers("motorOutput")
     protocol = header.whole("motor_pwm_protocol", -1)
@@ -325,7 +327,7 @@ def _range(log: BlackboxLog) -> tuple[float, float, bool]:
 
 
 def _add_speeds(log: BlackboxLog, flight: FlightBuilder, commands: Array) -> None:
-    """Rotor speeds of bidirectional DSHOT: hundreds of electrical revolutions per minute."""
+    """Add rotor speeds of bidirectional DSHOT: hundreds of electrical revolutions per minute."""
     main, count = log.recording.main, commands.shape[1]
     fields = next(
         (
@@ -355,8 +357,8 @@ def _add_speeds(log: BlackboxLog, flight: FlightBuilder, commands: Array) -> Non
 
 
 def mixer_correlation(log: BlackboxLog, motors: Motors) -> dict[str, float]:
-    """Correlation of what each controller puts out with what QUADX makes of it, by axis; {} where
-    the log has not got both."""
+    """Correlation of each controller's output with that of QUADX computed from the motors, by axis;
+    {} where the log does not have both."""
     main = log.recording.main
     if motors.count != 4 or motors.commands is None:
         return {}
@@ -373,7 +375,7 @@ def mixer_correlation(log: BlackboxLog, motors: Motors) -> dict[str, float]:
 
 
 def layout_of(log: BlackboxLog, motors: Motors, facts: dict[str, str]) -> Layout | None:
-    """Where the motors are and how they turn, None where that is not known; adds to the facts."""
+    """Positions and directions of the rotors, None where they are not known; adds to the facts."""
     if motors.count != 4:
         return None
     correlation = mixer_correlation(log, motors)
@@ -406,11 +408,11 @@ def layout_of(log: BlackboxLog, motors: Motors, facts: dict[str, str]) -> Layout
 
 # -- the autopilot ------------------------------------------------------------------------------
 #
-# What Betaflight itself says of a flight and of its filters.
+# Betaflight's own records of a flight and of its filters.
 
 _ARMED, _ANGLE, _HORIZON = 1, 2, 4
-"""Bits of the flight modes; those above mean other things in other versions."""
-_REASONS = {  # of a disarming, core.h
+"""Bits of the flight modes; higher ones have other meanings in other versions."""
+_REASONS = {  # for disarming, core.h
     0: "arming disabled",
     1: "failsafe",
     2: "throttle timeout",
@@ -424,10 +426,10 @@ _REASONS = {  # of a disarming, core.h
     10: "crash flip",
     255: "system",
 }
-_ALARMING = (1, 5, 6)  # reasons that are warnings
+_ALARMING = (1, 5, 6)  # reasons for disarming that are warnings
 _FAILSAFES = {1: "signal of the receiver lost", 2: "failsafe landing", 3: "failsafe landed"}
-"""FailsafePhase."""
-_LEAST_HZ = 1.0  # of a filter that is switched on
+"""Text by FailsafePhase."""
+_LEAST_HZ = 1.0  # cut-off of an enabled filter
 
 
 def from_betaflight(log: BlackboxLog, end_s: float) -> Autopilot:
@@ -454,7 +456,7 @@ def _seconds(log: BlackboxLog, t_us: Times) -> Array:
 
 
 def _flags(log: BlackboxLog) -> tuple[Array, NDArray[np.int64]]:
-    """Flags of the modes and when they were reported, s: by S frames and by events."""
+    """Mode flags and the times at which they were reported, s: from S frames and events."""
     slow = log.recording.slow
     reports: list[tuple[int, int]] = []
     if slow.has("flightModeFlags"):
@@ -487,7 +489,7 @@ def _failsafes(log: BlackboxLog, end_s: float) -> tuple[Interval, ...]:
 
 
 def _messages(log: BlackboxLog, end_s: float) -> tuple[Message, ...]:
-    """Why it was disarmed, and when the beeper said that it was armed."""
+    """Reason for disarming, and time of the beep on arming."""
     found = []
     for event in log.recording.events:
         t_s = min(max((event.t_us - log.start_us) * 1e-6, 0.0), end_s)
@@ -512,10 +514,10 @@ def _rates(log: BlackboxLog) -> Setpoint | None:
 
 
 def filters_of(log: BlackboxLog) -> tuple[Filter, ...]:
-    """Low-passes and notches that are switched on, by frequency.
+    """Low-passes and notches that are enabled, by frequency.
 
-    A dynamic low-pass follows the throttle from the first of two frequencies up; the notches of
-    the rotors have harmonics at whole multiples.
+    A dynamic low-pass follows the throttle upwards from the first of two frequencies; the notches
+    of the rotors have harmonics at integer multiples.
     """
     header = log.header
     found = []
@@ -546,13 +548,13 @@ def filters_of(log: BlackboxLog) -> tuple[Filter, ...]:
 # -- the flight ---------------------------------------------------------------------------------
 
 _ADVICE = "Enable the fields GYRO, ACC and MOTOR of Blackbox (blackbox_disable_*) and fly again."
-"""Where nothing of the motion is logged."""
-_SHOWN = 60  # characters of a text of the head
+"""Advice where no signal of the motion is logged."""
+_SHOWN = 60  # characters of a text in the head
 
 
 def read_blackbox(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     """Read a Blackbox log of Betaflight, of several flights in a file the longest; arguments and
-    errors as of `formats.Reader`."""
+    errors as in `formats.Reader`."""
     log, which = open_blackbox(path, blob)
     flight = FlightBuilder(log, path, {"firmware": log.firmware[:_SHOWN] or "Betaflight"})
     facts = flight.facts
@@ -583,7 +585,7 @@ def _facts(log: BlackboxLog) -> dict[str, str]:
 def _airframe(
     log: BlackboxLog, motors: Motors, origin: SourcedValue[Place] | None, layout: Layout | None
 ) -> Airframe:
-    """What the log says of the aircraft."""
+    """Facts of the aircraft in the log."""
     cutoff_hz, pulse = accel_cutoff_hz(log), motors.pulse_us
     on_gyro = [f for f in filters_of(log) if f.sensor == "gyro"]
     words = ", ".join(f"{f.kind} {f.frequency_hz:g} Hz ({f.source})" for f in on_gyro)

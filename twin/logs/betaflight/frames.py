@@ -1,9 +1,9 @@
-"""The frames of one flight of a Blackbox log: whole ones (I), differences to those before (P), and
-what comes seldom: S (modes), G and H (satellites), E (events).
+"""The frames of one flight of a Blackbox log: complete ones (I), differences to previous ones (P),
+and rare ones: S (modes), G and H (satellites), E (events).
 
-A frame is a letter and what its definition lists, without length or checksum. Signs of
-damage: a frame after which no frame begins, numbers that cannot be, a time that jumps. Source:
-Betaflight's documentation, "Blackbox logging internals", and blackbox.c.
+A frame is a letter and the fields of its definition, without length or checksum. Signs of damage: a
+frame after which no frame begins, impossible numbers, a time that jumps. Source: Betaflight's
+documentation, "Blackbox logging internals", and blackbox.c.
 """
 
 import re
@@ -41,28 +41,28 @@ from .header import (
 )
 
 SYNC_BEEP, ADJUSTMENT, RESUME, DISARM, MODES, END = 0, 13, 14, 15, 30, 255
-"""Kinds of events."""
-_END_TEXT = b"End of log\0"  # of the event END
+"""Numbers of the kinds of events."""
+_END_TEXT = b"End of log\0"  # text of the event END
 _LONGEST = 256  # bytes of a frame; longer ones are damage
-_JUMP_US = 10_000_000  # between two frames; larger steps are damage
-_JUMP_LOOPS = 5000  # the same by loop number
-_WORD, _HALF = 0xFFFFFFFF, 0x80000000  # 32 bits, and the sign among them
+_JUMP_US = 10_000_000  # largest step between two frames; more is damage
+_JUMP_LOOPS = 5000  # largest step in loops
+_WORD, _HALF = 0xFFFFFFFF, 0x80000000  # mask of 32 bits, and their sign bit
 _MAIN, _LETTERS = "IP", "IPSGHE"  # letters of main frames, and of all
 
 
 @dataclass(slots=True)
 class Damage:
-    """What of a flight could not be used.
+    """Parts of a flight that could not be used.
 
     Attributes:
-        lost: Bytes of which nothing could be made.
-        places: Stretches of them.
-        unfounded: P frames whose predecessor was lost.
-        rejected: I frames whose time or number jumps, alone among the others.
-        missing: Logged loops that are not there, by the numbers of the I frames.
-        ended: Whether the firmware says that the log ends.
-        cut: Bytes at the end that begin a frame.
-        behind: Bytes behind the end that are no filling.
+        lost: Number of bytes that could not be decoded.
+        places: Number of stretches of such bytes.
+        unfounded: Number of P frames whose predecessor was lost.
+        rejected: Number of single I frames whose time or loop number jumps.
+        missing: Number of logged loops that are missing, by the numbers of the I frames.
+        ended: Whether the firmware logged the end.
+        cut: Bytes of an incomplete frame at the end.
+        behind: Bytes after the end that are no padding.
     """
 
     lost: int = 0
@@ -80,10 +80,10 @@ class Table:
     """Frames of one kind.
 
     Attributes:
-        names: Of the columns.
-        t_us: Time of each since the start of the firmware, us, shape (n,); S and E frames have
-            that of the frame before them.
-        values: As logged, shape (n, len(names)).
+        names: Names of the columns.
+        t_us: Time of each frame since the start of the firmware, us, shape (n,); S and E frames
+            have that of the frame before them.
+        values: Logged values, shape (n, len(names)).
     """
 
     names: tuple[str, ...]
@@ -91,7 +91,7 @@ class Table:
     values: NDArray[np.int64]
 
     def has(self, *names: str) -> bool:
-        """Whether all are there, with a frame at least."""
+        """Whether the table has all these columns, with at least one frame."""
         return bool(len(self.t_us)) and set(names) <= set(self.names)
 
     def columns(self, names: Sequence[str]) -> NDArray[np.float64]:
@@ -102,12 +102,12 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """What happened.
+    """An event of a flight.
 
     Attributes:
-        kind: One of those above.
+        kind: One of the kinds above.
         t_us: Time of the frame before it.
-        values: Of its kind.
+        values: Values of the event, by its kind.
     """
 
     kind: int
@@ -117,14 +117,14 @@ class Event:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """One flight.
+    """Frames of one flight.
 
     Attributes:
-        main: I and P frames.
+        main: Main frames I and P.
         slow: S frames.
-        gps: G frames, coordinates in full.
+        gps: G frames, with absolute coordinates.
         events: E frames.
-        damage: What is missing.
+        damage: Missing parts.
     """
 
     main: Table
@@ -135,14 +135,14 @@ class Recording:
 
 
 def read_frames(header: Header, data: bytes) -> Recording:
-    """Decode what follows the head of a flight.
+    """Decode the frames after the head of a flight.
 
     Args:
         header: The head.
-        data: From its end to that of the flight.
+        data: Bytes from the end of the head to the end of the flight.
 
     Raises:
-        ValueError: The head does not say how.
+        ValueError: The head lacks the definitions.
     """
     stream = _Stream(header, data)
     stream.run()
@@ -169,7 +169,7 @@ class _Rows:
         self.values.extend(values)
 
     def table(self, names: tuple[str, ...]) -> Table:
-        """All of them."""
+        """The table of all frames so far."""
         t_us = np.array(self.t_us, dtype=np.int64)
         values = np.array(self.values, dtype=np.int64).reshape(len(t_us), len(names))
         wrapped = ((values + _HALF) & _WORD) - _HALF  # as in the 32 bits of the firmware
@@ -177,7 +177,7 @@ class _Rows:
 
 
 def _constants(header: Header) -> Mapping[int, int]:
-    """By predictor what the head says."""
+    """Constants of the head by predictor."""
     return {
         MINTHROTTLE: header.whole("minthrottle", 0),
         MID_1500: 1500,
@@ -188,7 +188,7 @@ def _constants(header: Header) -> Mapping[int, int]:
 
 @dataclass(slots=True)
 class _Stream:
-    """The frames while they are read."""
+    """Decoder of a flight's frames."""
 
     header: Header
     data: bytes
@@ -198,18 +198,18 @@ class _Stream:
     events: list[Event] = field(default_factory=list)
     damage: Damage = field(default_factory=Damage)
     _history: tuple[list[int], list[int]] | None = None
-    """The two main frames before; None: lost."""
+    """The two previous main frames; None: lost."""
     _last: tuple[int, int] | None = None
-    """Number of the loop and unwrapped time, us, of the last main frame that was used."""
+    """Loop number and unwrapped time, us, of the last accepted main frame."""
     _doubted: tuple[int, int] | None = None
-    """The same of an I frame that was not."""
+    """Loop number and unwrapped time, us, of a rejected I frame."""
     _home: tuple[int, ...] = ()
     _resumed: bool = False
     _readers: dict[str, Read] = field(default_factory=dict)
     _predicted: dict[str, tuple[tuple[int, int, int], ...]] = field(default_factory=dict)
     _interval: tuple[int, int, int] = (1, 1, 1)
     _motor: int = 0
-    """Where motor[0] is among the fields."""
+    """Index of motor[0] among the fields."""
 
     def run(self) -> None:
         """Read all frames."""
@@ -235,7 +235,7 @@ class _Stream:
             self._at_the_end(data[lost_from:])
 
     def _at_the_end(self, rest: bytes) -> None:
-        """What is lost at the very end: filling of a flash chip, or a frame that was cut."""
+        """Count the bytes lost at the end: padding of a flash chip, or an incomplete frame."""
         self.damage.lost -= len(rest)
         self.damage.places -= 1
         self.damage.cut = len(rest.strip(b"\xff\0"))
@@ -256,7 +256,7 @@ class _Stream:
             )
 
     def _frame(self, letter: str, begin: int) -> int:
-        """Read a frame; where it ends, -1 where there is none."""
+        """Read a frame; returns the offset of its end, -1 where there is no frame."""
         try:
             if letter == "E":
                 return self._event(begin + 1)
@@ -274,7 +274,7 @@ class _Stream:
         return end
 
     def _goes_on(self, at: int) -> bool:
-        """Whether another frame begins there, or the file ends."""
+        """Whether another frame begins at this offset, or the file ends."""
         if at >= len(self.data):
             return True
         letter = chr(self.data[at])
@@ -295,14 +295,14 @@ class _Stream:
         self.main.add(known[1], values)
 
     def _add_prediction(self, letter: str, values: list[int]) -> None:
-        """Add what is predicted to what was read; of an I frame nothing came before."""
+        """Add the prediction to the decoded values; an I frame has no previous frame."""
         one, two = self._history or (None, None)
         for k, predictor, constant in self._predicted[letter]:
             if predictor == PREVIOUS and one is not None:
                 values[k] += one[k]
             elif predictor == AVERAGE_2 and one is not None and two is not None:
                 total = one[k] + two[k]
-                values[k] += (total + (total < 0)) >> 1  # as C divides
+                values[k] += (total + (total < 0)) >> 1  # rounded as in C
             elif predictor == STRAIGHT_LINE and one is not None and two is not None:
                 values[k] = (values[k] + 2 * one[k] - two[k]) & _WORD
             elif predictor == INCREMENT and one is not None:
@@ -313,7 +313,7 @@ class _Stream:
                 values[k] += constant
 
     def _next_loop(self, number: int) -> int:
-        """Number of the loop that is logged after another."""
+        """Number of the next logged loop."""
         every, several, of = self._interval
         number += 1
         for _ in range(every):
@@ -323,8 +323,8 @@ class _Stream:
         return number
 
     def _accepted(self, letter: str, number: int, time: int) -> tuple[int, int] | None:
-        """Number and unwrapped time of a main frame that follows the one before; else None, and two
-        I frames that follow each other are right."""
+        """Number and unwrapped time of a main frame that follows the previous one; else None,
+        unless two successive I frames agree."""
         if self._last is None:
             return number, time
         for reference in (self._last, self._doubted):
@@ -344,7 +344,7 @@ class _Stream:
         return None
 
     def _count_missing(self, last: int, number: int) -> None:
-        """Loops that should have been logged between a main frame and an I frame."""
+        """Count the loops missing between a main frame and an I frame."""
         following = self._next_loop(last)
         while following < number:
             self.damage.missing += 1
@@ -370,10 +370,10 @@ class _Stream:
             self.gps.add(values[names.index("time")] if "time" in names else now, values)
 
     def _event(self, at: int) -> int:
-        """Read an event; where it ends.
+        """Read an event; returns the offset of its end.
 
         Raises:
-            ValueError: None is known of its kind.
+            ValueError: Its kind is unknown.
             IndexError: The data end.
         """
         data, kind = self.data, self.data[at]
@@ -402,26 +402,26 @@ class _Stream:
 
 # -- the file -----------------------------------------------------------------------------------
 #
-# A Blackbox file opened with care: which flight of it is read, and what of it is damaged.
+# Tolerant reader of a Blackbox file: selection of a flight, and counts of its damage.
 
 _BETAFLIGHT = re.compile(r"(?:Betaflight|EmuFlight)\s*/?\s*(\d+)\.(\d+)")
-"""Name and release in the head."""
+"""Name and release of the firmware in the head."""
 _OTHERS = re.compile(r"INAV|Rotorflight|Baseflight|Cleanflight|Indiflight", re.IGNORECASE)
-"""Firmware of the same format, other units."""
-_LATEST = (2025, 12)  # release that is assumed
+"""Firmware with the same format but other units."""
+_LATEST = (2025, 12)  # assumed release
 _FEWEST = 2  # main frames of a flight
 
 
 @dataclass(slots=True)
 class BlackboxLog(FindingCollector):
-    """One flight of a file on its clock.
+    """One flight of a file in time of the flight.
 
     Attributes:
-        path: File.
-        header: Its head.
-        recording: Its frames.
-        start_us: Time since the start of the firmware that counts as 0, us.
-        findings: Grows while the log is read.
+        path: Path of the file.
+        header: Head of the flight.
+        recording: Frames of the flight.
+        start_us: Time since the start of the firmware that is time 0, us.
+        findings: Findings so far.
     """
 
     path: Path
@@ -432,13 +432,13 @@ class BlackboxLog(FindingCollector):
 
     @property
     def firmware(self) -> str:
-        """Name and version, "" where the head does not say."""
+        """Name and version, "" where the head has none."""
         revision = self.header.settings.get("Firmware revision", "")
         return revision or self.header.settings.get("Firmware type", "")
 
     @property
     def version(self) -> tuple[int, int]:
-        """Of Betaflight; that of the end of 2025 where the head does not say."""
+        """Version of Betaflight; that of the end of 2025 where the head has none."""
         found = _BETAFLIGHT.search(self.firmware)
         return (int(found[1]), int(found[2])) if found else _LATEST
 
@@ -451,10 +451,10 @@ def open_blackbox(path: Path, blob: bytes) -> tuple[BlackboxLog, str]:
         blob: Content of the file.
 
     Returns:
-        The flight, and which one it is, "" where the file has no other.
+        The flight, and text on its selection, "" where the file has no other.
 
     Raises:
-        LogError: Nothing in it can be used.
+        LogError: Nothing in the file can be used.
     """
     parts = flights(blob)
     by_size = sorted(range(len(parts)), key=lambda k: parts[k][0] - parts[k][1])
@@ -490,7 +490,7 @@ def _flight(path: Path, blob: bytes) -> BlackboxLog:
     """One flight.
 
     Raises:
-        ValueError: Nothing in it can be used.
+        ValueError: Nothing in the flight can be used.
     """
     header = read_header(blob)
     recording = read_frames(header, blob[header.size :])
@@ -505,7 +505,7 @@ def _flight(path: Path, blob: bytes) -> BlackboxLog:
 
 
 def _check_firmware(log: BlackboxLog) -> None:
-    """Refuse what writes the same format in other units and axes."""
+    """Refuse firmware that writes the same format in other units and axes."""
     firmware = log.firmware
     if not _BETAFLIGHT.search(firmware) and (other := _OTHERS.search(firmware)):
         raise LogError(
@@ -519,7 +519,7 @@ def _check_firmware(log: BlackboxLog) -> None:
 
 
 def _note_damage(log: BlackboxLog) -> None:
-    """Findings on what is missing."""
+    """Findings on missing and damaged parts."""
     damage: Damage = log.recording.damage
     places = "place" if damage.places == 1 else "places"
     message = f"damaged: bytes in {damage.places} {places} of which nothing can be made"

@@ -1,4 +1,4 @@
-"""The head of a Blackbox log: lines `H name:value`, among them what each kind of frame holds.
+"""The head of a Blackbox log: lines `H name:value`, with the fields of each kind of frame.
 
 Each flight in a file has a head of its own. Source: Betaflight's documentation, "Blackbox logging
 internals", and blackbox.c.
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 MAGIC = b"H Product:Blackbox"
-"""What a log begins with, and each further flight in it."""
+"""First bytes of a log, and of each further flight in it."""
 
 (
     ZERO,
@@ -27,28 +27,28 @@ MAGIC = b"H Product:Blackbox"
     LAST_TIME,
     MINMOTOR,
 ) = range(12)
-"""Predictors: what the number in a frame is added to."""
+"""Predictors: the value to which the number in a frame is added."""
 SIGNED_VB, UNSIGNED_VB, NEG_14BIT, TAG8_8SVB, TAG2_3S32, TAG8_4S16, NULL = 0, 1, 3, 6, 7, 8, 9
 """Encodings that Betaflight uses."""
 ENCODINGS = frozenset((SIGNED_VB, UNSIGNED_VB, NEG_14BIT, TAG8_8SVB, TAG2_3S32, TAG8_4S16, NULL))
-"""That are read."""
-PREDICTORS = frozenset(range(12))  # that are known
+"""Supported encodings."""
+PREDICTORS = frozenset(range(12))  # known predictors
 
-_NEXT_LINE = re.compile(rb"\nH [ -~]{1,80}:")  # of the head, behind a damaged one
+_NEXT_LINE = re.compile(rb"\nH [ -~]{1,80}:")  # start of the line after a damaged one
 _LONGEST_LINE = 4096  # bytes; longer ones are damage
 _MOST_FIELDS = 200  # of a frame; more are damage
 _MOST_INTERVAL = 65_536  # loops between frames; more are damage
-_ITERATION, _TIME = "loopIteration", "time"  # fields that each main frame begins with
+_ITERATION, _TIME = "loopIteration", "time"  # first fields of each main frame
 
 
 @dataclass(frozen=True, slots=True)
 class Fields:
-    """What a kind of frame holds, in order.
+    """Fields of a kind of frame, in order.
 
     Attributes:
-        names: Of the fields.
-        predictors: Of each.
-        encodings: Of each.
+        names: Names of the fields.
+        predictors: Predictor of each field.
+        encodings: Encoding of each field.
     """
 
     names: tuple[str, ...]
@@ -61,11 +61,11 @@ class Header:
     """The head of one flight.
 
     Attributes:
-        settings: By name, as text.
-        frames: What frames hold, by the letter that they begin with.
-        unusable: Kinds of frames whose definition makes no sense, with the reason.
-        damaged: Lines of which nothing can be made.
-        size: Bytes.
+        settings: Settings by name, as text.
+        frames: Fields of frames by their first letter.
+        unusable: Kinds of frames with an invalid definition, and the reason.
+        damaged: Number of unreadable lines.
+        size: Size of the head, bytes.
     """
 
     settings: Mapping[str, str]
@@ -75,7 +75,7 @@ class Header:
     size: int
 
     def numbers(self, name: str) -> tuple[float, ...]:
-        """The numbers of a setting, () where it is not there or is none."""
+        """The numbers of a setting, () where it is missing or not numeric."""
         try:
             return tuple(float(part) for part in self.settings[name].split(","))
         except (KeyError, ValueError):
@@ -86,12 +86,13 @@ class Header:
         return next(iter(self.numbers(name)), default)
 
     def whole(self, name: str, default: int) -> int:
-        """The same as an integer of 32 bits, the default where it is none."""
+        """The first number of a setting as an integer of 32 bits, the default where it is
+        invalid."""
         value = self.number(name, default)
         return int(value) if abs(value) < 2**31 else default
 
     def bits(self, name: str) -> float | None:
-        """A number that is written as the bytes of a float: `0x3f800000` is 1."""
+        """A number written as the bytes of a float: `0x3f800000` is 1."""
         text = self.settings.get(name, "")
         try:
             if text.lower().startswith("0x"):
@@ -103,11 +104,11 @@ class Header:
 
     @property
     def interval(self) -> tuple[int, int, int]:
-        """Loops between I frames, then how many frames are logged (numerator) of how many loops
+        """Loops between I frames, then number of logged frames (numerator) per number of loops
         (denominator); `P interval` is 4, or 1/4 in older logs.
 
         Raises:
-            ValueError: They make no sense.
+            ValueError: The values are invalid.
         """
         every = self.whole("I interval", 1)
         numerator, _, denominator = self.settings.get("P interval", "1").partition("/")
@@ -123,10 +124,10 @@ class Header:
 
 
 def read_header(blob: bytes) -> Header:
-    """The head that a flight begins with; what cannot be read of it is counted.
+    """Head at the start of a flight; unreadable lines are counted.
 
     Args:
-        blob: From the begin of the flight.
+        blob: Bytes from the start of the flight.
     """
     settings: dict[str, str] = {}
     at, damaged = 0, 0
@@ -165,7 +166,7 @@ def _frames(settings: Mapping[str, str]) -> tuple[dict[str, Fields], dict[str, s
 
 
 def _fields(settings: Mapping[str, str], letter: str) -> Fields:
-    """Fields of one kind of frame; those of P are those of I, written otherwise."""
+    """Fields of one kind of frame; those of P are those of I, in other encodings."""
     of = "I" if letter == "P" else letter
     names = settings.get(f"Field {of} name", "").split(",")
     predictors = _integers(settings, f"Field {letter} predictor")
@@ -196,24 +197,24 @@ def _integers(settings: Mapping[str, str], name: str) -> tuple[int, ...]:
 
 
 def flights(blob: bytes) -> list[tuple[int, int]]:
-    """Begin and end of each flight in a file, bytes."""
+    """Start and end of each flight in a file, bytes."""
     starts = [m.start() for m in re.finditer(re.escape(MAGIC), blob)]
     return list(pairwise([*starts, len(blob)]))
 
 
 # -- encodings ----------------------------------------------------------------------------------
 #
-# How Blackbox packs integers: by bytes of 7 bits, or several in a group behind a tag.
+# Encodings of integers in Blackbox: bytes of 7 bits, or several integers in a group behind a tag.
 #
-# Each function takes bytes and a place and gives what stands there and the place behind it; it
-# raises IndexError at the end of the bytes and ValueError where no such thing can stand. Source:
-# Betaflight's documentation, "Blackbox logging internals", and encoding.c.
+# Each function takes bytes and an offset and returns the value there and the offset behind it; it
+# raises IndexError at the end of the bytes and ValueError for an invalid code. Source: Betaflight's
+# documentation, "Blackbox logging internals", and encoding.c.
 
 _LONGEST_SHIFT = 28  # bits: five bytes of seven
 
 
 def unsigned_vb(data: bytes, at: int) -> tuple[int, int]:
-    """An integer of up to 32 bits, the lowest 7 first; all bytes but its last have the top bit."""
+    """An integer of up to 32 bits, the lowest 7 first; the top bit marks all bytes but the last."""
     byte = data[at]
     if byte < 128:
         return byte, at + 1
@@ -230,7 +231,7 @@ def unsigned_vb(data: bytes, at: int) -> tuple[int, int]:
 
 
 def signed_vb(data: bytes, at: int) -> tuple[int, int]:
-    """The same with sign: 0, -1, 1, -2, 2 are stored as 0, 1, 2, 3, 4."""
+    """A signed integer: 0, -1, 1, -2, 2 are stored as 0, 1, 2, 3, 4."""
     byte = data[at]
     if byte < 128:
         return (byte >> 1) ^ -(byte & 1), at + 1
@@ -239,19 +240,19 @@ def signed_vb(data: bytes, at: int) -> tuple[int, int]:
 
 
 def neg_14bit(data: bytes, at: int) -> tuple[int, int]:
-    """An integer of 14 bits with its sign turned."""
+    """A negated integer of 14 bits."""
     value, at = unsigned_vb(data, at)
     return -sign_extended(value, 14), at
 
 
 def sign_extended(value: int, bits: int) -> int:
-    """The lowest bits of a number as one with sign."""
+    """Signed value of the lowest bits of a number."""
     half = 1 << (bits - 1)
     return ((value & (2 * half - 1)) ^ half) - half
 
 
 def tag8_8svb(data: bytes, at: int, count: int) -> tuple[list[int], int]:
-    """One to eight numbers; bit i of the tag says whether number i is there, else it is 0."""
+    """One to eight numbers; bit i of the tag is set where number i is stored, else it is 0."""
     if count == 1:
         value, at = signed_vb(data, at)
         return [value], at
@@ -288,15 +289,15 @@ def tag2_3s32(data: bytes, at: int) -> tuple[list[int], int]:
 
 
 def _bytes(data: bytes, at: int, width: int) -> int:
-    """A number with sign of some bytes, the lowest first."""
+    """A signed number of some bytes, little-endian."""
     if at + width > len(data):
         raise IndexError("the end")
     return int.from_bytes(data[at : at + width], "little", signed=True)
 
 
 def tag8_4s16(data: bytes, at: int) -> tuple[list[int], int]:
-    """Four numbers of 0, 4, 8 or 16 bits as two bits each of the tag say, the highest half-byte
-    first; a half-byte that is left over is not used. Data version 2."""
+    """Four numbers of 0, 4, 8 or 16 bits by two bits each of the tag, the highest half-byte first;
+    a remaining half-byte is not used. Data version 2."""
     tag = data[at]
     at += 1
     if not tag:
@@ -314,8 +315,8 @@ def tag8_4s16(data: bytes, at: int) -> tuple[list[int], int]:
 
 
 def tag8_4s16_v1(data: bytes, at: int) -> tuple[list[int], int]:
-    """The same in data version 1: two of 4 bits share a byte, the first the lower half, and then
-    take the place of two numbers; one of 16 bits has its lowest byte first."""
+    """Four numbers in data version 1: two of 4 bits share a byte, the first in the lower half, and
+    replace two numbers; one of 16 bits is little-endian."""
     tag = data[at]
     at += 1
     values: list[int] = []
@@ -335,24 +336,24 @@ def tag8_4s16_v1(data: bytes, at: int) -> tuple[list[int], int]:
 
 # -- fields of a frame --------------------------------------------------------------------------
 #
-# Reading what the definition of a frame of a Blackbox log lists, field after field.
+# Reader of the fields of a frame in the order of its definition.
 
 _GROUPS = {TAG2_3S32: 3, TAG8_4S16: 4}  # fields that are encoded together
 
 Read = Callable[[bytes, int], tuple[list[int], int]]
-"""Values of a frame whose fields begin at a place in the data, and where they end. IndexError or
-ValueError: the data end, or are none of these."""
+"""Values of a frame whose fields begin at an offset, and the offset of their end. IndexError or
+ValueError: the data end, or are invalid."""
 
 
 def reader(fields: Fields, version: int) -> Read:
-    """How to read what a frame lists, before anything predicted is added.
+    """Function that reads the fields of a frame, without predictions.
 
     Args:
         fields: Definition of the frame.
-        version: Of the data, 1 or 2.
+        version: Version of the data, 1 or 2.
 
     Raises:
-        ValueError: A group of fields is not whole.
+        ValueError: A group of fields is incomplete.
     """
     four = tag8_4s16 if version > 1 else tag8_4s16_v1
     single = {SIGNED_VB: signed_vb, UNSIGNED_VB: unsigned_vb, NEG_14BIT: neg_14bit}
@@ -370,7 +371,7 @@ def reader(fields: Fields, version: int) -> Read:
         at += count
 
     def read(data: bytes, at: int) -> tuple[list[int], int]:
-        """See `Read`."""
+        """Read a frame, as described in `Read`."""
         values: list[int] = []
         for kind, count in steps:
             if kind in single:

@@ -1,8 +1,8 @@
-"""MAVLink messages -> samples of a flight table. Its units and frames stand here alone.
+"""MAVLink messages -> samples of a flight table; the only module with MAVLink's units and frames.
 
-| column | from | in it |
+| column | from | units in it |
 |---|---|---|
-| acc, gyro, mag, baro_pa | HIGHRES_IMU, what `fields_updated` says | m/s^2, rad/s, gauss, hPa, us |
+| acc, gyro, mag, baro_pa | HIGHRES_IMU, as in `fields_updated` | m/s^2, rad/s, gauss, hPa, us |
 | acc, gyro, mag | SCALED_IMU, 2, 3; RAW_IMU of ArduPilot | mG, mrad/s, mgauss as integers |
 | baro_pa | SCALED_PRESSURE | hPa |
 | pos, vel, q | ODOMETRY in LOCAL_NED | velocity in NED or along the body, us |
@@ -14,8 +14,8 @@
 | vbat_v, ibat_a | BATTERY_STATUS, SYS_STATUS | mV, cA, without a time |
 | phase | EXTENDED_SYS_STATE | landed or not, without a time |
 
-Every stamp passes `StampGate` and every number `MavlinkDecoder._sound` before a message
-becomes a sample. A message without a time gets the newest time of the aircraft's clock.
+Every stamp passes `StampGate` and every number `MavlinkDecoder._sound` before a message becomes a
+sample. A message without a time gets the newest time of the aircraft's clock.
 """
 
 import math
@@ -37,7 +37,7 @@ from .frames import AUTOPILOTS, GCS, MOTORS, Message, dialect
 
 # -- samples ------------------------------------------------------------------------------------
 #
-# Samples of a flight table that MAVLink messages carry, and which of several messages counts.
+# Samples of a flight table in MAVLink messages, and the priority of messages.
 
 GROUPS: dict[str, tuple[str, ...]] = {
     **{s.signal: s.columns for s in SENSORS if s.messages},
@@ -47,16 +47,16 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "vbat_v": ("vbat_v",),
     "ibat_a": ("ibat_a",),
 }
-"""Columns that are sampled together, but for `cmd` and `rotor`: `columns_of`."""
+"""Columns that are sampled together, except for `cmd` and `rotor`: `columns_of`."""
 
 
 def columns_of(group: str, width: int) -> tuple[str, ...]:
-    """Columns of a signal of so many numbers: those of motors depend on how many there are."""
+    """Columns of a signal with this number of values: those of motors depend on their number."""
     return GROUPS.get(group) or motor_columns(group, width)
 
 
 LANDED = "landed"
-"""Group of what the land detector says: a member of MAV_LANDED_STATE."""
+"""Group of the land detector: its value is a member of MAV_LANDED_STATE."""
 RANKS: tuple[str, ...] = (
     "HIGHRES_IMU",
     "ODOMETRY",
@@ -77,9 +77,9 @@ RANKS: tuple[str, ...] = (
     "SYS_STATUS",
     "EXTENDED_SYS_STATE",
 )
-"""Sources of samples, those that lose less on the wire before the others."""
+"""Sources of samples, those with the least loss of precision first."""
 _OFTEN = 1.5
-"""A source that comes so many times as often counts more than one of a better rank."""
+"""Ratio of rates from which a faster source is preferred to one of a better rank."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +89,8 @@ class Sample:
     Attributes:
         group: A key of `GROUPS`, `cmd`, `rotor` or `LANDED`.
         source: Kind of message, a member of `RANKS`.
-        t_us: When it was taken, on the aircraft's clock, us.
-        values: In the units of the flight table, in the order of its columns.
+        t_us: Time of sampling, on the aircraft's clock, us.
+        values: Values in the units of the flight table, in the order of its columns.
     """
 
     group: str
@@ -100,10 +100,10 @@ class Sample:
 
 
 class Sources:
-    """Which of several kinds of message each signal is taken from, in a file as in flight.
+    """Selected message of each signal, by the same rule in a file and in live flight.
 
     Attributes:
-        chosen: The source of each group, once `choose` was called.
+        chosen: Source of each group, after `choose` was called.
     """
 
     def __init__(self) -> None:
@@ -115,8 +115,8 @@ class Sources:
         self._heard[sample.group][sample.source] += 1
 
     def choose(self) -> None:
-        """Choose a source of each group that has none yet, by what has been counted so far: the one
-        of the best rank among those that come often."""
+        """Choose a source for each group that has none yet, from the counts so far: the one of the
+        best rank among the frequent ones."""
         for group, counts in self._heard.items():
             if group not in self.chosen:
                 most = max(counts.values())
@@ -126,25 +126,25 @@ class Sources:
 
 # -- time stamps --------------------------------------------------------------------------------
 #
-# Which time stamps belong to the clock of the aircraft.
+# Selection of time stamps that belong to the clock of the aircraft.
 #
-# A stamp is held against the newest one: from 1 s before it to 60 s after it belongs to the same
+# A stamp is compared with the newest one: from 1 s before it to 60 s after it belongs to the same
 # clock. Others are strays: damaged, or of another clock. Strays that agree with each other and
 # outnumber the rest are the clock after a restart.
 
 LATEST_US = 2**53
 """Year 2255 in us since 1970: no clock of an aircraft, since boot or since 1970, is beyond it."""
-_BACK_US, _AHEAD_US = 1_000_000, 60_000_000  # from the newest stamp, of the same clock
+_BACK_US, _AHEAD_US = 1_000_000, 60_000_000  # largest steps of one clock
 _RESTART = 20
-"""Lead of strays that agree with each other over stamps of the clock that is a restart."""
+"""Excess of consistent strays over stamps of the clock from which it is a restart."""
 _CONFIRMED = 5
-"""Stamps of one clock after which it is taken for that of the aircraft."""
+"""Number of stamps of one clock after which it is accepted as that of the aircraft."""
 _CONTRADICTED = 3
-"""The same lead while the clock is not confirmed: the first stamps were strays."""
+"""Excess of strays from which an unconfirmed clock is rejected: the first stamps were strays."""
 
 
 class Stamp(Enum):
-    """What a stamp is."""
+    """Classification of a stamp."""
 
     FINE = "of the clock"
     STRAY = "far from the clock"
@@ -154,11 +154,11 @@ class Stamp(Enum):
 
 
 class StampGate:
-    """Sorts stamps of one aircraft, in the order in which they came.
+    """Classifies stamps of one aircraft, in order of arrival.
 
     Attributes:
-        newest_us: The newest time of the clock, us; None: no stamp came.
-        lead: By how many the strays that agree with each other outnumber stamps of the clock.
+        newest_us: Newest time of the clock, us; None: no stamp so far.
+        lead: Excess of consistent strays over stamps of the clock.
     """
 
     def __init__(self) -> None:
@@ -168,11 +168,11 @@ class StampGate:
         self._count = 0
 
     def near(self, t_us: int) -> bool:
-        """Whether a time, us, is of the clock; nothing is while no stamp has come."""
+        """Whether a time, us, is of the clock; False before the first stamp."""
         return self.newest_us is not None and _follows(t_us, self.newest_us)
 
     def add(self, t_us: int) -> Stamp:
-        """Take a stamp, us."""
+        """Classify a stamp, us."""
         if not 0 <= t_us < LATEST_US:
             return Stamp.IMPOSSIBLE
         if self.newest_us is None or self.near(t_us):
@@ -197,20 +197,20 @@ def _follows(t_us: int, newest_us: int) -> bool:
 # -- messages -----------------------------------------------------------------------------------
 
 ROTOR_ARRAY = "rotor_rads"
-"""Name of the DEBUG_FLOAT_ARRAY that holds rotor speeds, rad/s."""
+"""Name of the DEBUG_FLOAT_ARRAY with rotor speeds, rad/s."""
 T_PER_GAUSS = 1e-4  # T
 PA_PER_HPA = 100.0  # Pa
 _RPM = 2 * math.pi / 60  # rad/s
-_PULSES_US = (1000.0, 2000.0)  # of command 0 and 1 where no parameter says
+_PULSES_US = (1000.0, 2000.0)  # pulses of command 0 and 1 without parameters
 _SERVOS = 16
-"""Outputs in a SERVO_OUTPUT_RAW."""
-_UNKNOWN_16 = 65535  # of a field that is not known
+"""Number of outputs in a SERVO_OUTPUT_RAW."""
+_UNKNOWN_16 = 65535  # value of an unknown field
 _MOST_PARAMETERS = 4096
 """Largest number of parameters that are stored; autopilots have up to some 2000."""
-_MOST_REASONS = 200  # counted by name: damage invents no end of them
-_NO_ATTITUDE = (math.nan,) * 4  # of angles that are not finite
+_MOST_REASONS = 200  # counted by name; limits memory with damaged names
+_NO_ATTITUDE = (math.nan,) * 4  # for angles that are not finite
 _FRAMES_B = (dialect.MAV_FRAME_BODY_NED, dialect.MAV_FRAME_BODY_FRD)
-"""Of ODOMETRY's velocity along the body."""
+"""Frames of ODOMETRY with velocity in body axes."""
 _PULSE_PARAMETERS = (  # PX4 up to 1.12, later, ArduPilot
     ("PWM_MIN", "PWM_MAX"),
     ("PWM_MAIN_MIN", "PWM_MAIN_MAX"),
@@ -221,18 +221,18 @@ Found = Iterator[Sample]
 
 
 class MavlinkDecoder:
-    """Samples of the messages of one system, in the order in which they came.
+    """Samples of the messages of one system, in order of arrival.
 
     Attributes:
-        motors: How many; of the heartbeat where not given.
-        autopilot: Of the heartbeat, in words; "" before it came.
-        type: MAV_TYPE of the heartbeat; None before it came.
+        motors: Number of motors; from the heartbeat where not given.
+        autopilot: Name of the autopilot from the heartbeat; "" before the first.
+        type: MAV_TYPE of the heartbeat; None before the first.
         kinds: Number of messages of each known kind.
-        dropped: Number of samples and numbers that were left out, by signal and reason.
+        dropped: Number of dropped samples and values, by signal and reason.
         parameters: Finite values of PARAM_VALUE by name.
-        stamp: What the stamp of the last message was; None: it has none. After `RESTART` the
+        stamp: Classification of the last message's stamp; None: it has none. After `RESTART` the
             samples returned belong to a clock that restarted; after `MISLED` all samples before
-            them are of stray stamps.
+            them have stray stamps.
     """
 
     def __init__(self, motors: int | None = None) -> None:
@@ -250,7 +250,7 @@ class MavlinkDecoder:
 
     @property
     def newest_us(self) -> int | None:
-        """The newest time of the aircraft's clock, us; None: none came."""
+        """Newest time of the aircraft's clock, us; None: no stamp so far."""
         return self._gate.newest_us
 
     @property
@@ -263,10 +263,10 @@ class MavlinkDecoder:
         return self._gate.near(t_us)
 
     def samples(self, message: Message) -> list[Sample]:
-        """Samples of a message, finite, within limits, and of the aircraft's clock.
+        """Samples of a message: finite, within limits, and of the aircraft's clock.
 
-        Samples of stray stamps wait: they are returned when the clock turns out to have begun
-        again (`stamp`).
+        Samples with stray stamps are buffered and returned when the clock is found to have
+        restarted (`stamp`).
         """
         kind = message.get_type()
         self.stamp = None
@@ -298,7 +298,7 @@ class MavlinkDecoder:
         self._held = []
 
     def _sound(self, sample: Sample) -> bool:
-        """Whether a sample can be one; one that cannot is counted."""
+        """Whether a sample is valid; invalid ones are counted."""
         values, limit = sample.values, LIMITS.get(sample.group, math.inf)
         if not all(math.isfinite(v) for v in values):
             why = "a value is NaN or infinite"
@@ -314,7 +314,7 @@ class MavlinkDecoder:
         return False
 
     def _drop(self, group: str, why: str) -> None:
-        """Count what is left out, under a bounded number of reasons."""
+        """Count a dropped sample, under a bounded number of reasons."""
         key = group, why
         if key not in self.dropped and len(self.dropped) >= _MOST_REASONS:
             key = "others", "of further kinds"
@@ -323,7 +323,7 @@ class MavlinkDecoder:
     # -- times ------------------------------------------------------------------------------
 
     def _at(self, t_us: int) -> int:
-        """A time of the aircraft, us, as its message has it."""
+        """Time of the aircraft, us, from that in a message."""
         self.stamp = self._gate.add(t_us)
         return t_us
 
@@ -331,7 +331,7 @@ class MavlinkDecoder:
         return self._at(1000 * int(message.time_boot_ms))
 
     def _at_32(self, t_us: int) -> int:
-        """A time of which the lower 32 bits were sent: they wrap around every 71 minutes."""
+        """Time from its lower 32 bits, which wrap around every 71 minutes."""
         if self.newest_us is None:
             return self._at(t_us)
         ahead = (t_us - self.newest_us + 2**31) % 2**32 - 2**31
@@ -350,7 +350,7 @@ class MavlinkDecoder:
     def _parameter(self, m: Message) -> Found:
         name, value = m.param_id, float(m.param_value)
         whole = m.param_type not in (dialect.MAV_PARAM_TYPE_REAL32, dialect.MAV_PARAM_TYPE_REAL64)
-        if whole and self.autopilot == "PX4":  # sends the bytes of the integer
+        if whole and self.autopilot == "PX4":  # PX4 sends the bytes of the integer
             value = float(np.float32(value).view(np.int32))
         if not math.isfinite(value):
             self._drop("parameters", f"{name} is NaN or infinite"[:80])
@@ -360,7 +360,7 @@ class MavlinkDecoder:
 
     def _highres_imu(self, m: Message) -> Found:
         t, there, kind = self._at(m.time_usec), m.fields_updated, "HIGHRES_IMU"
-        if m.id:  # of a second IMU
+        if m.id:  # from a second IMU
             return
         if there & 0x7 == 0x7:
             yield Sample("acc", kind, t, (m.xacc, m.yacc, m.zacc))
@@ -444,8 +444,8 @@ class MavlinkDecoder:
 
     @property
     def motor_outputs(self) -> list[int]:
-        """Outputs of motors 1..n by SERVOn_FUNCTION of ArduPilot or PWM_MAIN_FUNCn of PX4; [] where
-        these parameters were not sent."""
+        """Output numbers of motors 1..n by SERVOn_FUNCTION of ArduPilot or PWM_MAIN_FUNCn of PX4;
+        [] without these parameters."""
         outputs = motor_channels(self.parameters)
         if len(outputs) != self.motors:
             found = motor_functions(self.parameters, "PWM_MAIN").items()
@@ -454,7 +454,7 @@ class MavlinkDecoder:
         return outputs if all(outputs) else []
 
     def _commands(self, kind: str, t: int, values: Sequence[float]) -> Sample:
-        """Commands 0..1 of outputs; a pulse a little outside its range counts as its end."""
+        """Commands 0..1 of outputs; a pulse slightly outside its range is clipped."""
         if any(abs(v) > 1.5 for v in values):
             low, high = self.pulses_us
             values = [(v - low) / (high - low) for v in values]
@@ -463,7 +463,7 @@ class MavlinkDecoder:
 
     @property
     def pulses_us(self) -> tuple[float, float]:
-        """Lengths of the pulses of command 0 and 1, us: of parameters, else 1000 and 2000."""
+        """Pulse widths of command 0 and 1, us: from parameters, else 1000 and 2000."""
         for names in _PULSE_PARAMETERS:
             low, high = (self.parameters.get(n, math.nan) for n in names)
             if 500.0 < low < high < 3000.0:
@@ -476,7 +476,8 @@ class MavlinkDecoder:
             yield Sample("rotor", "DEBUG_FLOAT_ARRAY", t, tuple(m.data[: self.motors]))
 
     def _esc(self, m: Message) -> Found:
-        """Four motors each; a sample is there when every motor has reported once more."""
+        """Rotor speeds, four motors per message; a sample is complete when every motor has reported
+        again."""
         first = int(m.get_type().split("_")[2])
         self._rpm[first] = m.rpm
         if self.motors is None or self.newest_us is None:
@@ -490,7 +491,7 @@ class MavlinkDecoder:
     def _battery(self, m: Message) -> Found:
         cells = [v for v in m.voltages if v != _UNKNOWN_16]
         cells += [v for v in m.voltages_ext if v not in (0, _UNKNOWN_16)]
-        if not m.id:  # the first battery
+        if not m.id:  # first battery only
             yield from self._power("BATTERY_STATUS", sum(cells), m.current_battery)
 
     def _status(self, m: Message) -> Found:
@@ -537,10 +538,10 @@ _READ: dict[str, Callable[[MavlinkDecoder, Message], Found]] = {  # kinds of mes
 if unread := {m for s in SENSORS for m in s.messages} - _READ.keys():
     raise ModelError(f"no reader of the MAVLink messages {', '.join(sorted(unread))} of a sensor")
 USED = frozenset(i for i, kind in dialect.mavlink_map.items() if kind.msgname in _READ)
-"""Ids of the messages that are read."""
+"""Ids of the messages in use."""
 _NAMES = frozenset(kind.msgname for kind in dialect.mavlink_map.values())
-"""Kinds of message of the dialect."""
-_UNKNOWN = "of unknown kind"  # other kinds
+"""Names of the messages of the dialect."""
+_UNKNOWN = "of unknown kind"  # name for other messages
 
 
 def _scaled(values: Iterable[float], factor: float) -> tuple[float, ...]:
@@ -548,12 +549,12 @@ def _scaled(values: Iterable[float], factor: float) -> tuple[float, ...]:
 
 
 def _known(values: Iterable[float]) -> bool:
-    """Whether something is there: NaN stands for what is not."""
+    """Whether values are present: NaN stands for a missing one."""
     return not any(v != v for v in values)
 
 
 def _is_unit(q: Sequence[float]) -> bool:
-    """Whether a quaternion has norm 1, as float32 and a little beyond."""
+    """Whether a quaternion has norm 1 within slightly more than the precision of float32."""
     return abs(math.hypot(*q) - 1.0) <= 0.1
 
 

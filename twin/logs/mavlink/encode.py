@@ -1,8 +1,8 @@
-"""Rows of a flight table -> MAVLink messages, those that lose least. What the decoder reads.
+"""Rows of a flight table -> MAVLink messages of the best precision, as read by the decoder.
 
-Readings become float32: 24 bits, 6e-8 of their size. Times of HIGHRES_IMU, ODOMETRY,
-ACTUATOR_OUTPUT_STATUS and DEBUG_FLOAT_ARRAY are us; ATTITUDE_QUATERNION and LOCAL_POSITION_NED,
-which ground stations show, have ms. Voltage is sent in mV and current in cA, without a time.
+Readings become float32: 24 bits, relative precision 6e-8. Times of HIGHRES_IMU, ODOMETRY,
+ACTUATOR_OUTPUT_STATUS and DEBUG_FLOAT_ARRAY are in us; ATTITUDE_QUATERNION and LOCAL_POSITION_NED,
+which ground stations display, in ms. Voltage is sent in mV and current in cA, without a time.
 """
 
 import math
@@ -19,11 +19,11 @@ from .decoder import PA_PER_HPA, ROTOR_ARRAY, T_PER_GAUSS
 from .frames import PHASES, TYPES, Message, dialect
 
 _FIELDS_OF = ((ACC, 0x7), (GYRO, 0x38), (MAG, 0x1C0))  # bits of HIGHRES_IMU.fields_updated
-_PRESSURE = 0x200  # the same of abs_pressure
+_PRESSURE = 0x200  # bit of abs_pressure
 _ARRAY = 58  # numbers of DEBUG_FLOAT_ARRAY
 _ACTUATORS = 32  # of ACTUATOR_OUTPUT_STATUS
 _CELLS = 10  # of BATTERY_STATUS
-_NONE_16 = 65535  # of a cell that is not there
+_NONE_16 = 65535  # value of a missing cell
 _LANDED = {phase: state for state, phase in PHASES.items()}  # MAV_LANDED_STATE by phase
 
 Row = Mapping[str, float]
@@ -31,7 +31,7 @@ Row = Mapping[str, float]
 
 
 def heartbeat(motors: int | None, armed: bool = True) -> Message:
-    """The aircraft says that it is there, and what."""
+    """Heartbeat with the type and state of the aircraft."""
     mode = dialect.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
     return dialect.MAVLink_heartbeat_message(
         TYPES.get(motors or 4, dialect.MAV_TYPE_QUADROTOR),
@@ -44,18 +44,18 @@ def heartbeat(motors: int | None, armed: bool = True) -> Message:
 
 
 def landed(phase: str) -> Message:
-    """What a land detector would say in a phase of flight."""
+    """Message of a land detector in a phase of flight."""
     state = _LANDED.get(phase, dialect.MAV_LANDED_STATE_IN_AIR)
     return dialect.MAVLink_extended_sys_state_message(dialect.MAV_VTOL_STATE_UNDEFINED, state)
 
 
 def messages_of(t_us: int, row: Row, motors: int) -> list[Message]:
-    """Messages of what was sampled at one time.
+    """Messages with the samples of one time.
 
     Args:
         t_us: Time on the aircraft's clock, us, not negative.
-        row: What there is.
-        motors: How many, of commands and rotor speeds.
+        row: Samples of the row.
+        motors: Number of motors, for commands and rotor speeds.
     """
     found = [imu(t_us, row), odometry(t_us, row)]
     cmd = _vector(row, [f"cmd_{i}" for i in range(1, motors + 1)])
@@ -74,7 +74,7 @@ def messages_of(t_us: int, row: Row, motors: int) -> list[Message]:
 
 
 def imu(t_us: int, row: Row) -> Message | None:
-    """HIGHRES_IMU of what there is of accelerometer, gyroscope, magnetometer and barometer."""
+    """HIGHRES_IMU with the samples of accelerometer, gyroscope, magnetometer and barometer."""
     there, values = 0, []
     for columns, bits in _FIELDS_OF:
         reading = _vector(row, columns)
@@ -90,7 +90,7 @@ def imu(t_us: int, row: Row) -> Message | None:
 
 
 def odometry(t_us: int, row: Row) -> Message | None:
-    """ODOMETRY of what there is of position, velocity in NED and attitude; NaN for the rest."""
+    """ODOMETRY with the samples of position, velocity in NED and attitude; NaN for the rest."""
     position, velocity, q = (_vector(row, c) for c in (POS, VEL, QUAT))
     if position is None and velocity is None and q is None:
         return None
@@ -122,11 +122,11 @@ def local_position(t_us: int, position: Sequence[float], velocity: Sequence[floa
 
 
 def battery(row: Row) -> Message:
-    """BATTERY_STATUS of what there is of voltage and current."""
+    """BATTERY_STATUS with the samples of voltage and current."""
     cells, left = [_NONE_16] * _CELLS, 0
     if "vbat_v" in row:
         left = min(max(round(1e3 * row["vbat_v"]), 0), _CELLS * (_NONE_16 - 1))
-    for k in range(-(-left // (_NONE_16 - 1))):  # a cell holds 65 V: more is sent as several
+    for k in range(-(-left // (_NONE_16 - 1))):  # a cell is limited to 65 V
         cells[k] = min(left - k * (_NONE_16 - 1), _NONE_16 - 1)
     current = min(max(round(1e2 * row["ibat_a"]), -32768), 32767) if "ibat_a" in row else -1
     return dialect.MAVLink_battery_status_message(
@@ -154,7 +154,8 @@ def _ms(t_us: int) -> int:
 
 # -- messages of a simulator --------------------------------------------------------------------
 #
-# The messages between PX4 and a simulator, in both directions. Their units and frames stand here.
+# Messages between PX4 and a simulator, in both directions; the only place with their units and
+# frames.
 #
 # | message | in it |
 # |---|---|
@@ -163,19 +164,19 @@ def _ms(t_us: int) -> int:
 # | HIL_STATE_QUATERNION | the true motion: float32, integers as of HIL_GPS; specific force in mg |
 # | HIL_ACTUATOR_CONTROLS | 0..1 per motor as float32; armed by the mode, in lockstep by the flags |
 #
-# All have us of the simulated time. Source: message definitions of MAVLink `common`, and what PX4's
-# simulator_mavlink makes of them: it takes a barometer as new by pressure, pressure altitude and
-# temperature together.
+# Times are us of simulated time. Source: message definitions of MAVLink `common`, and PX4's
+# simulator_mavlink: it takes a barometer as new by pressure, pressure altitude and temperature
+# together.
 
 IMU_BITS, MAG_BITS, BARO_BITS = 0x3F, 0x1C0, 0x1A00
 """Bits of `fields_updated`: accelerometer and gyroscope, magnetometer, barometer."""
-KELVIN = 273.15  # of 0 degrees Celsius
+KELVIN = 273.15  # at 0 degrees Celsius
 CONTROLS = 16  # of HIL_ACTUATOR_CONTROLS
 _LOCKSTEP = 1  # bit of HIL_ACTUATOR_CONTROLS.flags
-_FIX_3D, _SATELLITES = 3, 10  # of HIL_GPS, and satellites
-_INT16, _UINT16 = 32767, 65534  # largest number of int16, and of uint16 that is known
+_FIX_3D, _SATELLITES = 3, 10  # fix type of HIL_GPS, and number of satellites
+_INT16, _UINT16 = 32767, 65534  # largest int16, and largest known uint16
 _POWER = GAS_CONSTANT_J_KG_K * LAPSE_K_M / GRAVITY_M_S2
-"""Of the pressure ratio, ICAO standard atmosphere."""
+"""Exponent of the pressure ratio, ICAO standard atmosphere."""
 Three = Sequence[float]
 SENT = ("acc", "gyro", "mag", "baro")
 """Signals that HIL_SENSOR carries."""
@@ -191,11 +192,11 @@ class SensorReadings:
     """Readings at one instant, SI.
 
     Attributes:
-        acc_b: m/s^2, body FRD.
-        gyro_b: rad/s, body FRD.
-        mag_b: T, body FRD.
-        pressure_pa: Of the air.
-        temperature_k: Of the air.
+        acc_b: Specific force, m/s^2, body FRD.
+        gyro_b: Body rates, rad/s, body FRD.
+        mag_b: Magnetic field, T, body FRD.
+        pressure_pa: Static pressure of the air.
+        temperature_k: Temperature of the air.
     """
 
     acc_b: Three
@@ -207,13 +208,14 @@ class SensorReadings:
 
 @dataclass(frozen=True, slots=True)
 class Controls:
-    """What an autopilot asks for.
+    """Motor commands of an autopilot.
 
     Attributes:
-        t_us: Its time, us.
-        values: Of each motor as it was sent, shape (16,); those of no motor are 0, or NaN.
+        t_us: Time of the commands, us.
+        values: Command of each motor as sent, shape (16,); 0 or NaN for unused outputs.
         armed: Whether motors may turn.
-        lockstep: Whether its time is that of the last HIL_SENSOR, and it waits for the next.
+        lockstep: Whether the time is that of the last HIL_SENSOR, and the autopilot waits for the
+            next.
     """
 
     t_us: int
@@ -223,12 +225,12 @@ class Controls:
 
 
 def hil_sensor(t_us: int, sensed: SensorReadings, updated: int) -> Message:
-    """HIL_SENSOR.
+    """HIL_SENSOR message.
 
     Args:
         t_us: Simulated time, us.
-        sensed: Readings, those that are not new as they were.
-        updated: Which are new: `IMU_BITS`, `MAG_BITS`, `BARO_BITS`.
+        sensed: Readings; those that are not new repeat the last ones.
+        updated: Bits of the new readings: `IMU_BITS`, `MAG_BITS`, `BARO_BITS`.
     """
     return dialect.MAVLink_hil_sensor_message(
         t_us,
@@ -245,13 +247,13 @@ def hil_sensor(t_us: int, sensed: SensorReadings, updated: int) -> Message:
 
 
 def hil_gps(t_us: int, place: Three, velocity_n: Three, accuracy_m: float) -> Message:
-    """HIL_GPS.
+    """HIL_GPS message.
 
     Args:
         t_us: Simulated time, us.
-        place: Latitude, longitude, rad; height over the ellipsoid, m. PX4 takes it for a height
-            over the sea.
-        velocity_n: m/s, NED.
+        place: Latitude, longitude, rad; height above the ellipsoid, m. PX4 interprets it as height
+            above sea level.
+        velocity_n: Velocity, m/s, NED.
         accuracy_m: Standard deviation of the position; PX4 takes `eph` and `epv` for cm.
     """
     north, east, _ = velocity_n
@@ -281,16 +283,16 @@ def hil_state(
     specific_force_b: Three,
     airspeed_m_s: float,
 ) -> Message:
-    """HIL_STATE_QUATERNION, the true motion: PX4 logs it.
+    """HIL_STATE_QUATERNION, the true motion, which PX4 logs.
 
     Args:
         t_us: Simulated time, us.
         q_nb: Attitude, body to NED.
-        omega_b: rad/s, body FRD.
-        place: Latitude, longitude, rad; height over the ellipsoid, m.
-        velocity_n: m/s, NED.
-        specific_force_b: m/s^2, body FRD.
-        airspeed_m_s: Through the air.
+        omega_b: Body rates, rad/s, body FRD.
+        place: Latitude, longitude, rad; height above the ellipsoid, m.
+        velocity_n: Velocity, m/s, NED.
+        specific_force_b: Specific force, m/s^2, body FRD.
+        airspeed_m_s: Airspeed.
     """
     speed = _clipped(100.0 * airspeed_m_s, 0, _UINT16)
     force = (1e3 / GRAVITY_M_S2 * f for f in specific_force_b)
@@ -307,7 +309,7 @@ def hil_state(
 
 
 def hil_controls(controls: Controls) -> Message:
-    """HIL_ACTUATOR_CONTROLS, as an autopilot sends it."""
+    """HIL_ACTUATOR_CONTROLS, as sent by an autopilot."""
     mode = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
     mode |= dialect.MAV_MODE_FLAG_SAFETY_ARMED if controls.armed else 0
     values = [*controls.values, *[0.0] * (CONTROLS - len(controls.values))]
@@ -316,7 +318,7 @@ def hil_controls(controls: Controls) -> Message:
 
 
 def controls_of(message: Message) -> Controls:
-    """What HIL_ACTUATOR_CONTROLS asks for."""
+    """Motor commands in HIL_ACTUATOR_CONTROLS."""
     return Controls(
         int(message.time_usec),
         tuple(float(v) for v in message.controls),
@@ -335,7 +337,7 @@ def pressure_altitude_m(pressure_pa: float) -> float:
 
 
 def _place(place: Three) -> tuple[int, int, int]:
-    """1e-7 degrees and mm."""
+    """Place in units of 1e-7 degrees and mm."""
     latitude, longitude, height_m = place
     degrees = (round(1e7 * math.degrees(a)) for a in (latitude, longitude))
     return (*degrees, round(1e3 * height_m))  # type: ignore[return-value]

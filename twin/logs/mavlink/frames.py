@@ -1,8 +1,8 @@
-"""MAVLink frames: the dialect, telemetry logs, datagrams, what a link loses, and the one parser
-of files and streams.
+"""MAVLink frames: the dialect, telemetry logs, datagrams, losses of a link, and the one parser of
+files and streams.
 
-The dialect is pymavlink's `ardupilotmega`: `common` and what ArduPilot adds, rotor speeds of its
-speed controllers among it. ESC_STATUS of `common` is in no dialect of pymavlink 2.4.50.
+The dialect is pymavlink's `ardupilotmega`: `common` and the additions of ArduPilot, which include
+rotor speeds from speed controllers. ESC_STATUS of `common` is in no dialect of pymavlink 2.4.50.
 """
 
 import re
@@ -19,13 +19,13 @@ from pymavlink.dialects.v20 import ardupilotmega
 
 dialect: Any = ardupilotmega
 Message = Any
-"""A message of pymavlink: its fields are attributes, its kind is `get_type()`."""
+"""A message of pymavlink: its fields are attributes, `get_type()` returns its name."""
 MARKERS = (dialect.PROTOCOL_MARKER_V1, dialect.PROTOCOL_MARKER_V2)
 """First bytes of a frame of MAVLink 1 and 2."""
 GCS = dialect.MAV_TYPE_GCS  # MAV_TYPE of a ground station
 AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1  # component id
 BAD = "BAD_DATA"
-"""Kind of what is no message, as pymavlink calls it."""
+"""Name of an invalid message in pymavlink."""
 MOTORS = {
     dialect.MAV_TYPE_TRICOPTER: 3,
     dialect.MAV_TYPE_QUADROTOR: 4,
@@ -34,14 +34,14 @@ MOTORS = {
     dialect.MAV_TYPE_DECAROTOR: 10,
     dialect.MAV_TYPE_DODECAROTOR: 12,
 }
-"""Motors of an aircraft by the type in its heartbeat."""
+"""Number of motors by the type in the heartbeat."""
 TYPES = {count: kind for kind, count in MOTORS.items()}  # MAV_TYPE by motors
 PHASES = {
     dialect.MAV_LANDED_STATE_ON_GROUND: "ground",
     dialect.MAV_LANDED_STATE_TAKEOFF: "takeoff",
     dialect.MAV_LANDED_STATE_LANDING: "land",
 }
-"""Phase of flight by what the land detector says (EXTENDED_SYS_STATE.landed_state)."""
+"""Phase of flight by the state of the land detector (EXTENDED_SYS_STATE.landed_state)."""
 AUTOPILOTS = {  # names by MAV_AUTOPILOT
     dialect.MAV_AUTOPILOT_PX4: "PX4",
     dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot",
@@ -50,10 +50,10 @@ AUTOPILOTS = {  # names by MAV_AUTOPILOT
 
 
 def parser(system: int = 0, component: int = 0) -> Any:
-    """A parser and packer of frames that goes on after what is no message.
+    """A parser and packer of frames that continues after invalid bytes.
 
     Args:
-        system: Own system id, of messages that are packed.
+        system: Own system id, for messages that are packed.
         component: Own component id.
     """
     made = dialect.MAVLink(None, system, component)
@@ -62,7 +62,7 @@ def parser(system: int = 0, component: int = 0) -> Any:
 
 
 def packed(message: Message, packer: Any) -> bytes:
-    """The frame of a message, with the next number in the sequence of its sender, a `parser`."""
+    """The frame of a message, with the next sequence number of its sender, a `parser`."""
     frame = bytes(message.pack(packer))
     packer.seq = (packer.seq + 1) % _MODULUS
     return frame
@@ -70,22 +70,22 @@ def packed(message: Message, packer: Any) -> bytes:
 
 # -- telemetry logs -----------------------------------------------------------------------------
 #
-# Telemetry logs (.tlog) of ground stations: before each MAVLink frame, when it came.
+# Telemetry logs (.tlog) of ground stations: the time of arrival before each MAVLink frame.
 #
-# The time is in us since 1970, 8 bytes, the most significant first.
+# The time is in us since 1970, 8 bytes, big-endian.
 
 _STAMP = struct.Struct(">Q")  # us since 1970
-_HEAD = _STAMP.size  # bytes of the stamp
+_HEAD = _STAMP.size  # size of the stamp, bytes
 _YEAR_2000_US, _YEAR_2100_US = 946_684_800_000_000, 4_102_444_800_000_000  # us since 1970
-_DAY_US = 86_400_000_000  # between two stamps of one log at most
+_DAY_US = 86_400_000_000  # largest interval between stamps of one log
 _V1 = MARKERS[0]  # first byte of MAVLink 1
 _SIGNATURE = 13  # bytes at the end of a signed frame
 _BEGIN = re.compile(rb"(?s)(?=\x00[\x03-\x0e].{6}[\xfd\xfe])")
-"""A stamp of the years 2000 to 2100 by its first two bytes, and the first byte of a frame."""
+"""First two bytes of a stamp of the years 2000 to 2100, and the first byte of a frame."""
 
 
 def checksum_of(frame: bytes) -> int:
-    """The last bytes of a frame: of its checksum, or of its signature."""
+    """The last bytes of a frame: its checksum, or the end of its signature."""
     return int.from_bytes(frame[-2:], "little")
 
 
@@ -94,12 +94,12 @@ class Frame:
     """One frame.
 
     Attributes:
-        arrival_us: When it came, us since 1970.
-        content: Its bytes.
-        system: Who sent it.
-        component: Which part of it.
-        number: In its sequence.
-        kind: Number of its kind of message.
+        arrival_us: Time of arrival, us since 1970.
+        content: Bytes of the frame.
+        system: System id of the sender.
+        component: Component id of the sender.
+        number: Sequence number.
+        kind: Message id.
     """
 
     arrival_us: int
@@ -111,17 +111,17 @@ class Frame:
 
     @property
     def checksum(self) -> int:
-        """As of `checksum_of`."""
+        """Last bytes of the frame, as in `checksum_of`."""
         return checksum_of(self.content)
 
 
 def stamped(arrival_us: int, frame: bytes) -> bytes:
-    """A frame as it stands in a telemetry log."""
+    """A frame as stored in a telemetry log."""
     return _STAMP.pack(arrival_us) + frame
 
 
 def frames(blob: bytes) -> Iterator[Frame | int]:
-    """Frames of a telemetry log, and numbers of bytes between them that are none."""
+    """Frames of a telemetry log, and the numbers of invalid bytes between them."""
     at, before, lost = 0, None, 0
     while at < len(blob):
         length = _length(blob, at + _HEAD) if _begins(blob, at, before) else 0
@@ -151,7 +151,7 @@ def _frame(arrival_us: int, content: bytes) -> Frame:
 
 
 def _begins(blob: bytes, at: int, before: int | None) -> bool:
-    """Whether a time and the first byte of a frame stand there, a time near the one before."""
+    """Whether a time near the previous one and the first byte of a frame are at this offset."""
     if len(blob) < at + _HEAD + 1 or blob[at + _HEAD] not in MARKERS:
         return False
     (stamp,) = _STAMP.unpack_from(blob, at)
@@ -161,7 +161,7 @@ def _begins(blob: bytes, at: int, before: int | None) -> bool:
 
 
 def _follows(blob: bytes, at: int) -> bool:
-    """Whether another frame begins there, as far as the file goes."""
+    """Whether another frame begins at this offset, as far as the file goes."""
     if len(blob) < at + _HEAD + 1:
         return True
     (stamp,) = _STAMP.unpack_from(blob, at)
@@ -169,7 +169,7 @@ def _follows(blob: bytes, at: int) -> bool:
 
 
 def _length(blob: bytes, at: int) -> int:
-    """Bytes of the frame that begins there; 0 where its head is cut off."""
+    """Size of the frame at this offset, bytes; 0 where its head is incomplete."""
     if len(blob) < at + 3:
         return 0
     payload = blob[at + 1]
@@ -181,11 +181,11 @@ def _length(blob: bytes, at: int) -> int:
 
 # -- datagrams ----------------------------------------------------------------------------------
 #
-# Datagrams of MAVLink 2 taken apart, a frame at a time in one unpacking.
+# Fast parser of MAVLink 2 datagrams: one unpacking per frame.
 #
-# pymavlink goes through a datagram byte by byte and makes an object of every field of every
-# message, which is most of what listening costs. What comes in flight are whole frames of known
-# kinds made of numbers; all else is pymavlink's: text, signatures, MAVLink 1, damage.
+# pymavlink processes a datagram byte by byte and creates an object for every field of every
+# message, which is most of the cost of listening. Complete frames of known kinds with numeric
+# fields are parsed here; pymavlink parses all else: text, signatures, MAVLink 1, damage.
 
 _HEADER = struct.Struct("<BBBBBBBHB")  # of MAVLink 2
 _CHECKSUM_SIZE = 2  # bytes
@@ -196,31 +196,31 @@ _MARKER = MARKERS[1]  # first byte of MAVLink 2
 class Unpacked(tuple[Any, ...]):
     """A message: header and payload, in the order of the wire; its fields are attributes.
 
-    It has what is used here of a message of pymavlink.
+    It has those methods of a pymavlink message that are used here.
     """
 
     __slots__ = ()
     kind = ""
 
     def get_type(self) -> str:
-        """Name of its kind."""
+        """Name of the message."""
         return self.kind
 
     def get_seq(self) -> int:
-        """Number in the sequence of its sender."""
+        """Sequence number."""
         return int(self[4])
 
     def get_srcSystem(self) -> int:  # noqa: N802
-        """Who sent it."""
+        """System id of the sender."""
         return int(self[5])
 
     def get_srcComponent(self) -> int:  # noqa: N802
-        """Which part of it."""
+        """Component id of the sender."""
         return int(self[6])
 
 
 def unpacked(datagram: bytes) -> list[tuple[Message, bytes]] | None:
-    """Messages of a datagram with their frames; None where one of them is not for here."""
+    """Messages of a datagram with their frames; None where pymavlink has to parse it."""
     found, at, end = [], 0, len(datagram)
     while at < end:
         if end - at < _HEADER.size or datagram[at] != _MARKER or datagram[at + 2]:
@@ -234,7 +234,7 @@ def unpacked(datagram: bytes) -> list[tuple[Message, bytes]] | None:
         frame = datagram[at:last]
         if dialect.x25crc(frame[1:-_CHECKSUM_SIZE] + extra).crc != checksum_of(frame):
             return None
-        content = frame[:-_CHECKSUM_SIZE].ljust(whole.size, b"\0")  # zeros at the end are not sent
+        content = frame[:-_CHECKSUM_SIZE].ljust(whole.size, b"\0")  # trailing zeros are not sent
         found.append((message(whole.unpack_from(content)), frame))
         at = last
     return found
@@ -242,7 +242,7 @@ def unpacked(datagram: bytes) -> list[tuple[Message, bytes]] | None:
 
 @cache
 def _made(kind: int) -> tuple[bytes, struct.Struct, type[Unpacked]] | None:
-    """Of a kind of message what its checksum begins with, its layout, and its class."""
+    """Checksum prefix, layout and class of a kind of message."""
     about = dialect.mavlink_map.get(kind)
     if about is None or "s" in about.unpacker.format:
         return None
@@ -258,27 +258,28 @@ def _made(kind: int) -> tuple[bytes, struct.Struct, type[Unpacked]] | None:
 
 # -- losses of a link ---------------------------------------------------------------------------
 #
-# What a MAVLink link loses, by the sequence numbers of its messages.
+# Losses of a MAVLink link, by the sequence numbers of its messages.
 
-_MODULUS = 256  # of sequence numbers, 8 bits
+_MODULUS = 256  # modulus of 8-bit sequence numbers
 _REORDERED = 128
-"""A number that is so far behind the newest is an older message, not a loss of more."""
+"""Distance behind the newest number from which it is an older message, not a loss."""
 _JUMP = 64
-"""More messages missing than this at once are a jump: a sender that restarted, or a long gap."""
+"""Largest number of missing messages; more are a jump: a sender that restarted, or a long gap."""
 _MOST_SENDERS = 512
-"""Components whose sequence is followed at once; of more, those heard from last."""
+"""Largest number of components whose sequence is tracked; of more, the most recent ones."""
 
 
 @dataclass(slots=True)
 class Sequence:
-    """Messages of one component of one system.
+    """Counts of the messages of one component of one system.
 
     Attributes:
-        received: How many came, duplicates left out.
-        lost: How many are missing between them.
-        duplicates: How many came twice.
-        reordered: How many came after a later one.
-        jumps: How often the number jumped; what is missing then is not known, and not counted.
+        received: Number of messages received, without duplicates.
+        lost: Number of messages missing in the sequence.
+        duplicates: Number of messages received twice.
+        reordered: Number of messages received after a later one.
+        jumps: Number of jumps of the sequence number; messages missing in a jump are unknown and
+            not counted.
     """
 
     received: int = 0
@@ -288,13 +289,13 @@ class Sequence:
     jumps: int = 0
     _newest: int = -1
     _sent_at: "array[int]" = field(default_factory=lambda: array("q"))
-    """By number, how many messages had been sent when it was last seen."""
+    """Number of messages sent when a sequence number was last received, by number."""
     _checksums: "array[int]" = field(default_factory=lambda: array("H"))
-    """By number, the checksum of the message."""
+    """Checksum of the last message with a sequence number, by number."""
     _count: int = 0
 
     def add(self, number: int, checksum: int) -> bool:
-        """Count a message; returns whether it came before: with this number, and the same."""
+        """Count a message; returns whether it is a duplicate: same number and same checksum."""
         if self._newest < 0:
             self._sent_at = array("q", [-_MODULUS]) * _MODULUS
             self._checksums = array("H", [0]) * _MODULUS
@@ -333,10 +334,10 @@ class Sequence:
 
 @dataclass(slots=True)
 class LinkCounts:
-    """All that came over one link, by system and component.
+    """Counts of all messages of one link, by system and component.
 
     Attributes:
-        sequences: Those heard from last, at most 512: forged senders take a bounded memory.
+        sequences: Counts of the most recent 512 senders, so that forged senders use bounded memory.
     """
 
     sequences: OrderedDict[tuple[int, int], Sequence] = field(default_factory=OrderedDict)
@@ -344,11 +345,11 @@ class LinkCounts:
 
     @property
     def systems(self) -> set[int]:
-        """Ids of all systems that sent anything."""
+        """Ids of all senders."""
         return {system for system, _ in self.sequences} | set(self._left)
 
     def add(self, system: int, component: int, number: int, checksum: int) -> bool:
-        """Count a message; returns whether it came before."""
+        """Count a message; returns whether it is a duplicate."""
         key = system, component
         one = self.sequences.get(key)
         if one is None:
@@ -376,17 +377,17 @@ class LinkCounts:
 
 @dataclass(slots=True)
 class MessageParser:
-    """Messages of the bytes of a link.
+    """Parser of the bytes of a link.
 
-    A telemetry log is pushed frame by frame, a live link datagram by datagram. A frame does not go
-    on in what is pushed next: nothing is stored of a sender.
+    A telemetry log is pushed frame by frame, a live link datagram by datagram. A frame must be
+    complete in one push: no state is stored per sender.
 
     Attributes:
-        link: Sequence numbers.
-        garbage: Bytes that are no message.
-        wrong: Frames whose checksum or length is wrong.
-        version_1: Messages of MAVLink 1.
-        repeated: Messages that came before, left out.
+        link: Counts by sequence number.
+        garbage: Number of bytes that belong to no message.
+        wrong: Number of frames with wrong checksum or length.
+        version_1: Number of messages of MAVLink 1.
+        repeated: Number of duplicates, which are dropped.
     """
 
     link: LinkCounts = field(default_factory=LinkCounts)
@@ -398,11 +399,11 @@ class MessageParser:
     def push(
         self, content: bytes, accepts: Callable[[Message], bool] = lambda _: True
     ) -> Iterator[tuple[Message, bytes]]:
-        """Messages of whole frames, with the frames; those that came before are left out.
+        """Messages of complete frames, with the frames; duplicates are dropped.
 
         Args:
-            content: Frames.
-            accepts: Whether a message is of the link; others are not counted.
+            content: Bytes of complete frames.
+            accepts: Whether a message belongs to the link; others are not counted.
         """
         for message, frame in self._taken_apart(content):
             if message.get_type() == BAD:

@@ -22,14 +22,14 @@ from .decoder import LANDED, USED, MavlinkDecoder, Sample, Sources, Stamp, colum
 from .frames import PHASES, Frame, LinkCounts, MessageParser, dialect, frames
 
 _SHOWN = 8
-"""Kinds of message that an error lists."""
+"""Number of kinds of message that an error lists."""
 
 
 class _Samples:
     """Samples of one system by signal, source and width, as arrays: 8 bytes a number.
 
     Attributes:
-        sources: What each signal is taken from, as soon as `by_group` was called.
+        sources: Selected source of each signal, after `by_group` was called.
     """
 
     def __init__(self) -> None:
@@ -40,7 +40,7 @@ class _Samples:
         return sum(len(t) for t, _ in self._columns.values())
 
     def add(self, samples: Iterable[Sample]) -> None:
-        """Take samples in order of arrival."""
+        """Add samples in order of arrival."""
         for sample in samples:
             self.sources.add(sample)
             key = sample.group, sample.source, len(sample.values)
@@ -51,10 +51,10 @@ class _Samples:
             values.extend(sample.values)
 
     def by_group(self) -> dict[str, tuple[NDArray[np.int64], Array]]:
-        """Times, us, and values of each signal, of its best source, in order of arrival.
+        """Times, us, and values of each signal, from its best source, in order of arrival.
 
-        Of several widths that of the most samples is taken: the aircraft may send late how many
-        motors it has.
+        Of several widths the one with the most samples is used: the aircraft may send its number of
+        motors late.
         """
         found = {}
         self.sources.choose()
@@ -85,8 +85,8 @@ class _Log(FindingCollector):
 def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     """Read a telemetry log of a ground station, or `raw.tlog` of `uavtwin live`.
 
-    Of several systems the multirotor with the most samples is read, without one the system with
-    the most. Arguments and errors as of `formats.Reader`.
+    Of several systems the multirotor with the most samples is read, without one the system with the
+    most. Arguments and errors as in `formats.Reader`.
     """
     log, link = _Log(), LinkCounts()
     system, decoder, samples = _aircraft(path, log, link, blob)
@@ -122,8 +122,8 @@ def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
 def _aircraft(
     path: Path, log: _Log, link: LinkCounts, blob: bytes
 ) -> tuple[int, MavlinkDecoder, _Samples]:
-    """The multirotor with the most samples, else the system with the most; what it is, and its
-    samples in order of arrival."""
+    """The multirotor with the most samples, else the system with the most: its id, its decoder, and
+    its samples in order of arrival."""
     decoders: defaultdict[int, MavlinkDecoder] = defaultdict(MavlinkDecoder)
     samples: defaultdict[int, _Samples] = defaultdict(_Samples)
     astray: Counter[int] = Counter()
@@ -162,18 +162,18 @@ def _aircraft(
 
 
 def _other(decoder: MavlinkDecoder) -> str:
-    """What a system is that is no multirotor, by its heartbeat; "" where it may be one."""
+    """Type of a system that is no multirotor, by its heartbeat; "" where it may be one."""
     kind = decoder.type
     return f"MAV_TYPE is {kind}, {NO_MULTIROTOR[kind]}" if kind in NO_MULTIROTOR else ""
 
 
 def _is_other(decoder: MavlinkDecoder) -> str:
-    """The sentence on a system that is no multirotor."""
+    """Sentence on a system that is no multirotor."""
     return f" It is none: {_other(decoder)}." if _other(decoder) else ""
 
 
 def _airframe(decoder: MavlinkDecoder) -> Airframe:
-    """What the heartbeat says of an aircraft."""
+    """Facts of the aircraft in the heartbeat."""
     motors = decoder.motors
     source = f"MAV_TYPE {decoder.type} of the heartbeat"
     rotors = None if motors is None else SourcedValue(motors, source)
@@ -181,13 +181,13 @@ def _airframe(decoder: MavlinkDecoder) -> Airframe:
 
 
 def _is_reordered(t_us: NDArray[np.int64]) -> bool:
-    """Whether times run back by less than a second: messages that overtook each other."""
+    """Whether times run backward by less than a second: reordered messages."""
     back = np.diff(t_us)
     return bool((back < 0).any() and back.min() > -1_000_000)
 
 
 def _phases(table: pd.DataFrame, t_us: NDArray[np.int64], state: Array) -> list[Span]:
-    """Phases of the land detector, those of the air by how the aircraft moves."""
+    """Phases by the land detector, those in the air by the motion of the aircraft."""
     t_s = np.asarray(t_us * 1e-6, dtype=np.float64)
     ground = ground_spans(t_s, state[:, 0] == dialect.MAV_LANDED_STATE_ON_GROUND)
     ground = phases_of_table(table, ground)
@@ -201,7 +201,7 @@ def _phases(table: pd.DataFrame, t_us: NDArray[np.int64], state: Array) -> list[
 def _note(
     log: _Log, decoder: MavlinkDecoder, link: LinkCounts, system: int, table: pd.DataFrame
 ) -> None:
-    """What was lost and left out."""
+    """Findings on lost and dropped data."""
     total = link.of(system)
     if total.lost:
         share = 100 * total.lost / (total.lost + total.received)

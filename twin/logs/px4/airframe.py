@@ -29,31 +29,31 @@ _OTHER_ALLOCATION = {
     **dict.fromkeys((5, 6), "a rover"),
     **dict.fromkeys((10, 11), "a helicopter"),
 }
-"""CA_AIRFRAME."""
+"""Vehicle by CA_AIRFRAME."""
 _RANGES = {4: "x", 5: "+", 6: "hex x", 7: "hex +", 8: "octo x", 9: "octo +", 10: "wide"}
 """Frame by the thousands of SYS_AUTOSTART, PX4 airframes reference."""
 _GENERIC_M = 0.15
-"""Coordinate of PX4's generic quadrotor, which many aircraft keep: no size of theirs."""
+"""Coordinate of PX4's generic quadrotor, which many users do not change: not a real size."""
 _KM = 0.05
-"""CA_ROTOR*_KM where the log leaves it out: PX4's default, counter-clockwise."""
+"""CA_ROTOR*_KM where the log does not have it: PX4's default, counter-clockwise."""
 _LARGEST_M = 1.0
-"""From here on coordinates are proportions: PX4 needs no more of them."""
+"""Coordinates from this size are proportions: PX4 needs only those."""
 _TYPED_SD = 0.05
-"""Of coordinates that somebody typed in, over the arm; by judgement."""
-_MOST_CELLS, _MOST_V = 60, 5.5  # in series, and volts of one: beyond is damage
-_HIGHEST_M = 2e4  # of a fix; beyond is damage
+"""Standard deviation of coordinates entered by a user, over the arm; by judgement."""
+_MOST_CELLS, _MOST_V = 60, 5.5  # number of cells in series, and volts of one: beyond is damage
+_HIGHEST_M = 2e4  # height of a fix; beyond is damage
 _FIX_3D = 3  # fix_type
 _MOVED_DEG = 1e-6
-"""A tenth of a metre: an estimator that moves its origin further starts again."""
+"""A tenth of a metre: a larger change of the estimator's origin is a restart."""
 _EARLIEST_S = 1.0e9  # 2001: receivers without a date begin in 1970 or 1980
 
 
 def from_px4_airframe(log: Px4Log, filtered: bool) -> Airframe:
-    """What a PX4 log says of its aircraft.
+    """Facts of the aircraft in a PX4 log.
 
     Args:
         log: The log.
-        filtered: Whether accelerometer and gyroscope are from the topics behind the low-passes.
+        filtered: Whether accelerometer and gyroscope are from the topics after the low-passes.
     """
     p = log.params
     count = _rotors(log)
@@ -91,8 +91,8 @@ def _rotors(log: Px4Log) -> SourcedValue[int] | None:
 
 
 def _layout(log: Px4Log, motors: int | None) -> Layout | None:
-    """From CA_ROTOR* where the log has them, else by the airframe that was chosen; where that is
-    none of PX4's, by the mixer that makes the logged outputs of the logged controls."""
+    """Layout from CA_ROTOR* where the log has them, else by the selected airframe; where that is
+    none of PX4's, by the mixer that computes the logged outputs from the logged controls."""
     if MIN_MOTORS <= log.params.get("CA_ROTOR_COUNT", 0.0) <= MAX_MOTORS:
         return _allocated(log, int(log.params["CA_ROTOR_COUNT"]))
     autostart = int(log.params.get("SYS_AUTOSTART", 0.0))
@@ -126,14 +126,14 @@ def _allocated(log: Px4Log, motors: int) -> Layout | None:
         metric,
         _TYPED_SD,
         f"CA_ROTOR0..{motors - 1}_PX, _PY, _PZ and the signs of _KM of the log",
-        senses_known=bool(np.ptp(np.sign(turn)) > 0),  # all of one sense: the default, never set
+        senses_known=bool(np.ptp(np.sign(turn)) > 0),  # all equal: the default, never set
         place_keys="CA_ROTOR{}_PX, _PY of the log",
         sense_keys="CA_ROTOR{}_KM of the log",
     )
 
 
 def _thrust(log: Px4Log) -> SourcedValue[ThrustCurve] | None:
-    """0 is the default of PX4 and says nothing."""
+    """Thrust curve; None for 0, the default of PX4, which is uninformative."""
     factor = log.params.get("THR_MDL_FAC", 0.0)
     if not 0.0 < factor <= 1.0:
         return None
@@ -141,17 +141,18 @@ def _thrust(log: Px4Log) -> SourcedValue[ThrustCurve] | None:
 
 
 def _outputs_unsaid(log: Px4Log) -> Outputs | None:
-    """Outputs that drive the motors; None: they are not in the log, or it has commands besides."""
+    """Outputs that drive the motors, without findings; None: they are not logged, or commands are
+    logged as well."""
     if log.instances("actuator_motors"):
         return None
     noted = len(log.findings)
     outputs: Outputs | None = logged_outputs(log)
-    del log.findings[noted:]  # the reader of the commands has said them
+    del log.findings[noted:]  # the reader of the commands has reported them
     return outputs
 
 
 def _pulse(log: Px4Log) -> SourcedValue[tuple[float, float]] | None:
-    """Of the outputs that drive the motors, where the log has their pulse widths."""
+    """Pulse range of the outputs that drive the motors, where the log has their pulse widths."""
     outputs = _outputs_unsaid(log)
     if outputs is None or any(m.unit != "us" for m in outputs.motors):
         return None
@@ -181,7 +182,7 @@ _BATTERY = ("N_CELLS", "V_CHARGED", "V_EMPTY", "CAPACITY", "R_INTERNAL")  # para
 
 
 def _imu_position(log: Px4Log) -> SourcedValue[tuple[float, float, float]] | None:
-    """0, 0, 0 is the default of PX4 and says nothing."""
+    """Position of the IMU; None for 0, 0, 0, the default of PX4, which is uninformative."""
     x, y, z = (log.params.get(f"EKF2_IMU_POS_{a}", 0.0) for a in "XYZ")
     return SourcedValue((x, y, z), "EKF2_IMU_POS_X, _Y, _Z of the log") if x or y or z else None
 
@@ -194,11 +195,11 @@ FILTERS = {
     "IMU_GYRO_NF0_FRQ": "notch",
     "IMU_GYRO_NF1_FRQ": "notch",
 }
-"""Parameters that hold the frequency of a filter, Hz, and what it filters."""
+"""Parameters with the frequency of a filter, Hz, and the filtered signal."""
 
 
 def _filters(log: Px4Log) -> str:
-    """Of the controllers: the logged samples are taken before them."""
+    """Text on the filters of the controllers: the logged samples are taken before them."""
     p = log.params
     said = [
         f"{what} {p[name]:g} Hz ({name})" for name, what in FILTERS.items() if p.get(name, 0.0) > 0
@@ -228,7 +229,7 @@ def _place(log: Px4Log) -> SourcedValue[Place] | None:
 
 
 def _origin(log: Px4Log) -> SourcedValue[Place] | None:
-    """What the estimator counts positions from; None where it has none, or has moved it."""
+    """Origin of the estimator's positions; None where it has none, or has moved it."""
     topic = log.topic("vehicle_local_position", 0)
     if topic is None or not topic.has("ref_lat", "ref_lon", "ref_alt", "xy_global"):
         return None
@@ -244,7 +245,8 @@ def _origin(log: Px4Log) -> SourcedValue[Place] | None:
 
 
 def _degrees(topic: Topic) -> Array | None:
-    """Latitude and longitude in degrees, height in m, shape (n, 3); 1.14 changed their names."""
+    """Latitude and longitude in degrees, height in m, shape (n, 3); release 1.14 renamed the
+    fields."""
     if topic.has("latitude_deg", "longitude_deg", "altitude_ellipsoid_m"):
         return topic.columns(("latitude_deg", "longitude_deg", "altitude_ellipsoid_m"))
     if topic.has("lat", "lon", "alt_ellipsoid"):
@@ -253,7 +255,7 @@ def _degrees(topic: Topic) -> Array | None:
 
 
 def _year(topic: Topic, fixed: NDArray[np.bool_]) -> float | None:
-    """Decimal year of the receiver's clock."""
+    """Decimal year by the receiver's clock."""
     if not topic.has("time_utc_usec"):
         return None
     utc_s = float(np.median(topic.data["time_utc_usec"][fixed].astype(np.float64))) * 1e-6
@@ -264,18 +266,18 @@ def _year(topic: Topic, fixed: NDArray[np.bool_]) -> float | None:
 
 # -- site ---------------------------------------------------------------------------------------
 #
-# Indoors or outdoors, by the source of its position.
+# Indoors or outdoors, by the source of the position.
 
 _GNSS = ("vehicle_gps_position", "sensor_gps")  # topics, newest name last
-_TRACKED = ("vehicle_visual_odometry", "vehicle_mocap_odometry")  # topics of a pose from outside
+_TRACKED = ("vehicle_visual_odometry", "vehicle_mocap_odometry")  # topics of an external pose
 _AID_VISION = 8 | 16
-"""EKF2_AID_MASK of PX4 up to 1.13: position and yaw of external vision. EKF2_EV_CTRL, which follows
-it, allows vision from the factory on and says nothing."""
+"""EKF2_AID_MASK of PX4 up to 1.13: position and yaw of external vision. Its successor EKF2_EV_CTRL
+enables vision by default and is uninformative."""
 
 
 def from_px4_site(log: Px4Log) -> Site | None:
-    """A fix by satellites for at least half of the samples: outdoors; else a pose from outside, by
-    cameras or motion capture: indoors; None where the log has neither."""
+    """Outdoors where at least half of the samples have a satellite fix; indoors with an external
+    pose from cameras or motion capture; None where the log has neither."""
     for name in _GNSS:
         kinds = log.fields(name).get("fix_type")
         if kinds is not None and np.mean(kinds >= _FIX_3D) >= 0.5:

@@ -1,7 +1,8 @@
-"""PX4's rate controller and mixer, run again on a log to get its motor commands at full rate.
+"""PX4's rate controller and mixer, re-run on a log to get its motor commands at full rate.
 
-A default PX4 log keeps the motor outputs at 10 Hz, but everything they are computed from more
-often: gyro (some 160 Hz), rate setpoints (50 Hz), gains, mixer. From these the commands follow.
+A default PX4 log has the motor outputs at 10 Hz, but all inputs from which they are computed at
+higher rates: gyro (some 160 Hz), rate setpoints (50 Hz), gains, mixer. The commands are computed
+from these.
 
 Source: PX4 v1.12, modules sensors/vehicle_angular_velocity, mc_rate_control and
 lib/mixer/MultirotorMixer (BSD licence; written from the description of what they compute).
@@ -21,20 +22,20 @@ from ..flight import Array
 _I_FACTOR_RAD_S = np.radians(400.0)  # of RateControl: the integral grows less at high rates
 _MIN_DT_S, _MAX_DT_S = 0.000125, 0.02  # bounds of the step in mc_rate_control
 _YAW_CEILING = 1.15  # of the mixer: yaw may use 15 % more
-_CLIPPED_LOW = 0.005  # command below which a motor is at its lower end
+_CLIPPED_LOW = 0.005  # command below which a motor is at its lower limit
 
 
 @dataclass(frozen=True, slots=True)
 class Gyro:
-    """Gyro samples as logged: means over windows that end at `end_s`.
+    """Logged gyro samples: means over windows that end at `end_s`.
 
     Attributes:
         end_s: End of each window, s, shape (n,), increasing.
         window_s: Length of each window, s, shape (n,); a gap follows where they do not touch.
         rates: Mean body rates, FRD, rad/s, shape (n, 3).
         raw_hz: Rate at which the low-pass filters run on board.
-        rate_hz: Rate at which the controller runs, `raw_hz` over a whole number.
-        delay_s: Further delay of the mean behind the middle of its window.
+        rate_hz: Rate of the controller, `raw_hz` over an integer.
+        delay_s: Additional delay of the mean after the middle of its window.
     """
 
     end_s: Array
@@ -72,7 +73,7 @@ class Mixer:
 
 
 def raw_times(gyro: Gyro) -> Array:
-    """Times at which the filters ran: the ends of the windows and equal steps between, s."""
+    """Times of the filters' samples: the ends of the windows and equal steps between, s."""
     steps = np.maximum(np.round(np.diff(gyro.end_s) * gyro.raw_hz), 1).astype(np.int64)
     index = np.concatenate([[0], np.cumsum(steps)])
     return np.interp(np.arange(index[-1] + 1), index, gyro.end_s)
@@ -81,12 +82,12 @@ def raw_times(gyro: Gyro) -> Array:
 def resample(gyro: Gyro, t_s: Array) -> Array:
     """Body rates at any time from means over windows.
 
-    The angle turned in each window is preserved: a cubic spline runs through the angle at the ends
-    of the windows, and its slope is the rate. Gaps are bridged by a cubic through the values in the
+    The angle turned in each window is preserved: the rate is the slope of a cubic spline through
+    the angle at the ends of the windows. Gaps are bridged by a cubic through the values in the
     middle of the windows.
 
     Args:
-        gyro: Logged means.
+        gyro: Logged means of the gyro.
         t_s: Times, s, shape (m,).
 
     Returns:
@@ -110,7 +111,7 @@ def resample(gyro: Gyro, t_s: Array) -> Array:
 
 
 def low_pass(x: Array, rate_hz: float, cutoff_hz: float) -> Array:
-    """Second-order Butterworth low-pass as PX4's LowPassFilter2p, at rest on the first sample.
+    """Second-order Butterworth low-pass as PX4's LowPassFilter2p, settled on the first sample.
 
     Args:
         x: Samples, shape (n, k).
@@ -160,8 +161,8 @@ def integrals(
         t_s: Times, s, shape (n,).
         error: Rate setpoint minus rate, rad/s, shape (n, 3).
         gains: Gains.
-        active: Where the integrator runs (armed and off the ground), shape (n,).
-        blocked: Where saturation forbids it to grow and to shrink, each of shape (n, 3).
+        active: Whether the integrator runs (armed and off the ground), shape (n,).
+        blocked: Whether saturation blocks an increase, and a decrease, each of shape (n, 3).
         anchors_s: Times of the logged integrals, s, shape (m,).
         anchors: Logged integrals, shape (m, 3).
     """
@@ -175,7 +176,7 @@ def integrals(
         return np.asarray(np.clip(grown, -gains.limit, gains.limit))
     last = np.searchsorted(anchors_s, t_s, side="right") - 1
     at = np.minimum(np.searchsorted(t_s, anchors_s, side="left"), len(t_s) - 1)
-    # a logged integral already holds the update of its own sample
+    # a logged integral already includes the update of its own sample
     base = np.minimum(at + 1, len(t_s) - 1)
     value = np.where(
         (last >= 0)[:, None],
@@ -193,7 +194,7 @@ def mix(controls: Array, mixer: Mixer) -> Array:
         mixer: Geometry and options.
 
     Returns:
-        Shape (n, motors).
+        Commands, shape (n, motors).
     """
     limited = np.clip(controls, (-1.0, -1.0, -1.0, 0.0), 1.0)
     out = _AIRMODES.get(mixer.airmode, _airmode_off)(limited, mixer.scale)
@@ -205,14 +206,14 @@ def mix(controls: Array, mixer: Mixer) -> Array:
 
 
 def blocked_by(cmd: Array, mixer: Mixer) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Where a motor at its lower end forbids the integrators to grow, and to shrink.
+    """Whether a motor at its lower limit blocks an increase, and a decrease, of the integrators.
 
     Args:
         cmd: Commands, shape (n, motors).
         mixer: Geometry and options.
 
     Returns:
-        For the next sample's roll, pitch and yaw, two masks of shape (n, 3).
+        Two masks for the next sample's roll, pitch and yaw, shape (n, 3).
     """
     if mixer.airmode == 2:
         none = np.zeros((len(cmd), 3), dtype=np.bool_)
@@ -227,7 +228,7 @@ def blocked_by(cmd: Array, mixer: Mixer) -> tuple[NDArray[np.bool_], NDArray[np.
 
 
 def _gain(out: Array, way: Array, low: float, high: float) -> Array:
-    """How far to go along `way` to undo the worst excess below `low` and above `high`, (n, 1)."""
+    """Step along `way` that removes the worst excess below `low` and above `high`, shape (n, 1)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         excess = np.where(out < low, low - out, np.where(out > high, high - out, 0.0))
         k = np.where(np.abs(way) < 1e-7, 0.0, excess / way)
@@ -247,13 +248,13 @@ def _desaturate(
 
 
 def _mix_yaw(out: Array, yaw: Array, scale: Array) -> Array:
-    """Add yaw, giving up yaw rather than roll and pitch, and then thrust."""
+    """Add yaw, reducing yaw rather than roll and pitch, and then thrust."""
     out = _desaturate(out + yaw[:, None] * scale[:, 2], scale[:, 2], 0.0, _YAW_CEILING)
     return _desaturate(out, scale[:, 3], reduce_only=True)
 
 
 def _airmode_off(c: Array, scale: Array) -> Array:
-    """Never raise the thrust to gain authority."""
+    """Mix without increasing the thrust for authority."""
     out = c[:, [0, 1, 3]] @ scale[:, [0, 1, 3]].T
     out = _desaturate(out, scale[:, 3], reduce_only=True)
     out = _desaturate(_desaturate(out, scale[:, 0]), scale[:, 1])
@@ -261,13 +262,13 @@ def _airmode_off(c: Array, scale: Array) -> Array:
 
 
 def _airmode_roll_pitch(c: Array, scale: Array) -> Array:
-    """Thrust may rise for roll and pitch."""
+    """Mix with increased thrust for roll and pitch."""
     out = _desaturate(c[:, [0, 1, 3]] @ scale[:, [0, 1, 3]].T, scale[:, 3])
     return _mix_yaw(out, c[:, 2], scale)
 
 
 def _airmode_all(c: Array, scale: Array) -> Array:
-    """Thrust may rise for roll, pitch and yaw."""
+    """Mix with increased thrust for roll, pitch and yaw."""
     return _desaturate(_desaturate(c @ scale.T, scale[:, 3]), scale[:, 2])
 
 
@@ -282,7 +283,7 @@ _AIRMODES: dict[int, Callable[[Array, Array], Array]] = {  # MC_AIRMODE
 #
 # Multirotor geometries of PX4's mixers and the airframes that use them.
 
-_MOMENT = 0.05  # of a rotor over its thrust, m; any number gives the same shares
+_MOMENT = 0.05  # of a rotor over its thrust, m; any value gives the same shares
 _GEOMETRIES = {"quad_x": "x", "quad_wide": "wide", "quad_plus": "+", "hex_x": "hex x"}
 """Mixers whose commands are rebuilt, and the frame of each."""
 _AIRFRAMES = {4001: "quad_x", 4010: "quad_x", 4011: "quad_x", 10016: "quad_wide"}
@@ -290,12 +291,12 @@ _AIRFRAMES = {4001: "quad_x", 4010: "quad_x", 4011: "quad_x", 10016: "quad_wide"
 
 
 def airframe_mixer(autostart: float) -> str | None:
-    """Name of the mixer of a SYS_AUTOSTART airframe, None where it is not known here."""
+    """Name of the mixer of a SYS_AUTOSTART airframe, None where it is not known."""
     return _AIRFRAMES.get(int(autostart))
 
 
 def frame_of_mixer(name: str) -> str:
-    """Frame of a known mixer, of `twin.vehicle.layouts.FRAMES`."""
+    """Frame of a known mixer, from `twin.vehicle.layouts.FRAMES`."""
     return _GEOMETRIES[name]
 
 

@@ -1,4 +1,4 @@
-"""Inertial sensors, magnetometer and barometer of a PX4 log, whichever release wrote it.
+"""Inertial sensors, magnetometer and barometer of a PX4 log of any release.
 
 | release | gyroscope and accelerometer | averaging time | magnetometer, barometer |
 |---|---|---|---|
@@ -39,8 +39,8 @@ def from_px4_gauss(field: Array) -> Array:
 
 
 def from_px4_interval(values: NDArray[np.generic]) -> Times:
-    """Averaging time, us: the type of the field gives the unit, s as float (up to PX4 1.7), else
-    us."""
+    """Averaging time, us: the unit depends on the type of the field, s as float (up to PX4 1.7),
+    else us."""
     with np.errstate(invalid="ignore", over="ignore"):
         if values.dtype.kind == "f":
             us = 1e6 * values.astype(np.float64)
@@ -51,17 +51,17 @@ def from_px4_interval(values: NDArray[np.generic]) -> Times:
 
 @dataclass(frozen=True, slots=True)
 class _Source:
-    """Samples of both sensors as a topic has them.
+    """Samples of accelerometer and gyroscope from one topic.
 
     Attributes:
         topic: The topic.
         gyro: Body rates, FRD, rad/s, shape (n, 3).
-        gyro_end_us: End of what each averages, us, shape (n,).
-        gyro_dt_us: Over how long, us, shape (n,); 0: not known.
+        gyro_end_us: End of the averaging window of each sample, us, shape (n,).
+        gyro_dt_us: Length of the averaging window, us, shape (n,); 0: not known.
         acc: Specific force, FRD, m/s^2, shape (n, 3).
-        acc_end_us: As of the gyroscope.
-        acc_dt_us: As of the gyroscope.
-        has_acc: Rows that have one, shape (n,).
+        acc_end_us: End of the averaging window of each sample, us, shape (n,).
+        acc_dt_us: Length of the averaging window, us, shape (n,); 0: not known.
+        has_acc: Whether a row has an accelerometer sample, shape (n,).
     """
 
     topic: Topic
@@ -75,10 +75,10 @@ class _Source:
 
 
 def add_imu(log: Px4Log, flight: FlightBuilder) -> bool:
-    """Accelerometer and gyro, stamped with the middle of the time that each sample averages.
+    """Accelerometer and gyro, stamped with the middle of the averaging window of each sample.
 
     Returns:
-        Whether they are from the topics behind the low-passes of the controllers.
+        Whether they are from the topics after the low-passes of the controllers.
     """
     source = _combined(log) or _increments(log)
     if source is None:
@@ -119,14 +119,14 @@ def add_imu(log: Px4Log, flight: FlightBuilder) -> bool:
 
 
 def _combined(log: Px4Log) -> _Source | None:
-    """Of sensor_combined, None where the log has none."""
+    """Samples of sensor_combined, None where the log has none."""
     gyro = "gyro_rad" if "gyro_rad[0]" in log.fields(_COMBINED) else "gyro_rad_s"
     fields = [f"{s}[{k}]" for s in (gyro, "accelerometer_m_s2") for k in range(3)]
     if not log.fields(_COMBINED) or (topic := log.topic(_COMBINED, 0, *fields)) is None:
         return None
     stamps = topic.data.get("accelerometer_timestamp", topic.data.get("accelerometer_timestamp[0]"))
     field = f"accelerometer_timestamp{'' if stamps is not None else '_relative'}"
-    if stamps is not None:  # before PX4 1.5: of its own, the same until there is a new sample
+    if stamps is not None:  # before PX4 1.5: own stamps, repeated until there is a new sample
         relative = stamps.astype(np.int64) - topic.data["timestamp"].astype(np.int64)
         has_acc = np.diff(stamps.astype(np.int64), prepend=-1) != 0
         none = ~has_acc
@@ -152,7 +152,7 @@ def _combined(log: Px4Log) -> _Source | None:
 
 
 def _increments(log: Px4Log) -> _Source | None:
-    """Of vehicle_imu: increments over their time, None where the log has no usable time."""
+    """Samples of vehicle_imu: increments over their time, None where the log has no usable time."""
     there = log.fields("vehicle_imu")
     lengths = [
         next((f for f in (f"{stem}_dt", "dt") if f in there), "")
@@ -205,7 +205,7 @@ def _window(log: Px4Log, topic: Topic, field: str) -> Times:
 
 
 def _gaps(log: Px4Log, topic: Topic, window_us: Times, facts: dict[str, str]) -> None:
-    """Count IMU samples that were taken but did not arrive in the log."""
+    """Count IMU samples that were taken but are not in the log."""
     steps = np.diff(topic.t_us)
     if len(steps) == 0 or not window_us.any():
         return
@@ -226,7 +226,7 @@ def _gaps(log: Px4Log, topic: Topic, window_us: Times, facts: dict[str, str]) ->
 
 
 def _filtered_imu(log: Px4Log, flight: FlightBuilder) -> None:
-    """Second choice: the filtered signals that the controllers use."""
+    """Add the filtered signals of the controllers, the second choice."""
     for name, where, names in (
         ("vehicle_acceleration", "acc", ACC),
         ("vehicle_angular_velocity", "gyro", GYRO),
@@ -241,7 +241,7 @@ def _filtered_imu(log: Px4Log, flight: FlightBuilder) -> None:
 
 
 def add_magnetometer(log: Px4Log, flight: FlightBuilder) -> None:
-    """Magnetometer of the first instance, up to PX4 1.7 that of sensor_combined."""
+    """Add the first magnetometer, up to PX4 1.7 that of sensor_combined."""
     fields = [f"magnetometer_ga[{k}]" for k in range(3)]
     if not log.instances("vehicle_magnetometer"):
         t_us, gauss = _slower(log, "magnetometer", fields)
@@ -256,7 +256,8 @@ def add_magnetometer(log: Px4Log, flight: FlightBuilder) -> None:
 
 
 def add_barometer(log: Px4Log, flight: FlightBuilder) -> None:
-    """Static pressure, up to PX4 1.8 that of sensor_combined where it has one, not a height."""
+    """Add the static pressure, up to PX4 1.8 from sensor_combined where it has pressure, not
+    height."""
     topic = log.topic("vehicle_air_data", 0, "baro_pressure_pa")
     if topic is not None:
         pressure = topic.columns(("baro_pressure_pa",))
@@ -277,7 +278,8 @@ def add_barometer(log: Px4Log, flight: FlightBuilder) -> None:
 
 
 def _slower(log: Px4Log, stem: str, fields: list[str]) -> tuple[Times, Array]:
-    """Times and values of a slower sensor in sensor_combined, each sample once; none without it."""
+    """Times and values of a slower sensor in sensor_combined, each sample once; empty without
+    it."""
     nothing = np.zeros(0, dtype=np.int64), np.zeros((0, len(fields)))
     if not set(fields) <= log.fields(_COMBINED).keys():
         return nothing

@@ -1,4 +1,4 @@
-"""PX4 ULog files opened with care: what can be read is read, what cannot is counted."""
+"""Tolerant reader of PX4 ULog files: unreadable parts are counted, the others are read."""
 
 import contextlib
 import io
@@ -30,19 +30,19 @@ from ..stamps import (
 
 # -- definitions of messages --------------------------------------------------------------------
 #
-# What a ULog says of its own messages, looked at before pyulog unfolds it.
+# Message definitions of a ULog, checked before pyulog expands them.
 
 _FIRST_DATA = b"AL"  # the first of these ends the definitions
 _LONGEST = 10000  # bytes of a message; longer ones are damage
 _MOST_FIELDS = 65535  # the length of a message has 16 bits, a field at least 8
 _MOST_UNFOLDED = 2_000_000  # fields of all subscriptions together; a PX4 log has some 5000
 _BASIC = re.compile(r"u?int(8|16|32|64)_t|float|double|bool|char")
-"""Types of a field that are no format."""
+"""Basic types of a field."""
 _ADDED = 3  # bytes before the name of the topic in a subscription
 
 
 def messages(blob: bytes) -> Iterator[tuple[int, int, int]]:
-    """Kind, start and end of the content of each message, as far as the file has them whole."""
+    """Kind, start and end of the content of each message that is complete in the file."""
     at, end = 16, len(blob)
     header = struct.Struct("<HB").unpack_from
     while at + 3 <= end:
@@ -54,7 +54,7 @@ def messages(blob: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def data_places(blob: bytes) -> dict[int, NDArray[np.int64]]:
-    """Places of each subscription's samples among all samples of the file, by message id."""
+    """Positions of each subscription's samples among all samples of the file, by message id."""
     number = struct.Struct("<H").unpack_from
     ids = [
         number(blob, start)[0]
@@ -66,13 +66,12 @@ def data_places(blob: bytes) -> dict[int, NDArray[np.int64]]:
 
 
 def check_definitions(path: Path, blob: bytes) -> None:
-    """Refuse a log whose definitions are cut, damaged or endless.
+    """Refuse a log whose definitions are incomplete, damaged or infinite.
 
-    pyulog 1.3 never returns from some that are damaged, and unfolds nested formats whatever their
-    depth.
+    pyulog 1.3 never returns from some damaged definitions, and expands nested formats of any depth.
 
     Raises:
-        LogError: As said.
+        LogError: The definitions are of this kind.
     """
     end = 16
     for kind, start, end in messages(blob):
@@ -92,7 +91,7 @@ def check_definitions(path: Path, blob: bytes) -> None:
 
 
 def _check_formats(path: Path, blob: bytes) -> None:
-    """Refuse formats of more fields than a message has room for, and too many subscriptions."""
+    """Refuse formats with more fields than a message can have, and too many subscriptions."""
     inner: dict[str, list[tuple[str, int]]] = {}
     unfolded = 0
     sizes: dict[str, int] = {}
@@ -111,13 +110,13 @@ def _check_formats(path: Path, blob: bytes) -> None:
                 f"{path.name}: damaged ULog: its subscriptions have over {_MOST_UNFOLDED} fields. "
                 "Copy the log from the vehicle again."
             )
-    for name in inner:  # a subscription may stand where damage hides it from this walk
+    for name in inner:  # damage may hide a subscription from this loop
         if name not in sizes:
             _unfolded(path, name, inner, sizes)
 
 
 def _kind(field: str) -> tuple[str, int]:
-    """Type of a field and how many of it there are."""
+    """Type of a field and its number of elements."""
     kind, _, rest = field.split(" ")[0].partition("[")
     count = rest.rstrip("]")
     return kind, int(count) if count.isdecimal() and len(count) < 8 else 1
@@ -126,7 +125,8 @@ def _kind(field: str) -> tuple[str, int]:
 def _unfolded(
     path: Path, name: str, inner: dict[str, list[tuple[str, int]]], sizes: dict[str, int]
 ) -> int:
-    """Fields of a format with those of the formats within it, each of which counts as one more."""
+    """Number of fields of a format with those of nested formats, each of which counts as one
+    more."""
     pending = [name]
     while pending:
         top = pending[-1]
@@ -155,7 +155,7 @@ def _unfolded(
 _MESSAGES = b"BFIMPQADLCSOR"  # kinds of message of ULog
 _EVENTS = ("vehicle_command",)  # several may carry the same time
 _ASIDE = ("trajectory_setpoint", "vehicle_local_position_setpoint", "vehicle_status")
-"""Of no signal: no sample is judged by them."""
+"""Topics without signals: their samples are not used to check times."""
 _ON_CHANGE = (  # topics without a steady rate
     *("actuator_armed", "estimator_sensor_bias", "vehicle_land_detected"),
     *(*_EVENTS, *_ASIDE),
@@ -164,11 +164,11 @@ _LEVELS: dict[int, Level] = {
     **{ord("0"): "emergency", ord("1"): "alert", ord("2"): "critical", ord("3"): "error"},
     **{ord("4"): "warning", ord("5"): "notice", ord("6"): "info", ord("7"): "debug"},
 }
-"""Of logged messages, as the ULog format has them."""
+"""Levels of logged messages in the ULog format."""
 _LONGEST_US = 365 * 86_400 * 1_000_000  # a year: times beyond are damage
-_LATEST_US = 1_000_000  # between sampling and publication; beyond is no time
-_STRAY_US = 700_000  # sound logs: under 500 ms in the burst of their first second
-_SLOW_MS = 150.0  # sound logs have at most 25
+_LATEST_US = 1_000_000  # between sampling and publication; beyond is invalid
+_STRAY_US = 700_000  # valid logs: under 500 ms in the burst of their first second
+_SLOW_MS = 150.0  # valid logs have at most 25
 TOPICS = (  # that are parsed
     "actuator_armed",
     "actuator_controls_0",
@@ -200,7 +200,7 @@ TOPICS = (  # that are parsed
 )
 
 NEEDED = ("sensor_combined", "vehicle_attitude", "vehicle_local_position", "actuator_outputs")
-"""Some of them, for an error."""
+"""The most important topics, for an error text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,9 +209,9 @@ class Topic(Timed):
 
     Attributes:
         name: Topic name.
-        t_us: Time of each sample since the start of the log, us, shape (n,): the time the
-            sample was taken where the log has it, else the time it was published.
-        data: Fields, each of shape (n,).
+        t_us: Time of each sample since the start of the log, us, shape (n,): time of sampling where
+            the log has it, else time of publication.
+        data: Fields by name, each of shape (n,).
         by_sample_time: Whether `t_us` is the time of sampling.
     """
 
@@ -221,12 +221,12 @@ class Topic(Timed):
     by_sample_time: bool
 
     def has(self, *fields: str) -> bool:
-        """Whether every field is there."""
+        """Whether the topic has every field."""
         return all(f in self.data for f in fields)
 
     def columns(self, fields: Sequence[str]) -> Array:
         """Fields side by side, shape (n, len(fields))."""
-        with np.errstate(invalid="ignore"):  # damaged logs hold signalling NaN
+        with np.errstate(invalid="ignore"):  # damaged logs contain signalling NaN
             return np.column_stack([self.data[f].astype(np.float64) for f in fields])
 
     def array(self, stem: str, n: int) -> Array:
@@ -234,7 +234,8 @@ class Topic(Timed):
         return self.columns([f"{stem}[{i}]" for i in range(n)])
 
     def at(self, t_us: NDArray[np.int64], name: str) -> Array:
-        """Value of a field held from its last sample, the first one before that."""
+        """Value of a field at other times, constant from its last sample, the first one before
+        that."""
         index = np.searchsorted(self.t_us, t_us, side="right") - 1
         with np.errstate(invalid="ignore"):
             return self.data[name].astype(np.float64)[np.maximum(index, 0)]
@@ -242,18 +243,19 @@ class Topic(Timed):
 
 @dataclass(slots=True)
 class Px4Log(FindingCollector):
-    """One ULog on its own clock.
+    """One ULog in its own time.
 
     Attributes:
-        path: File.
+        path: Path of the file.
         start_us: Time of the log's start on the flight controller's clock, us.
         params: Parameters with the changes made during the flight applied.
         changed: Parameters changed after the start of the log.
-        info: What the log says about firmware and hardware.
-        defaults: Of parameters, those that the log has: PX4 leaves out those that are unchanged.
+        info: Facts of the log about firmware and hardware.
+        defaults: Logged defaults of parameters: PX4 omits those of unchanged ones.
         messages: Texts that the autopilot logged, in order of time.
-        findings: Grows while the log is read.
-        span_us: When two topics of a steady rate have begun, and have ended, us since the start.
+        findings: Findings so far.
+        span_us: First and last time at which two topics of constant rate are logged, us since the
+            start.
     """
 
     path: Path
@@ -270,27 +272,28 @@ class Px4Log(FindingCollector):
 
     @property
     def release(self) -> int:
-        """Firmware version, a byte each from the top; 0 where the log has none that makes sense."""
+        """Firmware version, one byte per part from the top; 0 where the log has no valid one."""
         number = self.info.get("ver_sw_release", "")
         return int(number) if number.isdecimal() and len(number) < 11 else 0
 
     def instances(self, name: str) -> list[int]:
-        """Instances of a topic that hold samples."""
+        """Numbers of the instances of a topic that have samples."""
         return sorted(k for n, k in self._raw if n == name)
 
     def fields(self, name: str) -> Mapping[str, NDArray[Any]]:
-        """What the first instance of a topic holds, in the order of the file; {} without it."""
+        """Fields of the first instance of a topic, in the order of the file; {} without it."""
         return self._raw.get((name, 0), {})
 
     def topic(self, name: str, instance: int = 0, *needs: str) -> Topic | None:
-        """A topic with its samples in order, None where the log has none with these fields."""
+        """A topic with its samples in order of time, None where the log has none with these
+        fields."""
         key = (name, instance)
         if key not in self._topics:
             self._topics[key] = self._ordered(name, instance)
         return with_fields(self, name, self._topics[key], needs)
 
     def aside(self, name: str, *needs: str) -> Topic | None:
-        """The same of a topic that no signal comes from, without findings."""
+        """A topic as from `topic`, without findings, for one that has no signals."""
         before = list(self.findings)
         topic = self._topics.get((name, 0)) or self._ordered(name, 0)
         self.findings[:] = before
@@ -356,17 +359,17 @@ class Px4Log(FindingCollector):
 
 def _from_px4_us(stamps: NDArray[Any], start_us: int) -> NDArray[np.int64]:
     """PX4 time stamps (us since boot, unsigned) -> us since the start of the log."""
-    start = np.uint64(start_us & 0xFFFF_FFFF_FFFF_FFFF)  # a difference before zero wraps twice
+    start = np.uint64(start_us & 0xFFFF_FFFF_FFFF_FFFF)  # a difference below zero wraps twice
     return np.asarray((stamps.astype(np.uint64) - start).view(np.int64))
 
 
 def _finite(value: object) -> bool:
-    """Whether a parameter has a usable value; damaged logs have text or NaN."""
+    """Whether a parameter has a valid value; damaged logs have text or NaN."""
     return isinstance(value, int | float) and bool(np.isfinite(value))
 
 
 def _left_over(blob: bytes) -> tuple[int, int]:
-    """Bytes of a message cut off at the end, bytes never understood."""
+    """Bytes of an incomplete message at the end, and bytes that could not be decoded."""
     whole = 16
     for kind, start, end in messages(blob):
         if kind not in _MESSAGES:
@@ -384,7 +387,7 @@ def open_px4(path: Path, blob: bytes) -> Px4Log:
         blob: Content of the file.
 
     Raises:
-        LogError: Nothing in it can be used.
+        LogError: Nothing in the file can be used.
     """
     check_definitions(path, blob)
     said = io.StringIO()
@@ -439,13 +442,13 @@ def open_px4(path: Path, blob: bytes) -> Px4Log:
 
 
 def _defaults(log: ULog) -> dict[str, float]:
-    """Defaults of the airframe that is set up, else of the firmware."""
+    """Defaults of the configured airframe, else of the firmware."""
     defaults = {**log.get_default_parameters(0), **log.get_default_parameters(1)}
     return {k: float(v) for k, v in list(defaults.items())[:MOST_PARAMETERS] if _finite(v)}
 
 
 def _messages(log: ULog, start_us: int) -> tuple[Message, ...]:
-    """Texts logged within a year of the start; the first of them where there are very many."""
+    """Texts logged within a year of the start; the first ones where there are very many."""
     tagged = [m for several in log.logged_messages_tagged.values() for m in several]
     found = []
     for each in [*log.logged_messages, *tagged]:
@@ -456,8 +459,8 @@ def _messages(log: ULog, start_us: int) -> tuple[Message, ...]:
 
 
 def _span_us(opened: Px4Log) -> tuple[int, int]:
-    """The second time at which a topic of a steady rate begins and the last but one at which one
-    ends: one alone may be off."""
+    """The second time at which a topic of constant rate begins and the last but one at which one
+    ends: a single topic may be wrong."""
     times = [
         _from_px4_us(raw["timestamp"], opened.start_us)
         for (name, _), raw in opened._raw.items()
@@ -468,9 +471,9 @@ def _span_us(opened: Px4Log) -> tuple[int, int]:
 
 
 def _drop_misplaced(opened: Px4Log, blob: bytes, ids: Mapping[tuple[str, int], int]) -> None:
-    """Drop samples stamped far from their neighbours in the file; doubt whole topics.
+    """Drop samples stamped far from their neighbours in the file; findings on topics with many.
 
-    A damaged log, of which not every message was understood, is left as it is.
+    A damaged log, with messages that could not be decoded, is not changed.
     """
     raw = opened._raw
     places = data_places(blob)
@@ -491,7 +494,7 @@ def _drop_misplaced(opened: Px4Log, blob: bytes, ids: Mapping[tuple[str, int], i
 
 
 def _note_damage(opened: Px4Log, blob: bytes, log: Any) -> None:
-    """Findings on a log cut short, damaged, or with drop-outs."""
+    """Findings on a truncated or damaged log, or one with drop-outs."""
     tail, lost = _left_over(blob)
     if lost or log.file_corruption:
         opened.note(

@@ -2,9 +2,9 @@
 
 Every output driver publishes `actuator_outputs` in an instance of its own, in the order in which
 the drivers start: pulse widths in us, DShot values 1..1999, CAN values 0..8191. Since PX4 1.13
-DRIVER_FUNCk says what output k does, 101 to 112 for motors 1 to 12; before, the mixer of the main
-outputs had motor k on output k, and MOT_ORDERING = 1 those of Betaflight.
-Source: PX4, lib/mixer_module, drivers/dshot, drivers/uavcan and drivers/pwm_out (module.yaml).
+DRIVER_FUNCk is the function of output k, 101 to 112 for motors 1 to 12; before, the mixer of the
+main outputs had motor k on output k, and with MOT_ORDERING = 1 the order of Betaflight. Source:
+PX4, lib/mixer_module, drivers/dshot, drivers/uavcan and drivers/pwm_out (module.yaml).
 """
 
 import re
@@ -22,7 +22,8 @@ from ..motors import MotorOutput, commands_of
 from .log import Px4Log, Topic
 
 FIRST_FUNCTION, MOST_FUNCTIONS = 101, 12
-"""Value of a FUNC parameter, or of esc_report.actuator_function, for motor 1, and how many."""
+"""Value of a FUNC parameter, or of esc_report.actuator_function, for motor 1, and largest number of
+motors."""
 _FUNCTION = re.compile(r"([A-Z0-9_]+)_FUNC([1-9][0-9]?)")  # driver and channel of a FUNC parameter
 _RANGES = {
     "PWM_MAIN": (1000.0, 2000.0),
@@ -35,16 +36,16 @@ _RANGES = {
 }
 """Defaults of DRIVER_MINk and _MAXk, in the order in which the drivers start."""
 _UNITS = {"UAVCAN_EC": "CAN", "UCAN1_ESC": "CAN", "SIM_GZ_EC": "1/1000"}
-"""Of drivers that send no pulse widths."""
+"""Units of drivers that send no pulse widths."""
 _CAN_FULL = 8191.0  # value of command 1, uavcan.equipment.esc.RawCommand
 _DSHOT_FULL, _DSHOT_MIN = 1999.0, 0.055
 """Largest value of the DShot driver, and the default of DSHOT_MIN."""
 _DSHOT_TIMERS = (-5.0, -4.0, -3.0)  # DRIVER_TIMn of DShot150 to 600
 NO_RANGE = "no PWM range"  # source of a default range
 _SHORTEST_US, _LONGEST_US = 800.0, 2200.0
-"""Of pulse widths that PX4 accepts."""
+"""Range of pulse widths that PX4 accepts."""
 _CAN_ENABLE = 3.0
-"""UAVCAN_ENABLE from which on ESCs are on the bus."""
+"""UAVCAN_ENABLE from which ESCs are on the bus."""
 _BETAFLIGHT = (1, 2, 3, 0)
 """Channel of motors 1 to 4 with MOT_ORDERING = 1."""
 _MOST_CHANNELS = 16  # of actuator_outputs
@@ -57,9 +58,9 @@ class Outputs:
     """Logged outputs of the motors.
 
     Attributes:
-        topic: Whose times they have.
-        values: In the unit of each, shape (n, motors).
-        motors: What drives motor 1, 2, ...
+        topic: Topic with the times of the outputs.
+        values: Values in the unit of each output, shape (n, motors).
+        motors: Output of motor 1, 2, ...
     """
 
     topic: Topic
@@ -84,7 +85,7 @@ class Outputs:
 
 @dataclass(frozen=True, slots=True)
 class _Channel:
-    """Output of a driver, counted from 0, and the motor on it, from 1."""
+    """An output of a driver, counted from 0, and its motor, from 1."""
 
     driver: str
     channel: int
@@ -92,16 +93,16 @@ class _Channel:
 
     @property
     def function(self) -> str:
-        """Parameter that says so."""
+        """Parameter that assigns the motor."""
         return f"{self.driver}_FUNC{self.channel + 1}"
 
 
 class _NotUsedError(Exception):
-    """Why the outputs are not used; becomes a finding."""
+    """Reason why the outputs are not used; becomes a finding."""
 
 
 def motor_count(log: Px4Log) -> int | None:
-    """Number of motors as the parameters have it."""
+    """Number of motors by the parameters."""
     rotors = log.params.get("CA_ROTOR_COUNT", 0)
     if rotors >= 3:
         return int(rotors)
@@ -120,7 +121,7 @@ def motor_functions(params: Mapping[str, float], driver: str = "") -> dict[tuple
 
 
 def logged_outputs(log: Px4Log) -> Outputs | None:
-    """The outputs that drive the motors; None where they are not in the log, which is noted."""
+    """The outputs that drive the motors; None, with a finding, where they are not in the log."""
     topics = {k: t for k in log.instances("actuator_outputs") if (t := _topic(log, k)) is not None}
     if not topics:
         return None
@@ -177,7 +178,7 @@ def _outputs(log: Px4Log, topics: Mapping[int, Topic]) -> Outputs:
 
 
 def _check_range(found: Outputs) -> None:
-    """Refuse values that are not of the range that was reported."""
+    """Refuse values outside of the reported range."""
     cmd = found.cmd
     if np.nanmax(cmd) > 0.0 and np.nanmedian(cmd) <= 1.05:
         return
@@ -189,7 +190,7 @@ def _check_range(found: Outputs) -> None:
 
 
 def _varies(topic: Topic, channel: int) -> bool:
-    """Whether a channel is there, has values and changes; a dead or phantom one does not."""
+    """Whether a channel exists, has values and changes; an unused one does not."""
     name = f"output[{channel}]"
     if not topic.has(name):
         return False
@@ -202,7 +203,7 @@ def _varies(topic: Topic, channel: int) -> bool:
 
 
 def _channels(log: Px4Log, n: int) -> list[_Channel]:
-    """Output of motors 1..n, by their functions."""
+    """Outputs of motors 1..n, by their functions."""
     rank = {driver: k for k, driver in enumerate(_RANGES)}
     found: dict[int, _Channel] = {}
     every = [_Channel(d, c, m) for (d, c), m in motor_functions(log.params).items()]
@@ -224,8 +225,8 @@ def _instances_of(
 ) -> dict[str, int]:
     """Instance of actuator_outputs of each driver that has motors.
 
-    The log does not name the driver of an instance. Its motors change, what has no function does
-    not, and the values are of its unit; drivers start in the order of `_RANGES`.
+    The log does not name the driver of an instance. Channels of its motors change, channels without
+    function do not, and the values are in its unit; drivers start in the order of `_RANGES`.
     """
     rank = {driver: k for k, driver in enumerate(_RANGES)}
     drivers = sorted({c.driver for c in channels}, key=lambda d: (rank.get(d, len(rank)), d))
@@ -262,7 +263,8 @@ def _differ(
     ways: Sequence[tuple[float, int, tuple[int, ...]]],
     least: float,
 ) -> bool:
-    """Whether instances that fit alike have different values: two of one driver do not matter."""
+    """Whether instances that fit equally well have different values; two of one driver do not
+    matter."""
     likely = {k for penalty, _, chosen in ways if penalty == least for k in chosen}
     names = [f"output[{c.channel}]" for c in channels]
     first, *others = (topics[k] for k in sorted(likely))
@@ -275,7 +277,7 @@ def _differ(
 
 
 def _misfit(log: Px4Log, driver: str, motors: Sequence[int], topic: Topic) -> float:
-    """How badly an instance fits a driver; inf: it is not its."""
+    """Misfit of an instance to a driver; inf: impossible."""
     if not all(_varies(topic, c) for c in motors):
         return np.inf
     values = topic.columns([f"output[{c}]" for c in motors])
@@ -328,7 +330,7 @@ def _driver_before_functions(
 def _range(
     log: Px4Log, c: _Channel, topic: Topic, functions: bool
 ) -> tuple[str, float, float, str]:
-    """Unit, values of command 0 and 1, and what says so."""
+    """Unit, values of command 0 and 1, and their source."""
     p, k = log.params, c.channel + 1
     if c.driver.startswith("PWM_") and _is_dshot(log, c, topic):
         if p.get("DSHOT_3D_ENABLE", 0.0) > 0.0:
@@ -355,11 +357,11 @@ def _range(
 def _end(
     params: Mapping[str, float], driver: str, end: str, number: int
 ) -> tuple[float, str] | None:
-    """Value of an end of the range, and its parameter: of the output, else of all of the driver."""
+    """Value at an end of the range, and its parameter: of the output, else of the whole driver."""
     names = [f"{driver}_{end}{number}", f"{driver}_{end}"]
     if driver == "PWM_MAIN":
         names.append(f"PWM_{end}")
-    least = 1.0 if driver.startswith("PWM_") else 0.0  # of pulse widths 0 and -1 mean: of all
+    least = 1.0 if driver.startswith("PWM_") else 0.0  # pulse widths 0 and -1: as the whole driver
     found = ((params[name], name) for name in names if params.get(name, -1.0) >= least)
     return next(found, None)
 
@@ -373,9 +375,9 @@ def _turned(log: Px4Log, c: _Channel, low: float, high: float) -> tuple[float, f
 
 
 def _is_dshot(log: Px4Log, c: _Channel, topic: Topic) -> bool:
-    """Whether an output of the microcontroller speaks DShot, not pulse widths."""
+    """Whether an output of the microcontroller uses DShot instead of pulse widths."""
     if log.params.get("DSHOT_CONFIG", 0.0) > 0.0:
-        return True  # before 1.13, of all its outputs
+        return True  # before 1.13, for all its outputs
     values = topic.columns((f"output[{c.channel}]",))[:, 0]
     on = values[np.isfinite(values) & (values > 0.0)]
     if len(on) and on.min() < _SHORTEST_US:
@@ -389,7 +391,7 @@ def _is_dshot(log: Px4Log, c: _Channel, topic: Topic) -> bool:
 
 # -- rotor speeds -------------------------------------------------------------------------------
 #
-# Rotor speeds that the speed controllers report (esc_status), by the motor of each slot.
+# Rotor speeds reported by the speed controllers (esc_status), by the motor of each slot.
 #
 # esc[k].actuator_function is 100 + motor since PX4 1.13. Where it is 0, a CAN controller's slot is
 # its index on the bus, which is UAVCAN_EC_FUNCk; before FUNC parameters index k was motor k.
@@ -398,13 +400,13 @@ def _is_dshot(log: Px4Log, c: _Channel, topic: Topic) -> bool:
 _RPM_RAD_S = 2.0 * np.pi / 60.0  # rad/s
 _SLOTS = 12  # of esc_status
 _CAN = 4
-"""esc_connectiontype."""
-_CAN_DRIVERS = ("UAVCAN_EC", "UCAN1_ESC")  # whose slots are places on the bus
+"""Value of esc_connectiontype for CAN."""
+_CAN_DRIVERS = ("UAVCAN_EC", "UCAN1_ESC")  # drivers whose slots are bus indices
 
 
 @dataclass(frozen=True, slots=True)
 class _Slot:
-    """Reports of one motor's controller, and what says that they are its."""
+    """Reports of one motor's controller, and the source of the assignment."""
 
     topic: Topic
     number: int
@@ -416,7 +418,7 @@ class _Slot:
 
     @property
     def volts(self) -> Array:
-        """Supply voltage where the motor turns, V; none where the slot has no such field."""
+        """Supply voltage while the motor turns, V; empty where the slot has no such field."""
         name = f"esc[{self.number}].esc_voltage"
         if not self.topic.has(name):
             return np.zeros(0)
@@ -430,12 +432,12 @@ def from_px4_rpm(rpm: Array) -> Array:
 
 
 def add_rotors(log: Px4Log, flight: FlightBuilder, motors: int | None) -> None:
-    """Rotor speeds of all motors, on the clock of the controllers of motor 1; a fact says the slot
-    of each motor in esc_status.
+    """Add rotor speeds of all motors, at the times of the controller of motor 1; a fact states the
+    slot of each motor in esc_status.
 
     Args:
-        log: Takes the findings.
-        flight: Takes the speeds.
+        log: Collects the findings.
+        flight: Receives the speeds.
         motors: Number of commands; None: there are none.
     """
     topics = [t for k in log.instances("esc_status") if (t := log.topic("esc_status", k))]
@@ -467,7 +469,7 @@ def add_rotors(log: Px4Log, flight: FlightBuilder, motors: int | None) -> None:
 
 
 def _slots(log: Px4Log, topics: list[Topic]) -> tuple[dict[int, _Slot], int]:
-    """Slot of each motor, from 1, and how many slots have a speed that changes."""
+    """Slot of each motor, from 1, and the number of slots whose speed changes."""
     found: dict[int, _Slot] = {}
     alive, guessed = 0, []
     for topic in topics:
@@ -494,7 +496,7 @@ _BY_PLACE = "by place"  # source of a slot's motor
 
 
 def _motor_of(log: Px4Log, topic: Topic, slot: int) -> tuple[int, str]:
-    """Motor of a slot, 0 where it is none, and what says so."""
+    """Motor of a slot, 0 where it has none, and the source of the assignment."""
     name = f"esc[{slot}].actuator_function"
     if topic.has(name):
         values, counts = np.unique(topic.data[name][topic.data[name] > 0], return_counts=True)
@@ -513,5 +515,5 @@ def _motor_of(log: Px4Log, topic: Topic, slot: int) -> tuple[int, str]:
 
 
 def _has_speeds(topic: Topic, name: str) -> bool:
-    """Whether a slot has speeds; a slot without a controller keeps 0."""
+    """Whether a slot has speeds; a slot without a controller stays at 0."""
     return float(np.ptp(topic.data[name].astype(np.float64))) > 0.0

@@ -1,4 +1,5 @@
-"""Motor commands of a PX4 log: logged, or rebuilt at full rate and compared with what is logged."""
+"""Motor commands of a PX4 log: logged, or rebuilt at full rate and compared with the logged
+ones."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -36,15 +37,16 @@ from .outputs import Outputs, logged_outputs
 
 MATCH_GOAL_US = 10.0  # rms of rebuilt less logged pulse width, us; made up
 MISS_US, MISS_LIMITED = 30.0, 0.01
-"""From which on rebuilt commands are not those that were flown: a foreign or adaptive controller,
-other filters. 3 % of a range of 1000 us is what a motor's gain is known to; no log chose them."""
+"""Misfit from which rebuilt commands are not the flown ones: a foreign or adaptive controller,
+other filters. 3 % of a range of 1000 us is the uncertainty of a motor's gain; no log was used to
+choose them."""
 _AXES = ("ROLL", "PITCH", "YAW")  # of parameters
 _SETPOINT = ("roll", "pitch", "yaw", "thrust_body[2]")  # fields of vehicle_rates_setpoint
-_MIXER_TOLERANCE_US = 5.0  # rms by which a mixer is the one that flew
-_FEWEST_PAIRS = 5  # of controls and outputs of one instant that tell the mixer
-_PAIRED_US = 1000  # between outputs and the controls that they are made of
-_VERSIONS = ((1, 11), (1, 12), (1, 13))  # of PX4 whose controller is `control`
-_LONGEST_GAP_S = 5.0  # of the gyroscope that a cubic bridges
+_MIXER_TOLERANCE_US = 5.0  # rms below which a mixer is the one that flew
+_FEWEST_PAIRS = 5  # pairs of controls and outputs of one instant that identify the mixer
+_PAIRED_US = 1000  # between outputs and the controls from which they were mixed
+_VERSIONS = ((1, 11), (1, 12), (1, 13))  # PX4 releases whose controller is that of `control`
+_LONGEST_GAP_S = 5.0  # gap of the gyroscope that a cubic bridges
 _MOST_PER_SAMPLE = 400.0  # 8 kHz logged at 20 Hz
 _MOST_BIAS_RAD_S = 1.0  # of a gyroscope; beyond is damage
 _MOST_INTEGRAL = 10.0  # of a control of -1..1
@@ -53,12 +55,12 @@ _DAMAGED = 100.0  # rad/s; larger values and NaN come from damaged logs
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """Rebuilt against logged pulse widths while flying.
+    """Agreement of rebuilt and logged pulse widths in flight.
 
     Attributes:
-        rms_us: Per motor, us, shape (motors,).
-        limited: Share of the logged samples in which a motor stands at a limit of its range in one
-            and is farther than `MISS_US` from it in the other.
+        rms_us: Rms difference per motor, us, shape (motors,).
+        limited: Share of the logged samples in which a motor is at a limit in one and farther than
+            `MISS_US` from it in the other.
         n: Number of logged samples compared.
     """
 
@@ -80,7 +82,7 @@ class Match:
 
 
 class CannotRebuildError(Exception):
-    """Why a log does not allow to rebuild the commands; becomes a finding."""
+    """Reason why the commands of a log cannot be rebuilt; becomes a finding."""
 
 
 def rebuild(log: Px4Log, outputs: Outputs) -> tuple[MotorCommands, Match]:
@@ -88,11 +90,11 @@ def rebuild(log: Px4Log, outputs: Outputs) -> tuple[MotorCommands, Match]:
 
     Args:
         log: The log.
-        outputs: Logged pulse widths: they check the result and identify the mixer of an airframe
-            that is not known here; they do not enter the commands.
+        outputs: Logged pulse widths, used to check the result and to identify the mixer of an
+            unknown airframe; they do not enter the commands.
 
     Raises:
-        CannotRebuildError: The log lacks something; the text says what.
+        CannotRebuildError: The log lacks a necessary part, which the text names.
     """
     _check_options(log)
     if any(m.unit == "CAN" for m in outputs.motors):
@@ -119,7 +121,7 @@ def rebuild(log: Px4Log, outputs: Outputs) -> tuple[MotorCommands, Match]:
 def compare(
     outputs: Outputs, t_us: NDArray[np.int64], cmd: Array, flying: NDArray[np.bool_]
 ) -> Match:
-    """Root mean square of logged minus rebuilt pulse width, us per motor, while flying."""
+    """Agreement of logged and rebuilt pulse widths in flight: rms difference, us per motor."""
     inside = flying & np.isfinite(outputs.values).all(axis=1)
     inside &= (outputs.topic.t_us >= t_us[0]) & (outputs.topic.t_us <= t_us[-1])
     n_motors = cmd.shape[1]
@@ -140,7 +142,7 @@ def compare(
 
 
 def _check_options(log: Px4Log) -> None:
-    """Refuse what is not rebuilt here."""
+    """Refuse options that are not supported."""
     release = log.release
     version = (release >> 24 & 0xFF, release >> 16 & 0xFF)
     if version not in _VERSIONS:
@@ -166,7 +168,7 @@ def _check_options(log: Px4Log) -> None:
 
 
 def _topic(log: Px4Log, name: str, *fields: str) -> Topic:
-    """A topic that the rebuild cannot do without."""
+    """A topic that is necessary for rebuilding."""
     topic = log.topic(name, 0, *fields)
     if topic is None or len(topic.t_us) < 2:
         raise CannotRebuildError(f"{name} is not in the log")
@@ -174,11 +176,11 @@ def _topic(log: Px4Log, name: str, *fields: str) -> Topic:
 
 
 def _gyro(log: Px4Log) -> Gyro:
-    """Logged gyro means, and how the on-board filters sample."""
+    """Logged gyro means, and the sample rates of the on-board filters."""
     topic = _topic(
         log, "sensor_combined", "gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]", "gyro_integral_dt"
     )
-    # windows of a damaged log may overlap; whole ones never do
+    # windows of a damaged log may overlap; those of a valid one never do
     room_s = np.diff(topic.t_s, prepend=-np.inf)
     window_s = np.minimum(from_px4_interval(topic.data["gyro_integral_dt"]) * 1e-6, room_s)
     status = log.topic("vehicle_imu_status", 0, "gyro_rate_hz")
@@ -191,13 +193,13 @@ def _gyro(log: Px4Log) -> Gyro:
     if not (50.0 <= rate_hz <= raw_hz * 1.01 <= 33000.0):
         raise CannotRebuildError(f"a gyro rate of {rate_hz:.0f} Hz makes no sense")
     _check_gaps(topic.t_s[good], raw_hz)
-    # a driver that reads a FIFO publishes the mean of its samples, stamped with the last
+    # a driver that reads a FIFO publishes the mean of its samples, with the stamp of the last
     delay_s = 0.5 * (1.0 / rate_hz - 1.0 / raw_hz)
     return Gyro(topic.t_s[good], window_s[good], rates[good], raw_hz, rate_hz, delay_s)
 
 
 def _check_gaps(end_s: Array, raw_hz: float) -> None:
-    """Refuse gaps that no cubic bridges."""
+    """Refuse gaps that are too long for a cubic."""
     steps_s = np.diff(end_s)
     if steps_s.max() > _LONGEST_GAP_S:
         raise CannotRebuildError(
@@ -211,7 +213,7 @@ def _check_gaps(end_s: Array, raw_hz: float) -> None:
 
 
 def _filtered(log: Px4Log, gyro: Gyro, t_s: Array) -> tuple[Array, Array]:
-    """Body rates and angular acceleration as the rate controller gets them, (n, 3) each."""
+    """Body rates and angular acceleration as filtered for the rate controller, (n, 3) each."""
     p = log.params
     rates = notch(
         resample(gyro, t_s),
@@ -234,7 +236,7 @@ def _filtered(log: Px4Log, gyro: Gyro, t_s: Array) -> tuple[Array, Array]:
 def _setpoint(log: Px4Log, t_s: Array) -> Array:
     """Roll, pitch, yaw rate setpoints (rad/s) and thrust (0..1) at every time, (n, 4).
 
-    Linear between the logged samples: on board they move several times between two of them.
+    Linear between the logged samples: on board they change several times between two samples.
     """
     topic = _topic(log, "vehicle_rates_setpoint", *_SETPOINT)
     values = topic.columns(_SETPOINT) * (1.0, 1.0, 1.0, -1.0)
@@ -246,7 +248,7 @@ def _setpoint(log: Px4Log, t_s: Array) -> Array:
 
 
 def _armed(log: Px4Log, t_s: Array) -> NDArray[np.bool_]:
-    """Whether the motors are armed, as last logged."""
+    """Whether the motors are armed, by the last logged sample."""
     topic = log.topic("actuator_armed", 0, "armed")
     return _held(topic, "armed", t_s) if topic is not None else np.ones(len(t_s), dtype=np.bool_)
 
@@ -263,7 +265,7 @@ def _flying(log: Px4Log, t_s: Array) -> NDArray[np.bool_]:
 
 
 def _held(topic: Topic, name: str, t_s: Array) -> NDArray[np.bool_]:
-    """A flag held from its last sample."""
+    """A flag, constant from its last sample."""
     return topic.at(np.round(t_s * 1e6).astype(np.int64), name) > 0.5
 
 
@@ -290,7 +292,7 @@ def _controls(
 ) -> Array:
     """Roll, pitch, yaw and thrust controls, (n, 4).
 
-    Saturation of the mixer stops the integrators; found by a first pass without it.
+    Saturation of the mixer stops the integrators; a first pass without it finds where.
     """
     gains = _gains(log)
     error = setpoint[:, :3] - rates
@@ -325,12 +327,12 @@ def _anchors(log: Px4Log) -> tuple[Array, Array]:
 
 
 def _within(values: Array, most: float) -> NDArray[np.bool_]:
-    """Samples all of whose parts are finite and below a bound, shape (n,)."""
+    """Whether all parts of a sample are finite and below a bound, shape (n,)."""
     return np.asarray((np.abs(values) < most).all(axis=1))
 
 
 def _sound(log: Px4Log, topic: Topic, good: NDArray[np.bool_]) -> Topic | None:
-    """The good samples of a topic, the others counted; None where there is none."""
+    """The valid samples of a topic; the others are counted; None where there are none."""
     message = "samples left out of the rebuilt commands, a value is NaN or absurd"
     log.note("error", topic.name, message, ~good)
     if not good.any():
@@ -339,7 +341,7 @@ def _sound(log: Px4Log, topic: Topic, good: NDArray[np.bool_]) -> Topic | None:
 
 
 def _paired(outputs: Outputs, controls: Topic) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Logged outputs with the logged controls they were mixed from: indices of both."""
+    """Indices of logged outputs and of the logged controls from which they were mixed."""
     published = controls.t_us
     index = np.searchsorted(published, outputs.topic.t_us, side="right") - 1
     age = outputs.topic.t_us - published[np.maximum(index, 0)]
@@ -348,7 +350,7 @@ def _paired(outputs: Outputs, controls: Topic) -> tuple[NDArray[np.intp], NDArra
 
 
 def _latency_us(outputs: Outputs, controls: Topic) -> int:
-    """Time from the gyro sample to the output that follows from it, us."""
+    """Time from the gyro sample to the output computed from it, us."""
     pair, index = _paired(outputs, controls)
     if not controls.by_sample_time or len(pair) == 0:
         return 0
@@ -358,8 +360,8 @@ def _latency_us(outputs: Outputs, controls: Topic) -> int:
 def _mixed(
     log: Px4Log, outputs: Outputs, controls: Topic, names: Sequence[str]
 ) -> tuple[Array, dict[str, Array]]:
-    """Logged outputs, and those that mixers make of logged controls of the same instant, us, shape
-    (n, motors) each; of no mixer where the instants are too few."""
+    """Logged outputs, and those computed by mixers from logged controls of the same instant, us,
+    shape (n, motors) each; of no mixer where the instants are too few."""
     pair, index = _paired(outputs, controls)
     control = controls.array("control", 4)[index]
     pair, control = pair[control[:, 3] > 0.1], control[control[:, 3] > 0.1]
@@ -378,11 +380,11 @@ def _mixed(
 
 
 def flown_mixer(log: Px4Log, outputs: Outputs) -> tuple[str, float] | None:
-    """The mixer known here that turns the logged controls into the logged outputs, and by how many
-    us it is off; judged where no two mixers make the same outputs.
+    """The known mixer that maps the logged controls to the logged outputs, and its rms error in us;
+    only where no two mixers give the same outputs.
 
     Returns:
-        None: none or several do, too few instants tell them apart, or the log has no controls.
+        None: none or several do, there are too few instants, or the log has no controls.
     """
     try:
         controls = _topic(log, "actuator_controls_0", *(f"control[{k}]" for k in range(4)))
@@ -420,7 +422,7 @@ def _scale(log: Px4Log, outputs: Outputs, controls: Topic) -> Array:
 
 # -- commands -----------------------------------------------------------------------------------
 
-_ENOUGH_HZ = 100.0  # of logged commands that need no rebuilding
+_ENOUGH_HZ = 100.0  # rate of logged commands that need no rebuilding
 _BACKWARD = 0.01  # control below which a motor turns backward
 
 
@@ -435,8 +437,8 @@ def from_px4_commands(log: Px4Log, rebuild: bool | None) -> MotorCommands | None
 
 
 def _from_motors(log: Px4Log) -> MotorCommands | None:
-    """`actuator_motors` (PX4 1.13 and later): thrust of motor i in control[i - 1], made a command
-    by the thrust curve of THR_MDL_FAC as the output drivers do.
+    """Commands from `actuator_motors` (PX4 1.13 and later): thrust of motor i is control[i - 1],
+    converted to a command by the thrust curve of THR_MDL_FAC as in the output drivers.
 
     Source: PX4, lib/mixer_module/functions/FunctionMotors.hpp.
     """
@@ -478,7 +480,7 @@ def _from_motors(log: Px4Log) -> MotorCommands | None:
 
 
 def _through_curve(log: Px4Log, thrust: Array) -> Array:
-    """Command of a thrust: thrust = f u^2 + (1 - f) u with f = THR_MDL_FAC."""
+    """Command for a thrust: thrust = f u^2 + (1 - f) u with f = THR_MDL_FAC."""
     factor = log.params.get("THR_MDL_FAC", 0.0)
     if not 0.0 < factor <= 1.0:
         return thrust
@@ -492,7 +494,7 @@ def _through_curve(log: Px4Log, thrust: Array) -> Array:
 
 
 def _from_outputs(log: Px4Log, rebuild: bool | None) -> MotorCommands | None:
-    """`actuator_outputs`, scaled by the PWM range."""
+    """Commands from `actuator_outputs`, scaled by the PWM range."""
     outputs = logged_outputs(log)
     if outputs is None:
         neither = "neither actuator_motors nor actuator_outputs"
@@ -517,8 +519,8 @@ def _rebuilt(log: Px4Log, outputs: Outputs, requested: bool) -> MotorCommands:
     """Commands rebuilt at full rate.
 
     Raises:
-        CannotRebuildError: The log lacks something, or they are not those that were flown and
-            they were not requested.
+        CannotRebuildError: The log lacks a necessary part, or the rebuilt commands differ from the
+            flown ones and were not requested.
     """
     commands, match = rebuild(log, outputs)
     worst = float(np.max(match.rms_us))

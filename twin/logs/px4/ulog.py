@@ -1,4 +1,4 @@
-"""PX4 ULog -> Flight. All conversions from PX4's units and names stand in this package."""
+"""PX4 ULog -> Flight. All conversions from PX4's units and names are in this package."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -35,13 +35,13 @@ from .rebuild import from_px4_commands
 
 # -- phases -------------------------------------------------------------------------------------
 #
-# Phases of a PX4 log: the markers of the test script, else how the vehicle moves.
+# Phases of a PX4 log: by the markers of the test script, else by the motion of the vehicle.
 
 _MARKER = 183  # vehicle_command.command of RflySim's scripts
 _BEGIN, _END = 666, 777  # param7 of a marker
 _MODES = {(2, 3): "takeoff", (2, 6): "hover", (2, 7): "land"}  # param1 and param2 of a marker
-_NOT_A_PHASE = {(2, 1)}  # prepares the offboard mode before takeoff
-_SEAM_S = 0.1  # between two phases that follow each other
+_NOT_A_PHASE = {(2, 1)}  # preparation of the offboard mode before takeoff
+_SEAM_S = 0.1  # gap between two successive phases
 
 
 def from_px4_phases(log: Px4Log) -> list[Span]:
@@ -105,7 +105,7 @@ def _ground(log: Px4Log) -> list[Span]:
 
 
 def _from_motion(log: Px4Log, ground: list[Span]) -> list[Span]:
-    """Spans from how the estimator says that the vehicle moves."""
+    """Spans by the motion in the estimator's output."""
     topic = log.topic("vehicle_local_position", 0, "vx", "vy", "vz")
     if topic is None:
         return ground
@@ -114,7 +114,7 @@ def _from_motion(log: Px4Log, ground: list[Span]) -> list[Span]:
 
 # -- autopilot ----------------------------------------------------------------------------------
 #
-# What PX4 says of its flight: modes, arming, failsafes, setpoints, filters.
+# PX4's records of a flight: modes, arming, failsafes, setpoints, filters.
 
 MODES = {
     **{0: "Manual", 1: "Altitude", 2: "Position", 3: "Mission", 4: "Hold", 5: "Return"},
@@ -136,23 +136,24 @@ _RESET_COUNTERS: dict[str, dict[str, ResetOf]] = {
         "vz_reset_counter": "velocity",
     },
 }
-"""Counters by topic and what they count the resets of, uint8. Source: PX4,
+"""Counters by topic and the kind of reset that they count, uint8. Source: PX4,
 msg/VehicleAttitude.msg, msg/VehicleLocalPosition.msg."""
 _MOST_RESETS = 8
-"""Between two logged samples; what counts further, or back, is a restart or a damaged byte."""
+"""Largest number of resets between two logged samples; a larger or negative step is a restart or a
+damaged byte."""
 _ARMED = 2
-"""vehicle_status.arming_state, in every release."""
-_UNIT_NORM = 0.01  # from 1, of a quaternion that is one
+"""Value of vehicle_status.arming_state when armed, in every release."""
+_UNIT_NORM = 0.01  # tolerance of a quaternion's norm from 1
 _OF: dict[str, tuple[Sensor, FilterKind]] = {
     "gyroscope": ("gyro", "low-pass"),
     "accelerometer": ("acc", "low-pass"),
     "notch": ("gyro", "notch"),
 }
-"""What a filter of `FILTERS` does."""
+"""Sensor and type of a filter in `FILTERS`."""
 
 
 def from_px4_autopilot(log: Px4Log, end_s: float) -> Autopilot:
-    """What a PX4 log says of its flight; nothing of it is a finding.
+    """PX4's records of a flight; none of them is a finding.
 
     Args:
         log: The log.
@@ -208,7 +209,8 @@ def _position_setpoint(log: Px4Log) -> Setpoint | None:
 
 
 def _velocity_setpoint(log: Px4Log) -> Setpoint | None:
-    """What mission or pilot ask for; without it that with what the position controller adds."""
+    """Velocity demanded by mission or pilot; without it that with the output of the position
+    controller."""
     course, local = "trajectory_setpoint", ("vx", "vy", "vz")
     return (
         _setpoint(log, course, VEL, ("velocity[0]", "velocity[1]", "velocity[2]"))
@@ -224,20 +226,20 @@ def _rates_setpoint(log: Px4Log) -> Setpoint | None:
 def _setpoint(
     log: Px4Log, name: str, columns: tuple[str, ...], fields: tuple[str, ...]
 ) -> Setpoint | None:
-    """A setpoint in NED or FRD, SI, as PX4 has them all."""
+    """A setpoint in NED or FRD, SI, the frames and units of PX4."""
     topic = log.aside(name, *fields)
     return None if topic is None else setpoint_of(columns, topic.t_s, topic.columns(fields))
 
 
 def _attitude_setpoint(log: Px4Log) -> Setpoint | None:
-    """Quaternion FRD to NED, Hamilton, scalar first; without it (before 1.6) none."""
+    """Quaternion FRD to NED, Hamilton, scalar first; None without it (before 1.6)."""
     fields = tuple(f"q_d[{k}]" for k in range(4))
     topic = log.aside("vehicle_attitude_setpoint", *fields)
     return None if topic is None else setpoint_of(QUAT, topic.t_s, _unit(topic.columns(fields)))
 
 
 def _unit(q: Array) -> Array:
-    """Quaternions as they are; NaN where they are none."""
+    """Quaternions unchanged; NaN where they are invalid."""
     with np.errstate(invalid="ignore", over="ignore"):
         off = ~(np.abs(np.linalg.norm(q, axis=1) - 1.0) < _UNIT_NORM)
     return np.where(off[:, None], np.nan, q)
@@ -255,13 +257,13 @@ def _filters(params: dict[str, float]) -> tuple[Filter, ...]:
 
 # -- the flight ---------------------------------------------------------------------------------
 
-_LEAST_V = 1.0  # of a battery that is connected
-_CELL_V = (2.5, 4.6)  # discharged, and the highest voltage of any lithium cell
-_SAGS_V = 0.02  # a regulated supply does less
+_LEAST_V = 1.0  # voltage of a connected battery
+_CELL_V = (2.5, 4.6)  # lowest voltage when discharged, and the highest of any lithium cell
+_SAGS_V = 0.02  # a regulated supply varies less
 
 
 def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
-    """Read a PX4 ULog; arguments and errors as of `formats.Reader`."""
+    """Read a PX4 ULog; arguments and errors as in `formats.Reader`."""
     log = open_px4(path, blob)
     flight = FlightBuilder(log, path, _facts(log))
     filtered = add_imu(log, flight)
@@ -285,7 +287,7 @@ def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
 
 
 def _facts(log: Px4Log) -> dict[str, str]:
-    """What the log says about the vehicle."""
+    """Facts of the log about the vehicle."""
     release = log.release
     version = ".".join(str(release >> shift & 0xFF) for shift in (24, 16, 8))
     facts = {"firmware": f"PX4 {version}" if release else "PX4"}
@@ -300,7 +302,7 @@ def _facts(log: Px4Log) -> dict[str, str]:
 
 
 def _end(log: Px4Log) -> None:
-    """Say so where the record stops before the flight does."""
+    """Finding where the record stops before the flight does."""
     topic = log.topic("actuator_armed", 0, "armed")
     if topic is not None and topic.data["armed"][-1]:
         log.note(
@@ -309,7 +311,7 @@ def _end(log: Px4Log) -> None:
 
 
 def _estimate(log: Px4Log, flight: FlightBuilder) -> None:
-    """Position, velocity and attitude as the estimator had them."""
+    """Add position, velocity and attitude as estimated on board."""
     topic = log.topic("vehicle_local_position", 0, "x", "y", "z", "vx", "vy", "vz")
     if topic is None:
         log.note("warning", "pos", "no vehicle_local_position in the log: no position, no velocity")
@@ -323,7 +325,7 @@ def _estimate(log: Px4Log, flight: FlightBuilder) -> None:
 
 
 def _position(log: Px4Log, flight: FlightBuilder, topic: Topic) -> None:
-    """Estimated position and velocity, left out where the estimator calls them invalid."""
+    """Add estimated position and velocity, without those that the estimator marks as invalid."""
     for where, names, fields, flags in (
         ("pos", POS, ("x", "y", "z"), ("xy_valid", "z_valid")),
         ("vel", VEL, ("vx", "vy", "vz"), ("v_xy_valid", "v_z_valid")),
@@ -348,7 +350,7 @@ def _position(log: Px4Log, flight: FlightBuilder, topic: Topic) -> None:
 
 
 def _resets(log: Px4Log) -> Iterator[Reset]:
-    """Steps that the estimator put into its own output, by its counters."""
+    """Steps that the estimator made in its own output, by its counters."""
     for name, counters in _RESET_COUNTERS.items():
         topic = log.aside(name)
         for counter, of in counters.items() if topic is not None else ():
@@ -359,7 +361,7 @@ def _resets(log: Px4Log) -> Iterator[Reset]:
 
 
 def _battery(log: Px4Log, flight: FlightBuilder, commands: MotorCommands | None) -> None:
-    """Voltage of the battery that drives the motors and, where there is a sensor, its current."""
+    """Add the voltage of the battery that drives the motors and, with a sensor, its current."""
     topic, said = _battery_in_use(log)
     if topic is None:
         return
@@ -379,7 +381,7 @@ def _battery(log: Px4Log, flight: FlightBuilder, commands: MotorCommands | None)
 
 def _battery_in_use(log: Px4Log) -> tuple[Topic | None, str]:
     """The battery that is connected and has a voltage, of several the one whose voltage fits its
-    cells and sags; and what decided, "" where there is one."""
+    cells and sags; and the criterion, "" where there is one."""
     instances = log.instances("battery_status")
     topics = [(k, t) for k in instances if (t := log.topic("battery_status", k)) is not None]
     live = [(k, t) for k, t in topics if np.nanmax(_volts(t), initial=0.0) >= _LEAST_V]
@@ -405,7 +407,7 @@ def _battery_in_use(log: Px4Log) -> tuple[Topic | None, str]:
 
 
 def _volts(topic: Topic) -> Array:
-    """Voltage, V, shape (n,): that before the filter where the log has it."""
+    """Voltage, V, shape (n,): unfiltered where the log has it."""
     for name in ("voltage_v", "voltage_filtered_v"):
         if topic.has(name) and np.nanmax(topic.columns((name,)), initial=0.0) >= _LEAST_V:
             return topic.columns((name,))[:, 0]

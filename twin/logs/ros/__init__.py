@@ -1,1 +1,1 @@
-"""ROS 2 bags: which topic is which signal (`sources`), and how a bag becomes a flight (`bag`)."""
+"""ROS 2 bags: signals of topics (`sources`), and conversion of a bag to a flight (`bag`)."""

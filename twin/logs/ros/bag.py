@@ -28,27 +28,28 @@ from ..stamps import monotonic_samples
 from .sources import SOURCES, Source, mapped_sources
 
 _DEFINITION_END = "=" * 80 + "\n"
-"""Between the definitions of several messages, as rosbag2 writes them."""
+"""Separator of the definitions of several messages, as written by rosbag2."""
 _APART_S = 0.5
-"""Between the clocks of two topics: beyond, their stamps are not of one clock. Made up: a stamp is
-older than the record by the latency of a network."""
+"""Largest offset between the clocks of two topics that are one clock. Made up: a stamp is older
+than the record by the latency of a network."""
 _LAST_US = 2**53
-"""Stamp beyond which a message is damaged: the year 2255 since 1970."""
+"""Time stamp beyond which a message is damaged: the year 2255 since 1970."""
 _FIELD = re.compile(r"([A-Za-z0-9_.]+)(?:\[([0-9]{1,4})\])?")
 """Path of a field, and of an element of an array."""
 _ARMED, _ON_GROUND = 2, 1
-"""px4_msgs/VehicleStatus.arming_state; mavros_msgs/ExtendedState.landed_state."""
+"""Value when armed in px4_msgs/VehicleStatus.arming_state; value on the ground in
+mavros_msgs/ExtendedState.landed_state."""
 _STATES = {
     "px4_msgs/msg/VehicleStatus": ("arming_state", "nav_state"),
     "px4_msgs/msg/VehicleLandDetected": ("landed",),
     "mavros_msgs/msg/State": ("armed", "mode"),
     "mavros_msgs/msg/ExtendedState": ("landed_state",),
 }
-"""Messages of what the autopilot does, and their fields."""
+"""Messages with the state of the autopilot, and their fields."""
 _TEXTS = ("mode",)
-"""Fields of these that are text."""
+"""Those of the state fields that are text."""
 _TEXT_TYPES = ("string", "wstring", "wchar")
-"""Base types that are no number."""
+"""Base types that are not numeric."""
 
 
 @dataclass(slots=True)
@@ -56,12 +57,12 @@ class Topic:
     """Samples of one topic.
 
     Attributes:
-        name: Of the topic.
-        fields: Read of each message.
-        t_us: Stamp of each, us; NaN-free; since 1970 or since boot.
-        recorded_us: When each was recorded, us since 1970.
-        rows: Values of the fields, flat.
-        shift_us: From its clock to that of the others.
+        name: Name of the topic.
+        fields: Fields in use.
+        t_us: Stamp of each message, us since 1970 or since boot.
+        recorded_us: Time of recording of each message, us since 1970.
+        rows: Values of the fields, flattened.
+        shift_us: Offset from the clock of this topic to that of the others.
     """
 
     name: str
@@ -72,8 +73,8 @@ class Topic:
     shift_us: int = 0
 
     def stamps(self) -> tuple[NDArray[np.int64], bool]:
-        """Times, us, shape (n,), and whether they are the messages' own: stamps that stand still
-        are none."""
+        """Times, us, shape (n,), and whether they are the messages' own: constant stamps are not
+        used."""
         own, recorded = np.array(self.t_us, np.int64), np.array(self.recorded_us, np.int64)
         moves = len(own) > 1 and own[0] > 0 and bool(np.median(np.diff(own)) > 0)
         return (own + self.shift_us, True) if moves else (recorded, False)
@@ -89,19 +90,19 @@ class _Bag(FindingCollector):
     stores: dict[int, Typestore] = field(default_factory=dict)
 
     def store(self, connection: Connection) -> Typestore:
-        """What decodes the messages of a topic; errors as of `_typestore`."""
+        """Decoder of the messages of a topic; errors as in `_typestore`."""
         if connection.id not in self.stores:
             self.stores[connection.id] = _typestore(connection)
         return self.stores[connection.id]
 
 
 def read_mcap(path: Path, blob: bytes, options: ReadOptions) -> Flight:
-    """Read a ROS 2 bag in MCAP; arguments and errors as of `formats.Reader`."""
+    """Read a ROS 2 bag in MCAP; arguments and errors as in `formats.Reader`."""
     return _read(path, blob, ".mcap")
 
 
 def read_sqlite(path: Path, blob: bytes, options: ReadOptions) -> Flight:
-    """Read a ROS 2 bag in SQLite; arguments and errors as of `formats.Reader`."""
+    """Read a ROS 2 bag in SQLite; arguments and errors as in `formats.Reader`."""
     return _read(path, blob, ".db3")
 
 
@@ -114,7 +115,7 @@ def _read(path: Path, blob: bytes, suffix: str) -> Flight:
             _collect(bag, reader, chosen)
     except LogError:
         raise
-    except Exception as error:  # rosbags, apsw and zstd raise what they like of damaged files
+    except Exception as error:  # rosbags, apsw and zstd raise many kinds on damaged files
         raise LogError(
             f"{path.name}: no ROS 2 bag that can be read ({_said(error)}). One that was cut short: "
             f"mcap recover, or ros2 bag reindex; a bag of ROS 1 or of other messages: convert it."
@@ -128,7 +129,7 @@ def _said(error: Exception) -> str:
 
 @contextmanager
 def _on_disk(path: Path, blob: bytes, suffix: str) -> Iterator[Path]:
-    """The file of a bag, with the ending by which rosbags knows its kind."""
+    """The file of a bag, with the extension by which rosbags recognises its kind."""
     if path.suffix == suffix and path.is_file() and path.stat().st_size == len(blob):
         yield path
         return
@@ -144,11 +145,11 @@ def _on_disk(path: Path, blob: bytes, suffix: str) -> Iterator[Path]:
 def _chosen(
     bag: _Bag, connections: Sequence[Connection], mapped: Sequence[Source]
 ) -> dict[str, tuple[Source, Connection]]:
-    """By signal, where it comes from: of a mapping file, else the first source that is there; of
-    several topics that fit the one with most messages.
+    """Source of each signal: from a mapping file, else the first available source; of several
+    suitable topics the one with most messages.
 
     Raises:
-        LogError: What a mapping file names is not there, or no signal.
+        LogError: A topic of a mapping file is missing, or the bag has no signal.
     """
     found: dict[str, tuple[Source, Connection]] = {}
     unfit: dict[tuple[str, str], None] = {}
@@ -171,10 +172,11 @@ def _chosen(
 
 
 def _check(bag: _Bag, source: Source, connection: Connection) -> None:
-    """Hold the fields of a source against the definition of the message.
+    """Check the fields of a source against the definition of the message.
 
     Raises:
-        LogError: One is not there or no number, or they are not as many as the signal has columns.
+        LogError: A field is missing or not numeric, or their number differs from the columns of the
+            signal.
     """
     only = len(source.only)
     given = _width(bag, connection, (*source.fields, *source.only))
@@ -185,10 +187,10 @@ def _check(bag: _Bag, source: Source, connection: Connection) -> None:
 def _width(
     bag: _Bag, connection: Connection, paths: Sequence[str], texts: Sequence[str] = ()
 ) -> int | None:
-    """Number of values of fields; None: each message says how many.
+    """Number of values of fields; None: it varies by message.
 
     Raises:
-        LogError: A field is not there, or neither a number nor one of those that are text.
+        LogError: A field is missing, or neither a number nor one of those that are text.
     """
     counts: list[int | None] = []
     for path in paths:
@@ -201,10 +203,10 @@ def _width(
 
 
 def _field(store: Typestore, kind: str, path: str) -> tuple[str, int | None]:
-    """Base type of a field, and its number of values; None: each message says how many.
+    """Base type of a field, and its number of values; None: it varies by message.
 
     Raises:
-        LogError: There is no such field, or it is made of messages.
+        LogError: There is no such field, or it consists of messages.
     """
     match = _FIELD.fullmatch(path)
     if match is None:
@@ -225,7 +227,7 @@ def _field(store: Typestore, kind: str, path: str) -> tuple[str, int | None]:
 
 
 def _walk(store: Typestore, kind: str, path: str, names: Sequence[str]) -> tuple[Nodetype, Any]:
-    """Description of a field, as rosbags has it.
+    """Description of a field in the type store of rosbags.
 
     Raises:
         LogError: There is no such field, or it is a message.
@@ -245,7 +247,7 @@ def _walk(store: Typestore, kind: str, path: str, names: Sequence[str]) -> tuple
 
 
 def _collect(bag: _Bag, reader: Reader, chosen: Mapping[str, tuple[Source, Connection]]) -> None:
-    """Read every message that a signal or the state of the autopilot is made of."""
+    """Read every message with a signal or the state of the autopilot."""
     wanted: dict[int, dict[tuple[str, ...], Topic]] = {}
     connections: dict[int, Connection] = {}
     pairs = [(c, (*s.fields, *s.only)) for s, c in chosen.values()]
@@ -279,7 +281,7 @@ def _collect(bag: _Bag, reader: Reader, chosen: Mapping[str, tuple[Source, Conne
 
 
 def _tells_state(bag: _Bag, connection: Connection) -> bool:
-    """Whether a topic says what the autopilot does; a finding where its messages are others."""
+    """Whether a topic has the state of the autopilot; a finding where its message type differs."""
     fields = _STATES.get(connection.msgtype, ())
     if not fields or not connection.msgcount:
         return False
@@ -291,10 +293,10 @@ def _tells_state(bag: _Bag, connection: Connection) -> bool:
 
 
 def _typestore(connection: Connection) -> Typestore:
-    """What decodes the messages of a topic.
+    """Decoder of the messages of a topic.
 
     Raises:
-        LogError: Nothing says how.
+        LogError: The bag has no definition.
     """
     definition, kind = connection.msgdef, connection.msgtype
     if definition.format == MessageDefinitionFormat.NONE:
@@ -316,13 +318,13 @@ def _typestore(connection: Connection) -> Typestore:
 
 
 def _getter(path: str) -> Callable[[Any], list[Any]]:
-    """What takes a field out of a message: one value, or all of an array; none where the array is
-    too short."""
+    """Function that reads a field of a message: one value, or all of an array; empty where the
+    array is too short."""
     name, _, element = path.rstrip("]").partition("[")
     attribute = operator.attrgetter(name)
 
     def get(message: Any) -> list[Any]:
-        """The value or values."""
+        """The values of the field."""
         value = attribute(message)
         if element:
             return list(value[int(element) :][:1])
@@ -332,10 +334,10 @@ def _getter(path: str) -> Callable[[Any], list[Any]]:
 
 
 def _stamp_us(message: Any) -> int:
-    """When the sample was taken, else published, us; 0: the message does not say.
+    """Time of sampling, else of publication, us; 0: the message has none.
 
     Raises:
-        LogError: It is no time.
+        LogError: The field is no time.
     """
     header = getattr(message, "header", None)
     if header is not None:
@@ -374,8 +376,8 @@ def _flight(
 
 
 def _clocks(bag: _Bag, chosen: Mapping[str, tuple[Source, Connection]]) -> tuple[int, int]:
-    """The time that counts as 0, on the clock of most signals, of several that of the IMU, and by
-    how much the clock of the record is ahead of it, us; other clocks are shifted to it."""
+    """Time 0, on the clock of most signals, of several that of the IMU, and the lead of the
+    recording clock, us; other clocks are shifted to it."""
     signals = Counter(connection.topic for _, connection in chosen.values())
     imu = {chosen[s][1].topic for s in ("acc", "gyro") if s in chosen}
     ahead = {
@@ -385,7 +387,7 @@ def _clocks(bag: _Bag, chosen: Mapping[str, tuple[Source, Connection]]) -> tuple
     }
 
     def weight(name: str) -> tuple[int, bool]:
-        """Signals on the clock of a topic, and whether it is that of the IMU."""
+        """Number of signals on the clock of a topic, and whether it is that of the IMU."""
         alike = [n for n, a in ahead.items() if abs(a - ahead[name]) <= 1e6 * _APART_S]
         return sum(signals[n] for n in alike), name in imu
 
@@ -403,7 +405,7 @@ def _clocks(bag: _Bag, chosen: Mapping[str, tuple[Source, Connection]]) -> tuple
 
 
 def _times(topic: Topic, offset_us: int) -> NDArray[np.int64]:
-    """Stamps of a topic; where it has none, when it was recorded, on the clock of the others."""
+    """Stamps of a topic; without any, its times of recording, on the clock of the others."""
     t_us, own = topic.stamps()
     return t_us if own else t_us - offset_us
 
@@ -411,10 +413,10 @@ def _times(topic: Topic, offset_us: int) -> NDArray[np.int64]:
 def _add(
     bag: _Bag, builder: FlightBuilder, source: Source, topic: Topic, start_us: int, offset_us: int
 ) -> None:
-    """Add a signal; findings say what is to be known of it.
+    """Add a signal, with findings on its properties.
 
     Raises:
-        LogError: The fields of a mapping file are not as many as the signal has columns.
+        LogError: The number of fields in a mapping file differs from the columns of the signal.
     """
     where, first = source.signal, len(topic.rows[0]) if topic.rows else 0
     width = source.width + len(source.only) if source.width else first
@@ -454,7 +456,7 @@ def _add_commands(
     t_us: NDArray[np.int64],
     values: Array,
 ) -> None:
-    """Add commands of as many motors as ever have a value; NaN is a motor that is stopped."""
+    """Add commands of as many motors as ever have a value; NaN is a stopped motor."""
     cmd = source.convert(values[:, :MAX_MOTORS])
     used = np.flatnonzero(np.nan_to_num(np.abs(cmd)).max(axis=0) > 0.0)
     count = len(source.columns) or (int(used[-1]) + 1 if len(used) else 0)
@@ -468,8 +470,8 @@ def _add_commands(
 def _autopilot(
     bag: _Bag, start_us: int, offset_us: int, end_s: float
 ) -> tuple[Autopilot | None, list[tuple[str, float, float]]]:
-    """Modes, arming, and when the aircraft stood on the ground."""
-    from ..px4.ulog import mode_name  # with pyulog, which a bag of MAVROS does not need
+    """Modes, arming, and spans on the ground."""
+    from ..px4.ulog import mode_name  # imports pyulog, which a bag of MAVROS does not need
 
     modes: tuple[Any, ...] = ()
     armed: tuple[Any, ...] = ()
@@ -487,6 +489,6 @@ def _autopilot(
             armed = stretches_of(t_s, np.array([bool(r[0]) for r in rows]), "armed", end_s)
             modes = modes_of(t_s, [str(r[1])[:40] for r in rows], end_s)
         else:
-            landed = [r[0] == _ON_GROUND for r in rows]  # of PX4 a truth value
+            landed = [r[0] == _ON_GROUND for r in rows]  # for PX4 a Boolean
             ground = ground_spans(t_s, np.array(landed))
     return (Autopilot(modes=modes, armed=armed) if modes or armed else None), ground

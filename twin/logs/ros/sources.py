@@ -1,8 +1,8 @@
-"""Which topics of a ROS 2 bag are which signals of a flight, and in which units and frames.
+"""Topics of a ROS 2 bag by signal, with their units and frames.
 
-Those of PX4 (px4_msgs over uXRCE-DDS), MAVROS and the standard messages of ROS are known here;
-others are named by a mapping file next to the bag. Units and axes of ROS stand in this file alone:
-REP 103 and 105, body forward, left, up; world east, north, up; quaternions x, y, z, w.
+Those of PX4 (px4_msgs over uXRCE-DDS), MAVROS and the standard messages of ROS are known here; a
+mapping file next to the bag names others. This is the only module with units and axes of ROS: REP
+103 and 105, body forward, left, up; world east, north, up; quaternions x, y, z, w.
 """
 
 import math
@@ -25,7 +25,7 @@ _Q_NED_ENU, _Q_FLU_FRD = (0.0, _HALF, _HALF, 0.0), (0.0, 1.0, 0.0, 0.0)
 
 
 def as_it_is(values: Array) -> Array:
-    """Of what is SI, NED and FRD already."""
+    """Values unchanged, already in SI, NED and FRD."""
     return values
 
 
@@ -62,18 +62,20 @@ def _times(factor: float) -> Callable[[Array], Array]:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Where a signal may come from.
+    """A possible source of a signal.
 
     Attributes:
-        signal: Name in findings and limits.
-        columns: Of the flight table; none: as many motors as have values, of that stem.
+        signal: Name of the signal in findings and limits.
+        columns: Columns of the flight table; empty: one per motor with a value, named by the
+            signal.
         message: Type of the messages.
-        topic: Of names that are meant.
-        fields: Of a message, by path, "linear_acceleration.x"; an array counts with all elements.
-        convert: From these to SI, NED, FRD; shapes (n, fields) to (n, columns).
-        only: Values that fields have where the message is used, by path.
-        note: What is to be known of the signal, "" where nothing is.
-        entry: Mapping file and entry that name it, "" where none does.
+        topic: Pattern of the topic's name.
+        fields: Paths of fields in a message, "linear_acceleration.x"; an array counts with all
+            elements.
+        convert: Conversion to SI, NED, FRD; shapes (n, fields) to (n, columns).
+        only: Required values of fields for a message to be used, by path.
+        note: Note on the signal, "" without any.
+        entry: Mapping file and entry that name the source, "" without one.
     """
 
     signal: str
@@ -88,21 +90,22 @@ class Source:
 
     @property
     def width(self) -> int:
-        """Values that its fields give, one for each column or what a turn needs; 0: any number."""
+        """Number of values of the fields, one for each column or the inputs of a rotation; 0: any
+        number."""
         return max(len(self.columns), len(self.fields)) if self.columns else 0
 
     def miscounted(self, given: int) -> str:
-        """What is said where its fields give another number of values."""
+        """Error text for a different number of values in the fields."""
         named = ", ".join(self.fields) or "none"
         return f"{self.signal} needs {self.width} values; fields {named} give {given}."
 
     def fits(self, topic: str, message: str) -> bool:
-        """Whether a topic is meant."""
+        """Whether a topic matches this source."""
         return message == self.message and self.topic.search(topic) is not None
 
 
 _OUT = re.compile(r"/fmu/out/")
-"""What PX4 says; `/fmu/in/` is what others tell it."""
+"""Topics that PX4 publishes; `/fmu/in/` are its inputs."""
 _ANY, _RAW = re.compile(""), re.compile(r"raw")
 _MAVROS = re.compile(r"/mavros/")
 _XYZ = ("x", "y", "z")
@@ -112,7 +115,7 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
     **{"acc": ACC, "gyro": GYRO, "mag": MAG, "pos": POS, "vel": VEL, "q": QUAT},
     **{"baro": ("baro_pa",), "vbat_v": ("vbat_v",), "ibat_a": ("ibat_a",), "cmd": (), "rotor": ()},
 }
-"""Signals and their columns; none: one for each motor."""
+"""Signals and their columns; empty: one for each motor."""
 
 
 def _px4(
@@ -144,7 +147,7 @@ def _of(stem: str, names: tuple[str, ...] = _XYZ) -> tuple[str, ...]:
 
 
 _NED_POSE, _NED_VELOCITY = {"pose_frame": 1.0}, {"velocity_frame": 1.0}
-"""Of px4_msgs/VehicleOdometry: POSE_FRAME_NED, VELOCITY_FRAME_NED."""
+"""POSE_FRAME_NED and VELOCITY_FRAME_NED of px4_msgs/VehicleOdometry."""
 _THRUST = (
     "thrust of actuator_motors, taken for the command: a bag has no parameters, so the thrust "
     "curve (THR_MDL_FAC) is not known"
@@ -196,7 +199,7 @@ SOURCES: tuple[Source, ...] = (
     _px4("cmd", "ActuatorMotors", "control", topic=_ANY, note=_THRUST),
     _px4("vbat_v", "BatteryStatus", "voltage_v"),
     _px4("ibat_a", "BatteryStatus", "current_a"),
-    *_imu(_RAW),  # what is not filtered, if it is there
+    *_imu(_RAW),  # unfiltered, where available
     *_imu(_ANY),
     _ros("mag", "sensor_msgs/msg/MagneticField", *_of("magnetic_field"), convert=from_flu),
     _ros("baro", "sensor_msgs/msg/FluidPressure", "fluid_pressure"),
@@ -215,7 +218,7 @@ SOURCES: tuple[Source, ...] = (
     _ros("vbat_v", _BATTERY, "voltage"),
     _ros("ibat_a", _BATTERY, "current", convert=_times(-1.0)),
 )
-"""Of several for the same signal the first that a bag has."""
+"""Known sources; of several for the same signal the first that a bag contains is used."""
 
 
 # -- mapping files --------------------------------------------------------------------------------
@@ -225,7 +228,7 @@ _FRAMES: Mapping[str, Mapping[str, Callable[[Array], Array]]] = {
     **{s: {"NED": as_it_is, "ENU": from_enu} for s in ("pos", "vel")},
     "q": {"NED-FRD": as_it_is, "ENU-FLU": from_ros_quaternion},
 }
-"""Frames that vectors may have, the first where none is named."""
+"""Frames of vectors, the first where none is named."""
 _UNITS: Mapping[str, Mapping[str, float]] = {
     "acc": {"m/s^2": 1.0, "g": 9.80665},
     "gyro": {"rad/s": 1.0, "deg/s": np.pi / 180.0},
@@ -239,18 +242,18 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "ibat_a": {"A": 1.0},
     "q": {},
 }
-"""SI units in a unit that the signal may have; of commands `low` and `high` are in it too."""
+"""Factor to SI of the units of a signal; `low` and `high` of commands are in that unit too."""
 
 
 def mapped_sources(bag: Path, types: Mapping[str, str]) -> tuple[Source, ...]:
-    """Sources of the mapping file of a bag; none where there is no such file.
+    """Sources in the mapping file of a bag; none where there is no such file.
 
     Args:
-        bag: File of the bag; the mapping lies next to it.
-        types: Of its messages, by topic.
+        bag: File of the bag; the mapping file is in the same folder.
+        types: Message types by topic.
 
     Raises:
-        LogError: The file is no mapping, or names what the bag does not have.
+        LogError: The file is no valid mapping, or names topics that the bag does not have.
     """
     file = mapping_of(bag)
     if file is None:
@@ -291,7 +294,7 @@ def _mapped(file: str, signal: str, given: MappedSignal, types: Mapping[str, str
     low, span = (given.low, given.high - given.low) if signal == "cmd" else (0.0, 1.0)
 
     def convert(values: Array) -> Array:
-        """To SI, NED, FRD; commands to 0..1."""
+        """Convert to SI, NED, FRD; commands to 0..1."""
         return turned((values - low) / span * scale)
 
     whole = re.compile(f"^{re.escape(given.topic)}$")
