@@ -70,13 +70,15 @@ class Equations:
 
 
 def _units(body: Component, p: Array) -> Array:
-    """Force and moment per specific force and angular acceleration, in hover, shape (6, 6)."""
+    """Force and moment per acceleration of the centre of mass and angular acceleration, in hover,
+    shape (6, 6): there body axes are NED, and what the observer learns is the same mass and inertia.
+    """
+    names = [s.name for s in body.states]
     u0, u = body.input_values(), ca.SX.sym("u", len(body.inputs))
-    y = body.outputs(body.initial(u0, p), u, p)
-    stems = ("specific_force", "angular_acceleration")
-    shown = ca.vertcat(*[y[body.output_names.index(f"{s}_{a}")] for s in stems for a in AXES])
+    rates = body.derivatives(body.initial(u0, p), u, p)
+    moved = ca.vertcat(*[rates[names.index(f"{s}_{a}")] for s in ("vel", "omega") for a in AXES])
     pushes = [body.input_names.index(f"{kind}_{a}") for kind, a in OUTPUTS]
-    slope = ca.Function("slope", [u], [ca.jacobian(shown, u)[:, pushes]])(u0)
+    slope = ca.Function("slope", [u], [ca.jacobian(moved, u)[:, pushes]])(u0)
     return np.asarray(np.linalg.inv(np.asarray(slope, dtype=np.float64)))
 
 

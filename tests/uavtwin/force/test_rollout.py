@@ -73,6 +73,15 @@ def taught(flight: Flight) -> Taught:
         return Taught.by([FlightWindows.of(flight, COPTER, equations)], equations)
 
 
+def test_a_law_of_the_moment_pushes_no_centre_of_mass() -> None:
+    """Wherever that is: what the observer learns beside it is a moment alone, too."""
+    offset = COPTER.with_effects({"cog_offset": {"x_m": 0.02, "y_m": -0.01, "z_m": 0.03}})
+    units = Equations(offset, components_of(offset, "command")[0]).units
+    both = np.zeros((6, 6))
+    both[:3, :3], both[3:, 3:] = COPTER.mass_kg * np.eye(3), COPTER.inertia_kg_m2
+    np.testing.assert_allclose(units, both, rtol=1e-9, atol=1e-12)
+
+
 def _turns() -> np.ndarray:
     """A law that pushes and turns by what it sees."""
     weights = np.zeros((len(OUTPUTS), len(FEATURES)))
