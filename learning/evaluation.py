@@ -17,7 +17,6 @@ flight) as one model left it:
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,10 +28,8 @@ from twin.errors import ModelError
 
 from .data.channels import CHANNELS, GROUPS, PHASE_CODES, UNITS
 from .data.flights import ResidualFlight
-from .data.sequences import check_protocol
 from .model.baselines import fit_baselines
-from .model.family import Corrected, Model
-from .preset import Protocol
+from .model.family import Corrected, Model, TrainingTask
 
 _MEANS = ("mse", "mae", "wasserstein", "inside", "within_1", "within_2")
 """Columns that are pooled by their number of samples."""
@@ -40,27 +37,11 @@ _ROOTS = ("rmse_before", "spread_before", "spread_left")
 """Columns whose squares are pooled so."""
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
-    """A protocol with its horizon.
-
-    Attributes:
-        protocol: `reconstruct`, `track` or `free`.
-        horizon: Age of the newest residual that may be seen, samples; 0 but in `track`.
-    """
-
-    protocol: Protocol
-    horizon: int = 0
-
-    def __post_init__(self) -> None:
-        check_protocol(self.protocol, self.horizon)
-
-
 def evaluate(
     model: Model | Mapping[str, Model] | None,
     train: Sequence[ResidualFlight],
     test: Sequence[ResidualFlight],
-    task: Task,
+    task: TrainingTask,
 ) -> pd.DataFrame:
     """Score models and the baselines of their protocol.
 
@@ -86,11 +67,11 @@ def evaluate(
             corrected = each.run(flight)
             check_finite(name, flight, corrected)
             rows += [head | scored(flight, corrected, *cell) for cell in cells(flight)]
-    return pd.DataFrame(rows)
+    return _with_shares(pd.DataFrame(rows))
 
 
 def fitted(
-    model: Model | Mapping[str, Model] | None, train: Sequence[ResidualFlight], task: Task
+    model: Model | Mapping[str, Model] | None, train: Sequence[ResidualFlight], task: TrainingTask
 ) -> dict[str, Model]:
     """The baselines of a task, then the models, by name."""
     named = dict(model) if isinstance(model, Mapping) else {} if model is None else {"model": model}
@@ -129,14 +110,18 @@ def pooled(
     for name in _ROOTS:
         found[name] = np.sqrt(sums[name] / sums["n"])
     found["rmse"] = np.sqrt(found["mse"])
-    found["removed"] = _removed(found["rmse"], found["rmse_before"])
-    found["removed_beyond_constant"] = _removed(found["spread_left"], found["spread_before"])
+    found = _with_shares(found)
     ordered = ["n", *(c for c in table if c in found and c != "n")]
     return found[ordered].reset_index()
 
 
-def _removed(left: pd.Series, before: pd.Series) -> pd.Series:
-    return 1 - left / before.where(before > 0)
+def _with_shares(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with the shares that are gone: 1 all, 0 nothing, NaN of nothing."""
+    shares = {"removed": ("rmse", "rmse_before")}
+    shares["removed_beyond_constant"] = ("spread_left", "spread_before")
+    for name, (left, before) in shares.items():
+        table[name] = 1 - table[left] / table[before].where(table[before] > 0)
+    return table
 
 
 Array = NDArray[np.float64]
@@ -166,8 +151,6 @@ def scored(
     """A row of the table; phase, channel and samples as of `cells`."""
     residual, correction = flight.residual[here, c], corrected.correction[here, c]
     left, spread = residual - correction, corrected.spread[here, c]
-    before, rms = rmse(residual), rmse(left)
-    spread_before, spread_left = spread_of(residual), spread_of(left)
     return {
         "flight": flight.name,
         "phase": phase,
@@ -175,18 +158,16 @@ def scored(
         "group": GROUP_OF[CHANNELS[c]],
         "unit": UNITS[c],
         "n": len(residual),
-        "mse": rms**2,
-        "rmse": rms,
+        "mse": mse(left),
+        "rmse": rmse(left),
         "mae": mae(left),
         "wasserstein": wasserstein(residual, correction),
-        "rmse_before": before,
-        "removed": share_removed(rms, before),
-        "spread_before": spread_before,
-        "spread_left": spread_left,
-        "removed_beyond_constant": share_removed(spread_left, spread_before),
+        "rmse_before": rmse(residual),
+        "spread_before": float(np.std(residual)),
+        "spread_left": float(np.std(left)),
         "inside": float(np.mean(corrected.inside[here])),
-        "within_1": coverage(left, spread, 1),
-        "within_2": coverage(left, spread, 2),
+        "within_1": float(np.mean(np.abs(left) <= spread)),
+        "within_2": float(np.mean(np.abs(left) <= 2 * spread)),
     }
 
 
@@ -194,8 +175,8 @@ def scored(
 
 
 def mse(left: Array) -> float:
-    """Mean square of what is left, shape (n,); NaN of nothing."""
-    return float(np.mean(left**2)) if len(left) else math.nan
+    """Mean square of what is left, shape (n,)."""
+    return float(np.mean(left**2))
 
 
 def rmse(left: Array) -> float:
@@ -204,13 +185,8 @@ def rmse(left: Array) -> float:
 
 
 def mae(left: Array) -> float:
-    """Mean absolute value of what is left, shape (n,); NaN of nothing."""
-    return float(np.mean(np.abs(left))) if len(left) else math.nan
-
-
-def spread_of(left: Array) -> float:
-    """Rms about the mean, shape (n,): what the best constant leaves."""
-    return float(np.std(left)) if len(left) else math.nan
+    """Mean absolute value of what is left, shape (n,)."""
+    return float(np.mean(np.abs(left)))
 
 
 def wasserstein(measured: Array, simulated: Array) -> float:
@@ -218,25 +194,7 @@ def wasserstein(measured: Array, simulated: Array) -> float:
 
     Source: earth mover's distance of order 1, Villani, Optimal Transport (2009), ch. 6.
     """
-    if not len(measured) or not len(simulated):
-        return math.nan
     return float(wasserstein_distance(measured, simulated))
-
-
-def share_removed(left: float, before: float) -> float:
-    """Share of an rms that is gone: 1 all, 0 nothing, negative where it grew; NaN of nothing."""
-    return 1 - left / before if before > 0 else math.nan
-
-
-def coverage(left: Array, spread: Array, times: float) -> float:
-    """Share of samples at most so many spreads away, 0..1; a Gaussian has 0.683 and 0.954.
-
-    Args:
-        left: What is left, shape (n,).
-        spread: Predicted standard deviation, shape (n,), same unit.
-        times: How many spreads.
-    """
-    return float(np.mean(np.abs(left) <= times * spread)) if len(left) else math.nan
 
 
 # -- what is refused ----------------------------------------------------------------------

@@ -38,7 +38,7 @@ from learning.data.flights import (
     restart_before_s,
 )
 from learning.data.scaling import in_spans
-from learning.evaluation import WHOLE, Task, evaluate, pooled
+from learning.evaluation import WHOLE, evaluate, pooled
 from learning.export.write import export_onnx
 from learning.model.compensator import LINEAR_PART, Compensator
 from learning.model.family import Model, TrainingTask
@@ -55,9 +55,9 @@ from .residuals import residuals
 from .simulated import individuals, produce
 
 VEHICLE = "feisi_x150"
-FREE = Task("free")
-TASKS = (*(Task("track", h) for h in (1, 10, 50, 100)), FREE)
-SIMULATED_TASKS = (Task("track", 1), Task("track", 10), FREE)
+FREE = TrainingTask("free")
+TASKS = (*(TrainingTask("track", h) for h in (1, 10, 50, 100)), FREE)
+SIMULATED_TASKS = (TrainingTask("track", 1), TrainingTask("track", 10), FREE)
 FAULT = "gyro_x"
 FAULT_RAD_S = 0.5
 MODEL = "compensator"
@@ -72,17 +72,19 @@ class Split:
     test: Sequence[ResidualFlight]
 
 
-def before_s(task: Task) -> float:
+def before_s(task: TrainingTask) -> float:
     """How long before a reading the twin of a task was at the measured state, s."""
     return restart_before_s(task.protocol, task.horizon, DEFAULT_RATE_HZ)
 
 
-def residuals_of(logs: Sequence[Flight], vehicle: Vehicle, task: Task) -> list[ResidualFlight]:
+def residuals_of(
+    logs: Sequence[Flight], vehicle: Vehicle, task: TrainingTask
+) -> list[ResidualFlight]:
     """What a task is about of each flight."""
     return [residual_flight(log, vehicle, restart_s=before_s(task)) for log in logs]
 
 
-def real_splits(logs: Sequence[Flight], vehicle: str, task: Task) -> list[Split]:
+def real_splits(logs: Sequence[Flight], vehicle: str, task: TrainingTask) -> list[Split]:
     """Each flight held out in turn."""
     flights = residuals_of(logs, load_vehicle(vehicle), task)
     return [
@@ -91,7 +93,9 @@ def real_splits(logs: Sequence[Flight], vehicle: str, task: Task) -> list[Split]
     ]
 
 
-def simulated_splits(folder: Path, seeds: int, jobs: int, task: Task) -> dict[str, list[Split]]:
+def simulated_splits(
+    folder: Path, seeds: int, jobs: int, task: TrainingTask
+) -> dict[str, list[Split]]:
     """Aircraft with hidden effects, the paper's split and the same missions in both."""
     wanted = individuals(seeds=seeds)
     produce(folder, wanted)
@@ -108,11 +112,11 @@ def simulated_splits(folder: Path, seeds: int, jobs: int, task: Task) -> dict[st
 
 @contextmanager
 def shipped(
-    split: Split, task: Task, preset: Preset, seed: int, out: Path
+    split: Split, task: TrainingTask, preset: Preset, seed: int, out: Path
 ) -> Iterator[tuple[Compensator, CompiledCompensator]]:
     """The compensator of a split and its FMU; one that is trained already is taken."""
     folder = out / f"{split.name.replace(' ', '_')}-{task.protocol}{task.horizon}-{seed}"
-    wanted = TrainingTask(task.protocol, task.horizon, seed)
+    wanted = replace(task, seed=seed)
     trained = fit_model(split.train, family_row("svq"), preset, wanted, folder)
     assert isinstance(trained, Compensator)
     export_onnx(trained, folder)
@@ -121,7 +125,11 @@ def shipped(
 
 
 def score(
-    splits: Mapping[Task, Sequence[Split]], preset: Preset, seeds: int, out: Path, jobs: int = 1
+    splits: Mapping[TrainingTask, Sequence[Split]],
+    preset: Preset,
+    seeds: int,
+    out: Path,
+    jobs: int = 1,
 ) -> pd.DataFrame:
     """Rows of `protocols.evaluate`, with the split and the seed."""
     began = time.perf_counter()
@@ -138,7 +146,7 @@ def score(
     return pd.concat(tables, ignore_index=True)
 
 
-def _score(split: Split, task: Task, preset: Preset, seed: int, out: Path) -> pd.DataFrame:
+def _score(split: Split, task: TrainingTask, preset: Preset, seed: int, out: Path) -> pd.DataFrame:
     with shipped(split, task, preset, seed, out) as (trained, fmu):
         models: dict[str, Model] = {MODEL: fmu}
         if (alone := trained.without_network()) is not None:
@@ -219,7 +227,7 @@ def explained_text(logs: Sequence[Flight], preset: Preset, seeds: int, out: Path
     models = {"as published": vehicle}
     if found.added is not None:
         models["explained"] = found.added
-    for task in (Task("track", 10), Task("free")):
+    for task in (TrainingTask("track", 10), TrainingTask("free")):
         for name, model_of in models.items():
             made = residuals_of(logs, model_of, task)
             split = Split(f"explained {name}", made[:2], made[2:])
@@ -233,14 +241,14 @@ def explained_text(logs: Sequence[Flight], preset: Preset, seeds: int, out: Path
     return "\n".join([*lines, ""])
 
 
-def _task(task: Task) -> str:
+def _task(task: TrainingTask) -> str:
     return task.protocol if not task.horizon else f"{task.protocol} {task.horizon}"
 
 
-def alarm_text(splits: Mapping[Task, Sequence[Split]], preset: Preset, out: Path) -> str:
+def alarm_text(splits: Mapping[TrainingTask, Sequence[Split]], preset: Preset, out: Path) -> str:
     """Share of the time with an alarm before and after a fault in the middle of the flight."""
     lines = ["| flight | task | before the fault | after it |", "|---|---|---|---|"]
-    for task in (Task("track", 1), Task("track", 10)):
+    for task in (TrainingTask("track", 1), TrainingTask("track", 10)):
         for split in splits[task]:
             for flight in split.test:
                 broken, at = with_fault(flight)
@@ -252,7 +260,7 @@ def alarm_text(splits: Mapping[Task, Sequence[Split]], preset: Preset, out: Path
     return "\n".join([*lines, ""])
 
 
-def clean_text(splits: Mapping[Task, Sequence[Split]], preset: Preset, out: Path) -> str:
+def clean_text(splits: Mapping[TrainingTask, Sequence[Split]], preset: Preset, out: Path) -> str:
     """Share of the time with an alarm on flights without a fault."""
     tasks = [task for task in splits if task.protocol == "track"]
     lines = [f"| flights of | {' | '.join(map(_task, tasks))} |", "|---|" + "---|" * len(tasks)]

@@ -70,8 +70,8 @@ class Equations:
 
 
 def _units(body: Component, p: Array) -> Array:
-    """Force and moment per acceleration of the centre of mass and angular acceleration, in hover,
-    shape (6, 6): there body axes are NED, and what the observer learns is the same mass and inertia.
+    """Force and moment per acceleration of the centre of mass and angular acceleration, shape
+    (6, 6); in hover, where body axes are NED.
     """
     names = [s.name for s in body.states]
     u0, u = body.input_values(), ca.SX.sym("u", len(body.inputs))

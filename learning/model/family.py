@@ -18,6 +18,7 @@ from twin.representation import short_repr
 from ..data.clustering import Clusters
 from ..data.flights import ResidualFlight
 from ..data.scaling import in_spans
+from ..data.sequences import check_protocol
 from ..preset import Protocol
 
 Array = NDArray[np.float64]
@@ -159,7 +160,7 @@ class TrainedModel(Interface):
 
 @dataclass(frozen=True, slots=True)
 class TrainingTask:
-    """What a model is trained for, whatever its family and preset.
+    """What a model is trained for or measured in, whatever its family and preset.
 
     Attributes:
         protocol: What it sees.
@@ -179,6 +180,10 @@ class TrainingTask:
     vehicle_sha256: str = ""
     device: str = "cpu"
     checkpoints: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Raise ModelError unless the horizon goes with the protocol."""
+        check_protocol(self.protocol, self.horizon)
 
 
 PresetT = TypeVar("PresetT", bound=FamilyPreset)

@@ -21,7 +21,6 @@ from twin.errors import ModelError
 
 from ..compute import CPU, device_named, one_thread
 from ..data.flights import ResidualFlight
-from ..data.sequences import check_protocol
 from ..model.compensator import Compensator
 from ..model.family import (
     Family,
@@ -184,7 +183,6 @@ def fit_model(
             folder belongs to another training.
     """
     check_flights(flights)
-    check_protocol(task.protocol, task.horizon)
     check_preset(row, preset, task.protocol)
     folder.mkdir(parents=True, exist_ok=True)
     with one_thread():

@@ -9,13 +9,13 @@ import pytest
 
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight, held
-from learning.evaluation import WHOLE, Task, evaluate, pooled
-from learning.model.family import Corrected, Model
+from learning.evaluation import WHOLE, evaluate, pooled
+from learning.model.family import Corrected, Model, TrainingTask
 from twin.errors import ModelError
 
 Array = np.ndarray
 HOVER, TOUR = PHASE_CODES["hover"], PHASE_CODES["tour"]
-FREE = Task("free")
+FREE = TrainingTask("free")
 
 
 def flight_of(seed: int, n: int = 400, offset: float = 5.0) -> ResidualFlight:
@@ -56,7 +56,7 @@ class Share:
 TRAIN, TEST = [flight_of(0), flight_of(1)], [flight_of(2), flight_of(3)]
 
 
-def table_of(models: Mapping[str, Model] | Model | None, task: Task = FREE) -> pd.DataFrame:
+def table_of(models: Mapping[str, Model] | Model | None, task: TrainingTask = FREE) -> pd.DataFrame:
     return evaluate(models, TRAIN, TEST, task)
 
 
@@ -117,10 +117,15 @@ def test_a_constant_is_subtracted_before_the_share_beyond_it() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "task",
-    [Task("reconstruct"), Task("track", 1), Task("track", 50), Task("free")],
+    [
+        TrainingTask("reconstruct"),
+        TrainingTask("track", 1),
+        TrainingTask("track", 50),
+        TrainingTask("free"),
+    ],
     ids=lambda t: f"{t.protocol}-{t.horizon}",
 )
-def test_baselines_of_every_task(task: Task) -> None:
+def test_baselines_of_every_task(task: TrainingTask) -> None:
     table = table_of(None, task)
     assert {"none", "mean"} < set(table["model"])
     assert set(table["protocol"]) == {task.protocol} and set(table["horizon"]) == {task.horizon}
@@ -168,9 +173,9 @@ def test_pooled_by_phase_agrees_with_the_whole() -> None:
 @pytest.mark.slow
 def test_what_is_refused() -> None:
     with pytest.raises(ModelError, match="needs 1 or more"):
-        Task("track", 0)
+        TrainingTask("track", 0)
     with pytest.raises(ModelError, match="leave it 0"):
-        Task("free", 3)
+        TrainingTask("free", 3)
     with pytest.raises(ModelError, match="0 training and 2 test"):
         evaluate(None, [], TEST, FREE)
     with pytest.raises(ModelError, match=r"'flight 0'.*split by flight"):

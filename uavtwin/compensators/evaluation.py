@@ -14,9 +14,9 @@ from fmus.compensator import FILE
 from learning.data.channels import CHANNELS, UNITS
 from learning.data.flights import ResidualFlight, read_residuals, residual_flight, restart_before_s
 from learning.data.scaling import in_spans
-from learning.evaluation import WHOLE, Task, evaluate, pooled
+from learning.evaluation import WHOLE, evaluate, pooled
 from learning.model.compensator import LINEAR_PART, Compensator
-from learning.model.family import Corrected, Model, TrainedModel, no_alarm
+from learning.model.family import Corrected, Model, TrainedModel, TrainingTask, no_alarm
 from learning.model.folder import load
 from twin.formatting import counted, percent
 from twin.logs import Flight
@@ -229,7 +229,7 @@ def evaluate_model(
             said = _StoredCorrections({f.name: _said(fmu.run(f), model) for f in flights})
     else:
         said = _StoredCorrections({f.name: model.run(f) for f in flights})
-    task = Task(model.info.protocol, model.info.horizon)
+    task = TrainingTask(model.info.protocol, model.info.horizon)
     in_use = _in_use(folder, vehicle, given) if compiled and task.protocol == "free" else None
     return Evaluation(
         model=model,
