@@ -19,7 +19,7 @@ import jinja2
 import yaml
 
 from learning.force.model import LINEAR, NONE
-from learning.model.registry import family_row
+from learning.model.registry import family_named
 from twin.errors import TwinError
 from twin.formatting import number, percent
 
@@ -242,10 +242,10 @@ def facts(about: Mapping[str, Any]) -> list[list[str]]:
         others = {o["law"] for o in about["outputs"].values()} - {LINEAR}
         found |= {"law": ", ".join([*used, *sorted(others)])}
     else:
-        row = family_row(about["family"])
+        family = family_named(about["family"])
         ahead = f"{about['horizon']} samples, {1e3 * about['horizon'] / about['rate_hz']:g} ms"
         found |= {
-            **{"family": f"{row.name}: {row.meaning}", "preset": about["preset"]["name"]},
+            **{"family": f"{family.name}: {family.meaning}", "preset": about["preset"]["name"]},
             **({"horizon": ahead} if about["protocol"] == "track" else {}),
             **{"rate": f"{about['rate_hz']:g} Hz", "motors": str(about["n_commands"])},
             "channels": ", ".join(about["channels"]),

@@ -42,7 +42,7 @@ from learning.evaluation import WHOLE, evaluate, pooled
 from learning.export.write import export_onnx
 from learning.model.compensator import LINEAR_PART, Compensator
 from learning.model.family import Model, TrainingTask
-from learning.model.registry import family_row
+from learning.model.registry import family_named
 from learning.preset import BEST, Preset
 from learning.training.train import fit_model
 from twin.explain.explanation import explain
@@ -117,7 +117,7 @@ def shipped(
     """The compensator of a split and its FMU; one that is trained already is taken."""
     folder = out / f"{split.name.replace(' ', '_')}-{task.protocol}{task.horizon}-{seed}"
     wanted = replace(task, seed=seed)
-    trained = fit_model(split.train, family_row("svq"), preset, wanted, folder)
+    trained = fit_model(split.train, family_named("svq"), preset, wanted, folder)
     assert isinstance(trained, Compensator)
     export_onnx(trained, folder)
     with compiled_compensator(folder) as compiled:

@@ -34,7 +34,7 @@ from learning.data.flights import ResidualFlight
 from learning.model.baselines import fit_baseline
 from learning.model.family import Model, TrainingTask
 from learning.model.folder import write_json
-from learning.model.registry import family_row
+from learning.model.registry import family_named
 from learning.preset import Preset, Protocol
 from learning.training.train import fit_model
 from twin.errors import LogError, ModelError
@@ -375,8 +375,8 @@ def fitted(run: Run, trained: Sequence[ResidualFlight], folder: Path, device: st
             else fit_baseline(preset.name, trained, run.horizon)
         )
     task = TrainingTask(cast(Protocol, run.role), run.horizon, run.seed, device=device)
-    row = family_row("svq" if preset.network else "linear")
-    return fit_model(trained, row, preset, task, folder)
+    family = family_named("svq" if preset.network else "linear")
+    return fit_model(trained, family, preset, task, folder)
 
 
 def _seeded(model: Model) -> Callable[[int], Model] | None:

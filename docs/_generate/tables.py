@@ -19,7 +19,7 @@ from typer.main import get_command
 
 from cosim.whole_twin import fused_model
 from learning.force.model import ForceFile
-from learning.model.registry import FAMILIES
+from learning.model.registry import FAMILIES, family_named
 from twin.component import Component, Enumeration, Variable
 from twin.effects import EFFECTS, Effect, EffectParameter, effects_for, prior_of
 from twin.effects.parameters import (
@@ -135,7 +135,7 @@ def compensator() -> str:
             ", ".join(f"`{p}`" for p in f.presets),
             "yes" if f.onnx else "no",
         )
-        for f in FAMILIES
+        for f in map(family_named, FAMILIES)
     ]
     return "\n".join(rows(("family", "is", "`--preset`", "ONNX, FMU"), lines))
 

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import shutil
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ MODULE_FILE = "force.onnx"
 """In the same folder: the module, of a law that has one."""
 NONE, LINEAR, MODULE = "none", "linear", "module"
 """Laws of an output."""
-FORMAT = 6
+FORMAT = 7
 """Version of the file's layout."""
 _OUTPUTS = tuple(f"{kind}_{a}" for kind, a in OUTPUTS)  # names in the file
 
@@ -107,19 +106,6 @@ class Acceptance:
     refused: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class StoredArray:
-    """An array as plain numbers.
-
-    Attributes:
-        shape: Of it.
-        values: All of it, row by row.
-    """
-
-    shape: tuple[int, ...]
-    values: tuple[float, ...]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Origin:
     """How a law was come by.
@@ -153,7 +139,7 @@ class ForceFile(Origin):
         inputs: Names of what the law sees.
         features: Names of what its linear part is linear in.
         outputs: Of each of the six, by name.
-        law: Its arrays, by name.
+        law: Its arrays, by name, row by row.
         module_sha256: Of `force.onnx`; missing where no output is a module.
     """
 
@@ -162,7 +148,7 @@ class ForceFile(Origin):
     inputs: tuple[str, ...]
     features: tuple[str, ...]
     outputs: dict[str, Output]
-    law: dict[str, StoredArray]
+    law: dict[str, Any]
     module_sha256: str | UnsetType = UNSET
 
 
@@ -205,7 +191,7 @@ def save_force(model: ForceModel, folder: Path) -> None:
         inputs=tuple(name for name, _ in INPUTS),
         features=tuple(FEATURES),
         outputs=model.outputs,
-        law=_plain(model.law),
+        law={name: values.tolist() for name, values in model.law.arrays().items()},
         module_sha256=_sha256(model.onnx) if model.onnx else UNSET,
     )
     if model.onnx:
@@ -229,28 +215,12 @@ def load_force(folder: Path) -> ForceModel:
         file = msgspec.convert(content, ForceFile)
         if msgspec.json.decode(msgspec.json.encode(file)) != content:
             raise ModelError("it has keys that are none of its own")
-        return _with_module(_model(file), file, folder)
+        return _model(file, folder)
     except (msgspec.MsgspecError, KeyError, TypeError, ValueError, TwinError) as error:
         raise ModelError(
             f"{path}: is of another layout than this version's, or damaged ({error}). Train the "
             f"model again."
         ) from error
-
-
-def _with_module(model: ForceModel, content: ForceFile, folder: Path) -> ForceModel:
-    """The same with the module of its folder, where an output is one."""
-    if all(output.law != MODULE for output in content.outputs.values()):
-        return model
-    path = folder / MODULE_FILE
-    onnx = path.read_bytes() if path.is_file() else b""
-    if _sha256(onnx) != content.module_sha256:
-        raise ModelError(
-            f"{MODULE_FILE} beside it is {'not the one that was written' if onnx else 'missing'}: "
-            f"copy the whole folder, or write it again with `own_force`"
-        )
-    from .module import law_function
-
-    return replace(model, law=replace(model.law, module=law_function(onnx)), onnx=onnx)
 
 
 def _sha256(content: bytes) -> str:
@@ -270,32 +240,35 @@ def copy_force(folder: Path, out: Path) -> list[str]:
     return names
 
 
-def _model(content: ForceFile) -> ForceModel:
+def _model(file: ForceFile, folder: Path) -> ForceModel:
+    """Of a file, with the module beside it where an output is one."""
     expected = {
         "format": FORMAT,
         "inputs": tuple(name for name, _ in INPUTS),
         "features": tuple(FEATURES),
     }
+    given = {key: getattr(file, key) for key in expected}
+    expected["outputs"], given["outputs"] = _OUTPUTS, tuple(file.outputs)
     for key, value in expected.items():
-        if getattr(content, key) != value:
-            raise ModelError(f"{key} is {getattr(content, key)}, not {value}")
-    if tuple(content.outputs) != _OUTPUTS:
-        raise ModelError(f"outputs are {list(content.outputs)}, not {list(_OUTPUTS)}")
-    ridge = next((o.ridge for o in content.outputs.values() if o.ridge), None)
-    return ForceModel(**_origin(content), law=_law(content.law), ridge=ridge)
+        if given[key] != value:
+            raise ModelError(f"{key} is {given[key]}, not {value}")
+    law = ForceLaw.of({k: np.array(v, dtype=np.float64) for k, v in file.law.items()})
+    ridge = next((o.ridge for o in file.outputs.values() if o.ridge), None)
+    model = ForceModel(**_origin(file), law=law, ridge=ridge)
+    if all(output.law != MODULE for output in file.outputs.values()):
+        return model
+    path = folder / MODULE_FILE
+    onnx = path.read_bytes() if path.is_file() else b""
+    if _sha256(onnx) != file.module_sha256:
+        raise ModelError(
+            f"{MODULE_FILE} beside it is {'not the one that was written' if onnx else 'missing'}: "
+            f"copy the whole folder, or write it again with `own_force`"
+        )
+    from .module import law_function
+
+    return replace(model, law=replace(law, module=law_function(onnx)), onnx=onnx)
 
 
 def _origin(of: Origin) -> dict[str, Any]:
     """What both kinds have in common."""
     return {f.name: getattr(of, f.name) for f in fields(Origin)}
-
-
-def _plain(law: ForceLaw) -> dict[str, StoredArray]:
-    """A law as plain numbers; the shape of a table without rows is said, too."""
-    return {k: StoredArray(v.shape, tuple(v.ravel().tolist())) for k, v in law.arrays().items()}
-
-
-def _law(content: Mapping[str, StoredArray]) -> ForceLaw:
-    return ForceLaw.of(
-        {k: np.array(v.values, dtype=np.float64).reshape(v.shape) for k, v in content.items()}
-    )

@@ -191,11 +191,21 @@ ModelT = TypeVar("ModelT", bound=TrainedModel)
 
 
 class Family(ABC, Generic[PresetT, ModelT]):
-    """One kind of compensator; docs/dev/extending/compensator_model.md adds one step by step."""
+    """One kind of compensator; docs/dev/extending/compensator_model.md adds one step by step.
 
-    @abstractmethod
-    def presets(self) -> Mapping[str, PresetT]:
-        """Its presets by name, all of one dataclass; the row in the registry names the same."""
+    Attributes:
+        name: As in `registry.FAMILIES` and `model.json`.
+        meaning: What its models are, in a line.
+        presets: By name, all of one dataclass; no two families have a name in common.
+        usual: Preset where nobody says.
+        onnx: Whether its models are exported as `model.onnx`, and so as FMUs.
+    """
+
+    name: ClassVar[str]
+    meaning: ClassVar[str]
+    presets: ClassVar[Mapping[str, Any]]
+    usual: ClassVar[str]
+    onnx: ClassVar[bool]
 
     @abstractmethod
     def protocols(self, preset: PresetT) -> Sequence[Protocol]:
@@ -213,7 +223,7 @@ class Family(ABC, Generic[PresetT, ModelT]):
         """Train on flights of one rate and number of commands; the same seed gives the same bytes.
 
         Args:
-            flights: Checked by `training.inputs.check_flights`.
+            flights: Checked by `check_flights`.
             preset: Hyper-parameters.
             task: Its protocol is one of `protocols`.
             folder: Exists; for a checkpoint and the learning curve. The model itself is written
@@ -235,10 +245,7 @@ class Family(ABC, Generic[PresetT, ModelT]):
 
     @abstractmethod
     def export(self, model: ModelT, folder: Path) -> tuple[str, ...]:
-        """Write what other runtimes need (`model.onnx`); names of the files, () without any.
-
-        Whether there are any is what the row in the registry says by `onnx`.
-        """
+        """Write what other runtimes need (`model.onnx`); names of the files, () without any."""
 
 
 def silent(done: float, left_s: float | None) -> None:

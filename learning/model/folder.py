@@ -18,7 +18,7 @@ from twin.errors import ModelError
 
 from ..data.channels import CHANNELS, UNITS, check_channels
 from .family import ModelInfo
-from .registry import family_row
+from .registry import family_named
 
 if TYPE_CHECKING:
     from .family import Family, TrainedModel
@@ -52,7 +52,7 @@ def load(folder: Path) -> "TrainedModel":
             raise ModelError(f"{folder}: no {name}; a model is what `uavtwin train` wrote")
     try:
         content = json.loads((folder / MODEL).read_text("utf-8"))
-        family = family_row(content["family"]).load()
+        family = family_named(content["family"])
         model: TrainedModel = family.build(
             info_from_json(content, family), load_file(folder / WEIGHTS)
         )
@@ -109,7 +109,7 @@ def info_from_json(content: Mapping[str, Any], family: "Family[Any, Any]") -> Mo
 
 def _preset_from_json(content: Mapping[str, Any], family: "Family[Any, Any]") -> Any:
     """A preset of the family; JSON has lists where it has tuples."""
-    kind = type(next(iter(family.presets().values())))
+    kind = type(next(iter(family.presets.values())))
     return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in content.items()})
 
 

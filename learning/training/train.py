@@ -7,9 +7,10 @@ the machine is shared.
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,7 @@ from ..model.family import (
 )
 from ..model.folder import CURVE, MODEL, load, save, write_json
 from ..model.network import ClusterNetwork, SvqNetwork
-from ..model.registry import FamilyRow, check_preset
+from ..model.registry import check_preset
 from ..preset import LINEAR, PRESETS, PROTOCOLS, Preset, Protocol
 from .checkpoint import CHECKPOINT, TrainingState, load_checkpoint, save_checkpoint
 from .losses import Losses, losses
@@ -162,7 +163,7 @@ def _copy(network: SvqNetwork) -> dict[str, Tensor]:
 
 def fit_model(
     flights: Sequence[ResidualFlight],
-    row: FamilyRow,
+    family: Family[Any, Any],
     preset: FamilyPreset,
     task: TrainingTask,
     folder: Path,
@@ -172,7 +173,7 @@ def fit_model(
 
     Args:
         flights: At one rate and with one number of commands.
-        row: The family.
+        family: The family.
         preset: One of the family's, or a changed one.
         task: Protocol, horizon, seed, vehicle.
         folder: Made if it does not exist.
@@ -183,10 +184,10 @@ def fit_model(
             folder belongs to another training.
     """
     check_flights(flights)
-    check_preset(row, preset, task.protocol)
+    check_preset(family, preset, task.protocol)
     folder.mkdir(parents=True, exist_ok=True)
     with one_thread():
-        model: TrainedModel = row.load().fit(flights, preset, task, folder, progress)
+        model: TrainedModel = family.fit(flights, preset, task, folder, progress)
     save(model, folder)
     if task.checkpoints is None:
         (folder / CHECKPOINT).unlink(missing_ok=True)
@@ -197,9 +198,9 @@ def fit_model(
 class Svq(Family[Preset, Compensator]):
     """The paper's network and what measurably beats it."""
 
-    def presets(self) -> Mapping[str, Preset]:
-        """As in `learning.preset`."""
-        return PRESETS
+    name, usual, onnx = "svq", "best", True
+    meaning = "FC-MC-SVQ network over the linear prediction"
+    presets = PRESETS
 
     def protocols(self, preset: Preset) -> Sequence[Protocol]:
         """All of them."""
@@ -258,9 +259,9 @@ class Svq(Family[Preset, Compensator]):
 class Linear(Svq):
     """Autoregression straight to the horizon, or ridge regression on the twin's readings."""
 
-    def presets(self) -> Mapping[str, Preset]:
-        """One."""
-        return {LINEAR.name: LINEAR}
+    name = usual = LINEAR.name
+    meaning = "the linear prediction alone: what the network has to beat"
+    presets = MappingProxyType({LINEAR.name: LINEAR})
 
     def protocols(self, preset: Preset) -> Sequence[Protocol]:
         """Not `reconstruct`: given the answer there is nothing to predict."""

@@ -17,9 +17,9 @@ from learning.data.channels import CHANNELS, UNITS
 from learning.data.flights import ResidualFlight, residual_flight, restart_before_s, write_residuals
 from learning.force.model import copy_force
 from learning.model.compensator import Compensator
-from learning.model.family import TrainedModel, TrainingTask
+from learning.model.family import Family, TrainedModel, TrainingTask
 from learning.model.folder import CURVE, MODEL, WEIGHTS, save
-from learning.model.registry import FamilyRow, check_preset, chosen, family_row, preset_named
+from learning.model.registry import chosen, family_named, preset_named
 from learning.preset import SEEDS, Protocol
 from learning.training.checkpoint import CHECKPOINT
 from learning.training.train import fit_model
@@ -64,7 +64,7 @@ class Plan:
         law: Folder of a learned force that the twin has, in `free`; None: it has none.
     """
 
-    family: FamilyRow
+    family: Family[Any, Any]
     preset: Any
     protocol: Protocol
     horizon: int
@@ -94,8 +94,7 @@ def plan_training(wanted: "Wanted", out: Path, force: bool) -> Plan:
     model, protocol, epochs = wanted.model, cast("Protocol", wanted.protocol), wanted.epochs
     if model is None and wanted.preset is None and epochs is None and protocol == "free":
         model = "linear"  # no network has said more of a flight that was not its own
-    family, made = chosen(model, wanted.preset)
-    check_preset(family, made, protocol)
+    family, made = chosen(model, wanted.preset, protocol)
     if epochs is not None:
         if _epochs(made) is None:
             raise TwinError(f"preset {made.name} is in closed form and has no epochs; give none")
@@ -215,7 +214,7 @@ def run_training(
         in_use = _gated(model, prepared, task, out)
         save(model, out)
         (out / IN_USE).write_text(json.dumps(in_use.json(), indent=1) + "\n", "utf-8")
-    exported = plan.family.load().export(model, out)
+    exported = plan.family.export(model, out)
     (out / VEHICLE_FILE).write_text(text, "utf-8")
     write_residuals(prepared.compared, out / RESIDUALS)
     _write_page(out, prepared.compared)
@@ -245,8 +244,9 @@ def _gated(model: Compensator, prepared: Prepared, task: TrainingTask, out: Path
         others = [r for i, r in enumerate(prepared.residuals) if i % MOST_FOLDS != k]
         left_out = [f for i, f in enumerate(flights) if i % MOST_FOLDS == k]
         with tempfile.TemporaryDirectory(dir=out) as place:
-            row, preset = preset_named("linear")
-            taught = fit_model(others, row, preset, replace(task, checkpoints=None), Path(place))
+            family, preset = preset_named("linear")
+            alone = replace(task, checkpoints=None)
+            taught = fit_model(others, family, preset, alone, Path(place))
             found += _used(taught, left_out, prepared, Path(place))
     if n == 1:
         with tempfile.TemporaryDirectory(dir=out) as place:
@@ -260,7 +260,7 @@ def _used(
     model: TrainedModel, flights: Sequence[UsedFlight], prepared: Prepared, folder: Path
 ) -> list[Corrections]:
     """Flights through the exported twin that a model corrects."""
-    family_row(model.family).load().export(model, folder)
+    family_named(model.family).export(model, folder)
     network = read_network(folder)
     with driven_fmu(prepared.vehicle, prepared.drive, network, prepared.law) as fmu:
         return [flight.corrections(fmu) for flight in flights]
@@ -282,10 +282,10 @@ def training_claim(out: Path) -> str:
     helped = [r for r in rows if r["removed"] > 0]
     task = _task(about)
     if not rows:
-        row = family_row(about["family"])
-        onnx = "" if row.onnx else "; it has no ONNX form and makes no FMU"
+        family = family_named(about["family"])
+        onnx = "" if family.onnx else "; it has no ONNX form and makes no FMU"
         return (
-            f"{task}: {row.meaning}, preset {about['preset']['name']}, fitted to "
+            f"{task}: {family.meaning}, preset {about['preset']['name']}, fitted to "
             f"{len(about['flights'])} flights; `uavtwin evaluate` measures it on others{onnx}."
         )
     if about["protocol"] == "reconstruct":

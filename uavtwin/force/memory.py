@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 CHECKPOINT = "checkpoint.jsonl"  # in the folder of a law
 
 
-class Memory(journal.Journal[int]):
+class Memory(journal.Journal[str]):
     """Results of the steps of one training, in order."""
 
     kind = "training of a learned force"
@@ -32,19 +32,13 @@ class Memory(journal.Journal[int]):
     def __init__(self, path: Path, key: str) -> None:
         """See `Journal`."""
         super().__init__(path, key)
-        self._count = 0
         self._stored = [content for _, content in self.contents()]
+        self._step = 0
 
-    def named(self, content: journal.Content) -> int:
-        """Number of the step.
-
-        Raises:
-            ValueError, KeyError, TypeError: It is of no step.
-        """
-        if not (isinstance(content["what"], str)):
-            raise ValueError
-        base64.b64decode(content["array"], validate=True)
-        return len(self.done)
+    def named(self, content: journal.Content) -> str:
+        """The step."""
+        _array(content)
+        return str(content["what"])
 
     def array(self, what: str, make: Callable[[], Array]) -> Array:
         """Result of the next step, from the journal where it is there.
@@ -53,31 +47,25 @@ class Memory(journal.Journal[int]):
             what: The step, which is held against the journal's.
             make: Takes the step.
         """
-        if (stored := self._next(what)) is not None:
-            flat = np.frombuffer(base64.b64decode(stored["array"]), dtype=np.float64)
-            return flat.reshape(stored["shape"]).copy()
-        made = np.asarray(make(), dtype=np.float64)
-        self._add(what, made)
-        return made
-
-    def _next(self, what: str) -> journal.Content | None:
-        """Line of the next step; None: it has not been taken."""
-        self._count += 1
-        if self._count > len(self._stored):
-            return None
-        stored = self._stored[self._count - 1]
+        self._step += 1
+        if self._step > len(self._stored):
+            made = np.asarray(make(), dtype=np.float64)
+            self._add(what, made)
+            return made
+        stored = self._stored[self._step - 1]
         if stored["what"] != what:
-            raise self.foreign(self._count + 1)
-        return stored
+            raise self.foreign(self._step + 1)
+        return _array(stored)
 
     def _add(self, what: str, array: Array) -> None:
-        self.write(
-            {
-                "what": what,
-                "shape": list(array.shape),
-                "array": base64.b64encode(array.tobytes()).decode(),
-            }
-        )
+        content = base64.b64encode(array.tobytes()).decode()
+        self.write({"what": what, "shape": array.shape, "array": content})
+
+
+def _array(content: journal.Content) -> Array:
+    """That of a line."""
+    flat = np.frombuffer(base64.b64decode(content["array"], validate=True), dtype=np.float64)
+    return flat.reshape(content["shape"]).copy()
 
 
 def training_key(flights: Sequence[Flight], vehicle: Vehicle, seed: int) -> str:

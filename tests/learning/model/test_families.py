@@ -14,13 +14,12 @@ from learning_rigs.residual_rig import made_up
 
 from learning.data.flights import ResidualFlight
 from learning.model.compensator import Compensator
-from learning.model.family import TrainedModel, TrainingTask
+from learning.model.family import Family, TrainedModel, TrainingTask
 from learning.model.folder import MODEL, WEIGHTS, load, save
 from learning.model.registry import (
     FAMILIES,
-    FamilyRow,
     check_preset,
-    family_row,
+    family_named,
     preset_named,
 )
 from learning.preset import PRESETS, Protocol
@@ -30,8 +29,8 @@ from twin.errors import ModelError
 HORIZONS = {"reconstruct": 0, "track": 2, "free": 0}
 FLIGHTS = [made_up(0, every=3), made_up(1, every=3)]
 AWAY = made_up(2, every=3)
-ROWS = FAMILIES
-NAMES = [row.name for row in ROWS]
+AnyFamily = Family[Any, Any]
+FAMILY_LIST = [family_named(name) for name in FAMILIES]
 LARGEST_WIDTH = 64
 """Presets with more units than that are left to the benchmarks."""
 
@@ -45,22 +44,21 @@ def quick(preset: Any) -> Any:
 def cases() -> list[Any]:
     """Every preset that is quick enough under each of its protocols."""
     found = []
-    for row in ROWS:
-        family = row.load()
-        for preset in map(quick, family.presets().values()):
+    for family in FAMILY_LIST:
+        for preset in map(quick, family.presets.values()):
             if max(getattr(preset, "encoder_units", ()), default=0) <= LARGEST_WIDTH:
                 for protocol in family.protocols(preset):
-                    name = f"{row.name}-{preset.name}-{protocol}"
-                    found.append(pytest.param(row, preset, protocol, id=name))
+                    name = f"{family.name}-{preset.name}-{protocol}"
+                    found.append(pytest.param(family, preset, protocol, id=name))
     return found
 
 
-def trained(row: FamilyRow, preset: Any, protocol: Protocol, folder: Path) -> TrainedModel:
+def trained(family: AnyFamily, preset: Any, protocol: Protocol, folder: Path) -> TrainedModel:
     task = TrainingTask(protocol, HORIZONS[protocol], 3, "v", "0f")
-    return fit_model(FLIGHTS, row, preset, task, folder)
+    return fit_model(FLIGHTS, family, preset, task, folder)
 
 
-Trained = Callable[[FamilyRow, Any, Protocol], tuple[TrainedModel, Path]]
+Trained = Callable[[AnyFamily, Any, Protocol], tuple[TrainedModel, Path]]
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +66,9 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Trained:
     """A model and its folder, neither to be changed."""
 
     @cache
-    def model(row: FamilyRow, preset: Any, protocol: Protocol) -> tuple[TrainedModel, Path]:
-        folder = tmp_path_factory.mktemp(f"{row.name}-{protocol}")
-        return trained(row, preset, protocol, folder), folder
+    def model(family: AnyFamily, preset: Any, protocol: Protocol) -> tuple[TrainedModel, Path]:
+        folder = tmp_path_factory.mktemp(f"{family.name}-{protocol}")
+        return trained(family, preset, protocol, folder), folder
 
     return model
 
@@ -79,12 +77,12 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Trained:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("row", "preset", "protocol"), cases())
+@pytest.mark.parametrize(("family", "preset", "protocol"), cases())
 def test_a_model_is_kept_as_it_is(
-    row: FamilyRow, preset: Any, protocol: Protocol, once: Trained, tmp_path: Path
+    family: AnyFamily, preset: Any, protocol: Protocol, once: Trained, tmp_path: Path
 ) -> None:
     """Written and read: same bytes, same correction to the last bit; same seed, same bytes."""
-    model, folder = once(row, preset, protocol)
+    model, folder = once(family, preset, protocol)
     again = load(folder)
     assert again.family == model.family and again.info == model.info
     assert again.info.protocol == protocol and again.info.horizon == HORIZONS[protocol]
@@ -94,7 +92,7 @@ def test_a_model_is_kept_as_it_is(
         one, other = (getattr(m.run(AWAY), name) for m in (model, again))
         np.testing.assert_array_equal(one, other, err_msg=name)
     save(again, tmp_path / "copy")
-    trained(row, preset, protocol, tmp_path / "two")
+    trained(family, preset, protocol, tmp_path / "two")
     for name in (MODEL, WEIGHTS):
         written = (folder / name).read_bytes()
         assert written == (tmp_path / "copy" / name).read_bytes(), name
@@ -102,12 +100,12 @@ def test_a_model_is_kept_as_it_is(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("row", "preset", "protocol"), cases())
+@pytest.mark.parametrize(("family", "preset", "protocol"), cases())
 def test_a_model_is_finite_and_sees_what_it_may(
-    row: FamilyRow, preset: Any, protocol: Protocol, once: Trained
+    family: AnyFamily, preset: Any, protocol: Protocol, once: Trained
 ) -> None:
     """A measurement changes nothing before its age is that of the horizon; in `free` nothing."""
-    model, _ = once(row, preset, protocol)
+    model, _ = once(family, preset, protocol)
     row_of_change, (a, b) = 40, AWAY.spans[0]
     residual, fresh = AWAY.residual.copy(), AWAY.fresh.copy()
     residual[row_of_change] += 3 * np.std(AWAY.residual, axis=0)
@@ -129,11 +127,10 @@ def test_a_model_is_finite_and_sees_what_it_may(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("row", ROWS, ids=NAMES)
-def test_other_flights_are_refused(row: FamilyRow, once: Trained) -> None:
-    family = row.load()
-    preset = quick(next(iter(family.presets().values())))
-    model, _ = once(row, preset, family.protocols(preset)[0])
+@pytest.mark.parametrize("family", FAMILY_LIST, ids=list(FAMILIES))
+def test_other_flights_are_refused(family: AnyFamily, once: Trained) -> None:
+    preset = quick(next(iter(family.presets.values())))
+    model, _ = once(family, preset, family.protocols(preset)[0])
     with pytest.raises(ModelError, match=r"50 Hz.*100 Hz"):
         model.run(replace(AWAY, rate_hz=50.0))
     with pytest.raises(ModelError, match=r"4 motor commands.*with 2"):
@@ -141,15 +138,14 @@ def test_other_flights_are_refused(row: FamilyRow, once: Trained) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("row", ROWS, ids=NAMES)
-def test_what_is_exported_is_what_the_row_says(
-    row: FamilyRow, once: Trained, tmp_path: Path
+@pytest.mark.parametrize("family", FAMILY_LIST, ids=list(FAMILIES))
+def test_what_is_exported_is_what_the_family_says(
+    family: AnyFamily, once: Trained, tmp_path: Path
 ) -> None:
-    family = row.load()
-    preset = quick(family.presets()[row.presets[-1]])
-    model, _ = once(row, preset, family.protocols(preset)[0])
+    preset = quick(family.presets[family.usual])
+    model, _ = once(family, preset, family.protocols(preset)[0])
     written = family.export(model, tmp_path)
-    assert ("model.onnx" in written) is row.onnx, f"{row.name!r} says onnx={row.onnx}"
+    assert ("model.onnx" in written) is family.onnx, f"{family.name!r} says onnx={family.onnx}"
     assert all((tmp_path / name).is_file() for name in written)
 
 
@@ -158,8 +154,8 @@ def test_what_is_exported_is_what_the_row_says(
 
 @pytest.fixture(scope="module")
 def folder(once: Trained) -> Path:
-    row, preset = preset_named("linear")
-    return once(row, quick(preset), "track")[1]
+    family, preset = preset_named("linear")
+    return once(family, quick(preset), "track")[1]
 
 
 @pytest.mark.parametrize(
@@ -186,15 +182,15 @@ def test_a_folder_of_another_family_is_refused(
 def test_unknown_presets_and_protocols_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"no preset 'bset'; there are .*paper.*linear"):
         preset_named("bset")
-    row, preset = preset_named("linear")
+    family, preset = preset_named("linear")
     with pytest.raises(ModelError, match="preset linear: not under protocol reconstruct, only un"):
-        check_preset(row, preset, "reconstruct")
+        check_preset(family, preset, "reconstruct")
     with pytest.raises(ModelError, match="not under protocol reconstruct"):
-        fit_model(FLIGHTS, row, preset, TrainingTask("reconstruct"), tmp_path)
+        fit_model(FLIGHTS, family, preset, TrainingTask("reconstruct"), tmp_path)
     with pytest.raises(ModelError, match="protocol track: horizon 0"):
-        fit_model(FLIGHTS, row, preset, TrainingTask("track"), tmp_path)
+        fit_model(FLIGHTS, family, preset, TrainingTask("track"), tmp_path)
     with pytest.raises(ModelError, match="at least one flight"):
-        fit_model([], row, preset, TrainingTask("free"), tmp_path)
+        fit_model([], family, preset, TrainingTask("free"), tmp_path)
 
 
 # -- the members ----------------------------------------------------------------------------
@@ -206,9 +202,9 @@ def test_the_linear_family_is_the_network_with_shut_gates(
     protocol: Protocol, once: Trained
 ) -> None:
     """What is left of it where the network is taken away."""
-    row, preset = preset_named("linear")
-    one, _ = once(row, quick(preset), protocol)
-    other, _ = once(family_row("svq"), quick(PRESETS["best"]), protocol)
+    family, preset = preset_named("linear")
+    one, _ = once(family, quick(preset), protocol)
+    other, _ = once(family_named("svq"), quick(PRESETS["best"]), protocol)
     assert isinstance(one, Compensator) and isinstance(other, Compensator)
     assert one.network is None and not [n for n in one.tensors() if n.startswith("network")]
     opened = other.gate.clone()
@@ -224,7 +220,7 @@ def test_the_linear_family_is_the_network_with_shut_gates(
 
 def test_a_network_that_says_nothing_is_not_kept(once: Trained) -> None:
     """After one epoch it adds nothing to the linear prediction of these flights."""
-    model, folder = once(family_row("svq"), quick(PRESETS["best"]), "free")
+    model, folder = once(family_named("svq"), quick(PRESETS["best"]), "free")
     assert isinstance(model, Compensator) and not model.gate.any()
     assert model.network is None and model.family == "linear"
     assert (folder / WEIGHTS).stat().st_size < 50_000
@@ -244,8 +240,8 @@ def test_a_channel_that_is_shut_is_not_corrected(tmp_path: Path) -> None:
 
 def test_the_spread_of_the_linear_family_is_that_of_what_is_left_today(once: Trained) -> None:
     """Of every sensor, though what flights left out have is more."""
-    row, preset = preset_named("linear")
-    model, _ = once(row, quick(preset), "track")
+    family, preset = preset_named("linear")
+    model, _ = once(family, quick(preset), "track")
     flight: ResidualFlight = FLIGHTS[0]
     found = model.run(flight)
     rows = flight.fresh & found.inside[:, None]
@@ -255,4 +251,4 @@ def test_the_spread_of_the_linear_family_is_that_of_what_is_left_today(once: Tra
 
 
 def test_svq_has_the_presets_of_the_paper() -> None:
-    assert Svq().presets() is PRESETS
+    assert Svq.presets is PRESETS

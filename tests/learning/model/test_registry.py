@@ -13,24 +13,23 @@ import pytest
 
 import learning
 from learning.model.family import Family
-from learning.model.registry import FAMILIES, FamilyRow, family_row, preset_named
+from learning.model.registry import FAMILIES, family_named, preset_named
 from twin.errors import ModelError
 
-ROWS = FAMILIES
 ROOT = Path(str(learning.__file__)).parents[1]
-NAMES = [row.name for row in ROWS]
 
 
-@pytest.mark.parametrize("row", ROWS, ids=NAMES)
-def test_the_member_of_every_row_is_there(row: FamilyRow) -> None:
-    module, _, name = row.member.partition(":")
+@pytest.mark.parametrize(("name", "member"), FAMILIES.items())
+def test_the_member_of_every_row_is_there(name: str, member: str) -> None:
+    module, _, class_name = member.partition(":")
     file = f"{module.rpartition('.')[2]}.py"
-    assert find_spec(module) is not None, f"{row.name!r} names {row.member}: there is no {file}"
-    kind = getattr(import_module(module), name, None)
-    assert kind is not None, f"{row.name!r}: {file} has no class {name}"
-    assert issubclass(kind, Family), f"{row.name!r}: {name} is no Family"
+    assert find_spec(module) is not None, f"{name!r} names {member}: there is no {file}"
+    kind = getattr(import_module(module), class_name, None)
+    assert kind is not None, f"{name!r}: {file} has no class {class_name}"
+    assert issubclass(kind, Family), f"{name!r}: {class_name} is no Family"
     lacking = ", ".join(sorted(kind.__abstractmethods__))
-    assert not lacking, f"{row.name!r}: {name} lacks {lacking}"
+    assert not lacking, f"{name!r}: {class_name} lacks {lacking}"
+    assert kind.name == name
 
 
 def test_every_family_has_a_row() -> None:
@@ -42,24 +41,23 @@ def test_every_family_has_a_row() -> None:
             bases = [ast.unparse(b) for b in node.bases] if isinstance(node, ast.ClassDef) else []
             if isinstance(node, ast.ClassDef) and any(b.startswith("Family[") for b in bases):
                 found.add(f"{module}:{node.name}")
-    forgotten = sorted(found - {row.member for row in FAMILIES})
+    forgotten = sorted(found - {*FAMILIES.values()})
     assert not forgotten, f"in no row of learning/model/registry.py: {', '.join(forgotten)}"
 
 
-@pytest.mark.parametrize("row", ROWS, ids=NAMES)
-def test_the_row_names_the_presets(row: FamilyRow) -> None:
-    presets = row.load().presets()
-    assert tuple(presets) == row.presets, f"{row.name!r} has the presets {', '.join(presets)}"
-    assert len({type(p) for p in presets.values()}) == 1
-    for name, preset in presets.items():
-        assert preset.name == name and is_dataclass(preset)
-        assert preset_named(name) == (row, preset)
-        assert row.load().protocols(preset)
+@pytest.mark.parametrize("name", FAMILIES)
+def test_presets_are_of_one_kind(name: str) -> None:
+    family = family_named(name)
+    assert len({type(p) for p in family.presets.values()}) == 1 and family.usual in family.presets
+    for key, preset in family.presets.items():
+        assert preset.name == key and is_dataclass(preset) and family.protocols(preset)
+        found, same = preset_named(key)
+        assert type(found) is type(family) and same == preset
 
 
 def test_names_are_those_of_one_family() -> None:
-    presets = [p for row in ROWS for p in row.presets]
-    assert len(set(NAMES)) == len(NAMES) and len(set(presets)) == len(presets)
+    presets = [p for name in FAMILIES for p in family_named(name).presets]
+    assert len(set(presets)) == len(presets)
 
 
 def test_the_registry_imports_no_family() -> None:
@@ -79,6 +77,6 @@ def test_the_registry_imports_no_family() -> None:
 
 def test_what_is_in_no_row_is_refused() -> None:
     with pytest.raises(ModelError, match=r"no family 'cvae'; there are .*svq, linear"):
-        family_row("cvae")
+        family_named("cvae")
     with pytest.raises(ModelError, match=r"no preset 'cvae'; there are .*paper, .*linear"):
         preset_named("cvae")

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from learning.data.flights import ResidualFlight
 from learning.model.compensator import Compensator
 from learning.model.family import Progress, TrainingTask, silent
-from learning.model.registry import family_row
+from learning.model.registry import family_named
 from learning.preset import BEST, Preset, Protocol
 from learning.training.train import fit_model
 
@@ -88,7 +88,7 @@ def train(
 ) -> Compensator:
     """A compensator of these flights, its folder written."""
     task = TrainingTask(protocol, horizon, seed, "v", "0f")
-    row = family_row("svq" if preset.network else "linear")
-    model = fit_model(flights, row, preset, task, folder, progress)
+    family = family_named("svq" if preset.network else "linear")
+    model = fit_model(flights, family, preset, task, folder, progress)
     assert isinstance(model, Compensator)
     return model
