@@ -1,4 +1,4 @@
-"""A vehicle file from what the flights of an aircraft tell and what its owner knows of it."""
+"""A first vehicle file from the flights of an aircraft and the knowledge of its owner."""
 
 from .draft import Drafted, draft
 from .facts import Fact, OwnerFacts, kind_of

@@ -1,11 +1,11 @@
-"""The rotors of a vehicle file held against those that a log states of its aircraft.
+"""Comparison of the rotors of a vehicle file with those stated in a log.
 
-A log knows number, order, places and senses of the rotors (`CA_ROTOR*` and `SYS_AUTOSTART` of PX4,
-`FRAME_CLASS` and `FRAME_TYPE` of ArduPilot, the mixer of Betaflight, what a flight table noted). A
-vehicle file that says otherwise makes every comparison wrong, and what comes out looks like a
-physical effect. Sizes are compared only where the log has metres: autopilots need proportions
-alone. Where the flight clearly turned as the vehicle file has it and not as its log does, the
-parameters of the log are not those of the aircraft, which is a warning.
+A log states number, order, positions and directions of the rotors (`CA_ROTOR*` and `SYS_AUTOSTART`
+of PX4, `FRAME_CLASS` and `FRAME_TYPE` of ArduPilot, the mixer of Betaflight, the notes of a flight
+table). A vehicle file that contradicts them makes every comparison wrong, and the residuals
+resemble a physical effect. Sizes are compared only where the log has metres: autopilots need
+proportions only. Where the flight clearly turned by the layout of the vehicle file and not by that
+of its log, the parameters of the log are not those of the aircraft, which is a warning.
 """
 
 from collections.abc import Iterator
@@ -26,25 +26,26 @@ from ..vehicle.layouts import CW, Layout
 
 Array = NDArray[np.float64]
 NEAR = 0.4
-"""Of the distance to the next rotor: so far a hub may be from where the log has it. Frames of one
-number of rotors that are turned by half a pitch are 0.51 to 0.54 apart."""
+"""Tolerance of a hub's position against the log, over the distance to the next rotor. Frames with
+the same number of rotors, turned by half a pitch, differ by 0.51 to 0.54."""
 SAME_SIZE = 1.3
-"""Ratio of sizes in metres from which on it is said; by judgement, as `SAME_CELLS`."""
+"""Ratio of sizes in metres from which it is reported; by judgement, as `SAME_CELLS`."""
 SAME_CELLS = 1.15
-"""Ratio of battery voltages: 4 cells over 3 are 1.33, 7 over 6 are 1.17."""
+"""Ratio of battery voltages from which it is reported: 4 cells over 3 are 1.33, 7 over 6 are
+1.17."""
 SAME_CUTOFF = 1.5
-"""Ratio of cut-off frequencies of a filter from which on it is said; by judgement."""
+"""Ratio of cut-off frequencies of a filter from which it is reported; by judgement."""
 _LONGEST_S = 120.0
-"""Part of a long flight that is read to see how it turned, s."""
-OVERRIDE = "--trust-vehicle"  # the option that takes the vehicle file's word
+"""Part of a long flight that is read to find how it turned, s."""
+OVERRIDE = "--trust-vehicle"  # option by which the vehicle file overrides the log
 
 
 class _Differences(NamedTuple):
-    """What two layouts of as many rotors differ in.
+    """Differences of two layouts with the same number of rotors.
 
     Attributes:
-        direction: Sentence on the senses; "": they agree.
-        position: Sentence on order or places; "": they agree.
+        direction: Sentence on directions of rotation; "": they agree.
+        position: Sentence on order or positions; "": they agree.
     """
 
     direction: str = ""
@@ -56,11 +57,11 @@ class _Differences(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """What a vehicle file and a log say differently of one aircraft.
+    """Contradictions between a vehicle file and a log of one aircraft.
 
     Attributes:
-        error: Why they cannot be compared; "": they can.
-        warnings: What to keep in mind.
+        error: Reason why they cannot be compared; "": they can.
+        warnings: Warnings on the comparison.
     """
 
     error: str = ""
@@ -68,10 +69,10 @@ class Consistency:
 
 
 def check_airframe(flight: AnyFlight, vehicle: Vehicle) -> None:
-    """Refuse a vehicle whose rotors are not those of the log.
+    """Refuse a vehicle whose rotors differ from those of the log.
 
     Raises:
-        ModelError: Number, order, places or senses differ; the text names both sources.
+        ModelError: Number, order, positions or directions differ; the text names both sources.
     """
     if error := consistency(flight, vehicle).error:
         raise ModelError(error)
@@ -79,8 +80,8 @@ def check_airframe(flight: AnyFlight, vehicle: Vehicle) -> None:
 
 @once_per_flight
 def consistency(flight: AnyFlight, vehicle: Vehicle) -> Consistency:
-    """Hold a vehicle against what the log of a flight states of the aircraft; where it states
-    nothing of its rotors, against how the flight turned."""
+    """Compare a vehicle with the facts of the aircraft in a flight's log; where the log has none of
+    its rotors, with how the flight turned."""
     airframe, file = flight.airframe, vehicle.file or vehicle.name
     if airframe is None or airframe.layout is None or not airframe.layout.places_known:
         turned = _turned_otherwise(flight, vehicle, file)
@@ -124,13 +125,13 @@ def _refusal(flight: AnyFlight, whys: tuple[str, ...]) -> str:
 
 
 def _differences(layout: Layout, vehicle: Vehicle, file: str) -> _Differences:
-    """Places and senses of as many rotors."""
+    """Differences in positions and directions between equal numbers of rotors."""
     rotors = vehicle.rotors
     log, own = _proportions(layout.position), _proportions(rotors.position_m)
     if log is None or own is None:
         return _Differences(_senses(layout, rotors.direction, file))
     near = NEAR * _spacing(log)
-    apart = np.linalg.norm(log[:, None] - own[None], axis=2)  # rows: of the log
+    apart = np.linalg.norm(log[:, None] - own[None], axis=2)  # rows: rotors of the log
     if np.all(np.diag(apart) <= near):
         return _Differences(_senses(layout, rotors.direction, file))
     order = _order(apart, layout, rotors.direction)
@@ -146,22 +147,22 @@ def _differences(layout: Layout, vehicle: Vehicle, file: str) -> _Differences:
 
 
 def _proportions(position: Array) -> Array | None:
-    """Hubs in the rotor plane from their middle, their mean square distance 1, shape (n, 2); None:
-    all lie in one place."""
+    """Hubs in the rotor plane relative to their mean, with mean square distance 1, shape (n, 2);
+    None: all are at one point."""
     plane = position[:, :2] - position[:, :2].mean(axis=0)
     size = float(np.sqrt(np.mean(np.sum(plane * plane, axis=1))))
     return plane / size if size > 0.0 else None
 
 
 def _spacing(plane: Array) -> Array:
-    """Distance of each hub from the next one that is not above or below it, shape (n,)."""
+    """Distance of each hub to the nearest one that is not above or below it, shape (n,)."""
     apart = np.linalg.norm(plane[:, None] - plane[None], axis=2)
     return np.asarray(np.where(apart < 0.1, np.inf, apart).min(axis=1))
 
 
 def _order(apart: Array, layout: Layout, direction: Array) -> NDArray[np.intp]:
-    """The row of the vehicle file that is nearest to each motor of the log; of two above each other
-    that of its sense."""
+    """Row of the vehicle file that is nearest to each motor of the log; of two coaxial rotors the
+    one with the same direction."""
     turned = (layout.direction[:, None] != direction[None]) * 1e-3
     return np.asarray(scipy.optimize.linear_sum_assignment(apart**2 + turned)[1], dtype=np.intp)
 
@@ -171,7 +172,8 @@ def _alike(layout: Layout, direction: Array) -> bool:
 
 
 def _senses(layout: Layout, direction: Array, file: str) -> str:
-    """Sentence on senses that differ; "" where none does or the log does not know them."""
+    """Sentence on directions of rotation that differ; "" where none does or the log does not have
+    them."""
     if _alike(layout, direction):
         return ""
     wrong = np.flatnonzero(layout.direction != direction)
@@ -212,7 +214,7 @@ def _sense(direction: float) -> str:
 
 
 def _place(position: Array) -> str:
-    """Where a hub is, in words."""
+    """Position of a hub in words."""
     x, y = float(position[0]), float(position[1])
     size = np.hypot(x, y)
     ahead = "front" if x > 0.2 * size else "rear" if x < -0.2 * size else ""
@@ -226,14 +228,14 @@ def _bearing(plane: Array) -> str:
 
 
 def _turned_otherwise(flight: AnyFlight, vehicle: Vehicle, file: str) -> list[str]:
-    """Warnings that the flight did not turn as the commands to the rotors of the file would have
-    it; none where the motion or the commands do not say."""
+    """Warnings that the flight did not turn as the commands to the rotors of the file predict; none
+    where motion or commands are not informative."""
     rotors = vehicle.rotors
     return _contradicted(flight, Layout(rotors.position_m, rotors.direction, True, 0.0, file))
 
 
 def _contradicted(flight: AnyFlight, layout: Layout) -> list[str]:
-    """What the angular acceleration of a flight says against rotors of a layout."""
+    """Contradictions between the angular acceleration of a flight and the rotors of a layout."""
     part = _beginning(flight)
     there = signals(part.columns)
     if len(there.get("cmd", ())) != layout.count:
@@ -242,13 +244,14 @@ def _contradicted(flight: AnyFlight, layout: Layout) -> list[str]:
 
 
 def _beginning(flight: AnyFlight) -> Flight:
-    """The first part of a flight that is left in its file, a flight in memory as it is."""
+    """The first part of a flight stored in its file; a flight in memory unchanged."""
     begin_s = float(flight.time_s[0])
     return flight if isinstance(flight, Flight) else flight.between(begin_s, begin_s + _LONGEST_S)
 
 
 def _as_the_vehicle(flight: AnyFlight, layout: Layout, vehicle: Vehicle, file: str) -> str:
-    """Clause that the flight turned as the vehicle file has it and not as its log does; ""."""
+    """Clause that the flight turned by the layout of the vehicle file and not by that of its log;
+    else ""."""
     by_log = _contradicted(flight, layout)
     if not by_log or _turned_otherwise(flight, vehicle, file):
         return ""

@@ -1,8 +1,8 @@
-"""Flights of an aircraft and what its owner knows of it -> the text of a vehicle file.
+"""Draft of a vehicle file from flights of an aircraft and the knowledge of its owner.
 
 Three kinds of numbers: given by the owner, taken from the logs, and usual ones of aircraft and
-propellers of that size. Each stands in the file with its source, and with its standard deviation
-where `calibrate` and `explain` need it.
+propellers of that size. The file states each with its source, and with its standard deviation where
+`calibrate` and `explain` need it.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,11 +43,11 @@ Array = NDArray[np.float64]
 Choice = Callable[[Flight, Array], NDArray[np.bool_]]
 
 _LEAST = 20
-"""Samples from which on a noise is estimated."""
+"""Smallest number of samples for an estimate of noise."""
 _IDLE = 0.02
-"""Largest command, over its range, at which motors are taken to stand."""
+"""Largest command, over its range, of stopped motors."""
 _APART = 2.5
-"""Step of time over its median from which on two samples are no neighbours."""
+"""Time step over its median from which two samples are not neighbours."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +56,8 @@ class Noise:
 
     Attributes:
         sd: Standard deviation, in the unit of the signal.
-        samples: From how many.
-        where: Which part of the flights.
+        samples: Number of samples.
+        where: Part of the flights that was used, in words.
     """
 
     sd: float
@@ -66,13 +66,13 @@ class Noise:
 
 
 def noise_of(flights: Sequence[Flight], hovers: Sequence[Hover], columns: Sequence[str]) -> Noise:
-    """White noise of a sensor: at rest with the motors idle, else in hover with what shakes it.
+    """White noise of a sensor: at rest with the motors idle, else in hover with its vibration.
 
-    Second differences of neighbouring samples: sqrt(6) times white noise, and next to nothing of
-    what moves slowly. Median over the samples, mean over the axes.
+    From second differences of neighbouring samples: sqrt(6) times white noise, and almost nothing
+    of slow signals. Median over the samples, mean over the axes.
 
     Returns:
-        `samples` 0 where no flight has enough of them.
+        `samples` is 0 where no flight has enough of them.
     """
     rest = [_second(f, columns, _resting) for f in flights]
     air = [_second(f, columns, _within(h)) for f, h in zip(flights, hovers, strict=True)]
@@ -80,7 +80,7 @@ def noise_of(flights: Sequence[Flight], hovers: Sequence[Hover], columns: Sequen
         values = np.concatenate(found)
         if len(values) >= _LEAST:
             sd = np.median(np.abs(values), axis=0) / 0.6745 / np.sqrt(6.0)
-            if not np.all(sd > 0):  # more than half of the steps are none
+            if not np.all(sd > 0):  # more than half of the steps are zero
                 sd = values.std(axis=0) / np.sqrt(6.0)
             return Noise(float(sd.mean()), len(values), where)
     return Noise(0.0, 0, "")
@@ -98,7 +98,7 @@ def _second(flight: Flight, columns: Sequence[str], chosen: Choice) -> Array:
 
 
 def _resting(flight: Flight, t_s: Array) -> NDArray[np.bool_]:
-    """On the ground, or before any motor turns, and told nothing."""
+    """Whether the aircraft is on the ground, or no motor has turned yet and commands are idle."""
     ground = np.isin(phases_at(flight, t_s), ("ground", ""))
     columns = drives(flight)
     if not columns:
@@ -118,17 +118,19 @@ def _within(hover: Hover) -> Choice:
 
 
 _BARO_SD_PA = 150.0
-"""Offset of a barometer; by judgement."""
+"""Standard deviation of a barometer's offset; by judgement."""
 _FIX_SD_DEG, _HEIGHT_SD_M = 1e-4, 30.0
-"""Of a fix: meters; of its height, ellipsoid or sea."""
+"""Standard deviation of a position fix, some meters; of its height, ellipsoid or sea level."""
 _GRAVITY_SD_M_S2 = 5e-4
-"""Anomalies of the real field: 50 mGal."""
+"""Standard deviation of gravity by anomalies of the real field: 50 mGal."""
 _YEAR_SD = 0.01
-"""Of the date in years, four days: of a log; the field of the earth hardly changes in that."""
+"""Standard deviation of the date of a log in years, four days; the field of the Earth hardly
+changes in that time."""
 _NOISE_SD, _PARAMETER_SD, _PLACE_SD_M = 0.1, 0.01, 0.005
-"""Of what readings, set parameters and rulers say; by judgement."""
+"""Relative standard deviation of measured noise and of set parameters; standard deviation of ruler
+measurements; by judgement."""
 _START_S = 2.0
-"""Beginning of a flight that the pressure at the start is taken from, s."""
+"""Part at the start of a flight from which the initial pressure is taken, s."""
 
 
 def draft_site(m: DraftState) -> float:
@@ -157,11 +159,11 @@ def draft_site(m: DraftState) -> float:
 
 
 def pressure_at_origin(flight: Flight) -> tuple[float, str]:
-    """Static pressure at pos_z = 0, Pa, and how it was found.
+    """Static pressure at pos_z = 0, Pa, and its derivation in words.
 
-    Median of the first 2 s of the barometer in which the height is known, each reading reduced to
-    pos_z = 0 by the barometer's own equation (`physics.sensors.barometer`) at 288.15 K there: over
-    15 m of height, 20 K less are 13 Pa more. Without a height the readings are taken as they are.
+    Median of the first 2 s of the barometer with a known height, each reading reduced to pos_z = 0
+    by the barometer's own equation (`physics.sensors.barometer`) at 288.15 K there: over 15 m of
+    height, 20 K less give 13 Pa more. Without a height the readings are not reduced.
     """
     t_s, pressure = flight.signal(("baro_pa",))
     read = pressure[:, 0]
@@ -183,7 +185,7 @@ def pressure_at_origin(flight: Flight) -> tuple[float, str]:
 
 
 def _year(m: DraftState, place: Place, source: str) -> str:
-    """Add the date, where a model of the magnetic field covers it; in words."""
+    """Add the date, where a model of the magnetic field covers it; returns it in words."""
     if place.year is None:
         return ""
     try:
@@ -196,7 +198,7 @@ def _year(m: DraftState, place: Place, source: str) -> str:
 
 
 def draft_sensors(m: DraftState) -> None:
-    """Add noise, cutoffs and the place of the accelerometer."""
+    """Add noise, cut-offs and the position of the accelerometer."""
     said = []
     for sensor in SENSORS:
         unit, noise = sensor.plain_unit, noise_of(m.flights, m.hovers, sensor.columns)
@@ -222,7 +224,7 @@ def draft_sensors(m: DraftState) -> None:
 
 
 def draft_battery(m: DraftState) -> None:
-    """Add the section where all of it is known, since its keys belong together."""
+    """Add the battery section where all of its keys are known, since they belong together."""
     if m.airframe.cells is None:
         return
     cells, source = m.airframe.cells
@@ -235,7 +237,7 @@ def draft_battery(m: DraftState) -> None:
         ("capacity", cells.capacity_a_s, "A*s", 0.1),
         ("resistance", cells.resistance_ohm, "ohm", 0.3),
         ("hover_current", currents[0] if currents else None, "A", 0.1),
-    )  # standard deviations over the values, by judgement
+    )  # relative standard deviations, by judgement
     lacking = [key.replace("_", " ") for key, number, _, _ in entries if not number]
     if lacking:
         m.say(
@@ -252,18 +254,18 @@ def draft_battery(m: DraftState) -> None:
 
 
 _MASS_SD = 0.01
-"""Weighed, as `twin.vehicle.vehicle.WORDS` has it."""
+"""Relative standard deviation of a weighed mass, as in `twin.vehicle.vehicle.WORDS`."""
 _ARM_SD = 0.03
-"""Measured with a ruler, as there."""
+"""Relative standard deviation of a size measured with a ruler, as in `WORDS`."""
 _SIZES_APART = 0.1
-"""Relative difference of the arms of log and owner from which on it is said; by judgement."""
+"""Relative difference of the arms of log and owner from which it is reported; by judgement."""
 
 
 def draft_body(m: DraftState) -> Layout:
-    """Add mass, rotors' places and senses, inertia; returns the rotors.
+    """Add mass, inertia, positions and directions of the rotors; returns the rotors.
 
     Raises:
-        ModelError: Arrangement or size of the rotors is not known.
+        ModelError: Arrangement or size of the rotors is unknown.
     """
     mass = m.known.mass_kg
     m.file.number("body.mass", mass, "kg", "given, as weighed", percent(_MASS_SD))
@@ -289,10 +291,10 @@ def draft_body(m: DraftState) -> Layout:
 
 
 def _layout(m: DraftState) -> Layout:
-    """Order and sense of the rotors: as given, as the log says, else as it turned.
+    """Order and direction of the rotors: as given, by the log, else by how the flights turned.
 
-    A given frame is a shape; where every flight turned like one other frame of that shape, its
-    numbering of the motors is taken and a warning says so.
+    A given frame is a shape only; where every flight turned like one other frame of that shape, the
+    motor numbers of that frame are used and a warning reports it.
     """
     motors, by_log = m.hovers[0].motors, m.airframe.layout
     if m.known.frame is not None:
@@ -324,7 +326,7 @@ def _layout(m: DraftState) -> Layout:
 
 
 def _as_it_turned(m: DraftState, motors: int) -> Layout:
-    """The frame by which a flight's commands explain best how it turned."""
+    """The frame by which the commands of a flight explain best how it turned."""
     found = best_frame(m.flights[0], motors)
     if found is None:
         raise ModelError(
@@ -338,7 +340,7 @@ def _as_it_turned(m: DraftState, motors: int) -> Layout:
 
 
 def _frame_name(given: str, motors: int) -> str:
-    """A frame as people call it: `x` of six rotors is `hex x`."""
+    """Full name of a frame: `x` with six rotors is `hex x`."""
     name = " ".join(given.lower().replace("-", " ").replace("_", " ").split())
     for full in (name, name.removeprefix("quad "), f"hex {name}", f"octo {name}"):
         if full in FRAMES and len(FRAMES[full][0]) == motors:
@@ -348,7 +350,7 @@ def _frame_name(given: str, motors: int) -> str:
 
 
 def _sized(m: DraftState, layout: Layout) -> Layout:
-    """The layout in metres."""
+    """The layout scaled to metres."""
     arm = m.known.arm_m
     if arm is None and not layout.metric:
         raise ModelError(
@@ -366,7 +368,7 @@ def _sized(m: DraftState, layout: Layout) -> Layout:
 
 
 _LEVELS_APART = 1.25
-"""Hover commands of one aircraft differ by less: sag takes a tenth."""
+"""Largest ratio of hover commands of one aircraft: battery sag changes it by a tenth."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -374,12 +376,11 @@ class Drafted:
     """A vehicle file in draft.
 
     Attributes:
-        text: Of the file.
-        hovers: What the flights tell of the hover, one each.
-        level: Command at which they hover, mean over them; speed, rad/s, where they have no
-            commands.
-        facts: Its numbers in words.
-        warnings: What does not fit together.
+        text: Text of the file.
+        hovers: Hover of each flight.
+        level: Hover command, mean over the flights; speed, rad/s, where they have no commands.
+        facts: Numbers of the file in words.
+        warnings: Contradictions that were found.
     """
 
     text: str
@@ -392,15 +393,15 @@ class Drafted:
 
 
 def draft(flights: Sequence[Flight], known: OwnerFacts) -> Drafted:
-    """A vehicle file of the aircraft that flew.
+    """Draft of a vehicle file for the aircraft of some flights.
 
     Args:
-        flights: Of one aircraft.
-        known: What its owner knows.
+        flights: Flights of one aircraft.
+        known: Numbers given by its owner.
 
     Raises:
-        ModelError: It is no multirotor, flights are of different ones, one is not in the air for
-            2 s, or size or order of the rotors is not known; the text says what to give.
+        ModelError: It is no multirotor, the flights are of different aircraft, one is not in the
+            air for 2 s, or size or order of the rotors is unknown; the text says what to give.
     """
     _check(flights)
     file = Draft(known.name, f"Drafted from {', '.join(f.name for f in flights)}", "")
@@ -417,7 +418,7 @@ def draft(flights: Sequence[Flight], known: OwnerFacts) -> Drafted:
 
 
 def _check(flights: Sequence[Flight]) -> None:
-    """Refuse what is no multirotor, or not one."""
+    """Refuse flights of vehicles that are no multirotor, or of several aircraft."""
     for flight in flights:
         if flight.airframe is not None and flight.airframe.no_multirotor:
             raise ModelError(
@@ -446,7 +447,7 @@ def _hover(flight: Flight) -> Hover:
 
 
 def _notes(m: DraftState) -> None:
-    """The head of the file, and doubts about flights that hardly are of one aircraft."""
+    """Head of the file, and doubts about flights that may not be of one aircraft."""
     m.file.notes.append(
         "A draft: what flights and owner tell, and what is usual for an aircraft of this size. "
         "`uavtwin calibrate` and `explain` believe each number as far as its sd goes."

@@ -1,8 +1,8 @@
-"""What a draft is made of: facts that are given, facts from flights, and usual ones of that size.
+"""Numbers of a draft: facts that are given, facts from flights, and usual ones of that size.
 
-Each law of what is usual is the geometric mean over published aircraft or propellers, its standard
-deviation that of one more of them: the scatter of the logarithms times sqrt(1 + 1/n). None has
-been fitted to an aircraft whose flights are used in tests of a draft (`feisi_x150` is left out).
+Each usual number is the geometric mean over published aircraft or propellers; its standard
+deviation is that of one more of them: the scatter of the logarithms times sqrt(1 + 1/n). None was
+fitted to an aircraft whose flights are used in tests of a draft (`feisi_x150` is omitted).
 """
 
 from collections.abc import Sequence
@@ -23,15 +23,15 @@ Kind = Literal["given", "log", "usual"]
 
 @dataclass(frozen=True, slots=True)
 class OwnerFacts:
-    """What the owner of an aircraft knows of it.
+    """Numbers of an aircraft that its owner gives.
 
     Attributes:
-        name: Of the vehicle file.
-        mass_kg: As it flew, battery included.
-        frame: Of `twin.vehicle.layouts.FRAMES`; None: as the logs say.
-        arm_m: From the centre to the farthest rotor; None: as the logs say.
-        diameter_m: Of the propellers; None: usual.
-        pitch_m: Of the propellers; None: usual.
+        name: Name of the vehicle file.
+        mass_kg: Mass in flight, battery included.
+        frame: Name in `twin.vehicle.layouts.FRAMES`; None: by the logs.
+        arm_m: Distance from the centre to the farthest rotor; None: by the logs.
+        diameter_m: Diameter of the propellers; None: usual.
+        pitch_m: Pitch of the propellers; None: usual.
     """
 
     name: str
@@ -47,9 +47,9 @@ class Fact:
     """A number of a draft in words.
 
     Attributes:
-        what: The quantity.
-        value: With unit and standard deviation.
-        source: Where it comes from, as it stands in the file.
+        what: Name of the quantity.
+        value: Value with unit and standard deviation.
+        source: Source of the value, as stated in the file.
     """
 
     what: str
@@ -58,12 +58,12 @@ class Fact:
 
     @property
     def kind(self) -> Kind:
-        """Who says it."""
+        """Kind of the source."""
         return kind_of(self.source)
 
 
 def kind_of(source: str) -> Kind:
-    """Who says a number of a draft: its owner, the logs, or what is usual."""
+    """Kind of a source: the owner, the logs, or usual numbers."""
     if source.startswith("given"):
         return "given"
     return "usual" if source.startswith(("usual", "estimate")) else "log"
@@ -71,15 +71,15 @@ def kind_of(source: str) -> Kind:
 
 @dataclass(slots=True)
 class DraftState:
-    """What is collected on the way.
+    """State of a draft in progress.
 
     Attributes:
-        known: By the owner.
-        flights: Of the aircraft.
-        hovers: Of the flights, one each.
+        known: Numbers given by the owner.
+        flights: Flights of the aircraft.
+        hovers: Hover of each flight.
         file: Entries and notes of the vehicle file.
-        facts: The numbers in words.
-        warnings: What does not fit together.
+        facts: Numbers of the draft in words.
+        warnings: Contradictions that were found.
     """
 
     known: OwnerFacts
@@ -93,13 +93,13 @@ class DraftState:
 
     @property
     def airframe(self) -> Airframe:
-        """What the logs say of the aircraft, each fact by the first log that holds it."""
+        """Facts of the aircraft in the logs, each from the first log that contains it."""
         reported = [f.airframe for f in self.flights if f.airframe is not None]
         return Airframe.together(reported)
 
     @property
     def level(self) -> float:
-        """Command of the hover, mean over the flights; speed where they have no commands."""
+        """Hover command, mean over the flights; speed where they have no commands."""
         return sum(h.level for h in self.hovers) / len(self.hovers)
 
     def say(self, what: str, value: str, source: str) -> None:
@@ -108,16 +108,16 @@ class DraftState:
 
 
 def rounded(value: float) -> float:
-    """As many digits as a draft is worth."""
+    """The value with as many digits as a draft justifies."""
     return float(f"{float(value):.5g}")
 
 
 @dataclass(frozen=True, slots=True)
 class Usual:
-    """A number that is usual.
+    """A usual number with its relative standard deviation.
 
     Attributes:
-        value: In SI units, or a share.
+        value: Value in SI units, or a share.
         sd: Standard deviation over the value.
     """
 
@@ -130,10 +130,10 @@ class PublishedBody:
     """Mass properties of a published quadrotor.
 
     Attributes:
-        mass_kg: Of all of it.
-        arm_m: From the centre to a rotor.
-        inertia_kg_m2: Ixx, Iyy, Izz.
-        source: Where they are published.
+        mass_kg: Total mass.
+        arm_m: Distance from the centre to a rotor.
+        inertia_kg_m2: Moments of inertia Ixx, Iyy, Izz.
+        source: Publication with the numbers.
     """
 
     mass_kg: float
@@ -158,8 +158,8 @@ BODIES = (
     PublishedBody(2.0, 0.2461, (0.021667, 0.021667, 0.04), "X500, PX4 Gazebo"),
     PublishedBody(0.65, 0.23, (7.5e-3, 7.5e-3, 1.3e-2), "OS4, Bouabdallah 2007"),
 )
-"""Quadrotors whose mass properties are published: those of `twin.vehicle.plausibility` but for
-`feisi_x150`, and OS4. Two sources of one aircraft differ as two aircraft do."""
+"""Quadrotors with published mass properties: those of `twin.vehicle.plausibility` except
+`feisi_x150`, and OS4. Two sources of one aircraft differ as much as two aircraft."""
 
 PROPELLERS = (
     (0.2032, 0.17, "Hummingbird"),
@@ -171,7 +171,7 @@ PROPELLERS = (
     (0.046, 0.0396, "Crazyflie"),
     (0.127, 0.11, "racers of 220 mm with 5 inch"),
 )
-"""Diameter of the propellers, m, and arm, m, of quadrotors."""
+"""Diameter of the propellers, m, arm, m, and name of quadrotors."""
 
 STATIC = (
     (0.254, 0.1194, 0.1185, 0.0480, "APC Slow Flyer 10x4.7, 2 blades"),
@@ -179,20 +179,22 @@ STATIC = (
     (0.127, 0.0801, 0.1085, 0.0622, "NR640 5 inch, 15 degrees, 3 blades"),
     (0.127, 0.1016, 0.1799, 0.1174, "MicroInvent 5x4, 3 blades"),
 )
-"""Diameter, m, pitch, m, thrust and power coefficients at rest, mean over the speeds that were
-measured: UIUC Propeller Data Site, vols. 1 and 2 (Brandt & Selig, AIAA 2011-1255)."""
+"""Diameter, m, pitch, m, thrust and power coefficients at rest, mean over the measured speeds: UIUC
+Propeller Data Site, vols. 1 and 2 (Brandt & Selig, AIAA 2011-1255)."""
 
 _GUESSED_SD = 0.3
-"""Of a guessed inertia, as the prior of `inertia_error` has it: the published ones scatter by less,
-but most are of simulators, which have Ixx = Iyy where aircraft do not."""
+"""Relative standard deviation of a guessed inertia, as in the prior of `inertia_error`: the
+published ones scatter less, but most are of simulators, which have Ixx = Iyy where aircraft do
+not."""
 _TORQUE_SD = 0.2
-"""Over the law: its propellers scatter by 5 %, those of other makers by more; by judgement."""
+"""Relative standard deviation about the law: its propellers scatter by 5 %, those of other makers
+by more; by judgement."""
 _PITCH = Usual(0.55, 0.3)
-"""Pitch over diameter: 0.33 of 15x5 to 0.9 of 5x4.5."""
+"""Pitch over diameter: 0.33 for 15x5 to 0.9 for 5x4.5."""
 
 
 def usual_inertia(mass_kg: float, arm_m: float) -> tuple[Array, float]:
-    """Ixx, Iyy and Izz of an aircraft by its mass and arm, kg m2, and their sd over the value."""
+    """Ixx, Iyy and Izz of an aircraft by its mass and arm, kg m2, and their relative sd."""
     gyration = [b.gyration for b in BODIES]
     across = _usual([float(np.sqrt(g[0] * g[1])) for g in gyration])
     upright = _usual([float(g[2]) for g in gyration])
@@ -201,7 +203,7 @@ def usual_inertia(mass_kg: float, arm_m: float) -> tuple[Array, float]:
 
 
 def usual_diameter_m(position_m: Array) -> Usual:
-    """Of the propellers by the distance of neighbours, rotor hubs of shape (n, 3), m."""
+    """Usual propeller diameter by the distance of neighbouring rotor hubs, shape (n, 3), m."""
     share = _usual([d / (np.sqrt(2.0) * arm) for d, arm, _ in PROPELLERS])
     places = np.unique(np.round(position_m[:, :2], 6), axis=0)
     apart = np.linalg.norm(places[:, None] - places[None], axis=2)
@@ -209,21 +211,21 @@ def usual_diameter_m(position_m: Array) -> Usual:
 
 
 def usual_pitch_m(diameter: Usual) -> Usual:
-    """Of a propeller by its diameter."""
+    """Usual pitch of a propeller by its diameter."""
     return Usual(_PITCH.value * diameter.value, float(np.hypot(_PITCH.sd, diameter.sd)))
 
 
 def usual_torque_per_thrust_m(pitch: Usual) -> Usual:
     """Reaction torque over thrust of a propeller at rest by its pitch, m.
 
-    A propeller that slipped through the air like a screw would have pitch / (2 pi).
+    A propeller that moved through the air like a screw, without slip, would have pitch / (2 pi).
     """
     law = _usual([d * cp / (2.0 * np.pi * ct) / p for d, p, ct, cp, _ in STATIC])
     return Usual(law.value * pitch.value, float(np.hypot(_TORQUE_SD, pitch.sd)))
 
 
 def _usual(values: Sequence[float]) -> Usual:
-    """Geometric mean, and the scatter of one more."""
+    """Geometric mean, and the relative scatter of one more value."""
     logs = np.log(values)
     n = len(logs)
     return Usual(float(np.exp(logs.mean())), float(logs.std(ddof=1) * np.sqrt(1.0 + 1.0 / n)))

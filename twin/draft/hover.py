@@ -1,6 +1,6 @@
-"""Hover of a flight: where the rotors carry the weight, and their commands meanwhile.
+"""Hover of a flight: the part in which the rotors carry the weight, and its commands.
 
-Also whether a flight turned as rotors of some layout turn it: a check of order and sense.
+Also whether a flight turned as the rotors of a layout predict: a check of order and direction.
 """
 
 from collections.abc import Sequence
@@ -22,27 +22,27 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 
 LEAST_S = 2.0
-"""A shorter stretch is no hover."""
+"""Shortest stretch of hover."""
 _SLOW_M_S = 0.5
-"""Speed below which a flight without phases hovers, m/s; by judgement."""
-LONGEST_STEP_S = 0.2  # of what one command stands for
+"""Speed below which a flight without phases is in hover, m/s; by judgement."""
+LONGEST_STEP_S = 0.2  # longest time for which one command is valid
 _NOT_FLOWN = ("ground", "takeoff", "land")  # phases without a hover
 
 
 @dataclass(frozen=True, slots=True)
 class Hover:
-    """What the motors were told while the rotors carried the weight.
+    """Commands of the motors while the rotors carry the weight.
 
     Attributes:
-        flight: Its name.
+        flight: Name of the flight.
         t_s: Times of the commands, s, shape (n,).
-        cmd: Commands 0..1, shape (n, motors); None: the flight has rotor speeds alone.
+        cmd: Commands 0..1, shape (n, motors); None: the flight has rotor speeds only.
         rotor_rad_s: Measured speeds at the same times, shape (n, motors); None: not measured.
         load: Mean thrust over weight.
         voltage_v: Battery voltage at the same times, shape (n,); None: not logged.
-        seconds: How long it is.
-        hovers: Whether it hovered; else it flew all the while.
-        where: Which part of the flight it is, in words.
+        seconds: Duration.
+        hovers: Whether the aircraft hovered; else all of its time in the air is used.
+        where: Part of the flight in words.
     """
 
     flight: str
@@ -64,17 +64,17 @@ class Hover:
 
     @property
     def level(self) -> float:
-        """Median of the mean over the motors: of the commands, else of the speeds, rad/s."""
+        """Median over time of the mean over motors: of commands, else of speeds, rad/s."""
         return float(np.median(self._drive.mean(axis=1)))
 
     @property
     def each(self) -> tuple[float, ...]:
-        """Median of each motor's command, else speed."""
+        """Median command of each motor, else its speed."""
         return tuple(np.median(self._drive, axis=0).tolist())
 
     @property
     def split(self) -> tuple[float, ...]:
-        """Of each motor the command, else the speed, over the mean of all, less one."""
+        """Command of each motor, else its speed, over the mean of all, less one."""
         each = np.array(self.each)
         return tuple((each / each.mean() - 1).tolist())
 
@@ -86,7 +86,8 @@ class Hover:
 
 
 def drives(flight: AnyFlight) -> tuple[str, ...]:
-    """Names of the columns that drive a model: commands, else rotor speeds; () without either."""
+    """Names of the columns with the inputs of a model: commands, else rotor speeds; () without
+    either."""
     for stem in ("cmd", "rotor"):
         count = sum(c.startswith(f"{stem}_") for c in flight.columns)
         if count >= MIN_MOTORS and flight.has(*motor_columns(stem, count)):
@@ -95,11 +96,11 @@ def drives(flight: AnyFlight) -> tuple[str, ...]:
 
 
 def hover_of(flight: AnyFlight) -> Hover | None:
-    """Hover of a flight: by its phases, else where it is slow, else all that it flew.
+    """Hover of a flight: by its phases, else where it is slow, else all of its time in the air.
 
     Returns:
-        None where it has no commands and no rotor speeds, all of them 0, or less than 2 s in the
-        air.
+        None where it has no commands and no rotor speeds, where all are 0, or with less than 2 s in
+        the air.
     """
     columns = drives(flight)
     if not columns:
@@ -127,13 +128,13 @@ def hover_of(flight: AnyFlight) -> Hover | None:
 
 
 def flown(flight: AnyFlight) -> Rows:
-    """Where a flight is in the air, at the times of what drives its rotors, shape (n,)."""
+    """Whether a flight is in the air, at the times of its commands or rotor speeds, shape (n,)."""
     t_s, drive = flight.signal(drives(flight))
     return _flown(flight, t_s, drive)
 
 
 def common_samples(flight: AnyFlight, columns: Sequence[str]) -> tuple[Array, Array] | None:
-    """Samples of columns that are taken at the same times; None: there are none."""
+    """Samples of columns at common times; None: there are none."""
     if not flight.has(*columns):
         return None
     t_s, values = flight.signal(columns)
@@ -141,7 +142,7 @@ def common_samples(flight: AnyFlight, columns: Sequence[str]) -> tuple[Array, Ar
 
 
 def sampled(flight: AnyFlight, column: str, t_s: Array) -> Array | None:
-    """A column at some times, on straight lines between its samples; None without it."""
+    """A column at given times, by linear interpolation; None without the column."""
     if not flight.has(column):
         return None
     t, values = flight.signal((column,))
@@ -149,7 +150,7 @@ def sampled(flight: AnyFlight, column: str, t_s: Array) -> Array | None:
 
 
 def _choices(flight: AnyFlight, t_s: Array, drive: Array) -> list[tuple[Rows, bool, str]]:
-    """Rows, whether the aircraft hovers there, and which they are in words; the best first."""
+    """Rows, whether the aircraft hovers in them, and their description; the best first."""
     phase, air = phases_at(flight, t_s), _flown(flight, t_s, drive)
     steady = air & ~np.isin(phase, _NOT_FLOWN)
     found = [(phase == "hover", True, "phase hover, {:.0f} s")]
@@ -168,7 +169,8 @@ def _choices(flight: AnyFlight, t_s: Array, drive: Array) -> list[tuple[Rows, bo
 
 
 def _flown(flight: AnyFlight, t_s: Array, drive: Array) -> Rows:
-    """In the air: not on the ground by its phases; else above half a metre; else well driven."""
+    """Rows in the air: not on the ground by the phases; else above half a metre; else with high
+    commands."""
     phase = phases_at(flight, t_s)
     if np.any(phase == "ground"):
         return np.asarray(phase != "ground")
@@ -182,7 +184,7 @@ def _flown(flight: AnyFlight, t_s: Array, drive: Array) -> Rows:
 
 
 def _speeds(flight: AnyFlight, t_s: Array, motors: int) -> Array | None:
-    """Measured rotor speeds at some times, shape (n, motors)."""
+    """Measured rotor speeds at given times, shape (n, motors)."""
     measured = common_samples(flight, motor_columns("rotor", motors))
     if measured is None:
         return None
@@ -190,7 +192,7 @@ def _speeds(flight: AnyFlight, t_s: Array, motors: int) -> Array | None:
 
 
 def _load(flight: AnyFlight, t_s: Array, hovers: bool) -> float:
-    """Mean thrust over weight: what a tilted aircraft needs, else what the accelerometer felt."""
+    """Mean thrust over weight: by the tilt in hover, else by the accelerometer."""
     attitude = common_samples(flight, QUAT) if hovers else None
     if attitude is not None:
         t, q = attitude
@@ -200,27 +202,27 @@ def _load(flight: AnyFlight, t_s: Array, hovers: bool) -> float:
     return 1.0 if down is None else float(-np.mean(down)) / GRAVITY_M_S2
 
 
-AXES = ("roll", "pitch", "yaw")  # of the moments
+AXES = ("roll", "pitch", "yaw")  # axes of the moments
 CLEAR = 0.3
-"""Correlation from which on a flight says how its rotors turn it."""
+"""Correlation from which a flight is informative on how its rotors turn it."""
 _GRID_S = 0.01
-"""Step on which commands and body rates are compared, s."""
+"""Time step for the comparison of commands and body rates, s."""
 _BAND_HZ = (0.5, 8.0)
-"""Band of that comparison, Hz: above slow trims, below vibration."""
+"""Frequency band of that comparison, Hz: above slow trims, below vibration."""
 _LAG_S = 0.03
-"""Usual lag of a motor, s, by which commands are shifted."""
+"""Usual lag of a motor, s, by which commands are delayed."""
 _LEAST_S = 3.0
-"""Flight from which on its turning is compared with layouts, s; by judgement."""
+"""Shortest flight whose rotation is compared with layouts, s; by judgement."""
 
 
 @dataclass(frozen=True, slots=True)
 class Turning:
-    """How a flight agrees with a layout.
+    """Agreement of a flight with a layout.
 
     Attributes:
-        roll: Correlation of angular acceleration with the moment of the rotors, about x.
-        pitch: About y.
-        yaw: About z.
+        roll: Correlation of angular acceleration with the moment of the rotors about x.
+        pitch: Correlation about y.
+        yaw: Correlation about z.
     """
 
     roll: float
@@ -229,7 +231,7 @@ class Turning:
 
     @property
     def worst(self) -> float:
-        """Of roll and pitch."""
+        """Smaller correlation of roll and pitch."""
         return min(self.roll, self.pitch)
 
     def __str__(self) -> str:
@@ -237,7 +239,7 @@ class Turning:
 
 
 def turning(flight: Flight, layout: Layout) -> Turning | None:
-    """Angular acceleration against the moments that the commands make, 0.5 to 8 Hz, in the air.
+    """Correlation of angular acceleration with moments of the commands, 0.5 to 8 Hz, in flight.
 
     Returns:
         None: no body rates, another number of motors, or too short.
@@ -265,15 +267,16 @@ def turning(flight: Flight, layout: Layout) -> Turning | None:
 
 
 def best_frame(flight: Flight, motors: int) -> tuple[str, Turning] | None:
-    """The frame of a number of motors that a flight agrees with best; None: with none clearly."""
+    """The frame with this number of motors that agrees best with a flight; None: none agrees
+    clearly."""
     found = [(name, t) for name in frames_of(motors) if (t := turning(flight, frame(name)))]
     clear = [(name, t) for name, t in found if t.worst > CLEAR]
     return max(clear, key=lambda each: each[1].worst + each[1].yaw, default=None)
 
 
 def same_shape(flights: Sequence[Flight], name: str) -> str | None:
-    """The other frame with the hubs of a given one that flights turned like, clearly about all
-    three axes; None: the given one is clear in a flight, or flights tell none or several."""
+    """The other frame with the same hubs by which flights turned, clearly about all three axes;
+    None: the given one is clear in a flight, or the flights match none or several."""
     found: set[str] = set()
     for flight in flights:
         turned, best = turning(flight, frame(name)), best_frame(flight, frame(name).count)
@@ -287,7 +290,7 @@ def same_shape(flights: Sequence[Flight], name: str) -> str | None:
 
 
 def _hubs(name: str) -> set[tuple[float, float]]:
-    """Places of a frame's rotors, whatever their order and sense."""
+    """Hub positions of a frame, without their order and directions."""
     return {(x, y) for x, y, _ in FRAMES[name][0]}
 
 

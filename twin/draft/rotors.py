@@ -1,6 +1,6 @@
-"""Thrust, torque, lag and sag of the rotors, for a draft.
+"""Thrust, torque, lag and voltage sag of the rotors, for a draft.
 
-With the command u, that of hover u_h and s = u / u_h, a rotor gives
+With the command u, the hover command u_h and s = u / u_h, a rotor has the thrust
 
     T = T_h ((2 - e) s + (e - 1) s^2) (1 + k (U / U_h - 1))
 
@@ -39,43 +39,46 @@ Array = NDArray[np.float64]
 _ARDUPILOT_EXPO = 0.65
 """Default of ArduPilot's MOT_THST_EXPO."""
 _EXPO_SD = 0.5
-"""Of e: two of them to 2.5, of simulators whose motors do not start at 0, and to a flat curve."""
+"""Standard deviation of e: two of them reach 2.5, for simulators whose motors do not start at 0,
+and a flat curve."""
 _EXTREMES = (0.9, 2.8)
-"""Least and largest elasticity of thrust to command that a draft states; by judgement."""
+"""Smallest and largest elasticity of thrust over command in a draft; by judgement."""
 _GRID_S = 0.01
-"""Step on which commands and specific force are compared, s."""
+"""Time step for the comparison of commands and specific force, s."""
 _SLOW_HZ = 2.0
-"""Cut-off of the low-pass before the thrust curve is fitted, Hz: vibration is above."""
+"""Cut-off of the low-pass before the thrust curve is fitted, Hz: below vibration."""
 _LAG_S = prior_of(EFFECTS["motor_lag"]).of("tau_s", False).mean
-"""The usual motor lag, s: mean of its prior."""
+"""Usual motor lag, s: mean of its prior."""
 _LEAST_CORRELATION = 0.7
-"""Of thrust and command, below which the slope is the usual one; by judgement."""
+"""Correlation of thrust and command below which the usual slope is used; by judgement."""
 _LEAST_S = 5.0
-"""Hover from which on the thrust curve is fitted, s; by judgement."""
+"""Shortest hover for a fit of the thrust curve, s; by judgement."""
 _LAG_SD = 0.08
-"""Of e over its value: lags of 15 to 75 ms instead of 30 change the gain at 1 Hz by so much."""
+"""Relative standard deviation of e by the lag: 15 to 75 ms instead of 30 change the gain at 1 Hz by
+that much."""
 _MEAN_S = 0.1
 """Averaging time of commands and voltage, s."""
 _BLOCK_S = 2.0
-"""Length of the blocks of a hover that the sag is fitted to, s."""
+"""Length of the blocks of a hover for the fit of the sag, s."""
 _LEAST_BLOCKS = 4
-"""Blocks from which on a slope with the voltage and a drift are fitted."""
+"""Smallest number of blocks for a fit of voltage slope and drift."""
 _DRIFT = 0.01
-"""Of thrust along a hover, over it, by what else changes with time: warm motors; by judgement."""
+"""Relative drift of thrust along a hover by other slow causes, such as warm motors; by
+judgement."""
 _LEAST_SAG = 0.01
-"""Relative range of the voltage from which on it tells something."""
+"""Relative range of the voltage from which it is informative."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A number with its standard deviation and where it comes from."""
+    """A number with its standard deviation and source."""
 
     value: float
     sd: float
     source: str
 
     def with_prior(self, prior: "Estimate") -> "Estimate":
-        """Both together, by their precisions."""
+        """This estimate combined with a prior estimate, weighted by their precisions."""
         a, b = self.sd**-2, prior.sd**-2
         value = (a * self.value + b * prior.value) / (a + b)
         return Estimate(value, float((a + b) ** -0.5), f"{self.source}; {prior.source}")
@@ -87,7 +90,7 @@ def thrust_shape(e: float, s: Array) -> Array:
 
 
 def usual_elasticity(command: float) -> Estimate:
-    """What is usual where nothing is known."""
+    """Usual elasticity where nothing is known."""
     e = ThrustCurve(_ARDUPILOT_EXPO).elasticity(command)
     source = f"usual {e:.2f}, that of ArduPilot's MOT_THST_EXPO {_ARDUPILOT_EXPO} in hover"
     return Estimate(e, _EXPO_SD, source)
@@ -96,10 +99,10 @@ def usual_elasticity(command: float) -> Estimate:
 def thrust_elasticity(
     flights: Sequence[Flight], hovers: Sequence[Hover], command: float
 ) -> Estimate:
-    """e from how the accelerometer follows the commands in hover, and from what is usual.
+    """e from the response of the accelerometer to the commands in hover, and from usual values.
 
-    Below 2 Hz, specific force against command, each regressed on the other: with noise in both,
-    the truth is between the two slopes.
+    Below 2 Hz, specific force against command, each regressed on the other: with noise in both, the
+    true slope is between the two.
     """
     usual = usual_elasticity(command)
     found = [e for f, h in zip(flights, hovers, strict=True) if (e := _followed(f, h))]
@@ -117,7 +120,7 @@ def thrust_elasticity(
 
 
 def _followed(flight: Flight, hover: Hover) -> Estimate | None:
-    """e of one flight; None where commands and accelerometer do not go together."""
+    """e from one flight; None where commands and accelerometer are not correlated."""
     if hover.cmd is None or not hover.hovers or hover.seconds < _LEAST_S or not flight.has(*ACC):
         return None
     grid = np.arange(hover.t_s[0], hover.t_s[-1], _GRID_S)
@@ -138,7 +141,7 @@ def _followed(flight: Flight, hover: Hover) -> Estimate | None:
 
 
 def _lagged(command: Array) -> Array:
-    """Behind the usual lag of a motor, on the grid."""
+    """The command after the usual lag of a motor, on the grid."""
     keep = np.exp(-_GRID_S / _LAG_S)
     return np.asarray(
         scipy.signal.lfilter([1.0 - keep], [1.0, -keep], command - command[0]) + command[0]
@@ -146,7 +149,7 @@ def _lagged(command: Array) -> Array:
 
 
 def voltage_sag(hovers: Sequence[Hover], e: float, reference_v: float, command: float) -> Estimate:
-    """k from the commands that a hover took at different voltages, and from what is usual."""
+    """k from the hover commands at different voltages, and from usual values."""
     prior = prior_of(EFFECTS["battery_sag"]).of("slope", False)
     usual = Estimate(
         prior.mean, prior.sd, f"usual {prior.mean:g} of motor controllers without compensation"
@@ -169,7 +172,7 @@ def voltage_sag(hovers: Sequence[Hover], e: float, reference_v: float, command: 
 
 
 def _blocks(hover: Hover, e: float, command: float) -> list[tuple[float, float]]:
-    """Mean voltage, and thrust over weight that the map would give without sag, each 2 s."""
+    """Mean voltage, and thrust over weight by the map without sag, for each block of 2 s."""
     if hover.cmd is None or hover.voltage_v is None or not hover.hovers:
         return []
     shape = thrust_shape(e, _followed_by_rotors(hover) / command).mean(axis=1) / hover.load
@@ -182,7 +185,7 @@ def _blocks(hover: Hover, e: float, command: float) -> list[tuple[float, float]]
 
 
 def _followed_by_rotors(hover: Hover) -> Array:
-    """Commands as far as rotors follow them, means over some of their lags, shape (n, motors)."""
+    """Commands low-passed as the rotors follow them, mean over several lags, shape (n, motors)."""
     assert hover.cmd is not None
     step_s = float(np.median(np.diff(hover.t_s)))
     width = max(round(_MEAN_S / step_s), 1)
@@ -192,7 +195,7 @@ def _followed_by_rotors(hover: Hover) -> Array:
 def hover_thrust_n(
     hover: Hover, weight_n: float, e: float, k: float, reference_v: float | None, command: float
 ) -> float:
-    """T_h of the map by which the mean thrust of a hover carries what it carried, N."""
+    """T_h of the map for which the mean thrust of a hover equals its load, N."""
     shape = thrust_shape(e, _followed_by_rotors(hover) / command).sum(axis=1)
     if reference_v is not None and hover.voltage_v is not None:
         shape = shape * np.maximum(1.0 + k * (hover.voltage_v / reference_v - 1.0), 0.0)
@@ -200,16 +203,16 @@ def hover_thrust_n(
 
 
 def speed_coefficient(hover: Hover, weight_n: float) -> float:
-    """Thrust over the square of the rotor speed, N s2/rad2, by measured speeds."""
+    """Thrust over the square of the rotor speed, N s2/rad2, from measured speeds."""
     assert hover.rotor_rad_s is not None
     return weight_n * hover.load / float(np.mean(np.sum(hover.rotor_rad_s**2, axis=1)))
 
 
 def speed_line(hovers: Sequence[Hover], e: float) -> Array:
-    """Rotor speed by command, ascending coefficients of a straight line through the hovers.
+    """Rotor speed over command, ascending coefficients of a straight line through the hovers.
 
-    Its slope is the one by which thrust, with the square of the speed, follows the command as e
-    says.
+    Its slope is the one for which thrust, proportional to the square of the speed, has the
+    elasticity e.
     """
     speed = float(np.mean([h.rotor_rad_s.mean() for h in hovers if h.rotor_rad_s is not None]))
     command = float(np.mean([h.cmd.mean() for h in hovers if h.cmd is not None]))
@@ -217,23 +220,24 @@ def speed_line(hovers: Sequence[Hover], e: float) -> Array:
 
 
 _HOVER_SD = 0.03
-"""Of thrust in hover, over it: density of the air, warm motors; by judgement."""
+"""Relative standard deviation of hover thrust: density of the air, warm motors; by judgement."""
 _FLOWN_SD = 0.08
-"""The same where the aircraft never hovers."""
+"""Relative standard deviation of thrust where the aircraft never hovers."""
 _VOLT_SD = 0.01
-"""Of a measured battery voltage, over it."""
+"""Relative standard deviation of a measured battery voltage."""
 _FACTOR_SD = 0.2
-"""Of the elasticity where the owner has set the thrust curve of the autopilot; by judgement."""
+"""Standard deviation of the elasticity where the owner has set the autopilot's thrust curve; by
+judgement."""
 
 
 @dataclass(frozen=True, slots=True)
 class Supply:
-    """How thrust follows from command and voltage in hover, beyond what the keys of a file say.
+    """Dependence of thrust on command and voltage in hover, beyond the keys of a file.
 
     Attributes:
-        elasticity: Relative thrust per relative command; None: not driven by commands.
-        sag: Relative thrust per relative voltage; None: the keys say it, or no voltage is logged.
-        reference_v: Voltage at which the maps hold.
+        elasticity: Relative thrust per relative command; None: the inputs are not commands.
+        sag: Relative thrust per relative voltage; None: given by the keys, or no voltage is logged.
+        reference_v: Voltage at which the maps are valid.
     """
 
     elasticity: Estimate | None
@@ -242,7 +246,8 @@ class Supply:
 
 
 def draft_rotors(m: DraftState, layout: Layout, gravity_m_s2: float) -> Supply:
-    """Add maps, torque and lag; returns what is left to say of command and voltage."""
+    """Add maps, torque and lag; returns the dependence on command and voltage that no key
+    covers."""
     weight = m.known.mass_kg * gravity_m_s2
     e = _elasticity(m) if all(h.cmd is not None for h in m.hovers) else None
     volts = [float(np.median(h.voltage_v)) for h in m.hovers if h.voltage_v is not None]
@@ -263,7 +268,7 @@ def draft_rotors(m: DraftState, layout: Layout, gravity_m_s2: float) -> Supply:
 
 
 def rotor_effects(m: DraftState, vehicle: Vehicle, supply: Supply) -> dict[str, dict[str, Written]]:
-    """Effects for what the keys have no place for: doubt of the curve, sag, spin of the rotors."""
+    """Effects for numbers without a key: uncertainty of the curve, sag, spin of the rotors."""
     effects: dict[str, dict[str, Written]] = {}
     e, k = supply.elasticity, supply.sag
     if e is not None:
@@ -296,7 +301,7 @@ def _elasticity(m: DraftState) -> Estimate:
 
 
 def _command_map(m: DraftState, weight_n: float, supply: Supply) -> None:
-    """Thrust by command, such that it hovers as logged."""
+    """Add thrust over command, scaled to hover at the logged command."""
     e, k = supply.elasticity, supply.sag
     assert e is not None
     slope, reference = (0.0, None) if k is None else (k.value, supply.reference_v)
@@ -315,7 +320,7 @@ def _command_map(m: DraftState, weight_n: float, supply: Supply) -> None:
 
 
 def _speed_map(m: DraftState, weight_n: float, supply: Supply) -> None:
-    """Thrust by measured speed, and the speed by command where there are commands."""
+    """Add thrust over measured speed, and the speed over command where there are commands."""
     each = np.array([speed_coefficient(h, weight_n) for h in m.hovers])
     value, sd = float(np.exp(np.log(each).mean())), _thrust_sd(m, each)
     source = f"{_carries(m)} at the measured rotor speeds"
@@ -339,14 +344,15 @@ def _speed_map(m: DraftState, weight_n: float, supply: Supply) -> None:
 
 
 def _thrust_sd(m: DraftState, each: Array) -> float:
-    """Over the value: of one flight, and the scatter of several."""
+    """Relative standard deviation of thrust: of one flight, and the scatter of several."""
     own = _HOVER_SD if all(h.hovers for h in m.hovers) else _FLOWN_SD
     scatter = float(np.log(each).std(ddof=1)) if len(each) > 1 else 0.0
     return float(np.hypot(own, scatter))
 
 
 def _torque(m: DraftState, layout: Layout) -> None:
-    """Reaction torque over thrust by the propeller, or by what fits between the rotors."""
+    """Add reaction torque over thrust by the propeller, or by the largest one that fits between the
+    rotors."""
     diameter, pitch = m.known.diameter_m, m.known.pitch_m
     if diameter is not None:
         size, words = Usual(diameter, 0.0), f"diameter {diameter:.4g} m given, pitch usual"
@@ -369,7 +375,7 @@ def _torque(m: DraftState, layout: Layout) -> None:
 
 
 def _carries(m: DraftState) -> str:
-    """Which parts of which flights carry the weight."""
+    """Text on the parts of the flights in which the rotors carry the weight."""
     parts = "; ".join(f"{h.flight}, {h.where}" for h in m.hovers)
     return f"carries the weight as logged ({parts})"
 

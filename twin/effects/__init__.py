@@ -24,15 +24,15 @@ from .parameters import EffectParameter
 from .wording import Advice
 
 _MODULES = (air, propulsion, mass, sensors, timing)
-"""Where effects are defined, by what they act on."""
+"""Modules that define effects, by subject."""
 EFFECTS: dict[str, Effect] = {e.name: e for module in _MODULES for e in module.EFFECTS}
 """All effects by identifier."""
 FAMILIES = air.FAMILIES
-"""Laws that are of several effects."""
+"""Laws shared by several effects."""
 
 
 def advice_of(number: str) -> Advice | None:
-    """What to fly where a number, "effect.number", is undetermined."""
+    """Manoeuvre to fly where a number, "effect.number", is undetermined."""
     effect, _, name = number.partition(".")
     advice = EFFECTS[effect].advice or {}
     begins = [k for k in advice if name.startswith(k)]
@@ -40,13 +40,13 @@ def advice_of(number: str) -> Advice | None:
 
 
 def effects_of(component: ComponentName) -> tuple[Effect, ...]:
-    """Effects whose term stands in a component, in the order of the library."""
+    """Effects with a term in a component, in the order of the library."""
     return tuple(e for e in EFFECTS.values() if e.component == component)
 
 
 def effects_for(vehicle: Vehicle) -> tuple[str, ...]:
-    """Effects that an aircraft's components hold, switched on or off: all but those that read the
-    voltage or the current of a battery of which its file states nothing."""
+    """Effects in the components of an aircraft, switched on or off: all except those that need a
+    battery's voltage or current where its file has no battery."""
     known = {"vbat": vehicle.states_voltage, "ibat": vehicle.battery is not None}
     return tuple(
         name
@@ -56,19 +56,19 @@ def effects_for(vehicle: Vehicle) -> tuple[str, ...]:
 
 
 def acting_late() -> tuple[Effect, ...]:
-    """Effects by which signals act later than a record says."""
+    """Effects by which signals act later than recorded."""
     return tuple(
         e for e in EFFECTS.values() if isinstance(e.observable_as, Shift) and e.observable_as.acts
     )
 
 
 def late_actions(vehicle: Vehicle) -> dict[str, float]:
-    """By signal, how much later than a record says it acts in a vehicle, s."""
+    """Delay between record and action of each signal in a vehicle, s."""
     return _shifts(vehicle, acts=True)
 
 
 def ages(vehicle: Vehicle) -> dict[str, float]:
-    """By signal, how much older than a record says is what it shows in a vehicle, s."""
+    """Age of each signal's reading relative to its recorded time in a vehicle, s."""
     return _shifts(vehicle, acts=False)
 
 

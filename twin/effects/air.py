@@ -6,8 +6,8 @@ scale, V airspeed) and white noise of unit intensity
     along the wind:  sigma sqrt(2 tau) / (1 + tau s)
     across, down:    sigma sqrt(tau) (1 + sqrt(3) tau s) / (1 + tau s)^2
 
-Each is advanced from sample to sample by its exact transition, with noise whose covariance keeps
-the stationary one, so the variance is sigma^2 at any sample period. The length scales and
+Each filter is advanced from sample to sample by its exact transition, with noise whose covariance
+preserves the stationary one, so the variance is sigma^2 at any sample period. Length scales and
 intensities are those of low altitude; V is the speed through the mean wind, and at least
 `airspeed_min`, so that turbulence still passes a vehicle that drifts with the wind.
 
@@ -31,10 +31,10 @@ from .stages import Air, Thrust, Wrench
 from .wording import FLY_FOR_DRAG, Undetected, Wording, drag_clause, flapping_clause, wind_clause
 
 FOOT_M = 0.3048  # m; exact by definition
-GUST_HEIGHT_M = 6.096  # 20 ft, to which MIL-F-8785C refers its winds
+GUST_HEIGHT_M = 6.096  # 20 ft, reference height of the winds of MIL-F-8785C
 LIGHT_WIND_M_S = 7.7
-"""Height and wind at 20 ft for which the default gust is computed: light turbulence, 15 kn."""
-_ROOT3 = float(np.sqrt(3.0))  # coefficient of the filters of the cross wind
+"""Wind at 20 ft for the default gust: light turbulence, 15 kn."""
+_ROOT3 = float(np.sqrt(3.0))  # coefficient of the cross-wind filters
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +43,9 @@ class Breeze:
 
     Attributes:
         steady_n: Mean velocity of the air, NED, m/s.
-        through: Speed of the vehicle through it, m/s.
+        through: Speed of the vehicle through the air, m/s.
         period: Time between two sample instants, s.
-        gust_n: What comes on top of the mean, NED, m/s.
+        gust_n: Gust velocity in addition to the mean, NED, m/s.
     """
 
     steady_n: list[ca.SX]
@@ -66,7 +66,7 @@ def low_altitude_turbulence(height_m: float, wind_20ft_m_s: float) -> Turbulence
     """Length scales and intensities at a height.
 
     Args:
-        height_m: Above ground, 3 to 300 m; below 10 ft the values of 10 ft hold.
+        height_m: Height above ground, 3 to 300 m; below 10 ft the values at 10 ft are used.
         wind_20ft_m_s: Mean wind at 20 ft; 15, 30, 45 kn are light, moderate, severe turbulence.
 
     Raises:
@@ -133,7 +133,7 @@ def _across(p: Block, name: str, step: ca.SX) -> ca.SX:
 _START = low_altitude_turbulence(GUST_HEIGHT_M, LIGHT_WIND_M_S)
 """Start values of the gust's parameters."""
 _WAYS = (("u", "along the mean wind"), ("v", "across the mean wind"), ("w", "down"))
-"""Suffix of a parameter, and its direction."""
+"""Suffix of a parameter, and direction of its axis."""
 
 GUST = Effect(
     "gust",
@@ -168,10 +168,10 @@ GUST = Effect(
 
 
 FAINT = 1e-3
-"""Weight over the thrust of one rotor in hover below which it is none: a hover without gravity is
-none, and rotor speeds have to be over something."""
+"""Weight over the hover thrust of one rotor below which there is no hover: the reference rotor
+speed would be zero without gravity."""
 NEAREST_GROUND = 0.25
-"""Rotor height over the scale of the ground effect below which it grows no more: standing."""
+"""Smallest rotor height over the scale of the ground effect; the effect is constant below it."""
 
 
 def _weight_on_arm(vehicle: Vehicle) -> float:
@@ -180,12 +180,12 @@ def _weight_on_arm(vehicle: Vehicle) -> float:
 
 
 def _rotor_drag(w: Wrench, p: Block) -> Wrench:
-    """Rotor speed over that in the hover of this very aircraft is the root of thrust over weight,
-    whatever a file has as its thrust map; so the drag in hover is told apart from its growth."""
+    """Rotor speed relative to hover is the root of thrust over weight, whatever thrust map the file
+    has; so the drag in hover is separate from its growth with thrust."""
     m = w.motion.body.mass * w.motion.density
     weight = ca.fmax(m * w.motion.gravity, FAINT * w.rotors.hover)
     load = sum(w.rotors.thrust, start=ca.SX(0)) / weight
-    # The root has no derivative at zero, where rotors are at rest.
+    # The root has no derivative at zero, with rotors at rest.
     spin = ca.if_else(load > 0, ca.sqrt(ca.fmax(load, 1e-30)), 0.0)
     m, air = m * (1 + p["spin_share"] * (spin - 1)), w.motion.air_b
     k = [p["k_xy_1_s"], p["k_xy_1_s"], p["k_z_1_s"]]
@@ -492,12 +492,12 @@ LINEAR_DRAG = Family(
     "(m/s²)/(m/s)",
     {"rotor_drag.k_xy_1_s": 1.0, "blade_flapping.k_rad_s_m": GRAVITY_M_S2},
 )
-"""In hover: a force across the rotors, against the airspeed v, that grows with a power p of their
-thrust T, m k v (T / m g)^p. Drag of the blades has p from 0 to 1/2 (`spin_share`). A disc that
-tilts back by k v has p = 1: it takes k v g of the weight that it carries. Which of both it is shows
-where thrust changes at one airspeed."""
+"""Common law in hover: a force across the rotors, against the airspeed v, that grows with a power p
+of their thrust T, m k v (T / m g)^p. Blade drag has p from 0 to 1/2 (`spin_share`). A disc that
+tilts back by k v has p = 1: it deflects k v g of the weight that it carries. Thrust changes at
+constant airspeed separate the two."""
 FAMILIES = (LINEAR_DRAG,)
-"""Laws of the air that are of several effects."""
+"""Laws of the air that several effects share."""
 
 EFFECTS = (
     ROTOR_DRAG,

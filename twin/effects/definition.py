@@ -1,27 +1,27 @@
 """What an effect is: a named physical cause with a term in the equations of one component.
 
 A term is a pure function of a stage, the quantities that the component has computed so far, and
-gives the stage back with some of them changed. `Blocks` puts terms into a component as blocks of
-tunable parameters, `<effect>.enabled` first, off by default. What is off is left out exactly:
+returns the stage with some of them changed. `Blocks` puts terms into a component as blocks of
+tunable parameters, `<effect>.enabled` first, off by default. A disabled effect is exactly absent:
 the quantities are those of the component without the effect, to the last bit.
 
-An effect also declares what everybody beyond its equation needs: prior, change since a calibration,
-wording, advice. Each is given, or declined by None; one that is forgotten does not import.
+An effect also declares its properties outside of the equation: prior, change since a calibration,
+wording, advice. Each is given, or declined by None; a forgotten one fails on import.
 
-How an effect is observable, which is what a search uses to find it:
+How an effect is observable, which the search uses to find it:
 
-| kind | what it leaves in a record |
+| kind | trace in a record |
 |---|---|
-| Equation | readings that its component, with it, predicts |
-| Shift | signals that are apart in time |
+| Equation | readings that its component predicts with the effect |
+| Shift | signals that are offset in time |
 | Average | a pose that is smoother than the motion |
 | NoiseFloor | the flat part of a spectrum |
-| Lines | lines of a spectrum, which follow the rotors or stand still |
+| Lines | lines of a spectrum, at rotor frequency or at a fixed one |
 | RandomForce | a slow random force that no curve explains |
-| Repeats | readings that stand still |
+| Repeats | readings that are constant |
 
-The first three change a mean, and are fitted together; each of the others is found by its own rule.
-Numbers are given by their names within the effect, signals as in `Effect.needs`.
+The first three change a mean, and are fitted together; each of the others has its own rule. Numbers
+are referred to by their names within the effect, signals as in `Effect.needs`.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -42,23 +42,22 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Observer:
-    """Follows the states of an effect along a flight by the force that they exert.
+    """Observer for the states of an effect along a flight, driven by the force that they exert.
 
-    States that a flight does not measure are integrated along its motion. Where they forget
-    nothing, such as those of a pendulum, an error of their start or their numbers never dies out:
-    an observer pulls them towards what the flight shows, with what is past alone.
+    States that a flight does not measure are integrated along its motion. Where their dynamics have
+    no damping, such as a pendulum, an error in their start or numbers never decays: an observer
+    corrects them with the measured force, from past samples only.
 
     Attributes:
-        follow: `(free_n, excess_n, height_m, numbers, step_s, vehicle) -> course`: the specific
-            force, m/s^2, that is predicted without the effect, and what the accelerometer reads
-            beyond that, zero where unknown, both NED, shape (n, 3), and the height over where the
-            vehicle stood, infinite where it never stood or no position is known, shape (n,), to
-            whatever `place` needs. It uses the shapes alone of the numbers: those without a neutral
-            value.
+        follow: `(free_n, excess_n, height_m, numbers, step_s, vehicle) -> course`: specific force
+            predicted without the effect, m/s^2, and the accelerometer's excess over it, zero where
+            unknown, both NED, shape (n, 3), and height above the resting place, infinite where
+            unknown, shape (n,), to the input of `place`. Of the numbers it uses only the shapes:
+            those without a neutral value.
         place: `(states, names, course, free_n, numbers, vehicle) -> states`: the states of the
-            airframe, shape (n, n_x), those of the effect filled in.
-        channels: Readings by which it follows.
-        gain_1_s: How fast what it follows answers to one of them, by the vehicle.
+            airframe, shape (n, n_x), with those of the effect filled in.
+        channels: Readings that drive the observer.
+        gain_1_s: Bandwidth of the observer's response to such a reading, by the vehicle.
     """
 
     follow: Callable[[Array, Array, Array, Mapping[str, float], float, Vehicle], Any]
@@ -69,18 +68,18 @@ class Observer:
 
 @dataclass(frozen=True, slots=True)
 class Equation:
-    """In what its component predicts, by the derivatives of its equations.
+    """Observable in the predictions of its component, by the derivatives of its equations.
 
-    Every state that its term declares is integrated along the measured motion, again for other
+    Every state that its term declares is integrated along the measured motion, and again for other
     numbers.
 
     Attributes:
-        observer: Follows its states instead.
-        turns_pose: Number that turns the logged attitude about the vertical.
-        mistaken_for: Effects that together do much of what one part of it does, so that no step
-            from none of it on leads to it; where one of them is, each part is tried in the place
-            of the first.
-        scales: Which factor its numbers are, "inertia" or "torque", which no mean tells; "": none.
+        observer: Observer of its states, in place of integration.
+        turns_pose: Number that rotates the logged attitude about the vertical.
+        mistaken_for: Effects that together imitate a part of this one, so that no single step of
+            the search adds it; where they are in a model, each part is tried in place of the first.
+        scales: Quantity that its numbers multiply, "inertia" or "torque", which no mean determines;
+            "": none.
     """
 
     observer: Observer | None = None
@@ -91,11 +90,11 @@ class Equation:
 
 @dataclass(frozen=True, slots=True)
 class Shift:
-    """In time.
+    """Observable as a shift of signals in time.
 
     Attributes:
         moves: Signals that each number, s, shifts.
-        acts: Whether these signals act later than the record says; else what they show is older.
+        acts: Whether these signals act later than recorded; else they are older than recorded.
     """
 
     moves: Mapping[str, tuple[str, ...]]
@@ -104,10 +103,10 @@ class Shift:
 
 @dataclass(frozen=True, slots=True)
 class Average:
-    """In a pose that is an average over time, as far before each instant as after it.
+    """Observable in a pose that is a symmetric average over time about each instant.
 
     Attributes:
-        spreads: Signals for which each number, s^2, is the variance of the weights.
+        spreads: Signals for which each number, s^2, is the variance of the averaging weights.
     """
 
     spreads: Mapping[str, tuple[str, ...]]
@@ -115,10 +114,10 @@ class Average:
 
 @dataclass(frozen=True, slots=True)
 class NoiseFloor:
-    """In the noise of readings against that of the vehicle file.
+    """Observable in the noise of readings, relative to that of the vehicle file.
 
     Attributes:
-        scale: Number that multiplies the noise of all of them.
+        scale: Number that multiplies the noise of all readings.
         further: Number that adds noise to each signal.
     """
 
@@ -128,11 +127,11 @@ class NoiseFloor:
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """In lines above the motion of the body.
+    """Observable in spectral lines above the frequencies of the body's motion.
 
     Attributes:
         frequency: Number: frequency with the rotors at hover, Hz.
-        amplitudes: Number of the amplitude in each signal.
+        amplitudes: Number with the amplitude in each signal.
     """
 
     frequency: str
@@ -141,12 +140,12 @@ class Lines:
 
 @dataclass(frozen=True, slots=True)
 class RandomForce:
-    """In a slow random force.
+    """Observable as a slow random force.
 
     Attributes:
         intensity: Numbers: standard deviation of the speed of the air along the mean wind, across
             it and down, m/s.
-        length: Numbers: length scales of the same.
+        length: Numbers: length scales in the same directions.
     """
 
     intensity: tuple[str, str, str]
@@ -155,12 +154,12 @@ class RandomForce:
 
 @dataclass(frozen=True, slots=True)
 class Repeats:
-    """In a reading that stands still.
+    """Observable as a reading that is constant.
 
     Attributes:
-        channel: Number: which of `channels`, from 1.
-        since: Number: from when on, s.
-        channels: Columns of the flight table that its component can hold still.
+        channel: Number: index into `channels`, from 1.
+        since: Number: start time, s.
+        channels: Columns of the flight table that its component can freeze.
     """
 
     channel: str
@@ -175,19 +174,19 @@ Observability = Equation | Shift | Average | NoiseFloor | Lines | RandomForce | 
 
 
 ComponentName = str
-"""Name of the component that an effect stands in: of the airframe, the environment or a sensor."""
+"""Name of the component with an effect's term: airframe, environment or a sensor."""
 Stage = TypeVar("Stage")
 RECORD = "record"
-"""In the place of a component, for effects of a log: no aircraft has them, and no FMU."""
+"""Component of effects of a log: no aircraft has them, and no FMU."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """What nature allows of an effect's numbers: a weighted sum of them that is not negative.
+    """Physical limit on an effect's numbers: a weighted sum of them that is not negative.
 
     Attributes:
-        weights: By number.
-        meaning: Why, to be read after "is at the edge of what is possible: ".
+        weights: Weight of each number.
+        meaning: Reason, as continuation of "is at the edge of what is possible: ".
     """
 
     weights: Mapping[str, float]
@@ -196,13 +195,13 @@ class Limit:
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """Effects of one law with different powers: a flight may tell what they make together, and not
-    which of them it is. They share a name and a figure, those of the first.
+    """Effects with one law but different powers: a flight may determine their sum, but not which of
+    them it is. They share a name and a unit, those of the first.
 
     Attributes:
-        name: What they make together, in words.
-        unit: Of the figure, as it is told.
-        weights: "effect.number" -> what makes it that; 1 for the number of the first.
+        name: Name of their sum, in words.
+        unit: Unit of the sum, as reported.
+        weights: Factor from each "effect.number" to the sum; 1 for the number of the first.
     """
 
     name: str
@@ -211,18 +210,18 @@ class Family:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Whose numbers these are."""
+        """Effects with these numbers."""
         return tuple(dict.fromkeys(full.partition(".")[0] for full in self.weights))
 
     @property
     def first(self) -> str:
-        """The effect as which it is told where flights do not tell which it is."""
+        """The effect that is reported where flights do not determine which one it is."""
         return self.effects[0]
 
 
 @dataclass(frozen=True, slots=True)
 class Period:
-    """Time between the sample instants of memory, in a component that has none by itself."""
+    """Time between the sample instants of a memory, in a component without sampling."""
 
     seconds: float
     description: str
@@ -239,24 +238,25 @@ class Effect:
     Attributes:
         name: Identifier.
         meaning: One line that a pilot understands.
-        component: Where its term stands.
+        component: Name of the component with its term.
         stage: Class of the stage that its term changes.
         parameters: Its numbers.
-        needs: Flight-table signals without which it cannot be seen; "q" stands for q_w..q_z,
-            "acc" for acc_x..acc_z, and so on.
+        needs: Flight-table signals that are necessary to observe it; "q" stands for q_w..q_z, "acc"
+            for acc_x..acc_z, and so on.
         source: Paper and equation, or the measurement.
         term: `(stage, block) -> stage`, pure.
-        limits: What its numbers together can be, for a vehicle.
-        prior: What is expected of it; None: that it is rare and anywhere in its range.
-        change: What is expected of a change since a calibration; None: it does not change from one
-            flight to the next.
-        wording: Its clauses in a report; None: its numbers alone are given.
-        advice: What to fly where its numbers are undetermined, by number or by the beginning of its
-            name, "" for all others; None: nothing in particular.
-        observable_as: How a flight shows it.
-        of_logs: Numbers that it has in a log alone, and in no component.
-        period: How often the airframe is sampled for its memory; None: it has no memory there.
-        of_weather: Whether the day brings it: what a flight tells of it holds for no other.
+        limits: Limits on its numbers together, for a vehicle.
+        prior: Prior of the effect; None: rare and uniform over its range.
+        change: Prior of a change since a calibration; None: it does not change from one flight to
+            the next.
+        wording: Its clauses in a report; None: only its numbers are reported.
+        advice: Manoeuvres to fly where its numbers are undetermined, by number or by the start of
+            its name, "" for all others; None: nothing in particular.
+        observable_as: How a flight makes it observable.
+        of_logs: Numbers that it has in a log only, not in a component.
+        period: Sample period of the airframe for its memory; None: it has no memory there.
+        of_weather: Whether it depends on the day: an estimate from one flight is not valid for
+            others.
     """
 
     name: str
@@ -280,22 +280,22 @@ class Effect:
 
     @property
     def in_the_air(self) -> bool:
-        """Whether it changes how the aircraft flies; else what its sensors or its record say."""
+        """Whether it changes how the aircraft flies; else it changes sensors or records."""
         return self.component in ("airframe", "environment")
 
     @property
     def of_vehicle(self) -> bool:
-        """Whether an aircraft can have it; else it is of a record alone."""
+        """Whether an aircraft can have it; else only a record has it."""
         return self.component != RECORD
 
     @property
     def observer(self) -> Observer | None:
-        """What follows its states, if something does."""
+        """Observer of its states; None without one."""
         return self.observable_as.observer if isinstance(self.observable_as, Equation) else None
 
     @property
     def mistaken_for(self) -> tuple[str, ...]:
-        """See `Equation.mistaken_for`."""
+        """Effects that imitate it, as in `Equation.mistaken_for`."""
         return self.observable_as.mistaken_for if isinstance(self.observable_as, Equation) else ()
 
     def starts(self, vehicle: Vehicle) -> dict[str, float]:
@@ -317,7 +317,7 @@ def effect_of_records(
     wording: Wording | None,
     advice: Mapping[str, Advice] | None,
 ) -> Effect:
-    """An effect without a term in any component. Arguments as of `Effect`."""
+    """An effect without a term in any component. Arguments as in `Effect`."""
     return Effect(
         name,
         meaning,
@@ -337,7 +337,7 @@ def effect_of_records(
 
 
 def prior_of(effect: Effect) -> Prior:
-    """Of an effect; of one without a prior, that it is rare and anywhere in its range."""
+    """Prior of an effect; without one, rare and uniform over its range."""
     if effect.prior is not None:
         return effect.prior
     numbers = {}
@@ -383,16 +383,16 @@ class Block:
         return value
 
     def each(self, name: str) -> list[ca.SX]:
-        """Symbols of a parameter that every rotor has."""
+        """Symbols of a parameter that each rotor has."""
         return self._values[name]
 
     def state(self, name: str, unit: str, description: str, initial: ca.SX | float = 0.0) -> ca.SX:
-        """Declare a state of the effect; it rests while the effect is off."""
+        """Declare a state of the effect; it is constant while the effect is off."""
         full = f"{self._effect.name}.{name}"
         return self._m.state(full, unit, f"{self._effect.name}: {description}", initial)
 
     def start(self, name: str, unit: str, description: str) -> ca.SX:
-        """Declare a start value, 0 for a state that starts where it would by itself."""
+        """Declare an initial value, 0 for a state that starts at its default."""
         full = f"initial.{self._effect.name}.{name}"
         meaning = f"{self._effect.name}: initial {description}"
         return self._m.parameter(full, 0.0, unit, meaning, fixed=True)
@@ -415,7 +415,8 @@ class Block:
         return self._m.noise(self.enabled)
 
     def crossing(self, name: str, unit: str, description: str, expression: ca.SX) -> None:
-        """Say that derivatives jump where an expression changes sign; 1 while the effect is off."""
+        """Declare that derivatives are discontinuous where an expression changes sign; the
+        expression is 1 while the effect is off."""
         self._m.crossing(
             f"{self._effect.name}.{name}",
             unit,
@@ -424,16 +425,16 @@ class Block:
         )
 
     def delayed(self, name: str, signal: ca.SX, delay_s: ca.SX, samples: int) -> ca.SX:
-        """What a signal was a while before each sample instant; for use in updates."""
+        """Delayed signal at each sample instant; for use in updates."""
         return self._m.delayed(f"{self._effect.name}.{name}", signal, delay_s, samples)
 
 
 class Blocks:
-    """The effects of one component, applied stage by stage while it is being built.
+    """The effects of one component, applied stage by stage during its construction.
 
     Attributes:
         switches: Symbols of the `<effect>.enabled` parameters so far.
-        sampled: Those of effects that act at sample instants.
+        sampled: Symbols of the switches of effects with sample instants.
     """
 
     def __init__(self, m: ComponentBuilder, vehicle: Vehicle, effects: Iterable[Effect]) -> None:
@@ -442,7 +443,7 @@ class Blocks:
         self.sampled: list[ca.SX] = []
 
     def apply(self, stage: Stage) -> Stage:
-        """The stage after all effects that change its class, each blended in by its switch."""
+        """The stage after all effects that change its class, each enabled by its switch."""
         for effect in self._effects:
             if effect.stage is not type(stage):
                 continue
@@ -462,13 +463,13 @@ class Blocks:
         return sum(self.switches, start=ca.SX(0)) == 0
 
     def idle(self) -> None:
-        """Let the component leave the effects out while all of them are off; said at its end."""
+        """Let the component skip the effects while all of them are off; called at its end."""
         if self.switches:
             self._m.idle_while(self.off(), ca.SX.sym("step"), self.switches)
 
 
 def _blend(enabled: ca.SX, changed: Stage, old: Stage) -> Stage:
-    """Field by field the changed value where the effect is on, the old one where it is off."""
+    """For each field the changed value where the effect is on, the old one where it is off."""
     values = {
         f.name: _choose(enabled, getattr(changed, f.name), getattr(old, f.name))
         for f in fields(old)  # type: ignore[arg-type]

@@ -1,6 +1,6 @@
-"""Effects on mass, its distribution, and what hangs below.
+"""Effects on mass, its distribution, and slung loads.
 
-The load on its rope is followed along a flight by an observer, a pendulum corrected by the
+A load on a rope is followed along a flight by an observer, a pendulum corrected by the
 accelerometer:
 
     e = (d - (d . p) p) / max(|d|, d0) where T > 0, else 0
@@ -11,10 +11,10 @@ p points from the vehicle to the load, w is its rate, f the specific force that 
 without the load, d the excess of the measured one, all NED; l is the length of the rope, M the mass
 of the vehicle, m that of the load, T the tension.
 
-A pendulum left to itself forgets nothing: an error of a percent in its length and it is out of
-step after ten swings, and beyond the horizontal it is chaotic. The terms with e pull it towards the
-direction of the measured force. They use the past only, and know directions, not sizes, so the
-swing does not depend on the mass.
+A free pendulum does not forget its start: with an error of a percent in its length it is out of
+phase after ten swings, and beyond the horizontal it is chaotic. The terms with e correct it towards
+the direction of the measured force. They use past samples only, and directions instead of
+magnitudes, so the swing does not depend on the mass.
 
 Source: Sreenath, Michael & Kumar, ICRA 2013, eq. 2 to 5; e makes it a Luenberger observer
 (IEEE Trans. Autom. Control 16, 1971).
@@ -53,27 +53,28 @@ Course = tuple[Array, Array, NDArray[np.bool_]]
 """Unit vectors from the vehicle to the load, and their rates, 1/s, NED, shapes (n, 3); whether the
 load is off the ground, shape (n,)."""
 ROPE_M, ROPE_ARMS = 0.7, 3.0
-"""Expected length of a rope, and arms of a large vehicle that it is as long as."""
+"""Expected length of a rope, m, and the same for a large vehicle in arms."""
 ROPE_HZ = 5.0
-"""Natural frequency of the load on its rope, Hz: stiff beside any pendulum, slow beside 1 ms."""
+"""Natural frequency of the load on its elastic rope, Hz: stiff relative to any pendulum, slow
+relative to 1 ms."""
 DIRECTION_GAIN_1_S, RATE_GAIN_1_S2 = 8.0, 16.0
 """K and L. Chosen on benchmark flights: with half of them a load that swings beyond 60 degrees is
-lost for seconds, and its mass comes out too small. What is no pendulum is not followed so fast that
-it would pass as one: its own effect still fits far better."""
+lost for seconds, and its mass is estimated too small. Other causes are not followed fast enough to
+imitate a pendulum: their own effects still fit far better."""
 FAINT_M_S2 = 0.3
-"""d0: force of a load of 3 % of the vehicle at rest; of a fainter one the direction is noise."""
+"""d0: force of a load of 3 % of the vehicle at rest; the direction of a smaller force is noise."""
 PLACE = tuple(f"slung_load.r_{a}" for a in "xyz")  # states: load from its anchor, NED, m
-SPEED = tuple(f"slung_load.v_{a}" for a in "xyz")  # states: its velocity, NED, m/s
+SPEED = tuple(f"slung_load.v_{a}" for a in "xyz")  # states: velocity of the load, NED, m/s
 
 
 def rope_of(vehicle: Vehicle) -> float:
-    """Expected length of a rope over `ROPE_M`."""
+    """Expected length of a rope relative to `ROPE_M`."""
     return max(1.0, ROPE_ARMS * vehicle.arm_m / ROPE_M)
 
 
 def pace_of(vehicle: Vehicle) -> float:
-    """K over that of a rope of `ROPE_M`: the swing on a longer rope is slower, and what is followed
-    faster than it swings is noise."""
+    """K relative to that of a rope of `ROPE_M`: the swing on a longer rope is slower, and a faster
+    observer follows noise."""
     return 1 / math.sqrt(rope_of(vehicle))
 
 
@@ -85,18 +86,19 @@ def observe_swing(
     lifted: NDArray[np.bool_],
     pace: float = 1.0,
 ) -> Course:
-    """Direction of the rope and its rate, from a load at rest.
+    """Direction of the rope and its rate, starting from a load at rest.
 
     Args:
         free_n: Specific force predicted without the load, NED, m/s^2. Shape (n, 3).
-        excess_n: Measured specific force beyond it, NED, m/s^2; zero where unknown. Shape (n, 3).
-        length_m: Of the rope.
-        step_s: Of the grid.
+        excess_n: Measured specific force minus the predicted one, NED, m/s^2; zero where unknown.
+            Shape (n, 3).
+        length_m: Length of the rope.
+        step_s: Time step of the grid.
         lifted: Whether the load is off the ground; else it is at rest. Shape (n,).
-        pace: Of `pace_of`.
+        pace: Relative bandwidth, from `pace_of`.
 
     Returns:
-        A `Course`.
+        Direction, rate and flag, as in `Course`.
     """
     state, free, excess = ca.SX.sym("state", 6), ca.SX.sym("free", 3), ca.SX.sym("excess", 3)
     hangs, rest = ca.SX.sym("hangs"), ca.DM([0, 0, 1, 0, 0, 0])
@@ -117,13 +119,13 @@ def observe_swing(
 
 
 def lifted_off(excess_n: Array, height_m: Array, length_m: float) -> NDArray[np.bool_]:
-    """Whether a load is off the ground, shape (n,): the rope is shorter than the height, or pulls
-    just as well where it is not, as where the vehicle took off from a stand.
+    """Whether a load is off the ground, shape (n,): the rope is shorter than the height, or it
+    pulls equally well below that, as for a vehicle that took off from a stand.
 
     Args:
         excess_n: As in `observe_swing`.
-        height_m: Over where the vehicle stood; infinite where that is unknown. Shape (n,).
-        length_m: Of the rope.
+        height_m: Height above the resting place; infinite where unknown. Shape (n,).
+        length_m: Length of the rope.
     """
     high, known = height_m > length_m, np.any(excess_n != 0, axis=1)
     low = known & ~high
@@ -141,18 +143,18 @@ def hang_load(
     length_m: float,
     share: float,
 ) -> Array:
-    """States with the load where it swings, or on the ground, where the rope is slack.
+    """States with the load at its swing position, or on the ground with a slack rope.
 
-    The rope is stretched by what the tension asks for, so that the equations of the airframe,
-    whose rope is elastic, pull with just this tension.
+    The rope is extended by the amount that gives the tension, so that the airframe's equations,
+    whose rope is elastic, exert exactly this tension.
 
     Args:
-        states: Of the airframe, shape (n, n_x).
-        names: Of the states.
-        swung: Of `observe_swing`.
+        states: States of the airframe, shape (n, n_x).
+        names: Names of the states.
+        swung: Result of `observe_swing`.
         free_n: As in `observe_swing`.
-        length_m: Of the rope.
-        share: Mass of the load over that of the vehicle, which it slows down.
+        length_m: Length of the rope.
+        share: Mass of the load over that of the vehicle, which reduces its acceleration.
     """
     along, rate, lifted = swung
     pull = length_m * np.sum(rate**2, axis=1) - np.sum(along * free_n, axis=1)
@@ -167,13 +169,15 @@ def hang_load(
 
 
 ROPE_DAMPING = 0.3
-"""Damping ratio of the rope. Made up: it stops ringing within a second."""
+"""Damping ratio of the rope. Made up: oscillations decay within a second."""
 REACH = 1.5
-"""Arms from the centre of mass to the farthest load: legs and guards end a half arm beyond hubs."""
+"""Distance of the farthest load from the centre of mass, in arms: legs and guards end half an arm
+beyond the hubs."""
 LIGHTEST_SHARE = 0.01
-"""Share of the mass below which a load adds no more inertia: the place of nothing is not known."""
+"""Share of the mass below which a load adds no inertia: its position is undetermined."""
 LIGHTEST_LOAD_KG = 1e-6
-"""A lighter load moves as this one does, and pulls in proportion to its own mass."""
+"""Smallest mass in the pendulum; a lighter load moves like this one, with a force in proportion to
+its own mass."""
 
 
 def _mass_offset(b: Body, p: Block) -> Body:
@@ -187,7 +191,7 @@ def _cog_offset(b: Body, p: Block) -> Body:
 
 
 def _payload_cg(b: Body, p: Block) -> Body:
-    """A point mass m at the place r, by m and the static moment m r: mass, centre of mass and
+    """A point mass m at the position r, by m and the static moment m r: mass, centre of mass and
     inertia about it (Huygens and Steiner) follow."""
     load, moment = p["mass_kg"], [p[f"moment_{a}_kg_m"] for a in "xyz"]
     mass = b.mass + load
@@ -207,7 +211,7 @@ def _payload_cg(b: Body, p: Block) -> Body:
 
 
 def _within_reach(vehicle: Vehicle) -> tuple[Limit, ...]:
-    """A load hangs no farther from the centre of mass than `REACH` arms along each axis."""
+    """Limits: a load is within `REACH` arms of the centre of mass along each axis."""
     reach = REACH * vehicle.arm_m
     return tuple(
         Limit(
@@ -228,7 +232,7 @@ def _inertia_error(b: Body, p: Block) -> Body:
 
 
 def _rigid(vehicle: Vehicle) -> tuple[Limit, ...]:
-    """Moments of inertia are sums of squares: I_y + I_z - I_x = 2 * integral of x^2 dm."""
+    """Limits: moments of inertia are sums of squares, I_y + I_z - I_x = 2 * integral of x^2 dm."""
     moments = dict(zip("xyz", np.diag(vehicle.inertia_kg_m2), strict=True))
     return tuple(
         Limit(
@@ -245,7 +249,7 @@ def _slung_load(w: Wrench, p: Block) -> Wrench:
     omega = 2 * np.pi * ROPE_HZ
     stiffness, damping = mass * omega**2, 2 * ROPE_DAMPING * mass * omega
     rest = [ca.SX(0), ca.SX(0), length + motion.gravity / omega**2]
-    # Place and speed of the load relative to the vehicle, NED.
+    # Position and velocity of the load relative to the vehicle, NED.
     r = [
         p.state(
             f"r_{a}",

@@ -1,16 +1,16 @@
-"""Numbers of an effect, and what is expected of them before any flight: how often the effect is
-missing from a model, how large it then is, and by how much it differs between flights.
+"""Numbers of an effect, and their prior: how often a model lacks the effect, how large it is then,
+and its variation between flights.
 
-Numbers of a prior are in multiples of the parameter's `scale`, as its range is. Priors were written
-down with RflySimDT's and NanoBench's flights in view and with none of the hidden-effects benchmark;
-the reason of each says where its size comes from.
+Numbers of a prior are in multiples of the parameter's `scale`, as its range is. Priors were chosen
+with knowledge of RflySimDT's and NanoBench's flights and none of the hidden-effects benchmark; the
+reason of each states the source of its size.
 
 | odds | log prior odds | for |
 |---|---|---|
-| UNMEASURED | -1 | numbers that nobody measures, and that are off on every aircraft |
-| COMMON | -2.5 | what many aircraft have, and most files leave out |
-| RARE | -4 | what needs a special cause |
-| LAST | -7 | what would explain almost anything, and is thought of last |
+| UNMEASURED | -1 | numbers that are not measured, and that every aircraft has |
+| COMMON | -2.5 | causes that many aircraft have, and most files omit |
+| RARE | -4 | causes that need a special circumstance |
+| LAST | -7 | causes that could explain almost anything, considered last |
 """
 
 import math
@@ -21,8 +21,7 @@ from ..component import Kind
 from ..vehicle import Vehicle
 
 TRIFLE = 0.01
-"""Share of its range by which a number moves at least where an effect is one to speak of:
-a percent of the mass."""
+"""Smallest relevant change of a number as a share of its range: a percent of the mass."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,21 +29,21 @@ class EffectParameter:
     """One number of an effect.
 
     Attributes:
-        name: Within the effect, ending in its unit where it has one (`k_xy_1_s`).
+        name: Name within the effect, ending in its unit where it has one (`k_xy_1_s`).
         unit: SI unit.
-        description: One line.
-        start: A middling size, which counts once the effect is switched on.
+        description: Description in one line.
+        start: Typical value, used once the effect is switched on.
         bounds: Smallest and largest value that a fit considers.
         neutral: Value at which the effect vanishes; None for a shape (a height, a time constant
             of something else).
-        scale: Vehicle quantity that start, bounds and neutral are multiples of; None: absolute.
-        per_rotor: Whether every rotor has one: `name_1`, `name_2`, ...
+        scale: Vehicle quantity of which start, bounds and neutral are multiples; None: absolute.
+        per_rotor: Whether there is one per rotor: `name_1`, `name_2`, ...
         trifle: Smallest change worth a name, in the unit of `bounds`; None: `TRIFLE` of that range.
-        floor: Smallest value that a vehicle allows, absolute, where that is below the bounds.
-        kind: What its values are.
-        ends: Whether it may well be at a bound, as a share may be none or all: that is no hint that
-            another effect is meant.
-        modes: Values that a search begins at as well, as it would not find the way there.
+        floor: Smallest value for a vehicle, absolute, where that is below the bounds.
+        kind: Kind of its values.
+        ends: Whether a value at a bound is plausible, as for a share of none or all, and no hint at
+            another effect.
+        modes: Additional start values of a search, which would not reach them otherwise.
     """
 
     name: str
@@ -74,7 +73,7 @@ class EffectParameter:
         return [f"{self.name}_{i}" for i in range(1, vehicle.rotors.count + 1)]
 
     def sized(self, vehicle: Vehicle) -> "EffectParameter":
-        """The same with absolute numbers for a vehicle."""
+        """The parameter with absolute numbers for a vehicle."""
         k = 1.0 if self.scale is None else self.scale(vehicle)
         low, high = (k * b for b in self.bounds)
         neutral, trifle = (None if v is None else k * v for v in (self.neutral, self.trifle))
@@ -90,17 +89,17 @@ class EffectParameter:
 
 
 UNMEASURED, COMMON, RARE, LAST = -1.0, -2.5, -4.0, -7.0
-"""Natural logarithm of the prior odds that an effect is there, probabilities 0.27, 0.08, 0.02 and
-0.001. By judgement; each prior gives its reason."""
+"""Natural logarithm of the prior odds that an effect is present, probabilities 0.27, 0.08, 0.02 and
+0.001. By judgement; each prior states its reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Normal:
-    """What a number is expected to be where its effect is there.
+    """Normal prior of a number, given that its effect is present.
 
     Attributes:
-        mean: In the unit of the parameter over its `scale`.
-        sd: Standard deviation.
+        mean: Mean, in the unit of the parameter over its `scale`.
+        sd: Standard deviation, in the same unit.
         day: Standard deviation between flights of one aircraft; 0: all flights share the number.
     """
 
@@ -109,42 +108,42 @@ class Normal:
     day: float = 0.0
 
     def sized(self, parameter: EffectParameter, vehicle: Vehicle) -> "Normal":
-        """The same with absolute numbers for a vehicle."""
+        """The prior with absolute numbers for a vehicle."""
         return self if parameter.scale is None else self.scaled(parameter.scale(vehicle))
 
     def scaled(self, k: float) -> "Normal":
-        """The same in multiples of a number."""
+        """The prior scaled by a factor."""
         return Normal(k * self.mean, k * self.sd, k * self.day)
 
 
 def nothing_yet(_: Vehicle) -> float:
-    """Of a number that is a change of the model by itself."""
+    """Existing value for a number that is itself a change of the model: 0."""
     return 0.0
 
 
 def always_said(_: Vehicle) -> bool:
-    """Of a cause of which a vehicle always says something."""
+    """False: every vehicle file states such a cause."""
     return False
 
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is expected of an effect.
+    """Prior of an effect.
 
     Attributes:
-        odds: Log prior odds that a model lacks it.
-        reason: Where odds and sizes come from.
-        numbers: By number of the effect, or by the beginning of its name; "" for all others.
-        indoors: The same where the aircraft flies under a roof, of those that differ there.
-        corrects: Key of the vehicle file that the effect puts right, "body.mass".
-        start: Whether a calibration begins with it, however rare it is.
-        timed: Whether its number moves signals in time though the effect is no shift of them: no
-            linearisation tells such numbers apart.
-        least: Smallest number that a flight can tell from none, for a vehicle; None: any.
-        already: What a vehicle's own numbers hold of the quantity that `numbers` are about, in its
-            unit: `numbers` are about the whole, a change of the model is the whole less this.
-        unsaid: Whether a vehicle says nothing of the cause, so that it counts as unmeasured.
-        one_sided: Whether a change only adds, as of what broke or was strapped on.
+        odds: Log prior odds that a model lacks the effect.
+        reason: Source of odds and sizes.
+        numbers: Prior by number of the effect, or by the start of its name; "" for all others.
+        indoors: Prior for flights indoors, of those numbers that differ there.
+        corrects: Key of the vehicle file that the effect corrects, "body.mass".
+        start: Whether a calibration starts with it, however rare it is.
+        timed: Whether its number shifts signals in time although the effect is no `Shift`: no
+            linearisation separates such numbers.
+        least: Smallest number that a flight can distinguish from none, for a vehicle; None: any.
+        already: Value of the quantity that the vehicle's own numbers already contain, in its unit:
+            `numbers` describe the whole, a change of the model is the whole less this.
+        unsaid: Whether a vehicle file states nothing of the cause, so that it counts as unmeasured.
+        one_sided: Whether a change can only increase it, as for damage or added parts.
     """
 
     odds: float
@@ -160,9 +159,9 @@ class Prior:
     one_sided: bool = False
 
     def change(self, whole: Normal, vehicle: Vehicle) -> Normal:
-        """Distribution of the change of a vehicle's model, of that of the whole quantity.
+        """Prior of the change of a vehicle's model, from that of the whole quantity.
 
-        The vehicle's own number is evidence, too, good to a factor of two: half of it widens the
+        The vehicle's own number is evidence as well, within a factor of two: half of it widens the
         distribution.
         """
         own = self.already(vehicle)
@@ -173,6 +172,6 @@ class Prior:
         return max(self.odds, UNMEASURED) if self.unsaid(vehicle) else self.odds
 
     def of(self, name: str, indoors: bool) -> Normal:
-        """Of a number of the effect, by the longest beginning of its name."""
+        """Prior of a number of the effect, by the longest start of its name."""
         known = {**self.numbers, **self.indoors} if indoors else self.numbers
         return known[max((k for k in known if name.startswith(k)), key=len)]

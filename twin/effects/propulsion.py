@@ -25,22 +25,22 @@ from .wording import (
 )
 
 QUICKEST_LAG_S = 0.008
-"""Smallest lag that a grid of 5 ms can tell from none."""
+"""Smallest lag that a grid of 5 ms can distinguish from none."""
 
 
 LEAST_LAG_S = 2.5e-3
-"""Below it no lag of a file is made shorter: half the longest step that is integrated."""
+"""Smallest lag to which that of a file is reduced: half the longest step of integration."""
 
 
 LEAST_SHARE = 1e-3
 """Thrust over that in hover, or over that of a whole rotor, below which a power of it is constant:
-a root has no slope at zero."""
+a root has no finite slope at zero."""
 
 
 def _hover_momentum(vehicle: Vehicle) -> float:
-    """Spin momentum of one rotor in hover, N m s, guessed from thrust and arm.
+    """Spin momentum of one rotor in hover, N m s, estimated from thrust and arm.
 
-    The guess is thrust times arm over 40 rad/s^2: 0.07 mN m s for 27 g, 20 mN m s for 1.5 kg.
+    The estimate is thrust times arm over 40 rad/s^2: 0.07 mN m s for 27 g, 20 mN m s for 1.5 kg.
     """
     return vehicle.hover_thrust_n * vehicle.arm_m / 40.0
 
@@ -70,7 +70,7 @@ def _motor_lag(d: Motors, p: Block) -> Motors:
 
 
 def _spare_lag(vehicle: Vehicle) -> float:
-    """By how much the lag of the file may be too long, as a negative number, s."""
+    """Largest reduction of the file's lag, as a negative number, s."""
     rotors = vehicle.rotors
     lag = min(rotors.lag_up_s, rotors.lag_down_s)
     return min(0.0, max(-0.9 * lag, LEAST_LAG_S - lag))

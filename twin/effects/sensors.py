@@ -1,4 +1,4 @@
-"""Effects between the true motion and field and what IMU, magnetometer and barometer read."""
+"""Effects between the true motion and field and the readings of IMU, magnetometer and barometer."""
 
 from dataclasses import replace
 
@@ -25,19 +25,19 @@ from .stages import (
 from .wording import FLY_FOR_COMPASS, Wording, heading_clause, reading_clause
 
 _AXES = (("x", "forward"), ("y", "right"), ("z", "down"))
-"""Suffix of a parameter, and its direction, FRD."""
+"""Suffix of a parameter, and direction of its axis, FRD."""
 IMU_CHANNELS = ("acc_x", "acc_y", "acc_z", "gyro_x", "gyro_y", "gyro_z")
 """Readings by the channel number of `stuck_sensor`, from 1."""
 _GOLDEN = 0.6180339887498949  # golden ratio less 1: rotors start at angles spread evenly
 _NO_NOISE = 1e-30
-"""Keeps the derivative of a square root finite where there is no noise at all."""
+"""Lower bound that keeps the derivative of a square root finite without noise."""
 
 
 def _rotor_hz(vehicle: Vehicle) -> float:
-    """Turns of a rotor per second in hover: by the thrust map, or a guess from its size.
+    """Revolutions of a rotor per second in hover: by the thrust map, or estimated from its size.
 
-    The guess is a blade tip at 60 m/s on a rotor that reaches over 0.6 of the arm: within a
-    factor of two for 27 g to 2 kg.
+    The estimate is a blade tip at 60 m/s on a rotor of radius 0.6 arms: within a factor of two for
+    27 g to 2 kg.
     """
     speed = hover_level(vehicle) if vehicle.rotors.from_speed else 100.0 / vehicle.arm_m
     return speed / (2 * np.pi)
@@ -54,7 +54,8 @@ def _vibration(f: ImuMotion, p: Block) -> ImuMotion:
         p.derivative(f"turns_{n}", spin * p["frequency_hz"])
         angle = 2 * np.pi * (turns - ca.floor(turns))
         s, c = sine(angle), cosine(angle)
-        # Once per turn in the plane of the rotor, twice per turn at right angles: two blades.
+        # Once per revolution in the plane of the rotor, twice per revolution at right angles: two
+        # blades.
         for k, shape in enumerate((c, s, 2 * s * c)):
             force[k] += p["accel_m_s2"] * spin * spin * shape
             omega[k] += p["gyro_rad_s"] * spin * spin * shape
@@ -347,7 +348,7 @@ HEADING_OFFSET = Effect(
     ("mag", "q"),
     "definition: the field turned about the vertical",
     _heading_offset,
-    # A compass that is off may have misled the estimate of the attitude, or not.
+    # A compass with an error may have biased the estimated attitude, or not.
     observable_as=Equation(turns_pose="pose_rad"),
     of_logs=(
         EffectParameter(

@@ -7,7 +7,7 @@ import casadi as ca
 from ..frames import cross
 
 AIR_DENSITY_KG_M3 = 1.225
-"""ISA at sea level, ICAO Doc 7488."""
+"""Density of the air, ISA at sea level, ICAO Doc 7488."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,10 +15,10 @@ class Body:
     """Mass properties about the centre of mass, body FRD.
 
     Attributes:
-        mass: kg.
+        mass: Mass, kg.
         inertia: Inertia matrix, kg m2, 3 rows of 3.
-        hubs: Places of the rotor hubs, m, one [x, y, z] per rotor.
-        origin: Where the numbers of the vehicle have the centre of mass, m.
+        hubs: Positions of the rotor hubs, m, one [x, y, z] per rotor.
+        origin: Centre of mass by the numbers of the vehicle, m.
     """
 
     mass: ca.SX
@@ -36,7 +36,7 @@ class Air:
 
 @dataclass(frozen=True, slots=True)
 class Motors:
-    """From the command to the rotor.
+    """Motor commands and lags of the rotors.
 
     Attributes:
         command: Motor commands 0..1.
@@ -51,18 +51,18 @@ class Motors:
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """How the vehicle moves through the air, final from here on.
+    """Motion of the vehicle through the air; later stages do not change it.
 
     Attributes:
-        body: Its mass properties.
+        body: Mass properties.
         pos_n: Position NED, m.
         vel_n: Velocity NED, m/s.
         q_nb: Attitude, body to NED.
         omega_b: Body rates, rad/s.
         air_b: Velocity through the air, body FRD, m/s.
-        height: Centre of mass over the ground, m.
-        density: Air density over that at which the vehicle's numbers hold.
-        gravity: m/s2.
+        height: Height of the centre of mass over the ground, m.
+        density: Air density relative to that for which the vehicle's numbers are valid.
+        gravity: Gravity, m/s2.
         voltage: Battery voltage, V.
         start_vel_n: Velocity NED at the start of the simulation, m/s.
     """
@@ -90,15 +90,15 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Thrust:
-    """What each rotor gives.
+    """Thrust and torque of each rotor.
 
     Attributes:
-        motion: As above.
-        direction: +1 clockwise seen from above, -1 counter-clockwise.
+        motion: Motion of the vehicle.
+        direction: Direction of rotation: +1 clockwise seen from above, -1 counter-clockwise.
         hover: Thrust of one rotor in hover by the vehicle's numbers, N.
-        spin: Rotor speed over that in hover.
+        spin: Rotor speed relative to hover.
         spin_rate: Its time derivative, 1/s.
-        thrust: Along body -z, N.
+        thrust: Thrust along body -z, N.
         torque: Reaction torque, N m, a positive number.
     """
 
@@ -113,7 +113,8 @@ class Thrust:
 
 @dataclass(frozen=True, slots=True)
 class Wrench:
-    """Force, N, and moment about the centre of mass, N m, body FRD, the ground left out."""
+    """Force, N, and moment about the centre of mass, N m, body FRD, without contact with the
+    ground."""
 
     rotors: Thrust
     force: list[ca.SX]
@@ -121,25 +122,25 @@ class Wrench:
 
     @property
     def motion(self) -> Motion:
-        """How the vehicle moves."""
+        """Motion of the vehicle."""
         return self.rotors.motion
 
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """Where the accelerometer sits: from the centre of mass, body FRD, m."""
+    """Position of the accelerometer from the centre of mass, body FRD, m."""
 
     arm_b: list[ca.SX]
 
 
 @dataclass(frozen=True, slots=True)
 class ImuMotion:
-    """What arrives at the IMU.
+    """Motion at the IMU.
 
     Attributes:
-        specific_force_b: At the accelerometer, m/s2.
+        specific_force_b: Specific force at the accelerometer, m/s2.
         omega_b: Body rates, rad/s.
-        spin: Rotor speeds over that in hover; empty where no effect asks for them.
+        spin: Rotor speeds relative to hover; empty where no effect needs them.
     """
 
     specific_force_b: list[ca.SX]
@@ -165,11 +166,11 @@ class ImuNoise:
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """How old a reading is when it comes out.
+    """Age of a reading at the output.
 
     Attributes:
-        late: Whether readings are delayed samples at all, 0 or 1.
-        delay_s: Their age, s.
+        late: Whether readings are delayed samples, 0 or 1.
+        delay_s: Age of the readings, s.
     """
 
     late: ca.SX
@@ -178,11 +179,11 @@ class Latency:
 
 @dataclass(frozen=True, slots=True)
 class Freezing:
-    """Which readings stand still.
+    """Readings that are frozen.
 
     Attributes:
         time_s: Time since the start, s.
-        stuck: Per channel, 0 or 1: from this sample instant on the last value is repeated.
+        stuck: Per channel, 0 or 1: from this sample instant the last value is repeated.
     """
 
     time_s: ca.SX
@@ -201,8 +202,8 @@ class MagReading:
     """Reading of the magnetometer before noise.
 
     Attributes:
-        field_b: Body FRD, T.
-        current: Of the battery, A; 0 where no effect asks for it.
+        field_b: Magnetic flux density, body FRD, T.
+        current: Current of the battery, A; 0 where no effect needs it.
     """
 
     field_b: list[ca.SX]
@@ -214,9 +215,9 @@ class BaroReading:
     """Reading of the barometer before noise.
 
     Attributes:
-        pressure: Pa.
-        dynamic: Dynamic pressure of the air relative to the vehicle, Pa; 0 where no effect asks
-            for it.
+        pressure: Static pressure, Pa.
+        dynamic: Dynamic pressure of the air relative to the vehicle, Pa; 0 where no effect needs
+            it.
     """
 
     pressure: ca.SX

@@ -1,4 +1,4 @@
-"""Effects of time: readings that come late, clocks that are apart, a pose that is smoothed."""
+"""Effects of time: late readings, clock offsets, a smoothed pose."""
 
 from dataclasses import replace
 
@@ -10,17 +10,17 @@ from .stages import Latency, Motors
 from .wording import FLY_FOR_INERTIA, Wording, delay_clause
 
 COMMAND_PERIOD_S = 1e-3
-"""How often the motor commands are taken for their delay."""
+"""Sample period of the motor commands for their delay."""
 SAMPLING_S = 0.005
-"""A smaller delay is none to speak of: the sampling of a log at 200 Hz may feign it."""
+"""Smallest relevant delay: sampling of a log at 200 Hz may imitate a smaller one."""
 POSE_SAMPLING_S = 0.0125
-"""The same for a pose at 80 Hz."""
+"""Smallest relevant delay of a pose at 80 Hz."""
 COMMAND_SAMPLES = 251
-"""Commands remembered: a quarter of a second."""
+"""Number of stored commands: a quarter of a second."""
 
 
 CLOCK_S = 0.25
-"""Clocks that are farther apart are set before a log is read."""
+"""Largest clock offset; larger ones are corrected before a log is read."""
 
 
 def _later(t: Latency, p: Block) -> Latency:
@@ -28,7 +28,7 @@ def _later(t: Latency, p: Block) -> Latency:
 
 
 def _commands_later(d: Motors, p: Block) -> Motors:
-    """What is taken at a sample instant was there since the one before: that long it is late."""
+    """A command sampled at an instant was constant since the previous one: that is its delay."""
     delay = p["delay_s"] - COMMAND_PERIOD_S
     delay = ca.fmax(delay, 0.0)
     late = []
@@ -69,7 +69,7 @@ POSITION_DELAY = Effect(
     "definition; 0.11 s is PX4's assumption for a GNSS receiver (EKF2_GPS_DELAY)",
     _later,
     observable_as=Shift({"delay_s": ("pos", "vel"), "attitude_s": ("q",)}),
-    # Attitude may come from where position does, or not.
+    # Attitude may have the same source as position, or not.
     of_logs=(
         EffectParameter(
             "attitude_s", "s", "age of the attitude", 0.1, (0, 0.5), trifle=POSE_SAMPLING_S
@@ -130,7 +130,7 @@ CLOCK_OFFSET = effect_of_records(
         )
         for name, what, _, trifle in _CLOCKS
     ),
-    ("gyro",),  # another signal that a flight lacks has no clock there
+    ("gyro",),  # any other signal that a flight lacks has no clock there
     "definition: the same added to every clock changes nothing, so one of them is the reference",
     Shift({name: signals for name, _, signals, _ in _CLOCKS}),
     prior=Prior(
@@ -174,4 +174,4 @@ POSE_SMOOTHING = effect_of_records(
 )
 
 EFFECTS = (IMU_DELAY, POSITION_DELAY, COMMAND_DELAY, CLOCK_OFFSET, POSE_SMOOTHING)
-"""Of this module, in the order of the documents."""
+"""Effects of this module, in the order of the documentation."""

@@ -1,4 +1,4 @@
-"""Words for effects: clauses of a report, what would not show, and what to fly."""
+"""Wording of effects: clauses of a report, undetected sizes, and advice on manoeuvres."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -9,27 +9,27 @@ from ..formatting import joined, number, percent, quantity
 from ..vehicle import GRAVITY_M_S2
 
 Changes = Mapping[str, float]
-"""By number of an effect, by how much it differs."""
+"""Difference of each number of an effect."""
 Clause = Callable[[Changes, bool], str]
-"""A change of an effect as a clause with its own subject, "" for one it has no words for; whether
-it is one since a calibration, else that is how the aircraft is, compared with its file."""
+"""Clause on a change of an effect, with its own subject, "" without words for it; the flag is True
+for a change since a calibration, False for a difference of the aircraft from its file."""
 AXES = (("x", "forward", "back"), ("y", "right", "left"), ("z", "down", "up"))
-"""Axis of the body, FRD, and the words for its two ways."""
+"""Body axis, FRD, and the words for its two directions."""
 PLACES = (
     ("x", "further forward", "further back"),
     ("y", "further right", "further left"),
     ("z", "lower", "higher"),
 )
-"""Which way a positive and a negative number point, body frame, FRD."""
+"""Body axis, FRD, and the directions of a positive and a negative number."""
 
 
 @dataclass(frozen=True, slots=True)
 class Undetected:
-    """A clause about the largest effect that would not show.
+    """Clause on the largest effect that would not be detected.
 
     Attributes:
-        place: In the list of those, 1 first.
-        text: With {} for the size.
+        place: Position in the list of such clauses, 1 first.
+        text: Text, with {} for the size.
     """
 
     place: int
@@ -38,13 +38,13 @@ class Undetected:
 
 @dataclass(frozen=True, slots=True)
 class Wording:
-    """How a report speaks of an effect.
+    """Wording of an effect in a report.
 
     Attributes:
-        clause: A change of it.
-        undetected: What would not show; None: nothing is said of that.
-        largest_alone: Whether of several numbers the largest alone is given.
-        secondary: Numbers that are given only where the others have not changed.
+        clause: Clause on a change of the effect.
+        undetected: Clause on an undetected size; None: none.
+        largest_alone: Whether only the largest of several numbers is reported.
+        secondary: Numbers that are reported only where the others have not changed.
     """
 
     clause: Clause
@@ -55,10 +55,10 @@ class Wording:
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """What to fly where numbers are undetermined.
+    """Manoeuvre to fly where numbers are undetermined.
 
     Attributes:
-        topic: What the numbers are about.
+        topic: Subject of the numbers.
         fly: Manoeuvres.
     """
 
@@ -71,20 +71,20 @@ FLY_FOR_THRUST = Advice(
     "climb and sink briskly for half a minute, and weigh the aircraft (sd of body.mass), or "
     "fly once with a known mass aboard (--payload)",
 )
-"""For thrust and mass, which no flight tells apart."""
+"""Manoeuvre for thrust and mass, which no flight separates."""
 FLY_FOR_DRAG = Advice("drag", "fast straight legs, 10 s each way, forward and sideways")
-"""How to fly for it."""
+"""Manoeuvre that determines drag."""
 FLY_FOR_YAW_TORQUE = Advice("yaw torque", "yaw steps of 90°, quick ones, each way")
-"""How to fly for it."""
+"""Manoeuvre that determines yaw torque."""
 FLY_FOR_INERTIA = Advice("inertia and lag", "sharp roll and pitch doublets, five of each")
-"""How to fly for it."""
+"""Manoeuvre that determines inertia and lag."""
 FLY_FOR_BATTERY_SAG = Advice("battery sag", "one flight that takes the battery from full to low")
-"""How to fly for it."""
+"""Manoeuvre that determines battery sag."""
 FLY_FOR_CENTRE_OF_MASS = Advice(
     "centre of mass", "hover for a minute, and turn on the spot meanwhile"
 )
 FLY_FOR_COMPASS = Advice("compass", "turn through a full circle in hover, slowly, twice")
-"""How to fly for it."""
+"""Manoeuvre that determines compass errors."""
 ADVICE = (
     FLY_FOR_THRUST,
     FLY_FOR_DRAG,
@@ -94,11 +94,11 @@ ADVICE = (
     FLY_FOR_CENTRE_OF_MASS,
     FLY_FOR_COMPASS,
 )
-"""All of it, in the order in which it is given."""
+"""All advice, in the order in which it is printed."""
 
 
 def rotor_clause(change: Changes, since: bool) -> str:
-    """Thrust lost by single rotors. See `Clause`."""
+    """Clause on thrust lost by single rotors."""
     losses = {k: v for k, v in change.items() if k.startswith("loss_")}
     parts = [
         f"rotor {k.removeprefix('loss_')} "
@@ -113,7 +113,7 @@ def rotor_clause(change: Changes, since: bool) -> str:
 
 
 def mass_clause(change: Changes, since: bool) -> str:
-    """Another mass. See `Clause`."""
+    """Clause on a change of mass."""
     kg = change.get("mass_kg", 0.0)
     size = quantity(abs(kg), "kg")
     if since:
@@ -122,7 +122,7 @@ def mass_clause(change: Changes, since: bool) -> str:
 
 
 def place_clause(change: Changes, since: bool) -> str:
-    """Another centre of mass. See `Clause`."""
+    """Clause on a change of the centre of mass."""
     parts = []
     for axis, *ways in AXES if since else PLACES:
         shift = change.get(f"{axis}_m", 0.0)
@@ -134,7 +134,7 @@ def place_clause(change: Changes, since: bool) -> str:
 
 
 def payload_clause(change: Changes, since: bool) -> str:
-    """A load strapped on. See `Clause`."""
+    """Clause on a load strapped on."""
     del since
     kg = change.get("mass_kg", 0.0)
     moment = [change.get(f"moment_{a}_kg_m", 0.0) for a in "xyz"]
@@ -150,22 +150,22 @@ def payload_clause(change: Changes, since: bool) -> str:
 
 
 def load_clause(change: Changes, since: bool) -> str:
-    """A slung load. See `Clause`."""
+    """Clause on a slung load."""
     del since
     return f"a load of {quantity(change.get('mass_kg', 0.0), 'kg')} hangs below it on a rope"
 
 
 def wind_clause(change: Changes, since: bool) -> str:
-    """A steady wind. See `Clause`."""
+    """Clause on a steady wind."""
     speed = f"{number(float(np.linalg.norm(list(change.values()))))} m/s"
     return f"the wind has changed by {speed}" if since else f"a wind of {speed}"
 
 
 def reading_clause(what: str, unit: str) -> Clause:
-    """A bias of a sensor with three axes. See `Clause`."""
+    """Function for clauses on the bias of a sensor with three axes."""
 
     def made(change: Changes, since: bool) -> str:
-        """See `Clause`."""
+        """Clause on a bias."""
         more, less = ("more", "less") if since else ("too much", "too little")
         parts = []
         for axis in "xyz":
@@ -178,10 +178,10 @@ def reading_clause(what: str, unit: str) -> Clause:
 
 
 def delay_clause(what: str) -> Clause:
-    """Something that comes late. See `Clause`."""
+    """Function for clauses on a late signal."""
 
     def made(change: Changes, since: bool) -> str:
-        """See `Clause`."""
+        """Clause on a delay."""
         delay = max(change.values(), key=abs, default=0.0)
         way = "later" if delay > 0 else "earlier"
         before = "at calibration" if since else "modelled"
@@ -191,16 +191,16 @@ def delay_clause(what: str) -> Clause:
 
 
 def heading_clause(change: Changes, since: bool) -> str:
-    """An error of the heading. See `Clause`."""
+    """Clause on an error of the heading."""
     turn = np.degrees(max(change.values(), key=abs, default=0.0))
     return f"its heading is off by {'another ' * since}{number(float(turn))}°"
 
 
 def factor_clause(what: str, noun: str) -> Clause:
-    """A factor on what the rotors give. See `Clause`."""
+    """Function for clauses on a factor on thrust or torque of the rotors."""
 
     def made(change: Changes, since: bool) -> str:
-        """See `Clause`."""
+        """Clause on a factor."""
         v = max(change.values(), key=abs, default=0.0)
         more = "more" if v > 0 else "less"
         return f"{what} {percent(abs(v))} {more} {noun} than {'before' if since else 'the model'}"
@@ -209,7 +209,7 @@ def factor_clause(what: str, noun: str) -> Clause:
 
 
 def inertia_clause(change: Changes, since: bool) -> str:
-    """Another inertia. See `Clause`."""
+    """Clause on a change of inertia."""
     axes = {"scale_x": "roll", "scale_y": "pitch", "scale_z": "yaw"}
     parts = [
         f"{percent(abs(v))} {'larger' if v > 0 else 'smaller'} in {axes[k]}"
@@ -219,7 +219,7 @@ def inertia_clause(change: Changes, since: bool) -> str:
 
 
 def drag_clause(change: Changes, since: bool) -> str:
-    """Linear drag. See `Clause`."""
+    """Clause on linear drag."""
     parts = [
         f"{number(change[name])} (m/s²)/(m/s) {what}"
         for name, what in (("k_xy_1_s", "horizontal"), ("k_z_1_s", "vertical"))
@@ -229,7 +229,7 @@ def drag_clause(change: Changes, since: bool) -> str:
 
 
 def flapping_clause(change: Changes, since: bool) -> str:
-    """Discs that tilt back, by the drag that this is in hover. See `Clause`."""
+    """Clause on discs that tilt back, by the equivalent drag in hover."""
     if not (tilt := change.get("k_rad_s_m")):
         return ""
     drag = f"{number(tilt * GRAVITY_M_S2)} (m/s²)/(m/s) horizontal"
@@ -237,7 +237,7 @@ def flapping_clause(change: Changes, since: bool) -> str:
 
 
 def cant_clause(change: Changes, since: bool) -> str:
-    """A constant yaw moment of canted rotors. See `Clause`."""
+    """Clause on a constant yaw moment of canted rotors."""
     del since
     yaw = change.get("yaw_m", 0.0)
     way = "clockwise" if yaw > 0 else "counter-clockwise"
@@ -247,7 +247,7 @@ def cant_clause(change: Changes, since: bool) -> str:
 
 
 def sag_clause(change: Changes, since: bool) -> str:
-    """Thrust lost with battery voltage. See `Clause`."""
+    """Clause on thrust lost with battery voltage."""
     slope = change.get("slope", 0.0)
     more = "more" if slope > 0 else "less"
     before = "before" if since else "the model's"

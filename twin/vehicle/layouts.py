@@ -1,6 +1,6 @@
-"""Where the rotors of usual frames are and which way they turn, in the order of their motors.
+"""Positions and directions of the rotors of usual frames, in the order of their motors.
 
-PX4 and ArduPilot number the motors of these frames alike.
+PX4 and ArduPilot number the motors of these frames in the same order.
 """
 
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ import numpy as np
 from . import Array
 
 CW, CCW = 1.0, -1.0
-"""Sense of rotation of a rotor, seen from above: clockwise, counter-clockwise."""
+"""Direction of rotation of a rotor, seen from above: clockwise, counter-clockwise."""
 _D = 0.707107
 """sqrt(1/2) in six digits."""
 _S3 = 0.866025
@@ -28,12 +28,13 @@ class Layout:
         position: Hubs, body FRD from the centre of mass, shape (n, 3); in m, or in any unit.
         direction: +1 clockwise seen from above, -1 counter-clockwise, shape (n,).
         metric: Whether positions are in m.
-        sd: Standard deviation of a coordinate over the arm, the size being right.
-        source: What says so.
-        places_known: Whether the places were stated, not assumed.
-        senses_known: Whether the directions were.
-        place_keys: Parameter of the place of a rotor, `{}` for its number from 0; "": the source.
-        sense_keys: The same of its direction.
+        sd: Standard deviation of a coordinate over the arm, for a known size.
+        source: Source of the layout.
+        places_known: Whether the positions were stated, not assumed.
+        senses_known: Whether the directions of rotation were stated, not assumed.
+        place_keys: Parameter for the position of a rotor, `{}` for its number from 0; "": the
+            source.
+        sense_keys: Parameter for the direction of a rotor, in the same form.
     """
 
     position: Array
@@ -52,11 +53,11 @@ class Layout:
         return len(self.direction)
 
     def place_key(self, rotor: int) -> str:
-        """What states the place of a rotor, numbered from 0."""
+        """Source of the position of a rotor, numbered from 0."""
         return self.place_keys.format(rotor) or self.source
 
     def sense_key(self, rotor: int) -> str:
-        """What states the direction of a rotor, numbered from 0."""
+        """Source of the direction of a rotor, numbered from 0."""
         return self.sense_keys.format(rotor) or self.source
 
     @property
@@ -65,7 +66,7 @@ class Layout:
         return float(np.linalg.norm(self.position[:, :2], axis=1).max())
 
     def sized(self, arm_m: float, source: str) -> Self:
-        """The same layout with its farthest rotor at a distance, m."""
+        """The layout scaled so that its farthest rotor is at a distance, m."""
         scale = arm_m / self.arm
         return replace(
             self,
@@ -76,7 +77,7 @@ class Layout:
 
 
 def _ring(*motors: tuple[float, float]) -> tuple[tuple[float, float, float], ...]:
-    """Rotors on a circle by their angle from the nose, degrees to the right."""
+    """Rotors on a circle at equal angles from the nose, degrees to the right."""
     return tuple(
         (round(np.cos(np.radians(a)), 6), round(np.sin(np.radians(a)), 6), way) for a, way in motors
     )
@@ -153,16 +154,16 @@ FRAMES: dict[str, tuple[RotorRows, float, str]] = {
         "the Crazyflie's firmware",
     ),
 }
-"""Rotor by rotor forward, right and sense; how far a real frame of that name is off, over the arm
-(by judgement; `wide` stands for frames of any proportions); who says so."""
+"""Rotors by forward and right coordinates and direction; standard deviation of a real frame of that
+name, over the arm (by judgement; `wide` stands for frames of any proportions); source."""
 
 
 def frame(name: str, source: str = "") -> Layout:
     """The layout of a frame by its name, with an arm of any length.
 
     Args:
-        name: Of `FRAMES`.
-        source: What says that it is this frame.
+        name: Name in `FRAMES`.
+        source: Source that states this frame.
     """
     rows, sd, order = FRAMES[name]
     table = np.array(rows)

@@ -1,6 +1,6 @@
-"""What a colleague would ask who reads the numbers of a vehicle: odd ones, none of them impossible.
+"""Questions of a reviewer on the numbers of a vehicle: implausible ones, none of them impossible.
 
-A vehicle that is impossible is refused, or in doubt (`Vehicle.doubts`), where it is read.
+An impossible vehicle is refused, or reported as doubtful (`Vehicle.doubts`), when it is read.
 """
 
 import math
@@ -25,13 +25,13 @@ from .vehicle import (
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """About one key of a vehicle file.
+    """A question on one key of a vehicle file.
 
     Attributes:
-        key: Of the vehicle file.
-        value: Of it, in words.
-        why: What is odd about it.
-        way_out: What to look at, or to write.
+        key: Key of the vehicle file.
+        value: Value of the key, in words.
+        why: Reason why the value is implausible.
+        way_out: What to check, or to write.
     """
 
     key: str
@@ -42,19 +42,19 @@ class Question:
     __repr__ = short_repr
 
     def __str__(self) -> str:
-        """In one line."""
+        """The question in one line."""
         return f"{self.key} = {self.value}: {self.why} {self.way_out}"
 
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Where a quantity of multirotors usually lies.
+    """Usual range of a quantity of multirotors.
 
     Attributes:
-        quantity: Dimensionless, in words.
+        quantity: Name of a dimensionless quantity.
         low: Lower end.
         high: Upper end.
-        origin: Where the ends come from.
+        origin: Source of the limits.
     """
 
     quantity: str
@@ -63,18 +63,18 @@ class Band:
     origin: str
 
     def misses(self, value: float) -> bool:
-        """Whether a value lies outside; one that is no number does."""
+        """Whether a value is outside; true for NaN."""
         return not self.low <= value <= self.high
 
     def __str__(self) -> str:
-        """The ends."""
+        """The limits."""
         return f"{self.low:g} to {self.high:g}"
 
 
 _SURVEYED = (
     "the built-in vehicles, Hummingbird (RotorS, RotorPy), Pelican (RotorS), Iris and X500 (PX4's "
     "Gazebo models), Crazyflie (Foerster 2015)"
-)  # vehicles behind the bands
+)  # vehicles from which the bands are derived
 FLATNESS = Band(
     "Izz over Ixx + Iyy",
     0.65,
@@ -107,20 +107,20 @@ TORQUE_ARM = Band(
     "over thrust grows with the diameter of the propeller, and that with the arm",
 )  # a ratio
 BANDS = (FLATNESS, GYRATION_XY, GYRATION_Z, HOVER_COMMAND, THRUST_TO_WEIGHT, TORQUE_ARM)
-"""All of them, for the documentation."""
+"""All bands, for the documentation."""
 
 _DIAGONAL = re.compile(r"diagonal|lateral|\b45\b", re.IGNORECASE)
-"""What a source says of rotors whose diagonal somebody had in mind."""
+"""Words of a source that hint at diagonal distances of the rotors."""
 _FRAME_SIZE = re.compile(r"(?<![\d.])\d{3}(?![\d.])")
-"""Of a frame in its name, mm from motor to motor across: X150, F450."""
+"""Frame size in a name, mm from motor to motor across: X150, F450."""
 _NEAR = 0.03
-"""Share by which frame sizes and distances of motors may differ and still be the same."""
+"""Largest relative difference of frame sizes and distances of motors that count as equal."""
 _LISTED = 5
-"""Keys that a question names at most."""
+"""Largest number of keys in a question."""
 
 
 def questions(vehicle: Vehicle) -> tuple[Question, ...]:
-    """All that is to be asked about a vehicle."""
+    """All questions on a vehicle."""
     return tuple(
         question
         for ask in (
@@ -139,7 +139,8 @@ def questions(vehicle: Vehicle) -> tuple[Question, ...]:
 
 
 def flatness(vehicle: Vehicle) -> Iterator[Question]:
-    """Whether the yaw moment is too small against the other two; more than them is a doubt."""
+    """Question where the yaw moment of inertia is small relative to the other two; one above their
+    sum is a doubt."""
     xx, yy, zz = np.diagonal(vehicle.inertia_kg_m2)
     ratio = zz / (xx + yy)
     if ratio < FLATNESS.low:
@@ -152,7 +153,7 @@ def flatness(vehicle: Vehicle) -> Iterator[Question]:
 
 
 def gyration(vehicle: Vehicle) -> Iterator[Question]:
-    """Whether inertia, mass and size go together."""
+    """Question where inertia, mass and size are inconsistent."""
     if vehicle.arm_m == 0:
         return
     k = np.sqrt(np.diagonal(vehicle.inertia_kg_m2) / vehicle.mass_kg) / vehicle.arm_m
@@ -174,7 +175,7 @@ def gyration(vehicle: Vehicle) -> Iterator[Question]:
 
 
 def arm(vehicle: Vehicle) -> Iterator[Question]:
-    """Whether an arm, or a frame size, was taken for the coordinate of the rotors."""
+    """Question where an arm, or a frame size, was probably used as the coordinate of the rotors."""
     x, y = np.abs(vehicle.rotors.position_m[:, :2]).T
     a_m, source = float(x[0]), vehicle.sources.get("rotors.position", "")
     if a_m == 0 or not (np.allclose(x, a_m, rtol=1e-6) and np.allclose(y, a_m, rtol=1e-6)):
@@ -211,7 +212,7 @@ def arm(vehicle: Vehicle) -> Iterator[Question]:
 
 
 def hover_command(vehicle: Vehicle) -> Iterator[Question]:
-    """Whether the command in hover is one that aircraft are built for."""
+    """Question where the hover command is unusual."""
     if vehicle.drive != "command":
         return
     command, speed = hover_level(vehicle), vehicle.rotors.speed_rad_s
@@ -228,7 +229,7 @@ def hover_command(vehicle: Vehicle) -> Iterator[Question]:
 
 
 def thrust_to_weight(vehicle: Vehicle) -> Iterator[Question]:
-    """Whether the largest thrust is one that aircraft have."""
+    """Question where the largest thrust is unusual."""
     if vehicle.drive != "command":
         return
     ratio = most_thrust_n(vehicle) / vehicle.hover_thrust_n
@@ -243,7 +244,7 @@ def thrust_to_weight(vehicle: Vehicle) -> Iterator[Question]:
 
 
 def reaction_torque(vehicle: Vehicle) -> Iterator[Question]:
-    """Whether torque over thrust goes with the size."""
+    """Question where torque over thrust is inconsistent with the size."""
     torque = polynomial(vehicle.rotors.torque_n_m, hover_level(vehicle))
     ratio_m = torque / vehicle.hover_thrust_n
     if vehicle.arm_m > 0 and TORQUE_ARM.misses(ratio_m / vehicle.arm_m):
@@ -259,7 +260,7 @@ def reaction_torque(vehicle: Vehicle) -> Iterator[Question]:
 
 
 def missing_lag(vehicle: Vehicle) -> Iterator[Question]:
-    """Whether the rotors follow their command at once."""
+    """Question where the rotors follow their command without lag."""
     follows = vehicle.rotors.follows or "motor_lag" in vehicle.effects
     if vehicle.drive == "command" and not follows:
         yield Question(
@@ -271,7 +272,7 @@ def missing_lag(vehicle: Vehicle) -> Iterator[Question]:
 
 
 def hub_height(vehicle: Vehicle) -> Iterator[Question]:
-    """Whether the hubs lie in the plane of the centre of mass, to the last digit."""
+    """Question where the hubs are exactly in the plane of the centre of mass."""
     if not np.any(vehicle.rotors.position_m[:, 2]):
         yield Question(
             "rotors.position",
@@ -283,7 +284,7 @@ def hub_height(vehicle: Vehicle) -> Iterator[Question]:
 
 
 def unknown_deviations(vehicle: Vehicle) -> Iterator[Question]:
-    """Which numbers nobody says how well they are known."""
+    """Question on numbers without a standard deviation."""
     keys = [
         key
         for key, source in vehicle.sources.items()
@@ -304,7 +305,7 @@ def unknown_deviations(vehicle: Vehicle) -> Iterator[Question]:
 
 
 def _map(vehicle: Vehicle) -> str:
-    """The key by which a command becomes thrust."""
+    """The key of the map from command to thrust."""
     if vehicle.rotors.speed_rad_s is not None:
         return "rotors.speed_from_command"
     return "rotors.thrust_from_command"

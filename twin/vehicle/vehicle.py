@@ -1,9 +1,9 @@
-"""The numbers of one aircraft, in SI units, and where each comes from.
+"""The numbers of one aircraft, in SI units, with the source of each.
 
-With them: what all flights together determined (`Calibration`), how well a number is known, by its
-file or by a word of its source (`Deviation`, `Known`), its sensors and the site where it flies.
+Also: the joint result of all flights (`Calibration`), the uncertainty of a number, by its file or
+by a word of its source (`Deviation`, `Known`), its sensors and the site of its flights.
 
-Functions give the value of the rotors' thrust map, and where it carries the weight.
+Functions return the value of the rotors' thrust map, and its argument in hover.
 """
 
 import math
@@ -23,22 +23,22 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """How well numbers are known together, and how much the days of an aircraft differ.
+    """Joint uncertainty of calibrated numbers, and their day-to-day variation.
 
     Attributes:
-        flights: Names of those used.
-        numbers: "effect.number" of each, in the unit of the effect.
-        covariance: Of these, shape (n, n).
+        flights: Names of the flights used.
+        numbers: Names "effect.number", in the unit of the effect.
+        covariance: Covariance of these numbers, shape (n, n).
         days: Standard deviation between flights by "effect.number".
-        constants: Standard deviation between flights of what nothing explains, by channel of
+        constants: Standard deviation between flights of the unexplained constant, by channel of
             `twin.explain`, in its unit.
-        records: Numbers that no vehicle holds, because they are of its records, "effect.number" ->
-            value: clocks, the frame of a pose.
-        means: By channel of the balance of forces and moments the mean of the residual over all
-            flights, in its unit, and of "vibration", see `twin.explain.balance`.
-        scatter: Of these, sample standard deviation between the flights.
-        left: Rms of what these numbers leave of each channel of `twin.explain` and its noise
-            forgets, in its unit.
+        records: Values of numbers that belong to records instead of a vehicle, by "effect.number":
+            clocks, the frame of a pose.
+        means: Mean residual over all flights of each channel of the balance of forces and moments,
+            in its unit, and of "vibration", see `twin.explain.balance`.
+        scatter: Sample standard deviation of these means between the flights.
+        left: Rms of the residual of each channel of `twin.explain` that these numbers do not
+            explain, without noise, in its unit.
     """
 
     flights: tuple[str, ...]
@@ -55,20 +55,21 @@ class Calibration:
 
 
 DEFAULT = "default: "
-"""How the pedigree begins of a number about which a file is silent."""
+"""Start of the source text of a number that a file does not state."""
 BEFORE = "; before: "
-"""What a source says behind this is of an older number."""
+"""Separator in a source text before the source of an older number."""
 
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
-    """Standard deviation of the numbers of one key, as a vehicle file states it.
+    """Standard deviation of the numbers of one key, as stated in a vehicle file.
 
     Attributes:
-        share: Of the value: root mean square of all numbers over that of their values, of an
-            inertia by its three moments; of a place over the arm. Infinite where the value is 0.
-        numbers: In SI units, one for all numbers of the key or one for each in their order; None
-            where the file states a share.
+        share: Standard deviation over the value: root mean square of all numbers over that of their
+            values, for inertia by its three moments, for positions over the arm. Infinite where the
+            value is 0.
+        numbers: Standard deviations in SI units, one for all numbers of the key or one for each in
+            their order; None where the file states a share.
     """
 
     share: float
@@ -76,17 +77,18 @@ class Deviation:
 
     @classmethod
     def of(cls, numbers: Sequence[float], size: Sequence[float]) -> Self:
-        """Of standard deviations and what they are a share of, in the same unit."""
+        """Deviation from standard deviations and the values to which they are relative, in the same
+        unit."""
         own, whole = (math.sqrt(sum(x * x for x in of) / len(of)) for of in (numbers, size))
         return cls(own / whole if whole > 0 else math.inf, tuple(numbers))
 
 
 class Known(NamedTuple):
-    """How well something is known.
+    """Uncertainty of a number.
 
     Attributes:
-        sd: Standard deviation over the value; of places over the arm.
-        stated: Whether the file gives it as `sd`; else a word of the source stands for it.
+        sd: Standard deviation over the value; for positions over the arm.
+        stated: Whether the file states it as `sd`; else it is inferred from a word of the source.
     """
 
     sd: float
@@ -95,12 +97,12 @@ class Known(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Word:
-    """What words of a source say of the number before them.
+    """Uncertainty of a number by the words of its source.
 
     Attributes:
-        share: Standard deviation over the value; of places over the arm.
-        words: Any of them, as whole words in any case, unless "not" or the like stands before.
-        reason: Why so much.
+        share: Standard deviation over the value; for positions over the arm.
+        words: Words that imply it, as whole words in any case, unless "not" or the like precedes.
+        reason: Justification of the share.
     """
 
     share: float
@@ -120,8 +122,8 @@ WORDS = (
     Word(0.03, ("measured",), "rulers, pendulums and test stands repeat to a few percent"),
     Word(0.01, ("weighed",), "the scale is better, what is aboard is not always the same"),
 )
-"""In the order of doubt: the first that a source holds counts. Sizes by judgement; those of maps
-and inertia as the priors of `twin.effects` have them."""
+"""In order of doubt: the first row with a word in the source is used. Sizes by judgement; those of
+maps and inertia as in the priors of `twin.effects`."""
 
 GROUPS = {
     "rotors.thrust": ("rotors.thrust_from_speed", "rotors.thrust_from_command"),
@@ -132,13 +134,13 @@ GROUPS = {
     ),
     "rotors.lag": ("rotors.lag", "rotors.rate_up"),
 }
-"""Keys that say the same in several ways, of which a file has one."""
+"""Alternative keys for the same quantity, of which a file has one."""
 
 
 def share_by_word(source: str) -> float | None:
-    """Standard deviation over the value that the words of a source stand for; None: they say none.
+    """Standard deviation over the value that the words of a source imply; None: no word does.
 
-    What the source says of the number that was there before counts for nothing.
+    The source of a previous number (after `BEFORE`) is ignored.
     """
     text = source.split(BEFORE)[0]
     for row in WORDS:
@@ -150,7 +152,7 @@ def share_by_word(source: str) -> float | None:
 
 @cache
 def _patterns(row: Word) -> tuple[re.Pattern[str], re.Pattern[str]]:
-    """The words of a row, and the same behind a "not"."""
+    """Patterns for the words of a row, and for the same words after a "not"."""
     any_of = "|".join(word.replace(" ", r"[\s-]+") for word in row.words)
     word = rf"(?<!un-)(?<!non-)\b(?:{any_of})\b"
     negated = rf"\b(?:not|never|no|nor|without)\s+(?:\w+\s+)?{word}"
@@ -158,16 +160,16 @@ def _patterns(row: Word) -> tuple[re.Pattern[str], re.Pattern[str]]:
 
 
 def relative_deviation(vehicle: "Vehicle", key: str) -> Known | None:
-    """How well a vehicle knows the numbers of a key.
+    """Uncertainty of the numbers of a key of a vehicle.
 
     Args:
-        vehicle: Whose numbers.
-        key: Of the vehicle file, "body.mass" or "effects.NAME.NUMBER"; or of `GROUPS`, for what a
-            file may say in several ways: "rotors.thrust", "rotors.torque", "rotors.lag".
+        vehicle: Vehicle with the numbers.
+        key: Key of the vehicle file, "body.mass" or "effects.NAME.NUMBER"; or of `GROUPS`, for
+            alternative keys: "rotors.thrust", "rotors.torque", "rotors.lag".
 
     Returns:
-        Standard deviation over the value, of "rotors.position" and other places over the arm, and
-        whether the file states it; None where nothing is known, as of every default.
+        Standard deviation over the value, for "rotors.position" and other positions over the arm,
+        and whether the file states it; None where nothing is known, as for every default.
     """
     for name in GROUPS.get(key, (key,)):
         source = vehicle.sources.get(name, DEFAULT)
@@ -181,20 +183,21 @@ def relative_deviation(vehicle: "Vehicle", key: str) -> Known | None:
 
 
 EARTH_FIELD_N_T = (2.11e-5, 1.5e-6, 4.384e-5)
-"""World Magnetic Model 2025 at 48 N, 11 E, 500 m, mid 2025, rounded."""
+"""Magnetic flux density, World Magnetic Model 2025 at 48 N, 11 E, 500 m, mid 2025, rounded."""
 SEA_LEVEL_PRESSURE_PA = 101325.0
-"""ISA at sea level, ICAO Doc 7488."""
+"""Static pressure, ISA at sea level, ICAO Doc 7488."""
 SEA_LEVEL_TEMPERATURE_K = 288.15
-"""ISA at sea level, ICAO Doc 7488."""
+"""Temperature, ISA at sea level, ICAO Doc 7488."""
 
 
 def _number(key: str, stand_in: str = "", default: float = 0.0) -> Any:
-    """A number that the vehicle file has under a key.
+    """Field for a number that the vehicle file has under a key.
 
     Args:
-        key: In the file.
-        stand_in: What stands in for it, in words; default: no noise or no walk, as the key says.
-        default: The same as a number.
+        key: Key in the file.
+        stand_in: Default in words, where the file has no such key; default: no noise or no walk, by
+            the key.
+        default: Default as a number.
     """
     words = stand_in or f"no {key.rpartition('.')[2].rpartition('_')[2]}"
     return field(default=default, metadata={"key": key, "stand_in": words})
@@ -202,7 +205,7 @@ def _number(key: str, stand_in: str = "", default: float = 0.0) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Sensors:
-    """Noise of the sensors, and what they read at the origin of NED.
+    """Noise of the sensors, and their readings at the origin of NED.
 
     Noise is the standard deviation of a reading, walk that of the bias after 1 s.
 
@@ -210,7 +213,7 @@ class Sensors:
         field_n_t: Magnetic flux density, NED, T.
         pressure_pa: Static pressure at the origin.
         temperature_k: Air temperature at the origin.
-        position: What differs from a preset of `twin.physics.sensors.position`, by its attribute
+        position: Differences from a preset of `twin.physics.sensors.position`, by its attribute
             names.
     """
 
@@ -237,12 +240,12 @@ class Sensors:
 GRAVITY_M_S2 = 9.80665
 """Standard gravity, CGPM 1901."""
 NOMINAL_CELL_V = 3.7
-"""Voltage of one lithium polymer cell, half full."""
+"""Voltage of one lithium polymer cell at half charge."""
 
 
 @dataclass(frozen=True, slots=True)
 class Battery:
-    """A battery as open-circuit voltage, falling linearly with charge, behind a resistance."""
+    """A battery: open-circuit voltage, linear in charge, in series with a resistance."""
 
     full_voltage_v: float
     empty_voltage_v: float
@@ -252,13 +255,13 @@ class Battery:
 
     @property
     def mean_voltage_v(self) -> float:
-        """Open-circuit voltage when half full."""
+        """Open-circuit voltage at half charge."""
         return (self.full_voltage_v + self.empty_voltage_v) / 2
 
 
 @dataclass(frozen=True, slots=True)
 class RotorAir:
-    """What the air does to one rotor that moves through it, at its hub; all 0: nothing.
+    """Aerodynamics of one rotor that moves through the air, at its hub; all 0: none.
 
     With the rotor speed w, rad/s, and the velocity V of the hub through the air, m/s, body FRD:
 
@@ -268,7 +271,7 @@ class RotorAir:
 
     Source: drag, inflow, lift and flapping (there with the opposite sign), Folk, Paulos & Kumar,
     RotorPy, arXiv 2306.04485; drag and rolling, Martin & Salaun, The True Role of Accelerometer
-    Feedback in Quadrotor Control, ICRA 2010, as Gazebo has them.
+    Feedback in Quadrotor Control, ICRA 2010, in the form used by Gazebo.
 
     Attributes:
         drag_kg_rad: In-plane force per rotor speed and hub speed.
@@ -287,17 +290,17 @@ class RotorAir:
 
 @dataclass(frozen=True, slots=True)
 class Advance:
-    """How thrust and reaction torque change with the advance ratio, as propellers are published.
+    """Thrust and reaction torque over the advance ratio, as in propeller data.
 
-    The advance ratio is the climb speed of the hub through the air over the turns per second and
-    the diameter. Between the rows on straight lines, beyond them the first and last values.
+    The advance ratio is the climb speed of the hub through the air over revolutions per second and
+    diameter. Linear between the rows, constant beyond them.
 
     Source: Leishman, Principles of Helicopter Aerodynamics, sec. 2.3; UIUC propeller data.
 
     Attributes:
-        diameter_m: Of the rotor.
+        diameter_m: Diameter of the rotor.
         thrust: Rows (advance ratio, thrust over that at rest); empty: always 1.
-        torque: The same of the reaction torque.
+        torque: Rows (advance ratio, reaction torque over that at rest); empty: always 1.
     """
 
     diameter_m: float
@@ -307,14 +310,14 @@ class Advance:
 
 @dataclass(frozen=True, slots=True)
 class RunUp:
-    """How a rotor follows its command: `dw/dt = linear (u - w) + quadratic (u^2 - w^2)`.
+    """Response of a rotor to its command: `dw/dt = linear (u - w) + quadratic (u^2 - w^2)`.
 
-    A motor whose torque falls with its speed, against a torque of the air that grows with the
-    square of it, is of this kind.
+    A motor with torque falling linearly with speed, loaded by an aerodynamic torque in proportion
+    to the square of the speed, has this form.
 
     Attributes:
-        linear_1_s: Of the difference of speeds.
-        quadratic_1_rad: Of the difference of their squares.
+        linear_1_s: Coefficient of the difference of speeds.
+        quadratic_1_rad: Coefficient of the difference of their squares.
     """
 
     linear_1_s: float
@@ -323,27 +326,27 @@ class RunUp:
 
 @dataclass(frozen=True, slots=True)
 class Rotors:
-    """Rotors of one aircraft, all alike but for place and sense of rotation.
+    """Rotors of one aircraft, equal except for position and direction of rotation.
 
     Polynomials are ascending coefficients: of the rotor speed in rad/s, or of the command 0..1.
 
     Attributes:
-        position_m: Hubs from the centre of mass, body FRD, shape (n, 3).
+        position_m: Positions of the hubs from the centre of mass, body FRD, shape (n, 3).
         direction: +1 clockwise seen from above, -1 counter-clockwise, shape (n,).
         thrust_n: Thrust polynomial, of the speed if `from_speed`, else of the command.
         torque_n_m: Reaction torque polynomial of the same argument.
-        speed_rad_s: Speed polynomial of the command; None for a vehicle known by rotor speed.
+        speed_rad_s: Speed polynomial of the command; None for a vehicle whose input is rotor speed.
         lag_up_s: Time constant when speeding up; 0 without lag.
         lag_down_s: Time constant when slowing down; 0 without lag.
-        spin_inertia_kg_m2: Of one rotor about its axis; 0 when unknown.
-        reference_voltage_v: Voltage at which the maps of the command hold; None: ignored.
+        spin_inertia_kg_m2: Moment of inertia of one rotor about its axis; 0 when unknown.
+        reference_voltage_v: Voltage for which the maps over the command are valid; None: ignored.
         voltage_exponent: Power of (voltage / reference) that multiplies the command.
-        run_up: How the speed follows the command, rising and falling, in place of the lag; None:
+        run_up: Response of the speed to the command, rising and falling, in place of the lag; None:
             by the lag.
-        reaction_inertia_kg_m2: Inertia of one rotor in the reaction to its own acceleration; 0:
-            no reaction.
-        air: What the air does to a moving rotor.
-        advance: Thrust and torque in a climb; None: as at rest, but for `air`.
+        reaction_inertia_kg_m2: Moment of inertia of one rotor in the reaction to its own
+            acceleration; 0: no reaction.
+        air: Aerodynamics of a moving rotor.
+        advance: Thrust and torque in a climb; None: as at rest, except for `air`.
     """
 
     position_m: Array
@@ -371,7 +374,7 @@ class Rotors:
 
     @property
     def follows(self) -> bool:
-        """Whether rotors follow their command with a delay of their own."""
+        """Whether rotors follow their command with a lag of their own."""
         return self.lag_up_s > 0 or self.run_up is not None
 
 
@@ -381,22 +384,23 @@ class Vehicle:
 
     Attributes:
         inertia_kg_m2: Inertia matrix, shape (3, 3).
-        drag_linear_n_s_m: Per body axis, shape (3,).
-        drag_quadratic_n_s2_m2: Per body axis, by its own speed, `c |v_i| v_i`, shape (3,).
-        drag_parasitic_n_s2_m2: Per body axis, by the whole speed, `c |v| v_i`, shape (3,).
+        drag_linear_n_s_m: Linear drag per body axis, shape (3,).
+        drag_quadratic_n_s2_m2: Drag per body axis, by the speed along it, `c |v_i| v_i`, shape
+            (3,).
+        drag_parasitic_n_s2_m2: Drag per body axis, by the total speed, `c |v| v_i`, shape (3,).
         drag_angular_n_m_s2: Moment per body axis, `c |omega_i| omega_i`, shape (3,).
-        gravity_m_s2: Acceleration of free fall where it flies.
-        leg_height_m: Centre of mass over the ground when standing.
-        imu_position_m: Accelerometer from the centre of mass, shape (3,).
+        gravity_m_s2: Acceleration of free fall at the site of flight.
+        leg_height_m: Height of the centre of mass over the ground when standing.
+        imu_position_m: Position of the accelerometer from the centre of mass, shape (3,).
         sensors: Noise of the sensors, and the site.
-        sources: Pedigree of each number, by its key in the file; "default: ..." where the file
-            is silent and a default stands in.
-        deviations: Standard deviations that the file states, by the same keys; what else is known
-            of them, the sources say (`relative_deviation`).
-        doubts: What looks odd but is not refused.
+        sources: Source of each number, by its key in the file; "default: ..." where the file does
+            not state it and a default is used.
+        deviations: Standard deviations that the file states, by the same keys; the words of the
+            sources imply others (`relative_deviation`).
+        doubts: Implausible values that are not refused.
         effects: Effects that are switched on (`twin.effects`), each with all its parameters.
-        calibration: Its numbers as determined from flights together; None: not calibrated.
-        file: Name of the file that it was read from; "": none.
+        calibration: Numbers determined jointly from flights; None: not calibrated.
+        file: Name of the file from which it was read; "": none.
     """
 
     name: str
@@ -426,14 +430,14 @@ class Vehicle:
 
     @property
     def drive(self) -> Literal["command", "rotor_speed"]:
-        """What the vehicle's rotors are driven by when nothing else is asked for."""
+        """Input of the vehicle's rotors where the caller does not choose."""
         return (
             "rotor_speed" if self.rotors.from_speed and not self.rotors.speed_rad_s else "command"
         )
 
     @property
     def hover_thrust_n(self) -> float:
-        """Thrust of one rotor in hover, equally shared."""
+        """Thrust of one rotor in hover, equal for all rotors."""
         return self.mass_kg * self.gravity_m_s2 / self.rotors.count
 
     @property
@@ -443,12 +447,13 @@ class Vehicle:
 
     @property
     def states_voltage(self) -> bool:
-        """Whether the numbers say anything about a voltage."""
+        """Whether the numbers include a voltage."""
         return self.rotors.reference_voltage_v is not None or self.battery is not None
 
     @property
     def voltage_v(self) -> float:
-        """Voltage at which the maps hold; else of the battery, of battery_sag, or of one cell."""
+        """Voltage for which the maps are valid; else that of the battery, of battery_sag, or of one
+        cell."""
         if self.rotors.reference_voltage_v is not None:
             return self.rotors.reference_voltage_v
         if self.battery is not None:
@@ -475,7 +480,7 @@ def polynomial(coefficients: Sequence[Any], argument: Any) -> Any:
 def hover_level(vehicle: Vehicle) -> float:
     """Argument of the thrust map, rad/s or command, at which equal rotors carry the weight.
 
-    Nearly so: the next value of a grid of 2001. The end of the grid where none carries it.
+    Approximate: the next value of a grid of 2001. The end of the grid where none carries it.
     """
     rotors, high = vehicle.rotors, 1.0
     if rotors.from_speed:
@@ -486,8 +491,8 @@ def hover_level(vehicle: Vehicle) -> float:
 
 
 def voltage_power(vehicle: Vehicle) -> float:
-    """Power of the battery voltage that the thrust of a command in hover goes with, by the maps; 0
-    where they know no voltage."""
+    """Exponent of the battery voltage in the hover thrust of a command, by the maps; 0 where they
+    do not depend on voltage."""
     rotors = vehicle.rotors
     if rotors.reference_voltage_v is None or vehicle.drive != "command":
         return 0.0
@@ -513,7 +518,7 @@ def first_reaching(coefficients: Sequence[float], value: float, high: float) -> 
 
 
 def most_thrust_n(vehicle: Vehicle) -> float:
-    """Largest thrust of one rotor that a command gives, N; on a grid of 201."""
+    """Largest thrust of one rotor over all commands, N; on a grid of 201."""
     rotors, command = vehicle.rotors, np.linspace(0.0, 1.0, 201)
     level = polynomial(rotors.speed_rad_s, command) if rotors.speed_rad_s else command
     return float(np.max(polynomial(rotors.thrust_n, level)))
