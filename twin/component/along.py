@@ -1,10 +1,10 @@
-"""CasADi functions along a record, some thousand rows at a time: what they need apart from their
-results does not grow with its length.
+"""CasADi functions along a record, some thousand rows at a time: memory except for the results does
+not grow with its length.
 
-One thread at a time builds CasADi's expressions: CasADi lets go of Python's lock while it works,
-which evaluation bears and building does not: two threads that build at once may end the process.
-Where threads run alongside each other, as live flights do, each that builds, or calls a function
-with CasADi's own matrices, holds this lock.
+One thread at a time builds CasADi's expressions: CasADi releases Python's lock while it works,
+which is safe for evaluation but not for construction: two threads that build at once may crash the
+process. Where threads run in parallel, as in live flights, each one that builds, or calls a
+function with CasADi's own matrices, holds this lock.
 """
 
 import threading
@@ -16,25 +16,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 BUILDING = threading.RLock()
-"""Held while expressions and functions are made."""
+"""Lock for the construction of expressions and functions."""
 
 
 Array = NDArray[np.float64]
 CHUNK = 1024
 """Rows at a time."""
 STEPS = 128
-"""Steps at a time, each of which goes on from the one before: of a thousand, what CasADi needs to
-line them up would take as long as a second of flight."""
+"""Steps at a time, each of which continues from the one before: for a thousand, CasADi's set-up
+would take as long as a second of flight."""
 
 
 class Along:
-    """A step that goes along a record, one block of rows after another."""
+    """Repeated application of a step along a record, one block of rows after another."""
 
     def __init__(self, step: ca.Function) -> None:
-        """Take a step.
+        """Set up for a step function.
 
         Args:
-            step: Its first argument is the state, its first output the state afterwards.
+            step: Step function; its first argument is the state, its first output the state
+                afterwards.
         """
         with BUILDING:
             step = _dense(step)
@@ -42,11 +43,11 @@ class Along:
         self._loops = _Loops(step, lambda size: step.mapaccum("accumulated", size))
 
     def __call__(self, start: Array, *rows: Array) -> tuple[Array, ...]:
-        """Its outputs at every row, each step going on from where the one before ended.
+        """Outputs at every row, each step starting from the state after the previous one.
 
         Args:
             start: State before the first row, shape (k,).
-            rows: Its other arguments, shape (n, size) each.
+            rows: Other arguments of the step, shape (n, size) each.
 
         Returns:
             Each output, shape (n, size).
@@ -63,11 +64,11 @@ class EachRow:
     """A function's first output at every row; for some hundred rows faster than `OverRows`."""
 
     def __init__(self, function: ca.Function, rows: int) -> None:
-        """Take a function.
+        """Set up for a function.
 
         Args:
-            function: Its other outputs are left out.
-            rows: How many of its arguments, the first ones, differ from row to row.
+            function: Function to evaluate; only its first output is used.
+            rows: Number of arguments, the first ones, that differ from row to row.
         """
         with BUILDING:
             inputs = [ca.MX.sym(f"a{i}", *function.size_in(i)) for i in range(function.n_in())]
@@ -78,10 +79,11 @@ class EachRow:
         self._rows = rows
 
     def __call__(self, *arguments: Array) -> Array:
-        """Shape (n, size).
+        """First output, shape (n, size).
 
         Args:
-            arguments: Shape (n, size) each those that differ, shape (size,) each the others.
+            arguments: Arguments, shape (n, size) each for those that differ, shape (size,) each for
+                the others.
         """
         differ, same = arguments[: self._rows], arguments[self._rows :]
         found = np.empty((len(differ[0]), self._size))
@@ -91,9 +93,9 @@ class EachRow:
 
 
 class _Loops:
-    """A function so many times, from arrays and into arrays where they lie.
+    """Repeated calls of a function on arrays, without copies.
 
-    CasADi sets up a loop for each number of rows: here they are few, and kept.
+    CasADi sets up a loop for each number of rows: here these are few, and cached.
     """
 
     def __init__(self, function: ca.Function, repeated: Callable[[int], ca.Function]) -> None:
@@ -101,11 +103,11 @@ class _Loops:
         self._made: dict[int, tuple[Any, Callable[[], None]]] = {}
 
     def run(self, given: Sequence[Array], results: Sequence[Array]) -> None:
-        """As many times as the results have rows.
+        """Call the function once per row of the results.
 
         Args:
-            given: Arguments.
-            results: To be filled, shape (n, size) each, in C's order.
+            given: Arguments of the function.
+            results: Arrays to fill, shape (n, size) each, in C order.
         """
         size = len(results[0])
         if size not in self._made:
@@ -122,22 +124,22 @@ class _Loops:
 
 
 def accumulated(step: ca.Function, start: Array, *rows: Array) -> tuple[Array, ...]:
-    """A step's outputs at every row, as of `Along`, for a single use."""
+    """Outputs of a step at every row, as in `Along`, for a single use."""
     return Along(step)(start, *rows)
 
 
 def mapped(function: ca.Function, *rows: Array) -> Array:
-    """A function's first output at every row, shape (n, size), for a single use.
+    """First output of a function at every row, shape (n, size), for a single use.
 
     Args:
-        function: Of dense columns.
-        rows: Its arguments, shape (n, size) each.
+        function: Function of dense columns.
+        rows: Arguments, shape (n, size) each.
     """
     return EachRow(function, len(rows))(*rows)
 
 
 def _parts(n: int, most: int) -> Iterator[slice]:
-    """Rows in parts whose sizes are powers of two, at most so many at a time."""
+    """Slices of rows whose sizes are powers of two, up to a maximum."""
     first = 0
     while first < n:
         size = min(1 << ((n - first).bit_length() - 1), most)
@@ -146,7 +148,7 @@ def _parts(n: int, most: int) -> Iterator[slice]:
 
 
 def _dense(function: ca.Function) -> ca.Function:
-    """The same with arguments and outputs of which every entry has a place in memory."""
+    """The function with dense arguments and outputs."""
     sides = (function.n_in(), function.sparsity_in), (function.n_out(), function.sparsity_out)
     if all(of(i).is_dense() for count, of in sides for i in range(count)):
         return function

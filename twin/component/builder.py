@@ -1,7 +1,7 @@
-"""How a component is written: symbols and equations collected in reading order.
+"""Builder of components: symbols and equations collected in reading order.
 
-`ComponentBuilder` is the authoring side of `twin.component`: it hands out CasADi symbols, takes
-equations, and turns both into a `Component`.
+`ComponentBuilder` is the authoring side of `twin.component`: it returns CasADi symbols, collects
+equations, and converts both to a `Component`.
 """
 
 import pickle
@@ -26,12 +26,12 @@ from .component import (
 )
 
 BUILT = 8
-"""Components of a thread that are kept."""
+"""Number of cached components per thread."""
 
 
 class _Built(threading.local):
-    """Components that one thread has built lately, with their parts: CasADi's functions are not
-    shared by threads."""
+    """Components that one thread has built recently, with their parts: threads do not share
+    CasADi's functions."""
 
     def __init__(self) -> None:
         self.found: dict[tuple[object, ...], tuple[Component, Sequence[object]]] = {}
@@ -43,12 +43,12 @@ _BUILT = _Built()
 def built_once(
     build: Callable[..., Component], parts: Sequence[object], *given: object
 ) -> Component:
-    """What `build(parts, *given)` makes, or has made of the same lately.
+    """Result of `build(parts, *given)`, cached for recent arguments.
 
     Args:
-        build: Of a module.
-        parts: Compared by identity.
-        given: Compared by value.
+        build: Function of a module.
+        parts: Arguments that are compared by identity.
+        given: Arguments that are compared by value.
     """
     key = build, pickle.dumps(given), *map(id, parts)
     if key not in _BUILT.found:
@@ -123,7 +123,8 @@ class ComponentBuilder:
         self._declare(Variable(name, "output", unit, description, kind=kind), ca.SX(expression))
 
     def state(self, name: str, unit: str, description: str, initial: ca.SX | float) -> ca.SX:
-        """Declare a state with its initial value: of inputs, parameters, states with their own."""
+        """Declare a state with its initial value: an expression of inputs, parameters, and other
+        states."""
         symbol = ca.SX.sym(name)
         self._states[name] = (State(name, unit, description), symbol, ca.SX(initial))
         return symbol
@@ -161,7 +162,7 @@ class ComponentBuilder:
         return period
 
     def memory(self, name: str, unit: str, description: str, initial: ca.SX | float = 0.0) -> ca.SX:
-        """Declare a state that changes at sample instants only."""
+        """Declare a state that changes only at sample instants."""
         return self.state(name, unit, description, initial)
 
     def update(self, name: str, expression: ca.SX | float) -> None:
@@ -172,24 +173,24 @@ class ComponentBuilder:
         """A normal draw, new at each sample instant; for use in updates.
 
         Args:
-            size: Standard deviation, an expression of parameters; what has none is not drawn.
+            size: Standard deviation, an expression of parameters; channels with standard deviation
+                zero are not drawn.
         """
         symbol = ca.SX.sym(f"noise_{len(self._noise)}")
         self._noise.append((symbol, ca.SX(size)))
         return size * symbol
 
     def delayed(self, name: str, signal: ca.SX, delay_s: ca.SX, samples: int) -> ca.SX:
-        """What a signal was a while before each sample instant; for use in updates.
+        """Delayed signal at each sample instant; for use in updates.
 
-        Between sample instants the signal counts as a straight line, before the start as having
-        always had its first value.
+        The signal is interpolated linearly between sample instants, and constant before the start.
 
         Args:
-            name: Of the delay, for messages.
-            signal: Scalar expression of states, inputs and parameters, taken before the update.
+            name: Name of the delay, for messages.
+            signal: Scalar expression of states, inputs and parameters, evaluated before the update.
             delay_s: Expression of parameters, s, from 0 to `samples` - 1 sample periods; any other
                 value stops the simulation.
-            samples: How many samples are remembered, the present one among them.
+            samples: Number of stored samples, including the present one.
 
         Returns:
             Symbol of the delayed signal.
@@ -207,10 +208,10 @@ class ComponentBuilder:
         return symbol
 
     def flag(self, name: str, condition: ca.SX) -> ca.SX:
-        """A truth value that `idle_while` may take as one of its switches, in outputs and rates.
+        """A Boolean that `idle_while` may use as a switch, in outputs and rates.
 
         Args:
-            name: Of the symbol.
+            name: Name of the symbol.
             condition: Expression of states, inputs and parameters.
         """
         symbol = ca.SX.sym(name)
@@ -218,30 +219,30 @@ class ComponentBuilder:
         return symbol
 
     def idle_while(self, condition: ca.SX, step: ca.SX, switches: Sequence[ca.SX]) -> None:
-        """Say when parameters or flags that switch equations on are as good as 0.
+        """Declare when parameters or flags that enable equations have the same effect as 0.
 
-        Said several times, the first condition that holds counts.
+        With several calls, the first condition that is true is used.
 
         Args:
             condition: Expression of states, parameters and `step`.
-            step: Symbol of the step length, s; 0 where the outputs are asked for.
-            switches: Their symbols.
+            step: Symbol of the step length, s; 0 for outputs.
+            switches: Symbols of the parameters or flags.
         """
         self._idle.append((condition, step, switches))
 
     def crossing(self, name: str, unit: str, description: str, expression: ca.SX) -> None:
-        """Say that derivatives jump where an expression of states and parameters changes sign.
+        """Declare that derivatives jump where an expression of states and parameters changes sign.
 
-        Solvers that choose their own steps look for the instant; it must not be 0 throughout.
+        Solvers with variable steps locate the instant; the expression must not be identically 0.
         """
         self._crossings.append(((name, unit, description), ca.SX(expression)))
 
     def rests_while(self, condition: ca.SX) -> None:
-        """Say, by an expression of parameters, when nothing depends on what is done at instants."""
+        """Declare, by an expression of parameters, when sample instants have no effect."""
         self._rests = condition
 
     def build(self) -> Component:
-        """Turn the collected equations into a component."""
+        """Convert the collected equations to a component."""
         if self._period is not None and not self._noise:
             self._variables.pop("seed", None)
         table = {
@@ -252,7 +253,7 @@ class ComponentBuilder:
         u = _column(symbol for _, symbol in table["input"])
         p = _column(symbol for _, symbol in table["parameter"])
         x0 = _column(initial for _, _, initial in self._states.values())
-        x0 = ca.substitute(x0, x, x0)  # a state that starts at another's value
+        x0 = ca.substitute(x0, x, x0)  # a state that starts at the value of another one
         rates = _column(self._rates.get(name, ca.SX(0)) for name in self._states)
         projected = _column(
             self._projections.get(name, symbol) for name, (_, symbol, _) in self._states.items()
@@ -268,7 +269,7 @@ class ComponentBuilder:
         def shortcut(
             i: int, condition: ca.SX, length: ca.SX, switches: Sequence[ca.SX]
         ) -> Shortcut:
-            """The component's functions with some switches at zero."""
+            """Functions of the component with some switches at zero."""
             on, off = list(switches), [ca.SX(0.0)] * len(switches)
             dx, cheap_y = self._unflagged(ca.substitute(flagged, on, off))
             cheap = ca.Function("f", [x, u, p], [ca.cse(dx)])
@@ -310,14 +311,14 @@ class ComponentBuilder:
         )
 
     def _unflagged(self, expressions: list[ca.SX]) -> list[ca.SX]:
-        """Expressions with the conditions of the flags in place of their symbols."""
+        """Expressions with the flags' symbols replaced by their conditions."""
         if not self._flags:
             return expressions
         symbols, conditions = zip(*self._flags, strict=True)
         return list(ca.substitute(expressions, list(symbols), list(conditions)))
 
     def _resting(self) -> ca.SX:
-        """Whether instants are not felt: never, where nobody has said when."""
+        """Whether sample instants have no effect: never, unless declared."""
         if self._rests is not None:
             return self._rests
         return ca.SX(self._period is None)
@@ -343,7 +344,7 @@ class ComponentBuilder:
         )
 
     def _signals(self) -> ca.SX:
-        """What enters the delay lines."""
+        """Inputs of the delay lines."""
         return _column(signal for _, signal, _, _ in self._delayed)
 
     def _after(self) -> ca.SX:
@@ -367,7 +368,7 @@ class ComponentBuilder:
 
 def _column(parts: Iterable[ca.SX]) -> ca.SX:
     parts = list(parts)
-    # Dense: C source would leave out the entries that are constant zero, and pack the others.
+    # Dense: C source would omit the entries that are constant zero, and pack the others.
     return ca.densify(ca.vertcat(*parts)) if parts else ca.SX(0, 1)
 
 

@@ -1,6 +1,6 @@
 """A component of the twin: equations written once in CasADi, with an interface table.
 
-From one `Component` come the Python evaluation (one sample or a batch), the C source of a
+One `Component` is the source of the Python evaluation (one sample or a batch), the C source of a
 native FMU, and the Jacobians. Equations have the form
 
     x(0) = initial(u, p),   dx/dt = derivatives(x, u, p),   y = outputs(x, u, p)
@@ -8,17 +8,16 @@ native FMU, and the Jacobians. Equations have the form
 and are integrated by the classical Runge-Kutta method of fourth order (RK4) with the inputs
 held over the step, followed by an optional projection (a quaternion back to unit length).
 
-A sampled component also has memory that changes at the instants t_k = t_0 + k T alone, k = 0, 1,
+A sampled component also has memory that changes only at the instants t_k = t_0 + k T, k = 0, 1,
 ...: x(t_k+) = update(x(t_k-), u, p, w_k, d_k). Here w_k are standard normal draws, a function of
-seed, component and k (`normal`), and d_k is what some signals(x, u, p) were a while
-before. `Run` is the reference of how all this is put together.
+seed, component and k (`normal`), and d_k are delayed values of signals(x, u, p). `Run` is the
+reference for the order of evaluation.
 
-Rows of the interface table are `Variable`s: names, kinds and ranges, and values held against them.
+Rows of the interface table are `Variable`s: names, kinds and ranges, and checks of values.
 
-Noise is counter-based: nothing has to be remembered but the counter, so a rolled-back simulation
-draws the same numbers again, and Python and every FMU on every platform draw the same bits: the
-generator is integer arithmetic and the transformation to a normal variate uses + - * / and sqrt
-alone.
+Noise is counter-based: only the counter is stored, so a rolled-back simulation draws the same
+numbers again, and Python and every FMU on every platform draw the same bits: the generator is
+integer arithmetic and the transformation to a normal variate uses only + - * / and sqrt.
 
 Source: generator, Salmon, Moraes, Dror & Shaw, Parallel random numbers: as easy as 1, 2, 3, SC11
 (Philox4x64-10, as in NumPy); normal quantile, Wichura, Algorithm AS 241, Applied Statistics 37
@@ -43,10 +42,10 @@ Causality = Literal["parameter", "input", "output", "local"]
 
 @dataclass(frozen=True, slots=True)
 class Enumeration:
-    """Values that have names.
+    """A type with named values.
 
     Attributes:
-        name: Of the type.
+        name: Name of the type.
         items: Name of each value; the values are 0, 1, ...
     """
 
@@ -55,14 +54,14 @@ class Enumeration:
 
     @property
     def legend(self) -> str:
-        """Codes and what they mean, as text."""
+        """Codes and their names, as text."""
         return ", ".join(f"{code} {item}" for code, item in enumerate(self.items))
 
 
 Kind = Literal["real", "integer", "boolean"] | Enumeration
-"""What the values of a variable are; all are calculated with as numbers."""
+"""Type of a variable's values; all are numbers in computations."""
 LARGEST_INTEGER = 2**31 - 1
-"""Of what FMI tools hold in 32 bits."""
+"""Largest integer of FMI tools with 32 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,16 +70,16 @@ class Variable:
 
     Attributes:
         name: FMI name, dots for structure (`rotor_1.x`).
-        causality: Who sets it; local: of an FMU alone, for solvers.
+        causality: Causality in FMI; local: in an FMU only, for solvers.
         unit: SI unit; "1" for a pure number.
-        description: One line.
-        start: Value before anybody sets it; an output has none.
-        minimum: Smallest allowed value, itself allowed.
-        maximum: Largest allowed value, itself allowed.
-        fixed: A parameter that counts only until initialisation ends.
-        kind: What its values are; a truth value is held as 0 or 1, an enumeration by its code.
-        nominal: Its usual magnitude, of a truth value the usual one; None: that of its start value,
-            or of its unit.
+        description: Description in one line.
+        start: Value before it is set; an output has none.
+        minimum: Smallest allowed value (inclusive).
+        maximum: Largest allowed value (inclusive).
+        fixed: Whether a parameter is fixed after initialisation.
+        kind: Type of its values; a Boolean is stored as 0 or 1, an enumeration by its code.
+        nominal: Typical magnitude, of a Boolean its usual value; None: that of its start value, or
+            of its unit.
     """
 
     name: str
@@ -96,7 +95,7 @@ class Variable:
 
     @property
     def boolean(self) -> bool:
-        """Whether it is a truth value."""
+        """Whether it is a Boolean."""
         return self.kind == "boolean"
 
     @property
@@ -111,14 +110,14 @@ class Variable:
 
     @property
     def meaning(self) -> str:
-        """The description, of an enumeration with its codes."""
+        """The description, for an enumeration with its codes."""
         if isinstance(self.kind, Enumeration):
             return f"{self.description}: {self.kind.legend}"
         return self.description
 
     @property
     def start_text(self) -> str:
-        """Its start value as people write it."""
+        """Its start value in printed form."""
         if isinstance(self.kind, Enumeration):
             return self.kind.items[int(self.start)]
         if self.boolean:
@@ -127,7 +126,7 @@ class Variable:
 
     @classmethod
     def from_row(cls, row: Mapping[str, Any]) -> "Variable":
-        """One that `dataclasses.asdict` took apart, perhaps by way of JSON."""
+        """Variable from the result of `dataclasses.asdict`, perhaps by way of JSON."""
         kind = row["kind"]
         if isinstance(kind, Mapping):
             kind = Enumeration(kind["name"], tuple(kind["items"]))
@@ -135,7 +134,7 @@ class Variable:
 
 
 def unknown_name(owner: str, kind: str, name: str, known: Iterable[str]) -> str:
-    """Text of the error for a misspelt name, with the nearest known one."""
+    """Error text for an unknown name, with the nearest known one."""
     known = sorted(known)
     near = get_close_matches(name, known, n=1, cutoff=0.5)
     hint = f"Did you mean {near[0]!r}?" if near else f"Known: {', '.join(known)}."
@@ -143,7 +142,7 @@ def unknown_name(owner: str, kind: str, name: str, known: Iterable[str]) -> str:
 
 
 def check_range(owner: str, variable: Variable, value: float) -> None:
-    """Raise `ModelError` if the value is not finite, outside the range or not of the kind."""
+    """Raise `ModelError` if the value is not finite, outside the range or of another kind."""
     low, high = variable.minimum, variable.maximum
     if not np.isfinite(value):
         raise ModelError(f"{owner}: {variable.name} = {value} must be a finite number.")
@@ -161,7 +160,7 @@ def check_range(owner: str, variable: Variable, value: float) -> None:
 
 
 def check_starts(owner: str, settable: Iterable[Variable], starts: Mapping[str, float]) -> None:
-    """Raise `ModelError` if a start value is of none of the variables, or outside its range."""
+    """Raise `ModelError` if a start value belongs to no variable, or is outside its range."""
     known = {v.name: v for v in settable}
     for name, value in starts.items():
         if name not in known:
@@ -171,7 +170,7 @@ def check_starts(owner: str, settable: Iterable[Variable], starts: Mapping[str, 
 
 Array = NDArray[np.float64]
 CHANNELS_PER_BLOCK = 4
-"""One Philox block gives four 64-bit words."""
+"""Number of channels per Philox block of four 64-bit words."""
 
 _A = (
     3.3871328727963666080,
@@ -237,17 +236,18 @@ _LN2 = 0.6931471805599453  # natural logarithm of 2
 
 
 def normal(seed: int, stream: int, channels: int, first: int, count: int) -> Array:
-    """Standard normal draws of a sensor.
+    """Standard normal draws of a component's channels.
 
     Args:
         seed: Any integer from 0 to 2^63 - 1.
-        stream: Number of the sensor, below 2^32: sensors with one seed draw different numbers.
-        channels: Channels of the sensor.
+        stream: Number of the component, below 2^32: components with one seed draw different
+            numbers.
+        channels: Number of channels of the component.
         first: Counter of the first draw, >= 0.
         count: Draws per channel.
 
     Returns:
-        Shape (count, channels); row i belongs to counter `first + i`.
+        Draws, shape (count, channels); row i belongs to counter `first + i`.
     """
     blocks = -(-channels // CHANNELS_PER_BLOCK)
     words = [_words(seed, (stream << 32) | block, first, count) for block in range(blocks)]
@@ -255,7 +255,7 @@ def normal(seed: int, stream: int, channels: int, first: int, count: int) -> Arr
 
 
 def _words(seed: int, second_key: int, first: int, count: int) -> NDArray[np.uint64]:
-    # NumPy counts up before it draws, so counter k of ours is block k + 1 of the generator.
+    # NumPy increments before it draws, so counter k here is block k + 1 of the generator.
     generator = np.random.Philox(
         key=np.array([seed, second_key], dtype=np.uint64),
         counter=np.array([first, 0, 0, 0], dtype=np.uint64),
@@ -291,7 +291,7 @@ def _horner(x: Array, coefficients: tuple[float, ...]) -> Array:
 
 
 def _log(x: Array) -> Array:
-    """Natural logarithm by + - * / alone: the platform's own differs in the last bit.
+    """Natural logarithm by + - * / only: the platform's own differs in the last bit.
 
     log(m 2^e) = 2 atanh((m - 1) / (m + 1)) + e log 2 with m in [sqrt(1/2), sqrt(2)).
     """
@@ -316,17 +316,18 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Shortcut:
-    """Step, outputs and update with some equations left out, exact while they would come to zero.
+    """Step, outputs and update without some equations, exact while these would have no effect.
 
     Attributes:
-        holds: `(x, p, h) -> 0 or 1`: whether the cheap ones are as good over the next h seconds;
-            h = 0 for the outputs.
-        step: `(x, u, p, h) -> x`, the same numbers as the full step then.
-        outputs: `(x, u, p) -> y`, the same numbers as the full outputs then.
-        update: `(x, u, p, w, d) -> x`, the same numbers as the full update then, h = 0; None: the
+        holds: `(x, p, h) -> 0 or 1`: whether the shortcut is exact over the next h seconds; h = 0
+            for the outputs.
+        step: `(x, u, p, h) -> x`, equal to the full step while the shortcut is exact.
+        outputs: `(x, u, p) -> y`, equal to the full outputs while the shortcut is exact.
+        update: `(x, u, p, w, d) -> x`, equal to the full update while it is exact, h = 0; None: the
             component is not sampled.
-        signals: `(x, u, p) -> s`, the same numbers as the full signals then, h = 0; None likewise.
-        derivatives: `(x, u, p) -> dx/dt`, the same numbers as the full ones then, h = 0.
+        signals: `(x, u, p) -> s`, equal to the full signals while it is exact, h = 0; None: not
+            sampled.
+        derivatives: `(x, u, p) -> dx/dt`, equal to the full ones while it is exact, h = 0.
     """
 
     holds: ca.Function = field(repr=False)
@@ -339,10 +340,11 @@ class Shortcut:
 
 @dataclass(frozen=True, slots=True)
 class DelayLine:
-    """A signal remembered over its last sample instants.
+    """Stored values of a signal at its last sample instants.
 
     Attributes:
-        samples: How many, the present one among them: the longest delay is samples - 1 periods.
+        samples: Number of stored values, including the present one: the longest delay is samples -
+            1 periods.
     """
 
     name: str
@@ -351,17 +353,19 @@ class DelayLine:
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """What a component does at its sample instants: signals enter the lines, then it updates.
+    """Evaluation at sample instants: signals enter the delay lines, then the update follows.
 
     Attributes:
         period: Name of the parameter that holds T, s.
-        seed: Name of the parameter that seeds the noise; None without noise.
+        seed: Name of the parameter with the seed of the noise; None without noise.
         channels: Number of standard normal draws per instant.
-        sizes: `p -> sd`, by what each is multiplied; a draw without size is left out, at 0.
-        stream: Tells the draws of this component from those of others with the same seed.
+        sizes: `p -> sd`, standard deviation of each channel; a channel with 0 is not drawn, its
+            value is 0.
+        stream: Number that separates the draws of this component from those of others with the same
+            seed.
         lines: Delay lines.
-        signals: `(x, u, p) -> s`, what enters each line.
-        delays: `p -> s`, how far each line is looked back.
+        signals: `(x, u, p) -> s`, input of each line.
+        delays: `p -> s`, delay of each line.
         update: `(x, u, p, w, d) -> x` with the delayed signals d.
     """
 
@@ -378,14 +382,15 @@ class Sampling:
 
 @dataclass(frozen=True, slots=True)
 class Continuous:
-    """What a solver outside needs that chooses its own steps, as in model exchange.
+    """Functions for an external solver with variable steps, as in model exchange.
 
     Attributes:
-        states: Places of the integrated states among all; the others are memory.
-        project: `x -> x`, onto the states that can be, such as a quaternion's unit length.
-        crossings: `(x, u, p) -> z`: where one of these changes sign, the derivatives may jump.
+        states: Indices of the integrated states among all; the others are memory.
+        project: `x -> x`, projection onto valid states, such as a quaternion's unit length.
+        crossings: `(x, u, p) -> z`: the derivatives may be discontinuous where one of these changes
+            sign.
         crossing_names: Name, unit and description of each.
-        rests: `p -> 0 or 1`: whether what happens at sample instants is felt by nothing.
+        rests: `p -> 0 or 1`: whether sample instants have no effect.
     """
 
     states: tuple[int, ...]
@@ -402,12 +407,12 @@ class Component:
     Attributes:
         initial: `(u, p) -> x`.
         derivatives: `(x, u, p) -> dx/dt`.
-        step: `(x, u, p, h) -> x` one RK4 step of h seconds, projection included.
+        step: `(x, u, p, h) -> x`, one RK4 step of h seconds, projection included.
         outputs: `(x, u, p) -> y`.
-        sampling: What happens at sample instants; None: nothing does.
-        shortcuts: Cheaper ways to the same numbers, tried in this order.
+        sampling: Evaluation at sample instants; None: there are none.
+        shortcuts: Cheaper functions with equal results, tried in this order.
         max_step_s: Longest RK4 step; longer communication steps are divided into equal parts.
-        continuous: For solvers that choose their own steps; None: it has been left out.
+        continuous: Functions for solvers with variable steps; None: omitted.
 
     The CasADi functions take columns; a matrix with one column per sample is a batch.
     """
@@ -429,7 +434,8 @@ class Component:
 
     @property
     def for_solvers(self) -> bool:
-        """Whether a solver outside may integrate it: it says where its derivatives jump."""
+        """Whether an external solver may integrate it: discontinuities of its derivatives are
+        declared."""
         return self.continuous is not None and bool(self.continuous.crossing_names)
 
     def __repr__(self) -> str:
@@ -458,7 +464,7 @@ class Component:
         return tuple(v.name for v in self.output_variables)
 
     def parameter_values(self, changes: Mapping[str, float] | None = None) -> Array:
-        """Start values of the parameters, some of them changed; shape (n_p,).
+        """Start values of the parameters, with changes; shape (n_p,).
 
         Raises:
             ModelError: A name is not a parameter, or a value is outside its range.
@@ -466,7 +472,7 @@ class Component:
         return _values(self.name, self.parameters, changes or {})
 
     def input_values(self, changes: Mapping[str, float] | None = None) -> Array:
-        """Start values of the inputs, some of them changed; shape (n_u,)."""
+        """Start values of the inputs, with changes; shape (n_u,)."""
         return _values(self.name, self.inputs, changes or {})
 
     def outputs_along(
@@ -475,15 +481,15 @@ class Component:
         """Outputs at each of n rows, shape (n, n_y).
 
         Args:
-            states: Shape (n, n_x).
-            inputs: Shape (n, n_u).
+            states: States, shape (n, n_x).
+            inputs: Inputs, shape (n, n_u).
             changes: Parameters that differ from their start values.
         """
         p = self.parameter_values(changes)
         return mapped(self.outputs, states, inputs, np.broadcast_to(p, (len(states), len(p))))
 
     def with_starts(self, starts: Mapping[str, float]) -> "Component":
-        """The same equations with other start values of parameters or inputs.
+        """The component with other start values of parameters or inputs.
 
         Raises:
             ModelError: A name is neither, or a value is outside its range.
@@ -506,7 +512,7 @@ class Component:
 
 
 class Run:
-    """One simulation of a component in Python, step for step what its FMU does.
+    """One simulation of a component in Python, equal step by step to its FMU.
 
     Attributes:
         x: State, shape (n_x,).
@@ -521,7 +527,7 @@ class Run:
         self._sample(u)
 
     def step(self, time_s: float, step_s: float, u: Array) -> None:
-        """One communication step from a time on, with the inputs held."""
+        """One communication step from a given time, with the inputs held."""
         sampling, left_s = self.component.sampling, step_s
         if sampling is None:
             self.x = self.component.advance(self.x, u, self.p, step_s)
@@ -546,12 +552,12 @@ class Run:
         return np.asarray(self.component.outputs(self.x, u, self.p), dtype=np.float64).ravel()
 
     def saved(self) -> Array:
-        """All of it as one array, from which `restored` goes on to the last bit."""
+        """The complete state of the run as one array, from which `restored` continues exactly."""
         return np.concatenate([[self._start_s, self._count], self.x, *self._records])
 
     @classmethod
     def restored(cls, component: Component, p: Array, saved: Array) -> "Run":
-        """The run of a component with these parameters that was `saved`."""
+        """The run of a component with these parameters from the result of `saved`."""
         run = cls.__new__(cls)
         run.component, run.p = component, p
         (start_s, count), run.x, *records = np.split(saved, np.cumsum(cls._sizes(component))[:-1])
@@ -560,7 +566,7 @@ class Run:
 
     @staticmethod
     def saved_size(component: Component) -> int:
-        """Length of what `saved` returns."""
+        """Length of the result of `saved`."""
         return sum(Run._sizes(component))
 
     @staticmethod
@@ -581,10 +587,9 @@ class Run:
         self.x = np.asarray(sampling.update(self.x, u, self.p, w, d), dtype=np.float64).ravel()
 
     def _look_back(self, sampling: Sampling, u: Array) -> Array:
-        """Remember the signals of this instant and return each at its delay before.
+        """Store the signals of this instant and return each with its delay.
 
-        Sample j of a line is at j modulo its length; before the first one a signal counts as having
-        always had that value.
+        Sample j of a line is at j modulo its length; before the first one a signal is constant.
         """
         signals = np.asarray(sampling.signals(self.x, u, self.p), dtype=np.float64).ravel()
         delays_s = np.asarray(sampling.delays(self.p), dtype=np.float64).ravel()
@@ -602,7 +607,7 @@ class Run:
                 )
             periods = min(periods, n - 1.0)
             back = int(periods)
-            record = record.copy()  # so that a copy of the run has its own
+            record = record.copy()  # a copy of the run needs its own
             record[k % n] = signal
             after, before = (record[max(k - j, 0) % n] for j in (back, back + 1))
             delayed.append(after + (periods - back) * (before - after))
@@ -616,8 +621,8 @@ class Run:
 
 
 SAMPLE_TOLERANCE = 1e-6
-"""A sample instant that many periods from the end of a step lies at its end: communication points
-carry rounding errors."""
+"""Distance of a sample instant from the end of a step, in periods, below which it is at the end:
+communication points have rounding errors."""
 
 
 def substeps(duration_s: float, max_step_s: float) -> tuple[int, float]:

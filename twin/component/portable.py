@@ -1,8 +1,8 @@
-"""Functions that give the same bits on every platform, as CasADi expressions.
+"""Functions with identical bits on every platform, as CasADi expressions.
 
-The C library's sin, exp or pow differ in the last bit between platforms, and so would two FMUs
-of one component. Those here use + - * / sqrt and floor alone, which IEEE 754 rounds the same way
-everywhere. `tests/twin/component/test_portable.py` measures their accuracy.
+The C library's sin, exp or pow differ in the last bit between platforms, and so would two FMUs of
+one component. The functions here use only + - * / sqrt and floor, which IEEE 754 rounds the same
+way everywhere. `tests/twin/component/test_portable.py` measures their accuracy.
 """
 
 from math import factorial
@@ -10,10 +10,10 @@ from math import factorial
 import casadi as ca
 
 _QUARTER_TURN_HIGH = float.fromhex("0x1.921fb544p+0")
-"""The first 33 bits of pi / 2: times a whole number below 2^20 it is exact."""
+"""The first 33 bits of pi / 2: times an integer below 2^20 it is exact."""
 _QUARTER_TURN_LOW = float.fromhex("0x1.0b4611a626331p-34")  # the rest of pi / 2, the next 53 bits
-_SQUARINGS = 6  # exp(x) = exp(x / 2^6)^(2^6): the series sees less than 1/2
-_TINY = 1e-150  # stands for a sine of 0 in a division; its square is no subnormal
+_SQUARINGS = 6  # exp(x) = exp(x / 2^6)^(2^6): the argument of the series is below 1/2
+_TINY = 1e-150  # replaces a sine of 0 in a division; its square is no subnormal
 
 
 def sine(x: ca.SX) -> ca.SX:
@@ -61,7 +61,7 @@ def binomial_power(x: ca.SX, exponent: float) -> ca.SX:
 
 
 def _reduced(x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Sine and cosine of the rest after whole quarter turns, and their number modulo 4.
+    """Sine and cosine of the remainder after quarter turns, and their number modulo 4.
 
     Source: Cody & Waite, Software Manual for the Elementary Functions, 1980, ch. 8.
     """

@@ -1,9 +1,9 @@
-"""A CasADi function over the rows of arrays: its instructions, each over all rows at once.
+"""Evaluation of a CasADi function over the rows of arrays: each instruction over all rows at once.
 
-CasADi's own `map` walks through all instructions row by row; numpy takes a column of rows per
-instruction, which is several times faster and needs no setting up per number of rows.
+CasADi's own `map` executes all instructions row by row; numpy takes a column of rows per
+instruction, which is several times faster and needs no set-up per number of rows.
 
-`noiseless_outputs` evaluates a sensor on a whole record at once, with the noise left out.
+`noiseless_outputs` evaluates a sensor on a whole record at once, without noise.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +18,7 @@ from .component import Component
 
 Array = NDArray[np.float64]
 CHUNK = 4096
-"""Rows at a time: what an instruction reads and writes then stays in the processor's cache."""
+"""Rows at a time: operands of an instruction then stay in the processor's cache."""
 
 _NUMPY: dict[int, Callable[..., Any]] = {
     ca.OP_ASSIGN: lambda a: a,
@@ -75,18 +75,18 @@ _Step = tuple[Callable[..., Any], int, tuple[int, ...]]
 class OverRows:
     """Evaluates a function once per row.
 
-    Values are those of CasADi to a few units in the last place: numpy has its own sine.
+    Values agree with CasADi to a few units in the last place: numpy has its own sine.
     """
 
     def __init__(self, function: ca.Function, rows: int) -> None:
-        """Take a function.
+        """Set up for a function.
 
         Args:
-            function: Of dense columns; its first output is dense, others are left out.
-            rows: How many of its arguments, the first ones, differ from row to row.
+            function: Function of dense columns; its first output is dense, others are not used.
+            rows: Number of arguments, the first ones, that differ from row to row.
 
         Raises:
-            NotImplementedError: The function has an instruction that numpy has no word for.
+            NotImplementedError: The function has an instruction without an equivalent in numpy.
         """
         function = function.expand()
         self._rows, self._size = rows, function.numel_out(0)
@@ -98,13 +98,14 @@ class OverRows:
         ]
 
     def __call__(self, *arguments: Array) -> Array:
-        """Its first output, shape (n, size), in Fortran's order.
+        """First output, shape (n, size), in Fortran order.
 
         Args:
-            arguments: Shape (n, size) each those that differ, shape (size,) each the others.
+            arguments: Arguments, shape (n, size) each for those that differ, shape (size,) each for
+                the others.
         """
         n = len(arguments[0])
-        result = np.zeros((self._size, n))  # rows that stay 0 take no memory
+        result = np.zeros((self._size, n))  # rows of zeros take no memory
         same = arguments[self._rows :]
         with np.errstate(all="ignore"):
             for first in range(0, n, CHUNK):
@@ -127,12 +128,12 @@ class OverRows:
 
 
 def _columns(rows: Array) -> Array:
-    """The transpose, each row of it in one piece of memory."""
+    """The transpose, with contiguous rows."""
     return rows.T if rows.strides[0] == rows.itemsize else np.ascontiguousarray(rows.T)
 
 
 def _step(function: ca.Function, k: int) -> _Step | None:
-    """One instruction: what it does, the place it fills, the places it reads."""
+    """One instruction: operation, index of its result, indices of its operands."""
     op, given = function.instruction_id(k), tuple(function.instruction_input(k))
     out = function.instruction_output(k)
     if op == ca.OP_INPUT:
@@ -150,30 +151,29 @@ def _step(function: ca.Function, k: int) -> _Step | None:
 
 
 def _load() -> None:
-    """Mark of an instruction that reads an argument."""
+    """Marker of an instruction that reads an argument."""
 
 
 def _store() -> None:
-    """Mark of an instruction that writes the result."""
+    """Marker of an instruction that writes the result."""
 
 
 def noiseless_outputs(
     component: Component, u: Array, step_s: float, parameters: Mapping[str, float] | None = None
 ) -> Array:
-    """Outputs of a sampled component on a uniform grid, every random draw zero.
+    """Outputs of a sampled component on a uniform grid, with all random draws zero.
 
-    Sample instants fall on the grid points. What enters a delay line may depend on inputs and
-    continuous states, not on memory: so it is in all sensors of `twin`.
+    Sample instants are the grid points. Inputs of a delay line may depend on inputs and continuous
+    states, not on memory, as in all sensors of `twin`.
 
     Args:
-        component: A sensor.
+        component: Component of a sensor.
         u: Inputs at the grid points, shape (n, n_u).
         step_s: Step of the grid.
-        parameters: Parameters that differ from their start values; the sample period does not
-            count.
+        parameters: Parameters that differ from their start values; the sample period is ignored.
 
     Returns:
-        Shape (n, n_y).
+        Outputs, shape (n, n_y).
     """
     sampling = component.sampling
     assert sampling is not None, component.name

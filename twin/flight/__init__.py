@@ -1,1 +1,1 @@
-"""Flights of the twin: controllers, missions, the closed loop, and records of simulated flights."""
+"""Simulated flights: controllers, missions, the closed loop, and records of such flights."""

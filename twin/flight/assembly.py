@@ -1,4 +1,4 @@
-"""The whole twin: components of one vehicle, and who feeds whom.
+"""The whole twin: components of one vehicle, and their connections.
 
 One definition serves the fused FMU, the `.ssp` with one FMU per part, and the scenarios.
 """
@@ -28,17 +28,17 @@ from .mission import mission, mission_duration_s
 from .px4 import px4_controller
 
 DRIVEN_S = 10.0
-"""How long a twin that somebody else drives runs where nobody says."""
+"""Default duration of a driven twin, s."""
 CONTROLLERS: dict[str, Callable[[Vehicle], Component]] = {
     "lqr": controller,
     "px4": px4_controller,
 }
-"""Flight controllers by the name a user gives."""
+"""Flight controllers by name."""
 
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """What a component is made with, apart from the vehicle.
+    """Options of a component in addition to the vehicle.
 
     Attributes:
         effects: Effects to build in, switched off, as blocks of parameters: identifiers of
@@ -66,7 +66,7 @@ def _controller(make: Callable[[Vehicle], Component]) -> Maker:
 
 
 SENSED = (*components_of_sensors(), "position")
-"""Components that are sensors, by name."""
+"""Names of the components that are sensors."""
 COMPONENTS: Mapping[str, Maker] = {
     "airframe": lambda v, c: airframe(v, c.drive, c.effects),
     **{name: _sensor(make) for name, make in components_of_sensors().items()},
@@ -79,17 +79,17 @@ COMPONENTS: Mapping[str, Maker] = {
         for name, make in CONTROLLERS.items()
     },
 }
-"""Every component of the twin by its name: what is exported, assembled and documented."""
+"""Every component of the twin by its name, for export, assembly and documentation."""
 
 
 @dataclass(frozen=True, slots=True)
 class Assembly:
-    """Components stepped together.
+    """Connected components of a co-simulation.
 
     Attributes:
-        parts: By name.
+        parts: Components by name.
         connections: ("part.output", "part.input") pairs.
-        duration_s: How long it is worth watching.
+        duration_s: Default duration of a simulation.
     """
 
     parts: Mapping[str, Component]
@@ -99,7 +99,7 @@ class Assembly:
     __repr__ = short_repr
 
     def with_starts(self, starts: Mapping[str, float]) -> "Assembly":
-        """The same with other start values, "part.variable" -> value.
+        """The assembly with other start values, "part.variable" -> value.
 
         Raises:
             ModelError: There is no such part or variable, or a value is outside its range.
@@ -113,7 +113,7 @@ class Assembly:
         return replace(self, parts=parts)
 
     def seed_starts(self, seed: int) -> dict[str, float]:
-        """Start values that give a seed to every part that draws noise."""
+        """Start values with a seed for every part that draws noise."""
         return {
             f"{name}.seed": float(seed)
             for name, part in self.parts.items()
@@ -130,9 +130,9 @@ def wind_starts(wind_m_s: Iterable[float], gusts: bool = False) -> dict[str, flo
 def responds_to_wind(twin: Assembly) -> bool:
     """Whether the motion of any part depends on the velocity of the air.
 
-    Drag, flapping or inflow may be zero in the vehicle's file: then no wind changes a bit. The
-    derivatives are compared with and without wind at random states, which a dependence that is not
-    identically zero passes with probability 1.
+    Drag, flapping or inflow may be zero in the vehicle's file: then wind has no effect at all. The
+    derivatives are compared with and without wind at random states, which detects any dependence
+    that is not identically zero with probability 1.
     """
     rng = np.random.default_rng(0)
     for part in twin.parts.values():
@@ -149,7 +149,7 @@ def responds_to_wind(twin: Assembly) -> bool:
 
 
 def gust_switches(on: bool) -> dict[str, float]:
-    """Start values that let the air of an assembly gust, or keep it steady."""
+    """Start values that enable or disable gusts in an assembly."""
     blown = (e for e in EFFECTS.values() if isinstance(e.observable_as, RandomForce))
     return {f"{e.component}.{e.name}.enabled": float(on) for e in blown}
 
@@ -162,17 +162,17 @@ def flying_twin(
     law: ForceLaw | None = None,
     position: Kind = "gnss",
 ) -> Assembly:
-    """A vehicle with its sensors that flies a mission from standing on the ground.
+    """A vehicle with its sensors that flies a mission, starting on the ground.
 
-    The controller reads the true motion; the sensors are there to be recorded.
+    The controller reads the true motion; the sensors are only recorded.
 
     Args:
         vehicle: Numbers of the aircraft, and the effects that are switched on.
         scenario: Name of the mission.
-        control: Name of the controller, of `CONTROLLERS`.
+        control: Name of the controller in `CONTROLLERS`.
         effects: Effects to build in, switched off, as blocks of parameters; None: `effects_for`
             the vehicle.
-        law: Of what its equations leave of force and moment; None: nothing is known of it.
+        law: Residual force and moment of its equations; None: no law is known.
         position: Kind of position sensor.
 
     Raises:
@@ -201,22 +201,22 @@ def driven_twin(
     position: Kind = "gnss",
     accuracy: Component | None = None,
 ) -> Assembly:
-    """A vehicle with its sensors whose rotors somebody else drives, as a log does.
+    """A vehicle with its sensors whose rotor inputs are external, as from a log.
 
-    It stands on the ground at first. Commands or rotor speeds and the battery voltage are inputs,
-    and so are those by which `twin.physics.airframe.airframe` sets its motion again.
+    It starts on the ground. Commands or rotor speeds and the battery voltage are inputs, and so are
+    those by which `twin.physics.airframe.airframe` resets its motion.
 
     Args:
         vehicle: Numbers of the aircraft, and the effects that are switched on.
-        drive: What drives the rotors.
+        drive: Kind of the rotor inputs.
         effects: Effects to build in, switched off, as blocks of parameters; None: `effects_for`
             the vehicle.
-        law: Of what its equations leave of force and moment; None: nothing is known of it.
+        law: Residual force and moment of its equations; None: no law is known.
         position: Kind of position sensor.
-        accuracy: Of `twin.physics.accuracy`, to be beside it; None: without.
+        accuracy: Component from `twin.physics.accuracy` to include; None: without.
 
     Raises:
-        ModelError: The vehicle's maps do not allow this drive.
+        ModelError: The vehicle's maps do not allow this input.
     """
     choices = Choices(effects_for(vehicle) if effects is None else tuple(effects), drive, position)
     body = airframe(vehicle, drive, choices.effects, restart=True, voltage=law is not None)
@@ -229,7 +229,7 @@ def driven_twin(
 def _aircraft(
     vehicle: Vehicle, body: Component, choices: Choices, law: ForceLaw | None
 ) -> dict[str, Component]:
-    """The air, an airframe that stands in it, what acts on it beyond its equations, its sensors."""
+    """The air, an airframe on the ground, the residual force, and the sensors."""
     beyond = {} if law is None else {"residual_force": residual_force(vehicle, law)}
     return {
         "environment": COMPONENTS["environment"](vehicle, choices),
@@ -240,7 +240,7 @@ def _aircraft(
 
 
 class Ports(Protocol):
-    """What has inputs and outputs with names: a component, the model of an FMU."""
+    """Object with named inputs and outputs: a component, the model of an FMU."""
 
     @property
     def input_names(self) -> tuple[str, ...]:
@@ -252,10 +252,10 @@ class Ports(Protocol):
 
 
 def connected_by_name(parts: Mapping[str, Ports]) -> tuple[tuple[str, str], ...]:
-    """Each input fed by the one other part that has an output of its name, if there is one.
+    """Connections of each input to the one other part with an output of its name, if there is one.
 
     Raises:
-        ModelError: Two parts have an output of the name of an input.
+        ModelError: Two parts have an output with the name of an input.
     """
     giver: dict[str, str] = {}
     wanted = {name for part in parts.values() for name in part.input_names}

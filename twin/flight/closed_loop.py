@@ -1,10 +1,11 @@
-"""A vehicle, its controller and a mission flown together in Python, without FMUs.
+"""Closed-loop simulation of vehicle, controller and mission in Python, without FMUs.
 
 All steps run inside one CasADi function, so a minute of flight takes seconds. Each step is that of
-a Jacobi co-simulation in which the controller answers at once: outputs of the airframe, then the
-controller's, then both advance with their inputs held.
+a Jacobi co-simulation in which the controller answers without delay: outputs of the airframe, then
+the controller's, then both advance with their inputs held.
 
-`fly_missions` flies every mission with a vehicle to which effects were added: does it still fly?
+`fly_missions` flies every mission with a vehicle to which effects were added, and reports whether
+it remains stable.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -28,15 +29,15 @@ from .mission import PHASES, mission, mission_duration_s, mission_names
 
 Array = NDArray[np.float64]
 STEP_S = 1e-3
-"""Of the loop, s: that of the co-simulation."""
+"""Step of the loop, s: that of the co-simulation."""
 SETPOINTS = (
     *(f"setpoint_{kind}_{a}" for kind in ("pos", "vel", "acc") for a in AXES),
     "setpoint_yaw",
     "armed",
 )
-"""Inputs of a controller that a mission gives, in order."""
+"""Inputs of a controller that a mission provides, in order."""
 AT_BOUND = 1e-6
-"""A command that close to a bound is at it."""
+"""Distance of a command from a bound below which it is at the bound."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +45,10 @@ class Trajectory:
     """A closed-loop flight, one row per step.
 
     Attributes:
-        t_s: Shape (n,).
-        states: Of the airframe, shape (n, n_x).
-        inputs: Of the airframe, shape (n, n_u).
-        setpoints: In the order of `SETPOINTS`, shape (n, 11).
+        t_s: Times, shape (n,).
+        states: States of the airframe, shape (n, n_x).
+        inputs: Inputs of the airframe, shape (n, n_u).
+        setpoints: Setpoints in the order of `SETPOINTS`, shape (n, 11).
         phase: Codes of `mission.PHASES`, shape (n,).
         body: The airframe that flew.
         bounds: Lower and upper bound of the rotor inputs.
@@ -75,7 +76,7 @@ class Trajectory:
 
     @property
     def flying(self) -> NDArray[np.bool_]:
-        """Where the mission is off the ground, shape (n,)."""
+        """Whether the mission is off the ground, shape (n,)."""
         return np.asarray(self.phase != PHASES["ground"])
 
     @property
@@ -86,7 +87,7 @@ class Trajectory:
 
     @property
     def saturated_s(self) -> float:
-        """Longest time that any one rotor spends at a bound while flying."""
+        """Longest time of any one rotor at a bound while flying."""
         low, high = self.bounds
         at = (self.drives <= low + AT_BOUND) | (self.drives >= high - AT_BOUND)
         at &= self.flying[:, None]
@@ -108,26 +109,26 @@ def closed_loop(
     plant: Vehicle | None = None,
     control: Component | None = None,
 ) -> Trajectory:
-    """Fly a mission from standing on the ground to its end.
+    """Fly a mission from the ground to its end.
 
     Args:
-        vehicle: What the controller is designed for.
-        name: Of the mission.
+        vehicle: Vehicle for which the controller is designed.
+        name: Name of the mission.
         wind_m_s: Steady wind, NED.
-        plant: What really flies; default: the vehicle.
-        control: Another controller than `controller(vehicle)`.
+        plant: Vehicle that flies; default: the same vehicle.
+        control: Controller in place of `controller(vehicle)`.
     """
     return ClosedLoop(vehicle, wind_m_s, plant, control).fly(name)
 
 
 class ClosedLoop:
-    """A vehicle with its controller, made once for all that it flies.
+    """A vehicle with its controller, built once for several missions.
 
     Args:
-        vehicle: What the controller is designed for.
+        vehicle: Vehicle for which the controller is designed.
         wind_m_s: Steady wind, NED.
-        plant: What really flies; default: the vehicle.
-        control: Another controller than `controller(vehicle)`.
+        plant: Vehicle that flies; default: the same vehicle.
+        control: Controller in place of `controller(vehicle)`.
     """
 
     def __init__(
@@ -146,7 +147,7 @@ class ClosedLoop:
         self._steps = _Steps(self._body, control or controller(vehicle), course)
 
     def fly(self, name: str) -> Trajectory:
-        """A mission from standing on the ground to its end."""
+        """Fly a mission from the ground to its end."""
         plan = mission(self._vehicle, name)
         t_s = STEP_S * np.arange(round(mission_duration_s(name) / STEP_S), dtype=np.float64)
         rows = plan.outputs_along(t_s[:, None], np.zeros((len(t_s), 0)))
@@ -157,11 +158,11 @@ class ClosedLoop:
 
 
 def standing(body: Component, vehicle: Vehicle) -> dict[str, float]:
-    """Start values of an airframe that stands on the ground with its rotors at rest.
+    """Start values of an airframe on the ground with its rotors at rest.
 
     Args:
         body: The airframe.
-        vehicle: Which it is of.
+        vehicle: Vehicle of the airframe.
     """
     known = [v.name for v in body.parameters]
     rest = {n: 0.0 for n in known if n.startswith(("initial.rotor_", "initial.effort_"))}
@@ -175,15 +176,16 @@ def fly(
     held: Mapping[str, float] | None = None,
     courses: Mapping[str, Array] | None = None,
 ) -> tuple[Array, Array]:
-    """Fly setpoints at one per `STEP_S`, from the airframe's own start.
+    """Fly setpoints, one per `STEP_S`, from the airframe's start values.
 
     Args:
-        body: Airframe.
-        control: Controller; a sampled one must have a period of a whole number of steps.
-        setpoints: In the order of `SETPOINTS`, shape (n, 11).
+        body: Component of the airframe.
+        control: Component of the controller; a sampled one must have a period of an integer number
+            of steps.
+        setpoints: Setpoints in the order of `SETPOINTS`, shape (n, 11).
         held: Other inputs of the airframe, such as the wind.
-        courses: Inputs and parameters of the airframe that change in flight, by name, one value
-            per step, shape (n,); a delay of its memory does not.
+        courses: Inputs and parameters of the airframe that change in flight, by name, one value per
+            step, shape (n,); a delay of its memory may not change.
 
     Returns:
         States before each step, shape (n, n_x), and the inputs over it, shape (n, n_u).
@@ -193,7 +195,7 @@ def fly(
 
 
 class _Steps:
-    """Steps of an airframe, its controller and what both remember, in one function."""
+    """Steps of an airframe and its controller with their memories, in one function."""
 
     def __init__(self, body: Component, control: Component, course: "_Course") -> None:
         self._body, self._control, self._course = body, control, course
@@ -219,11 +221,11 @@ class _Steps:
         self._step = ca.Function("closed_loop", rows, [once[:n], once[n:]])
 
     def along(self, setpoints: Array, rows: Array) -> tuple[Array, Array]:
-        """States before each step and inputs over it, as `fly` returns them.
+        """States before each step and inputs during it, as `fly` returns them.
 
         Args:
-            setpoints: Shape (n, 11).
-            rows: Of the course, shape (n, k).
+            setpoints: Setpoints, shape (n, 11).
+            rows: Rows of the course, shape (n, k).
         """
         body, control, line = self._body, self._control, self._line
         u_start, p_start = self._course.started()
@@ -239,13 +241,13 @@ class _Steps:
 
 
 class _Course:
-    """Inputs and parameters of an airframe, those that change in flight as symbols.
+    """Inputs and parameters of an airframe; those that change in flight are symbols.
 
     Attributes:
-        u: All inputs that nobody else gives.
+        u: All inputs that are not computed by the loop.
         p: All parameters.
-        now: Symbols of what changes.
-        rows: Their values, shape (n, k).
+        now: Symbols of the changing ones.
+        rows: Values of the changing ones, shape (n, k).
     """
 
     def __init__(
@@ -278,12 +280,12 @@ class _Course:
 
 
 class _Memory:
-    """What an airframe does at its sample instants, one per step; its delay lines are a state.
+    """Updates of an airframe at its sample instants, one per step; its delay lines are a state.
 
-    Each line holds its last samples, the newest first, and looks back between the last two.
+    Each line stores its last samples, the newest first, and interpolates between two of them.
 
     Attributes:
-        size: Samples of all lines.
+        size: Number of samples of all lines.
     """
 
     def __init__(self, body: Component) -> None:
@@ -297,7 +299,7 @@ class _Memory:
         self.size = sum(int(k) + 2 for k in self._back)
 
     def sampled(self, x: ca.SX, u: ca.SX, past: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """State after a sample instant, and what is remembered from it on."""
+        """State after a sample instant, and the memory from then on."""
         if self._sampling is None:
             return x, past
         signals = self._sampling.signals(x, u, p)
@@ -313,7 +315,7 @@ class _Memory:
         return after, ca.vertcat(*lines)
 
     def begun(self, x: ca.DM, u: ca.DM) -> tuple[list[ca.DM], ca.DM]:
-        """State and memory after the first sample instant: signals count as having been so."""
+        """State and memory after the first sample instant: earlier signals equal the first ones."""
         if self._sampling is None:
             return [x], ca.DM(0, 1)
         signals = self._sampling.signals(x, u, self._p)
@@ -323,7 +325,7 @@ class _Memory:
 
 
 def _every(control: Component) -> int:
-    """Steps between two sample instants of a controller."""
+    """Number of steps between two sample instants of a controller."""
     if control.sampling is None:
         return 1
     values = dict(
@@ -340,9 +342,9 @@ def _every(control: Component) -> int:
 
 
 STEEPEST_RAD = np.radians(75.0)
-"""Tilt beyond which a vehicle no longer flies its mission. Made up."""
+"""Tilt beyond which a vehicle is lost. Made up."""
 FARTHEST_ARMS, FARTHEST_M = 10.0, 0.5
-"""Off the setpoint by more than so many rotor arms, and so many metres, is lost."""
+"""Distance from the setpoint, in rotor arms and in metres, beyond which a vehicle is lost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -350,10 +352,10 @@ class Mission:
     """A mission flown in closed loop.
 
     Attributes:
-        name: Of the mission.
+        name: Name of the mission.
         stable: Whether it was flown to its end, upright and near its setpoints.
-        worst_m: Largest distance from the setpoint; NaN where it could not be flown.
-        problem: Why it is not stable; "" where it is.
+        worst_m: Largest distance from the setpoint; NaN where no flight was possible.
+        problem: Reason why it is not stable; "" where it is.
     """
 
     name: str
@@ -367,12 +369,12 @@ def fly_missions(
     names: Sequence[str] | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> tuple[Mission, ...]:
-    """Fly missions with the controller that the vehicle's own numbers give.
+    """Fly missions with the controller designed for the vehicle's own numbers.
 
     Args:
-        vehicle: With its effects.
-        names: Of the missions; default: all.
-        progress: Called with the share done.
+        vehicle: Vehicle with its effects.
+        names: Names of the missions; default: all.
+        progress: Called with the completed share.
     """
     names = list(mission_names() if names is None else names)
     try:
@@ -399,12 +401,12 @@ def _fly(vehicle: Vehicle, loop: ClosedLoop, name: str) -> Mission:
 
 
 def lost(miss_m: float, tilt_rad: float, arm_m: float) -> str:
-    """Why a flight counts as lost; "" where it does not.
+    """Reason why a flight counts as lost; "" where it does not.
 
     Args:
         miss_m: Largest distance from the setpoint.
         tilt_rad: Largest tilt.
-        arm_m: From the centre to a rotor.
+        arm_m: Distance from the centre to a rotor.
     """
     farthest_m, problems = max(FARTHEST_M, FARTHEST_ARMS * arm_m), []
     if not tilt_rad <= STEEPEST_RAD:

@@ -1,11 +1,11 @@
-"""What the flight controllers share: attitude geometry, their interface, the airframe in hover.
+"""Functions shared by the flight controllers: attitude geometry, interface, airframe in hover.
 
 Geometry without angles: vectors, dot products and square roots. Vectors are lists of three CasADi
-expressions, NED unless said otherwise. Inputs have the names that others give them.
+expressions, NED unless stated otherwise. Inputs are named as the outputs of other components.
 
 `HoverModel` is the airframe linearised about hover, with the thrust maps of its rotors inverted.
-The Jacobians are those of the airframe's own equations, so a controller designed on them follows
-whatever the equations say: geometry, drag, lag, effects that are switched on.
+The Jacobians are those of the airframe's own equations, so a controller designed on them includes
+geometry, drag, lag and active effects.
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ def dot(a: Sequence[ca.SX], b: Sequence[ca.SX]) -> ca.SX:
 
 
 def length(v: Sequence[ca.SX]) -> ca.SX:
-    """Euclidean length; the tiny term keeps the slope finite at zero."""
+    """Euclidean length; the small term keeps the slope finite at zero."""
     return ca.sqrt(dot(v, v) + _TINY**3)
 
 
@@ -45,16 +45,16 @@ def clamp(value: ca.SX, low: ca.SX | float, high: ca.SX | float) -> ca.SX:
 
 
 def shorten(v: Sequence[ca.SX], longest: ca.SX | float) -> Vector:
-    """The vector, shortened to a length where it is longer."""
+    """The vector, scaled down to a length where it is longer."""
     scale = ca.fmin(1.0, longest / ca.fmax(length(v), _TINY))
     return [scale * x for x in v]
 
 
 def desired_axes(up: Sequence[ca.SX], yaw: ca.SX) -> tuple[Vector, Vector]:
-    """Body forward and down of the attitude whose thrust points up a vector, nose at a yaw angle.
+    """Body forward and down axes of the attitude with thrust along a vector and a given yaw angle.
 
     Args:
-        up: Any length but 0, not below the horizon.
+        up: Direction of thrust, of any length but 0, not below the horizon.
         yaw: Heading of the nose, rad.
     """
     size = length(up)
@@ -72,14 +72,14 @@ def attitude_error(
 ) -> Vector:
     """Rotation from an attitude to the desired one, as twice the vector part of its quaternion.
 
-    First the shortest turn of the thrust axis, then a turn about that axis. Close to zero it is
-    the rotation vector in rad, body axes.
+    First the shortest rotation of the thrust axis, then a rotation about that axis. Close to zero
+    it is the rotation vector in rad, body axes.
 
     Args:
-        q_nb: Attitude.
+        q_nb: Attitude, body to NED.
         forward: Desired body forward, NED.
         down: Desired body down, NED.
-        yaw_weight: Share of the turn about the thrust axis that is asked for; None: all of it.
+        yaw_weight: Share of the rotation about the thrust axis that is included; None: all of it.
 
     Source: Brescianini, Hehn & D'Andrea, Nonlinear Quadrocopter Attitude Control, ETH 2013,
     sec. 4; Brescianini & D'Andrea, ICRA 2018 (yaw weight).
@@ -106,7 +106,7 @@ def thrust_axis(q_nb: Sequence[ca.SX]) -> Vector:
 def limit_acceleration(
     wanted: Sequence[ca.SX], gravity: ca.SX, climb: ca.SX, sink: ca.SX, tilt: ca.SX
 ) -> Vector:
-    """Acceleration NED within a climb, a sink (m/s2) and a tilt (rad) limit, height first."""
+    """Acceleration NED within limits of climb and sink (m/s2) and tilt (rad), height first."""
     z = clamp(wanted[2], -climb, sink)
     x, y = shorten(wanted[:2], (gravity - z) * sine(tilt) / cosine(tilt))
     return [x, y, z]
@@ -125,7 +125,7 @@ class Signals:
         vel_sp: Velocity setpoint, NED, m/s.
         acc_sp: Acceleration setpoint, NED, m/s2.
         yaw_sp: Heading setpoint, rad.
-        armed: Whether the motors may turn, true or false.
+        armed: Whether the motors may turn, a Boolean.
     """
 
     pos: list[ca.SX]
@@ -167,7 +167,7 @@ def declare_signals(m: ComponentBuilder) -> Signals:
 
 
 def declare_drives(m: ComponentBuilder, drive: str, values: list[ca.SX]) -> None:
-    """Declare the outputs `cmd_1..n`, or `rotor_1..n` for a vehicle known by rotor speed."""
+    """Declare the outputs `cmd_1..n`, or `rotor_1..n` for a vehicle whose input is rotor speed."""
     for i, value in enumerate(values, start=1):
         if drive == "rotor_speed":
             m.output(f"rotor_{i}", "rad/s", f"Speed of rotor {i}", value)
@@ -177,35 +177,36 @@ def declare_drives(m: ComponentBuilder, drive: str, values: list[ca.SX]) -> None
 
 Array = NDArray[np.float64]
 FULL_OVER_HOVER = 2.5
-"""Largest thrust over hover thrust of a rotor whose speed has no known limit. Made up."""
+"""Largest thrust over hover thrust of a rotor without a known speed limit. Made up."""
 FASTEST_RAD_S = 1e5
-"""Rotor speed beyond which no more thrust is sought. Made up."""
+"""Rotor speed up to which the largest thrust is searched. Made up."""
 IDLE_OVER_HOVER = 0.05
 """Smallest thrust in flight over hover thrust: no rotor stops in the air. Made up."""
 INVERSE_DEGREE = 7
-"""Of the polynomial that inverts a thrust map: the smallest odd one that is off by less than 2 % of
-the hover thrust for `thrust_curve` from -0.6 to 0.6 on the Crazyflie's cubic (5: 2.9 %)."""
+"""Degree of the polynomial that inverts a thrust map: the smallest odd one with an error below 2 %
+of the hover thrust for `thrust_curve` from -0.6 to 0.6 on the Crazyflie's cubic (5: 2.9 %)."""
 INVERSE_USED, INVERSE_ERROR = 0.3, 0.03
-"""Thrust over that in hover from which on an inverse may be off by so much of it. Made up."""
+"""Thrust over hover thrust from which an inverse must be accurate, and its largest relative error.
+Made up."""
 
-_FIT_POINTS = 1001  # of the range of thrust, in a fit and its check
+_FIT_POINTS = 1001  # over the range of thrust, in a fit and its check
 _LEAST_RISE = 1e-6  # of a polynomial's Bernstein coefficients, over the largest input
 _LEAST_WEIGHT, _END_WEIGHT = 1e-3, 1e4
-"""Where thrust hardly rises, and at full thrust, which is at the end of the range. Made up."""
+"""Weights of the fit where thrust hardly rises, and at full thrust, the end of the range. Made
+up."""
 
 
 @dataclass(frozen=True, slots=True)
 class HoverModel:
-    """What a controller needs to know of an airframe in hover.
+    """Linear model of an airframe in hover for the design of a controller.
 
     Attributes:
         thrust_n: Thrust of each rotor, shape (n,).
-        effect: Upward acceleration (m/s2), then angular acceleration forward, right, down
-            (rad/s2), per newton that a rotor like their mean gives at the same input, rotors
-            settled, shape (4, n).
+        effect: Upward acceleration (m/s2), then angular acceleration forward, right, down (rad/s2),
+            per newton of the mean rotor's thrust at the same input, in steady state, shape (4, n).
         drag_1_s: Deceleration per speed along forward, right, down, shape (3,).
         air_moment_rad_m_s: Angular acceleration about forward per speed to the right, and about
-            right per speed forward: of drag above the centre of mass, of flapping. Shape (2,).
+            right per speed forward: from drag above the centre of mass and flapping. Shape (2,).
         gravity_m_s2: Acceleration per radian of tilt.
         lag_s: Time constant of the thrust; 0 without lag.
     """
@@ -219,14 +220,14 @@ class HoverModel:
 
 
 def drives(component: Component) -> list[str]:
-    """Names of the inputs that drive the rotors of an airframe."""
+    """Names of the rotor inputs of an airframe."""
     return [n for n in component.input_names if n.startswith(("cmd_", "rotor_"))]
 
 
 def punctual(vehicle: Vehicle) -> Vehicle:
-    """The vehicle with motors that get their commands at once.
+    """The vehicle without delay of the motor commands.
 
-    The equations of motion of an airframe with a delay never see a command: it arrives at sample
+    Commands do not enter the equations of motion of an airframe with a delay: they arrive at sample
     instants.
     """
     late = {e.name for e in acting_late()}
@@ -235,10 +236,10 @@ def punctual(vehicle: Vehicle) -> Vehicle:
 
 
 def linearise(vehicle: Vehicle) -> HoverModel:
-    """Hover model of a vehicle, at the trim its airframe starts in, delays left out.
+    """Hover model of a vehicle, at its airframe's initial trim, without delays.
 
     Raises:
-        ModelError: Its rotors cannot turn it about all three axes.
+        ModelError: Its rotors cannot give moments about all three axes.
     """
     body = airframe(punctual(vehicle))
     u0, p0 = body.input_values(), body.parameter_values({"ground.enabled": 0.0})
@@ -279,13 +280,13 @@ def linearise(vehicle: Vehicle) -> HoverModel:
 
 
 def _levels(body: Component) -> list[int]:
-    """Positions of the rotors' states, where they follow their input."""
+    """Indices of the rotors' states, where they follow their input with a lag."""
     names = [s.name for s in body.states]
     return [i for i, n in enumerate(names) if n.startswith(("rotor_", "effort_"))]
 
 
 def _jacobians(body: Component, x0: Array, u0: Array, p0: Array) -> list[Array]:
-    """A, B, C, D about a state."""
+    """Matrices A, B, C, D of the linearisation about a state."""
     x, u = ca.SX.sym("x", len(x0)), ca.SX.sym("u", len(u0))
     dx, y = body.derivatives(x, u, p0), body.outputs(x, u, p0)
     slopes = [ca.jacobian(f, v) for f in (dx, y) for v in (x, u)]
@@ -295,13 +296,13 @@ def _jacobians(body: Component, x0: Array, u0: Array, p0: Array) -> list[Array]:
 
 @dataclass(frozen=True, slots=True)
 class ThrustInverse:
-    """Rotor input as a polynomial of sqrt(thrust / full), and the range it holds in.
+    """Rotor input as a polynomial of sqrt(thrust / full), and its range of validity.
 
-    It rises everywhere. Exact for thrust that is linear in the command or quadratic in the speed,
-    else a fit (of the Crazyflie's cubic to 0.3 % of the hover thrust).
+    Monotonically increasing. Exact for thrust that is linear in the command or quadratic in the
+    speed, else a fit (of the Crazyflie's cubic to 0.3 % of the hover thrust).
 
     Attributes:
-        coefficients: Ascending, shape (INVERSE_DEGREE + 1,); command 0..1 or rad/s.
+        coefficients: Ascending coefficients, shape (INVERSE_DEGREE + 1,); command 0..1 or rad/s.
         idle_n: Smallest thrust.
         hover_n: Thrust in hover.
         full_n: Largest thrust.
@@ -319,15 +320,16 @@ class ThrustInverse:
         return float(low), float(high)
 
     def input(self, thrust_n: Sequence[float] | Array) -> Array:
-        """Rotor inputs that give thrusts, N, of any shape."""
+        """Rotor inputs for thrusts, N, of any shape."""
         root = np.sqrt(np.asarray(thrust_n, dtype=np.float64) / self.full_n)
         return np.asarray(polynomial.polyval(root, self.coefficients), dtype=np.float64)
 
 
 def thrust_inverse(vehicle: Vehicle) -> ThrustInverse:
-    """The steady thrust of a vehicle's rotors, turned round: their mean, effects included.
+    """Inverse of the steady thrust of a vehicle's mean rotor, effects included.
 
-    Of thrust that falls or stays with the input, the part that rises to the largest.
+    Where thrust does not increase everywhere with the input, the increasing part up to the largest
+    thrust.
 
     Raises:
         ModelError: The vehicle has no hover trim, or no polynomial inverts its thrust map.
@@ -365,7 +367,7 @@ def thrust_inverse(vehicle: Vehicle) -> ThrustInverse:
 
 
 def _rising(driven: Array, thrust: Array) -> tuple[Array, Array]:
-    """The part of a map that rises without a break to the largest thrust."""
+    """The increasing part of a map, without gaps, up to the largest thrust."""
     last = int(np.argmax(thrust)) + 1
     breaks = np.flatnonzero(np.diff(thrust[:last]) <= 0.0)
     part = slice(int(breaks[-1]) + 1 if len(breaks) else 0, last)
@@ -373,13 +375,13 @@ def _rising(driven: Array, thrust: Array) -> tuple[Array, Array]:
 
 
 def _monotone_fit(driven: Array, root: Array, idle: float) -> Array:
-    """Coefficients of a polynomial of sqrt(thrust / full) that rises, of least error of thrust.
+    """Coefficients of an increasing polynomial of sqrt(thrust / full), of least thrust error.
 
-    A polynomial rises where its Bernstein coefficients do, which least squares with bounds ensures.
+    A polynomial increases where its Bernstein coefficients do, which bounded least squares ensures.
 
     Args:
-        driven: Inputs, rising.
-        root: Their sqrt(thrust / full), rising to 1.
+        driven: Inputs, ascending.
+        root: Values of sqrt(thrust / full) at the inputs, ascending to 1.
         idle: Smallest thrust over full.
 
     Source: Farouki, The Bernstein polynomial basis: a centennial retrospective, Computer Aided
@@ -405,7 +407,7 @@ def _steady_thrust_n(body: Component, vehicle: Vehicle, driven: Array) -> Array:
 
     Args:
         body: The airframe.
-        vehicle: Which it is of.
+        vehicle: Vehicle of the airframe.
         driven: Inputs, shape (n,).
     """
     u0, p0 = body.input_values(), body.parameter_values()

@@ -4,17 +4,17 @@
     R_d = thrust along a - g, nose at the yaw setpoint
     dω/dt = k_θ θ(R -> R_d) - k_ω ω - k_α α,   lift = (a - g) . thrust axis
 
-The moment with which the air turns an aircraft that moves through it is taken off dω/dt: what its
-velocity makes in still air, and what the wind adds, which the body rates tell (`_AirMoment`).
+The aerodynamic moment on a moving aircraft is subtracted from dω/dt: the part from its velocity in
+still air, and that from the wind, which is estimated from the body rates (`_AirMoment`).
 
-For small errors this is the state feedback of `Gains` (dividing its position gains by that
-of the tilt gives k_p, k_v, k_i), so hover is optimal in its sense; the detour by a desired
-attitude makes it hold at any heading and any tilt. α and the lift behind the rotors' lag are
-modelled in the controller. Limits: tilt, climb, sink and pull of the position error, with
-back-calculation for the integral; the mixer gives up yaw first.
+For small errors this is the state feedback of `Gains` (its position gains divided by that of the
+tilt are k_p, k_v, k_i), so hover is optimal in its sense; the intermediate desired attitude makes
+it valid at any heading and tilt. α and the lift after the rotors' lag are modelled in the
+controller. Limits: tilt, climb, sink and the effect of the position error, with back-calculation
+for the integral; the mixer reduces yaw first.
 
-Gains are linear-quadratic regulators of three chains of integrators. With the mixer turning
-accelerations into rotor thrusts, the hover model falls apart into
+Gains are linear-quadratic regulators of three chains of integrators. With the mixer converting
+accelerations into rotor thrusts, the hover model decouples into
 
 | chain | states | input: command of |
 |---|---|---|
@@ -22,11 +22,11 @@ accelerations into rotor thrusts, the hover model falls apart into
 | vertical | integral, position, velocity, lag | acceleration |
 | heading | integral, heading, body rate, lag | angular acceleration |
 
-each of which has its own algebraic Riccati equation; the lag is there if the rotors have one.
+each of which has its own algebraic Riccati equation; the lag is included if the rotors have one.
 Nothing is tuned by hand but the weights, which follow Bryson's rule.
 
-The mixer turns accelerations into rotor inputs: thrust shares, saturation, inverse thrust map. What
-does not fit is given up in this order: yaw first, then lift, roll and pitch last.
+The mixer converts accelerations into rotor inputs: thrust shares, saturation, inverse thrust map.
+In saturation yaw is reduced first, then lift, roll and pitch last.
 
 Sources: Bryson & Ho, Applied Optimal Control, sec. 5.2; integral action, Franklin, Powell &
 Emami-Naeini, Feedback Control of Dynamic Systems, sec. 7.10; cascade on the thrust vector, Lee,
@@ -74,8 +74,7 @@ ACCEPTABLE = {
     "heading_rate": 1.5,  # rad/s
     "thrust": 0.25,  # share of the hover thrust of a rotor
 }
-"""Largest deviation that is still fine, per quantity (Bryson's rule): made up, for agile indoor
-flight."""
+"""Largest acceptable deviation per quantity (Bryson's rule): made up, for agile indoor flight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +82,7 @@ class Chain:
     """Feedback `command = -gain @ states` of one chain.
 
     Attributes:
-        gain: In the order of the states, shape (n,).
+        gain: Gains in the order of the states, shape (n,).
         poles: Closed-loop poles, rad/s, shape (n,).
     """
 
@@ -93,7 +92,7 @@ class Chain:
 
 @dataclass(frozen=True, slots=True)
 class Gains:
-    """All chains, and the mixer they rest on.
+    """Gains of all chains, and the mixer that they assume.
 
     Attributes:
         mixer_n: Rotor thrusts per upward and angular acceleration, shape (n_rotors, 4).
@@ -106,10 +105,11 @@ class Gains:
 
 
 def design(hover: HoverModel) -> Gains:
-    """Gains for a hover model. The weaker of roll and pitch sets those of the horizontal chain."""
+    """Gains for a hover model. The weaker of roll and pitch determines those of the horizontal
+    chain."""
     mixer = np.asarray(np.linalg.pinv(hover.effect), dtype=np.float64)
     share = ACCEPTABLE["thrust"] * hover.thrust_n.mean()
-    # One newton-for-newton penalty on the rotors, seen by each acceleration command.
+    # Equal penalty per newton on all rotors, converted to each acceleration command.
     lift, roll, pitch, yaw = np.sum((mixer / share) ** 2, axis=0)
     drag = float(hover.drag_1_s[:2].mean())
     motion = [ACCEPTABLE[k] for k in ("integral", "position", "velocity")]
@@ -145,7 +145,7 @@ def _chain(
     if lag_s > 0:
         a = np.block([[a, b], [np.zeros((1, n)), np.array([[-1.0 / lag_s]])]])
         b = np.vstack([np.zeros((n, 1)), [[1.0 / lag_s]]])
-        weight.append(0.0)  # its own command is weighted
+        weight.append(0.0)  # its own command has a separate weight
     q, r = np.diag(weight), np.array([[penalty]])
     gain = np.linalg.solve(r, b.T @ scipy.linalg.solve_continuous_are(a, b, q, r)).ravel()
     return Chain(gain, np.linalg.eigvals(a - b * gain).astype(np.complex128))
@@ -157,12 +157,12 @@ _WAYS = (
     ("roll", "kg.m", "angular acceleration about forward"),
     ("pitch", "kg.m", "angular acceleration about right"),
     ("yaw", "kg.m", "angular acceleration about down"),
-)  # input of the plant, unit of its size, what it accelerates
+)  # input of the plant, its unit, accelerated quantity
 
 
 @dataclass(frozen=True, slots=True)
 class Mixed:
-    """Rotor inputs, and the accelerations they give once the rotors have settled."""
+    """Rotor inputs, and the resulting accelerations once the rotors have settled."""
 
     inputs: list[ca.SX]
     lift: ca.SX
@@ -177,13 +177,13 @@ def mix(
     lift: ca.SX,
     angular: list[ca.SX],
 ) -> Mixed:
-    """Declare the mixer's parameters and mix.
+    """Declare the mixer's parameters and outputs.
 
     Args:
-        m: The controller.
+        m: Builder of the controller.
         shares: Thrust per acceleration, N, shape (n_rotors, 4): lift, roll, pitch, yaw.
-        inverse: Of the thrust map.
-        unit: Of the rotor inputs.
+        inverse: Inverse of the thrust map.
+        unit: Unit of the rotor inputs.
         lift: Wanted specific thrust along body up, m/s2.
         angular: Wanted angular acceleration, rad/s2.
     """
@@ -213,7 +213,7 @@ def mix(
     spread = _most(turn) - _least(turn)
     share = ca.fmin(1.0, (full - idle) / ca.fmax(spread, _TINY))
     turn = [share * t for t in turn]
-    # Between the lift that keeps the lowest rotor turning and the one that fills the highest.
+    # Between the lift that keeps the lowest rotor turning and the one that saturates the highest.
     low = _most([(idle - t) / s for t, s in zip(turn, up, strict=True)])
     high = _least([(full - t) / s for t, s in zip(turn, up, strict=True)])
     lifted = clamp(lift, low, ca.fmax(low, high))
@@ -244,27 +244,28 @@ def _least(values: list[ca.SX]) -> ca.SX:
 
 
 TILT_LIMIT_RAD = 0.7
-"""Tilt that the position loop asks for at most, 40 degrees. Made up."""
+"""Largest tilt demanded by the position loop, 40 degrees. Made up."""
 CLIMB_LIMIT_M_S2 = 4.0
-"""Upward acceleration that it asks for at most. Made up."""
+"""Largest upward acceleration demanded by the position loop. Made up."""
 SINK_LIMIT_M_S2 = 4.0
-"""Downward acceleration that it asks for at most. Made up."""
+"""Largest downward acceleration demanded by the position loop. Made up."""
 LIFT_RESERVE = 0.8
-"""Share of the full thrust that level flight and tilt may use; the rest is for turning."""
+"""Share of the full thrust available for level flight and tilt; the rest is for moments."""
 LEAST_LIFT = 1.05
-"""Thrust over weight that a weak vehicle uses all the same. All made up."""
+"""Thrust over weight that a vehicle with weak rotors may always use. All made up."""
 LEAST_AIR_MOMENT_RAD_M_S = 0.1
-"""A smaller moment of the air tilts no aircraft at 10 m/s by as much as a gust does. Made up."""
+"""Smallest moment of the air that is compensated: at 10 m/s a smaller one tilts an aircraft less
+than a gust does. Made up."""
 LEAST_AIR_MOMENT_S = 0.1
-"""Time constant with which the moment of the wind is learned behind rotors without a lag. Made up:
-gusts are slower, gyroscopes quicker."""
+"""Time constant of the wind's moment estimate for rotors without lag. Made up: gusts are slower,
+gyroscopes faster."""
 RELEASE_1_S = 20.0
-"""Rate at which integrals are forgotten while disarmed. Made up."""
+"""Rate at which integrals decay while disarmed. Made up."""
 Vector = list[ca.SX]
 
 
 def controller(vehicle: Vehicle) -> Component:
-    """The flight controller of a vehicle as a component, its gains designed for the vehicle."""
+    """The flight controller of a vehicle as a component, with gains designed for the vehicle."""
     hover = linearise(vehicle)
     gains = design(hover)
     inverse = thrust_inverse(vehicle)
@@ -299,14 +300,15 @@ def _turned_by_air(hover: HoverModel) -> bool:
 
 
 class _AirMoment:
-    """Angular acceleration that the air gives, rad/s2, body axes: `k v + l`.
+    """Angular acceleration by the air, rad/s2, body axes: `k v + l`.
 
-    `k v` is that of the velocity in still air. `l` is what the wind adds to roll and pitch: the
-    part of the body rates that the modelled angular acceleration does not explain, times a gain,
+    `k v` is that of the velocity in still air. `l` is the addition of the wind in roll and pitch:
+    the part of the body rates that the modelled angular acceleration does not explain, times a
+    gain,
 
         l = (omega - z) / T,   dz/dt = modelled angular acceleration,
 
-    so that a steady wind leaves no attitude error. A quarter of T is at least the lag of the
+    so that a steady wind causes no attitude error. A quarter of T is at least the lag of the
     rotors, with which the loop is critically damped: T lag s^2 + T s + 1 = 0 has no oscillation.
 
     Source: disturbance observer without differentiation, Ohnishi, Shibata & Murakami, IEEE/ASME
@@ -337,14 +339,14 @@ class _AirMoment:
         self.angular.append(ca.SX(0))
 
     def follow(self, turn: Vector) -> None:
-        """Let the modelled body rates follow the modelled angular acceleration."""
+        """Integrate the modelled angular acceleration to modelled body rates."""
         for axis, off, rate in zip(AXES, self._off, turn, strict=False):
             slope = ca.if_else(self._s.armed, rate, RELEASE_1_S * off)
             self._m.derivative(f"modelled_omega_{axis}", slope)
 
 
 class _Lag:
-    """Lift and angular acceleration as they come out of the lagging rotors, modelled."""
+    """Model of lift and angular acceleration after the lag of the rotors."""
 
     def __init__(self, m: ComponentBuilder, lag_s: float) -> None:
         self._m = m
@@ -364,7 +366,7 @@ class _Lag:
         return self._now[1:]
 
     def led(self, wanted: Vector, gains: Gains) -> Vector:
-        """Wanted lift and angular acceleration with the feedback of the modelled ones."""
+        """Demanded lift and angular acceleration with the feedback of the modelled ones."""
         lead = _gain(self._m, "lift", "lag", "1", "lift against the wanted", _lead(gains.vertical))
         tilt, yaw = (
             _gain(self._m, name, "lag", "1", "angular acceleration", chain.gain[-1])
@@ -375,13 +377,13 @@ class _Lag:
         return [lift + lead * (lift - self._now[0]), *led]
 
     def follow(self, settled: Vector) -> None:
-        """Let the modelled ones follow what the rotors are asked for."""
+        """Integrate the modelled ones towards the demand on the rotors."""
         for name, now, then in zip(self._names, self._now, settled, strict=True):
             self._m.derivative(name, (then - now) / self._time)
 
 
 def _limits(inverse: ThrustInverse) -> dict[str, float]:
-    """Limits that the thrust over weight of the vehicle allows."""
+    """Limits by the thrust over weight of the vehicle."""
     most = max(LIFT_RESERVE * inverse.full_n / inverse.hover_n, LEAST_LIFT)
     return {
         "tilt": float(min(TILT_LIMIT_RAD, np.arccos(min(1.0 / most, 1.0)))),
@@ -398,7 +400,7 @@ def _acceleration(
     gains: Gains,
     start: dict[str, float],
 ) -> Vector:
-    """Outer loop: wanted acceleration NED from position and velocity."""
+    """Outer loop: demanded acceleration NED from position and velocity."""
     tilt = m.parameter("limit.tilt", start["tilt"], "rad", "Largest tilt", minimum=0, maximum=1.4)
     climb = m.parameter(
         "limit.climb", start["climb"], "m/s2", "Largest upward acceleration", minimum=0
@@ -425,7 +427,7 @@ def _acceleration(
     off = [sp - p for sp, p in zip(s.pos_sp, s.pos, strict=True)]
     ahead = [a + drag * v for a, v in zip(s.acc_sp[:2], s.vel_sp[:2], strict=True)]
     far_xy, far_z = pull / gain["position_xy"], pull / gain["position_z"]
-    # What is far off is a way to go, not an offset to integrate.
+    # A large position error is not integrated.
     near = [length(off[:2]) < far_xy] * 2 + [ca.fabs(off[2]) < far_z]
     off = [*shorten(off[:2], far_xy), clamp(off[2], -far_z, far_z)]
     raw, integrals = [], []
@@ -448,7 +450,7 @@ def _acceleration(
 
 
 def _angular(m: ComponentBuilder, s: Signals, up: Vector, gains: Gains) -> Vector:
-    """Inner loop: wanted angular acceleration from attitude and body rates."""
+    """Inner loop: demanded angular acceleration from attitude and body rates."""
     tilt, tilt_rate = gains.horizontal.gain[3:5]
     k_tilt = _gain(m, "attitude", "k_tilt", "1/s2", "tilt", tilt)
     k_tilt_rate = _gain(m, "rate", "k_tilt", "1/s", "rate of roll and pitch", tilt_rate)
@@ -458,7 +460,7 @@ def _angular(m: ComponentBuilder, s: Signals, up: Vector, gains: Gains) -> Vecto
     k_i = _gain(m, "integral", "k_yaw", "1/s3", "integral of the heading", i_yaw)
     error = attitude_error(s.q_nb, *desired_axes(up, s.yaw_sp))
     integral = m.state("integral_yaw", "rad/s2", "Integral of the heading error", 0.0)
-    small = clamp(error[2], -_FAR_RAD, _FAR_RAD)  # what is far off is a turn, not an offset
+    small = clamp(error[2], -_FAR_RAD, _FAR_RAD)  # a large yaw error is not integrated
     m.derivative("integral_yaw", ca.if_else(s.armed, k_i * small, -RELEASE_1_S * integral))
     return [
         k_tilt * error[0] - k_tilt_rate * s.omega_b[0],
@@ -467,21 +469,21 @@ def _angular(m: ComponentBuilder, s: Signals, up: Vector, gains: Gains) -> Vecto
     ]
 
 
-_FAR_RAD = 0.2  # yaw error beyond which the integral does not grow faster; by judgement
+_FAR_RAD = 0.2  # largest yaw error that is integrated; by judgement
 _OUTER = (
     ("integral", "1/s3", "integral of the position"),
     ("position", "1/s2", "position"),
     ("velocity", "1/s", "velocity"),
-)  # gain of the position loop, its unit, on what it acts
+)  # gain of the position loop, its unit, controlled quantity
 
 
 def _outer(chain: Chain, hover: HoverModel) -> list[float]:
-    """Gains from integral, position, velocity to acceleration, out of those to the tilt."""
+    """Gains from integral, position, velocity to acceleration, from those to the tilt."""
     return [float(hover.gravity_m_s2 / chain.gain[3] * k) for k in chain.gain[:3]]
 
 
 def _inner(chain: Chain) -> list[float]:
-    """The same of the vertical chain, its lead against the lag taken out."""
+    """Gains of the vertical chain, without the lead that compensates its lag."""
     return [float(k / (1.0 + _lead(chain))) for k in chain.gain[:3]]
 
 

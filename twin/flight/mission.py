@@ -1,10 +1,10 @@
 """Missions: smooth setpoints for a controller as a function of the mission's clock.
 
-A mission starts and ends standing on the ground. It is a list of legs, each a displacement that
-begins at zero with its part of the time; the setpoint is what the legs so far have come to and the
-displacement of the leg under way, its velocity and acceleration are the derivatives. Straight legs
-are minimum-jerk polynomials; circle, eight and cruise ramp their speed up and down by the same
-polynomial. Legs of one shape are one equation, with the numbers of the one under way.
+A mission starts and ends on the ground. It is a list of legs, each a displacement that begins at
+zero; the setpoint is the sum of the completed legs and the displacement of the present one, its
+velocity and acceleration are the derivatives. Straight legs are minimum-jerk polynomials; circle,
+eight and cruise ramp their speed up and down by the same polynomial. Legs of one shape are one
+equation, with the numbers of the present one.
 
 | mission | after the takeoff | duration |
 |---|---|---|
@@ -14,8 +14,8 @@ polynomial. Legs of one shape are one equation, with the numbers of the one unde
 | `forward` | out at cruise speed, turns round, back, lands | 46 s |
 | `tour` | waypoints with changes of heading, circle, figure eight, lands | 51 s |
 
-Source of the way from rest to rest with the least jerk: Flash & Hogan, J. Neuroscience 5 (1985): 10
-s^3 - 15 s^4 + 6 s^5.
+Source of the minimum-jerk displacement from rest to rest: Flash & Hogan, J. Neuroscience 5 (1985):
+10 s^3 - 15 s^4 + 6 s^5.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,13 +37,13 @@ from ..vehicle import Vehicle
 Number = TypeVar("Number", ca.SX, NDArray[np.float64])
 """Arrays of any shape, or a symbol."""
 FASTEST = 15 / 8
-"""Largest speed of a way of length 1 in time 1."""
+"""Largest speed of a minimum-jerk displacement of 1 in time 1."""
 HARDEST = 10 / np.sqrt(3)
-"""Largest acceleration of the same."""
+"""Largest acceleration of a minimum-jerk displacement of 1 in time 1."""
 
 
 def minimum_jerk(s: Number) -> Number:
-    """Share of the way, 0..1, after a share of the time; at rest at both ends."""
+    """Share of the distance, 0..1, after a share of the time; at rest at both ends."""
     return s**3 * (10 + s * (-15 + 6 * s))
 
 
@@ -58,12 +58,12 @@ def minimum_jerk_acceleration(s: Number) -> Number:
 
 
 def ramped_way(t: Number, total: float | ca.SX, rate: float | ca.SX, ramp: float | ca.SX) -> Number:
-    """Way covered when its rate rises, holds and falls by minimum-jerk ramps.
+    """Distance covered when its rate rises, is constant and falls by minimum-jerk ramps.
 
     Args:
-        t: Time from the start; it takes `total / rate + ramp` in all.
-        total: Whole way.
-        rate: Held between the ramps.
+        t: Time from the start; the total duration is `total / rate + ramp`.
+        total: Total distance.
+        rate: Constant rate between the ramps.
         ramp: Time of each ramp.
     """
     way: Number = rate * ramp * (_covered(t / ramp) - _covered((t - total / rate) / ramp))
@@ -71,7 +71,7 @@ def ramped_way(t: Number, total: float | ca.SX, rate: float | ca.SX, ramp: float
 
 
 def _covered(s: Number) -> Any:
-    """Integral from -infinity to s of `minimum_jerk`, held at 0 before and at 1 after the ramp."""
+    """Integral from -infinity to s of `minimum_jerk`, which is 0 before and 1 after the ramp."""
     of: Any = ca if isinstance(s, ca.SX) else np
     inside = of.fmin(of.fmax(s, 0.0), 1.0)
     return inside**4 * (2.5 + inside * (-3 + inside)) + of.fmax(s - 1, 0.0)
@@ -80,7 +80,7 @@ def _covered(s: Number) -> Any:
 PHASES = {"ground": 0, "takeoff": 1, "hover": 2, "forward": 3, "tour": 4, "land": 5}
 """Codes of the output `phase`, in their order."""
 SMALL_ARM_M = 0.06
-"""Vehicles with shorter arms fly everything at half the size and speed."""
+"""Vehicles with shorter arms fly all missions at half the size and speed."""
 WAYPOINTS = (
     (4.0, 0.0, 0.0, 0.0),
     (4.0, 4.0, -1.0, 1.5),
@@ -95,7 +95,7 @@ _TURN = 2 * np.pi  # rad
 
 Shape = Callable[..., list[ca.SX]]
 """Time since the start of a leg (s) and its numbers -> displacement north, east, down (m) and
-change of heading (rad); none at time 0."""
+change of heading (rad); zero at time 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,10 +104,10 @@ class _Leg:
 
     Attributes:
         phase: Name of its phase.
-        duration: s.
-        shape: How it moves; None: not at all.
-        numbers: Of its shape.
-        whole: What it comes to.
+        duration: Duration, s.
+        shape: Shape of the motion; None: no motion.
+        numbers: Numbers of its shape.
+        whole: Displacement at its end.
     """
 
     phase: str
@@ -121,7 +121,7 @@ def mission(vehicle: Vehicle, name: str) -> Component:
     """A mission as a component without inputs; sizes and speeds are its parameters.
 
     Args:
-        vehicle: Its leg height is where the mission starts, its size scales the defaults.
+        vehicle: Vehicle; its leg height is the height of the start, its size scales the defaults.
         name: One of `mission_names()`.
 
     Raises:
@@ -184,11 +184,11 @@ def mission(vehicle: Vehicle, name: str) -> Component:
 
 
 def _leave_out(m: ComponentBuilder, moving: Sequence[tuple[ca.SX, ca.SX]]) -> None:
-    """Let the equations of shapes idle of which no leg is under way: of most shapes first.
+    """Let the equations of shapes without a present leg be skipped.
 
     Args:
-        m: The mission.
-        moving: Of each shape, the flag and whether a leg is under way.
+        m: Builder of the mission.
+        moving: Flag of each shape, and whether one of its legs is in progress.
     """
     for count in range(len(moving), 0, -1):
         for left_out in combinations(moving, count):
@@ -200,12 +200,12 @@ def _leave_out(m: ComponentBuilder, moving: Sequence[tuple[ca.SX, ca.SX]]) -> No
 def _under_way(
     clock: ca.SX, shape: Shape, legs: Sequence[tuple[_Leg, ca.SX, ca.SX]]
 ) -> tuple[ca.SX, list[ca.SX]]:
-    """Whether a leg of one shape is under way, and its displacement; none where none is.
+    """Whether a leg of one shape is in progress, and its displacement; zero without one.
 
     Args:
         clock: Time since the start of the mission.
-        shape: Of all of them.
-        legs: Each with its begin and end.
+        shape: Shape of all legs.
+        legs: Legs, each with its start and end.
     """
     now = [ca.logic_and(clock >= begin, clock < end) for _, begin, end in legs]
     some = reduce(ca.logic_or, now)
@@ -216,17 +216,17 @@ def _under_way(
     numbers = []
     for column in zip(*(leg.numbers for leg, _, _ in legs), strict=True):
         chosen = (ca.if_else(on, n, 0.0) for on, n in zip(now, column, strict=True))
-        numbers.append(sum(chosen, start=ca.if_else(some, 0.0, column[0])))  # all but one are 0
+        numbers.append(sum(chosen, start=ca.if_else(some, 0.0, column[0])))  # all except one are 0
     return some, shape(since, *numbers)
 
 
 def mission_names() -> tuple[str, ...]:
-    """The missions there are."""
+    """Names of the missions."""
     return tuple(_MISSIONS)
 
 
 def mission_duration_s(name: str) -> float:
-    """How long a mission takes at the default sizes, the same for every vehicle, s."""
+    """Duration of a mission at the default sizes, the same for every vehicle, s."""
     sizes = _Sizes(ComponentBuilder("mission", name), 1.0)
     legs, _ = _legs(sizes, name)
     total = sum((leg.duration for leg in legs), start=ca.SX(0))
@@ -235,7 +235,7 @@ def mission_duration_s(name: str) -> float:
 
 
 class _Sizes:
-    """Parameters of a mission, declared when first asked for; lengths and speeds scaled."""
+    """Parameters of a mission, declared on first use; lengths and speeds scaled."""
 
     def __init__(self, m: ComponentBuilder, scale: float) -> None:
         self._m, self._scale = m, scale
@@ -291,7 +291,7 @@ def _forward(size: _Sizes) -> list[_Leg]:
     turn = _straight("hover", [ca.SX(0)] * 3 + [ca.SX(np.pi)], ca.SX(TURN_S))
 
     def cruise(sign: float) -> _Leg:
-        """Out with +1, back with -1."""
+        """Leg out with +1, back with -1."""
         numbers = (ca.SX(sign), distance, speed, ramp)
         whole = (sign * distance, ca.SX(0), ca.SX(0), ca.SX(0))
         return _Leg("forward", distance / speed + ramp, _cruise, numbers, whole)
@@ -319,7 +319,7 @@ def _tour(size: _Sizes) -> list[_Leg]:
         legs.append(_straight("tour", way, ca.fmax(ca.fmax(FASTEST * far / speed, fast), 0.1)))
         before = here
     rate = speed / radius
-    # The eight is fastest in its middle, sqrt(2) times the radius per radian.
+    # The eight is fastest at its middle, sqrt(2) times the radius per radian.
     circle, eight = (
         _Leg("tour", _TURN / r + ramp, _curve, (r, ramp, radius, ca.SX(is_eight)))
         for r, is_eight in ((rate, 0), (rate / np.sqrt(2), 1))
@@ -357,7 +357,7 @@ def _cruise(t: ca.SX, sign: ca.SX, distance: ca.SX, speed: ca.SX, ramp: ca.SX) -
 
 def _curve(t: ca.SX, rate: ca.SX, ramp: ca.SX, radius: ca.SX, is_eight: ca.SX) -> list[ca.SX]:
     """A circle to the right, or a lemniscate of Gerono along north from its middle; both start
-    north and end where they began."""
+    north and end at their start."""
     angle = ramped_way(t, _TURN, rate, ramp)
     sin, cos = sine(angle), cosine(angle)
     east = ca.if_else(is_eight, radius * sin * cos, radius * (1 - cos))

@@ -1,16 +1,16 @@
 """PX4's cascade: P position, PID velocity, P attitude, PID rate, multirotor mixer.
 
-Equations and parameter names are those of PX4, so the gains of a log can be flown. What differs:
-all loops run at one sample period (on board position runs at 50 to 100 Hz, attitude at 250 Hz);
-the setpoints are taken as given instead of being smoothed again; hover thrust is a constant where
-PX4 estimates it; the velocity setpoint is shortened as a whole; nothing detects the landing.
+Equations and parameter names are those of PX4, so the gains of a log can be flown. Differences: all
+loops run at one sample period (on board position runs at 50 to 100 Hz, attitude at 250 Hz); the
+setpoints are not smoothed again; hover thrust is a constant where PX4 estimates it; the velocity
+setpoint is limited as a vector; there is no land detector.
 
 Source: PX4 v1.12, modules mc_pos_control, mc_att_control, mc_rate_control and
 lib/mixer/MultirotorMixer (BSD licence; written from the description of what they compute).
 
 The mixer has airmode off. It is the same as `mix` of `twin.logs.px4.control`, which works on arrays
-of a log; a test compares them. PX4 keeps angles in degrees; here they are rad. `from_px4` is the
-only place that converts.
+of a log; a test compares them. PX4 uses degrees; here angles are rad. `from_px4` is the only place
+that converts.
 """
 
 from collections.abc import Mapping
@@ -46,8 +46,8 @@ def mix_airmode_off(controls: list[ca.SX], scale: Array, thrust_factor: ca.SX) -
     """Roll, pitch, yaw (-1..1) and thrust (0..1) -> motor commands 0..1.
 
     Args:
-        controls: Roll, pitch, yaw, thrust.
-        scale: Share of each in each motor, shape (motors, 4).
+        controls: Controls roll, pitch, yaw, thrust.
+        scale: Share of each control in each motor, shape (motors, 4).
         thrust_factor: THR_MDL_FAC.
     """
     roll, pitch, yaw = (ca.fmin(ca.fmax(c, -1.0), 1.0) for c in controls[:3])
@@ -62,7 +62,8 @@ def mix_airmode_off(controls: list[ca.SX], scale: Array, thrust_factor: ca.SX) -
 
 
 def blocked_by(commands: list[ca.SX], column: Array) -> tuple[ca.SX, ca.SX]:
-    """Whether a motor at its lower end forbids the integral of one axis to grow, and to shrink."""
+    """Whether a motor at its lower limit blocks an increase, and a decrease, of one axis'
+    integral."""
     grow, shrink = ca.SX(0), ca.SX(0)
     for command, share in zip(commands, column.tolist(), strict=True):
         low = command < _CLIPPED_LOW
@@ -74,7 +75,7 @@ def blocked_by(commands: list[ca.SX], column: Array) -> tuple[ca.SX, ca.SX]:
 
 
 def _linearised(out: ca.SX, factor: ca.SX) -> ca.SX:
-    """Command that gives a thrust when `thrust = factor cmd^2 + (1 - factor) cmd`."""
+    """Command for a thrust by `thrust = factor cmd^2 + (1 - factor) cmd`."""
     safe = ca.fmax(factor, 1e-3)
     half = (1.0 - safe) / (2.0 * safe)
     curved = -half + ca.sqrt(half * half + ca.fmax(out, 0.0) / safe)
@@ -95,7 +96,7 @@ def _desaturate(
 
 
 def _gain(out: list[ca.SX], way: Array, high: float) -> ca.SX:
-    """How far to go along `way` to undo the worst excess below 0 and above `high`."""
+    """Step along `way` that removes the worst excess below 0 and above `high`."""
     low_k, high_k = ca.SX(0), ca.SX(0)
     for o, w in zip(out, way.tolist(), strict=True):
         if abs(w) < 1e-7:
@@ -110,11 +111,11 @@ class Px4Parameter:
     """One parameter of PX4.
 
     Attributes:
-        default: PX4's own, in PX4's unit.
+        default: Default of PX4, in PX4's unit.
         unit: SI unit of its value here.
-        meaning: One line.
-        degrees: PX4's unit has degrees where this one has radians.
-        positive: Zero and below make no sense.
+        meaning: Meaning in one line.
+        degrees: Whether PX4's unit has degrees in place of radians.
+        positive: Whether it must be above zero.
     """
 
     default: float
@@ -180,7 +181,7 @@ PARAMETERS: dict[str, Px4Parameter] = {
 
 
 def from_px4(values: Mapping[str, float]) -> dict[str, float]:
-    """Parameters in PX4's units -> those of the controller, in SI; others are left out."""
+    """Parameters in PX4's units -> those of the controller, in SI; unknown ones are omitted."""
     return {
         name: float(np.radians(value)) if PARAMETERS[name].degrees else float(value)
         for name, value in values.items()
@@ -189,7 +190,7 @@ def from_px4(values: Mapping[str, float]) -> dict[str, float]:
 
 
 SAMPLE_PERIOD_S = 1e-3
-"""Of all loops, s: the step of the co-simulation."""
+"""Sample period of all loops, s: the step of the co-simulation."""
 _AXES = ("ROLL", "PITCH", "YAW")  # in PX4's names
 _I_FACTOR_RAD_S = float(np.radians(400.0))  # 400 deg/s, PX4's `RateControl::updateIntegral`
 Vector = list[ca.SX]
@@ -199,14 +200,13 @@ def px4_controller(vehicle: Vehicle, parameters: Mapping[str, float] | None = No
     """PX4's controller for a vehicle as a component.
 
     Args:
-        vehicle: Its rotors make the mixer, its trim the hover thrust.
+        vehicle: Vehicle; its rotors determine the mixer, its trim the hover thrust.
         parameters: Values that differ from PX4's defaults, in PX4's units (degrees), by PX4's
-            names; names that the controller does not know are left out. The hover thrust is that
-            of the vehicle unless MPC_THR_HOVER is given and MPC_USE_HTE is not 1 (with it PX4
-            finds the hover thrust by itself).
+            names; unknown names are ignored. The hover thrust is that of the vehicle unless
+            MPC_THR_HOVER is given and MPC_USE_HTE is not 1 (with 1 PX4 estimates the hover thrust).
 
     Raises:
-        ModelError: The vehicle is driven by rotor speed, or a value is outside its range.
+        ModelError: The vehicle's input is rotor speed, or a value is outside its range.
     """
     if vehicle.drive == "rotor_speed":
         raise ModelError(f"{vehicle.name}: PX4 gives motor commands, the rotors want speeds.")
@@ -240,7 +240,7 @@ def px4_controller(vehicle: Vehicle, parameters: Mapping[str, float] | None = No
 
 
 def _hover_thrust(vehicle: Vehicle, factor: float) -> float:
-    """Thrust control that hovers: the trim command through PX4's thrust curve."""
+    """Thrust control in hover: the trim command through PX4's thrust curve."""
     inverse = thrust_inverse(vehicle)
     command = float(inverse.input([inverse.hover_n])[0])
     return factor * command**2 + (1.0 - factor) * command
@@ -270,8 +270,8 @@ def _thrust(m: ComponentBuilder, s: Signals, p: dict[str, ca.SX], period: ca.SX)
     ]
     limit = sine(p["MPC_TILTMAX_AIR"]) / cosine(p["MPC_TILTMAX_AIR"])
     lean = shorten([-acc[0] / GRAVITY_M_S2, -acc[1] / GRAVITY_M_S2], limit)
-    down = (hover / GRAVITY_M_S2) * acc[2] - hover  # its share along NED down
-    # The tilted thrust is longer by 1 / cos(tilt), so that its vertical part is as wanted.
+    down = (hover / GRAVITY_M_S2) * acc[2] - hover  # its part along NED down
+    # The tilted thrust is longer by 1 / cos(tilt), so that its vertical part is as demanded.
     stretch = ca.sqrt(1 + lean[0] ** 2 + lean[1] ** 2)
     down = ca.fmin(stretch * down, -least) / stretch
     down_cut = ca.fmax(down, -most)
@@ -299,7 +299,7 @@ def _thrust(m: ComponentBuilder, s: Signals, p: dict[str, ca.SX], period: ca.SX)
 
 
 def _velocity_slope(m: ComponentBuilder, s: Signals, p: dict[str, ca.SX], period: ca.SX) -> Vector:
-    """Derivative of the velocity behind a first-order low-pass."""
+    """Derivative of the velocity after a first-order low-pass."""
     tau = 1 / (2 * np.pi * p["MPC_VELD_LP"])
     slopes = []
     for a, v in zip(AXES, s.vel, strict=True):
@@ -360,7 +360,7 @@ def _torque(
 
 
 def _low_pass(m: ComponentBuilder, name: str, unit: str, signal: ca.SX, turns: ca.SX) -> ca.SX:
-    """Second-order Butterworth low-pass, cutoff in turns per sample (PX4's LowPassFilter2p)."""
+    """Second-order Butterworth low-pass, cutoff in cycles per sample (PX4's LowPassFilter2p)."""
     first = m.memory(f"{name}_1", unit, f"Low-pass of {name}, one sample ago")
     second = m.memory(f"{name}_2", unit, f"Low-pass of {name}, two samples ago")
     half = np.pi * ca.fmin(turns, 0.49)

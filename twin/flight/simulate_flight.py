@@ -1,4 +1,4 @@
-"""A plant flown by its controller along setpoints, and recorded as a flight table."""
+"""Closed-loop flight of a plant along setpoints, recorded as a flight table."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -29,10 +29,10 @@ class Stream:
     """Columns of a record that are sampled together.
 
     Attributes:
-        columns: Of the flight table.
-        period_s: Time between two samples, rounded to a whole number of rows of the record.
+        columns: Columns of the flight table.
+        period_s: Time between two samples, rounded to an integer number of rows of the record.
         noise: Standard deviation of white noise on each sample, in the unit of the columns; a
-            quaternion stays one of unit length.
+            quaternion remains of unit length.
     """
 
     columns: tuple[str, ...]
@@ -42,15 +42,15 @@ class Stream:
 
 @dataclass(frozen=True, slots=True)
 class Recorder:
-    """What a simulated flight is recorded with.
+    """Settings for the recording of a simulated flight.
 
     Attributes:
-        streams: What is recorded, as far as the twin has it.
+        streams: Signals to record, as far as the twin has them.
         rate_hz: Rows of the table per second.
-        sampled_hz: How often the sensors are sampled; a multiple of `rate_hz`.
-        seed: Of the noise.
-        early_commands: Whether commands that act late are recorded early, and reach a flight that
-            is otherwise the same; else they are recorded when given, and the plant has them late.
+        sampled_hz: Sample rate of the sensors; a multiple of `rate_hz`.
+        seed: Seed of the noise.
+        early_commands: Whether delayed commands are recorded early in a flight that is otherwise
+            unchanged; else they are recorded when given, and the plant delays them.
         until_lost: Whether the record ends where the vehicle tumbles or strays from its setpoints.
     """
 
@@ -64,11 +64,11 @@ class Recorder:
 
 @dataclass(frozen=True, slots=True)
 class Later:
-    """What begins in mid-flight.
+    """Effects that begin during a flight.
 
     Attributes:
-        effects: By identifier, its numbers.
-        from_s: Since when.
+        effects: Numbers of each effect, by identifier.
+        from_s: Start time.
     """
 
     effects: Mapping[str, Mapping[str, float]]
@@ -86,21 +86,22 @@ def simulate_flight(
     later: Later | None = None,
     courses: Mapping[str, Array] | None = None,
 ) -> Flight:
-    """Fly setpoints in closed loop from standing on the ground, and record the sensors.
+    """Fly setpoints in closed loop, starting on the ground, and record the sensors.
 
-    The controller reads the true motion: a pose that is old or smooth in the plant is so in the
-    record alone. The pose is recorded where the vehicle file has the centre of mass: markers and
-    antennas stay on the frame, as the IMU does, wherever the centre of mass goes.
+    The controller reads the true motion: a delay or smoothing of the pose in the plant applies to
+    the record only. The recorded pose is that of the centre of mass by the vehicle file: markers,
+    antennas and IMU are fixed to the frame and do not move with the centre of mass.
 
     Args:
-        setpoints: In the order of `closed_loop.SETPOINTS`, one row per `STEP_S`, shape (n, 11).
-        phases: Of each row.
-        vehicle: What the controller is designed for.
-        plant: What really flies, with its effects.
-        recorder: What is recorded.
-        name: Of the flight.
-        voltage_v: Of the battery, constant; default: that of the plant.
-        later: Effects that begin in mid-flight, from the motion that the plant has by then.
+        setpoints: Setpoints in the order of `closed_loop.SETPOINTS`, one row per `STEP_S`, shape
+            (n, 11).
+        phases: Phase of each row.
+        vehicle: Vehicle for which the controller is designed.
+        plant: Vehicle that flies, with its effects.
+        recorder: Settings of the recording.
+        name: Name of the flight.
+        voltage_v: Voltage of the battery, constant; default: that of the plant.
+        later: Effects that begin during the flight, from the plant's motion at that time.
         courses: Inputs of the airframe that change in flight, such as the wind, by name, one value
             per step, shape (n,).
 
@@ -150,13 +151,13 @@ def simulate_flight(
 
 
 def _added(effects: Iterable[str], flown: Vehicle) -> list[str]:
-    """Effects that the airframe needs a place for, switched off."""
+    """Effects for which the airframe needs parameters, switched off."""
     own = [e for e in effects if EFFECTS[e].in_the_air and e not in flown.effects]
     return [e for e in own if not isinstance(EFFECTS[e].observable_as, Shift)]
 
 
 def _changes(before: Component, after: Component) -> dict[str, tuple[float, float]]:
-    """Parameters of an airframe that differ in another one, and both values of each."""
+    """Parameters of an airframe that differ from those of another one, with both values."""
     old, new = (
         dict(zip((v.name for v in b.parameters), b.parameter_values(), strict=True))
         for b in (before, after)
@@ -175,7 +176,7 @@ def _recorded(
     voltage_v: Array,
     recorder: Recorder,
 ) -> dict[str, Array]:
-    """What a recorder can see of a flight, without noise, by column, shape (n,) each."""
+    """Signals of a flight for a recorder, without noise, by column, shape (n,) each."""
     y = body.outputs_along(states, inputs, parameters)
     known = dict(zip(body.output_names, y.T, strict=True)) | frame
     known |= dict(zip(body.input_names, inputs.T, strict=True))
@@ -192,13 +193,13 @@ def _recorded(
 
 
 def _of_frame(body: Component, states: Array, origin: Array) -> dict[str, Array]:
-    """Position and velocity of a place on the frame, by column, shape (n,) each.
+    """Position and velocity of a point on the frame, by column, shape (n,) each.
 
     Args:
         body: The airframe.
-        states: Of its centre of mass, shape (n, n_x).
-        origin: The place from the centre of mass, body FRD, m, shape (n, 3). Where it changes, it
-            is the centre of mass that moves.
+        states: States of its centre of mass, shape (n, n_x).
+        origin: Position of the point from the centre of mass, body FRD, m, shape (n, 3). Where it
+            changes, the centre of mass moves.
     """
     at = [s.name for s in body.states].index
     turn = tuple(f"omega_{a}" for a in AXES)
@@ -213,7 +214,7 @@ def _of_frame(body: Component, states: Array, origin: Array) -> dict[str, Array]
 
 
 def _stuck_columns(effects: Mapping[str, Mapping[str, float]]) -> Iterator[tuple[str, float]]:
-    """Columns that stand still, noise and all, and since when, s."""
+    """Columns that are frozen, noise included, and the start time, s."""
     for effect, numbers in effects.items():
         observable_as = EFFECTS[effect].observable_as
         if isinstance(observable_as, Repeats) and numbers[observable_as.channel] >= 1:
@@ -222,7 +223,7 @@ def _stuck_columns(effects: Mapping[str, Mapping[str, float]]) -> Iterator[tuple
 
 
 def _sense(known: dict[str, Array], flown: Vehicle, recorder: Recorder) -> None:
-    """Add the readings of the sensors that are recorded, without noise."""
+    """Add the readings of the recorded sensors, without noise."""
     wanted = {c for stream in recorder.streams for c in stream.columns}
     n = len(known["vbat_v"])
     for make in components_of_sensors().values():
@@ -268,13 +269,13 @@ def _table(
 
 
 def _punctual(vehicle: Vehicle, recorder: Recorder) -> Vehicle:
-    """The same without the delays that a record shows and a flight does not."""
+    """The vehicle without delays that affect a record but not a flight."""
     retained = {k: v for k, v in vehicle.effects.items() if _of_record(k, recorder) is None}
     return vehicle.with_effects(retained)
 
 
 def _of_record(effect: str, recorder: Recorder) -> Shift | None:
-    """What an effect shifts in a record; a sensor that is late is so in its component."""
+    """Time shift of an effect in a record; a late sensor is modelled in its component."""
     observable_as = EFFECTS[effect].observable_as
     if not isinstance(observable_as, Shift) or EFFECTS[effect].component in components_of_sensors():
         return None
@@ -284,9 +285,9 @@ def _of_record(effect: str, recorder: Recorder) -> Shift | None:
 def _late_columns(
     plant: Vehicle, recorder: Recorder, known: Iterable[str]
 ) -> Iterator[tuple[str, float]]:
-    """Columns of a record that a delay shifts, and by how much, s; early ones have a minus.
+    """Columns of a record that a delay shifts, and the delay, s; negative for early ones.
 
-    A number that an effect of the aircraft has in logs alone is taken for its first one.
+    A number that an effect of the aircraft has in logs only is applied to its first one.
     """
     for effect, numbers in plant.effects.items():
         shift = _of_record(effect, recorder)

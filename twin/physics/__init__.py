@@ -1,1 +1,1 @@
-"""What moves the vehicle: rigid body, rotors, ground, battery, and the air around it."""
+"""Dynamics of the vehicle: rigid body, rotors, ground, battery, sensors, and the air around it."""

@@ -1,16 +1,16 @@
-"""Accuracy of a driven twin: how far it may be off since its motion was last given, and where that
-is known.
+"""Accuracy of a driven twin: its error bands since its motion was last given, and their range of
+validity.
 
-Four quantities say what the twin has gone through since then, each as the largest that occurred:
+Four quantities describe the motion since then, each by its maximum:
 
     airspeed    |v - v_wind|, m/s
     rates       |omega|, rad/s
     thrust      |sum of thrusts / weight - 1|
     ground      `residual_force.nearness` to the ground
 
-The envelope is the largest share of its limit that one of them has reached: 1 where the flights end
-with which the twin was compared. There are two regimes, calm and lively, above and below a share.
-A band is a table by regime and by time alone, straight lines in between.
+The envelope is the largest ratio of one of them to its limit: 1 at the limits of the flights with
+which the twin was compared. There are two regimes, calm and lively, below and above a threshold. A
+band is a table over regime and time without given motion, linear in time.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,27 +36,27 @@ SEEN = (
     ("thrust", "1", "thrust over weight, off 1"),
     ("ground", "1", "nearness to the ground"),
 )
-"""What decides on the regime: name, unit, meaning."""
+"""Quantities that determine the regime: name, unit, meaning."""
 REGIMES = ("calm", "lively")
 OFF = {
     **{"position": "m", "velocity": "m/s", "attitude": "rad", "rates": "rad/s"},
     **{s.name: s.plain_unit.replace("^", "") for s in SENSORS},
 }
-"""What a twin may be off in, lengths of vectors, and its unit."""
+"""Errors of a twin, as lengths of vectors, and their units."""
 OF_THE_DAY = "barometer"
-"""Sensor whose reading the weather of a day shifts, of which a vehicle file knows nothing: its
-parameter `ground_pressure` has to be given for its band to hold."""
+"""Sensor whose reading depends on the weather of the day, which a vehicle file does not contain:
+its parameter `ground_pressure` must be given for its band to be valid."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bands:
-    """How far a twin was off.
+    """Measured errors of a twin as bands.
 
     Attributes:
-        horizons_s: Times alone, s, rising, shape (h,).
-        limits: Of `SEEN`, above 0, shape (4,).
-        calm: Share of the envelope up to which the regime is calm.
-        bands: Of some of `OFF`, by regime and time: two rows of h numbers.
+        horizons_s: Times without given motion, s, ascending, shape (h,).
+        limits: Limits of the quantities of `SEEN`, above 0, shape (4,).
+        calm: Envelope up to which the regime is calm.
+        bands: Band of each quantity, names from `OFF`, by regime and time: two rows of h numbers.
     """
 
     horizons_s: Sequence[float]
@@ -67,7 +67,7 @@ class Bands:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        """Raise ModelError where shapes or numbers are none."""
+        """Raise ModelError where shapes or numbers are invalid."""
         h = len(self.horizons_s)
         if h < 1 or not all(0 < a < b for a, b in pairwise((1e-9, *self.horizons_s))):
             raise ModelError(
@@ -84,19 +84,19 @@ class Bands:
 
 
 def nowhere_valid(vehicle: Vehicle) -> Component:
-    """The same of a twin that was not compared, or too little: it says so, and nothing else."""
+    """Component for a twin that was not compared, or too little: its output is "not valid" only."""
     m = ComponentBuilder("accuracy", f"How far the twin of {vehicle.name} may be off: not known")
     m.output("valid", "1", "Whether the bands hold", 0.0, kind="boolean")
     return m.build()
 
 
 def accuracy(vehicle: Vehicle, known: Bands | None = None) -> Component:
-    """What the twin has gone through and, by it, its bands, as a component.
+    """Component with the envelope of the motion so far and the resulting bands.
 
     Args:
-        vehicle: Whose twin.
-        known: How far it was off; None: it shows what it has gone through alone, `seen.NAME`, from
-            which that is learned.
+        vehicle: Vehicle of the twin.
+        known: Measured errors; None: it outputs only the quantities `seen.NAME`, from which bands
+            are computed.
     """
     m = ComponentBuilder("accuracy", f"How far the twin of {vehicle.name} may be off")
     alone_s = m.input("alone", "s", "Time since the motion was given")
@@ -115,7 +115,7 @@ def accuracy(vehicle: Vehicle, known: Bands | None = None) -> Component:
 
 
 def _now(m: ComponentBuilder, vehicle: Vehicle) -> list[ca.SX]:
-    """`SEEN` at an instant."""
+    """Values of `SEEN` at an instant."""
     vel_n = [m.input(f"vel_{a}", "m/s", f"Velocity, NED {a}") for a in AXES]
     wind_n = [m.input(f"wind_{a}", "m/s", f"Velocity of the air, NED {a}") for a in AXES]
     omega_b = [m.input(f"omega_{a}", "rad/s", f"Body rate about {a}") for a in AXES]
@@ -137,7 +137,7 @@ def _now(m: ComponentBuilder, vehicle: Vehicle) -> list[ca.SX]:
 def _judged(
     m: ComponentBuilder, known: Bands, alone_s: ca.SX, period: ca.SX, seen: Sequence[ca.SX]
 ) -> None:
-    """Declare what an importer sees: whether bands hold, and the bands, held between instants."""
+    """Declare the outputs: validity of the bands, and the bands, held between instants."""
     holds = m.parameter(
         "known",
         1.0,
@@ -187,7 +187,8 @@ def _judged(
 
 
 def _along(band: Sequence[ca.SX], shares: Sequence[ca.SX]) -> ca.SX:
-    """A band at the time alone: straight lines between its times, the first before it."""
+    """A band at the present time without given motion: linear between its times, the first value
+    before them."""
     steps = (s * (b - a) for (a, b), s in zip(pairwise(band), shares, strict=True))
     return sum(steps, start=band[0])
 
@@ -195,7 +196,7 @@ def _along(band: Sequence[ca.SX], shares: Sequence[ca.SX]) -> ca.SX:
 def _held(
     m: ComponentBuilder, name: str, unit: str, about: str, value: ca.SX, boolean: bool = False
 ) -> None:
-    """An output that changes at instants alone."""
+    """An output that changes only at sample instants."""
     held = m.memory(f"{name}.held", unit, f"{name} at the last evaluation")
     m.update(f"{name}.held", value)
     m.output(name, unit, about, held, kind="boolean" if boolean else "real")

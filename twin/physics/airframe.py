@@ -5,11 +5,11 @@
     dq/dt     = q * [0, omega] / 2
 
 Source: Eq. 5 of the paper the project builds on, "Physics-Aware Multichannel Vector Quantization
-for Hybrid Digital Twin Modeling of UAV Systems", with gravity left in NED where it belongs: the
-paper rotates it with the matrix that takes body velocity to earth. G_a is the gyroscopic torque
-of the spinning rotors.
+for Hybrid Digital Twin Modeling of UAV Systems", with gravity in NED, where it belongs: the paper
+rotates it with the matrix from body velocity to earth. G_a is the gyroscopic torque of the spinning
+rotors.
 
-With it: the trim of an airframe that hovers.
+Also: the trim of an airframe in hover.
 """
 
 from collections.abc import Iterable, Sequence
@@ -37,20 +37,20 @@ from .rigid_body import (
 from .rotors import Drive, hub_loads, rotor_equations, rotor_inputs
 
 RESTART_PERIOD_S = 1e-3
-"""The communication step of the co-simulation."""
+"""Period of possible restarts, s: the communication step of the co-simulation."""
 RESTARTS = Period(RESTART_PERIOD_S, "Time between two instants at which it can be set anew")
-"""A parameter of the airframe."""
+"""Parameter of the airframe for that period."""
 Array = NDArray[np.float64]
 
 
 def hover_trim(component: Component, vehicle: Vehicle) -> dict[str, float]:
     """Start values (inputs and initial rotor states) of an unaccelerated level hover.
 
-    Newton's method with the least-norm step on vertical and angular acceleration against the
-    rotor inputs, at steady rotors, with the derivatives of the component's own equations.
+    Newton's method with the least-norm step on vertical and angular acceleration over the rotor
+    inputs, at steady rotors, with the derivatives of the component's own equations.
 
     Raises:
-        ModelError: No command inside 0..1 (no positive speed) hovers.
+        ModelError: No command in 0..1 (no positive speed) gives a hover.
     """
     names = [n for n in component.input_names if n.startswith(("cmd_", "rotor_"))]
     index = [component.input_names.index(n) for n in names]
@@ -99,7 +99,8 @@ def hover_trim(component: Component, vehicle: Vehicle) -> dict[str, float]:
 
 
 def _trim_guess(vehicle: Vehicle, inputs: Sequence[str], n_steady: int) -> Array:
-    """Equal rotors that carry the weight: argument of the thrust map, then its state if any."""
+    """Initial guess: equal rotors that carry the weight, argument of the thrust map, then its state
+    if any."""
     rotors = vehicle.rotors
     level = hover_level(vehicle)
     command = level
@@ -110,7 +111,7 @@ def _trim_guess(vehicle: Vehicle, inputs: Sequence[str], n_steady: int) -> Array
 
 
 REPORTED = "drive."
-"""Before the name of an input that an airframe also shows, so that others can be fed by it."""
+"""Prefix of an output that repeats an input of the airframe for other components."""
 
 
 def airframe(
@@ -123,26 +124,27 @@ def airframe(
 ) -> Component:
     """The airframe of a vehicle as a component; its start values are a hover at 10 m.
 
-    Inputs `force_*` and `moment_*` are what acts on it from outside; zero unless connected.
+    Inputs `force_*` and `moment_*` are external loads; zero unless connected.
 
     Args:
         vehicle: Numbers of the aircraft, and the effects that are switched on.
-        drive: "command" (inputs `cmd_1..n`) or "rotor_speed" (inputs `rotor_1..n`, rad/s);
-            default: what the vehicle file describes.
+        drive: "command" (inputs `cmd_1..n`) or "rotor_speed" (inputs `rotor_1..n`, rad/s); default:
+            the input that the vehicle file describes.
         effects: Effects to build in, switched off, as blocks of parameters: identifiers of
-            `twin.effects.EFFECTS`, of which those count that act on the airframe. The effects of
-            the vehicle are always in, and on.
-        restart: Whether its state can be set while it runs: inputs `restart` and `restart.pos_x`
-            to `restart.omega_z`. At the end of every `RESTART_PERIOD_S` in which `restart` is true
-            its motion is the given one; rotors and memories go on as they are. What drives it is
-            shown again, `drive.cmd_1` and so on, since no part of a twin gives it.
+            `twin.effects.EFFECTS`; those of other components are ignored. The effects of the
+            vehicle are always built in, and on.
+        restart: Whether its state can be set during a simulation: inputs `restart` and
+            `restart.pos_x` to `restart.omega_z`. At the end of every `RESTART_PERIOD_S` in which
+            `restart` is true its motion is set to the given one; rotors and memories continue. Its
+            rotor inputs are repeated as outputs `drive.cmd_1` and so on, since no part of a twin
+            computes them.
         voltage: Whether the battery voltage is an input although nothing in the airframe depends on
-            it, for another part that reads its output `voltage`.
-        trimmed: Whether it starts in that hover; else nothing says where, and it need not hover,
-            as an aircraft whose rotor stands still.
+            it, for another component that reads its output `voltage`.
+        trimmed: Whether it starts in that hover; else the start is not defined, and it need not be
+            able to hover, as an aircraft with a stopped rotor.
 
     Raises:
-        ModelError: The vehicle's maps do not allow this drive, or it has no hover trim.
+        ModelError: The vehicle's maps do not allow this input, or it has no hover trim.
     """
     wanted = {*effects, *vehicle.effects}
     chosen = [e for e in effects_of("airframe") if e.name in wanted]
@@ -225,14 +227,15 @@ def _equations(
 def _motion(
     m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks, z_ground: ca.SX, measured: bool
 ) -> Motion:
-    """Declare the states of the rigid body and its surroundings.
+    """Declare the states of the rigid body and its environment.
 
     Args:
-        m: Of the airframe.
-        vehicle: Its numbers.
-        blocks: Effects.
-        z_ground: NED down.
-        measured: Whether the battery voltage is an input; else it is the vehicle's usual one.
+        m: Builder of the airframe.
+        vehicle: Numbers of the vehicle.
+        blocks: Effects of the airframe.
+        z_ground: Height of the ground, NED down.
+        measured: Whether the battery voltage is an input; else it is the nominal one of the
+            vehicle.
     """
     wind_n = [
         m.input(f"wind_{a}", "m/s", f"Velocity of the air, NED {d}")
@@ -278,8 +281,8 @@ def _body(m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks, mass: ca.SX) ->
 
 
 def frame_origin(vehicle: Vehicle) -> Array:
-    """Where the vehicle file has the centre of mass, from where the effects of the vehicle have it:
-    body FRD, m, shape (3,). What sits on the frame stays there."""
+    """Origin of the frame: centre of mass by the vehicle file, from that with the vehicle's
+    effects, body FRD, m, shape (3,). Parts attached to the frame remain there."""
     m = ComponentBuilder("frame", f"Frame of {vehicle.name}")
     blocks = Blocks(m, vehicle, [e for e in effects_of("airframe") if e.name in vehicle.effects])
     body = _body(m, vehicle, blocks, ca.SX(vehicle.mass_kg))
@@ -292,8 +295,8 @@ def _drag(m: ComponentBuilder, vehicle: Vehicle, motion: Motion) -> list[ca.SX]:
     """Linear and quadratic drag along the body axes.
 
     Source: quadratic, Stevens, Lewis & Johnson, ch. 2; linear (rotor drag lumped into the body),
-    Faessler, Franchi & Scaramuzza, RA-L 2018, eq. 7; by the whole speed, as one flow round the
-    body has it, with a coefficient per axis, Folk, Paulos & Kumar, RotorPy, arXiv 2306.04485.
+    Faessler, Franchi & Scaramuzza, RA-L 2018, eq. 7; by the total speed, as in one flow round the
+    body, with a coefficient per axis, Folk, Paulos & Kumar, RotorPy, arXiv 2306.04485.
     """
     force = []
     for i, (axis, air) in enumerate(zip(AXES, motion.air_b, strict=True)):
@@ -329,7 +332,7 @@ def _drag(m: ComponentBuilder, vehicle: Vehicle, motion: Motion) -> list[ca.SX]:
 
 
 def _damping(m: ComponentBuilder, vehicle: Vehicle, motion: Motion) -> list[ca.SX]:
-    """Moment of the air on a turning body, by the square of each body rate."""
+    """Aerodynamic moment on a rotating body, by the square of each body rate."""
     if not np.any(vehicle.drag_angular_n_m_s2):
         return [ca.SX(0)] * 3
     c = _per_axis(
@@ -345,7 +348,7 @@ def _damping(m: ComponentBuilder, vehicle: Vehicle, motion: Motion) -> list[ca.S
 def _per_axis(
     m: ComponentBuilder, name: str, values: Array, unit: str, meaning: str
 ) -> list[ca.SX]:
-    """Three numbers that are not negative as parameters, one per body axis."""
+    """Three non-negative numbers as parameters, one per body axis."""
     return [
         m.parameter(f"{name}_{a}", v, unit, f"{meaning} {d}", minimum=0)
         for a, d, v in zip(AXES, FRD, values.tolist(), strict=True)
@@ -353,7 +356,7 @@ def _per_axis(
 
 
 def _hubs(m: ComponentBuilder, vehicle: Vehicle) -> list[list[ca.SX]]:
-    """Rotor hubs from the centre of mass, one [x, y, z] per rotor."""
+    """Positions of the rotor hubs from the centre of mass, one [x, y, z] per rotor."""
     return [
         [
             m.parameter(
@@ -366,7 +369,7 @@ def _hubs(m: ComponentBuilder, vehicle: Vehicle) -> list[list[ca.SX]]:
 
 
 def _wrench(m: ComponentBuilder, vehicle: Vehicle, rotors: Thrust) -> Wrench:
-    """Drag of the body; thrust, torques and loads of the air on the rotors."""
+    """Sum of body drag and of thrust, torques and aerodynamic loads of the rotors."""
     motion = rotors.motion
     force = _drag(m, vehicle, motion)
     moment = _damping(m, vehicle, motion)
@@ -407,7 +410,7 @@ def _current(m: ComponentBuilder, vehicle: Vehicle, rotors: Thrust) -> ca.SX:
     motion = rotors.motion
     share = motion.body.mass * motion.gravity / len(rotors.thrust)
     loads = [ca.if_else(t > 0, t, 0.0) / share for t in rotors.thrust]
-    # x sqrt(x), not x**1.5: the power function differs in the last bit between platforms.
-    # Bounded below: the root has no derivative at zero, where a rotor at rest is.
+    # x sqrt(x), not x**1.5: the power function differs in the last bit between platforms. Bounded
+    # below: the root has no derivative at zero, with a rotor at rest.
     load = sum((x * ca.sqrt(ca.fmax(x, 1e-30)) for x in loads), start=ca.SX(0))
     return hover * load / len(loads)

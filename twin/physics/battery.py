@@ -1,8 +1,8 @@
-"""Battery: open-circuit voltage that falls linearly with charge, behind an internal resistance.
+"""Battery: open-circuit voltage, linear in charge, in series with an internal resistance.
 
 The drop over the resistance follows the current with a short lag, that of the capacitors next to
-the motor controllers: a terminal voltage that answered at once would stand in an algebraic loop
-with motors whose current depends on it.
+the motor controllers: without it the terminal voltage would be in an algebraic loop with motors
+whose current depends on it.
 """
 
 from ..component import Component, ComponentBuilder
@@ -10,7 +10,7 @@ from ..errors import ModelError
 from ..vehicle import Vehicle
 
 LAG_S = 0.02
-"""Time constant of the voltage drop. Made up: 1 mF behind 20 mOhm, felt through long leads."""
+"""Time constant of the voltage drop. Made up: 1 mF behind 20 mOhm, through long leads."""
 
 
 def battery(vehicle: Vehicle) -> Component:

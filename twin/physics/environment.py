@@ -19,7 +19,7 @@ SAMPLE_PERIOD_S = 1e-2
 GROUND_K, GROUND_PA = 288.15, 101325.0
 """Temperature, K, and pressure, Pa, at sea level; ISO 2533:1975."""
 EXPONENT = GRAVITY_M_S2 / (LAPSE_K_M * GAS_CONSTANT_J_KG_K) - 1.0
-"""Power of the temperature ratio that gives the density ratio."""
+"""Exponent of the temperature ratio in the density ratio."""
 
 
 def environment(vehicle: Vehicle) -> Component:
@@ -46,13 +46,13 @@ def environment(vehicle: Vehicle) -> Component:
 
 
 def _density(m: ComponentBuilder, pos_z: ca.SX) -> ca.SX:
-    """Density in the troposphere over a ground of given temperature and pressure."""
+    """Density in the troposphere above ground of given temperature and pressure."""
     warm = m.parameter(
         "ground.temperature", GROUND_K, "K", "Temperature at pos_z = 0", minimum=200, maximum=330
     )
     pressure = m.parameter(
         "ground.pressure", GROUND_PA, "Pa", "Air pressure at pos_z = 0", minimum=2e4, maximum=1.1e5
     )
-    # Within the series' range: 10 km up and down.
+    # Within the convergence range of the series: 10 km up and down.
     cooling = ca.fmin(ca.fmax(LAPSE_K_M * pos_z / warm, -0.25), 0.25)
     return pressure / (GAS_CONSTANT_J_KG_K * warm) * binomial_power(cooling, EXPONENT)

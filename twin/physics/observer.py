@@ -1,16 +1,17 @@
-"""Disturbance observer of an airframe whose motion is given while it runs.
+"""Disturbance observer of an airframe whose motion is given during a simulation.
 
-From one instant with `restart` to the next the motion drifts from the given one by what the
-equations lack. Six first-order lags put that down to causes, which act from then on and fade once
-the motion is no longer given:
+From one instant with `restart` to the next the motion drifts from the given one by model errors.
+Six first-order lags attribute the drift to causes, which act from then on and decay once the motion
+is no longer given:
 
-    along the thrust    a force, which the accelerometer feels
+    along the thrust    a force, which the accelerometer measures
     across the thrust   gravity: the given attitude is tilted, roll and pitch, against the airframe
     angular             a moment
 
-Motion alone does not tell a force across the thrust from a tilt. A degree of tilt makes 0.17 m/s2;
-attitudes of motion capture and of autopilots are off by 1 to 3 degrees, and where they are, a force
-makes the accelerometer wrong by as much (0.44 for 0.07 m/s2, NanoBench). A tilt leaves it alone.
+Motion alone does not separate a force across the thrust from a tilt. A degree of tilt gives 0.17
+m/s2; attitudes of motion capture and of autopilots have errors of 1 to 3 degrees, and there a force
+would make the accelerometer wrong by that amount (0.44 instead of 0.07 m/s2, NanoBench). A tilt
+does not change it.
 
 Source: Luenberger's observer with an integrating disturbance; Chen, Yang, Guo & Li, IEEE Trans.
 Industrial Electronics 63, 2016, sec. II.
@@ -27,8 +28,9 @@ from ..frames import AXES, FRD, to_body
 from .rigid_body import MOTION, START
 
 LAG_S, FADE_S = 0.2, 1.0
-"""Of 0.1, 0.2 and 0.5 s, and fades of 0.7 and 1 s, on the residuals of three real hovers
-(RflySimDT) none forecast half a second better by more than a tenth."""
+"""Time constants of learning and decay. Of 0.1, 0.2 and 0.5 s, and decays of 0.7 and 1 s, on the
+residuals of three real hovers (RflySimDT) none predicted half a second better by more than a
+tenth."""
 LEARNED = (
     *((f"gravity_{a}", "m/s2", f"Gravity by a tilt of the given attitude, body {d}")
       for a, d in zip("xy", FRD, strict=False)),
@@ -36,18 +38,18 @@ LEARNED = (
     *((f"moment_{a}", "N.m", f"Moment that the equations lack, about {d}")
       for a, d in zip(AXES, FRD, strict=True)),
 )  # fmt: skip
-"""What is learned, in the order of accelerations x, y, z and angular ones: name, unit, meaning."""
+"""Learned disturbances, in the order of accelerations x, y, z and angular ones: name, unit,
+meaning."""
 
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """What the equations lack, as learned; zero while the observer is switched off, shape (3,)
-    each.
+    """Learned disturbance; zero while the observer is switched off, shape (3,) each.
 
     Attributes:
-        force_b: Body FRD, N.
-        moment_b: Body FRD, N m.
-        gravity_b: Acceleration that nothing feels, body FRD, m/s2.
+        force_b: Force, body FRD, N.
+        moment_b: Moment, body FRD, N m.
+        gravity_b: Acceleration that the accelerometer does not measure, body FRD, m/s2.
         alone_s: Time since the motion was given, or since the start, s.
     """
 
@@ -59,16 +61,16 @@ class Disturbance:
 
 _NOTHING = [ca.SX(0)] * 3
 NONE = Disturbance(_NOTHING, _NOTHING, _NOTHING, ca.SX(0))
-"""Of an airframe whose motion is never given."""
+"""Disturbance of an airframe whose motion is never given."""
 
 
 def followed(m: ComponentBuilder, motion: Motion, period: ca.SX) -> Disturbance:
-    """Let inputs set the motion while the component runs; what it lacks is learned meanwhile.
+    """Let inputs set the motion during a simulation, and learn the disturbance meanwhile.
 
     Args:
-        m: Of the airframe.
-        motion: Its states.
-        period: Time between two of its instants, s.
+        m: Builder of the airframe.
+        motion: States of the airframe.
+        period: Time between two sample instants, s.
     """
     now = m.input("restart", "1", "Whether the motion is the given one", kind="boolean") > 0.5
     given = {
@@ -114,7 +116,7 @@ def followed(m: ComponentBuilder, motion: Motion, period: ca.SX) -> Disturbance:
 
 
 def shown(m: ComponentBuilder, disturbance: Disturbance) -> None:
-    """Output what is learned, and for how long it has been left alone."""
+    """Output the learned disturbance, and the time since the motion was given."""
     m.output("alone", "s", "Time since its motion was given, or the start", disturbance.alone_s)
     acts = (*disturbance.gravity_b[:2], disturbance.force_b[2], *disturbance.moment_b)
     for (name, unit, meaning), value in zip(LEARNED, acts, strict=True):
@@ -122,7 +124,7 @@ def shown(m: ComponentBuilder, disturbance: Disturbance) -> None:
 
 
 def _drift(motion: Motion, given: dict[str, ca.SX]) -> list[ca.SX]:
-    """Impulses, in units of `LEARNED` times s, that take the motion to the given one."""
+    """Impulses, in units of `LEARNED` times s, that move the motion to the given one."""
     drift_n = [given[f"vel_{a}"] - v for a, v in zip(AXES, motion.vel_n, strict=True)]
     x, y, z = to_body(motion.q_nb, drift_n)
     turned = [given[f"omega_{a}"] - w for a, w in zip(AXES, motion.omega_b, strict=True)]

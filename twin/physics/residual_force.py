@@ -1,21 +1,20 @@
-"""What the equations leave of force and moment, as a law of the motion that flights have taught.
+"""Residual force and moment of the equations, as a law of the motion learned from flights.
 
     [force, moment] = units * bound(near(d) * (linear @ features(x) + module(x)))
     z = (x - centre) / scale           d = |whitening @ z| / sqrt(len(z)) / reach
 
-x is the motion as the air and the rotors know it (`INPUTS`): no gravity, heading or position is in
-it, so that the law means the same on every mission. Up to d = 1 it has been among the flights that
-taught it; from there `near` fades to zero, up to `FADED`, without a step; and each output
-stays within `most`. So force and moment are bounded, however the vehicle moves. A law is evaluated
-every `PERIOD_S` and held in between.
+x is the motion relative to air and rotors (`INPUTS`): without gravity, heading or position, so that
+the law is valid on every mission. Up to d = 1 it is within the training flights; from there `near`
+decreases smoothly to zero at `FADED`; and each output stays within `most`. So force and moment are
+bounded for any motion. A law is evaluated every `PERIOD_S` and held in between.
 
-Beside the law, what no law foretells can be drawn: a random force and moment, off by default, whose
-spectrum is a level in each third-octave. Each is white noise through a band-pass of two poles and a
-zero at rest, sampled:
+In addition to the law, an unpredictable part can be drawn: a random force and moment, off by
+default, whose spectrum is a level in each third-octave. Each is white noise through a band-pass of
+two poles and a zero at frequency 0, sampled:
 
     a' = 2 r cos(w T sqrt(1 - 1/4Q^2)) a - r^2 b + n     b' = a     r = exp(-w T / 2Q)
 
-and a - b is drawn, over its own standard deviation.
+and a - b is the noise, scaled by its standard deviation.
 
 Source: the fade, Perlin's smoothstep; the band-pass, Oppenheim & Schafer, Discrete-Time Signal
 Processing, sec. 5.3.
@@ -45,9 +44,9 @@ INPUTS = (
     ("voltage", "1"),
     ("ground", "1"),
 )
-"""Physical inputs: velocity through the air and body rates, body FRD; squared rotor speed over that
-in hover, its mean less one and its parts that turn about each axis; voltage over the nominal one
-less one; nearness to the ground, 1 / (1 + (height / arm)^2)."""
+"""Physical inputs: velocity through the air and body rates, body FRD; squared rotor speed relative
+to hover, its mean less one and its combinations that give moments about each axis; voltage over
+nominal less one; nearness to the ground, 1 / (1 + (height / arm)^2)."""
 OUTPUTS = (*(("force", a) for a in AXES), *(("moment", a) for a in AXES))
 """Components of the learned wrench, body FRD."""
 FEATURES = (
@@ -58,19 +57,19 @@ FEATURES = (
     "thrust thrust",
     *(f"omega omega_{a}" for a in AXES),
 )
-"""What the linear part is linear in: a constant, the inputs, and products that physics knows: drag
+"""Features of the linear part: a constant, the inputs, and products with a physical meaning: drag
 of rotors and of the body, a curved thrust map, gyroscopic moments."""
 FADED = 2.0
-"""Distance, over that up to which training has been, at which a law has faded to nothing, as a
-network of the sensors has. Not chosen on flights."""
+"""Distance, relative to the reach of the training, at which a law has decreased to zero, as for a
+network of the sensors. Not chosen on flights."""
 
 
 NOISE_HZ = tuple((0.2 * 2 ** (np.arange(24) / 3)).tolist())
-"""Middle of each third-octave of the noise, Hz: from what a hover of some seconds shows to what
-logs hold of readings."""
+"""Centre frequency of each third-octave of the noise, Hz: from what a hover of some seconds
+resolves to the bandwidth of logs."""
 PERIOD_S = 2e-3
-"""Time between two evaluations of the law and draws of the noise, s. With 5 ms attitude and rates
-are farther off by up to 6 and 8 % (RflySimDT, real_2, after 0.05 s), with 2 ms by 1 and 2 %."""
+"""Time between two evaluations of the law and draws of the noise, s. With 5 ms errors of attitude
+and rates grow by up to 6 and 8 % (RflySimDT, real_2, after 0.05 s), with 2 ms by 1 and 2 %."""
 _BANDS = (len(OUTPUTS), len(NOISE_HZ))  # shape of the noise
 
 
@@ -81,16 +80,16 @@ class ForceLaw:
     Attributes:
         linear: Specific force, m/s2, and angular acceleration, rad/s2, per feature, shape
             (6, len(FEATURES)).
-        centre: Of the inputs, shape (len(INPUTS),).
-        scale: Of the inputs, above 0, the same shape.
-        whitening: Makes z uncorrelated, shape (len(INPUTS), len(INPUTS)).
-        reach: Distance up to which training has been, above 0.
-        most: Of specific force, m/s2, and angular acceleration, rad/s2, that is said either way, at
+        centre: Centre of the inputs, shape (len(INPUTS),).
+        scale: Scale of the inputs, above 0, shape (len(INPUTS),).
+        whitening: Matrix that decorrelates z, shape (len(INPUTS), len(INPUTS)).
+        reach: Largest distance in the training, above 0.
+        most: Bound of the magnitude of specific force, m/s2, and angular acceleration, rad/s2, at
             least 0, shape (6,).
         units: Force, N, and moment, N m, per specific force and angular acceleration, shape (6, 6).
-        noise: Standard deviation of what is drawn in each of `NOISE_HZ`, m/s2 and rad/s2, at least
+        noise: Standard deviation of the noise in each band of `NOISE_HZ`, m/s2 and rad/s2, at least
             0, shape (6, len(NOISE_HZ)).
-        module: What is added to the linear part, as a function of `INPUTS`; None: nothing.
+        module: Addition to the linear part, as a function of `INPUTS`; None: none.
     """
 
     linear: Array
@@ -106,7 +105,7 @@ class ForceLaw:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        """Raise ModelError where shapes or numbers are none."""
+        """Raise ModelError where shapes or numbers are invalid."""
         d = len(INPUTS)
         shapes = {
             "linear": (6, len(FEATURES)),
@@ -134,7 +133,7 @@ class ForceLaw:
 
     @classmethod
     def of(cls, arrays: Mapping[str, Array]) -> "ForceLaw":
-        """The law that has these numbers.
+        """The law with these numbers.
 
         Raises:
             ModelError: Some are missing, of another shape or not finite.
@@ -158,12 +157,12 @@ def motion_inputs(
     """`INPUTS` as expressions, shape (len(INPUTS), 1).
 
     Args:
-        vehicle: Where its rotors are and which way they turn.
+        vehicle: Vehicle with positions and directions of its rotors.
         air_b: Velocity through the air, body FRD, m/s.
         omega_b: Body rates, rad/s.
-        spin: Rotor speeds over that in hover.
-        voltage: V.
-        height: Of the centre of mass over the ground, m.
+        spin: Rotor speeds relative to hover.
+        voltage: Battery voltage, V.
+        height: Height of the centre of mass over the ground, m.
     """
     n, arm = len(spin), vehicle.arm_m
     square = [s * s for s in spin]
@@ -198,20 +197,20 @@ def features(x: ca.SX) -> ca.SX:
 
 
 def distance(law: ForceLaw, x: ca.SX) -> ca.SX:
-    """Of inputs from those of the training, 1 where these end."""
+    """Distance of inputs from those of the training, 1 at their limit."""
     whole = law.whitening / law.scale / (law.reach * np.sqrt(len(INPUTS)))
-    # Bounded below: the root has no derivative in the middle of the training.
+    # Bounded below: the root has no derivative at the centre of the training.
     return ca.sqrt(ca.fmax(ca.sumsqr(ca.mtimes(ca.SX(whole), x - law.centre)), 1e-30))
 
 
 def accelerations(law: ForceLaw, x: ca.SX, linear: ca.SX, most: ca.SX) -> ca.SX:
-    """Specific force, m/s2, and angular acceleration, rad/s2, that a law gives, shape (6, 1).
+    """Specific force, m/s2, and angular acceleration, rad/s2, of a law, shape (6, 1).
 
     Args:
-        law: Envelope.
-        x: `INPUTS`.
-        linear: Weights in the place of the law's.
-        most: In the place of the law's, shape (6, 1).
+        law: Law with the envelope.
+        x: Values of `INPUTS`.
+        linear: Weights in place of those of the law.
+        most: Bounds in place of those of the law, shape (6, 1).
     """
     d = distance(law, x)
     said = ca.mtimes(linear, features(x))
@@ -222,7 +221,7 @@ def accelerations(law: ForceLaw, x: ca.SX, linear: ca.SX, most: ca.SX) -> ca.SX:
 
 
 def parameter_values(law: ForceLaw) -> dict[str, float]:
-    """What the component may be given of another law with the same envelope."""
+    """Parameters of the component for another law with the same envelope."""
     linear, most = _parameter_names()
     names = [*(n for row in linear for n in row), *most]
     values = np.concatenate([law.linear.ravel(), law.most])
@@ -237,17 +236,17 @@ def _parameter_names() -> tuple[list[list[str]], list[str]]:
 
 
 def residual_force(vehicle: Vehicle, law: ForceLaw) -> Component:
-    """The law as a component: fed by the airframe's outputs, it feeds its forces and moments.
+    """Component of the law: inputs from the airframe's outputs, outputs are force and moment.
 
-    Its weights and bounds are tunable parameters (`parameter_values`), so that anybody can read
-    what it says.
+    Its weights and bounds are tunable parameters (`parameter_values`), so that they can be
+    inspected.
 
     Args:
-        vehicle: Whose equations leave something.
-        law: What is known of it.
+        vehicle: Vehicle with the residual force.
+        law: Learned law.
     """
     m = ComponentBuilder("residual_force", f"What the equations of {vehicle.name} leave, as taught")
-    # In the order in which the airframe puts them out: they are carried at once.
+    # In the order of the airframe's outputs: they are copied in one piece.
     down = m.input("pos_z", "m", "Position, NED down", -100.0)
     vel_n = [m.input(f"vel_{a}", "m/s", f"Velocity, NED {a}") for a in AXES]
     q_nb = [m.input(f"q_{a}", "1", f"Attitude, {a}", float(a == "w")) for a in "wxyz"]
@@ -286,7 +285,7 @@ def _held(m: ComponentBuilder, name: str, unit: str, value: ca.SX) -> ca.SX:
 
 
 def noise_values(noise: Array) -> dict[str, float]:
-    """What the component may be given of another noise, by the names of its parameters."""
+    """Parameters of the component for another noise, by name."""
     names = _noise_names()
     return {names[i][k]: float(noise[i, k]) for i, k in np.ndindex(noise.shape)}
 
@@ -297,7 +296,7 @@ def _noise_names() -> list[list[str]]:
 
 
 def _noise(m: ComponentBuilder, levels: Array) -> ca.SX:
-    """What is drawn of specific force and angular acceleration, shape (6, 1); what has no level is
+    """Random specific force and angular acceleration, shape (6, 1); components without a level are
     not built."""
     drawn, names = ca.SX.zeros(_BANDS[0]), _noise_names()
     if not levels.any():
@@ -319,7 +318,7 @@ def _noise(m: ComponentBuilder, levels: Array) -> ca.SX:
 
 
 def _band(f_hz: float) -> tuple[float, float, float]:
-    """Both coefficients of a third-octave's recursion, and the noise that makes its variance 1."""
+    """Both coefficients of a third-octave's recursion, and the input noise for variance 1."""
     q = 1 / (2 ** (1 / 6) - 2 ** (-1 / 6))
     step = 2 * np.pi * f_hz * PERIOD_S
     r = np.exp(-step / (2 * q))
@@ -329,12 +328,12 @@ def _band(f_hz: float) -> tuple[float, float, float]:
 
 
 def _unit(kind: str) -> str:
-    """Of what the equations lack, per mass or inertia."""
+    """Unit of the residual, per mass or inertia."""
     return "m/s2" if kind == "force" else "rad/s2"
 
 
 def _weights(m: ComponentBuilder, names: list[list[str]], values: Array) -> ca.SX:
-    """A matrix of parameters that start at a law's weights."""
+    """A matrix of parameters with the weights of a law as start values."""
     rows = []
     for (kind, _), row, starts in zip(OUTPUTS, names, values.tolist(), strict=True):
         unit, what = ("m/s2", "Specific force") if kind == "force" else ("rad/s2", "Acceleration")
@@ -352,7 +351,7 @@ def _weights(m: ComponentBuilder, names: list[list[str]], values: Array) -> ca.S
 
 
 def _bounds(m: ComponentBuilder, names: Sequence[str], values: Array) -> ca.SX:
-    """Parameters that start at a law's bounds, shape (6, 1)."""
+    """Parameters with the bounds of a law as start values, shape (6, 1)."""
     rows = zip(OUTPUTS, names, values.tolist(), strict=True)
     return ca.vertcat(
         *[
@@ -363,6 +362,6 @@ def _bounds(m: ComponentBuilder, names: Sequence[str], values: Array) -> ca.SX:
 
 
 def _fade(d: ca.SX) -> ca.SX:
-    """1 up to a distance of 1, 0 from `FADED` on, in between a cubic without a kink."""
+    """1 up to a distance of 1, 0 from `FADED` on, a smooth cubic in between."""
     t = ca.fmin(ca.fmax((d - 1) / (FADED - 1), 0.0), 1.0)
     return 1 - t * t * (3 - 2 * t)

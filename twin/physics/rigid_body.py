@@ -1,7 +1,7 @@
-"""Rigid body: states, mass properties, Euler's equation, and the ground it stands on.
+"""Rigid body: states, mass properties, Euler's equation, and contact with the ground.
 
 Other forces come from the airframe. Ground contact: spring, damper and friction under each foot,
-enough to stand and take off. Stiffness follows from the mass: the vehicle on its feet is an
+enough for standing and take-off. Stiffness follows from the mass: the vehicle on its feet is an
 oscillator of `CONTACT_HZ` with damping ratio `CONTACT_DAMPING`, slow enough for RK4 at 1 ms.
 """
 
@@ -19,7 +19,7 @@ from ..vehicle import Vehicle
 
 Array = NDArray[np.float64]
 START_HEIGHT_M = 10.0
-"""Height at which it starts, when no start value says otherwise."""
+"""Initial height, unless a start value overrides it."""
 START = {"pos_z": -START_HEIGHT_M, "q_w": 1.0}
 """Start values of states that are not zero."""
 MOTION = (
@@ -28,7 +28,7 @@ MOTION = (
     *((f"q_{a}", "1", f"attitude quaternion body to NED, {a}") for a in "wxyz"),
     *((f"omega_{a}", "rad/s", f"body rate about {d}") for a, d in zip(AXES, FRD, strict=True)),
 )
-"""States: name, unit, meaning."""
+"""States of the motion: name, unit, meaning."""
 OUTSIDE = tuple(
     (f"{name}_{a}", unit, f"{meaning} {d}")
     for name, unit, meaning in (
@@ -37,13 +37,13 @@ OUTSIDE = tuple(
     )
     for a, d in zip(AXES, FRD, strict=True)
 )
-"""What may act on it from outside, about the centre of mass: name, unit, meaning."""
+"""External loads about the centre of mass: name, unit, meaning."""
 
 
 def motion_states(
     m: ComponentBuilder,
 ) -> tuple[dict[str, ca.SX], list[ca.SX], list[ca.SX], list[ca.SX], list[ca.SX]]:
-    """Start values by name; position and velocity NED, attitude, body rates."""
+    """Declared states: start values by name; position and velocity NED, attitude, body rates."""
     initial = {
         name: m.parameter(
             f"initial.{name}", START.get(name, 0.0), unit, f"Initial {meaning}", fixed=True
@@ -105,14 +105,14 @@ def move(
     angular_acceleration_b: Sequence[ca.SX],
     unsensed_b: Sequence[ca.SX],
 ) -> None:
-    """Declare how the states change, and output them with force and acceleration.
+    """Declare the derivatives of the states, and output states, force and acceleration.
 
     Args:
-        m: Of the airframe.
-        motion: Its states.
-        specific_force_b: Body FRD, m/s2.
-        angular_acceleration_b: Body FRD, rad/s2.
-        unsensed_b: Acceleration that is no specific force, beyond gravity, body FRD, m/s2.
+        m: Builder of the airframe.
+        motion: States of the airframe.
+        specific_force_b: Specific force, body FRD, m/s2.
+        angular_acceleration_b: Angular acceleration, body FRD, rad/s2.
+        unsensed_b: Acceleration that is no specific force, in addition to gravity, body FRD, m/s2.
     """
     moved_b = [f + a for f, a in zip(specific_force_b, unsensed_b, strict=True)]
     acceleration_n = to_ned(motion.q_nb, moved_b)
@@ -166,24 +166,24 @@ def _symmetric_inverse(J: list[list[ca.SX]]) -> list[list[ca.SX]]:
 CONTACT_HZ = 15.0
 """Natural frequency of the vehicle on its feet, Hz; it sinks g / (2 pi f)^2 = 1.1 mm. Made up."""
 CONTACT_DAMPING = 0.7
-"""Damping ratio on the feet. Made up: no bounce to speak of."""
+"""Damping ratio on the feet. Made up: almost no bounce."""
 FRICTION = 0.6
 """Coulomb coefficient, rubber on a floor. Made up."""
 CLEARANCE_M = 0.5
-"""Farther than this from the ground, and from what speed covers in two steps, contact is not
-evaluated: to bridge it within 1 ms takes 10^6 m/s^2."""
+"""Distance to the ground, in addition to that covered in two steps, beyond which contact is not
+evaluated: to cover it within 1 ms takes 10^6 m/s^2."""
 SLIP_SPEED_M_S = 0.02
 """Speed at which friction reaches 71 % of its Coulomb value."""
 
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """What the ground does to the vehicle.
+    """Contact force and moment on the vehicle.
 
     Attributes:
-        force: N, body FRD.
-        moment: About the centre of mass, N m, body FRD.
-        enabled: Parameter that switches the ground on.
+        force: Force, N, body FRD.
+        moment: Moment about the centre of mass, N m, body FRD.
+        enabled: Parameter that enables the ground.
         step: Symbol of the step length, s, in `out_of_reach`.
         out_of_reach: Whether no foot can touch the ground within the step.
     """
@@ -204,7 +204,7 @@ def ground_contact(
     q_nb: Sequence[ca.SX],
     omega_b: Sequence[ca.SX],
 ) -> Contact:
-    """Declare the parameters of the ground, whose plane is at `z_ground` NED, m."""
+    """Declare the parameters of the ground, a plane at `z_ground` NED, m."""
     enabled = m.parameter(
         "ground.enabled",
         1.0,
@@ -238,13 +238,13 @@ def ground_contact(
         "Centre of mass over the ground when standing",
         minimum=0,
     )
-    # Out of reach of the feet in any attitude, whatever happens within a step.
+    # No foot can reach the ground in any attitude within a step.
     step = ca.SX.sym("step")
     speed_n = ca.sqrt(sum((v * v for v in vel_n), start=ca.SX(0)))
     reach = vehicle.arm_m + height + CLEARANCE_M + 2 * step * speed_n
 
-    # Everything is linear in the place of the foot, so columns in NED are made once:
-    # a foot at (x, y, height) is at R_x x + R_y y + R_z height from the centre of mass.
+    # Everything is linear in the position of the foot, so columns in NED are computed once: a foot
+    # at (x, y, height) is at R_x x + R_y y + R_z height from the centre of mass.
     columns = [to_ned(q_nb, e) for e in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
     omega_n = to_ned(q_nb, omega_b)
     rates = [cross(omega_n, c) for c in columns]

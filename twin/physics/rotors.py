@@ -1,17 +1,17 @@
 """Rotors: from motor commands or rotor speeds to thrust and reaction torque.
 
-Three kinds, chosen by the vehicle file and by what the flight holds:
+Three kinds, by the vehicle file and the signals of the flight:
 
-| thrust map | driven by | state per rotor |
+| thrust map | input | state per rotor |
 |---|---|---|
 | of the speed | command, through `speed_from_command` and a lag | speed, rad/s |
 | of the speed | measured rotor speed | none |
 | of the command | command, through a lag | effective command, 0..1 |
 
-Of a rotor that moves through the air: advance, drag, inflow, lift, moments. The laws, their signs
-and their sources are those of `twin.vehicle.RotorAir` and `Advance`. All act
-at the hub, whose velocity through the air is that of the centre of mass and of the turning body. A
-number that is zero has no place in the equations.
+Effects of a rotor's motion through the air: advance, drag, inflow, lift, moments. The laws, their
+signs and their sources are those of `twin.vehicle.RotorAir` and `Advance`. All act at the hub,
+whose velocity through the air is that of the centre of mass and of the rotating body. A coefficient
+of zero removes its term from the equations.
 """
 
 import itertools
@@ -30,7 +30,7 @@ from ..vehicle import RotorAir, Rotors, Vehicle
 from ..vehicle.vehicle import hover_level, polynomial
 
 SLOWEST_RAD_S = 1e-3
-"""Rotor speed below which the advance ratio is that at this speed: there is no thrust to change."""
+"""Rotor speed below which the advance ratio is that at this speed: thrust is negligible."""
 
 
 def by_advance(
@@ -58,7 +58,7 @@ def by_advance(
 
 
 def _on_lines(table: Sequence[tuple[float, float]], x: ca.SX) -> ca.SX:
-    """Value at x of straight lines between rows, the first and last values beyond."""
+    """Linear interpolation of a table at x, the first and last values beyond."""
     value = ca.SX(table[0][1])
     for (x0, y0), (x1, y1) in itertools.pairwise(table):
         way = ca.if_else(x > x0, ca.if_else(x < x1, x - x0, x1 - x0), 0.0)
@@ -69,7 +69,8 @@ def _on_lines(table: Sequence[tuple[float, float]], x: ca.SX) -> ca.SX:
 def gained_thrust(
     m: ComponentBuilder, air: RotorAir, motion: Motion, speed: list[ca.SX]
 ) -> list[ca.SX]:
-    """Thrust that each rotor gains by moving through the air, N, at these rotor speeds, rad/s."""
+    """Additional thrust of each rotor by its motion through the air, N, at rotor speeds in
+    rad/s."""
     gained = [ca.SX(0)] * len(speed)
     if air.lift_kg_m:
         k = m.parameter(
@@ -102,7 +103,7 @@ def hub_loads(
 ) -> list[tuple[list[ca.SX], list[ca.SX]]]:
     """Force, N, and moment about the centre of mass, N m, of the air on each rotor, body FRD.
 
-    Thrust and reaction torque aside. Empty where the vehicle knows of none.
+    Without thrust and reaction torque. Empty where the vehicle has no such numbers.
     """
     air, motion = vehicle.rotors.air, rotors.motion
     if not (air.drag_kg_rad or air.flapping_kg_m_rad or air.rolling_kg_m_rad):
@@ -149,16 +150,16 @@ def hub_loads(
 
 Drive = Literal["command", "rotor_speed"]
 SHORTEST_LAG_S = 15e-3
-"""Time constant of the state that gives the rate of a rotor where the file knows no lag: that of
-the fastest rotors among published airframes, 15 to 75 ms. A shorter one would take the steps of a
-record of the commands for accelerations."""
+"""Time constant of the state that gives the rate of a rotor where the file has no lag: that of the
+fastest rotors among published airframes, 15 to 75 ms. A shorter one would turn steps of recorded
+commands into accelerations."""
 
 
 def rotor_inputs(m: ComponentBuilder, vehicle: Vehicle, drive: Drive) -> list[ca.SX]:
-    """Declare what drives the rotors, one input each: `cmd_i`, 0..1, or `rotor_i`, rad/s.
+    """Declare the inputs of the rotors, one each: `cmd_i`, 0..1, or `rotor_i`, rad/s.
 
     Raises:
-        ModelError: The vehicle's maps do not allow this drive.
+        ModelError: The vehicle's maps do not allow this input.
     """
     numbers = range(1, vehicle.rotors.count + 1)
     if drive == "command":
@@ -168,7 +169,7 @@ def rotor_inputs(m: ComponentBuilder, vehicle: Vehicle, drive: Drive) -> list[ca
             "Measured rotor speeds cannot drive a vehicle whose thrust map is of the command; "
             "give rotors.thrust_from_speed in the vehicle file."
         )
-    # Hover trim is a start value of the inputs, set once the whole airframe is known.
+    # Hover trim is a start value of the inputs, set once the whole airframe is built.
     return [m.input(f"rotor_{i}", "rad/s", f"Speed of rotor {i}") for i in numbers]
 
 
@@ -180,7 +181,7 @@ def rotor_equations(
     motion: Motion,
     blocks: Blocks,
 ) -> Thrust:
-    """Declare parameters and states of the rotors; return what each gives."""
+    """Declare parameters and states of the rotors; returns thrust and torque of each."""
     rotors = vehicle.rotors
     argument, argument_unit = ("rotor speed", "rad/s") if rotors.from_speed else ("command", "1")
     thrust = _coefficients(m, "thrust", "N", "Thrust", rotors.thrust_n, argument, argument_unit)
@@ -191,12 +192,12 @@ def rotor_equations(
         level, rate = inputs, _spin_rates(m, rotors, blocks)
     else:
         level, rate = _driven_by_command(m, vehicle, inputs, motion.voltage, blocks)
-    # A fitted polynomial may be negative near zero, where a rotor at rest does not push down.
+    # A fitted polynomial may be negative near zero, where a rotor at rest has no negative thrust.
     pushes = [_not_negative(polynomial(thrust, x)) * motion.density for x in level]
     twists = [_not_negative(polynomial(torque, x)) * motion.density for x in level]
     thrust_share, torque_share = by_advance(m, rotors, motion, level)
     gained = gained_thrust(m, rotors.air, motion, level)
-    # By commands and without lag the file's rotors have no acceleration.
+    # With commands and without lag the file's rotors have no acceleration.
     known = drive == "rotor_speed" or rotors.follows
     reactions = _reactions(m, rotors, rate) if known else [ca.SX(0)] * rotors.count
     pushes = [t * k + g for t, k, g in zip(pushes, thrust_share, gained, strict=True)]
@@ -208,7 +209,7 @@ def rotor_equations(
 
 
 def _spin_rates(m: ComponentBuilder, rotors: Rotors, blocks: Blocks) -> list[ca.SX]:
-    """Time derivatives of measured rotor speeds, an input where an effect asks for them."""
+    """Time derivatives of measured rotor speeds, an input where an effect needs them."""
     if not blocks.include("rotor_inertia_torque") and rotors.reaction_inertia_kg_m2 == 0:
         return [ca.SX(0)] * rotors.count
     return [
@@ -218,7 +219,7 @@ def _spin_rates(m: ComponentBuilder, rotors: Rotors, blocks: Blocks) -> list[ca.
 
 
 def _reactions(m: ComponentBuilder, rotors: Rotors, rate: list[ca.SX]) -> list[ca.SX]:
-    """Torque that speeds each rotor up, which acts on the body as that of the air does."""
+    """Torque that accelerates each rotor, whose reaction acts on the body."""
     if rotors.reaction_inertia_kg_m2 == 0:
         return [ca.SX(0)] * rotors.count
     inertia = m.parameter(
@@ -238,7 +239,7 @@ def _driven_by_command(
     voltage: ca.SX,
     blocks: Blocks,
 ) -> tuple[list[ca.SX], list[ca.SX]]:
-    """Rotor speed or effective command behind saturation, voltage and lag, and its rate."""
+    """Rotor speed or effective command after saturation, voltage and lag, and its rate."""
     rotors = vehicle.rotors
     if rotors.from_speed and not rotors.speed_rad_s:
         raise ModelError(
@@ -285,14 +286,14 @@ def _driven_by_command(
 def _lagging(
     m: ComponentBuilder, rotors: Rotors, steady: list[ca.SX], motors: Motors
 ) -> tuple[list[ca.SX], list[ca.SX]]:
-    """First-order lag per rotor, and the rate of change of what follows.
+    """First-order lag per rotor: its output and rate of change.
 
     Where the model has no lag of its own, a lag L below T = `SHORTEST_LAG_S` is
 
         level = (1 - L/T) target + (L/T) x,    T dx/dt = target - x,
 
-    as late as a lag of L to first order, and the input itself at L = 0; the rate is that of x, a
-    rotor that cannot change its speed at once.
+    with the delay of a lag of L to first order, and equal to the input at L = 0; the rate is that
+    of x, a rotor that cannot change its speed instantly.
     """
     state, unit, meaning = (
         ("rotor", "rad/s", "speed of rotor")
@@ -306,7 +307,7 @@ def _lagging(
         x = m.state(f"{state}_{i}", unit, meaning.capitalize() + f" {i}", start)
         lag = ca.if_else(target > x, motors.lag_up, motors.lag_down)
         if gains is not None:
-            # As a time constant, 1 / gain: a further lag adds to it.
+            # As a time constant, 1 / gain: a further lag is added to it.
             (a_up, b_up), (a_down, b_down) = gains
             a, b = ca.if_else(target > x, a_up, a_down), ca.if_else(target > x, b_up, b_down)
             gain = a + b * (target + x)
@@ -349,15 +350,15 @@ def _run_up(m: ComponentBuilder, rotors: Rotors) -> list[tuple[ca.SX, ca.SX]] | 
 
 
 SLOWEST_SPIN = 0.1
-"""Rotor speed over that in hover below which its rate does not follow from the thrust: there the
-map of the command has no slope."""
+"""Rotor speed relative to hover below which its rate does not follow from the thrust: the map of
+the command has no slope there."""
 
 
 def _spin(
     vehicle: Vehicle, level: list[ca.SX], rate: list[ca.SX]
 ) -> tuple[list[ca.SX], list[ca.SX]]:
-    """Rotor speed over that in hover and its rate; thrust grows with its square where the map is
-    of the command."""
+    """Rotor speed relative to hover, and its rate; thrust grows with its square where the map is of
+    the command."""
     rotors = vehicle.rotors
     if rotors.from_speed:
         hover = hover_level(vehicle)
@@ -368,7 +369,7 @@ def _spin(
     spins, rates = [], []
     for value, change in zip(level, rate, strict=True):
         load, steepness = slope(value)
-        # The root has no derivative at zero, where a rotor at rest is.
+        # The root has no derivative at zero, with a rotor at rest.
         spin = ca.if_else(load > 0, ca.sqrt(ca.fmax(load, 1e-30)), 0.0)
         spins.append(spin)
         rates.append(steepness * change / (2 * ca.fmax(spin, SLOWEST_SPIN)))
@@ -384,7 +385,7 @@ def _coefficients(
     argument: str,
     argument_unit: str,
 ) -> list[ca.SX]:
-    """Coefficients as parameters; those that are zero are left out of the equations."""
+    """Coefficients as parameters; those that are zero are omitted from the equations."""
     return [
         m.parameter(
             f"{prefix}.c{k}",

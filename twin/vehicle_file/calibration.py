@@ -1,4 +1,4 @@
-"""The `[calibration]` section of a vehicle file: how well numbers are known together."""
+"""The `[calibration]` section of a vehicle file: joint uncertainty of its numbers."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -13,24 +13,24 @@ from ..component import unknown_name
 from ..effects import EFFECTS
 from ..vehicle import Array, Calibration, Vehicle
 
-SECTION = "calibration"  # of a vehicle file
-_TABLES = ("days", "constants", "records", "means", "scatter", "left")  # of numbers by name
+SECTION = "calibration"  # name of the section in a vehicle file
+_TABLES = ("days", "constants", "records", "means", "scatter", "left")  # tables of numbers by name
 _PARTS = ("flights", "numbers", "sd", "correlation", *_TABLES)
 """Keys of the section."""
-_AGAIN = "Take the section out, or write it again by `uavtwin calibrate`."  # way out
+_AGAIN = "Take the section out, or write it again by `uavtwin calibrate`."  # remedy in errors
 _DIGITS = 12
-"""Significant ones of deviations, and decimals of correlations."""
+"""Significant digits of deviations, and decimals of correlations."""
 _ROUNDING = 1e-9
-"""By which numbers may differ that a file holds, and the correlation miss being one."""
+"""Rounding tolerance for numbers in a file, and for a correlation matrix."""
 
 
 def read_calibration(section: Any, vehicle: Vehicle, mistakes: list[str]) -> Calibration | None:
     """Read the section, given as parsed TOML.
 
     Args:
-        section: As it stands in the file.
-        vehicle: What it belongs to.
-        mistakes: To which what is wrong is added, a line each.
+        section: Content of the section in the file.
+        vehicle: Vehicle of the file.
+        mistakes: Collects the mistakes, one line each.
     """
     before = len(mistakes)
     if not isinstance(section, dict):
@@ -60,11 +60,11 @@ def read_calibration(section: Any, vehicle: Vehicle, mistakes: list[str]) -> Cal
 
 
 def with_calibration(text: str, calibration: Calibration | None) -> str:
-    """Text of a vehicle file with this calibration in the place of that which it holds.
+    """Text of a vehicle file with its calibration replaced.
 
     Args:
-        text: Of the original file.
-        calibration: To write; None: the text then holds none.
+        text: Text of the original file.
+        calibration: Calibration to write; None: the result has none.
     """
     document = tomlkit.parse(text)
     if SECTION in document:
@@ -76,7 +76,7 @@ def with_calibration(text: str, calibration: Calibration | None) -> str:
 
 
 def same_calibration(a: Calibration | None, b: Calibration | None) -> bool:
-    """Whether two calibrations say the same, but for rounding."""
+    """Whether two calibrations are equal within rounding."""
     if a is None or b is None:
         return a is b
     if (a.flights, a.numbers) != (b.flights, b.numbers):
@@ -127,7 +127,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _covariance(section: Mapping[str, Any], n: int, mistakes: list[str]) -> Array | None:
-    """Of `sd` and the lower triangle `correlation`; None where they are none."""
+    """Covariance from `sd` and the lower triangle `correlation`; None where they are invalid."""
     sd = section.get("sd")
     if not isinstance(sd, list) or len(sd) != n or not all(map(_is_number, sd)):
         mistakes.append(f"{SECTION}.sd must hold {n} numbers, one for each of numbers. {_AGAIN}")
@@ -155,7 +155,7 @@ def _covariance(section: Mapping[str, Any], n: int, mistakes: list[str]) -> Arra
 
 
 def _wrong_rows(rows: Any, n: int) -> Iterator[str]:
-    """What is wrong with the rows of a lower triangle."""
+    """Mistakes in the rows of a lower triangle."""
     if not isinstance(rows, list) or len(rows) != n:
         yield f"{SECTION}.correlation must hold {n} rows, one for each of numbers. {_AGAIN}"
         return
@@ -194,14 +194,14 @@ def _section(calibration: Calibration) -> TOMLDocument:
 
 
 def _lines(entries: Any) -> TomlArray:
-    """A list with a line for each of its entries."""
+    """A list with one line per entry."""
     array = tomlkit.array()
     array.extend(entries)
     return array.multiline(True)
 
 
 def _split(covariance: Array) -> tuple[Array, Array]:
-    """Standard deviations, shape (n,), and the correlation, shape (n, n)."""
+    """Standard deviations, shape (n,), and correlation matrix, shape (n, n)."""
     sd = np.sqrt(np.diag(covariance))
     correlation = np.clip(covariance / np.outer(sd, sd), -1.0, 1.0)
     np.fill_diagonal(correlation, 1.0)

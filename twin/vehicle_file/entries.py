@@ -1,9 +1,9 @@
-"""The entries of a vehicle file, each read by itself: keys, units, shapes, signs.
+"""The entries of a vehicle file, each read separately: keys, units, shapes, signs.
 
-`FIELDS` says what a key holds; `_SHAPES` says how each shape is read. What is wrong is collected,
-so that one run names every mistake of a file.
+`FIELDS` defines the content of a key; `_SHAPES` defines the reader of each shape. Mistakes are
+collected, so that one run reports every mistake of a file.
 
-The `sd` of an entry is numbers in the entry's unit, or a share in percent.
+The `sd` of an entry consists of numbers in the entry's unit, or of a share in percent.
 """
 
 import math
@@ -24,13 +24,13 @@ from ..vehicle import Array, Deviation
 from .fields import FIELDS, Field
 
 PLACES = ("rotors.position", "imu.position", "position.antenna")
-"""Keys whose share is of the arm: their numbers may be zero and yet be in doubt."""
+"""Keys whose share is relative to the arm: their numbers may be zero but uncertain."""
 MAPS = ("polynomial", "rates", "table")
-"""Shapes whose numbers are not known one by one."""
+"""Shapes whose numbers have no separate standard deviations."""
 _EXACT = ("list", "pair")
-"""Shapes of what is agreed upon, not measured."""
+"""Shapes of conventions, not measurements."""
 _PERCENT = re.compile(r"\s*(\d*\.?\d+(?:e[+-]?\d{1,3})?)\s*%\s*", re.ASCII | re.IGNORECASE)
-"""A number in percent."""
+"""Pattern of a number in percent."""
 
 
 def read_deviation(
@@ -45,13 +45,13 @@ def read_deviation(
     """Read the `sd` of an entry.
 
     Args:
-        key: Names the entry in errors.
-        sd: As it stands in the file.
-        shape: Of the value, as `Field` has it.
-        value: In SI units.
-        numbers: Converts numbers as they stand in the file to SI units.
-        written: Shape of the value as it stands in the file.
-        arm_m: Of the vehicle; a share of a place is of it.
+        key: Key of the entry, for errors.
+        sd: Content of `sd` in the file.
+        shape: Shape of the value, as in `Field`.
+        value: Value in SI units.
+        numbers: Converts numbers of the file to SI units.
+        written: Array shape of the value in the file.
+        arm_m: Arm of the vehicle, to which a share of a position refers.
 
     Raises:
         ModelError: It is no standard deviation of this value.
@@ -80,11 +80,11 @@ def read_deviation(
 
 
 def written_sd(deviation: Deviation, shape: Sequence[int] = ()) -> str | float | list[float]:
-    """What stands in a file behind `sd =`, in SI units, and is read back as the same.
+    """Content of a file after `sd =`, in SI units, that is read back as the same deviation.
 
     Args:
-        deviation: To write.
-        shape: Of the value as it stands in the file.
+        deviation: Standard deviation to write.
+        shape: Array shape of the value in the file.
     """
     if deviation.numbers is None:
         return f"{(Decimal(repr(deviation.share)) * 100).normalize():f} %"
@@ -107,28 +107,28 @@ def _share(key: str, text: str) -> float:
 
 
 _HUGE = 1e60  # larger numbers overflow once multiplied with each other
-_TEXTS = ("name", "description")  # keys that hold no number
-_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")  # all but tab and line feed
+_TEXTS = ("name", "description")  # keys without a number
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")  # all except tab and line feed
 _PARTS = {"value", "coefficients", "unit", "source", "of", "sd"}  # keys of an entry
 _MOST_UNKNOWN = 50
-"""Unknown keys that one refusal lists at most."""
+"""Largest number of unknown keys in an error."""
 _PER_MASS = {"body.drag_linear": "1/s"}
-"""Keys that may be given per kilogram of the vehicle, with the SI unit they then have."""
+"""Keys that may be given per kilogram of the vehicle, and their SI unit in that case."""
 _Entry = dict[str, Any]
 
 
 @dataclass(slots=True)
 class Entries:
-    """What one vehicle file says.
+    """Content of a vehicle file.
 
     Attributes:
-        given: Keys the file holds, the unreadable ones included.
+        given: Keys of the file, including unreadable ones.
         texts: Name and description, where given.
-        values: By key, in SI units; polynomials as ascending coefficients, of the speed in rad/s
-            or of the raw command; directions as +1 (cw) and -1 (ccw).
-        sources: Pedigree by key; "default: ..." for a key that the file leaves out.
+        values: Values by key, in SI units; polynomials as ascending coefficients, of the speed in
+            rad/s or of the raw command; directions as +1 (cw) and -1 (ccw).
+        sources: Source by key; "default: ..." for a key that the file omits.
         deviations: Standard deviations by key, where given.
-        mistakes: What is wrong, a line each, with key and value.
+        mistakes: Mistakes, one line each, with key and value.
     """
 
     given: set[str] = field(default_factory=set)
@@ -139,18 +139,18 @@ class Entries:
     mistakes: list[str] = field(default_factory=list)
 
     def number(self, key: str) -> float:
-        """The number of a key that is given."""
+        """The number of a key that must be given."""
         return float(self.values[key])
 
     def optional(self, key: str, default: str) -> float | None:
-        """The number of a key, or None; `default` says in words what stands in."""
+        """The number of a key, or None; `default` describes the replacement in words."""
         if key in self.values:
             return self.number(key)
         self.sources[key] = f"default: {default}"
         return None
 
     def vector(self, key: str, default: str, stand_in: tuple[float, ...]) -> Array:
-        """The numbers of a key, or what stands in for them; `default` says so in words."""
+        """The numbers of a key, or a default; `stand_in` describes the default in words."""
         if key in self.values:
             return self.values[key]
         self.sources[key] = f"default: {default}"
@@ -196,7 +196,7 @@ def read_entries(tree: dict[str, Any]) -> Entries:
 
 
 def _unknown_names(tree: dict[str, Any]) -> Iterator[str]:
-    """The first of the names that are none, and how many more there are."""
+    """The first unknown names, and the number of further ones."""
     unknown = _all_unknown(tree)
     for kind, name, known in islice(unknown, _MOST_UNKNOWN):
         yield _unknown(kind, name, known)
@@ -208,7 +208,7 @@ def _unknown_names(tree: dict[str, Any]) -> Iterator[str]:
 
 
 def _all_unknown(tree: dict[str, Any]) -> Iterator[tuple[str, str, set[str]]]:
-    """What a name should be, the name, and those that are known."""
+    """Kind of an unknown name, the name, and the known names."""
     known: dict[str, set[str]] = {}
     for key in FIELDS:
         section, name = key.split(".")
@@ -233,7 +233,7 @@ def read_number(key: str, entry: Any, unit: str) -> tuple[float, Deviation | Non
     """One number in braces, in `unit`, and its `sd`; for entries that are not in `FIELDS`.
 
     Raises:
-        ModelError: It has no value, unit or source, or the unit is of another kind; or a wrong sd.
+        ModelError: It has no value, unit or source, a unit of another quantity, or an invalid sd.
     """
     _check_form(key, entry, unit)
     value = _si(key, entry.get("value"), entry, unit)
@@ -246,7 +246,7 @@ def read_number(key: str, entry: Any, unit: str) -> tuple[float, Deviation | Non
 
 
 def _check_form(key: str, entry: Any, unit: str) -> None:
-    """Braces with a value and a source."""
+    """Check that an entry is in braces with a value and a source."""
     if not isinstance(entry, dict) or not ({"value", "coefficients"} & set(entry)):
         raise ModelError(
             f"{key} = {short(entry)} needs unit and source, as in "
@@ -278,7 +278,7 @@ def _numbers(key: str, raw: Any) -> Array:
 
 
 def _si(key: str, raw: Any, entry: _Entry, unit: str) -> Array:
-    """Numbers in `unit`; those of `_PER_MASS` may stay per kilogram."""
+    """Numbers converted to `unit`; those of `_PER_MASS` may remain per kilogram."""
     return _numbers(key, raw) * _to_si(key, entry, unit)
 
 
@@ -294,7 +294,7 @@ def _to_si(key: str, entry: _Entry, unit: str) -> float:
 
 
 def _deviation(key: str, entry: _Entry, what: Field, entries: Entries) -> Deviation:
-    """The `sd` of an entry whose value is read."""
+    """The `sd` of an entry whose value has been read."""
     value, shape, unit = entries.values[key], what.shape, what.unit.removeprefix("poly:")
     if shape == "polynomial" and "value" in entry:  # k of k * speed^2
         shape, value, unit = "scalar", value[2], f"{unit}*s^2/rad^2"
@@ -319,7 +319,8 @@ def _numbers_of_sd(key: str, factor: float) -> Callable[[object], Array]:
 
 
 def _is_per_mass(key: str, entry: _Entry) -> bool:
-    """Whether the unit is that of the value over a mass. Raises ModelError where it is none."""
+    """Whether the unit is that of the value over a mass. Raises ModelError where the unit is
+    invalid."""
     if key not in _PER_MASS or entry["unit"] == FIELDS[key].unit:
         return False
     return unit_factor(key, entry["unit"], _PER_MASS[key]) is not None
@@ -351,7 +352,7 @@ def _vector(key: str, entry: _Entry) -> Array:
 
 
 def _inertia(key: str, entry: _Entry) -> Array:
-    """The matrix, shape (3, 3)."""
+    """The inertia matrix, shape (3, 3)."""
     values = _si(key, entry.get("value"), entry, FIELDS[key].unit)
     if values.shape not in ((3,), (6,)):
         raise ModelError(
@@ -396,7 +397,7 @@ def _pair(key: str, entry: _Entry) -> Array:
 
 
 def _lag(key: str, entry: _Entry) -> Array:
-    """Up and down, shape (2,)."""
+    """Lags up and down, shape (2,)."""
     values = np.atleast_1d(_si(key, entry.get("value"), entry, FIELDS[key].unit))
     if values.shape not in ((1,), (2,)) or np.any(values < 1e-3):
         raise ModelError(
@@ -407,7 +408,7 @@ def _lag(key: str, entry: _Entry) -> Array:
 
 
 def _table(key: str, entry: _Entry) -> Array:
-    """Rows of argument and value, the argument rising, shape (n, 2)."""
+    """Rows of argument and value with ascending argument, shape (n, 2)."""
     values = _si(key, entry.get("value"), entry, FIELDS[key].unit)
     if values.ndim != 2 or values.shape[1] != 2 or not 2 <= len(values) <= 100:
         raise ModelError(
@@ -433,7 +434,7 @@ def _rates(key: str, entry: _Entry) -> Array:
 
 
 def _per_rad_s(key: str, entry: _Entry) -> float:
-    """How many of the unit of the rotor speed, `of`, are 1 rad/s."""
+    """Rotor speed of 1 rad/s in the unit `of`."""
     of = entry.get("of")
     if not isinstance(of, str):
         raise ModelError(f'{key} needs of = "rad/s" (or "rpm"): the unit of the speed.')
@@ -491,7 +492,7 @@ _SHAPES: dict[str, Callable[[str, _Entry], Array]] = {
 
 
 def _leaves(raw: Any) -> Iterator[Any]:
-    """What nested lists hold at their ends."""
+    """Elements of nested lists."""
     if isinstance(raw, list):
         for part in raw:
             yield from _leaves(part)
@@ -511,9 +512,9 @@ _OF_BRACKETS = re.compile(r"\)\s*(?:\*\*|\^)")  # powers of brackets
 
 
 def unit_factor(key: str, given: str, wanted: str) -> float | None:
-    """Factor from one unit to another, None if they are not of one kind.
+    """Factor from one unit to another, None if they are of different quantities.
 
-    pint, half a second to load, is asked only where the unit is not the wanted one by its text.
+    pint, which takes half a second to import, is used only where the texts of the units differ.
     """
     if given == wanted:
         return 1.0
@@ -526,10 +527,10 @@ def unit_factor(key: str, given: str, wanted: str) -> float | None:
 
     try:
         zero, one = (_registry().Quantity(n, given).to(wanted).magnitude for n in (0.0, 1.0))
-        return float(one) if zero == 0 else None  # degrees Celsius take more than a factor
+        return float(one) if zero == 0 else None  # degrees Celsius need an offset as well
     except (pint.DimensionalityError, pint.OffsetUnitCalculusError):
         return None
-    except Exception as error:  # pint raises tokenizer and attribute errors for bad text
+    except Exception as error:  # pint raises tokenizer and attribute errors for invalid text
         bad = wanted if given == "rad/s" else given
         raise ModelError(
             f"{key} has unit {short(bad)}, which is not a unit: {short(str(error))}."
@@ -537,7 +538,7 @@ def unit_factor(key: str, given: str, wanted: str) -> float | None:
 
 
 def _is_plain(unit: str) -> bool:
-    """Whether a text is short and has no powers of powers: pint would work them out."""
+    """Whether a text is short and has no nested powers, which pint would evaluate."""
     if len(unit) > _LONGEST_UNIT or len(_OF_BRACKETS.findall(unit)) > 1:
         return False
     return len(_POWER.findall(unit)) == len(_PLAIN_POWER.findall(unit))
@@ -551,6 +552,6 @@ def _registry() -> "pint.UnitRegistry[Any]":
 
 
 def short(value: object) -> str:
-    """A value as printed in an error, not longer than a line."""
+    """A value as printed in an error, at most one line."""
     text = reprlib.repr(value) if isinstance(value, int) else repr(value)
     return text if len(text) <= 120 else text[:117] + "..."

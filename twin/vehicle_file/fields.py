@@ -1,4 +1,4 @@
-"""Every key of a vehicle file: one definition for the reader and `docs/reference`."""
+"""Every key of a vehicle file: the one definition for the reader and `docs/reference`."""
 
 from dataclasses import dataclass
 
@@ -8,14 +8,14 @@ class Field:
     """One key of a vehicle file.
 
     Attributes:
-        unit: SI unit that the value is converted to; "" for text; "poly:U" for a polynomial
-            whose value has unit U.
-        shape: How its value is read: "scalar", "vector", "inertia", "n x 3", "list", "pair",
-            "lag", "rates", "table" or "polynomial".
-        required: Whether a file without it is refused.
-        positive: Whether every number must be > 0; `None` when any sign is allowed, `False`
-            when >= 0 is enough.
-        meaning: One line for the documentation.
+        unit: SI unit of the converted value; "" for text; "poly:U" for a polynomial whose value has
+            unit U.
+        shape: Shape of the value: "scalar", "vector", "inertia", "n x 3", "list", "pair", "lag",
+            "rates", "table" or "polynomial".
+        required: Whether the key is mandatory.
+        positive: Whether every number must be > 0; `None` when any sign is allowed, `False` for >=
+            0.
+        meaning: Meaning, one line for the documentation.
     """
 
     unit: str
@@ -337,4 +337,4 @@ FIELDS: dict[str, Field] = {
         "K", "scalar", False, True, "Air temperature at the origin of NED. Default 288.15 K."
     ),
 }
-"""Every key a vehicle file may hold, in the order of the documentation."""
+"""Every key of a vehicle file, in the order of the documentation."""

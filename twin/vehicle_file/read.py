@@ -1,9 +1,9 @@
-"""Vehicle files: TOML to `Vehicle`; a refusal names the file and every key and value at fault.
+"""Vehicle files: TOML to `Vehicle`; an error names the file and every invalid key and value.
 
-`docs/guide/vehicle.md` describes the format for people; `FIELDS` is its one definition.
+`docs/guide/vehicle.md` describes the format for users; `FIELDS` is its one definition.
 
-One section after another: body, rotors (maps, lags, aerodynamics), sensors and site, then the
-effects that `[effects.NAME]` switches on.
+Sections in order: body, rotors (maps, lags, aerodynamics), sensors and site, then the effects that
+`[effects.NAME]` switches on.
 """
 
 import re
@@ -29,7 +29,7 @@ from .calibration import SECTION, read_calibration
 from .entries import Entries, read_entries, read_number
 from .fields import FIELDS
 
-_THRUST = ("rotors.thrust_from_speed", "rotors.thrust_from_command")  # one of the two is given
+_THRUST = ("rotors.thrust_from_speed", "rotors.thrust_from_command")  # exactly one of them
 _RATES = ("rotors.rate_up", "rotors.rate_down")  # both or none
 _ADVANCE = ("rotors.thrust_by_advance", "rotors.torque_by_advance")  # tables over the advance ratio
 _NEED_SPEED = tuple(
@@ -46,11 +46,11 @@ _NEED_SPEED = tuple(
         "thrust_by_advance",
         "torque_by_advance",
     )
-)  # what needs the speed of the rotors
+)  # keys that need the speed of the rotors
 
 
 def rotor_contradictions(entries: Entries) -> Iterator[str]:
-    """Mistakes about rotors that no entry makes by itself."""
+    """Mistakes about rotors that involve several entries."""
     given, values = entries.given, entries.values
     yield from _one_of("thrust", *_THRUST, given)
     if len(given & set(_THRUST)) == 1:
@@ -67,7 +67,7 @@ def rotor_contradictions(entries: Entries) -> Iterator[str]:
 
 
 def _against_thrust(entries: Entries) -> Iterator[str]:
-    """What does not go with the argument of the one thrust map."""
+    """Entries that contradict the argument of the thrust map."""
     of_speed = "rotors.thrust_from_speed" in entries.given
     by, other = ("speed", "command") if of_speed else ("command", "speed")
     yield from _one_of(
@@ -96,7 +96,7 @@ def _one_of(what: str, first: str, second: str, given: set[str]) -> Iterator[str
 
 
 def rotor_doubts(entries: Entries) -> Iterator[str]:
-    """What looks odd about rotors but is not refused."""
+    """Implausible rotor numbers that are not refused."""
     given = entries.given
     if "rotors.voltage_exponent" in given and "rotors.reference_voltage" not in given:
         yield "rotors.voltage_exponent counts only with rotors.reference_voltage."
@@ -118,7 +118,7 @@ def rotor_doubts(entries: Entries) -> Iterator[str]:
 
 
 def rotors_too_weak(vehicle: Vehicle) -> Iterator[str]:
-    """Whether the rotors cannot carry the weight at full command."""
+    """Text where the rotors cannot carry the weight at full command."""
     rotors = vehicle.rotors
     if vehicle.drive == "rotor_speed":
         return
@@ -132,7 +132,7 @@ def rotors_too_weak(vehicle: Vehicle) -> Iterator[str]:
 
 
 def read_rotors(entries: Entries) -> Rotors:
-    """The rotors of entries without mistakes."""
+    """The rotors of valid entries."""
     from_speed = "rotors.thrust_from_speed" in entries.given
     thrust = _map(entries, f"rotors.thrust_from_{'speed' if from_speed else 'command'}")
     if "rotors.torque_per_thrust" in entries.given:
@@ -199,7 +199,7 @@ def _map(entries: Entries, key: str) -> tuple[float, ...]:
 SENSOR_NUMBERS = {
     f.metadata["key"]: (f.name, f.metadata["stand_in"]) for f in fields(Sensors) if f.metadata
 }
-"""Attribute of `Sensors` by key, and what stands in for it, in words."""
+"""Attribute of `Sensors` by key, and its default in words."""
 POSITION = {
     "position.period": "period_s",
     "position.delay": "delay_s",
@@ -210,16 +210,16 @@ POSITION = {
     "position.attitude_noise": "attitude_noise_rad",
 }
 """Attribute of `position.PositionErrors` by key."""
-PLACE = ("site.latitude", "site.longitude")  # give a magnetic field and gravity
-WHEN = ("site.height", "site.year")  # refine them
+PLACE = ("site.latitude", "site.longitude")  # determine the magnetic field and gravity
+WHEN = ("site.height", "site.year")  # refine field and gravity
 _HEIGHT_M, _YEAR = 0.0, 2025.5
-"""Where a file gives a place without a height, m, or a year."""
+"""Height, m, and year for a place without them."""
 _TEMPERATURES_K = (180.0, 340.0)
 """Bounds of the air temperature at the ground, K: beyond any measured (184 K, 330 K; WMO)."""
 
 
 def sensor_contradictions(entries: Entries) -> Iterator[str]:
-    """Mistakes about sensors and site that no entry makes by itself."""
+    """Mistakes about sensors and site that involve several entries."""
     given, values = entries.given, entries.values
     missing = [key for key in PLACE if key not in given]
     if len(missing) == 1:
@@ -242,7 +242,7 @@ def sensor_contradictions(entries: Entries) -> Iterator[str]:
 
 
 def read_sensors(entries: Entries) -> Sensors:
-    """The sensors of entries without mistakes."""
+    """The sensors of valid entries."""
     numbers: dict[str, Any] = {}
     for key, (name, stand_in) in SENSOR_NUMBERS.items():
         value = entries.optional(key, stand_in)
@@ -282,10 +282,10 @@ class ActiveEffects:
     """Effects of a vehicle file.
 
     Attributes:
-        values: Every number of each effect in SI units; those the file leaves out at their start.
-        sources: Pedigree by "effects.NAME.PARAMETER".
-        deviations: Standard deviations by the same, where given.
-        mistakes: What is wrong, a line each.
+        values: Every number of each effect in SI units; omitted ones at their start value.
+        sources: Source by "effects.NAME.PARAMETER".
+        deviations: Standard deviations by "effects.NAME.PARAMETER", where given.
+        mistakes: Mistakes, one line each.
     """
 
     values: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -295,7 +295,7 @@ class ActiveEffects:
 
 
 def read_effects(sections: Any, vehicle: Vehicle) -> ActiveEffects:
-    """Read the sections, given as parsed TOML; the vehicle is what they belong to."""
+    """Read the sections, given as parsed TOML, of a vehicle's file."""
     on = ActiveEffects()
     if not isinstance(sections, dict):
         on.mistakes.append("[effects] must hold one table per effect, [effects.NAME].")
@@ -336,22 +336,22 @@ def _read_effect(name: str, table: dict[str, Any], vehicle: Vehicle, on: ActiveE
 
 
 def spelled(fmi_unit: str) -> str:
-    """An FMI unit (`kg.m2`) as people write it in vehicle files (`kg*m^2`)."""
+    """An FMI unit (`kg.m2`) as written in vehicle files (`kg*m^2`)."""
     return re.sub(r"(?<=[A-Za-z])(\d)", r"^\1", fmi_unit).replace(".", "*")
 
 
 _ROUNDING = 1e-9
-"""Share by which the moments of a flat plate may miss their sum."""
+"""Relative tolerance for the moments of inertia of a flat plate."""
 _MOST_BYTES = 2**20
 """Largest vehicle file that is read. Made up."""
-_MOST_PARTS = 32  # of a key with dots; ours have four
+_MOST_PARTS = 32  # of a key with dots; keys of this format have four
 _STRING = re.compile(r"\"(?:[^\"\\\n]|\\.)*\"|'[^'\n]*'")  # text of one line in TOML
 _BETWEEN = re.compile(r"[\s=,#\[\]{}]")
 _BATTERY = tuple(key for key in FIELDS if key.startswith("battery."))  # all or none
 
 
 def builtin_vehicles() -> tuple[str, ...]:
-    """Names of the vehicle files that ship with the program."""
+    """Names of the built-in vehicle files."""
     folder = resources.files("twin.vehicle") / "built_in"
     return tuple(sorted(f.name.removesuffix(".toml") for f in folder.iterdir()))
 
@@ -360,16 +360,16 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
     """Read a vehicle file, or a built-in vehicle by its name.
 
     Raises:
-        ModelError: No such vehicle, or the file is wrong; the text names file, key and value.
+        ModelError: No such vehicle, or an invalid file; the text names file, key and value.
     """
     return parse_vehicle(*vehicle_text(name_or_path))
 
 
 def vehicle_text(name_or_path: str | Path) -> tuple[str, str]:
-    """Text of a vehicle file, or of a built-in vehicle by its name, and the name of the file.
+    """Text and name of a vehicle file, or of a built-in vehicle by its name.
 
     Raises:
-        ModelError: No such vehicle, or it cannot be read.
+        ModelError: No such vehicle, or the file cannot be read.
     """
     name = str(name_or_path)
     if name in builtin_vehicles():
@@ -397,7 +397,7 @@ def toml_tree(text: str, file: str) -> dict[str, Any]:
     """Tables of a TOML file; `file` names it in errors.
 
     Raises:
-        ModelError: It is none, or is nested too deeply or has a number too long to be read.
+        ModelError: The text is no TOML, is nested too deeply or has a number with too many digits.
     """
     if (parts := _longest_key(text)) > _MOST_PARTS:
         raise ModelError(f"{file}: a key has {parts} parts, at most {_MOST_PARTS} are read.")
@@ -408,7 +408,7 @@ def toml_tree(text: str, file: str) -> dict[str, Any]:
 
 
 def _longest_key(text: str) -> int:
-    """Parts of the longest dotted key: `tomllib` takes memory as their square."""
+    """Parts of the longest dotted key: the memory of `tomllib` grows with their square."""
     longest = run = 0
     for part in _STRING.sub("s", text).split("."):
         run = 0 if _BETWEEN.search(part.strip(" \t")) else run + 1
@@ -440,7 +440,7 @@ def parse_vehicle(text: str, file: str) -> Vehicle:
 
 
 def _refuse(file: str, mistakes: list[str]) -> None:
-    """Raise one error that holds all mistakes, if there are any."""
+    """Raise one error with all mistakes, if there are any."""
     if len(mistakes) == 1:
         raise ModelError(f"{file}: {mistakes[0]}")
     if mistakes:
@@ -451,7 +451,7 @@ def _refuse(file: str, mistakes: list[str]) -> None:
 
 
 def _contradictions(entries: Entries) -> Iterator[str]:
-    """Mistakes that no entry makes by itself."""
+    """Mistakes that involve several entries."""
     given, values = entries.given, entries.values
     yield from rotor_contradictions(entries)
     missing = [key.split(".")[1] for key in _BATTERY if key not in given]
@@ -469,7 +469,7 @@ def _contradictions(entries: Entries) -> Iterator[str]:
 
 
 def _doubts(entries: Entries) -> Iterator[str]:
-    """What looks odd but is not refused."""
+    """Implausible values that are not refused."""
     small, middle, large = np.linalg.eigvalsh(entries.values["body.inertia"])
     if small + middle < (1 - _ROUNDING) * large:
         yield (
@@ -484,7 +484,7 @@ def _doubts(entries: Entries) -> Iterator[str]:
 
 
 def _vehicle(entries: Entries, default_name: str) -> Vehicle:
-    """The vehicle of entries without mistakes."""
+    """The vehicle of valid entries."""
     rotors = read_rotors(entries)
     arm_m = float(np.linalg.norm(rotors.position_m[:, :2], axis=1).max())
     leg_m = entries.optional("body.leg_height", f"half the largest rotor arm, {arm_m / 2:g} m")

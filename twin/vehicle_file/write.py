@@ -1,10 +1,10 @@
-"""Vehicle files written: from a draft, from a vehicle, or as an existing text brought up to one.
+"""Writer of vehicle files: from a draft, from a vehicle, or by updating an existing text.
 
-A draft holds entries with unit and source, and notes on what the format cannot say.
+A draft contains entries with unit and source, and notes on facts that the format has no key for.
 
-In an existing text, numbers that differ are replaced, effects are added or taken out; comments,
-order and everything else of the text stay. The result is read back before it is given out: a
-vehicle that the format cannot hold is refused, never written in part.
+In an existing text, numbers that differ are replaced, effects are added or removed; comments, order
+and all other text remain. The result is read back before it is returned: a vehicle that the format
+cannot represent is refused, never written in part.
 """
 
 import re
@@ -32,8 +32,8 @@ class Written:
     """A number for a vehicle file.
 
     Attributes:
-        value: In the unit of the effect.
-        source: Where it comes from.
+        value: Value in the unit of the effect.
+        source: Source of the value.
         deviation: Standard deviation; None: none is written.
     """
 
@@ -48,8 +48,8 @@ def with_effect_sections(
     """Text of a vehicle file with `[effects.NAME]` sections added, or replaced.
 
     Args:
-        text: Of the original file.
-        vehicle: Which it describes.
+        text: Text of the original file.
+        vehicle: Vehicle of that file.
         effects: Numbers by effect and name.
     """
     document = tomlkit.parse(text)
@@ -60,7 +60,7 @@ def with_effect_sections(
 
 
 def without_effect_sections(text: str, names: Iterable[str]) -> str:
-    """Text of a vehicle file without these effects; it has them."""
+    """Text of a vehicle file without these effects, which it must contain."""
     document = tomlkit.parse(text)
     sections = cast(Table, document["effects"])
     for name in names:
@@ -71,7 +71,7 @@ def without_effect_sections(text: str, names: Iterable[str]) -> str:
 
 
 def _sections(document: TOMLDocument) -> Table:
-    """The table of all effects, as sections of their own behind everything else if it is not."""
+    """The table of all effects, moved behind everything else as separate sections."""
     if re.search(r"^\s*\[\s*effects\b", document.as_string(), re.MULTILINE):
         return cast(Table, document["effects"])
     old = document.pop("effects", {})
@@ -109,14 +109,15 @@ _WIDTH = 98  # characters of a comment's line
 
 @dataclass(slots=True)
 class Draft:
-    """Entries of a vehicle file, collected one by one.
+    """Entries of a new vehicle file.
 
     Attributes:
-        name: Of the vehicle.
-        description: One line.
-        file: Name of the file that the numbers come from, for their sources; "": they say it.
-        notes: What the other file does not hold, or holds and this format has no place for; they
-            stand at the head of the vehicle file.
+        name: Name of the vehicle.
+        description: Description in one line.
+        file: Name of the file from which the numbers come, for their sources; "": the sources are
+            complete.
+        notes: Notes on facts that the other file lacks, or that have no key here; written at the
+            head of the file.
     """
 
     name: str
@@ -133,11 +134,11 @@ class Draft:
         source: str,
         sd: str | float | None = None,
     ) -> None:
-        """A number, a vector or rows of numbers; `sd` as it stands in a file."""
+        """Add a number, a vector or rows of numbers; `sd` in the form of the file."""
         self._add(key, {"value": _plain(value), "unit": unit}, source, sd)
 
     def words(self, key: str, value: list[Any], source: str) -> None:
-        """What has no unit."""
+        """Add a value without unit."""
         self._add(key, {"value": value}, source)
 
     def polynomial(
@@ -149,7 +150,7 @@ class Draft:
         of: str | None = None,
         sd: str | None = None,
     ) -> None:
-        """Ascending coefficients; `of` is the unit of a rotor speed that they multiply."""
+        """Add ascending coefficients; `of` is the unit of the rotor speed that they multiply."""
         entry: dict[str, Any] = {"coefficients": _plain(coefficients), "unit": unit}
         self._add(key, entry | ({"of": of} if of else {}), source, sd)
 
@@ -203,7 +204,7 @@ def _lines(note: str) -> list[str]:
 
 
 _NOT_COMPARED = ("sources", "deviations", "doubts", "effects", "calibration", "text", "file")
-"""Attributes of a vehicle that are no numbers of its body, rotors and sensors."""
+"""Attributes of a vehicle that are not numbers of its body, rotors and sensors."""
 _MAPS = tuple(
     f"rotors.{what}_from_{of}"
     for what in ("thrust", "torque", "speed")
@@ -213,25 +214,26 @@ TIED = {
     **dict.fromkeys(_MAPS, (*_MAPS, "rotors.command_range", "rotors.torque_per_thrust")),
     "magnetometer.field": (*PLACE, *WHEN),
 }
-"""What must go from the text when a key is written: the same said in another way."""
+"""Alternative keys for the same quantity, which must be removed when a key is written."""
 _BY_HAND = "set in Python"  # source of a number without one
 _PASSES = 3
-"""Numbers of a file may be relative to others: drag per kilogram, torque per thrust."""
+"""Number of updates: numbers of a file may be relative to others, drag per kilogram, torque per
+thrust."""
 
 
 def update_text(vehicle: Vehicle, text: str = "", file: str = "vehicle.toml") -> str:
-    """Text of a vehicle file that describes this vehicle.
+    """Text of a vehicle file for this vehicle.
 
     Args:
-        vehicle: To describe.
-        text: Of a file to start from, the vehicle's own before it was changed; "": none.
-        file: Names the file in errors.
+        vehicle: Vehicle to write.
+        text: Text of a file to start from, that of the vehicle before it was changed; "": none.
+        file: Name of the file in errors.
 
     Returns:
-        The text itself where nothing differs.
+        The original text where nothing differs.
 
     Raises:
-        ModelError: The format cannot hold the vehicle, or the text is no vehicle file.
+        ModelError: The format cannot represent the vehicle, or the text is no vehicle file.
     """
     if text:
         vehicle = _with_new_sources(vehicle, parse_vehicle(text, file))
@@ -259,7 +261,8 @@ def update_text(vehicle: Vehicle, text: str = "", file: str = "vehicle.toml") ->
 
 
 def _changed(vehicle: Vehicle, there: Vehicle | None) -> Iterator[str]:
-    """Keys whose values or deviations differ from the text's; without one, all but defaults."""
+    """Keys whose values or deviations differ from those of the text; without a text, all except
+    defaults."""
     wanted, found = values_by_key(vehicle), {} if there is None else values_by_key(there)
     for key in wanted.keys() | found.keys():
         if there is None and vehicle.sources.get(key, "").startswith(DEFAULT):
@@ -270,7 +273,7 @@ def _changed(vehicle: Vehicle, there: Vehicle | None) -> Iterator[str]:
 
 
 def _differing(a: Any, b: Any, within: str = "") -> Iterator[str]:
-    """Attributes in which two vehicles differ, those of `_NOT_COMPARED` left out."""
+    """Attributes in which two vehicles differ, without those of `_NOT_COMPARED`."""
     for own in (f.name for f in fields(b) if f.name not in _NOT_COMPARED):
         x, y, name = getattr(a, own), getattr(b, own), f"{within}{own}"
         if is_dataclass(x) and is_dataclass(y):
@@ -288,7 +291,7 @@ def _same(x: Any, y: Any) -> bool:
 
 
 def values_by_key(vehicle: Vehicle) -> dict[str, Any]:
-    """Values in SI units by key, as a file would hold them; polynomials of the command 0..1."""
+    """Values in SI units by key, as in a file; polynomials of the command 0..1."""
     sensors, battery = vehicle.sensors, vehicle.battery
     values = {
         "name": vehicle.name,
@@ -321,7 +324,7 @@ def values_by_key(vehicle: Vehicle) -> dict[str, Any]:
 
 
 def _rotor_values(rotors: Rotors) -> dict[str, Any]:
-    """Those of the rotors; None for what they do not do."""
+    """Values of the rotors' keys; None for those that do not apply."""
     of = "speed" if rotors.from_speed else "command"
     up, down = rotors.run_up or (None, None)
     air, advance = rotors.air, rotors.advance
@@ -375,7 +378,7 @@ def _with_numbers(vehicle: Vehicle, text: str, changed: set[str]) -> str:
 
 
 def _with_new_sources(vehicle: Vehicle, there: Vehicle) -> Vehicle:
-    """The vehicle without what was said of numbers that it no longer has."""
+    """The vehicle without sources and deviations of numbers that have changed."""
     sources, deviations = dict(vehicle.sources), dict(vehicle.deviations)
     wanted, found = values_by_key(vehicle), values_by_key(there)
     for key in (k for k in FIELDS if k in wanted and not _same(wanted[k], found.get(k))):
@@ -389,26 +392,26 @@ def _with_new_sources(vehicle: Vehicle, there: Vehicle) -> Vehicle:
 
 
 def _pedigree(vehicle: Vehicle, key: str) -> str:
-    """Source of a number, "" where none is known; a torque may have come by its ratio."""
+    """Source of a number, "" where none is known; a torque may be given by its ratio."""
     source = vehicle.sources.get(key) or vehicle.sources.get(_ratio(key), "")
     return "" if source.startswith(DEFAULT) else source
 
 
 def _deviation(vehicle: Vehicle, key: str) -> Deviation | None:
-    """That is stated of a number; of a torque that came by its ratio, as a share."""
+    """Stated deviation of a number; of a torque given by its ratio, as a share."""
     ratio = vehicle.deviations.get(_ratio(key))
     return vehicle.deviations.get(key) or (None if ratio is None else Deviation(ratio.share))
 
 
 def _ratio(key: str) -> str:
-    """The key that may stand for a torque."""
+    """The key of the ratio that may replace a torque."""
     return "rotors.torque_per_thrust" if key.startswith("rotors.torque_from") else ""
 
 
 def _set(
     document: TOMLDocument, key: str, value: Any, source: str, deviation: Deviation | None
 ) -> None:
-    """Write one entry, in the place of the old one and with its comment where there is one."""
+    """Write one entry, in place of the old one and with its comment where there is one."""
     section, name = key.split(".")
     if section not in document:
         document[section] = tomlkit.table()
@@ -441,7 +444,7 @@ def _remove(document: TOMLDocument, key: str) -> None:
 
 
 def _with_effects(vehicle: Vehicle, there: Vehicle, text: str) -> str:
-    """The text with the vehicle's effects and no others; those that it holds already stay."""
+    """The text with exactly the vehicle's effects; existing ones remain in place."""
     gone = [name for name in there.effects if name not in vehicle.effects]
     if gone:
         text = without_effect_sections(text, gone)
@@ -461,7 +464,7 @@ def _with_effects(vehicle: Vehicle, there: Vehicle, text: str) -> str:
 
 
 def _holds(there: Vehicle, vehicle: Vehicle, effect: str) -> bool:
-    """Whether the text has an effect with the same numbers and the same pedigree."""
+    """Whether the text has an effect with the same numbers and the same sources."""
     prefix = f"effects.{effect}."
     same = dict(there.effects.get(effect, {})) == dict(vehicle.effects[effect])
     return same and all(

@@ -1,1 +1,1 @@
-"""Sensors, one file each, and what they have in common."""
+"""Sensors, one file each, and their shared functions."""

@@ -2,10 +2,10 @@
 
     p = p_0 (1 - L h / T_0)^(g M / (R L)) + n
 
-with pressure p_0 and temperature T_0 at the origin of NED, h above it. At each sample instant n,
-white noise plus a random walk, is drawn; between the instants it is held while the rest
-follows the height. Bias and dynamic pressure are effects (`twin.effects`). Source: ISO 2533:1975,
-Standard Atmosphere, eq. 12.
+with pressure p_0 and temperature T_0 at the origin of NED, and h the height above it. At each
+sample instant n, white noise plus a random walk, is drawn; between the instants it is held while
+the rest follows the height. Bias and dynamic pressure are effects (`twin.effects`). Source: ISO
+2533:1975, Standard Atmosphere, eq. 12.
 """
 
 from collections.abc import Iterable
@@ -28,8 +28,8 @@ def barometer(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:
 
     Args:
         vehicle: Numbers of the aircraft, and the effects that are switched on.
-        effects: Effects to build in, switched off: identifiers of `twin.effects.EFFECTS`, of
-            which those count that act on the barometer.
+        effects: Effects to build in, switched off: identifiers of `twin.effects.EFFECTS`; those of
+            other components are ignored.
     """
     m = ComponentBuilder("barometer", f"Barometer of {vehicle.name}")
     period = m.sampled(SAMPLE_PERIOD_S, "Time between two draws of the noise")

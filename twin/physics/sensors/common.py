@@ -1,4 +1,4 @@
-"""What the sensors have in common: vectors of inputs, noise, drift, samples that come late."""
+"""Functions shared by the sensors: vectors of inputs, noise, drift, delayed samples."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -11,14 +11,14 @@ from ...effects.stages import Latency
 from ...frames import AXES, FRD, NED
 from ...vehicle import Vehicle
 
-BODY = tuple(f"body {d}" for d in FRD)  # axes as a variable's meaning has them
-EARTH = tuple(f"NED {d}" for d in NED)  # axes as a variable's meaning has them
+BODY = tuple(f"body {d}" for d in FRD)  # names of the axes in a variable's description
+EARTH = tuple(f"NED {d}" for d in NED)  # names of the axes in a variable's description
 
 
 def sensor_blocks(
     m: ComponentBuilder, vehicle: Vehicle, component: ComponentName, effects: Iterable[str]
 ) -> Blocks:
-    """The effects of a sensor: those asked for, switched off, and the vehicle's own, on."""
+    """The effects of a sensor: requested ones, switched off, and the vehicle's own, on."""
     wanted = {*effects, *vehicle.effects}
     return Blocks(m, vehicle, [e for e in effects_of(component) if e.name in wanted])
 
@@ -81,7 +81,7 @@ def noise_level(m: ComponentBuilder, name: str, unit: str, white: float, walk: f
 
 
 def noise(m: ComponentBuilder, channel: str, unit: str, level: NoiseLevel, period: ca.SX) -> ca.SX:
-    """White noise plus walk of the bias of one channel, drawn at each sample instant."""
+    """White noise plus random walk of the bias of one channel, drawn at each sample instant."""
     drift = m.memory(f"{channel}.drift", unit, f"Walk of the bias of {channel}")
     white = m.memory(f"{channel}.noise", unit, f"Noise of {channel}")
     m.update(f"{channel}.drift", drift + ca.sqrt(period) * m.noise(level.walk))
@@ -97,7 +97,7 @@ def late(
     latency: Latency,
     samples: int,
 ) -> ca.SX:
-    """A signal as old as the latency says, taken at the sample instants and held."""
+    """A signal delayed by the latency, sampled at the sample instants and held."""
     held = m.memory(f"{channel}.late", unit, f"{channel}, late")
     m.update(f"{channel}.late", m.delayed(channel, signal, latency.delay_s, samples))
     return held

@@ -36,13 +36,13 @@ from .common import (
 SAMPLE_PERIOD_S = 1e-3
 """Time between two draws of the noise, s. Made up."""
 DELAY_SAMPLES = 251
-"""Samples remembered: the longest delay is one less than that many sample periods."""
-_UNITS = ("m/s2",) * 3 + ("rad/s",) * 3  # of the six readings
+"""Number of stored samples: the longest delay is one sample period less."""
+_UNITS = ("m/s2",) * 3 + ("rad/s",) * 3  # units of the six readings
 _MEANINGS = tuple(
     f"{sensor}, {d}"
     for sensor in ("Accelerometer, specific force", "Gyroscope, body rate")
     for d in BODY
-)  # of the six readings
+)  # names of the six readings
 
 
 def imu(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:
@@ -50,8 +50,8 @@ def imu(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:
 
     Args:
         vehicle: Numbers of the aircraft, and the effects that are switched on.
-        effects: Effects to build in, switched off: identifiers of `twin.effects.EFFECTS`, of
-            which those count that act on the IMU.
+        effects: Effects to build in, switched off: identifiers of `twin.effects.EFFECTS`; those of
+            other components are ignored.
     """
     m = ComponentBuilder("imu", f"Accelerometer and gyroscope of {vehicle.name}")
     period = m.sampled(SAMPLE_PERIOD_S, "Time between two draws of the noise")
@@ -85,7 +85,7 @@ def imu(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:
 
 
 def _motion_at_imu(m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks) -> ImuMotion:
-    """Inputs, carried over to the place of the accelerometer."""
+    """Declared inputs, transformed to the position of the accelerometer."""
     force = vector_input(m, "specific_force", "m/s2", "Specific force at the centre of mass", BODY)
     alpha = vector_input(m, "angular_acceleration", "rad/s2", "Angular acceleration", BODY)
     omega = vector_input(m, "omega", "rad/s", "Body rate", BODY)
@@ -106,7 +106,7 @@ def _low_pass(
     settled_on: list[ca.SX],
     cutoff_hz: float | None,
 ) -> list[ca.SX]:
-    """Second-order Butterworth low-pass per axis, starting settled, without any vibration."""
+    """Second-order Butterworth low-pass per axis, initially in steady state without vibration."""
     if cutoff_hz is None:
         return signal
     cutoff = m.parameter(
@@ -127,7 +127,7 @@ def _low_pass(
 
 
 def _delayed(m: ComponentBuilder, blocks: Blocks, readings: list[ca.SX]) -> list[ca.SX]:
-    """Delayed samples while the delay is on, else the readings themselves."""
+    """Delayed samples while the delay is enabled, else the readings unchanged."""
     if not blocks.include("imu_delay"):
         return readings
     latency = blocks.apply(Latency(late=ca.SX(0), delay_s=ca.SX(0)))

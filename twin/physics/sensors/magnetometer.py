@@ -1,9 +1,9 @@
-"""Magnetometer: the field of the earth in body axes, plus noise.
+"""Magnetometer: the field of the Earth in body axes, plus noise.
 
     mag = R_nb^T B_n + n
 
-At each sample instant n, white noise plus a random walk, is drawn; between the instants it
-is held while the rest follows the attitude. Iron, currents and a turned field are effects
+At each sample instant n, white noise plus a random walk, is drawn; between the instants it is held
+while the rest follows the attitude. Iron, currents and a rotated field are effects
 (`twin.effects`). Source: Titterton & Weston, Strapdown Inertial Navigation Technology, ch. 13.
 """
 
@@ -34,8 +34,8 @@ def magnetometer(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:
 
     Args:
         vehicle: Numbers of the aircraft, and the effects that are switched on.
-        effects: Effects to build in, switched off: identifiers of `twin.effects.EFFECTS`, of
-            which those count that act on the magnetometer.
+        effects: Effects to build in, switched off: identifiers of `twin.effects.EFFECTS`; those of
+            other components are ignored.
     """
     m = ComponentBuilder("magnetometer", f"Magnetometer of {vehicle.name}")
     period = m.sampled(SAMPLE_PERIOD_S, "Time between two draws of the noise")

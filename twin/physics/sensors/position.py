@@ -3,11 +3,11 @@
     position = F (p_n + R_nb r) + f + n_p        velocity = F (v_n + R_nb (omega x r)) + n_v
     attitude = q_F * q_nb * [1, theta / 2]       theta white noise, about the body axes
 
-with the antenna (or the origin of the markers) at r, and the sensor's own frame turned by F
-about the vertical and shifted by f. Everything is taken at the sample instants, comes out after
-the delay and is held. A further delay is an effect (`twin.effects`).
+with the antenna (or the origin of the markers) at r, and the sensor's own frame rotated by F about
+the vertical and shifted by f. All signals are sampled at the sample instants, output after the
+delay and held. An additional delay is an effect (`twin.effects`).
 
-Outputs are the columns of the flight table with `meas_` before them: `meas_pos_x` is `pos_x`.
+Outputs are the columns of the flight table with prefix `meas_`: `meas_pos_x` is `pos_x`.
 """
 
 from collections.abc import Iterable
@@ -35,7 +35,7 @@ from .common import (
 
 Kind = Literal["gnss", "mocap"]
 DELAY_SAMPLES = 128
-"""Samples remembered: the longest delay is one less than that many sample periods."""
+"""Number of stored samples: the longest delay is one sample period less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,14 +43,14 @@ class PositionErrors:
     """Numbers of a position sensor; noise as standard deviations, NED.
 
     Attributes:
-        source: Where they come from.
-        period_s: Between two samples.
-        delay_s: From the motion to the output.
+        source: Source of the numbers.
+        period_s: Time between two samples.
+        delay_s: Delay from the motion to the output.
         noise_m: White noise of the position.
-        walk_m: Random walk of the position error, after 1 s.
+        walk_m: Random walk of the position error, standard deviation after 1 s.
         velocity_noise_m_s: White noise of the velocity.
-        attitude_noise_rad: White noise of the attitude, per axis; None: no attitude comes out.
-        antenna_m: From the centre of mass, body FRD.
+        attitude_noise_rad: White noise of the attitude, per axis; None: no attitude output.
+        antenna_m: Position of the antenna from the centre of mass, body FRD.
     """
 
     source: str
@@ -96,10 +96,10 @@ def position_sensor(
     """The position sensor of a vehicle as a component named "position".
 
     Args:
-        vehicle: Numbers of the aircraft, those of its sensor before those of the kind, and the
-            effects that are switched on.
-        effects: Effects to build in, switched off: identifiers of `twin.effects.EFFECTS`, of
-            which those count that act on the position sensor.
+        vehicle: Numbers of the aircraft, those of its sensor in preference to those of the kind,
+            and the effects that are switched on.
+        effects: Effects to build in, switched off: identifiers of `twin.effects.EFFECTS`; those of
+            other components are ignored.
         kind: "gnss": position and velocity; "mocap": attitude as well.
     """
     changes: dict[str, Any] = dict(vehicle.sensors.position)
@@ -181,7 +181,7 @@ def _levels(
 
 
 def _shaken(m: ComponentBuilder, white: float, q_nb: list[ca.SX]) -> list[ca.SX]:
-    """The attitude after small random turns about the body axes, at unit length."""
+    """The attitude with small random rotations about the body axes, at unit length."""
     size = m.parameter(
         "attitude_noise", white, "rad", "Noise of the attitude about each body axis", minimum=0
     )
@@ -196,4 +196,4 @@ def _shaken(m: ComponentBuilder, white: float, q_nb: list[ca.SX]) -> list[ca.SX]
 
 
 _SMALLEST = 1e-30
-"""Keeps the length of an attitude above zero, should a delay fall between q and -q."""
+"""Lower bound of the length of an interpolated attitude, for a delay between q and -q."""

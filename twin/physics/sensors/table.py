@@ -1,14 +1,14 @@
-"""The sensors that a flight is compared by: one declaration each, of everything that a sensor is.
+"""The sensors that are compared with flights: one complete declaration each.
 
 Every list of sensors is made from these rows: columns of the flight table and their physical
-limits, components of the whole twin, channels and slopes of `explain`, the noise that a draft
-measures, what live flights decode and miss, what the compensator learns, what an autopilot in the
-loop is sent. No part has a default, so a sensor that leaves one out cannot be imported:
-docs/dev/extending/sensor.md. The position sensor is no row: what it measures is the motion along
-which the twin is evaluated.
+limits, components of the whole twin, channels and slopes of `explain`, the noise measured by a
+draft, signals that live flights decode and miss, outputs of the compensator, readings sent to an
+autopilot in the loop. No field has a default, so an incomplete sensor cannot be imported:
+docs/dev/extending/sensor.md. The position sensor is no row: it measures the motion along which the
+twin is evaluated.
 
-A row names its component, which is built, with CasADi, when it is asked for: readers of logs need
-the rows alone.
+A row names its component, which is built, with CasADi, on demand: readers of logs need the rows
+only.
 """
 
 from collections.abc import Callable, Iterable
@@ -26,23 +26,23 @@ if TYPE_CHECKING:
     from ...component import Component
 
 BODY = "body"
-"""Group of the sensors that measure what acts on the body."""
+"""Group of the sensors that measure forces and rotation of the body."""
 EARTH_FIELD_T = 5e-5
-"""Magnetic flux density of the earth, T; 2.5e-5 to 6.5e-5 over its surface (WMM 2025)."""
+"""Magnetic flux density of the Earth, T; 2.5e-5 to 6.5e-5 over its surface (WMM 2025)."""
 FLOW_PA = 200.0
-"""Dynamic pressure at 18 m/s, Pa: what a port may be off by."""
+"""Dynamic pressure at 18 m/s, Pa: possible error of a pressure port."""
 _NUMBERS = {f.metadata["key"]: f.name for f in fields(Sensors) if f.metadata}
 """Attribute of `vehicle.sensors` by its key in the vehicle file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """Rate of change of a reading, for a sensor whose reading is itself a part of the motion.
+    """Rate of change of a reading, for a sensor whose reading is itself part of the motion.
 
     Attributes:
-        unit: For people.
-        title: What it is, as the heading of a list.
-        words: The same within a sentence.
+        unit: Unit in printed form.
+        title: Name as the heading of a list.
+        words: Name within a sentence.
     """
 
     unit: str
@@ -52,12 +52,13 @@ class Rate:
 
 @dataclass(frozen=True, slots=True)
 class Usual:
-    """What a sensor reads while a multirotor flies.
+    """Usual range of a sensor while a multirotor flies.
 
     Attributes:
-        low: Bounds of the median of its magnitude, in the unit of the flight table.
-        high: See `low`.
-        other_units: In which it is written by mistake, with what takes them to that unit.
+        low: Lower bound of the median magnitude, in the unit of the flight table.
+        high: Upper bound of the median magnitude, in the unit of the flight table.
+        other_units: Units in which it is written by mistake, with their factors to the unit of the
+            flight table.
     """
 
     low: float
@@ -71,35 +72,39 @@ class Sensor:
 
     Attributes:
         name: Identifier.
-        component: The component that it is, alone or with others: name of a module of this
-            package, and of the function `(vehicle, effects) -> component` in it.
-        signal: What `Effect.needs`, the limits and live samples call its readings.
-        columns: Of the flight table, and outputs of the component, of the same names.
-        meanings: Of each column, for the definition of the flight table.
-        unit: Of a reading, for people.
-        title: What it measures, as the heading of a list.
-        words: The same within a sentence.
+        component: Its component, alone or with other sensors: name of a module of this package, and
+            of the function `(vehicle, effects) -> component` in it.
+        signal: Name of its readings in `Effect.needs`, limits and live samples.
+        columns: Columns of the flight table, and outputs of the component, of the same names.
+        meanings: Meaning of each column, for the definition of the flight table.
+        unit: Unit of a reading in printed form.
+        title: Measured quantity as the heading of a list.
+        words: Measured quantity within a sentence.
         group: Sensors and effects of one group compete with each other; those of different groups
             have no reading in common. `BODY`: predicted from the motion of the body; any other:
             from the pose.
-        needs: Measured motion without which its reading cannot be predicted from the pose: "pos",
-            "vel", "q". Its component's other inputs are taken from columns of their names where
-            the flight has them, and stay at their start values otherwise.
-        size: Of each column, a change of the reading of the order of what it is there for, in
-            `channel_unit`; of a far smaller one nobody needs to speak.
-        rate: What it is compared by in the place of its readings; None: by its readings.
-        fixed_in_space: Whether it reads a vector that the earth holds still.
-        cutoff_hz: Low-pass of the vehicle's sensor, known to it but not to its readings; None.
+        needs: Measured motion that is necessary to predict its reading from the pose: "pos", "vel",
+            "q". Other inputs of its component come from columns of their names where the flight has
+            them, else they are at their start values.
+        size: Typical relevant change of each column's reading, in `channel_unit`; far smaller
+            changes are negligible.
+        rate: Rate of change that is compared in place of its readings; None: the readings are
+            compared.
+        fixed_in_space: Whether it measures a vector that is constant in Earth-fixed axes.
+        cutoff_hz: Cut-off of a low-pass in the vehicle's sensor that is known but not applied to
+            its readings; None: no such filter.
         noise_key: Key of its white noise in the vehicle file, which a draft measures.
-        least_count: Quantisation step of a usual sensor of the kind, in `unit`. No noise level is
-            taken to be below that of rounding to it.
-        limit: Magnitude of a part of a reading that no flight reaches, in `unit`.
-        damaged: What a reading beyond the limit may be instead, as a question.
-        usual: Range of its readings, by which another unit is recognised; None: any is possible.
-        messages: Of MAVLink, that carry it in live flight, the one to ask for first; (): none.
-        without: What a live flight without it lacks; "": it is not missed.
+        least_count: Quantisation step of a typical sensor of the kind, in `unit`. No noise level is
+            assumed below that of rounding to it.
+        limit: Magnitude of a component of a reading that no flight reaches, in `unit`.
+        damaged: Possible cause of a reading beyond the limit, as a question.
+        usual: Usual range of its readings, by which another unit is recognised; None: any value is
+            plausible.
+        messages: MAVLink messages with its readings in live flight, the one to request first; ():
+            none.
+        without: Consequence for a live flight without it; "": none.
         learned: Whether a compensator corrects it.
-        hil: Whether an autopilot in the loop is sent it.
+        hil: Whether an autopilot in the loop receives it.
     """
 
     name: str
@@ -127,10 +132,10 @@ class Sensor:
     hil: bool
 
     def __post_init__(self) -> None:
-        """Refuse a row that is not whole.
+        """Refuse an inconsistent row.
 
         Raises:
-            ModelError: A column has no meaning, or the vehicle file no such noise.
+            ModelError: A column has no meaning, or the vehicle file has no such noise.
         """
         if len(self.meanings) != len(self.columns):
             raise ModelError(
@@ -144,12 +149,12 @@ class Sensor:
             )
 
     def make(self, vehicle: Vehicle, effects: Iterable[str] = ()) -> "Component":
-        """Its component.
+        """Build its component.
 
         Args:
             vehicle: Numbers of the aircraft, and the effects that are switched on.
-            effects: Effects to build in, switched off: identifiers of `twin.effects.EFFECTS`, of
-                which those count that act on it.
+            effects: Effects to build in, switched off: identifiers of `twin.effects.EFFECTS`; those
+                of other components are ignored.
         """
         module = import_module(f".{self.component}", __package__)
         maker = cast("Callable[[Vehicle, Iterable[str]], Component]", vars(module)[self.component])
@@ -161,19 +166,19 @@ class Sensor:
 
     @property
     def plain_unit(self) -> str:
-        """Unit of a reading as files write it: `m/s^2`."""
+        """Unit of a reading as written in files: `m/s^2`."""
         return self.unit.replace("²", "^2")
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of what is compared: its columns, or their rates of change."""
+        """Names of the compared quantities: its columns, or their rates of change."""
         if self.rate is None:
             return self.columns
         return tuple(c.replace(self.signal, f"{self.signal}_rate", 1) for c in self.columns)
 
     @property
     def channel_unit(self) -> str:
-        """Unit of what is compared."""
+        """Unit of the compared quantities."""
         return self.unit if self.rate is None else self.rate.unit
 
 
@@ -301,14 +306,14 @@ SENSORS: tuple[Sensor, ...] = (
     MAGNETOMETER,
     BAROMETER,
 )
-"""All of them, in the order of the flight table."""
+"""All sensors, in the order of the flight table."""
 
 
 def components_of_sensors() -> dict[str, Callable[[Vehicle, Iterable[str]], "Component"]]:
-    """Maker of each component that is a sensor, by its name."""
+    """Function that builds each component that is a sensor, by its name."""
     return {s.component: s.make for s in SENSORS}
 
 
 def sensor_of(column: str) -> Sensor | None:
-    """The sensor that a column of the flight table, or a channel, belongs to; None: of none."""
+    """The sensor of a column of the flight table, or of a channel; None without one."""
     return next((s for s in SENSORS if column in (*s.columns, *s.channels)), None)

@@ -1,6 +1,6 @@
 """Vehicles of other simulators as vehicle files: TOML with unit and source for every number.
 
-`docs/reference/simulators.md` says which of their numbers goes where, and by which law.
+`docs/reference/simulators.md` lists the key and the conversion law of each of their numbers.
 """
 
 from pathlib import Path
@@ -16,19 +16,19 @@ from .pyflyt import convert_pyflyt, is_pyflyt
 KNOWN = (
     "SDF of Gazebo (.sdf), params.toml of drone-models, NAME.yaml of PyFlyt with NAME.urdf next to "
     "it, the aircraft XML of JSBSim"
-)  # formats, as messages name them
+)  # names of formats in messages
 
 
 def convert_vehicle(path: str | Path, name: str | None = None) -> str:
-    """Text of a vehicle file for the vehicle that another simulator's file describes.
+    """Text of a vehicle file for a vehicle in a file of another simulator.
 
     Args:
-        path: The file; its format is recognised by what it holds.
-        name: Which aircraft, where the file holds several.
+        path: Path of the file; its format is recognised by content.
+        name: Name of the aircraft, where the file contains several.
 
     Raises:
-        ModelError: No such file, a format that is not known, or a vehicle that a vehicle file
-            cannot describe; the text says what to do.
+        ModelError: No such file, an unknown format, or a vehicle that a vehicle file cannot
+            describe; the text says what to do.
     """
     file = Path(path)
     if not file.is_file():

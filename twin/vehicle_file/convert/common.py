@@ -1,7 +1,7 @@
-"""What the converters share: XML read safely, and rigid bodies.
+"""Functions shared by the converters: safe reading of XML, and rigid bodies.
 
-XML of other programs is read without entities, document types or a network. Bodies have poses and
-combined masses, and their axes are turned to forward-right-down.
+XML of other programs is read without entities, document types or network access. Bodies have poses
+and combined masses, and their axes are rotated to forward-right-down.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from ...errors import ModelError
 from ...vehicle import Array
 
 Element = Any
-"""An element of lxml, which has no types."""
+"""An element of lxml, which is not typed."""
 LARGEST_BYTES = 20_000_000
 """Largest XML file that is read. Made up."""
 
@@ -25,7 +25,7 @@ def read_xml(path: Path) -> Element:
     """Root of an XML file.
 
     Raises:
-        ModelError: It cannot be read, is no XML, is too large or has a document type.
+        ModelError: The file cannot be read, is no XML, is too large or has a document type.
     """
     try:
         if path.stat().st_size > LARGEST_BYTES:
@@ -51,10 +51,11 @@ def read_xml(path: Path) -> Element:
 
 
 def floats(file: str, what: str, text: str | None, count: int) -> Array:
-    """So many finite numbers, separated by blanks.
+    """A given number of finite numbers, separated by blanks.
 
     Raises:
-        ModelError: They are something else; the text names the file, what they are, and the text.
+        ModelError: The text is something else; the error names the file, the quantity, and the
+            text.
     """
     try:
         values = np.array([float(word) for word in (text or "").split()])
@@ -69,7 +70,7 @@ def number(file: str, parent: Element, tag: str) -> float:
     """The number in a child element.
 
     Raises:
-        ModelError: There is no such child, or it holds no number.
+        ModelError: There is no such child, or it has no number.
     """
     child = parent.find(tag)
     if child is None:
@@ -83,17 +84,17 @@ FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where a frame is in another: origin, m, shape (3,), and its axes as columns, (3, 3)."""
+    """Pose of a frame in another one: origin, m, shape (3,), and its axes as columns, (3, 3)."""
 
     origin: Array
     axes: Array
 
     def of(self, inner: "Pose") -> "Pose":
-        """A pose given in this frame, as seen from outside."""
+        """Pose in the outer frame of a pose that is given in this frame."""
         return Pose(self.origin + self.axes @ inner.origin, self.axes @ inner.axes)
 
     def relative_to(self, other: "Pose") -> "Pose":
-        """This pose in the frame of another, both given in one frame."""
+        """This pose relative to another one, both given in the same frame."""
         back = other.axes.T
         return Pose(back @ (self.origin - other.origin), back @ self.axes)
 
@@ -102,7 +103,7 @@ HERE = Pose(np.zeros(3), np.eye(3))  # the frame itself
 
 
 def pose_of(place: Sequence[float], roll_pitch_yaw: Sequence[float]) -> Pose:
-    """Pose from a place, m, and rotations about fixed axes x, y, z in this order, rad."""
+    """Pose from a position, m, and rotations about fixed axes x, y, z in this order, rad."""
     (sr, sp, sy), (cr, cp, cy) = np.sin(roll_pitch_yaw), np.cos(roll_pitch_yaw)
     about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
@@ -112,12 +113,12 @@ def pose_of(place: Sequence[float], roll_pitch_yaw: Sequence[float]) -> Pose:
 
 @dataclass(frozen=True, slots=True)
 class MassProperties:
-    """A rigid part.
+    """Mass properties of a rigid part.
 
     Attributes:
-        mass_kg: Of the part.
-        centre_m: Its centre of mass, shape (3,).
-        inertia_kg_m2: About its centre of mass, shape (3, 3).
+        mass_kg: Mass of the part.
+        centre_m: Centre of mass, shape (3,).
+        inertia_kg_m2: Inertia about the centre of mass, shape (3, 3).
     """
 
     mass_kg: float
@@ -126,7 +127,7 @@ class MassProperties:
 
 
 def combined(bodies: Sequence[MassProperties]) -> MassProperties:
-    """One rigid body of several, all in one frame.
+    """Mass properties of several rigid bodies as one, all in the same frame.
 
     Source: parallel axis theorem (Steiner).
     """
@@ -142,11 +143,11 @@ def combined(bodies: Sequence[MassProperties]) -> MassProperties:
 def six_elements(inertia: Array) -> Array:
     """Elements [xx, yy, zz, xy, xz, yz] of an inertia matrix; three where the others are zero."""
     diagonal, rest = np.diag(inertia), inertia[[0, 0, 1], [1, 2, 2]]
-    # What is left of zero by rounding is zero.
+    # Off-diagonal elements within rounding of zero are zero.
     rest = np.where(np.abs(rest) < 1e-12 * diagonal.max(), 0.0, rest)
     return np.concatenate([diagonal, rest]) if np.any(rest) else diagonal
 
 
 def turned(inertia: Array) -> Array:
-    """Inertia matrix in FLU as one in FRD, or back."""
+    """Inertia matrix converted from FLU to FRD, or back."""
     return inertia * np.outer(FLU_TO_FRD, FLU_TO_FRD)

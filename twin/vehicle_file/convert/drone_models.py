@@ -1,7 +1,7 @@
 """Parameters of drone-models (`data/params.toml`, PyPI drone-models) as a vehicle file.
 
-What its first-principles model uses is carried over; the law of each number is in
-`docs/reference/simulators.md`.
+The numbers of its first-principles model are converted; `docs/reference/simulators.md` states the
+law of each.
 """
 
 from collections.abc import Mapping
@@ -30,12 +30,12 @@ _SHAPES = {
     "prop_inertia": (),
     "thrust_min": (),
     "thrust_max": (),
-}  # of the numbers that are read
-_SOURCE = "drone-models, first-principles model"  # of each number
+}  # numbers that are read
+_SOURCE = "drone-models, first-principles model"  # source of each number
 
 
 def is_drone_models(tree: Mapping[str, Any]) -> bool:
-    """Whether parsed TOML holds aircraft of drone-models."""
+    """Whether parsed TOML contains aircraft of drone-models."""
     return any(isinstance(t, dict) and MARK in t for t in tree.values())
 
 
@@ -43,7 +43,7 @@ def convert_drone_models(tree: Mapping[str, Any], path: Path, name: str | None) 
     """Text of a vehicle file for one aircraft of a parsed `params.toml`.
 
     Raises:
-        ModelError: No such aircraft, or a number is missing, misshapen or has no law here.
+        ModelError: No such aircraft, or a number is missing, has a wrong shape or has no law here.
     """
     aircraft = [n for n, t in tree.items() if isinstance(t, dict) and MARK in t]
     if name is None and len(aircraft) == 1:
@@ -82,7 +82,7 @@ def convert_drone_models(tree: Mapping[str, Any], path: Path, name: str | None) 
     left = np.stack([-mix[1], mix[0], np.zeros(mix.shape[1])], axis=1)
     d.number(
         "rotors.position",
-        arm * left * FLU_TO_FRD + 0.0,  # no negative zeros
+        arm * left * FLU_TO_FRD + 0.0,  # avoids negative zeros
         "m",
         "L times mixing_matrix (L is along each axis), turned to FRD",
     )
@@ -121,7 +121,7 @@ def _array(file: str, name: str, table: Mapping[str, Any], key: str) -> Array:
 
 
 def _rpm(file: str, name: str, its: Mapping[str, Array], key: str) -> float:
-    """Speed at which the thrust map gives a thrust, its upper root."""
+    """Rotor speed for a thrust by the thrust map (upper root)."""
     c0, c1, c2 = its["rpm2thrust"]
     inside = c1 * c1 - 4 * c2 * (c0 - float(its[key]))
     if c2 <= 0 or inside < 0:

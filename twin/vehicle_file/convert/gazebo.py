@@ -1,10 +1,10 @@
 """A multirotor of Gazebo (SDF with MulticopterMotorModel plugins) as a vehicle file.
 
-The laws are those of the plugin; which they are is in `docs/reference/simulators.md`. The
-plugin of Gazebo classic in PX4's repository (`libgazebo_motor_model.so`) has another one: thrust
-falls with forward speed. It is refused.
+The laws are those of the plugin; `docs/reference/simulators.md` lists them. The plugin of Gazebo
+classic in PX4's repository (`libgazebo_motor_model.so`) has another one: thrust falls with forward
+speed. It is refused.
 
-First the SDF model itself: links, joints and poses, included models merged in.
+The first part reads the SDF model: links, joints and poses, with included models merged.
 """
 
 import re
@@ -31,21 +31,22 @@ from .common import (
 )
 
 _DEEPEST = 5
-"""Models that include models that include models."""
+"""Largest depth of nested model includes."""
 
 
 @dataclass(slots=True)
 class Model:
-    """One model with everything that it includes.
+    """One model with all included ones.
 
     Attributes:
-        name: Of the model.
-        file: For errors.
-        links: By name.
-        joints: By name.
-        frames: By name.
-        plugins: Of the model and of those that it includes.
-        outside: Pose of each included element's own model frame in that of this model, by name.
+        name: Name of the model.
+        file: Path of the file, for errors.
+        links: Links by name.
+        joints: Joints by name.
+        frames: Frames by name.
+        plugins: Plugins of the model and of included ones.
+        outside: Pose of an included model's frame in the frame of this model, by name of the
+            included element.
     """
 
     name: str
@@ -60,7 +61,7 @@ class Model:
         """Pose of a link, joint or frame in the frame of this model.
 
         Raises:
-            ModelError: There is none of this name, or poses go in a circle.
+            ModelError: There is none of this name, or the poses are circular.
         """
         if name in seen:
             raise ModelError(f"{self.file}: poses of {' and '.join(seen)} go in a circle.")
@@ -83,10 +84,10 @@ class Model:
 
 
 def read_models(path: Path) -> list[Model]:
-    """Models of an SDF file, in it or in a world of it.
+    """Models of an SDF file, at top level or in its world.
 
     Raises:
-        ModelError: It is not SDF, or a model that is included cannot be found.
+        ModelError: The file is not SDF, or an included model cannot be found.
     """
     root = read_xml(path)
     if root.tag != "sdf":
@@ -100,7 +101,7 @@ def read_models(path: Path) -> list[Model]:
 
 
 def _gather(model: Model, element: Element, path: Path, outside: Pose, depth: int) -> None:
-    """Put what an element of a model holds into the model."""
+    """Add the content of a model's element to the model."""
     for kind, tag in ((model.links, "link"), (model.joints, "joint"), (model.frames, "frame")):
         for child in element.findall(tag):
             name = child.get("name", "")
@@ -127,7 +128,7 @@ def _gather(model: Model, element: Element, path: Path, outside: Pose, depth: in
 
 
 def _included(path: Path, include: Element) -> tuple[Element, Path]:
-    """The model that an include names, from a folder next to that of the file."""
+    """Element and file of an included model, from a folder next to that of the file."""
     uri = (include.findtext("uri") or "").strip()
     match = re.fullmatch(r"(?:model://)?([A-Za-z0-9_][A-Za-z0-9_-]*)/?", uri)
     file = path.resolve().parent.parent / match[1] / "model.sdf" if match else None
@@ -143,7 +144,7 @@ def _included(path: Path, include: Element) -> tuple[Element, Path]:
 
 
 def own_pose(file: str, element: Element) -> Pose:
-    """What the `<pose>` of an element says, no matter in which frame.
+    """Content of an element's `<pose>`, without regard to its frame.
 
     Raises:
         ModelError: It is not six numbers.
@@ -159,10 +160,10 @@ def own_pose(file: str, element: Element) -> Pose:
 
 
 def link_mass(file: str, name: str, link: Element, pose: Pose) -> MassProperties:
-    """The rigid part that a link is, its pose given.
+    """Mass properties of a link with a given pose.
 
     Raises:
-        ModelError: It has no mass or no inertia written out.
+        ModelError: It has no explicit mass or no inertia.
     """
     inertial = link.find("inertial")
     inertia = None if inertial is None else inertial.find("inertia")
@@ -184,7 +185,7 @@ def text_of(file: str, element: Element, tag: str) -> str:
     """Text of a child element.
 
     Raises:
-        ModelError: There is none.
+        ModelError: There is no such child.
     """
     text = (element.findtext(tag) or "").strip()
     if not text:
@@ -192,8 +193,8 @@ def text_of(file: str, element: Element, tag: str) -> str:
     return text
 
 
-_PLUGIN = "MulticopterMotorModel"  # of gz-sim
-_ROTORS_PLUGIN = "librotors_gazebo_motor_model.so"  # of RotorS
+_PLUGIN = "MulticopterMotorModel"  # plugin of gz-sim
+_ROTORS_PLUGIN = "librotors_gazebo_motor_model.so"  # plugin of RotorS
 _DEFAULTS = {
     "maxRotVelocity": 838.0,
     "momentConstant": 0.016,
@@ -204,22 +205,22 @@ _DEFAULTS = {
     "timeConstantDown": 1.0 / 40.0,
     "timeConstantUp": 1.0 / 80.0,
 }
-"""What the plugin takes where an element is left out, by its source."""
+"""Defaults of the plugin for missing elements, by its source."""
 _UPRIGHT = 1e-6
-"""Cosine by which the axis of a rotor may differ from that of the body."""
+"""Largest deviation of the cosine between a rotor axis and the body axis."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Motor:
-    """One plugin.
+    """One motor plugin.
 
     Attributes:
-        index: Place of its command among all.
-        link: Of the rotor.
-        joint: Of the rotor.
+        index: Index of its command.
+        link: Link of the rotor.
+        joint: Joint of the rotor.
         direction: "cw" or "ccw", seen from above.
-        numbers: By element.
-        left_out: Elements for which the plugin's default stands in.
+        numbers: Numbers by element.
+        left_out: Missing elements, for which the plugin's default is used.
     """
 
     index: int
@@ -231,11 +232,11 @@ class _Motor:
 
 
 def convert_gazebo(path: Path, name: str | None) -> str:
-    """Text of a vehicle file for a multirotor of an SDF file; `name` chooses among several.
+    """Text of a vehicle file for a multirotor of an SDF file; `name` selects one of several.
 
     Raises:
-        ModelError: There is no such multirotor in it, its rotors differ or are tilted, or a link
-            has no inertia written out.
+        ModelError: The file has no such multirotor, its rotors differ or are tilted, or a link has
+            no explicit inertia.
     """
     models = {m.name: m for m in read_models(path) if any(map(_is_motor, m.plugins))}
     if name is None and len(models) == 1:
@@ -364,7 +365,7 @@ def _draft(path: Path, model: Model, motors: list[_Motor]) -> Draft:
 
 
 def _note(d: Draft, model: Model, motors: list[_Motor]) -> None:
-    """What is left out, and what stands in."""
+    """Add notes on omitted numbers and defaults."""
     d.notes.append(
         f"Converted from {d.file} of Gazebo, model {model.name}. Left out: collision shapes, so "
         f"legs too, noise of sensors, plugins other than {_PLUGIN}."
@@ -380,7 +381,7 @@ def _note(d: Draft, model: Model, motors: list[_Motor]) -> None:
 
 
 def _base(model: Model, motors: list[_Motor]) -> str:
-    """The link that carries the rotors, whose axes are those of the body."""
+    """The link to which the rotors are attached, whose axes are those of the body."""
     parents = set()
     for motor in motors:
         if motor.link not in model.links or motor.joint not in model.joints:

@@ -1,8 +1,8 @@
 """A multirotor of JSBSim (aircraft XML with propellers) as a vehicle file.
 
-The laws are those of its FGPropeller and of its aerodynamic functions; which they are is in
-`docs/reference/simulators.md`. Its electric motors have no law in continuous time, so the
-vehicle is one known by rotor speed.
+The laws are those of its FGPropeller and of its aerodynamic functions;
+`docs/reference/simulators.md` lists them. Its electric motors have no law in continuous time, so
+the input of the vehicle is rotor speed.
 """
 
 import re
@@ -18,7 +18,7 @@ from ..write import Draft
 from .common import Element, MassProperties, combined, floats, read_xml
 
 SEA_LEVEL_KG_M3 = 1.225
-"""Density at which a vehicle file's numbers hold; JSBSim's coefficients have none in them."""
+"""Air density of a vehicle file's numbers; JSBSim's coefficients do not include density."""
 _TO_SI = {
     "M": 1.0,
     "FT": 0.3048,
@@ -32,7 +32,7 @@ _TO_SI = {
     "DEG": np.pi / 180,
     "RAD": 1.0,
 }  # by definition of foot and pound (NIST SP 811)
-_DYNAMIC_PRESSURE_AREA = "aero/qbar-area"  # JSBSim's property, lbf
+_DYNAMIC_PRESSURE_AREA = "aero/qbar-area"  # property in JSBSim, lbf
 _FORCES = ("LIFT", "SIDE", "ROLL", "PITCH", "YAW")  # axes besides DRAG
 Terms = dict[tuple[str, ...], float]
 """A sum of products of properties: factor by the properties' names, sorted."""
@@ -40,7 +40,7 @@ Terms = dict[tuple[str, ...], float]
 
 @dataclass(frozen=True, slots=True)
 class _Propeller:
-    """A propeller file: SI units, tables with columns advance ratio and coefficient."""
+    """A propeller file in SI units; tables with columns advance ratio and coefficient."""
 
     diameter_m: float
     inertia_kg_m2: float
@@ -49,12 +49,12 @@ class _Propeller:
 
 
 def convert_jsbsim(path: Path) -> str:
-    """Text of a vehicle file for an aircraft of JSBSim whose thrusters are propellers.
+    """Text of a vehicle file for an aircraft of JSBSim with propellers as thrusters.
 
     Raises:
-        ModelError: Something in it has no place in a vehicle file.
+        ModelError: A part of it has no equivalent in a vehicle file.
     """
-    path = path.resolve()  # engines are in folders next to that of the aircraft
+    path = path.resolve()  # engine files are in folders next to that of the aircraft
     parts = _parts(path)
     body = _body(path.name, parts["mass_balance"])
     engines = parts["propulsion"].findall("engine")
@@ -129,7 +129,7 @@ def _describe_rotors(
 
 
 def _parts(path: Path) -> dict[str, Element]:
-    """Sections of an aircraft by tag, those in files of their own read."""
+    """Sections of an aircraft by tag, with those in separate files."""
     root = read_xml(path)
     found: dict[str, Element] = {}
     for section in root:
@@ -144,7 +144,7 @@ def _parts(path: Path) -> dict[str, Element]:
 
 
 def _file_in(path: Path, folders: list[Path], name: str) -> Path:
-    """A file that another one names, in one of these folders."""
+    """Path of a referenced file in one of these folders."""
     if re.fullmatch(r"[A-Za-z0-9_][\w .+-]*", name):
         for folder in folders:
             for file in (folder / name, folder / f"{name}.xml"):
@@ -154,7 +154,7 @@ def _file_in(path: Path, folders: list[Path], name: str) -> Path:
 
 
 def _one_propeller(path: Path, engines: list[Element]) -> tuple[_Propeller, list[str]]:
-    """The propeller that all thrusters have."""
+    """The propeller, which all thrusters must share."""
     if not 3 <= len(engines) <= 12:
         raise ModelError(f"{path.name}: has {len(engines)} engines; 3 to 12 rotors can be written.")
     folders = [path.parent, path.parent / "Engines", path.parents[1].parent / "engine"]
@@ -194,7 +194,7 @@ def _table(file: str, table: Element) -> Array:
 
 
 def _check_upright(file: str, thruster: Element) -> None:
-    """Refuse a thruster that does not push up along body z, or moves with the angle of attack."""
+    """Refuse a thruster whose thrust is not along body -z, or depends on the angle of attack."""
     orient = thruster.find("orient")
     angles = np.zeros(3)
     if orient is not None:
@@ -212,7 +212,7 @@ def _check_upright(file: str, thruster: Element) -> None:
 
 
 def _body(file: str, balance: Element) -> MassProperties:
-    """Mass, centre in body axes from the origin of the structural frame, and inertia."""
+    """Mass, centre of mass in body axes from the origin of the structural frame, and inertia."""
     products = [_quantity(file, balance, k, "SLUG*FT2", 0.0) for k in ("ixy", "ixz", "iyz")]
     if any(products):
         raise ModelError(f"{file}: products of inertia {products} are not read.")
@@ -224,7 +224,7 @@ def _body(file: str, balance: Element) -> MassProperties:
 
 
 def _location(file: str, parent: Element) -> Array:
-    """Place in body axes FRD: the structural frame is x aft, y right, z up."""
+    """Position in body axes FRD: the structural frame is x aft, y right, z up."""
     location = parent.find("location")
     if location is None:
         raise ModelError(f"{file}: <{parent.tag}> has no <location>.")
@@ -234,7 +234,7 @@ def _location(file: str, parent: Element) -> Array:
 
 
 def _lowest_contact(file: str, ground: Element | None) -> float | None:
-    """How far below the origin the lowest contact is, m; None without any."""
+    """Distance of the lowest contact point below the origin, m; None without any."""
     if ground is None:
         return None
     places = [_location(file, c)[2] for c in ground.findall("contact")]
@@ -244,7 +244,7 @@ def _lowest_contact(file: str, ground: Element | None) -> float | None:
 def _quantity(
     file: str, parent: Element, tag: str, unit: str, default: float | None = None
 ) -> float:
-    """A number in SI units; `unit` is that of JSBSim where the file names none."""
+    """A number in SI units; `unit` is the default of JSBSim where the file names none."""
     child = parent.find(tag)
     if child is None and default is not None:
         return default
@@ -263,10 +263,11 @@ def _factor(file: str, unit: str) -> float:
 
 
 def _drag(file: str, parts: Mapping[str, Element]) -> float:
-    """Drag against the velocity over its square, N s2/m2, at the density of sea level.
+    """Drag over the square of the speed, N s2/m2, at the density of sea level.
 
     Raises:
-        ModelError: The functions give another force or moment than drag of a constant coefficient.
+        ModelError: The functions include another force or moment than drag of a constant
+            coefficient.
     """
     aerodynamics = parts.get("aerodynamics")
     if aerodynamics is None:
@@ -290,7 +291,7 @@ def _drag(file: str, parts: Mapping[str, Element]) -> float:
 
 
 def _evaluate(file: str, element: Element, known: Mapping[str, Terms]) -> Terms:
-    """A function of JSBSim made of sums and products."""
+    """Terms of a JSBSim function made of sums and products."""
     parts = [p for p in element if p.tag != "description"]
     if element.tag in ("value", "v"):
         return {(): float(floats(file, "<value>", element.text, 1)[0])}
@@ -317,7 +318,7 @@ def _evaluate(file: str, element: Element, known: Mapping[str, Terms]) -> Terms:
 
 
 def _added(terms: list[Terms]) -> Terms:
-    """Sum of terms, those with factor zero left out."""
+    """Sum of terms, without those of factor zero."""
     total: Terms = {}
     for part in terms:
         for key, value in part.items():

@@ -1,6 +1,6 @@
 """A quadrotor of PyFlyt (`NAME.yaml` and `NAME.urdf` next to it) as a vehicle file.
 
-The laws are those of its class QuadX; which they are is in `docs/reference/simulators.md`.
+The laws are those of its class QuadX; `docs/reference/simulators.md` lists them.
 """
 
 import re
@@ -25,9 +25,9 @@ from .common import (
 )
 
 DIRECTIONS = ["ccw", "ccw", "cw", "cw"]
-"""Of the four motors, fixed in QuadX: front right, rear left, front left, rear right."""
+"""Directions of the four motors, fixed in QuadX: front right, rear left, front left, rear right."""
 DENSITY_KG_M3 = 1.225
-"""Air density in its drag, whatever the weather."""
+"""Air density in its drag law, which is constant."""
 _NEEDED = {
     "motor_params": ("total_thrust", "thrust_coef", "torque_coef", "tau", "noise_ratio"),
     "drag_params": ("drag_coef_xyz", "drag_area_xyz", "drag_coef_pqr"),
@@ -44,7 +44,7 @@ def convert_pyflyt(text: str, path: Path) -> str:
     """Text of a vehicle file for a QuadX, its YAML given as text.
 
     Raises:
-        ModelError: A number is missing, or there is no URDF next to the YAML, or it is not a rigid
+        ModelError: A number is missing, there is no URDF next to the YAML, or it is not a rigid
             quadrotor.
     """
     its = _read_sections(text, path.name)
@@ -110,9 +110,9 @@ def convert_pyflyt(text: str, path: Path) -> str:
 
 
 def _read_sections(text: str, file: str) -> Numbers:
-    """Numbers of the two sections that matter, of YAML as PyFlyt's own files have it.
+    """Numbers of the two relevant sections, in the YAML format of PyFlyt's own files.
 
-    One number per indented line `key: number`; other sections are passed over.
+    One number per indented line `key: number`; other sections are ignored.
     """
     its: Numbers = {}
     section = ""
@@ -141,7 +141,7 @@ def _read_sections(text: str, file: str) -> Numbers:
 
 
 def _read_urdf(path: Path) -> tuple[MassProperties, list[Pose]]:
-    """All links as one rigid body, and the centres of the four links that carry motors, FLU.
+    """All links as one rigid body, and the centres of the four links with motors, FLU.
 
     Bullet numbers links by their joints; a force on a link acts at its centre of mass.
     """
@@ -194,7 +194,7 @@ def _link_mass(file: str, inertial: Element, pose: Pose) -> MassProperties:
 
 
 def _origin(file: str, parent: Element) -> Pose:
-    """Pose in `<origin xyz rpy>`, which may be left out."""
+    """Pose in `<origin xyz rpy>`, which is optional."""
     its = _attributes(parent.find("origin"))
     place, turn = (floats(file, f"<origin> {k}", its.get(k, "0 0 0"), 3) for k in ("xyz", "rpy"))
     return pose_of(place.tolist(), turn.tolist())
