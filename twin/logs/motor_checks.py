@@ -4,8 +4,7 @@ A wrong order, sign or unit of the motors becomes a wrong mass or inertia in lat
 relations are tested, each only where the flight excites it:
 
 * speed of rotor i follows the command of motor i better than that of another motor;
-* angular acceleration follows the moments of the commands, by the rotors' positions and directions
-of rotation;
+* angular acceleration follows the moments of the commands, by positions and directions of rotors;
 * specific force follows the sum of the commands, which hover between 0.1 and 0.95.
 
 Signals are means over cells of 20 ms or longer, with variations slower than 2 s removed; a lag of

@@ -1,1 +1,2 @@
-"""Where a flight and its twin disagree: the flight on the twin's grid, predictions, the gap."""
+"""Differences between a flight and its twin: the flight on the twin's grid, predictions, the
+gap."""

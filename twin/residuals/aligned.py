@@ -1,10 +1,10 @@
-"""A flight and its twin on one grid: inputs, measured states, and where the flight is in the air.
+"""A flight and its twin on one grid: inputs, measured states, and times in the air.
 
 In the air means carried by the rotors and above the resting place. The modelled thrust that carries
-the vehicle comes from the flight, not from the weight of the vehicle file: thrust or mass of the
-file may be wrong, which is for others to find. Evidence of being in the air is, in this order, the
-land detector of the log, its height, and a specific force that follows the thrust: on the ground
-the legs take the difference.
+the vehicle is estimated from the flight, not from the weight of the vehicle file: thrust or mass of
+the file may be wrong, which other modules estimate. Evidence of being in the air is, in this order,
+the land detector of the log, its height, and a specific force that follows the thrust: on the
+ground the legs carry the difference.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -43,21 +43,22 @@ from .teacher_forced import (
 
 Array = NDArray[np.float64]
 LIFT_OFF_HEIGHT_M = 0.1
-"""Above its resting place by this much, a vehicle counts as airborne."""
+"""Height above the resting place from which a vehicle is airborne."""
 CLEAR_HEIGHT_M = 0.5
-"""Above its lowest by this much, a vehicle is in the air, wherever its resting place is."""
+"""Height above the lowest point from which a vehicle is in the air, wherever its resting place
+is."""
 CLEAR_S = 1.0
-"""For this long it has to be."""
+"""Shortest time above that height."""
 _ROUNDING = 1e-9
-"""Relative deviation below which a signal is constant, 1: rounding of float64 sums."""
+"""Relative deviation below which a signal is constant: rounding of float64 sums."""
 FOLLOWS, BLOCK_S, FEWEST_BLOCKS = 0.7, 0.25, 12
-"""Correlation from which on the specific force follows the thrust, both as means over blocks of
-time, of which so many are needed."""
+"""Correlation from which the specific force follows the thrust, length of the blocks whose means
+are compared, and smallest number of blocks."""
 LEAST_CARRY, TRUSTED_CARRY = 0.15, 1.5
-"""Modelled thrust over weight below which nothing flies, however wrong the file: idling rotors;
-factor either way by which the file may be off before it is of any concern here."""
+"""Modelled thrust over weight below which no vehicle flies, however wrong the file (idling rotors);
+largest error factor of the file that is tolerated here."""
 START_S = 0.2
-"""From the begin of a record, s: it decides whether the record begins in the air. Made up."""
+"""Start of a record, s, that decides whether it begins in the air. Made up."""
 
 
 def starts_in_air(carried: NDArray[np.bool_], grounded: NDArray[np.bool_], step_s: float) -> bool:
@@ -65,7 +66,7 @@ def starts_in_air(carried: NDArray[np.bool_], grounded: NDArray[np.bool_], step_
 
     Args:
         carried: Whether the rotors carry half of the weight, from the first grid point on.
-        grounded: Whether it is said to be on the ground.
+        grounded: Whether the land detector reports ground.
         step_s: Step of the grid.
     """
     soon = slice(None, max(1, round(START_S / step_s)))
@@ -79,15 +80,15 @@ def carry(
     force: Callable[[], Array],
     step_s: float,
 ) -> float | None:
-    """Modelled thrust that carries the vehicle in a flight, N, whatever its file says of the
-    weight; None: the flight does not show that it is in the air.
+    """Modelled thrust that carries the vehicle in a flight, N, independent of the weight in its
+    file; None: the flight does not show that it is in the air.
 
     Args:
         thrust_n: Modelled thrust, shape (n,).
-        grounded: Whether the log says that it is on the ground, shape (n,).
-        height_m: NaN where unknown, shape (n,); of no length without a position.
-        force: Gives the specific force along the thrust, m/s^2, NaN where unknown, shape (n,); of
-            no length without an accelerometer.
+        grounded: Whether the log reports ground, shape (n,).
+        height_m: Height, NaN where unknown, shape (n,); empty without a position.
+        force: Function that returns the specific force along the thrust, m/s^2, NaN where unknown,
+            shape (n,); empty without an accelerometer.
         step_s: Step of the grid.
     """
     least = CLEAR_S / step_s
@@ -115,8 +116,8 @@ def carry(
 
 
 def clear(grounded: NDArray[np.bool_], height_m: Array, step_s: float) -> NDArray[np.bool_]:
-    """Where the height says that a flight is in the air, shape (n,): clear of its lowest place for
-    long enough, else nowhere; arguments as of `carry`."""
+    """Whether a flight is in the air by its height, shape (n,): above its lowest point for long
+    enough, else nowhere; arguments as in `carry`."""
     known_m = height_m[np.isfinite(height_m)]
     if not len(known_m):
         return np.zeros(len(grounded), dtype=np.bool_)
@@ -125,8 +126,8 @@ def clear(grounded: NDArray[np.bool_], height_m: Array, step_s: float) -> NDArra
 
 
 def resting_height(height_m: Array, carried: NDArray[np.bool_]) -> float | None:
-    """Height of the resting place, m: median of what is known where nothing carries; None: it is
-    not known."""
+    """Height of the resting place, m: median height while the rotors carry nothing; None: not
+    known."""
     rest = height_m[np.isfinite(height_m) & ~carried]
     return float(np.median(rest)) if len(rest) else None
 
@@ -137,13 +138,13 @@ def in_flight(
     height_m: Array,
     resting_m: float | None,
 ) -> NDArray[np.bool_]:
-    """Grid points in flight, shape (n,).
+    """Mask of the grid points in flight, shape (n,).
 
     Args:
-        carried: Shape (n,).
-        grounded: Shape (n,).
-        height_m: Shape (n,); not used without a resting place.
-        resting_m: Height of the resting place; None: it does not count.
+        carried: Whether the rotors carry the vehicle, shape (n,).
+        grounded: Whether the log reports ground, shape (n,).
+        height_m: Height, shape (n,); not used without a resting place.
+        resting_m: Height of the resting place; None: height is not used.
     """
     airborne = carried & ~grounded
     if resting_m is not None:
@@ -152,7 +153,7 @@ def in_flight(
 
 
 def why_grounded(motion: MeasuredMotion, said: bool) -> str:
-    """Way out for a flight without a sample in the air, `said` to be on the ground all along."""
+    """Remedy for a flight without a sample in the air, `said` to be on the ground throughout."""
     if said:
         return "the whole flight is in phase ground."
     if motion.position is not None:
@@ -172,7 +173,7 @@ def why_grounded(motion: MeasuredMotion, said: bool) -> str:
 
 
 def rotor_thrust(body: Component, rotors: int) -> OverRows:
-    """Thrust of all rotors together in still air, N, shape (n, 1), of their states and inputs."""
+    """Function for the total thrust in still air, N, shape (n, 1), from states and inputs."""
     moving = [i for i, s in enumerate(body.states) if s.name.startswith(("rotor_", "effort_"))]
     r, u = ca.SX.sym("r", len(moving)), ca.SX.sym("u", len(body.inputs))
     p = body.parameter_values()
@@ -184,11 +185,13 @@ def rotor_thrust(body: Component, rotors: int) -> OverRows:
 
 
 LONGEST_FLIGHT_S = 10_000.0
-"""Of what is held in memory the most is one signal of the flight, or 200 Hz of all states."""
+"""Longest flight that is aligned at once: memory holds one signal of the flight, or all states at
+200 Hz."""
 AT_LIMIT = 1e-3
-"""A command this close to 0 or 1 is at its limit: it does not determine what the motor does."""
+"""Distance of a command from 0 or 1 at which it is saturated and does not determine the motor's
+speed."""
 BLOCK_ROWS = 1 << 18
-"""Rows of a block: with inputs and states some 70 MB."""
+"""Rows of a block: some 70 MB with inputs and states."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,15 +199,15 @@ class AlignedFlight:
     """A flight on the grid of its twin.
 
     Attributes:
-        airframe: With the vehicle's effects, but for those by which commands act late: they are
-            in the inputs.
-        imu: With the vehicle's effects, but without noise.
-        inputs: Of the airframe, commands as they arrive.
+        airframe: Airframe with the vehicle's effects, except delays of commands: these are applied
+            to the inputs.
+        imu: IMU with the vehicle's effects, but without noise.
+        inputs: Inputs of the airframe, commands at their time of arrival.
         motion: Measured motion.
-        states: Of the airframe, shape (n, n_x); NaN where nothing was measured.
-        phases: Of the flight, shape (n,).
-        airborne: Shape (n,).
-        notes: What was assumed or left out.
+        states: States of the airframe, shape (n, n_x); NaN where not measured.
+        phases: Phase of flight, shape (n,).
+        airborne: Whether the vehicle is in the air, shape (n,).
+        notes: Notes on assumptions and omissions.
     """
 
     airframe: Component
@@ -220,15 +223,15 @@ class AlignedFlight:
 
     @property
     def saturated(self) -> NDArray[np.bool_]:
-        """Whether a command that drives the rotors is at an end of its range, shape (n,)."""
+        """Whether the command of any rotor is at an end of its range, shape (n,)."""
         columns = [i for i, n in enumerate(self.inputs.columns) if n.startswith("cmd_")]
         commands = self.inputs.u[:, columns]
         return np.asarray(np.any((commands <= AT_LIMIT) | (commands >= 1 - AT_LIMIT), axis=1))
 
     def predicted(self, *stems: str) -> tuple[Array, ...]:
-        """Outputs of the airframe at every grid point, for each stem those that begin with it.
+        """Outputs of the airframe at every grid point whose names begin with each stem.
 
-        Shape (n, k) each.
+        Arrays of shape (n, k).
         """
         y = self.airframe.outputs_along(self.states, self.inputs.u)
         names = self.airframe.output_names
@@ -245,14 +248,15 @@ def align_flight(
     """Put a flight onto the grid of a twin, in one piece.
 
     Args:
-        flight: As read by `twin.logs.read_flight`.
-        vehicle: As read by `twin.vehicle_file.load_vehicle`.
-        grid_s: Step of the grid, s; unmeasured states are integrated with it.
+        flight: Flight from `twin.logs.read_flight`.
+        vehicle: Vehicle from `twin.vehicle_file.load_vehicle`.
+        grid_s: Step of the grid, s; also the step of integration of unmeasured states.
         effects: Effects to build into the airframe, switched off.
-        motion: Of the flight, where it has been measured already.
+        motion: Measured motion of the flight, where it is known already.
 
     Raises:
-        LogError: The flight lacks what the vehicle needs, is too short, or never flies.
+        LogError: The flight lacks signals that the vehicle needs, is too short, or is never in the
+            air.
     """
     alignment = Alignment(flight, vehicle, grid_s, effects, motion)
     (block,) = alignment.blocks([0, alignment.rows])
@@ -261,12 +265,12 @@ def align_flight(
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Rows of the grid of a twin, one after the other.
+    """Consecutive rows of the grid of a twin.
 
     Attributes:
-        first: Number of the first of them.
-        inputs: Of the airframe.
-        states: Of the airframe, shape (n, n_x); NaN where nothing was measured.
+        first: Number of the first row.
+        inputs: Inputs of the airframe.
+        states: States of the airframe, shape (n, n_x); NaN where not measured.
     """
 
     first: int
@@ -282,8 +286,8 @@ class Block:
 
 
 class TwinGrid:
-    """Grid points of a twin, one block after another: inputs, and states that are
-    measured or integrated along what is measured."""
+    """Grid points of a twin, one block after another: inputs, and states that are measured or
+    integrated along the measured ones."""
 
     def __init__(self, vehicle: Vehicle, airframe: Component, step_s: float) -> None:
         self._vehicle, self._airframe = vehicle, airframe
@@ -291,13 +295,13 @@ class TwinGrid:
         self._hidden = hidden_of(airframe, step_s)
 
     def block(self, signals: InputSignals, motion: MeasuredMotion, first: int, t_s: Array) -> Block:
-        """The next rows.
+        """The next block of rows.
 
         Args:
-            signals: What the flight, or its last seconds, hold of the inputs.
-            motion: Measured motion of the same.
+            signals: Input signals of the flight, or of its last seconds.
+            motion: Measured motion of the same flight.
             first: Number of the first row.
-            t_s: Times of the rows, shape (n,); one row is enough.
+            t_s: Times of the rows, shape (n,); n may be 1.
         """
         u = signals.at(t_s)
         inputs = Inputs(signals.columns, t_s, u, self._rotors.along(u), signals.notes)
@@ -307,11 +311,11 @@ class TwinGrid:
 def components_of(
     vehicle: Vehicle, drive: Drive, effects: Iterable[str] = ()
 ) -> tuple[Component, Component]:
-    """Airframe and IMU as of `AlignedFlight`.
+    """Airframe and IMU as in `AlignedFlight`.
 
     Args:
         vehicle: Numbers of the aircraft.
-        drive: What drives its rotors.
+        drive: Input of its rotors.
         effects: Effects to build into the airframe, switched off.
     """
     body = airframe(vehicle, drive, effects)
@@ -322,17 +326,17 @@ def components_of(
 
 
 class Alignment:
-    """A flight and a vehicle, to be put on the twin's grid: whole, or one block of rows after
-    another, with the same numbers.
+    """A flight and a vehicle to be aligned on the twin's grid: whole, or in blocks of rows with the
+    same result.
 
     Attributes:
-        airframe: As of `AlignedFlight`.
-        imu: As of `AlignedFlight`.
+        airframe: Airframe as in `AlignedFlight`.
+        imu: IMU as in `AlignedFlight`.
         motion: Measured motion.
-        rows: How many grid points there are.
+        rows: Number of grid points.
         step_s: Step of the grid.
-        notes: What was assumed or left out.
-        carries: Modelled thrust over weight in the air, where `airborne` found that far from 1.
+        notes: Notes on assumptions and omissions.
+        carries: Modelled thrust over weight in the air, where `airborne` found a value far from 1.
     """
 
     def __init__(
@@ -343,7 +347,8 @@ class Alignment:
         effects: Iterable[str] = (),
         motion: MeasuredMotion | None = None,
     ) -> None:
-        """Arguments and errors as of `align_flight`; that it never flies is said by `airborne`."""
+        """Arguments and errors as in `align_flight`; `airborne` raises where the vehicle is never
+        in the air."""
         self.airframe, self.imu = components_of(vehicle, choose_drive(flight, vehicle), effects)
         time = flight.time_s
         if len(time) < 2 or time[-1] - time[0] < 2 * grid_s:
@@ -370,11 +375,11 @@ class Alignment:
         return np.asarray(rows.astype(np.float64) * self._grid_s)
 
     def phases(self, first: int, end: int) -> NDArray[np.str_]:
-        """Phases of some rows, as of `phases_at`."""
+        """Phases of some rows, as from `phases_at`."""
         return phases_at(self._flight, self.times(first, end))
 
     def spans(self) -> tuple[tuple[str, float, float], ...]:
-        """Name, first and last time of each phase, as they lie on the grid."""
+        """Name, first and last time of each phase on the grid."""
         codes_of_table, names = self._flight.phase_codes
         codes = np.empty(self.rows, dtype=codes_of_table.dtype)
         for a, b in pairwise(self.edges(BLOCK_ROWS)):
@@ -391,18 +396,18 @@ class Alignment:
         return rows_before(self._flight, self.times(first, end))
 
     def edges(self, rows: int) -> list[int]:
-        """Where blocks of at most so many rows begin, and the end of the last one."""
+        """Row numbers at which blocks of limited size begin, and the end of the last one."""
         return [*range(0, self.rows, rows), self.rows]
 
     def blocks(self, edges: Sequence[int]) -> Iterator[Block]:
-        """The rows between neighbouring edges, from the first row on, none left out."""
+        """The rows between neighbouring edges, from the first row on, without gaps."""
         grid = TwinGrid(self._vehicle, self.airframe, self.step_s)
         for first, end in pairwise(edges):
             yield grid.block(self._signals, self.motion, first, self.times(first, end))
 
     def airborne(self, blocks: Iterable[Block]) -> NDArray[np.bool_]:
-        """Grid points in flight: not said to be on the ground, carried by the rotors, and above the
-        resting place where the record starts at rest and holds a position.
+        """Mask of the grid points in flight: not reported on the ground, carried by the rotors, and
+        above the resting place where the record starts at rest and contains a position.
 
         Rotors carry the vehicle where the modelled thrust is at least half of that which carries it
         in this flight (`carry`).
@@ -411,7 +416,7 @@ class Alignment:
             blocks: All rows.
 
         Raises:
-            LogError: There are none, or it flies on next to none of the thrust of the file.
+            LogError: There are none, or it flies at almost none of the thrust of the file.
         """
         weight = self._vehicle.mass_kg * self._vehicle.gravity_m_s2
         thrust = rotor_thrust(self.airframe, self._vehicle.rotors.count)
@@ -428,7 +433,7 @@ class Alignment:
             if len(height):
                 height[rows] = -block.states[:, down]
         settled = self._flight.settled
-        if settled is None:  # while it was recorded, the weight of the file counted
+        if settled is None:  # a live recording used the weight of the file
             self.carries = self._carries(pushing, grounded, height, weight)
         carried = pushing > 0.5 * weight * self.carries
         if not len(height) or starts_in_air(carried, grounded, self.step_s):
@@ -452,11 +457,11 @@ class Alignment:
         height_m: Array,
         weight_n: float,
     ) -> float:
-        """Modelled thrust over the weight of the file where the flight is in the air; 1 where that
-        is nearly so, or the flight does not show it.
+        """Modelled thrust over the weight of the file in the air; 1 where that is nearly so, or the
+        flight does not show it.
 
         Raises:
-            LogError: Land detector and height say that it flies, on next to no modelled thrust.
+            LogError: Land detector and height report flight at almost no modelled thrust.
         """
 
         def force() -> Array:
@@ -478,12 +483,12 @@ class Alignment:
     def piece(
         self, block: Block, airborne: NDArray[np.bool_], phases: NDArray[np.str_]
     ) -> AlignedFlight:
-        """A block by itself.
+        """A block as a separate aligned flight.
 
         Args:
-            block: Its rows.
-            airborne: Of these rows.
-            phases: Of these rows.
+            block: Block of rows.
+            airborne: Whether the vehicle is in the air, for these rows.
+            phases: Phase of flight of these rows.
         """
         notes = (*self.notes, *self.left_out(airborne))
         return AlignedFlight(
@@ -498,8 +503,8 @@ class Alignment:
         )
 
     def left_out(self, airborne: NDArray[np.bool_]) -> list[str]:
-        """How long the flight is on the ground, in words, and how much of the weight the vehicle
-        carries by its file where it is not, if that is far off."""
+        """Notes on the time on the ground, and on modelled thrust over weight in the air where it
+        is far from 1."""
         on_ground = float(np.mean(~airborne))
         first_s, last_s = self.times(0, 1)[0], self.times(self.rows - 1, self.rows)[0]
         seconds = on_ground * (last_s - first_s)
@@ -514,7 +519,7 @@ class Alignment:
 
 
 def _quiet(sensor: Component) -> Component:
-    """The sensor without its noise: what it reads on average is compared with the flight."""
+    """The sensor without its noise: its mean reading is compared with the flight."""
     louder = (e.name for e in EFFECTS.values() if isinstance(e.observable_as, NoiseFloor))
     ends = ("_noise", "_bias_walk", *(f"{name}.enabled" for name in louder))
     noise = [v.name for v in sensor.parameters if v.name.endswith(ends)]

@@ -1,17 +1,18 @@
-"""Residual channels of a flight: measured and predicted, filtered alike.
+"""Residual channels of a flight: measured and predicted, with equal filters.
 
-Readings are put on a grid of `GRID_HZ`, in the air; measured and predicted pass the same causal
-low-pass and are thinned out to `CHANNEL_HZ`. Causal, so that no reading is explained by what came
-after it: with a controller in the loop, a filter that looks ahead would read the controller
-backwards. As a linear model a channel is residual = slopes @ change of numbers + noise.
+Readings in the air are resampled to a grid of `GRID_HZ`; measured and predicted ones pass the same
+causal low-pass and are decimated to `CHANNEL_HZ`. The filter is causal, so that no reading is
+explained by later ones: with a controller in the loop, a non-causal filter would identify the
+inverse of the controller. As a linear model a channel is residual = slopes @ change of numbers +
+noise.
 
 | channel of the IMU | measured | predicted by |
 |---|---|---|
 | acc_* | accelerometer | airframe and IMU at the measured state |
-| gyro_rate_* | rate of change of the gyroscope | the same |
+| gyro_rate_* | rate of change of the gyroscope | airframe and IMU at the measured state |
 
 The rotor states, which no sensor measures, are integrated from the commands. The body rates of the
-state are themselves those of the gyroscope: it is compared by its rate of change.
+state are those of the gyroscope itself, so the rate of change of the gyroscope is compared.
 """
 
 import math
@@ -43,13 +44,15 @@ GRID_HZ = 200.0
 CHANNEL_HZ = 50.0
 """Rate of the channels."""
 PADDED = 14
-"""Grid points by which ends are carried on in a shift: cubic splines have forgotten them there."""
+"""Grid points of extrapolation at the ends before a shift: the effect of the ends on a cubic spline
+has decayed there."""
 BAND_HZ = 18.0
-"""Low-pass of measured and predicted: the body moves below it, rotors vibrate above it."""
+"""Low-pass of measured and predicted readings: above the motion of the body, below rotor
+vibration."""
 POSE_BAND_HZ = 6.0
-"""Low-pass of what is derived from position and attitude by differences."""
+"""Low-pass of signals that are derived from position and attitude by differences."""
 SHORTEST_S = 1.5
-"""Shorter pieces of flight are left out."""
+"""Shortest piece of flight in use."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +60,13 @@ class ChannelData:
     """One channel of one flight.
 
     Attributes:
-        name: Of the channel.
-        unit: Of the residual.
-        t_s: Shape (n,).
-        measured: Shape (n,).
+        name: Name of the channel.
+        unit: Unit of the residual.
+        t_s: Times, shape (n,).
+        measured: Measured values, shape (n,).
         residual: Measured minus predicted, shape (n,).
         slopes: Derivative of the prediction by each number, shape (n, k).
-        piece: Number of the uninterrupted piece of flight each sample belongs to, shape (n,).
+        piece: Number of the uninterrupted piece of flight of each sample, shape (n,).
     """
 
     name: str
@@ -79,17 +82,17 @@ class ChannelData:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Readings of one sensor on the grid of a flight, filtered and thinned out.
+    """Readings of one sensor on the grid of a flight, filtered and decimated.
 
     Attributes:
-        names: Of its channels.
-        unit: Of all of them.
-        filters_hz: Low-passes that a prediction has to pass, one after the other.
-        rows: Per uninterrupted piece, the grid points it covers.
-        settle: Grid points at the start of a piece that the filters take.
-        values: At the retained rows, all pieces together, shape (n, c).
+        names: Names of its channels.
+        unit: Unit of its channels.
+        filters_hz: Low-passes to apply to a prediction, in order.
+        rows: Grid points of each uninterrupted piece.
+        settle: Grid points at the start of a piece in which the filters settle.
+        values: Readings at the retained rows of all pieces, shape (n, c).
         t_s: Times of these rows, shape (n,).
-        piece: Number of the piece, shape (n,).
+        piece: Number of the piece of each row, shape (n,).
     """
 
     names: tuple[str, ...]
@@ -108,11 +111,11 @@ class Measured:
         return self._over_pieces(values, filters_hz, EVERY)
 
     def unfiltered(self, values: Array) -> Array:
-        """All rows of values on the grid from where the filters have settled, not thinned out."""
+        """All rows of values on the grid after the filters have settled, not decimated."""
         return self._over_pieces(values, (), 1)
 
     def sensed(self, predicted: Array) -> Array:
-        """The same of a prediction, which passes the low-pass of the sensor alone."""
+        """Rows of a prediction after the low-pass of the sensor only."""
         return self._over_pieces(predicted, self.filters_hz[:-1], 1)
 
     def _over_pieces(self, values: Array, filters_hz: Sequence[float], every: int) -> Array:
@@ -128,11 +131,11 @@ class Measured:
         """Channels against a prediction on the grid.
 
         Args:
-            predicted: Shape (n_grid, c).
-            slopes: Shape (n_grid, c, k).
+            predicted: Prediction, shape (n_grid, c).
+            slopes: Slopes of the prediction, shape (n_grid, c, k).
         """
         found = []
-        for i, name in enumerate(self.names):  # one by one: slopes of all fill the memory
+        for i, name in enumerate(self.names):  # one by one to save memory
             some = np.flatnonzero(np.any(slopes[:, i] != 0, axis=0))
             both = np.vstack([predicted[:, i], slopes[:, i, some].T]).T  # filters run along columns
             both = self.filtered(both, self.filters_hz)
@@ -159,16 +162,17 @@ def measured(
     """Filter readings on the grid; None where no piece of them is long enough.
 
     Args:
-        names: Of the channels.
-        unit: Of the readings.
-        t_s: Grid, shape (n,).
-        values: Shape (n, c), NaN where unknown.
-        known: Grid points that count, shape (n,).
+        names: Names of the channels.
+        unit: Unit of the readings.
+        t_s: Times of the grid, shape (n,).
+        values: Readings, shape (n, c), NaN where unknown.
+        known: Whether a grid point is used, shape (n,).
         band_hz: Low-pass of readings and prediction.
-        sensor_hz: Low-pass that the readings have behind them and a prediction has not.
-        together: Whether the retained rows are among those of every other sensor that is so
-            filtered, wherever both are known.
-        passes: How often readings and prediction pass that low-pass.
+        sensor_hz: Low-pass that was applied to the readings before logging, but not to a
+            prediction.
+        together: Whether the retained rows are a subset of those of every other sensor with these
+            filters, wherever both are known.
+        passes: Number of passes of that low-pass over readings and prediction.
     """
     pieces = _pieces(known & np.all(np.isfinite(values), axis=1))
     if not pieces:
@@ -199,15 +203,15 @@ def measured(
 
 
 class LowPass:
-    """Causal second-order Butterworth low-pass along axis 0, settled on the first value, of rows
-    that come block by block."""
+    """Causal second-order Butterworth low-pass along axis 0, initialised on the first value, for
+    successive blocks of rows."""
 
     def __init__(self, cutoff_hz: float) -> None:
         self._cutoff_hz = cutoff_hz
         self._state: Array | None = None
 
     def next(self, values: Array) -> Array:
-        """The next rows, low-passed."""
+        """The low-passed rows of the next block."""
         if self._cutoff_hz >= 0.45 * GRID_HZ:
             return values
         b, a, settled = _butterworth(self._cutoff_hz)
@@ -224,44 +228,45 @@ def low_pass(values: Array, cutoff_hz: float) -> Array:
 
 @cache
 def _butterworth(cutoff_hz: float) -> tuple[Array, Array, Array]:
-    """Second order on the grid: coefficients, and the state that is settled on one."""
+    """Second-order filter on the grid: coefficients, and the steady state for an input of one."""
     b, a = scipy.signal.butter(2, cutoff_hz / (GRID_HZ / 2))
     return b, a, scipy.signal.lfilter_zi(b, a)
 
 
 def rate_over_step(values: Array) -> Array:
-    """Rate of change over the step of the grid that ends at each row, shape as the values."""
+    """Rate of change over the grid step that ends at each row, shape as the values."""
     return np.diff(values, axis=0, prepend=values[:1]) * GRID_HZ
 
 
 def mean_over_step(values: Array) -> Array:
-    """Mean over the same step: what `rate_over_step` is of a signal with these rates."""
+    """Mean over the grid step that ends at each row: the prediction of `rate_over_step` for a
+    signal with these rates."""
     mean = np.array(values)
     mean[1:] = (values[1:] + values[:-1]) / 2
     return mean
 
 
 def on_grid(signal: AnySignal, t_s: Array) -> Array:
-    """A measured signal at the grid, with an anti-alias filter where it is much faster."""
+    """A measured signal on the grid, with an anti-alias filter where it is much faster."""
     if signal.rate_hz > 1.5 * GRID_HZ:
         return filtered_at(signal, 0.4 * GRID_HZ, t_s)
     return signal.at(t_s)
 
 
 class GridSpline:
-    """Values on a grid as cubic splines, unknown ones bridged, to be had later or earlier.
+    """Values on a grid as cubic splines, with unknown ones bridged, for shifts in time.
 
-    Straight lines between grid points would take a tenth of what moves at a tenth of the grid's
-    rate, where they are shifted by half a step, and feign that an age between two samples fits
-    noise better than any other.
+    Linear interpolation would attenuate signals at a tenth of the grid's rate by a tenth for a
+    shift of half a step, and imitate that a delay between two samples fits noise better than any
+    other.
     """
 
     def __init__(self, values: Array, rate_hz: float = GRID_HZ) -> None:
-        """Take values.
+        """Set up for values on a grid.
 
         Args:
-            values: (N, channels); what is not a number is unknown.
-            rate_hz: Of the grid.
+            values: Values, shape (N, channels); NaN where unknown.
+            rate_hz: Rate of the grid.
         """
         self._bridged, self._known = _bridged(values)
         self._rate_hz = rate_hz
@@ -273,12 +278,12 @@ class GridSpline:
         return np.asarray(scipy.ndimage.spline_filter1d(padded, order=3, axis=0, mode="nearest"))
 
     def later(self, later_s: float) -> Array:
-        """The values later by a while, (N, channels), the ends held; a channel of which nothing is
-        known stays unknown. The last two are kept, and not to be written to: a fit asks for
-        derivatives by one age after the other.
+        """The values delayed, shape (N, channels), with constant ends; a channel without known
+        values stays unknown. The last two results are cached and must not be modified: a fit needs
+        derivatives by one delay after the other.
 
         Args:
-            later_s: How much later, s; negative for earlier.
+            later_s: Delay, s; negative for earlier.
         """
         if later_s not in self._moved:
             self._moved = {**dict([*self._moved.items()][-1:]), later_s: self._at(later_s)}
@@ -299,12 +304,13 @@ class GridSpline:
 
 
 def shifted(values: Array, later_s: float, rate_hz: float = GRID_HZ) -> Array:
-    """Values on a grid later by a while, for a single use; as of `GridSpline`."""
+    """Values on a grid delayed, for a single use; as in `GridSpline`."""
     return GridSpline(values, rate_hz).later(later_s)
 
 
 def _bridged(values: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Columns with straight lines over what is unknown, and which of them are known anywhere."""
+    """Columns with straight lines over unknown values, and a mask of the columns with known
+    ones."""
     finite = np.isfinite(values)
     known = np.asarray(finite.any(axis=0))
     bridged = np.where(known, values, 0.0)
@@ -316,8 +322,8 @@ def _bridged(values: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _cubic(t: float) -> tuple[float, float, float, float]:
-    """Weights of the four cubic B-splines around a point between two knots, at a share of the way
-    from one to the next."""
+    """Weights of the four cubic B-splines around a point between two knots, by its fraction of the
+    interval."""
     return (
         (1 - t) ** 3 / 6,
         (4 - 6 * t**2 + 3 * t**3) / 6,
@@ -327,8 +333,8 @@ def _cubic(t: float) -> tuple[float, float, float, float]:
 
 
 def _pieces(known: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
-    """Grid points of every uninterrupted piece that is long enough, without its ends: what is
-    differentiated on the grid is not known there."""
+    """Grid points of every uninterrupted piece that is long enough, without its ends, where
+    differences on the grid are unknown."""
     return [
         np.arange(first + 2, end - 2)
         for first, end in stretches_where(known)
@@ -337,18 +343,18 @@ def _pieces(known: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
 
 
 OF_IMU = tuple(s for s in SENSORS if s.group == BODY)
-"""Sensors of the IMU; each reads along x, y and z."""
+"""Sensors of the IMU; each has axes x, y and z."""
 OF_POSE = tuple(s for s in SENSORS if s.group != BODY)
 """Sensors that are predicted from the measured pose."""
 
 
 def named(stem: str, values: Array, axes: str = "xyz") -> dict[str, Array]:
-    """Columns of a signal by name, `stem_x` and so on."""
+    """Components of a signal by name, `stem_x` and so on."""
     return {f"{stem}_{a}": values[:, i] for i, a in enumerate(axes)}
 
 
 def rows_of(sensor: Component, inputs: Mapping[str, Array], n: int) -> Array:
-    """Inputs of a sensor in its order; what is not given stays at its start."""
+    """Inputs of a sensor in its order; missing ones are at their start values."""
     rows = np.tile(sensor.input_values(), (n, 1))
     for i, name in enumerate(sensor.input_names):
         if name in inputs:
@@ -357,8 +363,8 @@ def rows_of(sensor: Component, inputs: Mapping[str, Array], n: int) -> Array:
 
 
 def pose_signals(aligned: AlignedFlight) -> dict[str, dict[str, Array]]:
-    """Measured motion by signal, "pos", "vel", "q" as far as there is any, as inputs of sensors on
-    the grid of the flight."""
+    """Measured motion by signal, "pos", "vel", "q" as far as available, as inputs of sensors on the
+    grid of the flight."""
     t, motion = aligned.inputs.t_s, aligned.motion
     found = {}
     if motion.position is not None:
@@ -377,9 +383,9 @@ def rows_along_pose(
 
     Args:
         sensor: Its component.
-        flight: Whose columns, held, are what else it takes.
-        pose: As from `pose_signals`.
-        t_s: The grid, shape (n,).
+        flight: Flight whose columns, held between samples, are its other inputs.
+        pose: Signals from `pose_signals`.
+        t_s: Times of the grid, shape (n,).
     """
     inputs = {k: v for signal in pose.values() for k, v in signal.items()}
     for name in sensor.input_names:
@@ -389,12 +395,12 @@ def rows_along_pose(
 
 
 def readings_on_grid(sensor: Sensor, flight: AnyFlight, t_s: Array) -> Array:
-    """What is compared of a sensor, nothing filtered out, shape (n, 3), NaN where unknown.
+    """Compared quantity of a sensor, unfiltered, shape (n, 3), NaN where unknown.
 
     Args:
-        sensor: Of the IMU.
-        flight: Has its columns.
-        t_s: Grid of `GRID_HZ`.
+        sensor: Sensor of the IMU.
+        flight: Flight with its columns.
+        t_s: Grid of rate `GRID_HZ`.
     """
     values = on_grid(signal_of(flight, sensor.columns), t_s)
     return rate_over_step(values) if sensor.rate else values
@@ -409,16 +415,16 @@ def imu_readings(
     axes: slice = slice(0, 3),
     left_out: NDArray[np.bool_] | None = None,
 ) -> Measured | None:
-    """Readings of a sensor of the IMU in the air, filtered and thinned out.
+    """Readings of a sensor of the IMU in the air, filtered and decimated.
 
     Args:
-        sensor: Of the IMU.
-        flight: Has its columns.
-        vehicle: Its low-pass of the sensor is one that a prediction has to pass.
-        aligned: The flight on a grid of `GRID_HZ`.
-        together: Whether both sensors of the IMU keep the same rows, wherever both are known.
-        axes: Which of x, y and z.
-        left_out: Grid points that do not count, shape (n,).
+        sensor: Sensor of the IMU.
+        flight: Flight with its columns.
+        vehicle: Vehicle; the low-pass of its sensor is applied to a prediction.
+        aligned: Flight on a grid of `GRID_HZ`.
+        together: Whether both sensors of the IMU retain the same rows, wherever both are known.
+        axes: Axes of x, y and z in use.
+        left_out: Grid points that are not used, shape (n,).
 
     Returns:
         None where no piece of flight is long enough.
@@ -430,7 +436,7 @@ def imu_readings(
 
 
 def _known(aligned: AlignedFlight) -> NDArray[np.bool_]:
-    """Grid points in the air at which all states are known, shape (n,)."""
+    """Mask of the grid points in the air at which all states are known, shape (n,)."""
     return np.asarray(aligned.airborne & np.all(np.isfinite(aligned.states), axis=1))
 
 
@@ -444,7 +450,7 @@ def _readings(
     together: bool = False,
     axes: slice = slice(0, 3),
 ) -> Measured | None:
-    """See `imu_readings`."""
+    """Filtered readings, as described in `imu_readings`."""
     return measured(
         sensor.channels[axes],
         sensor.channel_unit,
@@ -458,9 +464,9 @@ def _readings(
 
 
 def prompt_imu(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:
-    """The IMU without its low-pass, and of its own effects with those alone that change a mean.
+    """The IMU without its low-pass, and with those of its effects that change a mean.
 
-    Low-pass and delay go over a prediction, as over its slopes, in time.
+    Low-pass and delay are applied in time to a prediction and to its slopes.
 
     Args:
         vehicle: Numbers of the aircraft, and the effects that are switched on.
@@ -479,9 +485,9 @@ def gyro_rate(sensor: Component, sensed: ca.SX, shown: ca.SX) -> ca.SX:
     """Rate of change of the gyroscope, whose reading follows the body rate, shape (3,).
 
     Args:
-        sensor: IMU.
-        sensed: Its inputs; the body rate changes by the angular acceleration.
-        shown: Its readings as an expression of them.
+        sensor: Component of the IMU.
+        sensed: Its inputs; the derivative of the body rate is the angular acceleration.
+        shown: Its readings as an expression of the inputs.
     """
     change = ca.SX.zeros(sensed.shape)
     for a in "xyz":
@@ -491,13 +497,14 @@ def gyro_rate(sensor: Component, sensed: ca.SX, shown: ca.SX) -> ca.SX:
 
 
 def imu_predictor(body: Component, vehicle: Vehicle) -> OverRows:
-    """acc_x..z and gyro_rate_x..z of the twin by states and inputs of an airframe, shape (n, 6).
+    """Function for acc_x..z and gyro_rate_x..z of the twin by states and inputs of an airframe,
+    shape (n, 6).
 
-    Neither low-passed nor late; NaN where the state is unknown.
+    Without low-pass or delay; NaN where the state is unknown.
 
     Args:
-        body: Of the twin.
-        vehicle: The twin.
+        body: Airframe of the twin.
+        vehicle: Vehicle of the twin.
     """
     sensor = prompt_imu(vehicle)
     x, u = ca.SX.sym("x", len(body.states)), ca.SX.sym("u", len(body.inputs))
@@ -512,7 +519,7 @@ def imu_predictor(body: Component, vehicle: Vehicle) -> OverRows:
 
 
 def in_step(aligned: AlignedFlight, vehicle: Vehicle) -> Array:
-    """Measured states, shape (n, n_x), the ages of the pose taken out that the vehicle has."""
+    """Measured states, shape (n, n_x), corrected by the delays of the pose in the vehicle."""
     states, late = aligned.states, ages(vehicle)
     for i, state in enumerate(aligned.airframe.states):
         age_s = late.get(state.name.rpartition("_")[0], 0.0)
@@ -528,11 +535,11 @@ def imu_channels(
     """Channels of horizon 0: accelerometer, and rate of change of the gyroscope.
 
     Args:
-        flight: As read.
-        vehicle: The twin.
-        aligned: The flight on a grid of `GRID_HZ`; if it has no other holder, it is freed before
-            the readings are there.
-        predictor: `imu_predictor` of the airframe, where it is at hand.
+        flight: Flight as read.
+        vehicle: Vehicle of the twin.
+        aligned: Flight on a grid of `GRID_HZ`; if there is no other reference to it, it is freed
+            before the readings are loaded.
+        predictor: Result of `imu_predictor` for the airframe, where it is available.
     """
     predictor = predictor or imu_predictor(aligned.airframe, vehicle)
     predictions = predictor(in_step(aligned, vehicle), aligned.inputs.u)

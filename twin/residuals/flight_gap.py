@@ -3,20 +3,20 @@
 Teacher-forced: the twin's equations at the measured state, see `channels`. Short horizon: the twin
 restarted from the measured state every horizon, compared at the end of each window.
 
-The hover diagnosis, which all verbs show, has level of the thrust, centre of mass, axis of the
-thrust, split of the motors, a single weak rotor. In a hover forces and moments balance on average,
-so that the means of measured and simulated specific force and angular acceleration over it give, at
-the commands of the flight,
+The hover diagnosis, which all verbs print, consists of thrust level, centre of mass, thrust axis,
+split of the motors, and a single weak rotor. In a hover forces and moments balance on average, so
+the means of measured and simulated specific force and angular acceleration over it give, at the
+commands of the flight,
 
-| quantity | by |
+| quantity | from |
 |---|---|
 | thrust of the twin over that of the flight | mean acc_z of both |
-| centre of mass against that of the file | mean moments about pitch and roll, over the weight |
-| thrust axis against -z of the body | mean residual of acc_x and acc_y, over mean acc_z |
-| a single weak rotor instead of another centre of mass | the rotor towards which the latter lies |
+| centre of mass relative to that of the file | mean moments about pitch and roll, over the weight |
+| thrust axis relative to -z of the body | mean residual of acc_x and acc_y, over mean acc_z |
+| a single weak rotor in place of another centre of mass | the rotor in the direction of the shift |
 
-The two last rows of moments are one measurement: one hover cannot part them. Standard errors are
-those of means over blocks of one second.
+The last two quantities from moments are one measurement: one hover cannot separate them. Standard
+errors are those of means over blocks of one second.
 """
 
 import math
@@ -44,10 +44,10 @@ from .teacher_forced import GRID_S, driven_by
 
 Array = NDArray[np.float64]
 _BLOCK_S, _FEWEST_BLOCKS = 1.0, 2
-"""Length of a block, s, longer than the correlation of residuals; fewest blocks that give a
+"""Length of a block, s, longer than the correlation of residuals; smallest number of blocks for a
 standard error. Made up."""
 SURE = 2.0
-"""Standard errors from which on a value of the diagnosis differs from zero."""
+"""Standard errors from which a value of the diagnosis differs from zero."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +55,8 @@ class Mean:
     """A mean over a hover.
 
     Attributes:
-        value: In its unit.
-        sd: Standard error.
+        value: Value in its unit.
+        sd: Standard error of the mean.
     """
 
     value: float
@@ -64,18 +64,17 @@ class Mean:
 
     @property
     def clear(self) -> bool:
-        """Whether it differs from zero."""
+        """Whether the mean differs from zero."""
         return abs(self.value) > SURE * self.sd
 
 
 @dataclass(frozen=True, slots=True)
 class WeakRotor:
-    """A single rotor that gives less thrust than the others, in the place of another centre of
-    mass.
+    """A single rotor with less thrust than the others, as an alternative to another centre of mass.
 
     Attributes:
-        rotor: Number, from 1 on.
-        loss: Share of its thrust.
+        rotor: Number of the rotor, from 1.
+        loss: Lost share of its thrust.
     """
 
     rotor: int
@@ -84,21 +83,22 @@ class WeakRotor:
 
 @dataclass(frozen=True, slots=True)
 class HoverDiagnosis:
-    """A twin at the motor commands of a hover.
+    """Comparison of a twin with a hover, at the motor commands of the flight.
 
     Attributes:
         flight: Name of the flight.
-        where: Which part of the flight, in words.
-        seconds: How long.
-        carried: Thrust of the twin over what the flight shows: 1 where it carries its weight.
-        back_m: By how much the centre of mass would have to be further back than in the file for
-            the mean moments about pitch to vanish, m; None: no body rates.
-        right_m: By how much further right, about roll, m.
-        lean_forward_rad: Angle by which the thrust of the flight leans forward of that of the twin,
-            rad: of the rotors, or of the board that carries the accelerometer; None: unknown.
-        lean_right_rad: The same to the right, rad.
-        split: Of each motor its command, else speed, over the mean of all, less one.
-        weakest: The rotor whose loss would do what the centre of mass would, if a single one can.
+        where: Part of the flight, in words.
+        seconds: Duration.
+        carried: Thrust of the twin over that of the flight: 1 where it carries its weight.
+        back_m: Backward shift of the centre of mass from that in the file for which the mean
+            moments about pitch vanish, m; None: no body rates.
+        right_m: Shift to the right, from the moments about roll, m.
+        lean_forward_rad: Forward tilt of the flight's thrust relative to that of the twin, rad: of
+            the rotors, or of the board with the accelerometer; None: unknown.
+        lean_right_rad: Tilt to the right, rad.
+        split: Command of each motor, else its speed, over the mean of all, less one.
+        weakest: The rotor whose loss of thrust has the same effect as the shift of the centre of
+            mass, if there is one.
     """
 
     flight: str
@@ -121,9 +121,9 @@ def diagnose(
     """Diagnosis of a twin in hover.
 
     Args:
-        channels: Teacher-forced ones of the flight; specific force along z is needed.
-        vehicle: Of the twin.
-        hover: Of the flight, as `hover_of` gives it.
+        channels: Teacher-forced channels of the flight; specific force along z is necessary.
+        vehicle: Vehicle of the twin.
+        hover: Hover of the flight, from `hover_of`.
 
     Returns:
         None: the flight does not hover, or has less than 2 s of specific force along z there.
@@ -156,12 +156,12 @@ def diagnose(
 
 
 _TURNS = (("gyro_rate_y", 1), ("gyro_rate_x", 0))
-"""Channel of the moment about an axis, and the axis of the arm that it belongs to."""
+"""Channel of the moment about an axis, and the axis of its lever arm."""
 
 
 def _both(channel: Channel | None, hover: Hover) -> tuple[Array, Array, Array] | None:
-    """Times, shape (n,), and both sides of a channel in hover; None: no such channel, or less than
-    2 s of it."""
+    """Times, shape (n,), measured and simulated values of a channel in hover; None: no such
+    channel, or less than 2 s of it."""
     if channel is None or len(channel.t_s) < 2:
         return None
     near = np.clip(np.searchsorted(hover.t_s, channel.t_s), 1, len(hover.t_s) - 1)
@@ -173,7 +173,8 @@ def _both(channel: Channel | None, hover: Hover) -> tuple[Array, Array, Array] |
 
 
 def _standard_error(t_s: Array, values: Array) -> float:
-    """Of a mean, by the means of blocks of one second; of the values where blocks are too few."""
+    """Standard error of a mean, from means over blocks of one second; from the values where there
+    are too few blocks."""
     _, block = np.unique(np.floor(t_s / _BLOCK_S), return_inverse=True)
     count = np.bincount(block)
     means = np.bincount(block, values) / count
@@ -191,7 +192,7 @@ def _arm(
     carried: Mean,
     down: float,
 ) -> Mean | None:
-    """Mean moment about an axis that the twin lacks at its weight, over the weight, m."""
+    """Mean residual moment about an axis over the weight, m."""
     turned = _both(channel, hover)
     if turned is None:
         return None
@@ -202,7 +203,7 @@ def _arm(
 
 
 def _lean(channel: Channel | None, hover: Hover, down: float) -> Mean | None:
-    """Angle of the thrust from that of the twin along an axis, rad."""
+    """Angle between the flight's thrust and that of the twin along an axis, rad."""
     pushed = _both(channel, hover)
     if pushed is None:
         return None
@@ -212,12 +213,12 @@ def _lean(channel: Channel | None, hover: Hover, down: float) -> Mean | None:
 
 
 def _weakest(vehicle: Vehicle, back: Mean | None, right: Mean | None) -> WeakRotor | None:
-    """The rotor towards which the centre of mass seems to lie; None where it lies at the file's
-    place, or towards none of them within its standard error.
+    """The rotor in the direction of the apparent centre of mass; None where the shift is not
+    significant, or in the direction of no rotor within its standard error.
 
-    A rotor at p that lacks the share l of its thrust is commanded more; the twin, which does not
-    lack it, then turns as if the centre of mass were the share r = l / (n - (n - 1) l) of p away,
-    of n rotors.
+    A rotor at p that has lost the share l of its thrust gets a higher command; the twin, without
+    that loss, then has the moment of a centre of mass shifted by the share r = l / (n - (n - 1) l)
+    of p, for n rotors.
     """
     if back is None or right is None or not (back.clear or right.clear):
         return None
@@ -240,7 +241,8 @@ def _weakest(vehicle: Vehicle, back: Mean | None, right: Mean | None) -> WeakRot
 DEFAULT_HORIZON_S = 0.5
 """Short horizon, s: residuals grow to centimetres and do not diverge yet. Made up."""
 LIKELY_WEIGHT = (0.5, 2.0)
-"""Measured over predicted specific force along the thrust, beyond which the vehicle is doubted."""
+"""Ratio of measured to predicted specific force along the thrust, beyond which the vehicle is
+doubted."""
 
 
 def flight_gap(
@@ -253,18 +255,19 @@ def flight_gap(
     """Residuals of one flight against one vehicle.
 
     Args:
-        flight: As read by `twin.logs.read_flight`, or left in its file by `twin.logs.open_flight`.
-        vehicle: As read by `twin.vehicle_file.load_vehicle`.
+        flight: Flight from `twin.logs.read_flight`, or `twin.logs.open_flight` for one that stays
+            in its file.
+        vehicle: Vehicle from `twin.vehicle_file.load_vehicle`.
         horizon_s: Short horizon; a multiple of 1 ms, at least 10 ms.
-        progress: Called with the share done, 0..1.
-        block_rows: How many milliseconds are held in memory at a time; the result is the same.
+        progress: Called with the completed share, 0..1.
+        block_rows: Number of milliseconds in memory at a time; the result does not depend on it.
 
     Raises:
         LogError: The flight cannot be compared with this vehicle.
     """
     if not 0.01 <= horizon_s < np.inf or abs(horizon_s / GRID_S - round(horizon_s / GRID_S)) > 1e-6:
         raise LogError(f"horizon {horizon_s:g} s: needs a multiple of 1 ms of at least 10 ms.")
-    # the coarse grid first, and gone before the fine one is there: both together need more memory
+    # the coarse grid is freed before the fine one is built: both together need more memory
     alignment = Alignment(flight, vehicle)
     kinds, why = comparable(flight)
     if not kinds:
@@ -293,10 +296,10 @@ def flight_gap(
 
 
 def comparable(flight: AnyFlight) -> tuple[tuple[str, ...], str]:
-    """Kinds of residuals that a flight has the samples for, whatever the vehicle, in words; and why
-    it has none.
+    """Kinds of residuals for which a flight has the samples, whatever the vehicle, in words; and
+    the reason where there are none.
 
-    This is the rule by which `flight_gap` refuses a flight, apart from its vehicle. Teacher-forced
+    These are the conditions of `flight_gap` on a flight, independent of its vehicle. Teacher-forced
     residuals need an accelerometer or a gyroscope for `SHORTEST_S` off the ground without a gap,
     the short horizon needs attitude and velocity or position for one horizon.
     """
@@ -331,7 +334,7 @@ def comparable(flight: AnyFlight) -> tuple[tuple[str, ...], str]:
 
 
 def _longest_s(flight: AnyFlight, columns: Sequence[str]) -> float:
-    """The longest time off the ground in which a signal has no gap, s."""
+    """The longest time off the ground without a gap in a signal, s."""
     t_s = flight.signal(columns)[0]
     if len(t_s) < 2:
         return 0.0
@@ -348,12 +351,12 @@ def _longest_s(flight: AnyFlight, columns: Sequence[str]) -> float:
 def diagnosis_of(
     flight: AnyFlight, vehicle: Vehicle, hover: Hover | None = None
 ) -> HoverDiagnosis | None:
-    """Diagnosis of a twin in the hover of a flight, without all else of the gap.
+    """Diagnosis of a twin in the hover of a flight, without the rest of the gap.
 
     Args:
-        flight: As read.
-        vehicle: Of the twin.
-        hover: Of the flight, where it is at hand.
+        flight: Flight as read.
+        vehicle: Vehicle of the twin.
+        hover: Hover of the flight, where it is known already.
 
     Raises:
         LogError: The flight cannot be compared with this vehicle.
@@ -366,7 +369,7 @@ def diagnosis_of(
 
 
 def _wrong_vehicle(channels: Sequence[Channel], vehicle: Vehicle) -> list[str]:
-    """A doubt where the rotors carry a weight of quite another size than the flight shows."""
+    """Warning where the weight carried by the rotors differs greatly from that in the flight."""
     for channel in (c for c in channels if c.name == "acc_z"):
         ratio = float(channel.measured.mean() / channel.simulated.mean())
         if not LIKELY_WEIGHT[0] <= ratio <= LIKELY_WEIGHT[1]:
@@ -380,15 +383,15 @@ def _wrong_vehicle(channels: Sequence[Channel], vehicle: Vehicle) -> list[str]:
 def _short_horizon(
     alignment: Alignment, horizon_s: float, block_rows: int, progress: Callable[[float], None]
 ) -> tuple[list[Channel], list[str]]:
-    """Channels at the ends of all windows, and what to say of them.
+    """Channels at the ends of all windows, and notes on them.
 
-    The flight is gone through twice, in blocks: where it is airborne is known at its end alone.
+    The blocks of the flight are processed twice: its times in the air are known only at its end.
     """
     known = np.zeros(alignment.rows, dtype=np.bool_)
-    first: list[Block] = []  # stored where it is the only one
+    first: list[Block] = []  # stored if it is the only one
 
     def noted() -> Iterator[Block]:
-        """All blocks, what is known of them noted."""
+        """All blocks, with their known data recorded."""
         edges = alignment.edges(block_rows)
         for block in alignment.blocks(edges):
             known[block.first : block.end] = np.all(np.isfinite(block.states), axis=1)
@@ -428,8 +431,8 @@ def _short_horizon(
 
 
 def _cuts(starts: NDArray[np.intp], steps: int, block_rows: int) -> list[int]:
-    """Rows that begin a block: behind ends of windows, about so many rows apart where windows are
-    shorter."""
+    """First rows of blocks: at ends of windows, about the given number of rows apart where windows
+    are shorter."""
     cuts: list[int] = []
     since = 0
     for end in (starts + steps + 1).tolist():
@@ -440,14 +443,14 @@ def _cuts(starts: NDArray[np.intp], steps: int, block_rows: int) -> list[int]:
 
 
 def _tail(block: Block) -> Block:
-    """The last row of a block: the next window begins where the one before it ended."""
+    """The last row of a block: the next window begins at the end of the previous one."""
     u, rotors = block.inputs.u[-1:].copy(), block.inputs.rotor_states[-1:].copy()
     inputs = replace(block.inputs, t_s=block.inputs.t_s[-1:], u=u, rotor_states=rotors)
     return Block(block.end - 1, inputs, block.states[-1:].copy())
 
 
 def _joined(before: Block, block: Block) -> Block:
-    """Two blocks, one after the other, as one."""
+    """Two consecutive blocks as one."""
     a, b = before.inputs, block.inputs
     inputs = replace(
         b,
@@ -459,7 +462,7 @@ def _joined(before: Block, block: Block) -> Block:
 
 
 def _chained(parts: Sequence[Channel]) -> Channel:
-    """The same channel of spans of time that follow each other, as one."""
+    """The channel of consecutive spans of time as one."""
     if len(parts) == 1:
         return parts[0]
     return replace(
@@ -476,12 +479,12 @@ def end_channels(
 ) -> list[Channel]:
     """Channels of the short horizon: position, velocity, attitude and gyroscope.
 
-    Attitude is compared relative to the level attitude that points north, in body axes.
+    Attitude is compared relative to the level attitude with heading north, in body axes.
 
     Args:
-        aligned: The flight on the grid of its twin.
+        aligned: Flight on the grid of its twin.
         ends: Grid points at which the windows end, shape (w,).
-        predicted: `short_horizon.READ` of the twin there, shape (w, 13).
+        predicted: Predicted values of `short_horizon.READ` there, shape (w, 13).
         horizon_s: Length of the windows.
     """
     t, phase = aligned.inputs.t_s[ends], aligned.phases[ends]

@@ -1,4 +1,4 @@
-"""Residuals between a flight and its twin, the numbers that sum them up, and their spectra.
+"""Residuals between a flight and its twin, their summary statistics, and their spectra.
 
 `residual = measured - simulated`, always.
 """
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 SLOW_HZ = 10.0
-"""Motion of the vehicle lies below this; above it a residual is mostly vibration and noise."""
+"""Upper frequency of the vehicle's motion; above it a residual is mostly vibration and noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Spectrum:
     Attributes:
         f_hz: Frequencies, Hz, shape (n,); empty when the record is too short.
         psd: Power spectral density about the mean, unit^2/Hz, shape (n,).
-        rate_hz: Rate the samples were resampled on, the median of their own.
+        rate_hz: Rate of the resampled record, the median of its samples.
         filled: Share of the resampled record that lies in gaps of the original, 0..1.
     """
 
@@ -42,7 +42,7 @@ class Spectrum:
     filled: float
 
     def band_rms(self, low_hz: float, high_hz: float) -> float:
-        """Rms of what lies in `low_hz <= f < high_hz`; NaN where the rate does not reach."""
+        """Rms in the band `low_hz <= f < high_hz`; NaN where the sample rate is too low."""
         inside = (self.f_hz >= low_hz) & (self.f_hz < high_hz)
         if not inside.any():
             return math.nan
@@ -52,7 +52,7 @@ class Spectrum:
 def resample(t_s: Array, x: Array) -> tuple[Array, Array, float]:
     """Linear interpolation onto a uniform grid at the median rate of the samples.
 
-    Interpolation damps what lies near half that rate; a signal already uniform is unchanged.
+    Interpolation attenuates frequencies near half that rate; a signal already uniform is unchanged.
 
     Args:
         t_s: Strictly increasing times, s, shape (n,), n >= 2.
@@ -71,15 +71,15 @@ def resample(t_s: Array, x: Array) -> tuple[Array, Array, float]:
 def spectrum(t_s: Array, x: Array, segment_s: float = 4.0) -> Spectrum:
     """Welch power spectral density of samples that need not be uniform.
 
-    They are resampled on their median rate first (see `resample`); segments of `segment_s`
-    overlap by half, Hann window, each about its own mean. Non-finite samples are left out.
+    They are first resampled at their median rate (see `resample`); segments of `segment_s` overlap
+    by half, Hann window, each about its own mean. Non-finite samples are dropped.
 
     Args:
         t_s: Strictly increasing times, s, shape (n,).
         x: Values, shape (n,).
         segment_s: Length of a segment, s: sets the resolution to 1 / segment_s Hz.
     """
-    from scipy import signal  # a second to load, of which reports of simulations need nothing
+    from scipy import signal  # a second to import, not needed in reports of simulations
 
     ok = np.isfinite(x) & np.isfinite(t_s)
     t_s, x = t_s[ok], x[ok]
@@ -93,7 +93,7 @@ def spectrum(t_s: Array, x: Array, segment_s: float = 4.0) -> Spectrum:
 
 
 def slow_part(t_s: Array, x: Array, cutoff_hz: float = SLOW_HZ) -> Array:
-    """What a residual holds below `cutoff_hz`: 2nd-order Butterworth, forward and backward.
+    """Residual below `cutoff_hz`: 2nd-order Butterworth, forward and backward.
 
     Args:
         t_s: Strictly increasing times, s, shape (n,).
@@ -101,8 +101,8 @@ def slow_part(t_s: Array, x: Array, cutoff_hz: float = SLOW_HZ) -> Array:
         cutoff_hz: Cutoff of the low-pass, Hz.
 
     Returns:
-        Filtered values at `t_s`; `x` itself where the rate is too low to hold anything above
-        the cutoff or the record is shorter than 32 samples.
+        Filtered values at `t_s`; `x` unchanged where the rate is too low for content above the
+        cutoff or the record is shorter than 32 samples.
     """
     from scipy import signal
 
@@ -118,8 +118,8 @@ def slow_part(t_s: Array, x: Array, cutoff_hz: float = SLOW_HZ) -> Array:
 
 
 BAND_EDGES_HZ = (0.0, 1.0, SLOW_HZ, 40.0, math.inf)
-"""Edges of the bands in which residuals are summed up, Hz: drift, manoeuvres, control, vibration.
-Made up."""
+"""Edges of the frequency bands in which residuals are summarised, Hz: drift, manoeuvres, control,
+vibration. Made up."""
 UNKNOWN_PHASE = "unknown"  # name of rows without a phase
 
 
@@ -130,14 +130,14 @@ class Channel:
     Attributes:
         name: Flight-table column or derived name (`acc_x`, `gyro_rate_z`, `pos_z`, `att_x`).
         unit: SI unit, as printed.
-        horizon_s: 0 for teacher-forced; else the time since the last restart from the
-            measured state, at the end of which the two are compared.
+        horizon_s: 0 for teacher-forced; else the time from the last restart at the measured state
+            to the comparison.
         t_s: Times, s, shape (n,).
-        measured: Shape (n,).
-        simulated: Shape (n,).
+        measured: Measured values, shape (n,).
+        simulated: Simulated values, shape (n,).
         phase: Flight phase of each sample, shape (n,), "" where unknown.
-        unfiltered: The same before the low-pass that both sides have passed, for spectra; None:
-            they have passed none.
+        unfiltered: The channel before the low-pass of both sides, for spectra; None: there is no
+            low-pass.
     """
 
     name: str
@@ -158,7 +158,7 @@ class Channel:
 
     @property
     def wide(self) -> "Channel":
-        """All frequencies that were sampled."""
+        """The channel with all sampled frequencies."""
         return self.unfiltered or self
 
 
@@ -169,13 +169,13 @@ class FlightGap:
     Attributes:
         flight: Name of the flight.
         vehicle: Name of the vehicle model it was compared with.
-        channels: In report order.
+        channels: Channels in the order of the report.
         phases: Spans (name, start s, end s) in order of time.
-        warnings: What a reader of the numbers must know.
+        warnings: Warnings for readers of the numbers.
         facts: Printable facts of the log (rates, match of the rebuilt commands, ...).
         hover: Diagnosis of the twin in hover; None: it has none.
-        origin: From where its positions are counted; None: not known.
-        driven_by: What drives the twin, and why; "": not known.
+        origin: Origin of its positions; None: not known.
+        driven_by: Input of the twin, and the reason for its choice; "": not known.
     """
 
     flight: str
@@ -202,16 +202,16 @@ class Score:
     """Size of a residual over some samples; NaN where it is not defined.
 
     Attributes:
-        n: Samples at which both sides are finite.
+        n: Number of samples at which both sides are finite.
         rms: Root mean square of the residual, in the channel's unit.
-        mean: Mean of the residual: what a constant would correct.
+        mean: Mean of the residual, which a constant would correct.
         share: `rms` over the rms of the measured signal about its mean. The signal is always
             that of the whole channel (each flight about its own mean), also for a phase: a
             quiet phase cannot turn a small residual into a large share. At 1 over a whole flight
             the twin is no better than a constant. NaN for a flat signal.
         slow_rms: Rms of the residual below `SLOW_HZ`; mean included.
         rms_ci95: 95 % interval of `rms`, bootstrap over blocks of time.
-        dropped: Samples left out because one side is not finite.
+        dropped: Number of samples dropped because one side is not finite.
     """
 
     n: int
@@ -225,7 +225,8 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """One channel, pooled over flights: whole and by phase (in order of appearance)."""
+    """Statistics of one channel over several flights: total and by phase (in order of
+    appearance)."""
 
     name: str
     unit: str
@@ -236,7 +237,7 @@ class Summary:
 
 @dataclass(frozen=True, slots=True)
 class Ranked:
-    """A place where twin and flight disagree: one channel in one phase.
+    """A residual in one channel and phase, for ranking.
 
     Attributes:
         weight: Residual below `SLOW_HZ`, rms, over the rms of the measured signal about its mean
@@ -264,11 +265,11 @@ class _Samples:
 
 
 def pool(channels: Sequence[Channel], seed: int = 0) -> Summary:
-    """Sum up one channel over several flights.
+    """Statistics of one channel over several flights.
 
     Args:
         channels: The same channel (name, unit, horizon) of each flight.
-        seed: Of the bootstrap behind `Score.rms_ci95`.
+        seed: Seed of the bootstrap for `Score.rms_ci95`.
 
     Raises:
         ModelError: The channels differ in name, unit or horizon, or there are none.
@@ -288,7 +289,7 @@ def pool(channels: Sequence[Channel], seed: int = 0) -> Summary:
             float(np.max(np.abs(c.measured[np.isfinite(c.measured)]), initial=0.0))
             for c in channels
         )
-        if signal_rms <= 1e-9 * largest:  # flat to rounding: a share of it is not defined
+        if signal_rms <= 1e-9 * largest:  # constant within rounding: a share of it is not defined
             signal_rms = math.nan
     phases = dict.fromkeys(str(p) for part in parts for p in part.phase)
     name, unit, horizon_s = kinds[0]
@@ -302,12 +303,12 @@ def pool(channels: Sequence[Channel], seed: int = 0) -> Summary:
 
 
 def summarise(channel: Channel) -> Summary:
-    """Sum up one channel of one flight."""
+    """Statistics of one channel of one flight."""
     return pool([channel])
 
 
 def summaries(gaps: Sequence[FlightGap]) -> dict[str, Summary]:
-    """Every channel pooled over all flights, in report order.
+    """Every channel over all flights, in the order of the report.
 
     The key is the channel's name, with `@HORIZONs` appended where one name comes with several
     horizons or units.
@@ -325,14 +326,14 @@ def summaries(gaps: Sequence[FlightGap]) -> dict[str, Summary]:
 
 
 def rank(pooled: Mapping[str, Summary], min_n: int = 20) -> list[Ranked]:
-    """Where twin and flight disagree, the worst first.
+    """Channels and phases with the largest residuals first.
 
-    Ordered by the residual *below `SLOW_HZ`* over the signal of the channel's vector (the
-    largest of its axes): an unmodelled force shows there, while vibration would put the noisiest
-    sensor first, and an axis that hardly moves the one with the least signal. Teacher-forced
-    places come before short-horizon ones: those show what an error in the former grows to. A
-    phase with fewer than `min_n` samples is left out (short-horizon channels: fewer than 4), and
-    so is a flat signal.
+    Ordered by the residual *below `SLOW_HZ`* over the signal of the channel's vector (the largest
+    of its axes): an unmodelled force appears there, while vibration would rank the noisiest sensor
+    first, and an axis with little motion the one with the least signal. Teacher-forced channels
+    come before short-horizon ones, which show the growth of an error in the former. A phase with
+    fewer than `min_n` samples is omitted (short-horizon channels: fewer than 4), and so is a
+    constant signal.
     """
     signal: dict[tuple[str, float], float] = {}
     for key, s in pooled.items():

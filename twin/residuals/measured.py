@@ -1,8 +1,8 @@
 """The measured state of a flight at any time, from the signals of the flight.
 
 Where the flight lacks velocity or body rates, they are derived from position and attitude, and
-`MeasuredMotion.notes` says so. Between samples a signal is linear, or a cubic spline (`smooth_at`);
-`resample_like` gives what is known all the time the samples of another signal.
+`MeasuredMotion.notes` reports it. Between samples a signal is linear, or a cubic spline
+(`smooth_at`); `resample_like` resamples a continuous signal at the samples of another one.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,41 +23,43 @@ from ..representation import short_repr
 
 Array = NDArray[np.float64]
 RATE_CUTOFF_HZ = 30.0
-"""Zero-phase low-pass of measured body rates before they become a state or are differentiated.
+"""Zero-phase low-pass of measured body rates before they are used as a state or differentiated.
 Above it there is rotor vibration (28 Hz and more in the X150 logs), not motion of the body."""
 AGREEMENT_HZ = 3.0
-"""Below it attitude and gyroscope are compared."""
+"""Low-pass before attitude and gyroscope are compared."""
 AGREEMENT_BLOCK_S = 600.0
-"""Of a longer flight they are compared in blocks of about this length, summed up."""
+"""Length of blocks in which they are compared in a longer flight, with the results summed."""
 CLOCK_WINDOW_S, CLOCK_STEP_S, OLDEST_S = 3.0, 0.005, 0.15
-"""Windows in which the age of an attitude is looked for, in steps, up to this on either side."""
+"""Length of windows in which the age of an attitude is estimated, step, and largest age on either
+side."""
 CLOCK_BAND_HZ = 0.5, 6.0
-"""Of the turning that tells it."""
+"""Band of body rates in which the age is estimated."""
 CLEAR, FEWEST_WINDOWS = 0.7, 4
-"""Correlation from which on a window tells it, and windows that are needed. Made up."""
+"""Correlation from which a window is used, and smallest number of windows. Made up."""
 WANDER_S = 0.04
-"""Between the tenth and the ninetieth percentile of these ages: one age is no law of such a record.
-Chosen on NanoBench's four flights, which have 0.03 to 0.09; a log of PX4 at 83 Hz has none."""
+"""Difference of the tenth and ninetieth percentile of these ages from which a single age is not
+valid. Chosen on NanoBench's four flights, which have 0.03 to 0.09; a log of PX4 at 83 Hz has
+none."""
 ROWS = 1 << 18
-"""Samples at a time, where an equation has many terms."""
+"""Samples per block, where an equation has many terms."""
 _EDGE = 9
-"""Samples by which a signal is mirrored at its ends before it is filtered: `filtfilt`'s own."""
+"""Samples by which a signal is mirrored at its ends before it is filtered, as in `filtfilt`."""
 _BEFORE, _AFTER = slice(_EDGE, 0, -1), slice(-2, -_EDGE - 2, -1)
 """Samples that are mirrored at the start and at the end."""
 LONGEST_GAP_INTERVALS = 5.0
-"""A pause of more than so many median intervals is a gap: no state is made up inside it."""
+"""A pause of more median intervals than this is a gap, in which no state is interpolated."""
 LONGEST_GAP_S = 0.25
-"""No gap longer than this is bridged, however slow the signal."""
+"""Longest gap that is interpolated, however slow the signal."""
 
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """A vector signal with its own times, interpolated linearly, NaN outside and in gaps.
+    """A vector signal with its own times, linear between samples, NaN outside and in gaps.
 
     Attributes:
         t_s: Times, s, shape (n,).
-        values: Shape (n, k).
-        settled_hz: Its rate, where that was settled while it was recorded; None: it is measured.
+        values: Samples, shape (n, k).
+        settled_hz: Sample rate that was fixed during recording; None: by its times.
     """
 
     t_s: Array
@@ -68,7 +70,7 @@ class Signal:
 
     @property
     def rate_hz(self) -> float:
-        """Samples per second by the median interval; 0 for a single sample."""
+        """Sample rate by the median interval; 0 for a single sample."""
         return self.settled_hz or _rate_hz(self.t_s)
 
     def at(self, t_s: Array) -> Array:
@@ -88,16 +90,15 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class StoredSignal:
-    """A signal of a flight that stays in its file: what `Signal` says of it, read where it is
-    asked for.
+    """A signal of a flight that stays in its file: the interface of `Signal`, read on demand.
 
     Attributes:
-        flight: The flight.
-        columns: Of the flight table.
-        rate_hz: Samples per second by the median interval; 0 for a single sample.
-        signs: By which a unit quaternion is multiplied in each row, shape (rows,); None: values are
-            as they are in the table.
-        settled_hz: As of `Signal`.
+        flight: Flight with the signal.
+        columns: Columns of the flight table.
+        rate_hz: Sample rate by the median interval; 0 for a single sample.
+        signs: Signs that make neighbouring unit quaternions continuous, shape (rows,); None: values
+            as in the table.
+        settled_hz: Fixed sample rate as in `Signal`.
     """
 
     flight: StoredFlight
@@ -145,7 +146,7 @@ AnySignal = Signal | StoredSignal
 
 
 def signal_of(flight: AnyFlight, columns: Sequence[str]) -> AnySignal:
-    """Samples of some columns, left in the file where the flight is.
+    """Samples of some columns, left in the file for a stored flight.
 
     Raises:
         LogError: A column is missing or has no finite sample.
@@ -158,7 +159,7 @@ def signal_of(flight: AnyFlight, columns: Sequence[str]) -> AnySignal:
 
 
 def blocks_of(signal: AnySignal, block_s: float) -> Iterator[Signal]:
-    """A signal in blocks of time, all of about the same length."""
+    """A signal in blocks of time of about equal length."""
     t_s = signal.t_s
     start_s, end_s = float(t_s[0]), float(t_s[-1])
     del t_s
@@ -173,7 +174,7 @@ def _rate_hz(t_s: Array) -> float:
 
 
 def _interpolated(t_s: Array, known_s: Array, values: Array, rate_hz: float) -> Array:
-    """Values at times, NaN outside what is known and in gaps."""
+    """Values at times, NaN outside the known span and in gaps."""
     out = interpolated(t_s, known_s, values)
     if len(known_s) < 2:
         out[np.abs(t_s - known_s[0]) > 1e-9] = np.nan
@@ -197,8 +198,8 @@ class MeasuredMotion:
 
     Attributes:
         rates: Body rates low-passed at `RATE_CUTOFF_HZ`, rad/s.
-        rates_measured: Whether a gyroscope measured them; else they come from the attitude.
-        notes: What was derived or is missing, for the report.
+        rates_measured: Whether a gyroscope measured them; else they are derived from the attitude.
+        notes: Notes on derived and missing signals, for the report.
     """
 
     position: AnySignal | None
@@ -212,11 +213,11 @@ class MeasuredMotion:
 
 
 def measured_motion(flight: AnyFlight, doubts: bool = True) -> MeasuredMotion:
-    """Collect the motion signals of a flight.
+    """Motion signals of a flight.
 
     Args:
-        flight: As read.
-        doubts: Whether to ask if attitude and gyroscope turn together.
+        flight: Flight as read.
+        doubts: Whether to check if attitude and gyroscope agree.
 
     Raises:
         LogError: The flight has neither accelerometer, gyro, attitude nor position.
@@ -256,19 +257,19 @@ def measured_motion(flight: AnyFlight, doubts: bool = True) -> MeasuredMotion:
 def zero_phase(signal: AnySignal, cutoff_hz: float) -> Array:
     """Values low-passed forward and backward (Butterworth, second order each way).
 
-    A cutoff above 0.4 of the sample rate leaves the values as they are.
+    A cutoff above 0.4 of the sample rate leaves the values unchanged.
     """
     values, rate = signal.values, signal.rate_hz
     if not _is_filtered(len(values), rate, cutoff_hz):
         return values
     found = np.empty_like(values)
-    for k, column in enumerate(values.T):  # one by one: half the memory
+    for k, column in enumerate(values.T):  # one by one to save memory
         found[:, k] = _filtered(column, rate, cutoff_hz)
     return found
 
 
 def filtered_at(signal: AnySignal, cutoff_hz: float, t_s: Array) -> Array:
-    """The same, interpolated at times, shape (len(t_s), k)."""
+    """Such values, interpolated at times, shape (len(t_s), k)."""
     t_known_s, values, rate = signal.t_s, signal.values, signal.rate_hz
     if not _is_filtered(len(values), rate, cutoff_hz):
         return _interpolated(t_s, t_known_s, values, rate)
@@ -286,7 +287,7 @@ def _is_filtered(samples: int, rate_hz: float, cutoff_hz: float) -> bool:
 def _filtered(column: Array, rate_hz: float, cutoff_hz: float) -> Array:
     """Butterworth, forward and backward, of a column, shape (n,)."""
     b, a, settled = _butterworth(cutoff_hz / (rate_hz / 2))
-    # as scipy's filtfilt, which computes the state of a settled filter each time
+    # as scipy's filtfilt, which computes the state of a settled filter at each call
     start, end = (2 * column[k] - column[rows] for k, rows in ((0, _BEFORE), (-1, _AFTER)))
     passed = np.concatenate([start, column, end])
     for _ in range(2):
@@ -296,13 +297,14 @@ def _filtered(column: Array, rate_hz: float, cutoff_hz: float) -> Array:
 
 @lru_cache(256)
 def _butterworth(share: float) -> tuple[Array, Array, Array]:
-    """Second order, at a share of half the rate: coefficients, and the state settled on one."""
+    """Second-order filter at a share of half the rate: coefficients, and steady state for an input
+    of one."""
     b, a = scipy.signal.butter(2, share)
     return b, a, scipy.signal.lfilter_zi(b, a)
 
 
 def differentiate(signal: AnySignal) -> Array:
-    """Central differences on the signal's own times, shape as the values."""
+    """Central differences at the signal's own times, shape as the values."""
     return np.asarray(np.gradient(signal.values, signal.t_s, axis=0), dtype=np.float64)
 
 
@@ -316,7 +318,7 @@ def _unit(q: Array) -> Array:
 
 
 def _continuous(attitude: AnySignal) -> AnySignal:
-    """Unit quaternions with signs such that neighbours are close."""
+    """Unit quaternions with continuous signs."""
     if isinstance(attitude, Signal):
         q = _unit(attitude.values)
         return replace(attitude, values=q * _signs(q)[:, None])
@@ -337,7 +339,7 @@ def _continuous(attitude: AnySignal) -> AnySignal:
 
 
 def _signs(q: Array) -> NDArray[np.int8]:
-    """Signs by which neighbours are close, the first as it is, shape (n,)."""
+    """Signs that make neighbouring quaternions continuous, the first unchanged, shape (n,)."""
     flips = np.sign(np.sum(q[1:] * q[:-1], axis=1))
     flips[flips == 0] = 1.0
     return np.concatenate([[1.0], np.cumprod(flips)]).astype(np.int8)
@@ -350,7 +352,7 @@ def _derivative(signal: AnySignal) -> Signal:
 
 
 def rates_of(attitude: AnySignal) -> Signal:
-    """Body rates between neighbouring attitudes, rad/s, at the times half-way."""
+    """Body rates between neighbouring attitudes, rad/s, at the midpoints in time."""
     t_s, q = attitude.t_s, attitude.values
     rates = np.empty((len(q) - 1, 3))
     for first in range(0, len(rates), ROWS):
@@ -361,22 +363,22 @@ def rates_of(attitude: AnySignal) -> Signal:
 
 
 def agreement(attitude: AnySignal, rates: AnySignal, later_s: float = 0.0) -> float | None:
-    """Correlation of the turning of the attitude with the gyroscope, -1 to 1.
+    """Correlation of body rates from the attitude with the gyroscope, -1 to 1.
 
     Both pass a low-pass at `AGREEMENT_HZ`; a conjugated quaternion, one in the order x, y, z, w or
-    one of other axes gives little or nothing.
+    one of other axes gives a small correlation.
 
     Args:
-        attitude: Quaternions of neighbouring signs.
+        attitude: Quaternions with continuous signs.
         rates: Body rates, rad/s.
-        later_s: By how much the attitude lags behind the gyroscope.
+        later_s: Lag of the attitude behind the gyroscope.
 
     Returns:
-        None where there is too little of either, or hardly any turning.
+        None with too little data, or hardly any rotation.
     """
     if len(attitude.t_s) < 40 or attitude.rate_hz < 5 * AGREEMENT_HZ:
         return None
-    sums = np.zeros(4)  # of a * b, a * a, b * b and of samples
+    sums = np.zeros(4)  # of a * b, a * a, b * b and number of samples
     for block in blocks_of(attitude, AGREEMENT_BLOCK_S):
         if len(block.t_s) > 1:
             sums += _turned_together(block, rates, later_s)
@@ -387,7 +389,7 @@ def agreement(attitude: AnySignal, rates: AnySignal, later_s: float = 0.0) -> fl
 
 
 def _turned_together(attitude: Signal, rates: AnySignal, later_s: float) -> Array:
-    """Sums of products of the slow turning of an attitude and of a gyroscope, and how many."""
+    """Sums of products of the low-passed rates by attitude and by gyroscope, and their number."""
     turning = rates_of(attitude)
     slow = zero_phase(turning, AGREEMENT_HZ)
     start_s, end_s = float(turning.t_s[0]) - later_s - 1.0, float(turning.t_s[-1]) - later_s + 1.0
@@ -401,7 +403,7 @@ def _turned_together(attitude: Signal, rates: AnySignal, later_s: float) -> Arra
 
 
 def _attitude_doubt(attitude: AnySignal, rates: AnySignal) -> list[str]:
-    """A warning when attitude and gyroscope turn in different ways."""
+    """Warning where attitude and gyroscope disagree."""
     same = agreement(attitude, rates)
     if same is None or same > 0.5:
         return []
@@ -412,7 +414,7 @@ def _attitude_doubt(attitude: AnySignal, rates: AnySignal) -> list[str]:
 
 
 def clock_doubt(attitude: AnySignal, rates: AnySignal) -> list[str]:
-    """A warning when the age of the attitude over the gyroscope changes in the flight."""
+    """Warning where the age of the attitude relative to the gyroscope changes during the flight."""
     ages_s = attitude_ages(attitude, rates)
     if len(ages_s) < FEWEST_WINDOWS:
         return []
@@ -427,12 +429,12 @@ def clock_doubt(attitude: AnySignal, rates: AnySignal) -> list[str]:
 
 
 def attitude_ages(attitude: AnySignal, rates: AnySignal) -> Array:
-    """Age of an attitude over a gyroscope, s, in each window in which the turning tells it.
+    """Age of an attitude relative to a gyroscope, s, in each window with enough rotation.
 
-    The lag of their largest correlation; shape (n,), empty for an attitude that is too slow.
+    The lag of their largest correlation; shape (n,), empty for an attitude of too low a rate.
 
     Args:
-        attitude: Quaternions of neighbouring signs.
+        attitude: Quaternions with continuous signs.
         rates: Body rates, rad/s.
     """
     if attitude.rate_hz < 4 * CLOCK_BAND_HZ[1]:
@@ -445,7 +447,7 @@ def attitude_ages(attitude: AnySignal, rates: AnySignal) -> Array:
 
 
 def _ages_in(turning: Signal, rates: AnySignal) -> list[float]:
-    """The same of one block."""
+    """Ages in one block."""
     grid = np.arange(turning.t_s[0], turning.t_s[-1], CLOCK_STEP_S)
     a, b = (_clock_band(Signal(grid, s.at(grid))) for s in (turning, rates))
     most, window = round(OLDEST_S / CLOCK_STEP_S), round(CLOCK_WINDOW_S / CLOCK_STEP_S)
@@ -470,22 +472,22 @@ def _alike(a: Array, b: Array) -> float:
 
 
 SAME_S = 1e-9
-"""Times of a grid and of a log that are apart by less are the same."""
+"""Difference below which times of a grid and of a log are equal."""
 
 
 def smooth_at(signal: AnySignal, t_s: Array, derivative: int = 0) -> Array:
     """A signal or its derivative in time by cubic splines, NaN outside and in gaps.
 
-    Straight lines between samples h apart, and differences over h, would be averages over time,
-    each with a variance of h^2/6 and h^2/12 on average.
+    Linear interpolation between samples h apart, and differences over h, would be averages over
+    time, with mean variances of h^2/6 and h^2/12.
 
     Args:
-        signal: Of any rate.
+        signal: Signal of any rate.
         t_s: Times, s, shape (n,).
-        derivative: How often it is differentiated.
+        derivative: Order of the derivative.
 
     Returns:
-        Shape (n, k).
+        Values, shape (n, k).
     """
     there = signal.between(float(np.min(t_s)) - LONGEST_GAP_S, float(np.max(t_s)) + LONGEST_GAP_S)
     if len(there.t_s) < 4:
@@ -497,19 +499,19 @@ def smooth_at(signal: AnySignal, t_s: Array, derivative: int = 0) -> Array:
 
 
 def resample_like(values: Array, t_s: Array, signal: AnySignal, derivative: int = 0) -> Array:
-    """What `smooth_at` makes of something where it is known at the samples of a signal alone.
+    """`smooth_at` of a continuous signal that is sampled at the times of another signal.
 
-    Two signals are compared without what sampling does to one of them when the other passes it,
-    too: near half the rate of the samples that is much.
+    It applies the sampling of one of two compared signals to the other one, which matters near half
+    the sample rate.
 
     Args:
-        values: The derivative of that something, shape (n, k).
+        values: Derivative of the continuous signal, shape (n, k).
         t_s: Its times, s, shape (n,).
-        signal: Whose samples.
-        derivative: How often it is differentiated.
+        signal: Signal whose times are used.
+        derivative: Order of the derivative.
 
     Returns:
-        Shape (n, k), NaN where either is unknown.
+        Values, shape (n, k), NaN where either is unknown.
     """
     known = np.all(np.isfinite(values), axis=1)
     if np.count_nonzero(known) < 4:

@@ -1,7 +1,7 @@
-"""Short windows of flight from measured states on, all of them in one batch.
+"""Simulation of short windows of flight from measured states, all in one batch.
 
-The same equations, steps and sample instants as the FMUs of airframe and IMU under a co-simulation
-master. Commands that are late are so in the inputs, as in all of an `AlignedFlight`.
+Equations, steps and sample instants are those of the FMUs of airframe and IMU under a co-simulation
+master. Delays of commands are applied to the inputs, as in every `AlignedFlight`.
 """
 
 from collections.abc import Callable
@@ -20,28 +20,29 @@ from .teacher_forced import GRID_S
 
 Array = NDArray[np.float64]
 READ = GYRO + POS + VEL + QUAT
-"""What is read at the end of a window, in order."""
+"""Outputs at the end of a window, in order."""
 WINDOWS_AT_ONCE = 1024
-"""More at once are no faster: their states no longer fit the cache."""
+"""Windows per batch; more are no faster: their states no longer fit the cache."""
 
 FEW = 8
-"""So few windows are faster one by one than side by side; the numbers differ in the last places."""
+"""Number of windows up to which they are faster one by one than side by side; the numbers differ in
+the last digits."""
 
 
 def whole_windows(aligned: AlignedFlight, steps: int) -> NDArray[np.intp]:
-    """Grid points at which windows start that follow each other without overlap, shape (w,).
+    """Start points of consecutive windows without overlap, shape (w,).
 
-    Each is airborne and measured from start to end.
+    Each window is airborne and measured from start to end.
 
     Args:
-        aligned: A flight on the grid of its twin.
+        aligned: Flight on the grid of its twin.
         steps: Grid steps per window.
     """
     return window_starts(aligned.airborne & np.all(np.isfinite(aligned.states), axis=1), steps)
 
 
 def window_starts(known: NDArray[np.bool_], steps: int) -> NDArray[np.intp]:
-    """The same, of the grid points that count, shape (n,)."""
+    """Start points of such windows, from a mask of the usable grid points, shape (n,)."""
     stretches = stretches_where(known)
     starts = [np.arange(first, end - steps, steps, dtype=np.intp) for first, end in stretches]
     return np.concatenate([np.zeros(0, dtype=np.intp), *starts])
@@ -55,19 +56,19 @@ def window_ends(
     progress: Callable[[float], None] = lambda _: None,
     windows: "Windows | None" = None,
 ) -> Array:
-    """What the twin reads at the end of windows that start at measured states.
+    """Outputs of the twin at the end of windows that start at measured states.
 
     Args:
-        aligned: A flight on the grid of its twin.
-        starts: Grid points at which the windows start, shape (w,); all states known there.
+        aligned: Flight on the grid of its twin.
+        starts: Grid points at which the windows start, shape (w,); all states must be known there.
         steps: Grid steps per window.
-        tail: Grid points before the last one that are returned as well, at most `steps`.
-        progress: Called with the share done, 0..1.
-        windows: Of airframe and IMU of the flight, where they are at hand.
+        tail: Number of grid points before the last one that are returned as well, at most `steps`.
+        progress: Called with the completed share, 0..1.
+        windows: Airframe and IMU of the flight, where they are available.
 
     Returns:
-        `READ`: gyroscope, rad/s, position, m, and velocity, m/s, NED, attitude, over the last
-        `tail` + 1 grid points, shape (w, tail + 1, 13).
+        Values of `READ`: gyroscope, rad/s, position, m, and velocity, m/s, NED, attitude, at the
+        last `tail` + 1 grid points, shape (w, tail + 1, 13).
     """
     found = np.empty((len(starts), tail + 1, len(READ)))
     windows = windows or Windows(aligned.airframe, aligned.imu)
@@ -79,7 +80,7 @@ def window_ends(
 
 
 class Windows:
-    """Airframe and IMU of a flight, ready to be started anywhere."""
+    """Airframe and IMU of a flight, prepared for simulation from any state."""
 
     def __init__(self, body: Component, sensor: Component) -> None:
         self._body = _Batch(body, body.parameter_values({"ground.enabled": 0.0}))
@@ -92,7 +93,7 @@ class Windows:
     def ends(
         self, aligned: AlignedFlight, starts: NDArray[np.intp], steps: int, tail: int
     ) -> Array:
-        """See `window_ends`."""
+        """Outputs at the ends of windows, as in `window_ends`."""
         body, sensor, u = self._body, self._imu, aligned.inputs.u
         states = np.empty((len(starts), tail + 1, len(READ)))
         if len(starts) <= FEW and not tail and not self._remembers and body.is_plain:
@@ -105,7 +106,7 @@ class Windows:
         sensor.start(sensor.initial(sensed), sensed)
         for k in range(steps + 1):
             if k:
-                # Both step from what they read at the start of the step, as under the master.
+                # Both step with their inputs from the start of the step, as under the master.
                 body.advance(u[starts + k - 1])
                 if self._remembers:
                     sensor.advance(sensed)
@@ -118,14 +119,14 @@ class Windows:
         """State of the airframe after a grid step with each row of inputs, shape (n_x,).
 
         Args:
-            x: State before, shape (n_x,).
-            u: Inputs, shape (n, n_u).
+            x: State before the step, shape (n_x,).
+            u: Inputs of each row, shape (n, n_u).
         """
         return self._body.after(x, u)
 
     def _read(self, u: Array) -> Array:
-        """`READ` of the present states, shape (w, 13); of a gyroscope without memory the state of
-        the sensor does not matter."""
+        """Values of `READ` at the present states, shape (w, 13); without memory in the gyroscope
+        the sensor's state is not needed."""
         outputs = self._body.outputs(u)
         sensed = outputs[:, self._sensed_index]
         if len(self._imu.x) != len(u):
@@ -166,11 +167,11 @@ class _Batch:
         self.x: Array = np.zeros((0, len(component.states)))
 
     def initial(self, u: Array) -> Array:
-        """States with which the component itself would start, shape (w, n_x)."""
+        """Initial states of the component itself, shape (w, n_x)."""
         return self._initial(u)
 
     def start(self, x: Array, u: Array) -> None:
-        """Restart at states and inputs, the first sample instant included."""
+        """Restart at given states and inputs, the first sample instant included."""
         self.x = x
         if self._lines is not None:
             self._lines.clear(len(x))
@@ -183,11 +184,11 @@ class _Batch:
 
     @property
     def is_plain(self) -> bool:
-        """Whether nothing happens at sample instants."""
+        """Whether the component has no sample instants."""
         return self._lines is None
 
     def after(self, x: Array, u: Array) -> Array:
-        """State after one grid step with each row of inputs, shape (n_x,), from one state on."""
+        """State after one grid step from one state, with each row of inputs, shape (n_x,)."""
         (states,) = self._along(x, u)
         return np.asarray(states[-1], dtype=np.float64)
 
@@ -201,7 +202,7 @@ class _Batch:
 
 
 class _Lines:
-    """Delay lines of many runs, a sample each grid step."""
+    """Delay lines of many runs, with one sample per grid step."""
 
     def __init__(self, sampling: Sampling, p: Array) -> None:
         x, u = (ca.SX.sym(n, sampling.signals.numel_in(i)) for i, n in enumerate("xu"))
@@ -211,14 +212,14 @@ class _Lines:
         self._record: list[Array] = []
 
     def clear(self, runs: int) -> None:
-        """Forget everything."""
+        """Reset all lines."""
         self._record = []
         self._nothing = np.zeros((runs, 0))
 
     def look_back(self, x: Array, u: Array) -> Array:
-        """Remember the signals of this instant and return each at its delay before, (w, lines).
+        """Store the signals of this instant and return each with its delay, shape (w, lines).
 
-        Between samples they count as straight lines, before the first as having its value.
+        Signals are linear between samples, and constant before the first one.
         """
         if not len(self._delays):
             return self._nothing
@@ -234,5 +235,5 @@ class _Lines:
 
 
 def _moves_gyro(state: str) -> bool:
-    """Whether a state of the IMU is observable in the gyroscope when there is no noise."""
+    """Whether a state of the IMU is observable in the gyroscope without noise."""
     return not state.startswith("acc_") and not state.endswith((".drift", ".noise"))

@@ -1,13 +1,13 @@
-"""A flight put on the grid of its twin while its rows arrive, once for all who compare.
+"""Alignment of a live flight with the grid of its twin, once for all consumers.
 
-Residuals, alarms and page read the same grid. Its interior has the numbers that `Alignment` has for
-the whole flight, by the same functions over a window that moves along, because
+Residuals, alarms and page read the same grid. Its interior has the numbers of `Alignment` for the
+whole flight, by the same functions over a moving window, because
 
-- the low-pass of the body rates, forward and backward, has forgotten its ends after `FORGOTTEN_S`,
-- states that are integrated, rotors and loads, go on from window to window,
-- what depends on the whole flight is settled when the twin starts, and is noted in the recording.
+- the forward-backward low-pass of the body rates has no effect of its ends after `FORGOTTEN_S`,
+- integrated states, rotors and loads, continue from window to window,
+- values that depend on the whole flight are fixed when the twin starts, and recorded.
 
-`LastRows` holds the last seconds of the flight table, and some older samples of each signal.
+`LastRows` stores the last seconds of the flight table, and some older samples of each signal.
 """
 
 from collections.abc import Mapping, Sequence
@@ -46,7 +46,7 @@ from .teacher_forced import Inputs, InputSignals, choose_drive
 
 Array = NDArray[np.float64]
 
-_VECTORS = (ACC, GYRO, MAG, POS, VEL, QUAT)  # signals whose columns belong together
+_VECTORS = (ACC, GYRO, MAG, POS, VEL, QUAT)  # signals whose columns are sampled together
 Rows = Mapping[str, NDArray[np.float64] | NDArray[np.object_]]
 """New rows by column, NaN where a signal has no sample; `time` and `phase` among them."""
 
@@ -54,8 +54,8 @@ Rows = Mapping[str, NDArray[np.float64] | NDArray[np.object_]]
 class RecentFlight(Flight):
     """The last seconds of a flight: the interface of `Flight` on arrays.
 
-    A table of pandas takes longer to say what it holds than all that is computed of it; it is made
-    where it is asked for.
+    Queries of a pandas table would take longer than all computations on it; it is created on
+    demand.
     """
 
     __slots__ = ("_by", "_known")
@@ -69,13 +69,13 @@ class RecentFlight(Flight):
         settled: Settled | None = None,
         airframe: Airframe | None = None,
     ) -> None:
-        """Take rows.
+        """Set up for rows.
 
         Args:
-            name: Of the flight.
-            rows: By column.
-            settled: Of the flight.
-            airframe: What is known of the aircraft.
+            name: Name of the flight.
+            rows: Rows by column.
+            settled: Values that were fixed for the flight.
+            airframe: Facts of the aircraft.
         """
         known = frozenset(c for c in rows if c == "phase" or not np.isnan(rows[c]).all())
         of_flight: dict[str, Any] = {"name": name, "findings": (), "facts": {}, "settled": settled}
@@ -86,33 +86,33 @@ class RecentFlight(Flight):
 
     @property
     def table(self) -> pd.DataFrame:
-        """See `Flight`."""
+        """Flight table, as in `Flight`."""
         return pd.DataFrame(dict(self._by))
 
     @property
     def columns(self) -> Columns:
-        """See `Flight`."""
+        """Columns by name, as in `Flight`."""
         return self._by
 
     @property
     def time_s(self) -> Array:
-        """See `Flight`."""
+        """Times of the rows, as in `Flight`."""
         return np.asarray(self._by["time"], dtype=np.float64)
 
     @property
     def phase_codes(self) -> tuple[NDArray[np.int8], NDArray[np.object_]]:
-        """See `Flight`."""
+        """Phases of the rows, as in `Flight`."""
         if "phase" not in self._by:
             return np.zeros(len(self.time_s), dtype=np.int8), np.array([""], dtype=object)
         codes, names = pd.factorize(np.asarray(self._by["phase"], dtype=object))
         return codes.astype(np.int8), np.asarray(names, dtype=object)
 
     def has(self, *columns: str) -> bool:
-        """See `Flight`."""
+        """Whether every column has a sample, as in `Flight`."""
         return self._known.issuperset(columns)
 
     def signal(self, columns: Sequence[str]) -> tuple[Array, Array]:
-        """See `Flight`."""
+        """Samples of columns, as in `Flight`."""
         if missing := [c for c in columns if not self.has(c)]:
             raise missing_signal(self.name, missing, [c for c in self._by if self.has(c)])
         return finite_rows(self.time_s, np.column_stack([self._by[c] for c in columns]))
@@ -120,13 +120,13 @@ class RecentFlight(Flight):
 
 @dataclass(slots=True)
 class LastRows:
-    """Rows of a flight table, the older ones forgotten.
+    """The newest rows of a flight table; older ones are dropped.
 
     Attributes:
-        name: Of the flight.
-        settled: Of the flight; None: not yet.
+        name: Name of the flight.
+        settled: Values that were fixed for the flight; None: not yet.
         last_s: Time of the newest row; NaN: there is none.
-        airframe: What is known of the aircraft.
+        airframe: Facts of the aircraft.
     """
 
     name: str
@@ -144,18 +144,18 @@ class LastRows:
         return float(self._portions[0]["time"][0])
 
     def append(self, rows: Rows) -> None:
-        """Take new rows, later than all so far."""
+        """Append rows, later than all so far."""
         if len(rows["time"]):
             self._portions.append(rows)
             self.last_s = float(rows["time"][-1])
 
     def forget(self, before_s: float, needed: Mapping[str, int]) -> None:
-        """Let go of rows before a time.
+        """Drop rows before a time.
 
         Args:
             before_s: Time, s.
-            needed: How many of the last samples among them are retained of a signal, by the first
-                of its columns; one of every other.
+            needed: Number of last samples before that time that are retained for each signal, by
+                the first of its columns; one for all others.
         """
         rows = self.rows()
         first = int(np.searchsorted(rows["time"], before_s))
@@ -166,28 +166,28 @@ class LastRows:
         for columns in self._signals():
             known = np.flatnonzero(_known(rows, columns, first))
             retained[known[-needed.get(columns[0], 1) :]] = True
-        retained[first - 1] = True  # of whose phase the next row may be
+        retained[first - 1] = True  # the next row may have its phase
         self._portions = [{c: values[retained] for c, values in rows.items()}]
 
     def rows(self) -> Rows:
-        """All that there are, in one piece."""
+        """All rows as one portion."""
         if len(self._portions) != 1:
             self._portions = [_joined(self._portions)]
         return self._portions[0]
 
     def flight(self) -> RecentFlight:
-        """What there is, as a flight."""
+        """The rows as a flight."""
         return RecentFlight(self.name, self.rows(), self.settled, self.airframe)
 
     def time_before_newest(self, columns: tuple[str, ...], samples: int) -> float:
-        """Time of a sample so many before the newest one of a signal; infinite where the signal
-        has not so many."""
+        """Time of the sample a given number before the newest one of a signal; infinite where the
+        signal has fewer."""
         rows = self.rows()
         t_s = rows["time"][_known(rows, columns)]
         return float(t_s[-1 - samples]) if len(t_s) > samples else np.inf
 
     def rates_hz(self) -> dict[str, float]:
-        """Rates of the signals by the first of their columns, of those that came three times."""
+        """Rates of the signals with at least three samples, by the first of their columns."""
         found, rows = {}, self.rows()
         for columns in self._signals():
             t_s = np.asarray(rows["time"][_known(rows, columns)], dtype=np.float64)
@@ -203,13 +203,13 @@ class LastRows:
 
 
 def _known(rows: Rows, columns: Sequence[str], end: int | None = None) -> NDArray[np.bool_]:
-    """Rows, or those before `end`, in which all columns have a sample."""
+    """Mask of the rows, or of those before `end`, in which all columns have a sample."""
     empty = np.logical_or.reduce([np.isnan(rows[c][:end]) for c in columns])
     return np.asarray(~empty)
 
 
 def _joined(portions: Sequence[Rows]) -> Rows:
-    """Portions that follow each other, as one; a column that some lack is empty there."""
+    """Consecutive portions as one; a column that some lack is empty there."""
 
     def part(rows: Rows, column: str) -> NDArray[Any]:
         """The column of a portion."""
@@ -226,54 +226,55 @@ def _joined(portions: Sequence[Rows]) -> Rows:
 
 
 NONE = -1
-"""Piece of a row that is in no piece."""
+"""Number for rows in no piece."""
 FORGOTTEN_S = 0.35
-"""The low-pass of the body rates forgets by exp(-133/s): 5e-21 after so long, in samples."""
+"""Decay time of the body-rate low-pass, exp(-133/s): 5e-21 after that time, in samples."""
 BEFORE_S = 2.0
-"""A channel's low-pass forgets by exp(-80/s) at 18 Hz, by exp(-13/s) at the 3 Hz that an IMU of
-8 Hz allows: 3e-12 after so long. The shortest piece of flight that counts is shorter."""
+"""Decay time of a channel's low-pass, exp(-80/s) at 18 Hz, exp(-13/s) at the 3 Hz that an IMU of 8
+Hz allows: 3e-12 after that time. The shortest piece of flight in use is shorter."""
 _DIFFERENCES = 10
-"""Samples on either side that a derivative of position or attitude may need."""
+"""Number of samples on either side for a derivative of position or attitude."""
 SETTLE_S = 2.0
-"""From the begin of a flight until the twin starts: so long streams may take to appear. Made up."""
+"""Time from the start of a flight to the start of the twin, in which streams may appear. Made
+up."""
 LONGEST_WAIT_S = 10.0
 """Longest time for which rows wait for a stream that the twin needs, s. Made up."""
 NEEDED = ("cmd_1", "rotor_1", "q_w", "vel_x", "pos_x", "gyro_x", "acc_x", "vbat_v")
-"""Columns of whose signals the equations depend: one that appears later begins a new flight."""
+"""Columns whose signals affect the equations: a new one later starts a new flight."""
 
 
 class Equations:
-    """The equations of a twin. Each is built at its first use, which takes up to a second: `build`
-    does so before a flight.
+    """The equations of a twin. Each is built on first use, which takes up to a second: `build`
+    builds them before a flight.
 
     Attributes:
-        drive: What drives its rotors.
-        airframe: As of `AlignedFlight`.
-        imu: As of `AlignedFlight`.
+        drive: Input of its rotors.
+        airframe: Airframe as in `AlignedFlight`.
+        imu: IMU as in `AlignedFlight`.
     """
 
     def __init__(self, vehicle: Vehicle, drive: Drive) -> None:
-        """Those of a vehicle."""
+        """Set up for a vehicle."""
         self._vehicle, self.drive = vehicle, drive
         self.airframe, self.imu = components_of(vehicle, drive)
 
     @cached_property
     def imu_predictor(self) -> OverRows:
-        """What the IMU reads at measured states."""
+        """Predicted readings of the IMU at measured states."""
         return imu_predictor(self.airframe, self._vehicle)
 
     @cached_property
     def thrust(self) -> OverRows:
-        """Thrust of all rotors."""
+        """Total thrust of the rotors."""
         return rotor_thrust(self.airframe, self._vehicle.rotors.count)
 
     @cached_property
     def windows(self) -> Windows:
-        """For the short horizon."""
+        """Simulation over the short horizon."""
         return Windows(self.airframe, self.imu)
 
     def build(self) -> None:
-        """Build what is not built yet."""
+        """Build all equations that are not built yet."""
         _ = self.imu_predictor, self.thrust, self.windows
 
 
@@ -282,14 +283,14 @@ class GridRows:
     """The newest rows of a grid.
 
     Attributes:
-        first: Number of the first of them, counted from time 0.
+        first: Number of the first row, counted from time 0.
         t_s: Times, s, shape (n,).
         u: Inputs, shape (n, n_u).
         rotors: Rotor states, shape (n, n_r).
-        states: Shape (n, n_x).
-        phases: Shape (n,).
-        carried: Shape (n,).
-        grounded: Shape (n,).
+        states: States, shape (n, n_x).
+        phases: Phase of flight, shape (n,).
+        carried: Whether the rotors carry the vehicle, shape (n,).
+        grounded: Whether the log reports ground, shape (n,).
     """
 
     first: int
@@ -307,34 +308,34 @@ class GridRows:
         return self.first + len(self.t_s)
 
     def joined(self, other: "GridRows") -> "GridRows":
-        """These and those after them."""
+        """These rows and those after them."""
         return GridRows(
             self.first,
             *(np.concatenate([getattr(self, name), getattr(other, name)]) for name in _ARRAYS),
         )
 
     def between(self, first: int, end: int) -> "GridRows":
-        """Those from a number on, up to another."""
+        """Rows from one number up to another."""
         first = max(first, self.first)
         part = slice(first - self.first, end - self.first)
         return GridRows(first, *(getattr(self, name)[part] for name in _ARRAYS))
 
 
 _NO_MOTION = MeasuredMotion(None, None, None, None, False, ())
-"""Of pieces whose motion is not used."""
+"""Placeholder for pieces whose motion is not used."""
 _ARRAYS = ("t_s", "u", "rotors", "states", "phases", "carried", "grounded")
-"""Of the grid, cut and joined by rows."""
+"""Arrays of the grid that are cut and joined by rows."""
 
 
 class RunningGrid:
-    """Rows of one grid, and which of them make a piece of flight without a break.
+    """Rows of one grid, and the uninterrupted pieces of flight among them.
 
     Attributes:
-        airframe: As of `AlignedFlight`.
-        imu: As of `AlignedFlight`.
+        airframe: Airframe as in `AlignedFlight`.
+        imu: IMU as in `AlignedFlight`.
         step_s: Step of the grid.
-        rows: The newest ones; None: there are none yet.
-        piece_of: Number of the first row of the piece that each of the rows is in, `NONE` where the
+        rows: The newest rows; None: there are none yet.
+        piece_of: Number of the first row of the piece that contains each row, `NONE` where the
             state is unknown or the aircraft on the ground.
     """
 
@@ -352,12 +353,12 @@ class RunningGrid:
         self._in_air = False
 
     def new_rows(self, window: Flight, motion: MeasuredMotion, until_s: float) -> GridRows | None:
-        """Rows after those that are there, up to a time; None: none.
+        """Rows after the existing ones, up to a time; None: none.
 
         Args:
-            window: The last seconds of the flight.
-            motion: Of the window.
-            until_s: Up to where it will not change any more.
+            window: Last seconds of the flight.
+            motion: Measured motion of the window.
+            until_s: Time up to which it is final.
         """
         first = round(float(window.time_s[0]) / self.step_s) if self.rows is None else self.rows.end
         end = int(np.floor(until_s / self.step_s + 1e-6)) + 1
@@ -377,12 +378,12 @@ class RunningGrid:
         return np.asarray(-rows.states[:, self._down])
 
     def append(self, rows: GridRows, resting_m: float | None, keep: int) -> None:
-        """Take new rows.
+        """Append rows.
 
         Args:
-            rows: Of `new_rows`.
-            resting_m: Height of the resting place; None: it does not count.
-            keep: How many of the newest rows are retained.
+            rows: Rows from `new_rows`.
+            resting_m: Height of the resting place; None: not used.
+            keep: Number of the newest rows that are retained.
         """
         if self.rows is None:
             self._in_air = starts_in_air(rows.carried, rows.grounded, self.step_s)
@@ -401,12 +402,12 @@ class RunningGrid:
         self.piece_of = np.concatenate([self.piece_of, piece_of])[-len(self.rows.t_s) :]
 
     def piece(self, first: int, end: int, motion: MeasuredMotion = _NO_MOTION) -> AlignedFlight:
-        """Some of the rows as a flight of their own, those that count in the air.
+        """Some of the rows as a separate flight, with a mask of those in the air.
 
         Args:
-            first: Number of the first.
+            first: Number of the first row.
             end: Number of the row after the last.
-            motion: Of a window that holds them, for those who need it.
+            motion: Motion of a window that contains them, where it is needed.
         """
         assert self.rows is not None
         rows = self.rows.between(first, end)
@@ -422,30 +423,30 @@ class RunningGrid:
         )
 
     def known_in_air(self, first: int, end: int) -> NDArray[np.bool_]:
-        """Whether each of some rows is in the air, its state known."""
+        """Whether each of some rows is in the air with a known state."""
         assert self.rows is not None
         return np.asarray(self.piece_of[first - self.rows.first : end - self.rows.first] != NONE)
 
     def piece_at(self, number: int) -> int:
-        """First row of the piece that a row is in, `NONE` where it is in none."""
+        """First row of the piece that contains a row, `NONE` where there is none."""
         assert self.rows is not None
         return int(self.piece_of[number - self.rows.first])
 
 
 class Stream:
-    """Rows of one flight as they arrive, put on the grid of `GRID_HZ`.
+    """Rows of one live flight on the grid of `GRID_HZ`.
 
     Attributes:
-        vehicle: The twin.
-        equations: Of the twin; None: it has not started.
-        waits_for: What is missing for the twin to start, in words; "": nothing.
+        vehicle: Vehicle of the twin.
+        equations: Equations of the twin; None: it has not started.
+        waits_for: Missing conditions for the start of the twin, in words; "": none.
         grid: Rows of the grid up to `until_s`; None: the twin has not started.
         window: The last seconds of the flight table.
         motion: Measured motion of the window.
-        starts_s: Time of the oldest row when the twin started; NaN: it has not.
-        until_s: Up to where rows will not change any more.
-        needed_s: From where on rows are needed by those who compare, `LONGEST_WAIT_S` before the
-            end of the grid at most.
+        starts_s: Time of the oldest row when the twin started; NaN: it has not started.
+        until_s: Time up to which rows are final.
+        needed_s: Time from which consumers need rows, at most `LONGEST_WAIT_S` before the end of
+            the grid.
     """
 
     def __init__(
@@ -454,12 +455,12 @@ class Stream:
         equations: Equations | None = None,
         name: str = "live",
     ) -> None:
-        """Nothing has arrived.
+        """Set up without rows.
 
         Args:
-            vehicle: The twin.
-            equations: Of the vehicle, where they are at hand.
-            name: Of the flight.
+            vehicle: Vehicle of the twin.
+            equations: Equations of the vehicle, where they are available.
+            name: Name of the flight.
         """
         self.vehicle = vehicle
         self.equations: Equations | None = None
@@ -477,7 +478,7 @@ class Stream:
 
     @property
     def settled(self) -> Settled | None:
-        """What a recording has to note; None: the twin has not started."""
+        """Fixed values for a recording; None: the twin has not started."""
         return self._last.settled
 
     @property
@@ -487,18 +488,18 @@ class Stream:
 
     @property
     def resting_m(self) -> float | None:
-        """Height of the resting place, m; None: it does not count, or is not known yet."""
+        """Height of the resting place, m; None: not used, or not known yet."""
         down_m = None if self.settled is None else self.settled.resting_down_m
         return None if down_m is None else -down_m
 
     def push(self, rows: Rows) -> None:
-        """Take new rows of the flight table.
+        """Append rows of the flight table.
 
         Args:
-            rows: By column, NaN where a signal has no sample.
+            rows: Rows by column, NaN where a signal has no sample.
 
         Raises:
-            LogError: Times do not rise.
+            LogError: Times do not increase.
         """
         time, last = rows["time"], self._last
         if not len(time):
@@ -513,16 +514,16 @@ class Stream:
             self._begins_s = last.first_s
 
     def lacks(self, columns: Sequence[str]) -> list[str]:
-        """Of new columns those with which the twin would be another."""
+        """Those of some new columns that would change the twin."""
         if self.equations is None:
             return []
         return [c for c in columns if c in NEEDED and c not in self._columns]
 
     def advance(self, final: bool = False) -> bool:
-        """Put on the grid what will not change any more; returns whether the twin has started.
+        """Append final rows to the grid; returns whether the twin has started.
 
         Args:
-            final: There will be no more rows.
+            final: Whether there will be no more rows.
         """
         if not len(self._last):
             return False
@@ -547,7 +548,7 @@ class Stream:
         return True
 
     def _started(self, final: bool) -> bool:
-        """Start the twin, where all that it needs is there."""
+        """Start the twin, where all its signals are available."""
         if self._last.last_s - self._begins_s < SETTLE_S and not final:
             return False
         self._last.settled = Settled(self._last.rates_hz())
@@ -564,7 +565,7 @@ class Stream:
     def _start(self, flight: Flight) -> None:
         self._columns = frozenset(c for c in flight.columns if flight.has(c))
         drive = choose_drive(flight, self.vehicle)
-        measured_motion(flight)  # says where there is none
+        measured_motion(flight)  # raises where there is none
         equations = self._prepared
         if equations is None or equations.drive != drive:
             equations = Equations(self.vehicle, drive)
@@ -576,7 +577,7 @@ class Stream:
         self._needed = {
             columns[0]: (columns, _DIFFERENCES)
             for columns, instead in ((POS, VEL), (QUAT, GYRO))
-            if columns[0] in rates and instead[0] not in self._columns  # then it is derived
+            if columns[0] in rates and instead[0] not in self._columns  # it is derived then
         } | {
             columns[0]: (columns, max(_DIFFERENCES, int(np.ceil(FORGOTTEN_S * rates[columns[0]]))))
             for columns in (ACC, GYRO)
@@ -584,10 +585,10 @@ class Stream:
         }
 
     def _settled_until_s(self) -> float:
-        """Up to where what is there will not change any more.
+        """Time up to which rows are final.
 
-        Filters and differences go by samples: before a pause of a signal they wait for its end, for
-        `LONGEST_WAIT_S` at most.
+        Filters and differences count samples: before a pause of a signal they wait for its end, for
+        at most `LONGEST_WAIT_S`.
         """
         newest_s = self._last.last_s
         known = [self._last.time_before_newest(c, n) for c, n in self._needed.values()]
@@ -595,14 +596,15 @@ class Stream:
         return min([newest_s - self._after_s, *known])
 
     def _resting_of(self, new: GridRows) -> float | None:
-        """Height of the resting place, settled when the rotors carry for the first time."""
+        """Height of the resting place, fixed when the rotors carry the vehicle for the first
+        time."""
         assert self._last.settled is not None and self.grid is not None
         if self._resting_known:
             return self.resting_m
         height_m = self.grid.height_m(new)
         if not new.carried.any():
             self._heights_m.append(height_m[np.isfinite(height_m)])
-            return None  # nothing carries: nothing is in the air
+            return None  # not carried: nothing is in the air
         self._heights_m.append(height_m[: int(np.argmax(new.carried))])
         before = np.concatenate(self._heights_m)
         found = None
@@ -615,5 +617,5 @@ class Stream:
 
 
 def _longest_gap_s(rate_hz: float) -> float:
-    """So long after a sample it is known whether a gap follows it."""
+    """Time after a sample at which it is known whether a gap follows it."""
     return min(LONGEST_GAP_INTERVALS / rate_hz, max(LONGEST_GAP_S, 1.5 / rate_hz)) + 0.01

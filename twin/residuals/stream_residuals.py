@@ -1,9 +1,9 @@
-"""Residuals of a flight that still goes on: the numbers of `flight_gap`, a second later.
+"""Residuals of a live flight: the numbers of `flight_gap`, a second later.
 
 They are computed by the same functions over the last seconds of a stream, because
 
-- the causal low-passes of a channel have forgotten where they began after `stream.BEFORE_S`,
-- rows are thinned out from where a piece of flight began, however long ago that was.
+- the start of a channel's causal low-pass has no effect after `stream.BEFORE_S`,
+- decimation counts rows from the start of a piece of flight, at any distance in time.
 """
 
 from dataclasses import dataclass, replace
@@ -23,22 +23,23 @@ from .stream import BEFORE_S, NONE, Equations, RunningGrid, Stream
 from .teacher_forced import GRID_S
 
 _AFTER = 24
-"""Grid points behind a sample that a shift by an age may need."""
+"""Grid points after a sample that a shift by a delay may need."""
 
 
 @dataclass(frozen=True, slots=True)
 class ResidualBlock:
-    """What is new of the residuals of a flight.
+    """New residuals of a flight.
 
     Attributes:
-        start_s: From where on it is new, s.
-        end_s: Up to where it is complete, s.
-        channels: Teacher-forced, as of `imu_channels`: samples after `start_s` up to `end_s`.
-        short: At the ends of short windows, as of `end_channels`.
-        aligned: The new rows of the grid of `GRID_HZ`, `airborne` where all of the state is known
-            as well; None: there are none.
-        flight: The last seconds of the flight table, the new rows among them.
-        fine: The same on the grid of `GRID_S`, as far as it will not change any more.
+        start_s: Time from which it is new, s.
+        end_s: Time up to which it is complete, s.
+        channels: Teacher-forced channels, as from `imu_channels`: samples after `start_s` up to
+            `end_s`.
+        short: Channels at the ends of short windows, as from `end_channels`.
+        aligned: New rows of the grid of `GRID_HZ`, `airborne` only where the whole state is known;
+            None: there are none.
+        flight: Last seconds of the flight table, including the new rows.
+        fine: New rows on the grid of `GRID_S`, as far as they are final.
     """
 
     start_s: float
@@ -51,14 +52,14 @@ class ResidualBlock:
 
 
 class StreamResiduals:
-    """Residuals of one flight against one vehicle, while it is flown."""
+    """Residuals of one live flight against one vehicle."""
 
     def __init__(self, stream: Stream, horizon_s: float = DEFAULT_HORIZON_S) -> None:
-        """Nothing has been compared.
+        """Set up without residuals.
 
         Args:
             stream: Rows of the flight.
-            horizon_s: Of the short horizon, a multiple of 1 ms.
+            horizon_s: Short horizon, a multiple of 1 ms.
         """
         self.stream = stream
         stream.needed_s = -np.inf
@@ -70,10 +71,10 @@ class StreamResiduals:
         self._age_rows = int(np.ceil(max([0.0, *map(abs, late_s)]) * GRID_HZ))
 
     def update(self, final: bool = False) -> ResidualBlock | None:
-        """What is new since the last time; None: nothing.
+        """New residuals since the last call; None: none.
 
         Args:
-            final: There will be no more rows.
+            final: Whether there will be no more rows.
         """
         stream = self.stream
         if not stream.advance(final):
@@ -104,7 +105,7 @@ class StreamResiduals:
         )
 
     def _start(self) -> None:
-        """Equations of the short horizon."""
+        """Set up the equations of the short horizon."""
         stream = self.stream
         assert stream.equations is not None
         with BUILDING:
@@ -115,7 +116,7 @@ class StreamResiduals:
         self._reported_row = round(stream.starts_s * GRID_HZ) - 1
 
     def _decided(self, grid: RunningGrid, final: bool) -> int:
-        """Row up to which all samples are known: behind it a piece may be too short to count."""
+        """Row up to which all samples are known: behind it a piece may be too short for use."""
         assert grid.rows is not None
         if final:
             return grid.rows.end
@@ -126,7 +127,7 @@ class StreamResiduals:
         return max(end, self._reported_row + 1)
 
     def _channels(self, grid: RunningGrid, reported: int, end: int) -> tuple[Channel, ...]:
-        """Teacher-forced samples behind a row and before another."""
+        """Teacher-forced samples after a row and before another."""
         rows, stream = grid.rows, self.stream
         assert rows is not None and stream.window is not None
         first = max(reported + 1 - round(BEFORE_S * GRID_HZ), rows.first)
@@ -143,7 +144,7 @@ class StreamResiduals:
         return tuple(_between(c, after_s, until_s) for c in found)
 
     def _short_horizon(self) -> tuple[Channel, ...]:
-        """Ends of the windows of which all is known now."""
+        """Channels at the ends of the windows that are complete now."""
         motion = self.stream.motion
         if motion.attitude is None or motion.velocity is None or motion.rates is None:
             return ()
@@ -171,7 +172,7 @@ class StreamResiduals:
 
 
 def _begins(piece_of: NDArray[np.int64]) -> list[int]:
-    """First rows of the pieces that rows are in, in order."""
+    """First rows of the pieces that contain some rows, in order."""
     return [int(p) for p in dict.fromkeys(piece_of.tolist()) if p != NONE]
 
 

@@ -1,9 +1,9 @@
 """Teacher-forced evaluation: measured state and inputs in, predicted sensor readings out.
 
 The airframe's own equations are evaluated at the measured state on a time grid, in one batch.
-States that no flight measures, such as rotor speed, motor temperature or a load on its rope, are
+States that no flight measures, such as rotor speed, motor temperature or a slung load, are
 integrated along the measured ones, with the steps and sample instants of the component's own
-equations, every random draw zero.
+equations and all random draws zero.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -35,26 +35,27 @@ Array = NDArray[np.float64]
 def integrate_states(
     component: Component, index: Sequence[int], x: Array, u: Array, p: Array, step_s: float
 ) -> Array:
-    """Some states of a component along the others and the inputs, from its own start on.
+    """Integrated states of a component along the other states and the inputs, from its own initial
+    values.
 
-    Arguments and result as of `Integration`.
+    Arguments and result as in `Integration`.
     """
     return Integration(component, index, p, step_s).along(x, u)
 
 
 class Integration:
-    """Some states of a component along the others and the inputs, one block of rows after another.
+    """Integration of some states of a component along the others and the inputs, one block of rows
+    after another.
 
-    What enters a delay line may depend on inputs and measured states, not on the states that are
-    integrated.
+    Inputs of a delay line may depend on inputs and measured states, not on integrated states.
     """
 
     def __init__(self, component: Component, index: Sequence[int], p: Array, step_s: float) -> None:
-        """Begin at the component's own start.
+        """Begin at the component's own initial values.
 
         Args:
-            component: It says how they change.
-            index: Positions of the states.
+            component: Component with the equations of the states.
+            index: Indices of the states.
             p: Parameters.
             step_s: Step of the grid.
         """
@@ -67,20 +68,20 @@ class Integration:
         after = component.step(full, v, p, step_s)[self._index]
         self._along = Along(ca.Function("hidden_step", [z, at, v], [after]))
         self._state: Array | None = None  # before the next row
-        self._last = np.zeros((0, n_x)), np.zeros((0, n_u))  # where all was known last
+        self._last = np.zeros((0, n_x)), np.zeros((0, n_u))  # last known values
 
     def along(self, x: Array, u: Array) -> Array:
-        """The states in the next rows.
+        """The integrated states in the next rows.
 
-        Where something is unknown its last known value counts.
+        Where a value is unknown the last known one is used.
 
         Args:
-            x: All states on a uniform grid, those that are integrated not used, NaN where unknown,
+            x: All states on a uniform grid, those to be integrated not used, NaN where unknown,
                 shape (n, n_x).
-            u: Inputs there, NaN where unknown, shape (n, n_u).
+            u: Inputs on that grid, NaN where unknown, shape (n, n_u).
 
         Returns:
-            Shape (n, len(index)); NaN as long as nothing has been known at all.
+            Integrated states, shape (n, len(index)); NaN until all values have been known once.
         """
         x, u = np.vstack([self._last[0], x]), np.vstack([self._last[1], u])
         others = np.setdiff1d(np.arange(x.shape[1]), self._index)
@@ -105,7 +106,7 @@ class Integration:
         return here
 
     def _changes(self) -> bool:
-        """Whether some of the states change at sample instants."""
+        """Whether any of the states changes at sample instants."""
         if self._component.sampling is None:
             return False
         update = self._component.sampling.update
@@ -115,7 +116,7 @@ class Integration:
 
 
 class _Sampled:
-    """The same with memory, sampled as often as the component says."""
+    """Integration with memory, sampled at the component's own period."""
 
     def __init__(self, component: Component, index: list[int], p: Array, step_s: float) -> None:
         sampling = component.sampling
@@ -138,13 +139,13 @@ class _Sampled:
         quiet = np.zeros(sampling.channels)
 
         def sample(values: ca.SX) -> ca.SX:
-            """After a sample instant."""
+            """Values after a sample instant."""
             full = ca.SX(at)
             full[index] = values
             return sampling.update(full, v, p, quiet, d)[index]
 
         def advance(values: ca.SX, h: float) -> ca.SX:
-            """After a step."""
+            """Values after a step."""
             full = ca.SX(at)
             full[index] = values
             return component.step(full, v, p, h)[index]
@@ -154,8 +155,8 @@ class _Sampled:
         for _ in range(often - 1):
             then = advance(sample(then), step_s / often)
         self._both = Along(ca.Function("both", [z, at, v, d, now], [then, here]))
-        self._count = 0  # rows so far
-        self._past = np.zeros((len(self._delays_s), 0))  # signals of the last of them
+        self._count = 0  # number of rows so far
+        self._past = np.zeros((len(self._delays_s), 0))  # signals of the last rows
 
     def along(self, state: Array, path: Array, inputs: Array) -> tuple[Array, Array]:
         """States after each row's step, and in the row, shape (n, k) each."""
@@ -177,11 +178,11 @@ class _Sampled:
 GRID_S = 1e-3
 """Step of the grid, s: the communication step of the co-simulation."""
 SAMPLED_HZ = 30.0
-"""Flight controllers command their motors more often; a log below it holds samples of that."""
+"""Lower limit of a flight controller's command rate; a log below it has decimated commands."""
 SPIN_RATE = "spin_rate_"
 """Prefix of the airframe's inputs for rotor accelerations."""
 _WARM_UP_S = 2.0
-"""For which rotors settle on the first inputs, s: twenty time constants of 0.1 s."""
+"""Time for which rotors settle on the first inputs, s: twenty time constants of 0.1 s."""
 RIGID = tuple(f"{s}_{a}" for s in ("pos", "vel", "omega") for a in AXES) + tuple(
     f"q_{a}" for a in "wxyz"
 )
@@ -195,9 +196,10 @@ class Inputs:
     Attributes:
         columns: Flight-table columns that are airframe inputs of the same name.
         t_s: Grid, shape (n,).
-        u: All inputs of the airframe in its order, commands as they arrive, shape (n, n_u).
+        u: All inputs of the airframe in its order, commands at their time of arrival, shape (n,
+            n_u).
         rotor_states: Rotor states of the airframe, shape (n, n_r); n_r may be 0.
-        notes: What was assumed.
+        notes: Notes on assumptions.
     """
 
     columns: tuple[str, ...]
@@ -215,15 +217,16 @@ class Inputs:
 
 
 def choose_drive(flight: AnyFlight, vehicle: Vehicle) -> Drive:
-    """Measured rotor speeds where vehicle and flight allow it, else commands.
+    """Input of the twin: measured rotor speeds where vehicle and flight allow it, else commands.
 
-    Speeds that a link has delayed are smoothed, and make an aircraft look as light as they are
-    small: of an 18 kg aircraft the moment of its speeds is half of that of its commands from 0.8 to
-    3 Hz, which told 0.6 of its inertia. There the commands drive it, where there are any.
+    Speeds that a telemetry link has delayed are smoothed, and their small amplitude makes an
+    aircraft appear light: for an 18 kg aircraft the moment of its speeds is half of that of its
+    commands from 0.8 to 3 Hz, and the estimated inertia was 0.6 of the true one. With such speeds
+    the commands are used, where there are any.
 
     Raises:
         LogError: The flight has neither, or not for each rotor of the vehicle.
-        ModelError: The log states other rotors than the vehicle has.
+        ModelError: The rotors in the log differ from those of the vehicle.
     """
     check_airframe(flight, vehicle)
     n = vehicle.rotors.count
@@ -249,12 +252,12 @@ def choose_drive(flight: AnyFlight, vehicle: Vehicle) -> Drive:
 
 
 SPEEDS, COMMANDS = "measured rotor speeds", "motor commands"
-"""What drives a twin, in words."""
+"""Inputs of a twin, in words."""
 
 
 def driven_by(flight: AnyFlight, vehicle: Vehicle) -> str:
-    """What drives the twin of a flight, in words, and why, where its log has rotor speeds that do
-    not; raises as `choose_drive`."""
+    """Input of the twin of a flight, in words, with the reason where its log has rotor speeds that
+    are not used; raises as `choose_drive`."""
     if choose_drive(flight, vehicle) == "rotor_speed":
         return SPEEDS
     if not flight.has("rotor_1"):
@@ -265,8 +268,8 @@ def driven_by(flight: AnyFlight, vehicle: Vehicle) -> str:
 
 
 def drive_warnings(flight: AnyFlight, vehicle: Vehicle) -> list[str]:
-    """What the reader of a flight doubts or has changed about the speeds that drive its twin and
-    the angles that it follows, and what its log says otherwise than the vehicle file."""
+    """Doubts of the reader, and its changes, on the rotor speeds and angles that the twin uses, and
+    contradictions between log and vehicle file."""
     signals = ("rotor", "attitude") if flight.derived_angles else ("rotor",)
     read = [
         f"{f.where}: {f.message}"
@@ -277,17 +280,17 @@ def drive_warnings(flight: AnyFlight, vehicle: Vehicle) -> list[str]:
 
 
 class InputSignals:
-    """What a flight holds of the inputs of an airframe.
+    """Input signals of an airframe from a flight.
 
     Commands and voltage hold their last sample; measured rotor speeds are linear between two.
-    What no flight table holds, such as the wind, stays at its start value; rotor accelerations are
-    those of the measured rotor speeds. Effects of the vehicle by which commands act late act here,
-    so that they are to be off in the airframe: a delay line has no past where an airframe is
-    started in mid-flight.
+    Inputs that no flight table contains, such as the wind, are at their start values; rotor
+    accelerations are those of the measured rotor speeds. Delays of commands in the vehicle's
+    effects are applied here, so they must be off in the airframe: a delay line has no past where an
+    airframe is started in mid-flight.
 
     Attributes:
         columns: Flight-table columns that are airframe inputs of the same name.
-        notes: What was assumed.
+        notes: Notes on assumptions.
     """
 
     def __init__(self, flight: AnyFlight, vehicle: Vehicle, airframe: Component) -> None:
@@ -330,15 +333,15 @@ def _held(signal: AnySignal, t_s: Array) -> Array:
 
 
 def _ahead_s(command: AnySignal) -> float:
-    """By how much a held command is early: half a period of a log that samples commands more seldom
-    than any flight controller gives them, of which holding makes the mean late by as much."""
+    """Lead of a held command: half a period of a log whose rate of commands is below that of any
+    flight controller, since holding makes the mean late by that time."""
     return 0.5 / command.rate_hz if 0 < command.rate_hz < SAMPLED_HZ else 0.0
 
 
 def _speed(signal: AnySignal, t_s: Array) -> Array:
     """A measured speed, held where two samples are too far apart; shape (n,).
 
-    Holding it everywhere would make it late by half an interval.
+    Holding it everywhere would delay it by half an interval.
     """
     speed = signal.at(t_s)[:, 0]
     unknown = np.isnan(speed)
@@ -348,9 +351,9 @@ def _speed(signal: AnySignal, t_s: Array) -> Array:
 
 
 def _arriving(command: AnySignal, delay_s: float, t_s: Array) -> Array:
-    """A held command a while later, as the airframe's delay line has it; shape (n,).
+    """A held command after a delay, as in the airframe's delay line; shape (n,).
 
-    The line is sampled at the end of each period, where what was held over it counts.
+    The line is sampled at the end of each period, with the value held during it.
     """
     t_s = t_s + _ahead_s(command)
     periods = max(delay_s / COMMAND_PERIOD_S, 1.0)
@@ -371,19 +374,19 @@ def _rate(rate: Signal, t_s: Array) -> Array:
 
 
 def rotor_states_of(airframe: Component) -> list[int]:
-    """Positions of the states of the rotors: speeds or effective commands."""
+    """Indices of the states of the rotors: speeds or effective commands."""
     return [i for i, s in enumerate(airframe.states) if s.name.startswith(("rotor_", "effort_"))]
 
 
 class RotorStates:
-    """The rotor states alone over the inputs, settled on the first of them, one block of rows after
+    """The rotor states by the inputs, in steady state on the first of them, one block of rows after
     another."""
 
     def __init__(self, airframe: Component, step_s: float, changed: Sequence[str] = ()) -> None:
-        """Build the step.
+        """Build the step function.
 
         Args:
-            airframe: It says how they change.
+            airframe: Component with the equations of the states.
             step_s: Step of the grid.
             changed: Parameters whose values are given with the inputs.
         """
@@ -412,7 +415,7 @@ class RotorStates:
         return self._from(None, u, [values[name] for name in self._changed])
 
     def _from(self, last: tuple[Array, Array] | None, u: Array, values: Sequence[float]) -> Array:
-        """States at rows that follow a state and its inputs; None: from settled ones on."""
+        """States at rows that follow a state and its inputs; None: from steady state."""
         if not self._index:
             return np.zeros((len(u), 0))
         found = np.empty((len(u), len(self._index)))
@@ -437,15 +440,15 @@ def measured_states(
     inputs: Inputs,
     hidden: "HiddenStates | None" = None,
 ) -> Array:
-    """Full airframe states at the grid, shape (n, n_x), NaN where nothing was measured.
+    """Full airframe states on the grid, shape (n, n_x), NaN where not measured.
 
-    Position, velocity and attitude that the flight lacks altogether stay at rest, level, at the
-    origin: specific force and angular acceleration need them for drag alone.
+    Position, velocity and attitude that the flight does not have at all are zero, level, at the
+    origin: specific force and angular acceleration depend on them only through drag.
 
     Args:
-        airframe: It says how unmeasured states change.
+        airframe: Component with the equations of the unmeasured states.
         motion: Measured motion.
-        inputs: On a uniform grid.
+        inputs: Inputs on a uniform grid.
         hidden: Unmeasured states, up to this block of rows; None: it is the first.
     """
     t = inputs.t_s
@@ -475,39 +478,39 @@ def measured_states(
 
 
 def _arrived(airframe: Component) -> dict[int, str]:
-    """Positions of states that are inputs as they arrive, and these inputs."""
+    """Indices of states that equal an input at its time of arrival, and these inputs."""
     late = {e.name for e in acting_late()}
     stems = ((i, s.name.partition(".")) for i, s in enumerate(airframe.states))
     return {i: name for i, (stem, _, name) in stems if stem in late}
 
 
 def hidden_of(airframe: Component, step_s: float) -> "HiddenStates":
-    """Unmeasured states of an airframe, at their start."""
+    """Unmeasured states of an airframe, at their initial values."""
     measured = {i for i, s in enumerate(airframe.states) if s.name in RIGID}
     measured |= {*rotor_states_of(airframe), *_arrived(airframe)}
     return HiddenStates(airframe, sorted(set(range(len(airframe.states))) - measured), step_s)
 
 
 def hidden_states(airframe: Component, index: list[int], x: Array, inputs: Inputs) -> Array:
-    """Unmeasured states of a whole flight, as `HiddenStates` has them.
+    """Unmeasured states of a whole flight, as in `HiddenStates`.
 
     Args:
-        airframe: It says how they change, and where they start.
-        index: Their positions.
+        airframe: Component with their equations and initial values.
+        index: Indices of the states.
         x: All states on the grid, shape (n, n_x); those of `index` are not used.
-        inputs: On the same grid.
+        inputs: Inputs on the same grid.
 
     Returns:
-        Shape (n, len(index)).
+        States, shape (n, len(index)).
     """
     return HiddenStates(airframe, index, inputs.step_s).along(x, inputs.u)
 
 
 class HiddenStates:
-    """Unmeasured states, such as a load on its rope, integrated along the measured ones,
-    one block of rows after another.
+    """Unmeasured states, such as a slung load, integrated along the measured ones, one block of
+    rows after another.
 
-    Where the motion is unknown its last known values count.
+    Where the motion is unknown its last known values are used.
     """
 
     def __init__(self, airframe: Component, index: list[int], step_s: float) -> None:
@@ -518,7 +521,7 @@ class HiddenStates:
         """The states at the next rows, shape (n, len(index)).
 
         Args:
-            x: All states, shape (n, n_x); those that are integrated are not used.
+            x: All states, shape (n, n_x); those to be integrated are not used.
             u: Inputs, shape (n, n_u).
         """
         if self._integration is None:
@@ -540,8 +543,8 @@ def predicted_readings(
     """Readings of the IMU and true motion at every grid point.
 
     Args:
-        airframe: Component; its ground is switched off, the flight's contact is not measured.
-        imu: Component fed by the airframe's outputs.
+        airframe: Airframe component; its ground is switched off, since contact is not measured.
+        imu: Component with the airframe's outputs as inputs.
         x: States, shape (n, n_x).
         u: Inputs, shape (n, n_u).
 
@@ -558,7 +561,7 @@ def sensor_readings(imu: Component, sensed: Array) -> Array:
     """Readings of the IMU on a grid of `GRID_S`.
 
     Args:
-        imu: Component; its low-passes start settled on the first known input.
+        imu: IMU component; its low-passes start in steady state on the first known input.
         sensed: Inputs of the IMU, shape (n, n_u), NaN where unknown; a low-pass holds the last
             known input there.
 

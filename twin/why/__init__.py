@@ -1,1 +1,1 @@
-"""Why a flight went wrong, from its log alone: no vehicle file, no mass, no size."""
+"""Causes of a failed flight, from its log alone: no vehicle file, no mass, no size."""

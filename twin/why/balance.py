@@ -1,9 +1,9 @@
-"""What has changed in the balance of the rotors since normal flights of the same aircraft.
+"""Changes in the balance of the rotors since normal flights of the same aircraft.
 
 The causes and their competition are those of `twin.explain.balance`, without a vehicle file: mass
-and arm are 1, and the mean commands say which share of the weight each rotor gives. What a rotor
-gives more than in normal flights, about x, y, z and along the thrust, is the change that a loss of
-that rotor, or a load at a place, explains.
+and arm are 1, and the mean commands give the share of the weight on each rotor. The excess of a
+rotor's thrust over that in normal flights, about x, y, z and along the thrust, is the change that a
+loss of that rotor, or a load at a position, explains.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,33 +30,33 @@ from .flight import LEAST_COMMAND, Array, FlightFrame
 from .records import Amount, Candidate, Event, NotVisible, Severity
 
 Calm = NDArray[np.bool_]
-"""Whether a flight is calm at a place of its grid."""
+"""Whether a flight is calm, at each place of its grid."""
 THRUST_BY_LEVEL = 2.0
-"""Relative thrust per relative motor level, command times voltage: thrust goes with the square of
-the speed, speed with the voltage at the motor."""
+"""Relative thrust per relative motor level, command times voltage: thrust is proportional to the
+square of the speed, speed to the voltage at the motor."""
 SURE = 0.8
-"""Probability from which on a name is given, as in `explain`."""
+"""Probability from which a cause is named, as in `explain`."""
 PLACED = 0.9
-"""Probability, among all sets of rotors, from which on one is said; below it the change has a size
+"""Probability, among all sets of rotors, from which one is named; below it the change has a size
 and no place. Chosen on CrazyPAD's E9."""
 SAID = 0.02
-"""Least probability of an alternative that is said."""
+"""Smallest probability of a reported alternative."""
 MOST_LIFTED = 10.0
-"""Thrust over weight of the strongest racing aircraft, in round numbers: none lifts more."""
+"""Thrust over weight of the strongest racing aircraft, in round numbers."""
 BEYOND = (
     "the rotors differ from those of the normal flights by more than any loss of thrust or load "
     "explains: are those flights of this aircraft?"
 )
-"""Said where the change is larger."""
+"""Text for a larger change."""
 LEAST_S = 3.0
-"""Of calm flight."""
+"""Shortest calm flight, s."""
 SEGMENT = 128
-"""Samples of a segment of the spectrum of vibration."""
+"""Samples of a segment in the spectrum of vibration."""
 
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """Of calm flight.
+    """Mean levels of the motors in calm flight.
 
     Attributes:
         motors: Mean log level of each motor, shape (rotors,).
@@ -82,7 +82,7 @@ def levels_of(flight: FlightFrame, calm: Calm) -> Levels | None:
 
 
 def _shaking(flight: FlightFrame, calm: Calm) -> float:
-    """Log of the rms of the acceleration above the motion of the body, over all axes."""
+    """Log of the rms acceleration above the frequencies of the body's motion, over all axes."""
     rate = flight.rate_hz("acc")
     if rate < SHAKEN_LEAST_HZ:
         return float("nan")
@@ -98,12 +98,12 @@ def _shaking(flight: FlightFrame, calm: Calm) -> float:
 def changed(
     flight: FlightFrame, calm: Calm, normal_flights: Sequence[tuple[FlightFrame, Calm]]
 ) -> Findings | None:
-    """What has changed since normal flights; None: none of them has its rotors and calm flight.
+    """Changes since normal flights; None: none of these has rotors and calm flight.
 
     Args:
-        flight: Whose rotors are known.
-        calm: Where it flies under control, high above the ground.
-        normal_flights: Each with where it does.
+        flight: Flight with known rotors.
+        calm: Mask of controlled flight, high above the ground.
+        normal_flights: Normal flights, each with its mask.
     """
     now = levels_of(flight, calm)
     levels = (levels_of(*each) for each in normal_flights)
@@ -122,8 +122,8 @@ def changed(
 
 
 def _carried(flight: FlightFrame, calm: Calm) -> float:
-    """Thrust that carries the aircraft in calm flight over that at full command, by the square of
-    the command: of all curves of a motor it leaves most for a load."""
+    """Thrust in calm flight over that at full command, by the square of the command: of all motor
+    curves it leaves the largest reserve for a load."""
     if flight.drive is None or not calm.any():
         return 1.0
     command = np.clip(flight.grid[flight.drive][calm], LEAST_COMMAND, 1.0)
@@ -131,12 +131,12 @@ def _carried(flight: FlightFrame, calm: Calm) -> float:
 
 
 def findings_of(balance: Balance, usually: str, mass_unit: str) -> Findings:
-    """What has changed in a balance.
+    """Findings on a change of the balance.
 
     Args:
-        balance: The causes.
-        usually: When the balance was as usual, in words.
-        mass_unit: Of the masses in it: "kg", or "1" where they are shares of that of the aircraft.
+        balance: Balance with the causes.
+        usually: Time at which the balance was normal, in words.
+        mass_unit: Unit of its masses: "kg", or "1" for shares of the aircraft's mass.
     """
     hidden = list(_hidden(balance, mass_unit))
     named = balance.named
@@ -161,13 +161,13 @@ def findings_of(balance: Balance, usually: str, mass_unit: str) -> Findings:
 
 
 def _rotors(balance: Balance) -> tuple[int, ...] | None:
-    """Rotors that lost thrust, if it is one that did; None: which is not clear."""
+    """The rotors that lost thrust, if a rotor did; None: not clear which."""
     best, every = balance.best(ROTORS), balance.probability_of(ROTORS)
     return best.rotors if best.probability >= PLACED * every else None
 
 
 def compared(flight: FlightFrame, now: Levels, normal: Sequence[Levels]) -> Balance:
-    """The causes of a change of levels against those of normal flights."""
+    """Causes of a change of levels relative to normal flights."""
     layout = flight.layout
     assert layout is not None
     known = all(x.volts for x in (now, *normal))
@@ -189,12 +189,13 @@ def compared(flight: FlightFrame, now: Levels, normal: Sequence[Levels]) -> Bala
 
 
 def _more(change: Array) -> Array:
-    """What rotors give more, over what each gives usually, by the change of their log levels."""
+    """Excess of each rotor's thrust over its normal thrust, by the change of its log level."""
     return np.asarray(np.expm1(THRUST_BY_LEVEL * change))
 
 
 def _slopes(give: Array, channels: int) -> tuple[tuple[str, ...], Array]:
-    """Means by the loss of each rotor and by a load, and the names of these numbers."""
+    """Slopes of the means by the loss of each rotor and by a load, and the names of these
+    numbers."""
     losses = tuple(f"{ROTORS}.loss_{i + 1}" for i in range(give.shape[1]))
     load = ("mass_kg", "moment_x_kg_m", "moment_y_kg_m", "moment_z_kg_m")
     of_load = np.zeros((len(BALANCED), len(load)))
@@ -204,7 +205,7 @@ def _slopes(give: Array, channels: int) -> tuple[tuple[str, ...], Array]:
 
 
 def _event(balance: Balance, named: Hypothesis, usually: str, mass_unit: str) -> Event:
-    """The cause that is named."""
+    """Event of the named cause."""
     rotors = " and ".join(map(str, named.rotors))
     text = f"It carries a load that it did not carry {usually}"
     check = "Weigh the aircraft; look what was added, and where."
@@ -238,7 +239,7 @@ def _severity(named: Hypothesis, mass_unit: str) -> Severity | None:
 
 
 def _others(balance: Balance, named: Hypothesis) -> Iterator[Candidate]:
-    """What is no part of a cause that is named."""
+    """Causes that are not part of the named one."""
     for h in balance.hypotheses:
         part = h.cause == named.cause and {*named.rotors} <= {*h.rotors}
         if not part and h.probability > SAID and h.values:
@@ -246,8 +247,8 @@ def _others(balance: Balance, named: Hypothesis) -> Iterator[Candidate]:
 
 
 def _hidden(balance: Balance, mass_unit: str) -> Iterator[NotVisible]:
-    """What would have been noticed in 95 of 100 such flights, at the least; of any size where that
-    is more than all of the thrust or of the weight."""
+    """Smallest change that would be detected in 95 of 100 such flights; of any size where that
+    exceeds the whole thrust or weight."""
     for cause, least in balance.detectable.items():
         unit = mass_unit if cause == LOAD else "1"
         value = least.value

@@ -1,17 +1,16 @@
-"""How the commands of a flight move its body, learned from the flight itself.
+"""Response of the body to the commands of a flight, learned from the flight itself.
 
 Channels j are the specific force along z and the angular accelerations about x, y, z:
 
     y_j = s_j (sum_i S_ji eta_i g(c_i) - K_j) + d_j w_j + k_j x_j + b_j + e_j
 
-S: signs of the frame. g: thrust by command, of several curvatures and lags, over which is
-marginalised. eta: share of its thrust that a rotor has left, 1 while it is sound. s_j absorbs mass,
-inertia, arm, voltage and thrust map; K_j is the usual sum, so that the offset b_j does not depend
-on s_j; w_j body rates, along z the speed along the axis of the rotors, with which their thrust
-falls (Leishman, Principles of Helicopter Aerodynamics, 2006, ch. 2.13), d_j their damping; k_j
-gyroscopic products (wx^2 + wy^2 for z); e_j is of `noise`. Errors of the model grow with what
-happens, for all hypotheses alike: a lively interval weighs little, so that a crash cannot outvote
-an onset.
+S: signs of the frame. g: thrust by command, marginalised over several curvatures and lags. eta:
+remaining share of a rotor's thrust, 1 while it is intact. s_j absorbs mass, inertia, arm, voltage
+and thrust map; K_j is the normal sum, so that the offset b_j does not depend on s_j; w_j body
+rates, along z the speed along the axis of the rotors, with which their thrust falls (Leishman,
+Principles of Helicopter Aerodynamics, 2006, ch. 2.13), d_j their damping; k_j gyroscopic products
+(wx^2 + wy^2 for z); e_j as in `noise`. Model errors grow with activity, for all hypotheses alike: a
+lively interval has a small weight, so that a crash cannot outvote an onset.
 """
 
 from collections.abc import Sequence
@@ -32,74 +31,75 @@ from .flight import Airborne, Array, FlightFrame, binned, lift, moment_signs
 from .noise import PHI, TEMPER, Law, Places, Whitened
 
 CURVATURES = (0.0, 0.35, 0.7, 1.0, 1.25)
-"""Of thrust by command: linear, square, square above a dead band."""
+"""Curvatures of thrust by command: linear, square, square above a dead band."""
 USUAL_CURVATURE = 0.65
-"""With which gains and noise are learned."""
+"""Curvature for learning gains and noise."""
 LIKELY = 12.0
-"""Nats by which a curvature and a lag may explain the early part worse than the best."""
+"""Nats by which a curvature and lag may explain the early part worse than the best."""
 LAGS_S = (0.03, 0.08, 0.15)
-"""Of thrust behind the command: small to large rotors."""
+"""Lags of thrust behind the command, s: small to large rotors."""
 CURVES = tuple(product(CURVATURES, LAGS_S))
-"""All of these."""
+"""All combinations of curvature and lag."""
 TRIED_LAGS_S = (0.0, 0.03, 0.06, 0.1, 0.15)
-"""Among which that of the sound part is chosen."""
+"""Lags among which that of the normal part is chosen."""
 SETTLES_S, ENDS_S = 1.5, 1.0
-"""After the start and before the end of a part: the ground may still act."""
+"""Times after the start and before the end of a part, s, that are not used: ground contact."""
 LEARNED_S, LEARNED_SHARE = 8.0, 1 / 3
-"""The early part sets lag and noise: at least so long, or such a share of the part."""
+"""Early part that determines lag and noise: minimum length, and share of the part."""
 SEEN_EARLY_S = 0.1
-"""By which a loss of control may be seen too early, since rates are smoothed."""
+"""Lead of a detected loss of control, s, since rates are smoothed."""
 AFTER_LOSS_S = 1.0
-"""The physics of the body holds for a while as it tumbles."""
+"""Time after a loss of control in which the equations remain valid, s."""
 FLOOR = np.array([0.02, 0.02, 0.02, 0.01])
-"""Least deviation of an innovation, m/s^2 and rad/s^2."""
+"""Least standard deviation of an innovation, m/s^2 and rad/s^2."""
 CLIP = 5.0
-"""Deviations beyond which an innovation gains no further weight."""
+"""Standard deviations beyond which an innovation gains no further weight."""
 LIVELY = 4.0
-"""Deviations of the reading from its median up to which an interval keeps its full weight."""
+"""Standard deviations of the reading from its median up to which an interval has full weight."""
 SATURATED = 0.97
-"""Share of the largest body rate that counts as the end of the gyroscope's range, if it is
-reached often."""
+"""Share of the largest body rate that counts as saturation of the gyroscope, if it is reached
+often."""
 AT_STOP, AT_STOP_S = 0.95, 1.0
-"""Command that is nearly at its upper stop, and for how long that matters."""
+"""Command close to its upper limit, and time for which it has an effect."""
 DOUBTFUL = 0.02
-"""What an interval weighs at such a stop."""
+"""Weight of an interval at such a limit."""
 CARRIED_M = 0.3
-"""Height below which the ground may carry it, and an interval says nothing: legs take all the
-moment that the controller asks for."""
+"""Height below which the ground may carry the aircraft and an interval has no weight: legs take all
+the moment that the controller demands."""
 FAST_HZ = 40.0
-"""Rate of commands from which on their jitter does not hide the gain."""
+"""Rate of commands from which unlogged jitter does not hide the gain."""
 SURELY = 2.0
-"""Deviations by which a gain differs for sure."""
+"""Standard deviations by which a gain differs significantly."""
 LEAST_GAIN = 0.25
-"""Of roll and pitch over that of gravity at all thrust, 1/m: half the least with which an onset is
-weighed, below that of an aircraft with arms of 3 m."""
+"""Smallest gain of roll and pitch over that of gravity at full thrust, 1/m: half the least for
+which an onset is weighed, below that of an aircraft with arms of 3 m."""
 ORDER_LEAVES, ORDER_EXPLAINS = 50.0, 0.3
-"""Nats that rotors, each with its own gain, explain more of roll and pitch than in their order, and
-least share that the order then explains. In 42 flights of a wrong order it left 78 or more and
-explained 0.20 at most, in 119 of a right one 34.5 at most and 0.34 at least."""
+"""Nats of roll and pitch that rotors with individual gains explain beyond those in their order, and
+least share that the order then explains. In 42 flights with a wrong order it left 78 or more and
+explained 0.20 at most, in 119 with the right one 34.5 at most and 0.34 at least."""
 ORDER_SHOWN = 5.0
-"""Nats that the order has to explain where a gain is not surely positive. The recorded flights of
-CrazyPAD, whose rates are derived and in which roll or pitch rests, have 7 or more."""
+"""Nats that the order must explain where a gain is not clearly positive. The recorded flights of
+CrazyPAD, whose rates are derived and in which roll or pitch is at rest, have 7 or more."""
 STATE_ORDER = "put their order into [rotors] of a vehicle file, and give that with --since"
-"""What to do about motors that are numbered otherwise."""
+"""Remedy for wrongly numbered motors."""
 FINE_S = 0.01
 """Interval on which commands pass their lag."""
 LIFT_SPREAD, GAIN_SD = 0.1, 1e3
-"""Of the gain along z over what the weight asks for; of a gain of which nothing is known."""
+"""Standard deviation of the gain along z over that by the weight; of a gain about which nothing is
+known."""
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A part of a flight as the regression sees it; times count intervals from its start.
+    """A part of a flight as data of the regression; times count intervals from its start.
 
     Attributes:
-        frame: The flight.
+        frame: Flight with the part.
         start: First place of the grid.
         end: Place behind the last.
-        last: Place behind the last possible onset, from `start` on.
+        last: Place behind the last possible onset, relative to `start`.
         lost: Whether control is lost at `last`.
-        curves: Curvatures of thrust by command, and its lags, s, that are tried.
+        curves: Candidate curvatures of thrust by command, and lags, s.
     """
 
     frame: FlightFrame
@@ -111,7 +111,7 @@ class Body:
 
     @classmethod
     def of(cls, frame: FlightFrame, part: Airborne) -> "Body":
-        """The part without its ends; after a loss of control until it hits something."""
+        """The part without its ends; after a loss of control until an impact."""
         start = part.start + frame.places(SETTLES_S)
         if part.lost is None:
             end = part.end - frame.places(ENDS_S)
@@ -125,17 +125,17 @@ class Body:
         return self.end - self.start
 
     def places(self, seconds: float) -> int:
-        """Intervals of a length of time."""
+        """Number of intervals of a length of time."""
         return self.frame.places(seconds)
 
     @cached_property
     def t_s(self) -> Array:
-        """Middles of the intervals, s from the start of the log."""
+        """Midpoints of the intervals, s from the start of the log."""
         return self.frame.t_s[self.start : self.end]
 
     @cached_property
     def signs(self) -> Array:
-        """See `moment_signs`, shape (4, rotors)."""
+        """Signs of the rotors' moments, as in `moment_signs`, shape (4, rotors)."""
         layout = self.frame.layout
         assert layout is not None
         return moment_signs(layout)
@@ -147,7 +147,7 @@ class Body:
 
     @cached_property
     def learned(self) -> slice:
-        """The early part."""
+        """Slice of the early part."""
         least = min(self.places(LEARNED_S), len(self))
         return slice(0, max(least, int(len(self) * LEARNED_SHARE)))
 
@@ -171,7 +171,7 @@ class Body:
 
     @cached_property
     def _seen(self) -> Array:
-        """1, less where the gyroscope is at the end of its range, shape (n, 4)."""
+        """Weight: 1, less where the gyroscope is saturated, shape (n, 4)."""
         raw, w = np.abs(self.frame.signals["gyro"].values), np.abs(self.frame.grid["gyro"])
         top = raw.max(axis=0)
         stop = (w > SATURATED * top) & ((raw > 0.999 * top).sum(axis=0) > 20)
@@ -181,8 +181,8 @@ class Body:
 
     @cached_property
     def limited(self) -> NDArray[np.bool_]:
-        """Whether a command was at its upper stop in the second before, shape (n,): there a rotor
-        gives what the battery lets it, and the thrust by command is no longer that of before."""
+        """Whether a command was at its upper limit in the second before, shape (n,): there the
+        battery limits the thrust of a rotor, and thrust by command differs from that before."""
         top = self.frame.grid[self.frame.drive or ""].max(axis=1) > AT_STOP
         back = self.places(AT_STOP_S)
         since = uniform_filter1d(top.astype(float), back, origin=(back - 1) // 2)
@@ -190,7 +190,7 @@ class Body:
 
     @cached_property
     def low(self) -> NDArray[np.bool_]:
-        """Whether it is so low that the ground may carry it, shape (n,)."""
+        """Whether the height is so low that the ground may carry the aircraft, shape (n,)."""
         return np.asarray(self.frame.above_ground_m[self.start : self.end] < CARRIED_M)
 
     def thrust(self, curvature: float, lag_s: float) -> Array:
@@ -207,7 +207,7 @@ class Body:
 
     @cached_property
     def lag_s(self) -> float:
-        """Lag of the early part: that which leaves the least median innovation."""
+        """Lag of the early part: the one with the least median innovation."""
         cost = {}
         for lag in TRIED_LAGS_S:
             g, total = self.thrust(USUAL_CURVATURE, lag), 0.0
@@ -223,7 +223,7 @@ class Body:
         return np.column_stack([thrust @ self.signs[j], self._rates[0][:, j], np.ones(len(self))])
 
     def expected(self) -> Array:
-        """The channels as the commands ask for them, by the early part, shape (n, 4)."""
+        """Channels expected from the commands, by the early part, shape (n, 4)."""
         g, found = self.thrust(USUAL_CURVATURE, self.lag_s), np.empty((len(self), 4))
         for j in range(4):
             X, early = self._regressors(g, j), self.learned
@@ -232,7 +232,7 @@ class Body:
 
     @cached_property
     def noise(self) -> "Noise":
-        """Of each channel, by the early part."""
+        """Noise of each channel, by the early part."""
         g = self.thrust(USUAL_CURVATURE, self.lag_s)
         share = (np.where(self.limited, DOUBTFUL, 1.0) * ~self.low)[:, None] * self._seen
         laws, gain, weight = zip(
@@ -254,17 +254,17 @@ class Body:
         *,
         swings: bool = True,
     ) -> tuple[Law, float, Array]:
-        """Law of what the early part leaves, first number of the regression, and weight of each
-        interval.
+        """Noise law of the residuals in the early part, first number of the regression, and weight
+        of each interval.
 
         Args:
-            regressors: Shape (n, k).
-            y: What is measured, shape (n,).
-            floor: Least deviation of an innovation.
-            share: Most that each interval weighs, shape (n,).
-            phis: Of the law.
-            swings: Whether an interval is lively by its reading, as where what it says depends on
-                what happens; else by its innovation.
+            regressors: Regressors, shape (n, k).
+            y: Measured values, shape (n,).
+            floor: Least standard deviation of an innovation.
+            share: Largest weight of each interval, shape (n,).
+            phis: Candidate values of phi.
+            swings: Whether an interval is lively by its reading, for channels whose informativeness
+                depends on activity; else by its innovation.
         """
         early, law = self.learned, Law(0.8, 0.0, 1.0)
         for _ in range(3):
@@ -283,8 +283,8 @@ class Body:
 
     @cached_property
     def unanswered(self) -> str:
-        """Why roll and pitch do not show what a rotor does; "": they do, or the commands are logged
-        too slowly, or change too little, to say that they do not."""
+        """Reason why roll and pitch do not show the effect of a rotor; "": they do, or commands are
+        too slow or too constant to decide."""
         layout, part = self.frame.layout, slice(self.start, self.end)
         if not np.ptp(self.frame.grid["gyro"][part], axis=0).any():
             return "the gyroscope stands still"
@@ -308,13 +308,13 @@ class Body:
 
     @property
     def _logged(self) -> bool:
-        """Whether body rates are logged: those of an attitude are late and smooth, and a controller
-        that steadies the body then seems to turn it the other way."""
+        """Whether body rates are logged: rates from an attitude are late and smooth, and a
+        stabilising controller then appears to rotate the body the other way."""
         return self.frame.flight.has(*GYRO)
 
     @cached_property
     def misnumbered(self) -> str:
-        """How it shows that the motors are numbered otherwise than was taken; "": it does not."""
+        """Evidence that the motors have other numbers than assumed; "": none."""
         if not self.fast or self.frame.layout is None:
             return ""
         law, (order, free) = self.laws[0], self._by_all
@@ -332,12 +332,12 @@ class Body:
 
     @cached_property
     def _by_all(self) -> Array:
-        """Of roll and pitch together, as of `_by_order`."""
+        """Explained nats of roll and pitch together, as in `_by_order`."""
         return np.asarray(np.sum([self._by_order(j) for j in (1, 2)], axis=0))
 
     def _by_order(self, j: int) -> tuple[float, float]:
-        """Nats by which the commands explain a channel in the early part: with one gain of all
-        rotors in their order; with one of each rotor."""
+        """Nats by which the commands explain a channel in the early part: with one gain for all
+        rotors in their order; with one for each rotor."""
         gram, n = self.laws[0].channels[j].gram[self.learned.stop], self.rotors
         least, order, free = (
             left_by(gram, [*used, *range(n + 1, n + 4)]) for used in ((), (n,), range(n))
@@ -346,14 +346,15 @@ class Body:
 
     @cached_property
     def authority(self) -> Array:
-        """What the thrust of all rotors does to each channel where all of it acts to one side, by
-        the early part, shape (4,)."""
+        """Effect of the total thrust on each channel if all of it acts to one side, by the early
+        part, shape (4,)."""
         thrust = np.median(self.thrust(USUAL_CURVATURE, self.lag_s)[self.learned], axis=0)
         return np.asarray(np.abs(self.noise.gain) * (np.abs(self.signs) @ thrust))
 
     @cached_property
     def laws(self) -> "list[ThrustLaw]":
-        """Thrust by command as the early part allows it, the most probable first."""
+        """Laws of thrust by command that are consistent with the early part, the most probable
+        first."""
         thrust = [self.thrust(*curve) for curve in self.curves]
         usual = [np.median(g[self.learned] @ self.signs.T, axis=0) for g in thrust]
         columns = [
@@ -379,14 +380,14 @@ class Body:
         ]
 
     def screening(self) -> "list[Body]":
-        """The same under the most probable law of thrust, and under that which is curved most
-        unlike it: what all laws together say lies between."""
+        """The body under the most probable law of thrust, and under that with the most different
+        curvature: the result of all laws together lies between."""
         first = self.laws[0]
         last = max(self.laws, key=lambda law: abs(law.curve[0] - first.curve[0]))
         return [self._under(law) for law in dict.fromkeys((first, last))]
 
     def _under(self, law: "ThrustLaw") -> "Body":
-        """The same under one law; what is known of the noise is kept."""
+        """The body under one law, with the same noise."""
         found = replace(self, curves=(law.curve,))
         vars(found).update({k: v for k, v in vars(self).items() if k != "curves"}, laws=[law])
         return found
@@ -399,15 +400,15 @@ class Body:
         )
 
     def lift_gain(self, usual: Array) -> tuple[float, float]:
-        """Gain along z, since all thrust carries the weight, and its deviation: a curvature that
-        needs another one is less probable. Where commands are logged slowly, jitter that is not
-        logged attenuates it, and it tells nothing."""
+        """Gain along z, since total thrust carries the weight, and its standard deviation: a
+        curvature that needs another one is less probable. With slowly logged commands, unlogged
+        jitter attenuates it, and it is not informative."""
         gain = GRAVITY_M_S2 / abs(usual[0])
         return gain, LIFT_SPREAD * gain if self.fast else GAIN_SD
 
     def _early_fit(self, columns: Array, j: int, lifts: Array) -> Array:
-        """Sum of squares that the regression of a channel leaves in the early part, gain, and its
-        deviation, by law of thrust, shape (3, laws)."""
+        """Residual sum of squares of a channel's regression in the early part, gain, and its
+        standard deviation, by law of thrust, shape (3, laws)."""
         law, early = self.noise.laws[j], self.learned
         rows = law.filtered(columns[early, :, self.rotors :]) / law.sd
         rows *= np.sqrt(self.noise.weight[j][early])[:, None, None]
@@ -423,15 +424,16 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class ThrustLaw:
-    """Thrust by command of one curvature and lag, and what it does in the early part.
+    """Thrust by command of one curvature and lag, with its effects in the early part.
 
     Attributes:
         curve: Curvature, as in `lift`, and lag of thrust behind the command, s.
-        channels: Of each, [S g_1 .. S g_n, their sum - K, damping, products, 1, y], whitened.
-        thrust: Of each rotor over that at full command, shape (n, rotors).
-        usual: K of each channel, shape (4,).
-        gain: By which all thrust acts, shape (4,).
-        gain_sd: Deviation of that, shape (4,).
+        channels: Whitened columns [S g_1 .. S g_n, their sum - K, damping, products, 1, y] of each
+            channel.
+        thrust: Thrust of each rotor over that at full command, shape (n, rotors).
+        usual: Constant K of each channel, shape (4,).
+        gain: Gain of the total thrust, shape (4,).
+        gain_sd: Standard deviation of the gain, shape (4,).
     """
 
     curve: tuple[float, float]
@@ -446,14 +448,14 @@ class ThrustLaw:
         return np.concatenate([np.zeros((1, self.thrust.shape[1])), self.thrust.cumsum(axis=0)])
 
     def mean_thrust(self, start: Places, end: Places) -> Array:
-        """Of each rotor within windows, shape (windows, rotors)."""
+        """Mean thrust of each rotor within windows, shape (windows, rotors)."""
         return np.asarray(
             (self._cumulated[end] - self._cumulated[start]) / np.maximum(end - start, 1)[:, None]
         )
 
 
 def expecting(gram: Array, column: int, mean: Array | float, sd: Array | float) -> Array:
-    """Gram matrices, shape (n, k, k), y last, with a normal prior of the number of a column."""
+    """Gram matrices, shape (n, k, k), y last, with a normal prior on the number of a column."""
     out, last = gram.copy(), gram.shape[1] - 1
     precision = 1 / np.square(sd)
     out[:, column, column] += precision
@@ -468,9 +470,9 @@ class Noise:
     """Noise of the channels.
 
     Attributes:
-        laws: Of each channel.
-        gain: By which all thrust acts in the early part, shape (4,).
-        weight: Of each interval, 0..1, shape (4, n).
+        laws: Noise law of each channel.
+        gain: Gain of the total thrust in the early part, shape (4,).
+        weight: Weight of each interval, 0..1, shape (4, n).
     """
 
     laws: tuple[Law, ...]
@@ -479,7 +481,8 @@ class Noise:
 
 
 def left_by(gram: Array, used: Sequence[int]) -> float:
-    """Sum of squares that some columns leave of the last one, by a Gram matrix, shape (k, k)."""
+    """Residual sum of squares of the last column after regression on some columns, by a Gram
+    matrix, shape (k, k)."""
     scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-12))
     unit, used = gram * scale[:, None] * scale, list(used)
     fit = np.linalg.lstsq(unit[np.ix_(used, used)], unit[used, -1], rcond=1e-9)[0]
@@ -487,7 +490,7 @@ def left_by(gram: Array, used: Sequence[int]) -> float:
 
 
 def robust_fit(X: Array, y: Array) -> Array:
-    """Huber's regression by reweighting."""
+    """Huber regression by iterative reweighting."""
     w = np.ones(len(y))
     for _ in range(4):
         beta = np.linalg.lstsq(X * w[:, None], y * w, rcond=None)[0]

@@ -1,8 +1,7 @@
-"""Causes that move the body: what each is called, how probable it is before the flight is seen,
-which sizes are tried, what is said and what is to be checked.
+"""Causes that move the body: name, prior, candidate sizes, text and bench check of each.
 
-A cause is one entry of `CAUSES`; its likelihood stands in `evidence`, or it is told by the
-commands (`cut`).
+A cause is one entry of `CAUSES`; its likelihood is computed in `evidence`, or it is detected from
+the commands (`cut`).
 """
 
 from collections.abc import Mapping
@@ -25,29 +24,31 @@ ROTOR, ALL, MASS, PUSH, BLOW, CUT = (
 )
 
 LOSSES = np.linspace(0.1, 1.0, 37)
-"""Of the thrust of one rotor, alike probable: up to the full stop."""
+"""Losses of thrust of one rotor, equally probable: up to the full stop."""
 COARSE_LOSSES = LOSSES[::4]
-"""The same while an onset is looked for, and of a loss that grows."""
+"""Coarser grid of losses for the search of an onset, and for a growing loss."""
 PAIR_LOSSES = np.linspace(0.1, 1.0, 10)
-"""Of the thrust of each of two rotors."""
+"""Losses of thrust of each of two rotors."""
 LOSSES_OF_ALL = np.array([0.06, *np.linspace(0.1, 0.5, 9), *np.linspace(0.6, 1.0, 5)])
-"""Of the thrust of all rotors."""
+"""Losses of thrust of all rotors."""
 MASSES = np.array([-0.5, *np.linspace(-0.4, -0.1, 7), -0.06, 0.06, *np.linspace(0.1, 0.4, 7), 0.5])
-"""Change of the mass over the mass."""
+"""Relative changes of the mass."""
 LOADS = np.tile(MASSES, 2)
-"""The same at the centre of mass, without a moment, and then elsewhere, alike probable."""
+"""Relative changes of the mass at the centre of mass, without a moment, and then elsewhere, equally
+probable."""
 FORCES = np.array(
     [[1, 1, 1, 1, 1], [0, 1, 1, 0, 0], [1, 0, 0, 0, 1], [0, 0, 0, 0, 1]],
     dtype=bool,
 )
-"""Where a force or moment acts, alike probable: on the specific force along z, the turning about x,
-y, z, and across the thrust. On all; as a mass that moves; as a rope at the centre of mass; across
-the thrust alone. Without the third a rope was all rotors that lose thrust, with a force beside."""
+"""Channels on which a force or moment acts, equally probable: specific force along z, rotation
+about x, y, z, and across the thrust. On all; as a moving mass; as a rope at the centre of mass;
+across the thrust only. Without the third, a rope was explained as a loss of thrust of all rotors
+together with a force."""
 BLOWS = np.array([[1, 1, 1, 1], [1, 0, 0, 0], [0, 0, 0, 0]], dtype=bool)
-"""Where a blow acts besides across the thrust, alike probable, as of `FORCES`: on all; along the
-thrust; across alone, as a gust at the centre of mass."""
+"""Channels of a blow in addition to across the thrust, equally probable, as in `FORCES`: on all;
+along the thrust; across only, as a gust at the centre of mass."""
 GROWS_S = (0.4, 0.8, 1.6, 3.2)
-"""In which a loss grows to its size, alike probable, s."""
+"""Times in which a loss grows to its size, equally probable, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +56,12 @@ class Cause:
     """A cause that moves the body.
 
     Attributes:
-        text: What happened; `{rotor}`, `{value}`, `{t}` and `{grows}` are filled in.
-        check: What to check on the bench.
-        quantity: What its size is; "": it has none.
-        log_odds: At an onset against nothing, all its rotors and sizes together.
-        tail: Of the largest log odds over nothing in a normal flight: how often they pass zero,
-            1/h, and their mean excess over it, nats; None: it is not weighed.
+        text: Text on the event; `{rotor}`, `{value}`, `{t}` and `{grows}` are filled in.
+        check: Check on the bench.
+        quantity: Quantity of its size; "": it has none.
+        log_odds: Log odds at an onset against no event, over all its rotors and sizes.
+        tail: Tail of the largest log odds over no event in normal flight: rate of crossing zero,
+            1/h, and mean excess over it, nats; None: it is not weighed.
     """
 
     text: str
@@ -112,15 +113,15 @@ CAUSES: Mapping[str, Cause] = {
         "duration",
     ),
 }
-"""All of them, by name. Tails: 0.8 h simulated with gusts, landings and throttle punches, 0.25 h
+"""All causes by name. Tails: 0.8 h simulated with gusts, landings and throttle punches, 0.25 h
 recorded (CrazyPAD, the excitations of crazyflie_motor_delay); none is scored for sudden events.
 There a mass and a force that may act at the centre of mass pass zero 2.3 and 3 times as often as
-those that bring a moment. A gust within a second of one that is there is none of its tail."""
+those with a moment. A gust within a second of a known one is not counted."""
 
 FINAL = (ROTOR, ALL)
-"""Causes after which the body is another one: what follows is no event of its own."""
+"""Causes that change the body: later changes are no events of their own."""
 AIR = (PUSH, BLOW)
-"""Causes that act across the thrust as well."""
+"""Causes that also act across the thrust."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +130,7 @@ class Name:
 
     Attributes:
         cause: Key of `CAUSES`, or `NOTHING`.
-        rotors: From 1; empty: of none.
+        rotors: Numbers of the rotors, from 1; empty: none.
         grows: Whether it begins at the onset and grows.
     """
 
@@ -139,7 +140,7 @@ class Name:
 
 
 SHARE = {(1, False): 0.895, (2, False): 0.005, (1, True): 0.1}
-"""Of losses of rotors, by how many rotors lose and whether the loss grows."""
+"""Prior share among losses of rotors, by number of rotors and whether the loss grows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,8 +148,8 @@ class Losses:
     """Losses of the thrust of some rotors.
 
     Attributes:
-        name: Whose.
-        lost: Share of the thrust of each rotor, by size, shape (sizes, rotors).
+        name: Name with the rotors.
+        lost: Lost share of thrust of each rotor, by size, shape (sizes, rotors).
     """
 
     name: Name
@@ -156,18 +157,18 @@ class Losses:
 
     @property
     def sizes(self) -> Array:
-        """Mean share that those that lose have lost, shape (sizes,)."""
+        """Mean lost share over the rotors that lose thrust, shape (sizes,)."""
         return np.asarray(self.lost.sum(axis=1) / len(self.name.rotors))
 
 
 def losses_of_one(rotors: int, losses: Array, grows: bool = False) -> list[Losses]:
-    """Each rotor by each loss."""
+    """Each rotor with each loss."""
     each = np.eye(rotors)
     return [Losses(Name(ROTOR, (i + 1,), grows), losses[:, None] * each[i]) for i in range(rotors)]
 
 
 def losses_of_two(rotors: int) -> list[Losses]:
-    """Each two rotors by each two losses."""
+    """Each pair of rotors with each pair of losses."""
     sizes, each = np.array(list(product(PAIR_LOSSES, repeat=2))), np.eye(rotors)
     return [
         Losses(Name(ROTOR, (i + 1, k + 1)), sizes @ each[[i, k]])

@@ -1,9 +1,8 @@
-"""What moved the body, and when: all causes compete by their `evidence` at each onset.
+"""Cause and time of an event of the body: all causes compete by their `evidence` at each onset.
 
-What begins first is looked for by recursion: the strongest onset, then what came before it, then
-what came after it. Losses of two rotors, and losses that grow, compete where something else has
-passed its level. No onset is tried after a loss of control; in the seconds before it the last word
-is spoken, at a lower level.
+The first event is found by recursion: the strongest onset, then earlier ones, then later ones.
+Losses of two rotors, and growing losses, compete where another cause has passed its level. No onset
+is considered after a loss of control; in the seconds before it a lower level applies.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -39,26 +38,28 @@ from .noise import Places
 from .sideways import COINCIDENT, WITH_ROTOR, Sideways, alongside
 
 BEFORE_S, AFTER_S = 60.0, 6.0
-"""What an onset is weighed on: before it and after it."""
+"""Length of data for weighing an onset: before it and after it."""
 FIRST_S = 3.0
-"""No onset is tried before so much of a part."""
+"""Start of a part without onsets."""
 APART_S = (0.3, 1.0)
-"""Before and after an event: there another may have its onset."""
+"""Times before and after an event within which there is no other onset."""
 LAST_WORD_S = 4.0
-"""Seconds before a loss of control in which the last word is spoken."""
+"""Seconds before a loss of control in which the lower level applies."""
 COARSE_S, FINELY_S = 0.1, 1.5
-"""Onsets are tried so often; at every interval in the last seconds before a loss of control."""
+"""Step between candidate onsets; length of the last seconds before a loss of control in which every
+interval is one."""
 DEPTH = 4
-"""Of the recursion."""
+"""Largest depth of the recursion."""
 GREW_S = 3.0
-"""Before the strongest onset, in which a loss that grows may have begun."""
+"""Time before the strongest onset in which a growing loss may have begun."""
 UNSEEN = 0.05
-"""Probability that all rotors lose thrust with no voltage that falls as it should, by half as much
-as the thrust, since that goes with its square; and that it falls where they do not."""
+"""Probability that all rotors lose thrust without the corresponding drop of voltage, by half as
+much as the thrust, which is proportional to its square; and that voltage drops without such a
+loss."""
 VOLTAGE_SD, VOLTAGE_SPREAD = 0.01, 0.2
-"""Deviation of such a fall over the voltage, and over what is expected."""
+"""Standard deviation of such a drop over the voltage, and over its expected value."""
 SAGS_S = 2.0
-"""In which a voltage that falls is seen."""
+"""Time in which a drop of voltage is measured."""
 FALSE_NAMES_10_H = 1.0
 """Expected number of false names of all causes together in ten hours of normal flight."""
 _TAILS = {name: cause.tail for name, cause in CAUSES.items() if cause.tail is not None}
@@ -66,15 +67,15 @@ LEVEL = {
     cause: nats * np.log(per_h * 10 * len(_TAILS) / FALSE_NAMES_10_H)
     for cause, (per_h, nats) in _TAILS.items()
 }
-"""Nats over nothing from which on there is an event, by an exponential tail."""
+"""Nats over no event from which there is an event, by an exponential tail."""
 SHOWN_GUST_S = BLOWS_S[3]
-"""Length of the gust whose least size is said."""
+"""Length of the gust whose smallest detectable size is reported."""
 SCREENED = 12.0
-"""Nats below its level from which on a name under one law of thrust is looked at under all."""
+"""Nats below its level from which a name under one law of thrust is evaluated under all laws."""
 LAST_WORD_NATS = 3.0
-"""The same of all but a gust in the last seconds before control is lost, since something must have
-taken it: odds of 20 to 1. Which, the competition says: what a rotor is asked for less than others
-would be told for it."""
+"""Lower level for all causes but a gust in the last seconds before a loss of control, which must
+have a cause: odds of 20 to 1. The competition decides which one: a rotor whose command is lower
+than that of others would be named otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,11 +83,12 @@ class Onset:
     """An event of the body.
 
     Attributes:
-        place: Interval of the onset, of the `Body`.
-        probabilities: Of all names at this onset, the most probable first.
-        nats: Over nothing.
-        sizes: Of the most probable name, with the posterior of each, ascending; empty: it has none.
-        grows_s: In which it grows, s; 0: it comes at once.
+        place: Interval of the onset in the `Body`.
+        probabilities: Probability of each name at this onset, the most probable first.
+        nats: Log odds over no event, nats.
+        sizes: Sizes of the most probable name, with the posterior of each, ascending; empty: it has
+            none.
+        grows_s: Time in which it grows, s; 0: sudden.
     """
 
     place: int
@@ -97,26 +99,27 @@ class Onset:
 
     @property
     def name(self) -> Name:
-        """The most probable."""
+        """The most probable name."""
         return self.probabilities[0][0]
 
     def quantile(self, share: float) -> float:
-        """Of the size, by its posterior."""
+        """Quantile of the size, by its posterior."""
         sizes, p = np.array(self.sizes).T
         return float(np.interp(share, (np.cumsum(p) - p / 2) / p.sum(), sizes))
 
 
 @dataclass(frozen=True, slots=True)
 class Odds:
-    """Of all names at onsets; those that are not of the air are judged on thrust and moments alone,
-    so that a gust is not evidence of a rotor.
+    """Log odds of all names at onsets; names without an effect of the air are judged on thrust and
+    moments only, so that a gust is no evidence for a rotor.
 
     Attributes:
-        names: Which compete, nothing first.
+        names: Competing names, `NOTHING` first.
         odds: Log odds against no change at all, shape (names, onsets).
-        nothing: The same of nothing, on what each name is judged on, shape (names, onsets).
-        across: What the axes across the thrust say more for a name than for nothing, where it is
-            not judged on them, shape (names, onsets).
+        nothing: Log odds of no event, on the channels on which each name is judged, shape (names,
+            onsets).
+        across: Additional log odds of the axes across the thrust for a name over no event, where it
+            is not judged on them, shape (names, onsets).
         sizes: Log evidence of the sizes of each name, shape (onsets, sizes).
     """
 
@@ -131,8 +134,8 @@ def drop(values: Array, over: int) -> Array:
     """Running mean before each instant less that after it, shape (n,); the ends are held.
 
     Args:
-        values: Shape (n,).
-        over: Samples of a mean.
+        values: Values, shape (n,).
+        over: Number of samples of a mean.
     """
     mean, at = uniform_filter1d(values, over, mode="nearest"), np.arange(len(values))
     before, after = (mean[np.clip(at + k, 0, len(at) - 1)] for k in (-(over // 2), over // 2))
@@ -140,7 +143,7 @@ def drop(values: Array, over: int) -> Array:
 
 
 class Competition:
-    """All hypotheses about one part of a flight."""
+    """Competition of all hypotheses about one part of a flight."""
 
     def __init__(self, body: Body) -> None:
         self.body, self.evidence, self._sideways = body, Evidence(body), Sideways(body)
@@ -155,14 +158,14 @@ class Competition:
         which: Names = "coarse",
         air: tuple[Array, Array, Array] | None = None,
     ) -> "Odds":
-        """Of all names at onsets.
+        """Log odds of all names at onsets.
 
         Args:
-            onsets: Which are tried.
-            low: First interval that counts.
-            high: Behind the last.
-            window: One for all of these onsets, so that they compare; None: each has its own.
-            which: Names that compete.
+            onsets: Candidate onsets.
+            low: First interval in use.
+            high: End of the intervals in use.
+            window: Common window of all these onsets, for comparison; None: each has its own.
+            which: Set of competing names.
             air: Evidence of the axes across the thrust, if it is known.
         """
         own = self._window(onsets, low, high)
@@ -192,14 +195,14 @@ class Competition:
         )
 
     def _window(self, onsets: Places, low: int, high: int) -> tuple[Places, Places]:
-        """First interval of what each onset is weighed on, and that behind the last."""
+        """First interval and end of the data for weighing each onset."""
         start = np.maximum(onsets - self.body.places(BEFORE_S), low)
         return start, np.minimum(onsets + self.body.places(AFTER_S), high)
 
     @cached_property
     def _by_voltage(self) -> Array:
-        """Log odds of each loss of all rotors by the voltage about each interval, shape (n,
-        sizes); zero where none is logged."""
+        """Log odds of each loss of all rotors by the voltage about each interval, shape (n, sizes);
+        zero where none is logged."""
         body, grid = self.body, self.body.frame.grid
         if "vbat" not in grid:
             return np.zeros((len(body), len(LOSSES_OF_ALL)))
@@ -212,8 +215,8 @@ class Competition:
         return np.asarray(log_p[:, 1:] - log_p[:, :1])
 
     def asked(self, names: Sequence[Name], onsets: Places) -> Array:
-        """Nats over nothing that each name needs at each onset, shape (names, onsets): fewer in the
-        last seconds before control is lost."""
+        """Level of each name at each onset, nats over no event, shape (names, onsets): lower in the
+        last seconds before a loss of control."""
         body = self.body
         last = (onsets > body.last - body.places(LAST_WORD_S)) & body.lost
         soon = np.array([n.cause != BLOW for n in names])[:, None] & last
@@ -221,9 +224,9 @@ class Competition:
         return np.where(soon, LAST_WORD_NATS, levels[:, None])
 
     def shown(self) -> tuple[Array, Array]:
-        """What would show at onsets `FIRST_S` apart: nats over its level that the loss of a rotor
-        would have, had the rotor that shows least lost each of `LOSSES`, shape (onsets, losses);
-        and the least gust of `SHOWN_GUST_S`, m/s^2, shape (onsets,)."""
+        """Detectability at onsets `FIRST_S` apart: nats over its level for the loss of the least
+        observable rotor, for each of `LOSSES`, shape (onsets, losses); and the least gust of
+        `SHOWN_GUST_S`, m/s^2, shape (onsets,)."""
         body, step = self.body, self.body.places(FIRST_S)
         onsets = np.arange(step, body.last - step, step)
         onsets = onsets[~(body.limited | body.low)[onsets]]
@@ -252,17 +255,17 @@ class Competition:
     def _earliest(
         self, screening: Sequence["Competition"], tried: Places, best: int, low: int, high: int
     ) -> int:
-        """The best of the onsets about one, all on one window: of two onsets that each explain what
-        follows, the window of the later one shows more of it."""
+        """The best of the onsets near one, all on a common window: of two onsets that each explain
+        the following data, the window of the later one contains more of it."""
         near = tried[np.abs(tried - best) < self.body.places(AFTER_S)]
         window = self._about(near, low, high)
         nats = [_over_nothing(c.odds(near, low, high, window))[1:] for c in screening]
         return int(near[np.argmax(np.max(nats, axis=(0, 1)))])
 
     def _unusual(self, near: Places, low: int, high: int) -> tuple[float, float]:
-        """Nats over their levels of gusts and of everything else, at the best of onsets near each
-        other, which say that something is unusual; all names and sizes say what. A gust has its
-        own, since gusts are usual."""
+        """Nats over their levels of gusts and of all other causes, at the best of neighbouring
+        onsets, as a sign of an unusual event; all names and sizes then compete. Gusts are separate,
+        since they are usual."""
         found = self.odds(near, low, high, self._about(near, low, high))
         over = (_over_nothing(found) - self.asked(found.names, near)).max(axis=1)
         gust = np.array([n.cause == BLOW for n in found.names])
@@ -273,13 +276,14 @@ class Competition:
         return int(start.min()), int(end.max())
 
     def strongest(self, low: int, high: int, since: int = 0) -> Onset | None:
-        """The strongest onset within places, `since` one of them; None: none passes."""
+        """The strongest onset in a range of places that contains `since`; None: none passes its
+        level."""
         found = (self.onset_at(place, low, high, since) for place in self.peaks(low, high, since))
         return next((onset for onset in found if onset is not None), None)
 
     def peaks(self, low: int, high: int, since: int = 0) -> Iterator[int]:
-        """Places of onsets that come within `SCREENED` of their level under a law of thrust, the
-        strongest first, `AFTER_S` apart; where each is, all laws say."""
+        """Places of onsets within `SCREENED` of their level under a law of thrust, the strongest
+        first, `AFTER_S` apart; all laws together refine each."""
         tried = self._tried(max(low + self.body.places(FIRST_S), since), self._end(high))
         if len(tried) < 2:
             return
@@ -293,7 +297,7 @@ class Competition:
             over[np.abs(tried - place) < self.body.places(AFTER_S)] = -np.inf
 
     def onset_at(self, place: int, low: int, high: int, since: int = 0) -> Onset | None:
-        """The best onset near a place; None: at a closer look none passes."""
+        """The best onset near a place; None: none passes its level on refinement."""
         first, step = max(low + self.body.places(FIRST_S), since), self._stride
         near = np.arange(max(first, place - step), min(place + step + 1, self._end(high)))
         grows = np.arange(place - step, max(first, place - self.body.places(GREW_S)) - 1, -step)
@@ -304,7 +308,7 @@ class Competition:
         return min(high - 2, self.body.last)
 
     def _over(self, tried: Places, low: int, high: int, air: tuple[Array, Array, Array]) -> Array:
-        """Nats of the best name at each onset over its level, and over nothing near it."""
+        """Nats of the best name at each onset over its level, and over no event near it."""
         found = self.odds(tried, low, high, air=air)
         nothing = maximum_filter1d(found.nothing, 2 * round(AFTER_S / COARSE_S) + 1, axis=1)
         asked = self.asked(found.names, tried)
@@ -315,8 +319,8 @@ class Competition:
         return max(self.body.places(COARSE_S), 1)
 
     def _tried(self, first: int, last: int) -> Places:
-        """Onsets that are tried within places: none where a command has just been at its stop, or
-        where the ground may carry it."""
+        """Candidate onsets in a range of places: none where a command has just been at its limit,
+        or where the ground may carry the aircraft."""
         tried = np.arange(first, last, self._stride)
         if self.body.lost:
             fine = max(self.body.last - self.body.places(FINELY_S), first)
@@ -324,8 +328,8 @@ class Competition:
         return tried[~(self.body.limited | self.body.low)[tried]]
 
     def _onset(self, near: Places, at_once: int, low: int, high: int) -> Onset | None:
-        """The best of some onsets, before `at_once` of what grows alone; None: at a closer look
-        none passes."""
+        """The best of some onsets, before `at_once` of growing causes only; None: none passes its
+        level on refinement."""
         gust, other = self._unusual(near[near >= at_once], low, high)
         if max(gust, other) < 0:
             return None
@@ -367,7 +371,7 @@ class Competition:
 
 
 def _over_nothing(found: Odds) -> Array:
-    """Nats of each name over nothing at onsets near each other, shape (names, onsets)."""
+    """Nats of each name over no event at neighbouring onsets, shape (names, onsets)."""
     return np.asarray(found.odds - found.nothing.max(axis=1)[:, None])
 
 
@@ -376,10 +380,10 @@ class _Best:
     """A name at the best of its onsets.
 
     Attributes:
-        name: Which.
+        name: Name of the cause with its rotors.
         place: Interval of the onset.
-        nats: Over nothing.
-        across: As of `Odds`.
+        nats: Log odds over no event, nats.
+        across: Additional log odds across the thrust, as in `Odds`.
         sizes: Log evidence of its sizes.
     """
 
@@ -391,7 +395,7 @@ class _Best:
 
     @classmethod
     def each(cls, found: Odds, onsets: Places) -> list["_Best"]:
-        """Of all names but nothing."""
+        """The best onset of each name except no event."""
         nats = _over_nothing(found)
         return [
             cls(n, int(onsets[m]), float(x[m]), float(a[m]), found.sizes[n][m])
@@ -401,7 +405,7 @@ class _Best:
 
 
 def _log_odds(names: Sequence[Name]) -> Array:
-    """Of each name against nothing: those of its cause, shared among its rotors."""
+    """Prior log odds of each name against no event: those of its cause, shared among its rotors."""
     kinds = [(n.cause, len(n.rotors), n.grows) for n in names]
     share = {k: SHARE.get(k[1:], 1.0) / kinds.count(k) for k in kinds}
     return np.array(
@@ -413,7 +417,8 @@ def _log_odds(names: Sequence[Name]) -> Array:
 
 
 def _joined(each: Iterable[tuple[Name, float]]) -> tuple[tuple[Name, float], ...]:
-    """Names with their probability, of each cause and rotors the most probable name for all."""
+    """Names with their probability; for each cause and rotors the most probable name represents
+    all."""
     found: dict[tuple[str, tuple[int, ...]], tuple[Name, float]] = {}
     for name, p in each:
         first, known = found.get((name.cause, name.rotors), (name, 0.0))
@@ -422,7 +427,7 @@ def _joined(each: Iterable[tuple[Name, float]]) -> tuple[tuple[Name, float], ...
 
 
 def _posterior(sizes: Array, log_p: Array) -> tuple[tuple[float, float], ...]:
-    """Sizes, each once and ascending, with their probability."""
+    """Distinct sizes in ascending order, with their probability."""
     values, which = np.unique(np.round(sizes, 6), return_inverse=True)
     p = np.bincount(which, np.exp(log_p - logsumexp(log_p)))
     return tuple(zip(values.tolist(), p.tolist(), strict=True))

@@ -1,14 +1,14 @@
-"""Two instruments that see the same motion, held against each other: when did they part?
+"""Consistency of two instruments that measure the same motion, and the time at which it ends.
 
-Their residual stays as it was while both are sound, so it is held against what it was before in the
-same flight: no motor command and no number of the aircraft is needed.
+Their residual is stationary while both are intact, so it is compared with its past in the same
+flight: no motor command and no number of the aircraft is needed.
 
-One number says how readily a change is reported: the expected number of false ones in ten hours.
-The running mean of a residual over its own robust scale is taken as Student's t: heavy-tailed, more
-so where little flight lies before it. What stays off in the means that follow is so much the less
-probable by chance, by Fisher's sum of the logarithms of their p-values: no single mean has to leave
-all tails of the noise. What shape the change has, a step, one in proportion to the reading or a
-pulse, is then a competition of its own, with heavy-tailed priors on the sizes.
+One number sets the sensitivity: the expected number of false changes in ten hours. The running mean
+of a residual over its own robust scale is taken as Student's t: heavy-tailed, more so with little
+flight before it. Deviations that persist in later means are less probable by chance, by Fisher's
+sum of the logarithms of their p-values: no single mean has to exceed all tails of the noise. The
+shape of the change, a step, one in proportion to the reading or a pulse, is then a competition of
+its own, with heavy-tailed priors on the sizes.
 
 Source: Fisher, Statistical Methods for Research Workers, 1932, 21.1.
 """
@@ -28,54 +28,57 @@ Array = NDArray[np.float64]
 FALSE_IN_10_H = 1.0
 """Expected false changes in ten hours in the air, all residuals together."""
 TRUE_IN_10_H = 1.0
-"""Expected true ones: prior of the probability of a change. By judgement."""
+"""Expected true changes in ten hours: prior of the probability of a change. By judgement."""
 DEGREES = 6.0
 """Largest degrees of freedom of a residual's t. In an hour of simulated flight without a fault,
 whose noise is Gaussian, no change was reported even at a thousand expected ones in ten hours; six
-keeps that distance for real instruments, of which ten hours without a fault were not to be had."""
+leaves that margin for real instruments, of which ten hours without a fault were not available."""
 PRIOR_DEGREES = 3.0
-"""Degrees of freedom that a residual's usual scale is worth where a flight has not shown it yet."""
+"""Degrees of freedom of the prior on a residual's scale, before the flight has shown it."""
 REFERENCE_S = 5.0
-"""Least flight before a change, against which it is held."""
+"""Shortest flight before a change, as its reference."""
 AFTER_S = 6.0
-"""Time after an onset by which a change, and the shape of it, is told."""
+"""Time after an onset in which a change and its shape are decided."""
 FIRST = 0.8
-"""Share of the false changes that the first mean may call by itself; the others are shared by all
-numbers of means that follow it. By judgement."""
+"""Share of the false changes allowed by the first mean alone; the others are shared by all numbers
+of subsequent means. By judgement."""
 STAYING = 0.5
-"""Share of the evidence of the means that follow the first that is believed. By judgement."""
+"""Tempering of the evidence of the means after the first. By judgement."""
 PASSES = 0.67
-"""Share of the time after an onset within which a passing change is over."""
+"""Share of the time after an onset within which a passing change has ended."""
 LASTS, SCALES = 0.3, 0.1
-"""Prior of a zero that moves for good, and of a scale that changes; else something passes:
-estimates are reset more often than instruments change. By judgement."""
+"""Prior of a permanent change of a zero, and of a scale; else the change passes: estimates are
+reset more often than instruments change. By judgement."""
 PERSISTS = 0.02
-"""Prior of what passes as a rule and stays, of any size: an estimate that is wrong for long."""
+"""Prior of a permanent change where it usually passes, of any size: an estimate that is wrong for
+long."""
 USUAL_SCALE = 0.05
-"""Change of a scale that is no surprise."""
+"""Usual change of a scale."""
 OVERLAP = 4.0
-"""By how much the nats of a shape are tempered: running means overlap, and half is believed."""
+"""Tempering of the nats of a shape: running means overlap, and half is believed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Residual:
-    """An instrument's reading less what another one says, over time.
+    """An instrument's reading less that predicted by another one, over time.
 
     Attributes:
-        lasting: Cause where the difference stays.
-        passing: Cause where it passes within seconds.
-        scaled: Cause where it is in proportion to the reading; "": none is.
-        sensor: The instrument, or the column of the flight table, that is named.
-        quantity: What the size of a change is of.
-        unit: Of reading and difference.
-        t_s: Middles of its bins, s, shape (n,).
-        reading: Of the instrument, shape (n,).
-        difference: NaN where unknown, shape (n,).
-        error: Standard deviation that the motion brings to it, shape (n,): of clocks and scales.
-        window_s: Time over which it is averaged.
-        least: Change that nobody needs to speak of, in the unit.
-        usual: Lasting change that is no surprise, in the unit.
-        largest: Change with which nothing flies, or that no instrument reads, in the unit.
+        lasting: Cause of a permanent difference.
+        passing: Cause of a difference that passes within seconds.
+        scaled: Cause of a difference in proportion to the reading; "": none.
+        sensor: Named instrument, or column of the flight table.
+        quantity: Quantity of a change's size.
+        unit: Unit of reading and difference.
+        t_s: Midpoints of its bins, s, shape (n,).
+        reading: Reading of the instrument, shape (n,).
+        difference: Difference, NaN where unknown, shape (n,).
+        error: Standard deviation of the difference due to motion, by errors of clocks and scales,
+            shape (n,).
+        window_s: Averaging time.
+        least: Smallest relevant change, in the unit.
+        usual: Usual permanent change, in the unit.
+        largest: Largest change with which an aircraft flies, or that the instrument can read, in
+            the unit.
     """
 
     lasting: str
@@ -100,30 +103,30 @@ class Residual:
 
     @property
     def width(self) -> int:
-        """Bins of a running mean."""
+        """Number of bins of a running mean."""
         return max(round(self.window_s / self.step_s), 1)
 
     @property
     def means(self) -> int:
-        """Means, one behind the other, by which a change is told: one of a level, which wanders;
-        errors of a difference between samples cancel from one mean to the next."""
+        """Number of consecutive means for the detection of a change: one for a level, which drifts;
+        errors of differences between samples cancel from one mean to the next."""
         return max(int(AFTER_S / self.window_s), 1) if self.scaled else 1
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A residual that left what it was.
+    """A change of a residual from its past.
 
     Attributes:
-        residual: Which.
-        cause: The most probable one.
-        onset_s: When it began, s.
-        size: In the unit of the residual, or as a share of the reading.
-        low: Lower end of its 90 % interval.
-        high: Upper end.
-        probability: That it is no false alarm, times that of the cause.
+        residual: Residual that changed.
+        cause: The most probable cause.
+        onset_s: Start of the change, s.
+        size: Size in the unit of the residual, or as a share of the reading.
+        low: Lower end of the size's 90 % interval.
+        high: Upper end of the size's 90 % interval.
+        probability: Probability that it is no false alarm, times that of the cause.
         others: Other causes with their probabilities, the most probable first.
-        middle: What the residual was before.
+        middle: Value of the residual before the change.
     """
 
     residual: Residual
@@ -138,28 +141,29 @@ class Change:
 
     @property
     def unit(self) -> str:
-        """Of the size."""
+        """Unit of the size."""
         return "1" if self.cause == self.residual.scaled else self.residual.unit
 
 
 @dataclass(frozen=True, slots=True)
 class FalseAlarmBudget:
-    """How often a residual may be called changed by chance.
+    """Allowed rate of changes by chance.
 
     Attributes:
-        false_in_10_h: All residuals together.
-        residuals: How many share it.
+        false_in_10_h: Expected false changes of all residuals together in ten hours.
+        residuals: Number of residuals that share it.
     """
 
     false_in_10_h: float
     residuals: int
 
     def chance(self, every_s: float) -> float:
-        """Probability, by chance, that one look exceeds the bound, which is taken so often, s."""
+        """Probability that one test at intervals of `every_s` exceeds the bound by chance."""
         return self.false_in_10_h / self.residuals * every_s / 36_000.0
 
     def probability(self, p_value: float, every_s: float) -> float:
-        """That a change of this p-value is a true one, by the rates of true and false ones."""
+        """Probability that a change of this p-value is a true one, by the rates of true and false
+        ones."""
         false = p_value * self.residuals * 36_000.0 / every_s
         return TRUE_IN_10_H / (TRUE_IN_10_H + false)
 
@@ -178,8 +182,8 @@ def changed_at(r: Residual, budget: FalseAlarmBudget) -> Change | None:
 
 
 def smallest_detectable(r: Residual, budget: FalseAlarmBudget) -> float:
-    """Lasting change that would have been reported during half of the flight; infinity: none
-    would."""
+    """Smallest permanent change that would have been detected during half of the flight; infinity:
+    none."""
     look, chance = _looked(r, budget), budget.chance(r.window_s)
     known = np.isfinite(look.scale) & np.isfinite(look.apart)
     if not known.any():
@@ -195,9 +199,9 @@ def smallest_detectable(r: Residual, budget: FalseAlarmBudget) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Look:
-    """A residual against its past, at each bin, NaN until there is enough of it: running mean less
-    its median before; what the past was over what was expected of it, and the degrees of freedom of
-    that; the median; what is expected of the mean; the least scale."""
+    """A residual relative to its past, at each bin, NaN until there is enough of it: running mean
+    less its past median; ratio of past to expected scale, and its degrees of freedom; the median;
+    the expected scale of the mean; the least scale."""
 
     apart: Array
     over: Array
@@ -208,12 +212,12 @@ class _Look:
 
     @property
     def scale(self) -> Array:
-        """Of the mean of each bin, shape (n,)."""
+        """Scale of the mean at each bin, shape (n,)."""
         return np.asarray(np.maximum(self.over * self.expected, self.least))
 
     def p_value(self, r: Residual) -> Array:
-        """Of each bin: that of its mean and those that follow, as long as they stay off to the same
-        side, against what was before; 1 where nothing is known. Shape (n,)."""
+        """P-value at each bin: of its mean and the following ones, as long as they deviate to the
+        same side, relative to the past; 1 where unknown. Shape (n,)."""
         mean, n = self.apart + self.middle, len(self.apart)
         each = np.full((r.means, n), np.nan)
         for m in range(r.means):
@@ -227,17 +231,16 @@ class _Look:
 
 
 def _surprise(z: Array | float, freedom: Array | float) -> Array:
-    """Less the logarithm of the p-value of so many deviations."""
+    """Negative logarithm of the p-value of a deviation in units of its scale."""
     surprise: Array = -np.log(2.0) - np.asarray(student.logsf(z, freedom), dtype=np.float64)
     return surprise
 
 
 def _by_chance(each: Array) -> Array:
-    """P-value of a chain of means for each length of it, the trials of all lengths counted, shape
-    as given.
+    """P-value of a chain of means by length, corrected for the number of lengths, shape as given.
 
     Args:
-        each: Surprise of each mean, shape (means, ...); NaN ends the chain.
+        each: Negative log p-value of each mean, shape (means, ...); NaN ends the chain.
     """
     count, axes = len(each), (-1, *(1,) * (each.ndim - 1))
     share = np.full(count, STAYING)
@@ -249,8 +252,8 @@ def _by_chance(each: Array) -> Array:
 
 
 def _looked(r: Residual, budget: FalseAlarmBudget) -> _Look:
-    """The scale is what motion and the least change bring, by how much larger or smaller the past
-    was: a prior of `PRIOR_DEGREES` says that it was neither."""
+    """Test statistics of a residual. Its scale is that of motion and the least change, times the
+    ratio in the past, with a prior of `PRIOR_DEGREES` on a ratio of one."""
     width, least = r.width, round(REFERENCE_S / r.step_s)
     ahead = pd.Series(r.difference[::-1]).rolling(width, min_periods=max(width // 2, 1)).mean()
     mean = ahead.to_numpy()[::-1].copy()
@@ -269,13 +272,13 @@ def _looked(r: Residual, budget: FalseAlarmBudget) -> _Look:
 
 
 def trailing_median(values: Array, bins: float) -> Array:
-    """Median of so many values up to each."""
+    """Median of a number of values up to each one."""
     rolling = pd.Series(values).rolling(max(round(bins), 1), min_periods=1)
     return np.asarray(rolling.median().to_numpy(), dtype=np.float64)
 
 
 def running_median(values: Array, bins: float) -> Array:
-    """Median of so many values about each."""
+    """Median of a number of values about each one."""
     rolling = pd.Series(values).rolling(max(round(bins) | 1, 1), min_periods=1, center=True)
     return np.asarray(rolling.median().to_numpy(), dtype=np.float64)
 
@@ -285,8 +288,8 @@ def running_median(values: Array, bins: float) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Shape:
-    """A change of a residual: place of its onset, size, and by how much it lowers the sum of
-    squares; the sum of squares of its regressor, and how many numbers it has."""
+    """A change of a residual: place of its onset, size, reduction of the sum of squares; sum of
+    squares of its regressor, and number of its parameters."""
 
     start: int
     size: float
@@ -296,15 +299,15 @@ class _Shape:
 
 
 def _change(r: Residual, k: int, middle: float, scale: float, true: float) -> Change:
-    """The change whose running mean from bin k on is off: onset, size, and which shape it has.
+    """The change that is detected at bin k: onset, size, and shape.
 
-    Shapes compete on the bins about it; each carries the usual cost of its numbers (Schwarz 1978)
-    and the prior of its size.
+    Shapes compete on the neighbouring bins; each has the usual cost of its parameters (Schwarz
+    1978) and the prior of its size.
     """
     after = max(round(AFTER_S / r.step_s), 3 * r.width)
     part = slice(max(k - r.width, 0), min(k + after, len(r.t_s)))
     d, begin = r.difference[part] - middle, np.arange(2 * r.width + 1)
-    noise = OVERLAP * r.width * scale**2  # of a bin, as far as bins add up in a running mean
+    noise = OVERLAP * r.width * scale**2  # noise of a bin, such that bins add up to a running mean
     shapes = {r.lasting: _steps(d, np.ones(len(d)), begin)}
     if r.scaled:
         shapes[r.scaled] = _steps(d, r.reading[part], begin)
@@ -323,7 +326,7 @@ def _change(r: Residual, k: int, middle: float, scale: float, true: float) -> Ch
     first = max(share, key=lambda c: share[c])
     best = shapes[first]
     if first == r.lasting and abs(middle + best.size) < 0.5 * abs(middle) and not _has_zero(r):
-        share = _swapped(share, first, r.passing)  # it ends here: the reference was off
+        share = _swapped(share, first, r.passing)  # it ends here: the reference was wrong
         first = r.passing
     spread = 1.645 * float(np.sqrt(noise / best.weight))
     others = sorted((c for c in share if c != first), key=lambda c: -share[c])
@@ -341,7 +344,7 @@ def _change(r: Residual, k: int, middle: float, scale: float, true: float) -> Ch
 
 
 def _has_zero(r: Residual) -> bool:
-    """Whether nothing says what the residual is of sound instruments: a strength, a height."""
+    """Whether the residual of intact instruments has no known value: a field strength, a height."""
     return not r.scaled
 
 
@@ -350,7 +353,7 @@ def _swapped(share: Mapping[str, float], a: str, b: str) -> dict[str, float]:
 
 
 def _prior(r: Residual, cause: str, size: float) -> float:
-    """Log prior of a shape and its size: Cauchy's tails, so that nothing large is excluded."""
+    """Log prior of a shape and its size: Cauchy tails, so that no large size is excluded."""
     if cause == r.scaled:
         return float(np.log(SCALES) - np.log1p((size / USUAL_SCALE) ** 2))
     if cause == r.lasting and r.lasting != r.passing:
@@ -359,7 +362,7 @@ def _prior(r: Residual, cause: str, size: float) -> float:
 
 
 def _steps(d: Array, regressor: Array, begin: NDArray[np.intp]) -> _Shape:
-    """The best onset of a lasting change in proportion to a regressor."""
+    """The best onset of a permanent change in proportion to a regressor."""
     known = np.isfinite(d) & np.isfinite(regressor)
     x = np.where(known, regressor, 0.0)
     begin = begin[begin < len(d)]

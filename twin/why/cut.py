@@ -1,9 +1,8 @@
-"""Commands that all drop to idle in the air: the body then does what they ask, so that no residual
-shows it.
+"""Motor cut in the air: all commands drop to idle; the body follows them, so no residual shows it.
 
-A failsafe, a kill switch, a land detector or a pilot. It is told from a landing by where it begins,
-clear of the ground, and by the free fall that follows: an aircraft on the ground carries its
-weight, and one that rebounds falls by a few centimetres.
+Caused by a failsafe, a kill switch, a land detector or a pilot. It differs from a landing by its
+height above the ground, and by the subsequent free fall: on the ground specific force is that of
+the weight, and an aircraft that rebounds falls by a few centimetres.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,20 +16,21 @@ from .flight import CONTACT_M_S2, FlightFrame, lift
 from .records import Candidate, Event, Severity, TimelineItem
 
 IDLE = 0.12
-"""Share of the usual thrust by command below which every motor idles."""
+"""Share of the normal thrust by command below which every motor idles."""
 FALLS_M = 0.15
-"""Least fall from rest that specific force has to show: what a cut of 0.2 s gives. A hard landing
-that rebounds shows 0.05 m (nanobench B5, which chose no more than this limit)."""
+"""Least fall from rest by the specific force: that of a cut of 0.2 s. A hard landing that rebounds
+shows 0.05 m (nanobench B5, which was used for this limit only)."""
 HITS_S = 0.5
-"""After a fall at half of gravity within which it hits something: the air carries the rest."""
+"""Time after a fall at half of gravity within which there is an impact: the air carries the
+rest."""
 DROPS_S = 0.3
-"""In which commands drop from half the usual thrust: a slow descent is none."""
+"""Time in which commands drop from half the normal thrust: excludes a slow descent."""
 SURE = 0.85
-"""Probability that commands and not the pilot's throttle did it: a judgement."""
+"""Probability that commands and not the pilot's throttle caused it: a judgement."""
 
 
 def cut(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
-    """Cuts of all commands while the aircraft is in the air, and what it falls on."""
+    """Findings on cuts of all commands in the air, and on the impact."""
     if flight.drive is None or "acc" not in flight.grid:
         return Findings()
     events, hits = [], []
@@ -59,7 +59,7 @@ def _falls(flight: FlightFrame) -> Iterator[tuple[int, int, int]]:
 
 
 def _hit_s(flight: FlightFrame, end: int, last: int) -> float | None:
-    """When it hits something at the end of a fall, s; None: it does not, or is driven again."""
+    """Time of the impact at the end of a fall, s; None: there is none, or the motors run again."""
     force, edges = flight.signals["acc"], flight.edges_s
     near = (force.t_s >= edges[end] - HITS_S / 2) & (force.t_s <= edges[end] + HITS_S)
     near &= force.t_s < edges[last]
@@ -68,14 +68,14 @@ def _hit_s(flight: FlightFrame, end: int, last: int) -> float | None:
 
 
 def _drops(flight: FlightFrame, first: int, usual: float) -> bool:
-    """Whether commands were at half of the usual thrust just before."""
+    """Whether commands were at half of the normal thrust just before."""
     back = max(first - flight.places(DROPS_S) - 1, 0)
     before = lift(flight.grid[flight.drive or ""][back:first]).mean(axis=1)
     return bool(len(before) and before.max() > 0.5 * usual)
 
 
 def _event(flight: FlightFrame, first: int, last: int, hit_s: float | None) -> Event:
-    """It lasts as long as the fall: until it is driven again, or hits something."""
+    """Event that lasts as long as the fall: until the motors run again, or an impact."""
     signal = flight.signals[flight.drive or ""]
     edges = flight.edges_s
     near = (signal.t_s > edges[first] - flight.dt_s) & (signal.t_s <= edges[first + 1])

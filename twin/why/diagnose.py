@@ -1,4 +1,4 @@
-"""What all finders say of a flight, put together: what began first is the cause."""
+"""Diagnosis from the findings of all finders: the first event is the cause."""
 
 from collections.abc import Iterator, Sequence
 from math import prod
@@ -22,20 +22,21 @@ from .timeline import timeline
 from .vibration import vibration
 
 NAMED = 0.5
-"""Probability from which on an event is said: below it something else, or nothing, is likelier."""
+"""Probability from which an event is reported: below it another cause, or none, is more
+probable."""
 CONSEQUENCE_S = 15.0
-"""A body that was pushed or lost a rotor upsets sensors and estimator for that long."""
+"""Time for which a push or the loss of a rotor disturbs sensors and estimator."""
 BEFORE_S = 0.5
-"""By which a finder of sensors may place an onset too early."""
+"""Lead of an onset that a finder of sensors may report too early."""
 
 
 BIASED, TOGETHER_S = ("accel_bias", "accel_scale"), 1.0
-"""Causes with which specific force and change of velocity disagree; within so much of them a force
-across the thrust is none."""
+"""Causes with which specific force and change of velocity disagree; a force across the thrust
+within that time of them is spurious."""
 
 
 def control(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
-    """Loss of control, and what the aircraft hits after it."""
+    """Finding on a loss of control, and the impact after it."""
     items = []
     for part in flight.airborne:
         if part.lost is not None:
@@ -50,7 +51,7 @@ def _item(flight: FlightFrame, place: int, kind: str, text: str) -> TimelineItem
 
 
 FINDERS: tuple[Finder, ...] = (control, cut, moved, sensors, timeline, steady, vibration)
-"""All of them, in no order."""
+"""All finders; their order does not matter."""
 
 
 def diagnose(
@@ -62,18 +63,18 @@ def diagnose(
     """Why a flight went wrong.
 
     Args:
-        flight: Of any log.
+        flight: Flight from any log.
         references: Normal flights of the same aircraft.
-        finders: What is looked for.
-        since: Vehicle file of an earlier time, whose calibration says what was usual, instead of
-            normal flights; None: there is none.
+        finders: Finders to run.
+        since: Vehicle file of an earlier time, whose calibration is the reference instead of normal
+            flights; None: there is none.
 
     Raises:
         LogError: A log is too short, or has no motion, or a normal flight is of another aircraft.
     """
     compared = None
     if since is not None:
-        from .since import SinceCalibration  # the law of `explain`, half a second to import
+        from .since import SinceCalibration  # imports `explain`, half a second
 
         compared, flight = SinceCalibration(since), of_vehicle(flight, since)
         finders = [lasting if find is steady else find for find in finders]
@@ -120,7 +121,7 @@ def diagnose(
 
 
 def check_same_aircraft(frame: FlightFrame, normal: FlightFrame) -> None:
-    """Refuse a normal flight of another aircraft; what only one of both logs states is not held.
+    """Refuse a normal flight of another aircraft; facts in only one of both logs are not compared.
 
     Raises:
         LogError: Autopilot, frame or number of rotors differ.
@@ -136,7 +137,7 @@ def check_same_aircraft(frame: FlightFrame, normal: FlightFrame) -> None:
 
 
 def aircraft_stated(frame: FlightFrame) -> dict[str, str]:
-    """What a log states of its aircraft, by what it is; not the release of the firmware."""
+    """Facts of the aircraft in a log, by name; without the release of the firmware."""
     facts = frame.flight.facts
     named = ("aircraft", "airframe", "hardware")
     stated = {what: str(facts[what]) for what in named if facts.get(what)}
@@ -150,8 +151,8 @@ def aircraft_stated(frame: FlightFrame) -> dict[str, str]:
 def _apart(
     events: Sequence[Event], hidden: Sequence[NotVisible]
 ) -> tuple[tuple[NotVisible, ...], list[str]]:
-    """What the log would not have shown, without causes of any size that it did show: these are
-    notes."""
+    """Changes that the log would not have shown, without causes that it shows at some size; these
+    become notes."""
     shown = {e.cause for e in events}
     partly = [v for v in hidden if v.cause in shown and v.smallest_detectable.value is None]
     notes = [f"another {v.cause.replace('_', ' ')} would not show: {v.reason}" for v in partly]
@@ -159,12 +160,12 @@ def _apart(
 
 
 def _never_visible(hidden: Sequence[NotVisible]) -> Iterator[NotVisible]:
-    """Causes that move the body and would not show, however large they are."""
+    """Causes that move the body and would not be visible at any size."""
     return (v for v in hidden if v.cause in CAUSES and v.smallest_detectable.value is None)
 
 
 def _what_is_not_shown(never: Sequence[NotVisible]) -> str:
-    """Causes that would not show, and why."""
+    """Text on causes that would not be visible, and the reason."""
     causes = [v.cause.replace("_", " ") for v in never]
     if 2 * len(causes) > len(CAUSES):
         return f"little: rotors, mass, forces are not judged, since {never[0].reason}"
@@ -172,14 +173,14 @@ def _what_is_not_shown(never: Sequence[NotVisible]) -> str:
 
 
 def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
-    """Those that are probable, by time, those without onset last; what instruments show after a
-    cause that moves the body is a consequence, and what the body shows after a cut of commands, or
-    with an accelerometer that is off."""
+    """Probable events by time, those without onset last; instrument events after a cause that moves
+    the body are consequences, and so are body events after a cut of commands, or with a faulty
+    accelerometer."""
     likely = [e for e in events if e.probability >= NAMED]
     biased = [e.onset_s for e in likely if e.cause in BIASED and e.onset_s is not None]
 
     def misread(event: Event) -> bool:
-        """Whether the accelerometer alone shows a force: velocity does not change with it."""
+        """Whether only the accelerometer shows a force: velocity does not change with it."""
         if event.onset_s is None or event.cause not in AIR:
             return False
         return any(abs(event.onset_s - t) <= TOGETHER_S for t in biased)
@@ -191,7 +192,7 @@ def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
     ]
 
     def follows(event: Event) -> bool:
-        """Whether it begins with what moved the body or cut the commands, or soon after."""
+        """Whether it begins with, or soon after, what moved the body or cut the commands."""
         if event.onset_s is None or event.cause == CUT:
             return False
         known = [t for cause, t in moved if event.cause not in CAUSES or cause == CUT]
@@ -202,7 +203,7 @@ def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
 
 
 THIS_OR_THAT = 2
-"""Causes of one change that are an answer: more are none."""
+"""Largest number of causes of one change that are reported as alternatives."""
 
 
 def _verdict(
@@ -213,7 +214,7 @@ def _verdict(
     lost: bool,
     decided: bool,
 ) -> tuple[Verdict, float]:
-    """What is found, and how probable that is."""
+    """Verdict, and its probability."""
     causes = [e.probability for e in events if not e.consequence]
     if one_of:
         return ("found" if len(one_of) == THIS_OR_THAT or causes else "cannot_tell"), 1.0 - nothing
@@ -225,12 +226,12 @@ def _verdict(
 
 
 LIKELY = 0.8
-"""Probability from which on nothing is said to have gone wrong, and not that it probably did not: a
+"""Probability from which the verdict is that nothing went wrong, instead of probably nothing: a
 judgement."""
 
 
 ALSO = 0.1
-"""Probability from which on the sentence names another cause, too: a judgement."""
+"""Probability from which the sentence names another cause, too: a judgement."""
 
 
 def _sentence(
@@ -242,7 +243,7 @@ def _sentence(
     airborne_s: float,
     hidden: Sequence[NotVisible],
 ) -> str:
-    """The answer on top."""
+    """The sentence at the top of the result."""
     return " ".join(_clauses(verdict, probability, events, one_of, lost, airborne_s, hidden))
 
 
@@ -278,13 +279,13 @@ def _clauses(
 
 
 def _nothing(probability: float, of_what: str = "") -> str:
-    """How sure it is that nothing went wrong."""
+    """Text on how sure it is that nothing went wrong."""
     nothing = "nothing" if probability >= LIKELY else "probably nothing"
     return f"{nothing} went wrong{of_what} ({certainty(probability)})"
 
 
 def _else(event: Event) -> str:
-    """The cause that it could be as well, if that is probable."""
+    """Text on the alternative cause, if that is probable."""
     if not event.alternatives or event.alternatives[0].probability < ALSO:
         return ""
     other = event.alternatives[0]

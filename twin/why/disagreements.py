@@ -1,8 +1,8 @@
-"""Where two instruments disagree, or one with its own past: residuals over a part in the air.
+"""Disagreement of two instruments, or of one with its own past: residuals over a part in the air.
 
-Attitude turns as the gyroscope says, velocity changes as the accelerometer says, the field that the
-compass measures keeps its strength and heading, the barometer follows the height. Steps that the
-estimator reports itself are taken out. With what is said of each cause.
+Attitude rotates with the gyroscope, velocity changes with the accelerometer, the field of the
+compass has constant strength and heading, the barometer follows the height. Steps that the
+estimator reports itself are removed. Also: the text on each cause.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -26,43 +26,44 @@ Array = NDArray[np.float64]
 Signals = Mapping[str, Signal]
 
 BIN_S = 0.1
-"""Least length of a bin of a residual."""
+"""Shortest bin of a residual."""
 SLOWEST_HZ = 4.0
-"""Of attitude, velocity and position that are compared with a change."""
+"""Lowest rate of attitude, velocity and position that are compared with a change."""
 FAST_HZ = 15.0
-"""Least rate of gyroscope and accelerometer that are integrated, or whose noise is looked at."""
+"""Lowest rate of gyroscope and accelerometer for integration and noise."""
 SCALE_ERROR = 0.01
-"""Share of the body rate by which sound gyroscopes and late stamps of the attitude err."""
+"""Relative error of the body rate by intact gyroscopes and late stamps of the attitude."""
 CLOCK_S = 0.01
-"""By which stamps of attitude and accelerometer differ; more where attitude is logged slowly."""
+"""Difference of the stamps of attitude and accelerometer; more where attitude is logged slowly."""
 FEWEST = 20
-"""Samples of a signal that is used."""
+"""Fewest samples of a signal in use."""
 PRESSURE_SCALE_M = 8434.0
 """Scale height of the atmosphere at 288 K, ISO 2533."""
 JOLT_S = 1.5
-"""Of which a touch of the ground or of a branch takes less than half, noise that sets in more."""
+"""Window for noise: a touch of the ground or of a branch takes less than half of it, a lasting
+increase more."""
 NOISE = "sensor_noise_level"
 """The cause whose size is a ratio of levels."""
 HEIGHT_S = 20.0
-"""Of height by the barometer less that of the estimate, whose median is what is usual."""
+"""Window for height by barometer less that of the estimate, whose median is the reference."""
 STEPPED_BY: Mapping[str, tuple[ResetOf, ...]] = {
     "attitude_estimate": ("attitude", "yaw"),
     "velocity_estimate": ("velocity", "position", "height"),
     "position_estimate": ("position", "height"),
     "baro_disturbance": ("height",),
 }
-"""By the passing cause of a residual, the resets that step it: with a position that jumps, EKF2 and
-EKF3 reset the velocity."""
+"""Resets that step a residual, by its passing cause: with a position that jumps, EKF2 and EKF3
+reset the velocity."""
 STEP_LASTS_S: Mapping[str, float] = {"heading": np.inf, "height": HEIGHT_S / 2.0}
-"""By quantity, for how long a step of the estimate moves a residual that compares levels: for good,
-or until it is the median. Others compare changes, which are off in its bin alone."""
+"""Duration of a step in a residual of levels, by quantity: permanent, or until it is the median.
+Other residuals compare changes, and deviate in its bin only."""
 NEARBY_S, NEAR_BINS = 1.0, 3
-"""Before and after a reset, of whose medians the step of a level is the difference; bins that it
-steps at most: its own and one on either side, since clocks of messages and samples differ."""
+"""Times before and after a reset whose medians give the step of a level; largest number of bins in
+a step: its own and one on either side, since clocks of messages and samples differ."""
 
 
 def _binned(t: Array, values: Array, step_s: float = BIN_S) -> tuple[Array, Array]:
-    """Middle of the bins, and mean of the values in each, NaN where there is none."""
+    """Midpoints of the bins, and mean of the values in each, NaN where there is none."""
     place = ((t - t[0]) / step_s).astype(np.intp)
     n = np.bincount(place)
     total = np.bincount(place, weights=values)
@@ -71,7 +72,7 @@ def _binned(t: Array, values: Array, step_s: float = BIN_S) -> tuple[Array, Arra
 
 
 def _integral_at(signal: Signal, t: Array) -> Array:
-    """Integral of a signal from its first sample on, at other times, shape (len(t), k)."""
+    """Integral of a signal from its first sample, at other times, shape (len(t), k)."""
     total = cumulative_trapezoid(signal.values, signal.t_s, axis=0, initial=0)
     return interpolated(t, signal.t_s, total)
 
@@ -85,12 +86,12 @@ def _attitude_at(q: Signal, t: Array) -> Array:
 
 
 def _fast(signals: Signals, *names: str) -> bool:
-    """Whether signals are there and come fast enough to be compared with a change."""
+    """Whether signals are available and fast enough to be compared with a change."""
     return all(n in signals and signals[n].rate_hz >= SLOWEST_HZ for n in names)
 
 
 def _turn(signals: Signals) -> Iterator[Residual]:
-    """Rate of the gyroscope less that at which the attitude turns, per axis of the body.
+    """Rate of the gyroscope less that of the attitude, per body axis.
 
     Both are means between two samples of the attitude: the errors of the attitude cancel in sums.
     """
@@ -100,7 +101,7 @@ def _turn(signals: Signals) -> Iterator[Residual]:
     angle = np.diff(_integral_at(signals["gyro"], q.t_s), axis=0)
     between = np.diff(q.t_s)[:, None]
     apart = (angle - rotation_vector(q.values[1:], q.values[:-1])) / between
-    apart = apart[slow := np.linalg.norm(angle, axis=1) < 1.0]  # farther, angles do not add up
+    apart = apart[slow := np.linalg.norm(angle, axis=1) < 1.0]  # beyond, angles do not add up
     if len(apart) <= FEWEST:
         return
     middle = (q.t_s[1:] + q.t_s[:-1])[slow] / 2
@@ -115,7 +116,7 @@ def _turn(signals: Signals) -> Iterator[Residual]:
 
 
 def _force(signals: Signals) -> Iterator[Residual]:
-    """Specific force less what attitude and change of velocity ask for, per axis of the body."""
+    """Specific force less that of attitude and change of velocity, per body axis."""
     if not _fast(signals, "q", "vel", "acc") or signals["acc"].rate_hz < FAST_HZ:
         return
     acc, vel = signals["acc"], signals["vel"]
@@ -145,8 +146,9 @@ def _of_windows(
     windows: Sequence[tuple[float, float]],
     sizes: tuple[float, float],
 ) -> list[Residual]:
-    """Residuals of one axis, for each window and least change: lasting, passing and scaling cause;
-    sensor, quantity and unit; times, differences and their errors; usual and largest size."""
+    """Residuals of one axis, for each window and least change: permanent, passing and scaling
+    cause; sensor, quantity and unit; times, differences and their errors; usual and largest
+    size."""
     (lasting, passing, scaled), (sensor, quantity, unit), (t, r, error) = causes, named, bins
     usual, largest = sizes
     return [
@@ -171,7 +173,7 @@ def _of_windows(
 
 
 def _turned(q: Signal, t: Array) -> Array:
-    """How fast the attitude turns, rad/s, shape (len(t),)."""
+    """Rotation rate of the attitude, rad/s, shape (len(t),)."""
     rate = np.linalg.norm(rotation_vector(q.values[1:], q.values[:-1]), axis=1) / np.diff(q.t_s)
     return np.asarray(np.interp(t, (q.t_s[1:] + q.t_s[:-1]) / 2, rate))
 
@@ -184,8 +186,8 @@ def _single(
     window_s: float,
     sizes: tuple[float, float, float],
 ) -> Residual:
-    """A residual that has no axes: lasting and passing cause; sensor, quantity and unit; least,
-    usual and largest size."""
+    """A residual without axes: permanent and passing cause; sensor, quantity and unit; least, usual
+    and largest size."""
     given = (*bins, np.zeros(len(bins[0])))
     windows = ((window_s, sizes[0]),)
     return _of_windows((*causes, ""), named, given, reading, windows, sizes[1:])[0]
@@ -214,8 +216,8 @@ def _field(signals: Signals) -> Iterator[Residual]:
 
 
 def _height(signals: Signals) -> Iterator[Residual]:
-    """Height by the barometer less that of the estimate, quicker than either drifts; none where it
-    reads no pressure."""
+    """Height by the barometer less that of the estimate, on a time scale shorter than their drift;
+    none where it reads no pressure."""
     if not {"baro", "pos"} <= signals.keys():
         return
     baro, pos = signals["baro"], signals["pos"]
@@ -232,7 +234,7 @@ def _height(signals: Signals) -> Iterator[Residual]:
 
 
 def _place(signals: Signals) -> Iterator[Residual]:
-    """Speed by which the position changes less the velocity, per axis: a jump of either."""
+    """Rate of change of the position less the velocity, per axis: shows a jump of either."""
     if not _fast(signals, "pos", "vel"):
         return
     pos = signals["pos"]
@@ -249,7 +251,7 @@ def _place(signals: Signals) -> Iterator[Residual]:
 
 def _noise(signals: Signals) -> Iterator[Residual]:
     """Logarithm of the noise of gyroscope and accelerometer: of second differences, by fifths of a
-    second, and the median of a second of these, since a touch of the ground is a jolt, no noise."""
+    second, and the median of a second of these, since a touch of the ground is short."""
     for name, sensor, floor in (("gyro", "gyroscope", 1e-4), ("acc", "accelerometer", 0.01)):
         if name not in signals or signals[name].rate_hz < FAST_HZ:
             continue
@@ -277,7 +279,7 @@ def _voltage(signals: Signals) -> Iterator[Residual]:
 
 
 def within(flight: Flight, start_s: float, end_s: float) -> dict[str, Signal]:
-    """Signals as logged within a span; derived ones would agree with what they are derived of."""
+    """Signals as logged within a span; derived ones would agree with their sources."""
     found: dict[str, Signal] = {}
     named: dict[str, tuple[str, ...]] = {"acc": ACC, "gyro": GYRO, "mag": MAG, "q": QUAT}
     named |= {"pos": POS, "vel": VEL}
@@ -299,9 +301,9 @@ RESIDUALS: tuple[Maker, ...] = (_turn, _force, _field, _height, _place, _noise, 
 def without_resets(r: Residual, resets: Sequence[Reset]) -> Residual:
     """A residual without the steps that the estimator reports itself.
 
-    Within one bin of a reset it is what it is on both sides, and a level goes on where it was: what
-    begins before, or goes on after, stays. Resets without a pause of a bin, for longer than the
-    running mean, are no steps, and stay.
+    Within one bin of a reset it is replaced by the values on both sides, and a level is continued:
+    deviations that begin before, or continue after, remain. Resets without a pause of a bin, for
+    longer than the running mean, are no steps, and remain.
     """
     of = STEPPED_BY.get(r.passing, ())
     at = np.array([x.t_s for x in resets if x.of in of])
@@ -316,7 +318,8 @@ def without_resets(r: Residual, resets: Sequence[Reset]) -> Residual:
 
 
 def _take_out(t_s: Array, rest: Array, step: tuple[int, int], lasts_s: float) -> None:
-    """Take the step within some bins out of a residual, in place; of a level while it lasts."""
+    """Remove the step within some bins from a residual, in place; for a level as long as it
+    lasts."""
     a, b = step
     before = rest[:a][(t_s[:a] >= t_s[a] - NEARBY_S) & np.isfinite(rest[:a])]
     after = rest[b:][(t_s[b:] <= t_s[b - 1] + NEARBY_S) & np.isfinite(rest[b:])]
@@ -332,11 +335,11 @@ def _take_out(t_s: Array, rest: Array, step: tuple[int, int], lasts_s: float) ->
 
 @dataclass(frozen=True, slots=True)
 class SensorCause:
-    """What is said of a cause.
+    """Text on a cause.
 
     Attributes:
-        text: A sentence; {sensor}, {size} and {t} are filled in.
-        bench_check: What to check on the bench.
+        text: Sentence; {sensor}, {size} and {t} are filled in.
+        bench_check: Check on the bench.
     """
 
     text: str
@@ -407,4 +410,4 @@ SENSOR_CAUSES: Mapping[str, SensorCause] = {
         "Look at plug, bus and supply of the sensor.",
     ),
 }
-"""By cause: effects of the library where it is one, and events of the state estimate."""
+"""Texts by cause: effects of the library where there is one, and events of the state estimate."""

@@ -1,10 +1,10 @@
 """Log evidence of every cause that moves the body, at every onset, with its gains marginalised.
 
-Up to an onset the regression of `body` holds. From it on a cause changes the share of thrust that
-rotors have left, at once or growing, adds a constant force or moment, or a blow that passes. Gain
-before, damping, products, offset, and a small change of the slope of each rotor are marginalised
-as Gaussian, the gain after the onset over a mixture of them, sizes over their prior. A share of
-the log evidence is believed (`TEMPER`): intervals are neither Gaussian nor free of model error.
+Up to an onset the regression of `body` applies. From then on a cause changes the remaining share of
+the rotors' thrust, suddenly or gradually, adds a constant force or moment, or a blow that passes.
+Gain before, damping, products, offset, and a small change of the slope of each rotor are
+marginalised as Gaussian, the gain after the onset over a mixture of them, sizes over their prior.
+The log evidence is tempered (`TEMPER`): intervals are neither Gaussian nor free of model error.
 """
 
 from collections.abc import Sequence
@@ -41,67 +41,68 @@ from .flight import Array
 from .noise import TEMPER, Places
 
 BLOWS_S = (0.1, 0.3, 0.6, 1.0, 1.8)
-"""Lengths of a blow, alike probable."""
+"""Durations of a blow, equally probable."""
 GAINS = (
     np.array([1.0]),
     np.geomspace(0.5, 200, 8),
     np.geomspace(0.5, 200, 8),
     np.geomspace(0.05, 10, 7),
 )
-"""Gain after an onset of each channel over that of gravity at all thrust, where nothing is known of
-it, 1/m: arm times mass over inertia for roll and pitch, torque per thrust for yaw. Means of a
-mixture of normal distributions, whose deviations are `GAIN_SPREAD` of them. That of z is known:
-all thrust carries the weight; `LIFT_SPREAD` is for the battery."""
+"""Gain after an onset of each channel over that of gravity at full thrust, where nothing is known
+of it, 1/m: arm times mass over inertia for roll and pitch, torque per thrust for yaw. Means of a
+mixture of normal distributions, with standard deviations of `GAIN_SPREAD` times the mean. That of z
+is known: total thrust carries the weight; `LIFT_SPREAD` is for the battery."""
 GAIN_SPREAD = 0.5
 SURELY_POSITIVE = 5.0
-"""Deviations from zero from which on a gain is positive."""
+"""Standard deviations above zero from which a gain is positive."""
 TIED = ((1.0, 0.75, 0.87, 1.0, 1.15, 1.33), (0.05, 0.1, 0.1, 0.1, 0.1, 0.1))
-"""Means and deviations of the gain after an onset over that before it, where commands are logged
-fast: mostly it stays; the middle of the others weighs most."""
+"""Means and standard deviations of the gain after an onset over that before it, where commands are
+logged fast: mostly unchanged; of the others the middle has the largest weight."""
 STAYS = 2.5
-"""Log odds of a gain that stays against the middle of the others: a judgement."""
+"""Log odds of an unchanged gain against the middle of the others: a judgement."""
 FLOORED = np.array([[1.0], [0.3]]) * (0.8, 1.0, 1.6, 2.5, 4.0, 6.5, 10.0, 16.0)
-"""The same where they are logged slowly: jitter that is not logged lets the gain before the onset
-come out too small, so that it is a floor."""
+"""Means and standard deviations with slowly logged commands: unlogged jitter biases the gain before
+the onset downward, so it is a lower bound."""
 SLOPE_SPREAD = 0.15
-"""Deviation of the slope of each rotor after an onset over its gain: the map of thrust by command
-bends otherwise than any of `CURVATURES` where a rotor has to give more than before."""
+"""Standard deviation of the slope of each rotor after an onset over its gain: the curve of thrust
+by command differs from all `CURVATURES` where the command of a rotor exceeds that before."""
 LEAST_STEP = np.array([0.15 * GRAVITY_M_S2, 2.0, 2.0, 0.5])
-"""Deviation of a sudden force or moment per mass or inertia, m/s^2 and rad/s^2; at least
-`STEP_SHARE` of what all rotors do."""
+"""Standard deviation of a sudden force or moment per mass or inertia, m/s^2 and rad/s^2; at least
+`STEP_SHARE` of the effect of all rotors."""
 STEP_SHARE = np.array([0.0, 0.1, 0.1, 0.05])
 LOADED = 0.5
-"""Deviation of the moment of a mass that comes or goes over that of its weight at a rotor of an X:
-it mostly sits between the rotors."""
+"""Standard deviation of the moment of an added or lost mass over that of its weight at a rotor of
+an X: it is mostly located between the rotors."""
 MOMENTS_OF = np.array([0.06, 0.15, 0.35])
 """Changes of the mass at which that is computed."""
 TRIM_SHARE, TRIM_SHARE_SLOW = 0.007, 0.011
-"""Of what all rotors do to a channel: by so much its offset may change at any onset, whatever the
-hypothesis. Wind, battery and an imperfect map of thrust do that; more where commands are logged
-slowly, since what they did in between is not known."""
+"""Largest change of an offset at any onset under every hypothesis, as a share of the effect of all
+rotors on the channel. Wind, battery and an imperfect thrust map cause it; more where commands are
+logged slowly, since they are unknown between samples."""
 OFFSET_SD = np.array([3.0 * GRAVITY_M_S2, 30.0, 30.0, 30.0])
-"""Of an offset of a channel, m/s^2 and rad/s^2."""
+"""Standard deviation of a channel's offset, m/s^2 and rad/s^2."""
 PRODUCT_SD = np.array([0.1, 1.0, 1.0, 1.0])
-"""Of the gyroscopic products: 1 for bodies, the lever of the accelerometer for z, m."""
+"""Standard deviation of the gyroscopic products: 1 for bodies, the lever arm of the accelerometer
+for z, m."""
 DAMPING_SD = np.array([0.5, 30.0, 30.0, 30.0])
-"""Of damping, 1/s: along z by the speed along the rotors' axis."""
+"""Standard deviation of damping, 1/s: along z by the speed along the rotors' axis."""
 DISAGREES = (0.02, 0.1, 0.2, 0.4)
-"""Deviations of a size by one channel from that by another, over the size, alike probable."""
+"""Relative standard deviation of the difference between sizes by two channels, equally probable."""
 
 
 Names = Literal["coarse", "fine", "growing"]
-"""Sets of names: with few losses of one rotor, while an onset is looked for; with all losses, two
-rotors too; losses that grow alone."""
+"""Sets of names: with few losses of one rotor, for the search of an onset; with all losses, two
+rotors too; growing losses only."""
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """What onsets are weighed on, as places; shape (onsets,) each.
+    """Data for weighing onsets, as places; shape (onsets,) each.
 
     Attributes:
         start: First interval.
         onset: First interval after the onset.
-        end: Behind the last.
+        end: End of the intervals.
     """
 
     start: Places
@@ -110,7 +111,7 @@ class Window:
 
 
 class Evidence:
-    """Of all causes about one part of a flight, by thrust and moments."""
+    """Evidence of all causes about one part of a flight, by thrust and moments."""
 
     def __init__(self, body: Body) -> None:
         self.body = body
@@ -120,7 +121,7 @@ class Evidence:
         self._single = (NOTHING, ALL, MASS, PUSH, BLOW)
 
     def names(self, which: Names) -> tuple[Name, ...]:
-        """Those of a set, nothing first."""
+        """Names of a set, `NOTHING` first."""
         first, *rest = map(Name, self._single)
         if which == "growing":
             return (first, *(x.name for x in self._growing))
@@ -128,7 +129,7 @@ class Evidence:
         return (first, *(x.name for x in rotors), *rest)
 
     def lost(self, name: Name) -> Array:
-        """Thrust that each rotor has lost, by size of a name, shape (sizes, rotors)."""
+        """Lost thrust of each rotor, by size of a name, shape (sizes, rotors)."""
         if name.cause == ALL:
             return LOSSES_OF_ALL[:, None] * np.ones(self.body.rotors)
         known = self._growing if name.grows else self._fine
@@ -136,7 +137,7 @@ class Evidence:
         return np.tile(lost, (len(GROWS_S), 1)) if name.grows else lost
 
     def blow_ends(self, window: Window) -> list[Places]:
-        """Where blows of each length are over."""
+        """Ends of blows of each duration."""
         lengths = (max(self.body.places(s), 1) for s in BLOWS_S)
         return [np.minimum(window.onset + m, window.end) for m in lengths]
 
@@ -149,8 +150,8 @@ class Evidence:
         return {n: logsumexp([x[n] for x in by_law], axis=0) for n in by_law[0]}
 
     def sizes_apart(self, name: Name, window: Window) -> Array:
-        """Log posterior of the sizes of a name at one onset, where each channel may see another
-        size: their model errors differ. Shape (sizes,)."""
+        """Log posterior of the sizes of a name at one onset, where the size may differ by channel:
+        their model errors differ. Shape (sizes,)."""
         lost = self.lost(name)
         which: Names = "growing" if name.grows else "fine"
         apart = np.linalg.norm(lost[:, None] - lost, axis=2) / np.linalg.norm(lost, axis=1)[:, None]
@@ -167,8 +168,8 @@ class Evidence:
         return np.asarray(logsumexp(total, axis=0))
 
     def planted(self, window: Window) -> Array:
-        """Log evidence over nothing that each rotor would have, had it lost each of `LOSSES` at the
-        onset, by the most probable law, shape (onsets, rotors, losses)."""
+        """Log evidence over no event for each rotor, if it had lost each of `LOSSES` at the onset,
+        by the most probable law, shape (onsets, rotors, losses)."""
         law, n = self.body.laws[0], self.body.rotors
         channels = [_Channel(self, law, j, window, True) for j in range(4)]
         found = np.empty((len(window.onset), n, len(LOSSES)))
@@ -179,8 +180,8 @@ class Evidence:
         return found
 
     def unchanged(self, window: Window) -> Array:
-        """Log evidence that nothing changes at all, not even gain and offset: what different
-        onsets are measured by, since it does not depend on them."""
+        """Log evidence of no change at all, not even of gain and offset: the common reference of
+        different onsets, since it does not depend on them."""
 
         def of(law: ThrustLaw, j: int) -> Array:
             gram = law.channels[j].gram
@@ -190,7 +191,7 @@ class Evidence:
         return np.asarray(logsumexp(laws, axis=0))
 
     def _by_channel(self, law: ThrustLaw, w: Window, which: Names) -> dict[Name, list[Array]]:
-        """Of each size of each name by one law, of each channel, shape (onsets, sizes)."""
+        """Log evidence of each size of each name by one law, by channel, shape (onsets, sizes)."""
         channels = [_Channel(self, law, j, w, which != "coarse") for j in range(4)]
         one = np.ones((1, self.body.rotors))
         if which == "growing":
@@ -220,23 +221,23 @@ class Evidence:
 
     @cached_property
     def trims(self) -> Array:
-        """Deviation of the change of an offset under every hypothesis."""
+        """Standard deviation of the change of an offset under every hypothesis."""
         share = TRIM_SHARE if self.body.fast else TRIM_SHARE_SLOW
         return np.asarray(np.maximum(share * self.authority, 1e-3))
 
     @cached_property
     def steps(self) -> Array:
-        """The same under a force or a moment."""
+        """Standard deviation of the change of an offset under a force or a moment."""
         return np.asarray(np.maximum(LEAST_STEP, STEP_SHARE * self.authority))
 
     @cached_property
     def authority(self) -> Array:
-        """What all rotors do to each channel, shape (4,)."""
+        """Effect of all rotors on each channel, shape (4,)."""
         return np.array([GRAVITY_M_S2, *self.body.authority[1:]])
 
     def gains(self, j: int, law: ThrustLaw) -> tuple[Array, Array, Array]:
         """Prior of the gain after an onset as a mixture of normal distributions: log weights,
-        means, deviations."""
+        means, standard deviations."""
         fit, lift = law.gain[j], GRAVITY_M_S2 / abs(law.usual[0])
         if j == 0 or fit < 2 * law.gain_sd[j]:
             means = lift * GAINS[j]
@@ -260,7 +261,7 @@ class Evidence:
 
 
 class _Channel:
-    """One channel under one law of thrust: what each kind of cause makes of it, (onsets, sizes)."""
+    """One channel under one law of thrust: log evidence of each kind of cause, (onsets, sizes)."""
 
     def __init__(
         self, evidence: Evidence, law: ThrustLaw, j: int, window: Window, bends: bool
@@ -272,22 +273,22 @@ class _Channel:
         self._prior = evidence.gains(j, law)
 
     def scaled(self, left: Array) -> Array:
-        """By shares of thrust that rotors have left, shape (sizes, rotors)."""
+        """Log evidence by remaining shares of the rotors' thrust, shape (sizes, rotors)."""
         return self._over_gains(self._base, left)
 
     def planted(self, rotor: int, lost: float, left: Array) -> Array:
-        """As `scaled`, had a rotor lost a share of its thrust at the onset."""
+        """Log evidence as in `scaled`, if a rotor had lost a share of its thrust at the onset."""
         gram, cost = self._base
         shift = np.eye(gram.shape[1])
         shift[rotor, -1] = -lost * max(self._law.gain[self._j], 0.0)
         return self._over_gains((shift.T @ gram @ shift, cost), left)
 
     def pushed(self) -> Array:
-        """By a force or moment that begins and stays."""
+        """Log evidence of a permanent force or moment."""
         return self._stepped(self._evidence.steps[self._j])
 
     def loaded(self) -> Array:
-        """By a mass that comes or goes, see `LOADS`."""
+        """Log evidence of an added or lost mass, see `LOADS`."""
         sd, least = LOADED * self._evidence.authority[self._j], self._evidence.trims[self._j]
         near = np.argmin(np.abs(np.log(np.abs(MASSES)[:, None] / MOMENTS_OF)), axis=1)
         turned = np.hstack([self._stepped(x) for x in np.maximum(sd * MOMENTS_OF, least)])
@@ -299,14 +300,14 @@ class _Channel:
         return self._over_gains(self._reduced(self._joined, step=sd), self._sound)
 
     def blown(self, ends: Sequence[Places]) -> Array:
-        """By a force or moment that passes, by its length."""
+        """Log evidence of a force or moment that passes, by its duration."""
         w, one = self._window, self._evidence.body.rotors + 3
         grams = (self._rows.passing(self._joined, one, w.onset, over, w.end) for over in ends)
         each = [self._over_gains(self._reduced(g, passing=1), self._sound) for g in grams]
         return np.concatenate(each, axis=1)
 
     def growing(self, losses: Sequence[Losses]) -> list[Array]:
-        """By losses that grow, their sizes for each time of growing."""
+        """Log evidence of growing losses, their sizes for each time of growth."""
         body, w = self._evidence.body, self._window
         thrust = self._law.thrust * body.signs[self._j]
         found: list[list[Array]] = [[] for _ in losses]
@@ -331,18 +332,18 @@ class _Channel:
     def _reduced(
         self, gram: Array, *, step: float | None = None, passing: int = 0, growing: int = 0
     ) -> tuple[Array, Array]:
-        """Per onset the Gram matrix of [S g after, 1 after, columns that grow, y] with gain before,
+        """Gram matrix per onset of [S g after, 1 after, growing columns, y] with gain before,
         damping, products, offset and its change, slopes, and a blow marginalised; and the log of
-        what that costs.
+        the marginalisation's cost.
 
         Columns of the Gram matrix: n rotors, sum, damping, products, 1, y; all of them from the
-        onset on; a blow or columns that grow.
+        onset on; a blow or growing columns.
 
         Args:
-            gram: Shape (onsets, m, m).
-            step: Deviation of a force or a moment that begins; None: none does.
-            passing: Columns of a blow.
-            growing: Columns that grow.
+            gram: Gram matrices, shape (onsets, m, m).
+            step: Standard deviation of a force or a moment that begins; None: none does.
+            passing: Number of columns of a blow.
+            growing: Number of growing columns.
         """
         body, j = self._evidence.body, self._j
         n, usual = body.rotors, self._law.usual
@@ -364,8 +365,8 @@ class _Channel:
         return self._with_slopes(*reduced) if self._bends else reduced
 
     def _with_slopes(self, left: Array, cost: Array) -> tuple[Array, Array]:
-        """The same with a small change of the slope of each rotor about its mean thrust after the
-        onset marginalised."""
+        """Gram matrices with a small change of the slope of each rotor about its mean thrust after
+        the onset marginalised."""
         n, w = self._evidence.body.rotors, self._window
         mean = self._law.mean_thrust(w.onset, w.end) * self._evidence.body.signs[self._j]
         sd = SLOPE_SPREAD * self._prior[1][0]
@@ -383,9 +384,9 @@ class _Channel:
         """Log evidence with the gain after the onset integrated over its prior.
 
         Args:
-            reduced: By `_reduced`.
-            left: Share of its thrust that each rotor has left, shape (sizes, rotors).
-            growing: Share that comes, shape (sizes, rotors); None: none does.
+            reduced: Result of `_reduced`.
+            left: Remaining share of each rotor's thrust, shape (sizes, rotors).
+            growing: Growing share, shape (sizes, rotors); None: none.
         """
         usual = np.full((len(left), 1), -self._law.usual[self._j])
         shares = [left, usual] if growing is None else [left, usual, growing]
@@ -393,11 +394,12 @@ class _Channel:
 
 
 def _marginal(gram: Array, sd: Array) -> tuple[Array, Array]:
-    """Gram matrices without their first columns, and the log of what that costs.
+    """Gram matrices without their first columns, which are marginalised, and the log of its cost.
 
     Args:
-        gram: With the prior of the number of the first column, shape (onsets, m, m).
-        sd: Deviation of the numbers of these columns, normal about zero but for the first.
+        gram: Gram matrices with the prior on the number of the first column, shape (onsets, m, m).
+        sd: Standard deviation of the numbers of these columns, normal about zero except for the
+            first.
     """
     inner = len(sd)
     inside = gram[:, :inner, :inner] + np.diag([0.0, *(1 / np.square(sd[1:]))])

@@ -1,4 +1,4 @@
-"""What one finder says of a flight; `diagnose.py` puts them together."""
+"""Findings of one finder on a flight; `diagnose.py` combines them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,16 +9,16 @@ from .records import Candidate, Event, NotVisible, TimelineItem
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """What one finder says of a flight.
+    """Findings of one finder on a flight.
 
     Attributes:
-        events: At an instant, or without onset where it was there all the time.
-        timeline: What happened besides.
-        one_of_causes: Causes that the flight does not tell apart; else empty.
-        not_visible: What the log would not have shown.
-        nothing: Probability that there is nothing of what it looks for.
-        notes: What was assumed, and what the log lacks.
-        undecided: Whether something is probable, but nothing that has a name.
+        events: Events at an instant, or without onset where the state lasted throughout.
+        timeline: Other items of the flight.
+        one_of_causes: Causes that the flight does not separate; else empty.
+        not_visible: Changes that the log would not have shown.
+        nothing: Probability that there is no event of this finder's kind.
+        notes: Notes on assumptions and missing signals.
+        undecided: Whether an event is probable, but none of its causes can be named.
     """
 
     events: Sequence[Event] = ()
@@ -31,4 +31,4 @@ class Findings:
 
 
 Finder = Callable[[FlightFrame, Sequence[FlightFrame]], Findings]
-"""Takes a flight and normal flights of the same aircraft, of which there may be none."""
+"""Function of a flight and of normal flights of the same aircraft, of which there may be none."""

@@ -1,8 +1,8 @@
-"""One flight on an even grid, as every finding reads it: signals, rotors, what was flown.
+"""One flight on a uniform grid, as input of every finder: signals, rotors, parts in the air.
 
-Nothing here needs a vehicle: commands count per rotor, forces per mass, moments per inertia. Places
-and senses of the rotors are those that the log states, else those of the usual frame that explains
-best how the body turns.
+No vehicle is needed: commands are per rotor, forces per mass, moments per inertia. Positions and
+directions of the rotors are those in the log, else those of the usual frame that explains best how
+the body rotates.
 """
 
 from collections.abc import Mapping
@@ -34,41 +34,42 @@ from ..vehicle.layouts import Layout, frame, frames_of
 
 Array = NDArray[np.float64]
 FINEST_S, COARSEST_S = 0.02, 0.1
-"""Interval of the grid: a controller answers within 0.1 s; below 0.03 s vibration rules."""
+"""Limits of the grid interval: a controller responds within 0.1 s; below 0.03 s vibration
+dominates."""
 FEWEST_SAMPLES = 20
-"""Of a signal that is used."""
+"""Fewest samples of a signal in use."""
 SHORTEST_S = 5.0
-"""Of a part in the air that is looked into."""
+"""Shortest part in the air that is analysed."""
 LOSS_TILT_RAD = np.radians(60.0)
-"""Tilt that counts as lost, if it is twice what was flown until a second before."""
+"""Tilt of a loss of control, if it is twice the largest until a second before."""
 LOSS_RATE_RAD_S = 4.0
-"""Body rate that counts as lost, if it is three times what was flown until a second before."""
+"""Body rate of a loss of control, if it is three times the largest until a second before."""
 FLIES_ON_S = 5.0
-"""In the air after a blow, which then was no crash."""
+"""Time in the air after an impact from which it was no crash."""
 CONTACT_M_S2 = 30.0
-"""Specific force of a body that hits something, after control was lost."""
+"""Specific force of an impact after a loss of control."""
 FALLS_G = 0.5
-"""Specific force of a body that falls, over gravity: rotors run down for as much of it as they
-need, and the air brakes it by less until 10 m/s."""
+"""Specific force of a falling body, over gravity: rotors spin down and carry part of it, and drag
+is smaller up to 10 m/s."""
 CLEAR_FALL_M = 0.5
-"""Fall behind a flight that no ground stopped, whatever its height says: a landing that rebounds
-falls by 0.05 m (nanobench B5). By judgement."""
+"""Height of a fall after a flight that did not end on the ground, independent of its height signal:
+a landing that rebounds falls by 0.05 m (nanobench B5). By judgement."""
 GROUND_S = 2.0
-"""Before it is clear of the ground and after, within which it stands on it."""
+"""Time before and after clearance from the ground in which the aircraft stands on it."""
 LEAST_COMMAND = 0.02
-"""Command below which its logarithm is held."""
+"""Lower bound of a command in logarithms."""
 FRAME_LAG_S = 0.2
-"""Longest lag of the turning of the body behind commands that is tried to find the frame."""
+"""Longest lag of the body's rotation behind commands in the search for the frame."""
 LIFTING = 0.65
-"""Curvature of thrust by command that is assumed for what lifts: between linear and a square."""
+"""Assumed curvature of thrust by command in the detection of lift: between linear and square."""
 FIT_SHARE, FIT_LEAST = 0.5, 0.6
-"""Share of the correlation of the best usual frame that the rotors of a vehicle file have to reach,
-and the least correlation that judges. By judgement."""
+"""Share of the best usual frame's correlation that the rotors of a vehicle file must reach, and
+least correlation for a decision. By judgement."""
 MISFIT = (
     "this vehicle file does not fit: the aircraft turns as if its rotors were in the order of "
     "another frame. Correct [rotors], or draft a file: uavtwin vehicle draft."
 )
-"""Said where they do not reach it."""
+"""Text for rotors that do not reach it."""
 
 _SIGNALS: dict[str, tuple[str, ...]] = {
     "acc": ACC,
@@ -77,7 +78,7 @@ _SIGNALS: dict[str, tuple[str, ...]] = {
     "vbat": ("vbat_v",),
     "ibat": ("ibat_a",),
 }
-"""Signals of the flight table, besides motion and motors."""
+"""Signals of the flight table, except motion and motors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +88,8 @@ class Airborne:
     Attributes:
         start: First place.
         end: Place behind the last.
-        lost: Where control was lost; None: it was not.
-        crash: Where it hit something after that; None: it did not.
+        lost: Place of a loss of control; None: there is none.
+        crash: Place of an impact after that; None: there is none.
         falls: Whether it falls at its end, in the air.
     """
 
@@ -100,22 +101,22 @@ class Airborne:
 
     @property
     def flown(self) -> int:
-        """Place behind the last that was flown under control."""
+        """Place behind the last one under control."""
         return self.end if self.lost is None else min(self.end, self.lost)
 
 
 @dataclass(frozen=True, eq=False)
 class FlightFrame:
-    """A flight on an even grid.
+    """A flight on a uniform grid.
 
     Attributes:
-        flight: As read.
-        signals: As logged, by name: command or rotor_speed, gyro, acc, q, pos, vel, mag, baro,
-            vbat, ibat; only those that the log has.
+        flight: Flight as read.
+        signals: Logged signals by name: command or rotor_speed, gyro, acc, q, pos, vel, mag, baro,
+            vbat, ibat; only those in the log.
         edges_s: Edges of the intervals, shape (n + 1,).
         grid: Means over the intervals, shape (n, k) each.
-        notes: What was derived or assumed.
-        cache: What several finders ask for, by name.
+        notes: Notes on derived signals and assumptions.
+        cache: Results that several finders need, by name.
     """
 
     flight: Flight
@@ -127,7 +128,7 @@ class FlightFrame:
 
     @classmethod
     def of(cls, flight: Flight) -> "FlightFrame":
-        """Put a flight on its grid.
+        """Resample a flight to its grid.
 
         Raises:
             LogError: It has no motion.
@@ -140,7 +141,7 @@ class FlightFrame:
                 f"{flight.name}: the log lasts less than {SHORTEST_S:g} s ({end - start:.3g} s), "
                 "too short to know what is usual in it. Give a log of a longer flight."
             )
-        # No sample lies on an edge, where rounding decides to which interval it belongs.
+        # No sample is on an edge, where rounding would decide its interval.
         quarter = 0.25 / max(s.rate_hz for s in signals.values())
         edges = np.arange(start - quarter, end + dt, dt)
         grid = {name: binned(s, edges) for name, s in signals.items()}
@@ -150,8 +151,7 @@ class FlightFrame:
 
     @property
     def crash_begins_s(self) -> float | None:
-        """When control was lost for good, s: it then hits something, and does not fly on; None: it
-        was not."""
+        """Time of the final loss of control, s, followed by an impact; None: there is none."""
         last = self.airborne[-1] if self.airborne else None
         if last is None or last.lost is None or last.crash is None:
             return None
@@ -165,15 +165,15 @@ class FlightFrame:
 
     @cached_property
     def t_s(self) -> Array:
-        """Middles of the intervals, s from the start of the log, shape (n,)."""
+        """Midpoints of the intervals, s from the start of the log, shape (n,)."""
         return np.asarray((self.edges_s[1:] + self.edges_s[:-1]) / 2)
 
     def places(self, seconds: float) -> int:
-        """Intervals of a length of time."""
+        """Number of intervals of a length of time."""
         return int(seconds / self.dt_s)
 
     def rate_hz(self, name: str) -> float:
-        """Rate at which a signal is logged; 0: it is not."""
+        """Rate at which a signal is logged; 0: not logged."""
         return self.signals[name].rate_hz if name in self.signals else 0.0
 
     @cached_property
@@ -206,12 +206,12 @@ class FlightFrame:
         usual = frames_of(count)
         if not usual:
             return None
-        if airframe is not None:  # PX4 and ArduPilot number the motors of their first frame alike
+        if airframe is not None:  # PX4 and ArduPilot number the motors of the first frame alike
             return frame(usual[0])
         return max(map(frame, usual), key=self.turning_explained)
 
     def turning_explained(self, layout: Layout) -> float:
-        """Correlation, over roll, pitch and yaw, of what commands ask with how the body turns; at
+        """Correlation, over roll, pitch and yaw, of demanded moments with the body's rotation; at
         the best of some lags."""
         if self.drive is None or "gyro" not in self.grid:
             return 0.0
@@ -227,7 +227,7 @@ class FlightFrame:
 
     @cached_property
     def airborne(self) -> tuple[Airborne, ...]:
-        """Parts in the air, with where control was lost in them."""
+        """Parts in the air, with the loss of control in each."""
         joined: list[tuple[int, int]] = []
         for start, end in stretches_where(self._lifted()):
             if joined and start - joined[-1][1] < self.places(0.4):
@@ -243,7 +243,7 @@ class FlightFrame:
 
     @cached_property
     def above_ground_m(self) -> Array:
-        """Height over the ground where it took off and lands, between them linear since barometers
+        """Height over the ground of take-off and landing, linear between them since barometers
         drift, shape (n,); infinity where neither is in the log, or no height."""
         above, near = np.full(len(self.t_s), np.inf), self.places(GROUND_S)
         if "pos" not in self.grid:
@@ -259,7 +259,7 @@ class FlightFrame:
         return above
 
     def fall(self, start: int, end: int) -> tuple[float, int, int]:
-        """Longest fall that begins within places, by the specific force alone, from rest: its
+        """Longest fall that begins in a range of places, by the specific force only, from rest: its
         height, m, its first place and the place behind it; without one a height of 0."""
         if "acc" not in self.grid:
             return 0.0, start, start
@@ -272,12 +272,12 @@ class FlightFrame:
         return float(speed.sum() * self.dt_s), start + a, start + z
 
     def _falls_behind(self, end: int) -> bool:
-        """Whether it falls from where it is no longer driven."""
+        """Whether it falls after the end of the rotor commands."""
         near = self.places(0.5)
         return self.fall(max(end - near, 0), end + near)[0] > CLEAR_FALL_M
 
     def _lifted(self) -> NDArray[np.bool_]:
-        """Whether it may fly, by what drives it, else by height, else by how it shakes."""
+        """Whether it may fly, by its rotor signal, else by height, else by vibration."""
         if self.drive is not None:
             raised = lift(self.grid[self.drive]).mean(axis=1)
             raised = scipy.ndimage.uniform_filter1d(raised, max(self.places(0.5), 1))
@@ -294,7 +294,8 @@ class FlightFrame:
         return np.ones(len(self.t_s), dtype=bool)
 
     def _off_the_ground(self, start: int, end: int) -> tuple[int, int]:
-        """The part without moments in which the feet may touch: by height over its ends."""
+        """The part without moments in which the feet may touch the ground: by height over its
+        ends."""
         if "pos" not in self.grid:
             return start, end
         height = -self.grid["pos"][:, 2]
@@ -311,7 +312,8 @@ class FlightFrame:
         return start, end
 
     def _lost(self, start: int, end: int) -> tuple[int | None, int | None]:
-        """Where tilt or rates leave all that was flown before, and where it then hits something."""
+        """Places of a loss of control, with tilt or rates far beyond those before, and of the
+        subsequent impact."""
         bad = np.zeros(end - start, dtype=bool)
         if self.tilt_rad is not None:
             tilt = self.tilt_rad[start:end]
@@ -339,19 +341,19 @@ class FlightFrame:
 
 
 def layout_of(vehicle: Vehicle) -> Layout:
-    """Places and senses of a vehicle's rotors."""
+    """Positions and directions of a vehicle's rotors."""
     rotors = vehicle.rotors
     return Layout(rotors.position_m, rotors.direction, True, 0.0, "the vehicle file")
 
 
 def of_vehicle(flight: Flight, vehicle: Vehicle) -> Flight:
-    """The flight with the rotors of a vehicle file, whatever its log says of them."""
+    """The flight with the rotors of a vehicle file in place of those in its log."""
     known = Airframe() if flight.airframe is None else flight.airframe
     return replace(flight, airframe=replace(known, layout=layout_of(vehicle)))
 
 
 def misfit(flight: FlightFrame) -> str:
-    """Why the rotors of a flight are not those of the aircraft; "": they may be."""
+    """Reason why the rotors of a flight are not those of the aircraft; "": they may be."""
     layout = flight.layout
     usual = () if layout is None else frames_of(layout.count)
     if layout is None or not usual:
@@ -374,22 +376,22 @@ def lift(command: Array, curvature: float = LIFTING) -> Array:
 
 
 def moment_signs(layout: Layout) -> Array:
-    """What one unit of thrust of each rotor does, up to a positive factor per row: specific force
-    along z, angular acceleration about x, y, z (FRD). Shape (4, rotors)."""
+    """Effect of unit thrust of each rotor, up to a positive factor per row: specific force along z,
+    angular acceleration about x, y, z (FRD). Shape (4, rotors)."""
     x, y = layout.position[:, 0], layout.position[:, 1]
     return np.stack([-np.ones(layout.count), -y, x, -layout.direction])
 
 
 def _alike(asked: Array, turned: Array) -> float:
-    """Sum over the axes of the correlation of changes, of which none counts as far more than
-    usual: a crash says nothing."""
+    """Sum over the axes of the correlation of changes, each clipped to a usual size: a crash has no
+    influence."""
     a, b = _clipped(np.diff(asked, axis=0)), _clipped(np.diff(turned, axis=0))
     scale = np.sqrt((a**2).sum(axis=0) * (b**2).sum(axis=0))
     return float(np.sum((a * b).sum(axis=0) / np.maximum(scale, 1e-12)))
 
 
 def _clipped(changes: Array) -> Array:
-    """Changes, at most three robust deviations."""
+    """Changes clipped to three robust standard deviations."""
     most = 3 * 1.4826 * np.median(np.abs(changes), axis=0)
     return np.clip(changes, -most, most)
 
@@ -409,7 +411,7 @@ def binned(signal: Signal, edges_s: Array) -> Array:
 
 
 def _signals_of(flight: Flight) -> tuple[dict[str, Signal], list[str]]:
-    """Signals as logged, motion derived where it is not, and notes on that."""
+    """Logged signals, missing motion derived, and notes on that."""
     motion = measured_motion(flight, doubts=False)
     notes = [n for n in motion.notes if "derived" in n]
     found: dict[str, Signal | None] = {name: _signal(flight, c) for name, c in _SIGNALS.items()}
@@ -438,7 +440,7 @@ def _whole(signal: object) -> Signal | None:
 
 
 def _derived_force(flight: Flight) -> Signal:
-    """Specific force, body FRD, of an acceleration NED and an attitude in the same rows."""
+    """Specific force, body FRD, from acceleration NED and attitude in the same rows."""
     t_s, values = flight.signal((*ACC_NED, *QUAT))
     force = values[:, :3] - np.array([0.0, 0.0, GRAVITY_M_S2])
     return Signal(t_s, np.einsum("kij,ki->kj", rotations(values[:, 3:]), force))
@@ -453,7 +455,7 @@ def _motors(flight: Flight, stem: str) -> Signal | None:
 
 
 def _interval_s(signals: Mapping[str, Signal]) -> float:
-    """Interval of the grid: half the rate of the gyroscope, twice the rate of what drives it."""
+    """Interval of the grid: half the rate of the gyroscope, twice the rate of the rotor signal."""
     drive = signals.get("command", signals.get("rotor_speed"))
     rates = [2 * drive.rate_hz] if drive is not None else []
     rates += [signals["gyro"].rate_hz / 2] if "gyro" in signals else []

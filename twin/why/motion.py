@@ -1,4 +1,4 @@
-"""Events of the body: a rotor that fails, a mass that changes, a push, a gust; as records."""
+"""Events of the body as records: a failed rotor, a change of mass, a push, a gust."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -17,19 +17,20 @@ from .records import Amount, Candidate, Event, EvidenceSeries, NotVisible, Sever
 from .speeds import CHECKS, speed_of
 
 LEAST_S = 8.0
-"""Of a part in the air in which events of the body are looked for."""
+"""Shortest part in the air that is searched for events of the body."""
 STRETCH_S = 150.0
-"""Longer parts are looked into in stretches of this length, each with what came before."""
+"""Length of stretches into which longer parts are divided, each with preceding data."""
 SHOWN_S = (2.0, 1.5)
-"""Before and after an onset: what a page shows."""
+"""Times before and after an onset that a page displays."""
 LISTED = 0.02
-"""Least probability of an alternative that is said."""
+"""Smallest probability of a reported alternative."""
 REFINED_S, STEP_S, BEND_S = 0.15, 0.004, 0.05
-"""An onset is refined within so much, in such steps, by the rate so long before and after it."""
+"""Range and step of the refinement of an onset, and length of data before and after it for the
+rate."""
 
 
 def moved(frame: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
-    """What moved the body besides its commands."""
+    """Findings on what moved the body apart from its commands."""
     missing = [s for s in ("gyro", "acc") if s not in frame.grid]
     if frame.drive is None or frame.layout is None or missing:
         lacking = ", ".join(missing) or "motor commands whose rotors are known"
@@ -61,12 +62,12 @@ def moved(frame: FlightFrame, references: Sequence[FlightFrame] = ()) -> Finding
 
 
 def least_loss(nats: NDArray[np.float64], rate_hz: float) -> NotVisible:
-    """The least loss of a rotor that passes its level at half of the onsets, or at as many of them
-    as any does.
+    """The smallest loss of a rotor that passes its level at half of the onsets, or at as many as
+    any loss does.
 
     Args:
-        nats: Of `Competition.shown`, of all stretches.
-        rate_hz: Of the commands.
+        nats: Nats from `Competition.shown`, of all stretches.
+        rate_hz: Rate of the commands.
     """
     passes = (nats > 0).mean(axis=0) if len(nats) else np.zeros(len(LOSSES))
     share = min(0.5, float(passes.max()))
@@ -81,10 +82,10 @@ def least_loss(nats: NDArray[np.float64], rate_hz: float) -> NotVisible:
 
 
 def _least_gust(sizes: NDArray[np.float64]) -> Iterator[NotVisible]:
-    """The least gust that passes its level at half of the onsets, by the force that it brings.
+    """The smallest gust that passes its level at half of the onsets, by its force.
 
     Args:
-        sizes: Of `Competition.shown`, of all stretches, m/s^2.
+        sizes: Gusts from `Competition.shown`, of all stretches, m/s^2.
     """
     if len(sizes):
         reason = (
@@ -94,15 +95,15 @@ def _least_gust(sizes: NDArray[np.float64]) -> Iterator[NotVisible]:
 
 
 def _unseen(body: Body, first_s: float) -> Iterator[NotVisible]:
-    """Causes that a stretch does not show, and why."""
+    """Causes that a stretch does not show, and the reason."""
     begin, end = max(first_s, float(body.t_s[0])), float(body.t_s[-1])
     reason = f"from {begin:.0f} to {end:.0f} s {body.unanswered}"
     yield from (_hidden(cause, None, reason) for cause in CAUSES if cause != CUT)
 
 
 def _bodies(frame: FlightFrame) -> tuple[tuple[Body, float], ...]:
-    """Stretches of all parts in the air, and from when on events of each count, s; kept with the
-    frame, since two finders ask for them."""
+    """Stretches of all parts in the air, and the time from which events of each are counted, s;
+    cached with the frame, since two finders need them."""
     if "bodies" not in frame.cache:
         parts = [p for p in frame.airborne if (p.flown - p.start) * frame.dt_s >= LEAST_S]
         found = ((Body.of(frame, s), t) for p in parts for s, t in _stretches(frame, p))
@@ -111,12 +112,12 @@ def _bodies(frame: FlightFrame) -> tuple[tuple[Body, float], ...]:
 
 
 def misnumbered(frame: FlightFrame) -> bool:
-    """Whether the motors are numbered otherwise than was taken, or that is not known."""
+    """Whether the motors have other numbers than assumed, or that is not known."""
     return any(body.misnumbered for body, _ in _bodies(frame))
 
 
 def _stretches(frame: FlightFrame, part: Airborne) -> Iterator[tuple[Airborne, float]]:
-    """A part in pieces of at most `STRETCH_S`, each longer by what came before."""
+    """A part in stretches of at most `STRETCH_S`, each extended by preceding data."""
     length = (part.flown - part.start) * frame.dt_s
     count = max(1, int(np.ceil((length - BEFORE_S) / (STRETCH_S - BEFORE_S))))
     edges = np.linspace(part.start, part.flown, count + 1).astype(int)
@@ -129,7 +130,7 @@ def _stretches(frame: FlightFrame, part: Airborne) -> Iterator[tuple[Airborne, f
 
 
 def event_of(body: Body, onset: Onset) -> Event:
-    """An event of the competition as a record."""
+    """Record of an event of the competition."""
     name, (_, probability) = onset.name, onset.probabilities[0]
     onset_s = float(body.t_s[onset.place] - body.frame.dt_s / 2)
     if name.cause == ROTOR and len(name.rotors) == 1 and not name.grows:
@@ -175,8 +176,8 @@ def _alternatives(onset: Onset) -> tuple[Candidate, ...]:
 
 
 def refined_onset(body: Body, onset_s: float, rotor: int) -> float:
-    """When the body begins to turn away from a rotor: the sharpest bend of its rate along the
-    moment of the rotor, in the readings as logged."""
+    """Time at which the body begins to rotate away from a rotor: the sharpest bend of its rate
+    along the rotor's moment, in the logged readings."""
     gyro = body.frame.signals["gyro"]
     if gyro.rate_hz < 2 / BEND_S:
         return onset_s
@@ -190,7 +191,7 @@ def refined_onset(body: Body, onset_s: float, rotor: int) -> float:
 
 
 def _evidence(body: Body, onset_s: float) -> Iterator[EvidenceSeries]:
-    """Specific force and turning against what the commands ask for by the sound part."""
+    """Specific force and rotation, measured and expected from the commands by the normal part."""
     shown = (body.t_s > onset_s - SHOWN_S[0]) & (body.t_s < onset_s + SHOWN_S[1])
     t = tuple(body.t_s[shown].tolist())
     expected = body.expected()

@@ -1,16 +1,16 @@
-"""Noise of the channels of the body: what is white, what is slow, and what a step leaves in it.
+"""Noise of the body's channels: white noise, slow drift, and the response of both to a step.
 
     e_t = l_t + v_t,    l_t+1 = phi l_t + g_t v_t,    v_t ~ N(0, s^2 / weight_t)
 
-the innovations form of an ARMA(1,1): g = phi - theta. Where theta is zero it is an AR(1); a slow
-level under white noise has theta near phi, and a step then persists against it. Theta above phi,
-which noisy rates that are differentiated would ask for, is not among the laws: it adds up what a
-gain that is off by a tenth leaves. In a lively interval the level follows less, by the weight, so
-that an outlier is not carried on.
+the innovations form of an ARMA(1,1): g = phi - theta. With theta zero it is an AR(1); a slow level
+with white noise has theta near phi, and a step then persists relative to it. Theta above phi, which
+differentiated noisy rates would require, is not a candidate: it integrates the residual of a gain
+error of a tenth. In a lively interval the level follows less, by the weight, so that an outlier is
+not carried on.
 
-A column that begins at an onset is the whole column less what it was before. The filter is linear,
-so that its innovations are those of the whole column and a transient, the level at the onset times
-the products of theta since: sums over time and one sum from the end give all onsets at once.
+A column that begins at an onset is the whole column less its part before. The filter is linear, so
+its innovations are those of the whole column and a transient, the level at the onset times the
+products of theta since: sums over time and one sum from the end give all onsets at once.
 
 Source: Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, 1989, ch. 3 and 4.
 """
@@ -29,13 +29,13 @@ Places = NDArray[np.int64]
 """Numbers of intervals."""
 
 TEMPER = 0.5
-"""Share of the log evidence that is believed: intervals are neither Gaussian nor free of error."""
+"""Tempering of the log evidence: intervals are neither Gaussian nor free of error."""
 PHI = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.99)
-"""Of the level, among which is chosen."""
+"""Candidate values of phi, of the level."""
 THETA = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.97)
-"""Of the moving average, among which is chosen."""
+"""Candidate values of theta, of the moving average."""
 OUTLIER = 3.0
-"""Robust deviations at which an innovation is clipped when scales are compared."""
+"""Robust standard deviations at which an innovation is clipped when scales are compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +43,9 @@ class Law:
     """Noise of one channel.
 
     Attributes:
-        phi: See the module.
-        theta: See the module.
-        sd: Of an innovation.
+        phi: Autoregressive coefficient of the level.
+        theta: Moving-average coefficient.
+        sd: Standard deviation of an innovation.
     """
 
     phi: float
@@ -54,12 +54,12 @@ class Law:
 
     @classmethod
     def of(cls, left: Array, floor: float, phis: Sequence[float] = PHI) -> "Law":
-        """The law that leaves the least innovations.
+        """The law with the smallest innovations.
 
         Args:
-            left: What a regression leaves of a channel, shape (n,).
-            floor: Added to the deviation.
-            phis: Of the level, among which is chosen.
+            left: Residuals of a channel's regression, shape (n,).
+            floor: Addition to the standard deviation.
+            phis: Candidate values of phi.
         """
         laws = [(p, t) for p in phis for t in THETA if t <= p]
         slow = {t: lfilter([1.0], [1.0, -t], left) for t in THETA}
@@ -76,17 +76,17 @@ class Law:
 
 
 def _scales(innovations: Array) -> Array:
-    """Root of the mean square of clipped innovations, shape (laws, n), of each law."""
+    """Root mean square of clipped innovations, shape (laws, n), for each law."""
     most = OUTLIER * 1.4826 * np.median(np.abs(innovations), axis=1, keepdims=True)
     return np.asarray(np.sqrt(np.mean(np.clip(innovations, -most, most) ** 2, axis=1)))
 
 
 def _carried(keep: Array, given: Array) -> Array:
-    """Levels l_t+1 = keep_t l_t + given_t, from zero on, shape (n + 1, ...): a bidiagonal system.
+    """Levels l_t+1 = keep_t l_t + given_t from zero, shape (n + 1, ...): a bidiagonal system.
 
     Args:
-        keep: Shape (n,).
-        given: Shape (n, ...).
+        keep: Factors, shape (n,).
+        given: Inputs, shape (n, ...).
     """
     band = np.stack([np.ones(len(keep)), -np.append(keep[1:], 0.0)])
     level = solve_banded((1, 0), band, given.reshape(len(given), -1), check_finite=False)
@@ -95,18 +95,19 @@ def _carried(keep: Array, given: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Whitened:
-    """Columns of one channel as innovations in units of their deviation, and what truncates them.
+    """Columns of one channel as innovations in units of their standard deviation, with sums that
+    truncate them.
 
     Attributes:
         rows: Innovations, shape (n, k).
-        level: Of each column before each interval, shape (n + 1, k).
-        by_rows: Sum from each interval on of the transient that begins there times the rows,
-            shape (n + 1, k).
-        by_itself: The same times the transient, shape (n + 1,).
+        level: Level of each column before each interval, shape (n + 1, k).
+        by_rows: Sum from each interval on of the transient that begins there times the rows, shape
+            (n + 1, k).
+        by_itself: Sum from each interval on of the squared transient, shape (n + 1,).
         survives: Log of the product of the decays until each interval, shape (n + 1,).
-        decay: Share of the level that stays, shape (n,).
-        scale: Of an innovation, over its deviation, shape (n,).
-        phi: Of the law.
+        decay: Remaining share of the level, shape (n,).
+        scale: Scale of an innovation over its standard deviation, shape (n,).
+        phi: Coefficient phi of the law.
     """
 
     rows: Array
@@ -123,9 +124,9 @@ class Whitened:
         """Filter sets of columns.
 
         Args:
-            law: Of the noise.
-            weight: Of each interval, 0..1, shape (n,).
-            columns: Shape (n, sets, k).
+            law: Law of the noise.
+            weight: Weight of each interval, 0..1, shape (n,).
+            columns: Columns, shape (n, sets, k).
         """
         follow = (law.phi - law.theta) * weight
         decay, scale = law.phi - follow, np.sqrt(weight) / law.sd
@@ -159,8 +160,8 @@ class Whitened:
     def passing(
         self, joined: Array, column: int, onset: Places, over: Places, end: Places
     ) -> Array:
-        """Gram matrices with one column more: one that is there from the onset on until it is
-        over, shape (onsets, 2 k + 1, 2 k + 1)."""
+        """Gram matrices with one more column: one that is active from the onset until an end, shape
+        (onsets, 2 k + 1, 2 k + 1)."""
         k, level = self.rows.shape[1], self.level[over, column]
         by_rows, by_itself = self._transient(over, end)
         whole = (self.gram[end] - self.gram[over])[:, :, column] + by_rows * level[:, None]
@@ -172,16 +173,17 @@ class Whitened:
         return _joined(joined, pulse, itself)
 
     def pulsed(self, joined: Array, envelope: Array, onset: Places, end: Places) -> Array:
-        """Gram matrices with one column more: one that has a shape from the onset on, and is over.
+        """Gram matrices with one more column: one that has a given shape after the onset, and then
+        ends.
 
         Args:
-            joined: As of `joined`, shape (onsets, 2 k, 2 k).
+            joined: Gram matrices as from `joined`, shape (onsets, 2 k, 2 k).
             envelope: The shape, shape (steps,).
-            onset: Shape (onsets,).
-            end: Shape (onsets,).
+            onset: Places of the onsets, shape (onsets,).
+            end: Ends of the data, shape (onsets,).
 
         Returns:
-            Shape (onsets, 2 k + 1, 2 k + 1).
+            Gram matrices, shape (onsets, 2 k + 1, 2 k + 1).
         """
         steps = np.arange(len(envelope))[:, None]
         at = np.minimum(onset + steps, len(self.rows) - 1)
@@ -203,17 +205,17 @@ class Whitened:
     def growing(
         self, joined: Array, columns: Array, over: float, onset: Places, end: Places
     ) -> Array:
-        """Gram matrices with more columns: some that grow from zero at the onset on.
+        """Gram matrices with more columns: those that grow from zero at the onset.
 
         Args:
-            joined: As of `joined`, shape (onsets, 2 k, 2 k).
-            columns: As they are when they have grown, shape (n, m).
-            over: Intervals in which they grow.
-            onset: Shape (onsets,).
-            end: Shape (onsets,).
+            joined: Gram matrices as from `joined`, shape (onsets, 2 k, 2 k).
+            columns: Fully grown columns, shape (n, m).
+            over: Number of intervals in which they grow.
+            onset: Places of the onsets, shape (onsets,).
+            end: Ends of the data, shape (onsets,).
 
         Returns:
-            Shape (onsets, 2 k + m, 2 k + m).
+            Gram matrices, shape (onsets, 2 k + m, 2 k + m).
         """
         steps = np.arange(int((end - onset).max()))[:, None]
         at = np.minimum(onset + steps, len(self.rows) - 1)
@@ -240,7 +242,7 @@ class Whitened:
 
 
 def _joined(gram: Array, column: Array, itself: Array) -> Array:
-    """Gram matrices, shape (n, m, m), with one column more: its products with the others, shape (n,
+    """Gram matrices, shape (n, m, m), with one more column: its products with the others, shape (n,
     m), and with itself, shape (n,)."""
     top = np.concatenate([gram, column[:, :, None]], axis=2)
     return np.concatenate([top, np.append(column, itself[:, None], axis=1)[:, None]], axis=1)

@@ -1,4 +1,4 @@
-"""What is said of a flight: events, steady findings and a timeline, as records.
+"""Records of a diagnosis: events, lasting findings and a timeline.
 
 The keys `verdict`, `probability`, `events`, `one_of_causes`, `loss_of_control_s`, `crash_s` and
 `not_visible` are the form in which labelled flights are scored.
@@ -21,18 +21,18 @@ Kind = Literal[
     "crash",
     "note",
 ]
-"""Of an item of the timeline."""
+"""Kind of an item of the timeline."""
 
 
 class Severity(Struct, frozen=True, kw_only=True):
-    """How much, with its 90 % interval.
+    """Size of an event, with its 90 % interval.
 
     Attributes:
-        quantity: What the number is: "thrust_lost", "added_mass_share", ...
+        quantity: Quantity of the numbers: "thrust_lost", "added_mass_share", ...
         value: Posterior median.
         low: Lower end of the interval.
-        high: Upper end.
-        unit: Of the numbers, "1" for a share.
+        high: Upper end of the interval.
+        unit: Unit of the numbers, "1" for a share.
     """
 
     quantity: str
@@ -46,9 +46,9 @@ class Candidate(Struct, frozen=True, kw_only=True):
     """A cause that competes with others.
 
     Attributes:
-        cause: Its name.
-        rotor: Numbers of its rotors from 1; null: of no rotor.
-        probability: Of it, among all that compete.
+        cause: Name of the cause.
+        rotor: Numbers of its rotors, from 1; null: of no rotor.
+        probability: Probability of the cause, among all that compete.
     """
 
     cause: str
@@ -57,14 +57,14 @@ class Candidate(Struct, frozen=True, kw_only=True):
 
 
 class EvidenceSeries(Struct, frozen=True, kw_only=True):
-    """A signal about an event, as a page draws it.
+    """A signal around an event, as drawn on a page.
 
     Attributes:
-        name: What the numbers are.
-        unit: Of the values.
+        name: Name of the signal.
+        unit: Unit of the values.
         t_s: Times, s from the start of the log.
-        measured: Values.
-        expected: What they were without the event, by what came before it; null: not known.
+        measured: Measured values.
+        expected: Expected values without the event, from data before it; null: not known.
     """
 
     name: str
@@ -75,19 +75,19 @@ class EvidenceSeries(Struct, frozen=True, kw_only=True):
 
 
 class Event(Struct, frozen=True, kw_only=True):
-    """Something that went wrong, at an instant or during the whole flight.
+    """A fault, at an instant or during the whole flight.
 
     Attributes:
-        cause: Its name.
-        rotor: Numbers of its rotors from 1; null: of no rotor.
-        sensor: Of which instrument: "gyro_x", "baro"; null: of none.
-        onset_s: From the start of the log; null: it was there all the time.
-        severity: How much; null: not known.
-        probability: Of this cause, among all that compete.
-        alternatives: What else it could be, the most probable first.
-        consequence: Whether something that began earlier explains it.
-        text: What happened, as a sentence.
-        bench_check: What to check on the bench; "": nothing.
+        cause: Name of the cause.
+        rotor: Numbers of its rotors, from 1; null: of no rotor.
+        sensor: Instrument: "gyro_x", "baro"; null: none.
+        onset_s: Onset, s from the start of the log; null: it lasted throughout.
+        severity: Size; null: not known.
+        probability: Probability of this cause, among all that compete.
+        alternatives: Other possible causes, the most probable first.
+        consequence: Whether an earlier event explains it.
+        text: Description of the event, a sentence.
+        bench_check: Check on the bench; "": none.
         evidence: Signals that show it.
     """
 
@@ -105,13 +105,13 @@ class Event(Struct, frozen=True, kw_only=True):
 
 
 class TimelineItem(Struct, frozen=True, kw_only=True):
-    """Something that happened, on the time axis of the events.
+    """An item on the time axis of the events.
 
     Attributes:
-        kind: Of what kind.
-        t_s: When, s from the start of the log.
-        end_s: Its end; null: it is an instant.
-        text: What.
+        kind: Kind of the item.
+        t_s: Time, s from the start of the log.
+        end_s: End, s from the start of the log; null: it is an instant.
+        text: Description of the item.
     """
 
     kind: Kind
@@ -124,8 +124,8 @@ class Amount(Struct, frozen=True, kw_only=True):
     """A size.
 
     Attributes:
-        value: Null: no size is known that would have been detected.
-        unit: Of the value, "1" for a share.
+        value: Value; null: no size is known that would have been detected.
+        unit: Unit of the value, "1" for a share.
     """
 
     value: float | None
@@ -136,11 +136,12 @@ class NotVisible(Struct, frozen=True, kw_only=True):
     """A cause that the log would not show below a size.
 
     Attributes:
-        cause: Its name.
-        smallest_detectable: Size that would have been found; of a rotor at half of the instants.
-        reason: Why smaller ones do not show.
-        share: Of the instants at which that size shows, of a rotor that shows at less than half of
-            them; else null.
+        cause: Name of the cause.
+        smallest_detectable: Smallest size that would have been detected; for a rotor at half of the
+            instants.
+        reason: Reason why smaller ones are not visible.
+        share: Share of the instants at which that size is detected, for a rotor that is detected at
+            less than half of them; else null.
     """
 
     cause: str
@@ -150,22 +151,23 @@ class NotVisible(Struct, frozen=True, kw_only=True):
 
 
 class Diagnosis(Struct, frozen=True, kw_only=True):
-    """Why a flight went wrong.
+    """Diagnosis of a flight.
 
     Attributes:
-        flight: Its name.
+        flight: Name of the flight.
         verdict: Whether something was found, nothing was, or the log cannot tell.
-        probability: Of the verdict; of `cannot_tell`, that something went wrong that the log can
-            show.
-        text: The answer as a sentence.
-        events: First causes first, in order of time; what was there all the time comes last.
-        one_of_causes: Causes of one change that the flight does not tell apart; else empty.
-        loss_of_control_s: When tilt or rates left all that was flown; null: they did not.
-        crash_s: When it hit something after that, or after a cut of commands; null: it did not.
-        timeline: What happened besides, in order of time.
-        not_visible: What the log would not have shown.
+        probability: Probability of the verdict; for `cannot_tell`, that there was a fault of a kind
+            that the log can show.
+        text: The result as a sentence.
+        events: Events in order of time, first causes first; lasting ones come last.
+        one_of_causes: Causes of one change that the flight does not separate; else empty.
+        loss_of_control_s: Time of the loss of control, when tilt or rates exceeded all before;
+            null: none.
+        crash_s: Time of the impact after that, or after a cut of commands; null: none.
+        timeline: Other items, in order of time.
+        not_visible: Changes that the log would not have shown.
         airborne_s: Time in the air.
-        notes: What was assumed, and what the log lacks.
+        notes: Notes on assumptions and missing signals.
     """
 
     flight: str

@@ -1,8 +1,8 @@
-"""Rules of one line about failed rotors: what a method has to beat, and stands next to it.
+"""Simple rules for failed rotors, as a baseline for the diagnosis.
 
 Neither is a detector: the first fires in most normal flights that turn or brake, the second always.
-They need nothing but the commands, know no probability, and are right surprisingly often when it is
-known that a rotor has failed.
+They need only the commands, have no probability, and are often right when it is known that a rotor
+has failed.
 """
 
 from dataclasses import dataclass
@@ -12,20 +12,20 @@ import numpy as np
 from .flight import Array, FlightFrame
 
 PARTED = 0.15
-"""Of the range of a command: 150 us of pulse width."""
+"""Difference over the range of a command: 150 us of pulse width."""
 SETTLED_S = 6.0
-"""Of flight, before which outputs may part."""
+"""Flight time before which differences are ignored, s."""
 FLIES = 0.15
-"""Command from which on all motors lift: 1150 us."""
+"""Command from which all motors lift: 1150 us."""
 
 
 @dataclass(frozen=True, slots=True)
 class RuleReading:
-    """What a rule reads.
+    """Result of a rule.
 
     Attributes:
-        rotor: Number from 1.
-        t_s: When, s; None: it knows no time.
+        rotor: Number of the rotor, from 1.
+        t_s: Time, s; None: the rule has no time.
     """
 
     rotor: int
@@ -33,14 +33,14 @@ class RuleReading:
 
 
 def parted(t_s: Array, command: Array) -> RuleReading | None:
-    """When the outputs part by 150 us after six seconds of flight, the highest is the failed rotor.
+    """Rotor with the highest output when the outputs differ by 150 us after six seconds of flight.
 
     Args:
         t_s: Times, shape (n,).
-        command: Of each motor over its range, shape (n, rotors).
+        command: Command of each motor over its range, shape (n, rotors).
 
     Returns:
-        None where they do not part.
+        None where they do not differ.
     """
     flying = np.flatnonzero(command.min(axis=1) > FLIES)
     if not len(flying):
@@ -53,7 +53,7 @@ def parted(t_s: Array, command: Array) -> RuleReading | None:
 
 
 def parted_outputs(flight: FlightFrame) -> RuleReading | None:
-    """`parted` of the commands as logged; None without them."""
+    """Result of `parted` for the logged commands; None without them."""
     if flight.drive != "command":
         return None
     command = flight.signals["command"]
@@ -61,10 +61,10 @@ def parted_outputs(flight: FlightFrame) -> RuleReading | None:
 
 
 def highest_mean(flight: FlightFrame) -> RuleReading | None:
-    """The rotor with the highest mean command in the air is the weak one; without a time.
+    """Rotor with the highest mean command in the air; without a time.
 
     Returns:
-        None without commands, or where nothing flies.
+        None without commands, or without flight.
     """
     if flight.drive is None or not flight.airborne:
         return None

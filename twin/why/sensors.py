@@ -1,8 +1,7 @@
-"""Sensors and state estimate: which of them began to disagree with the others, and when.
+"""Faults of sensors and state estimate, by disagreement with other instruments, and their onset.
 
-By their `disagreements`; readings that stand still, or are missing, are seen in themselves. A step
-that the estimator puts into its own output, and says so, is taken out of them. No motor command is
-needed.
+By their `disagreements`; frozen or missing readings are detected on their own. Steps that the
+estimator makes in its own output and reports are removed. No motor command is needed.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -40,26 +39,26 @@ from .records import Amount, Candidate, Event, EvidenceSeries, NotVisible, Sever
 Array = NDArray[np.float64]
 
 CLEAR_S, LANDING_S = 1.0, 3.0
-"""After the aircraft is clear of the ground, and before it comes near it again."""
+"""Times after take-off and before landing that are not used."""
 TOGETHER_S = 1.0
-"""Changes that begin so close to each other are of one cause: the windows of residuals differ."""
+"""Largest distance of onsets of one cause: the windows of residuals differ."""
 FOLLOWS_S = 10.0
-"""An estimator takes so long to settle after a jump or a wrong reading: EKF2 and EKF3 reset after 5
-to 10 s of rejected measurements."""
+"""Settling time of an estimator after a jump or a wrong reading: EKF2 and EKF3 reset after 5 to 10
+s of rejected measurements."""
 AROUND_S = 8.0
-"""Drawn before and after an onset."""
+"""Times before and after an onset that are drawn."""
 MOST_POINTS = 240
-"""Of a signal that is drawn."""
+"""Largest number of points of a drawn signal."""
 
 
 SELF_EVIDENT = ("stuck_sensor", "sensor_dropout")
-"""Causes that are seen in the reading itself, without another instrument."""
+"""Causes that are visible in the reading itself, without another instrument."""
 OF_ESTIMATE = ("attitude_estimate", "velocity_estimate", "position_estimate")
-"""Causes that are of no instrument."""
+"""Causes that belong to the estimate, not to an instrument."""
 
 
 def sensors(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
-    """Events of sensors and state estimate in the air, each against the flight's own past."""
+    """Events of sensors and state estimate in the air, each relative to the flight's own past."""
     events: list[Event] = []
     hidden: dict[str, NotVisible] = {}
     for part in flight.airborne:
@@ -85,7 +84,7 @@ def part_events(flight: FlightFrame, part: Airborne) -> tuple[list[Residual], li
 
 
 def _then_reset(event: Event, resets: Sequence[Reset]) -> Event:
-    """An error of the estimate with the reset that ends it, if the autopilot reports one."""
+    """An error of the estimate, with the reset that ends it if the autopilot reports one."""
     if event.cause not in OF_ESTIMATE:
         return event
     of = STEPPED_BY[event.cause]
@@ -102,11 +101,11 @@ def _budget(residuals: Sequence[Residual]) -> FalseAlarmBudget:
 
 
 def grouped(events: Sequence[Event]) -> list[Event]:
-    """Each cause of a sensor once; what follows from another event marked as its consequence.
+    """Each cause of a sensor once; consequences of another event are marked as such.
 
-    What begins within `TOGETHER_S` of the first is of one cause: a reading that stands still, or is
-    missing, is evidence of itself and comes first, then the most probable one. What begins within
-    `FOLLOWS_S` after that, or after what follows from it, is a consequence.
+    Changes that begin within `TOGETHER_S` of the first have one cause: a frozen or missing reading
+    is evident and comes first, then the most probable one. Changes that begin within `FOLLOWS_S`
+    after that, or after its consequences, are consequences.
     """
     left = sorted(events, key=_onset)
     found: list[Event] = []
@@ -129,7 +128,7 @@ def _onset(event: Event) -> float:
 
 
 def _chain(events: Sequence[Event], first: Event) -> list[Event]:
-    """Events that begin not much later than the first, or than one of the chain."""
+    """Events that begin shortly after the first, or after another one of the chain."""
     until, chain = max(_onset(events[0]), _onset(first)), []
     for e in events:
         if e is not first and _onset(e) - until <= FOLLOWS_S:
@@ -139,8 +138,8 @@ def _chain(events: Sequence[Event], first: Event) -> list[Event]:
 
 
 def _hidden(residuals: Sequence[Residual], budget: FalseAlarmBudget) -> dict[str, NotVisible]:
-    """Of each lasting cause, the smallest change that the worst axis or quantity would have shown,
-    over the usual one."""
+    """For each lasting cause, the smallest change that the worst axis or quantity would have shown,
+    relative to the usual one."""
     least: dict[tuple[str, str, str], tuple[float, Residual]] = {}
     for r in residuals:
         key, size = (r.lasting, r.sensor, r.quantity), smallest_detectable(r, budget)
@@ -154,7 +153,7 @@ def _hidden(residuals: Sequence[Residual], budget: FalseAlarmBudget) -> dict[str
 
 
 def _not_visible(cause: str, size: float, r: Residual) -> NotVisible:
-    """A change that would not have shown; of any size where none is possible that would."""
+    """A change that would not have been visible; of any size where no possible one would."""
     if not size <= r.largest:
         reason = "the instruments differ by more than any such change anyhow"
         if np.isinf(size):
@@ -186,7 +185,7 @@ def _of_change(change: Change) -> Event:
 
 
 def _plain(r: Residual, size: float) -> float:
-    """A size as people read it: noise is a ratio, of which the residual is the logarithm."""
+    """A size in printed form: noise is a ratio, of which the residual is the logarithm."""
     return float(np.exp(size)) if r.quantity == "noise_ratio" else size
 
 
@@ -224,7 +223,7 @@ def _size(severity: Severity) -> str:
 
 
 def _drawn(change: Change) -> tuple[EvidenceSeries, ...]:
-    """The reading with what the other instrument asks for, and their difference."""
+    """The reading with the prediction of the other instrument, and their difference."""
     r = change.residual
     near = np.abs(r.t_s - change.onset_s) <= AROUND_S
     near &= np.isfinite(r.difference) & np.isfinite(r.reading)
@@ -252,15 +251,15 @@ _READINGS: Mapping[str, tuple[str, Sequence[str], float]] = {
     "mag": ("compass", MAG, 3.0),
     "baro": ("barometer", ("baro_pa",), 5.0),
 }
-"""Sensors that may stick: words, columns, and the least time, s, of a frozen reading."""
+"""Sensors that may freeze: words, columns, and the shortest time, s, of a frozen reading."""
 
 
 def frozen(signals: Signals, budget: FalseAlarmBudget) -> Iterator[Event]:
-    """Readings that stay exactly the same for longer than chance repeats them.
+    """Readings that are exactly constant for longer than chance repetition explains.
 
-    A reading repeats its predecessor with the frequency that is counted in the flight; a run of
-    them is so much the rarer. One that stays at the largest magnitude of the flight is clipped, not
-    stuck, and left out, unless it is the only reading of the flight.
+    The frequency of repeated readings is counted in the flight; a run of them is correspondingly
+    rare. A reading constant at the largest magnitude of the flight is clipped, not frozen, and
+    ignored, unless it is the only reading of the flight.
     """
     for name, (words, columns, least_s) in _READINGS.items():
         if name in signals:
@@ -274,9 +273,9 @@ def frozen(signals: Signals, budget: FalseAlarmBudget) -> Iterator[Event]:
 
 
 def _unknown(signals: Signals, name: str) -> NDArray[np.bool_]:
-    """Axes, shape (k,), whose only reading proves no fault: a recorder fills with 0 what it does
-    not measure, and without noise what does not turn stands still. Gyroscope and accelerometer
-    that read 0 on all axes while the body turns are at fault."""
+    """Axes, shape (k,), with a single reading that proves no fault: a recorder writes 0 for
+    unmeasured signals, and without noise a body at rest has constant readings. Gyroscope and
+    accelerometer that read 0 on all axes while the body rotates are at fault."""
     values = signals[name].values
     still = np.ptp(values, axis=0) == 0.0
     others = [signals[n].values for n in ("q", "gyro", "mag") if n != name and n in signals]
@@ -289,7 +288,7 @@ def _unknown(signals: Signals, name: str) -> NDArray[np.bool_]:
 def _standing(
     signal: Signal, k: int, least_s: float, budget: FalseAlarmBudget
 ) -> tuple[float, float, float] | None:
-    """Begin, length and probability of the first frozen stretch of a reading; None without one."""
+    """Start, length and probability of the first frozen stretch of a reading; None without one."""
     t, v = signal.t_s, signal.values[:, k]
     same, top = np.diff(v) == 0.0, np.abs(v).max() if np.ptp(v) > 0.0 else np.inf
     runs = stretches_where(same)
@@ -303,8 +302,7 @@ def _standing(
 
 
 def missing(signals: Signals, end_s: float) -> Iterator[Event]:
-    """Sensors of which no sample comes for a second and twenty of their periods, while others
-    do."""
+    """Sensors without a sample for a second and twenty of their periods, while others have some."""
     for name, (words, _, _) in _READINGS.items():
         if name not in signals:
             continue

@@ -1,10 +1,10 @@
-"""Specific force across the thrust: it knows of air and ropes, not of rotors.
+"""Specific force across the thrust: it shows air and ropes, not rotors.
 
     y_a = -k v_a + R_a^T w + b + e_a,    a = x, y of the body
 
-k: drag per mass; v: velocity; w: wind times drag, constant in the world; e: `noise`. Where velocity
-or attitude is not logged, offset and noise alone. A force or a gust that begins at an onset adds a
-constant; a rotor that fails does not.
+k: drag per mass; v: velocity; w: wind times drag, constant in NED; e: `noise`. Where velocity or
+attitude is not logged, only offset and noise. A force or a gust that begins at an onset adds a
+constant; a failed rotor does not.
 """
 
 from collections.abc import Sequence
@@ -21,21 +21,22 @@ from .flight import Array, rotations
 from .noise import PHI, TEMPER, Places, Whitened
 
 FLOOR_M_S2 = 0.005
-"""Least deviation of an innovation."""
+"""Least standard deviation of an innovation."""
 SLOW_PHI = (*PHI, 0.998)
-"""Of the level, among which is chosen: wind changes over tens of seconds."""
+"""Candidate values of phi: wind changes over tens of seconds."""
 MOVING_SD = (1.0, 3.0, 3.0)
-"""Of drag per mass, 1/s, and of what the wind does north and east, m/s^2."""
+"""Standard deviations of drag per mass, 1/s, and of the wind terms north and east, m/s^2."""
 OFFSET_SD_M_S2, TRIM_SD_M_S2 = 1.0, 0.007 * GRAVITY_M_S2
-"""Of the offset, and of its change at any onset, as along z."""
+"""Standard deviations of the offset, and of its change at any onset, as along z."""
 STEP_SD_M_S2 = 0.15 * GRAVITY_M_S2
-"""Of a sudden force per mass, as along z."""
+"""Standard deviation of a sudden force per mass, as along z."""
 WITH_ROTOR = np.log((0.8, 0.1, 0.1))
-"""A rotor may fail with nothing, a force or a gust across the thrust: what takes it may push as
-well, and a body that tumbles meets the air in another way."""
+"""Log prior that a rotor fails alone, with a force or with a gust across the thrust: its cause may
+push as well, and a tumbling body has another drag."""
 COINCIDENT = np.array([0.0, CAUSES[PUSH].log_odds, CAUSES[BLOW].log_odds])
 COINCIDENT -= logsumexp(COINCIDENT)
-"""The same of a mass, or of all rotors: two causes at one instant."""
+"""Log prior that a change of mass, or of all rotors, is alone or with a second cause at the same
+instant."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +72,8 @@ class Sideways:
     def evidence(
         self, start: Places, onset: Places, end: Places, gusts_s: Sequence[float]
     ) -> tuple[Array, Array, Array]:
-        """Log evidence of nothing, of a force that lasts, and of 1-cosine gusts as large as
-        constant ones of such lengths, shape (onsets,), (onsets,), (onsets, gusts)."""
+        """Log evidence of no event, of a permanent force, and of 1-cosine gusts with the impulse of
+        constant ones of given lengths, shape (onsets,), (onsets,), (onsets, gusts)."""
         still, lasting = np.zeros(len(onset)), np.zeros(len(onset))
         passing = np.zeros((len(onset), len(gusts_s)))
         shapes = [one_cosine(max(self.body.places(s), 1)) for s in gusts_s]
@@ -88,8 +89,8 @@ class Sideways:
     def least_gust(
         self, start: Places, onset: Places, end: Places, over_s: float, nats: float
     ) -> Array:
-        """Specific force of the 1-cosine gust, as large as a constant one of a length, that would
-        have so many nats over nothing, along the axis that shows it least, m/s^2, shape
+        """Specific force of the 1-cosine gust, with the impulse of a constant one of a length, that
+        would have a number of nats over no event, along the least sensitive axis, m/s^2, shape
         (onsets,)."""
         shape, prior, known = one_cosine(max(self.body.places(over_s), 1)), STEP_SD_M_S2**-2, []
         for axis in self._axes:
@@ -103,7 +104,7 @@ class Sideways:
         return np.asarray((np.sqrt(2 * asked * (each + prior)) / each).max(axis=0))
 
     def unchanged(self, start: Places, end: Places) -> Array:
-        """Log evidence that not even the offset changes, shape (onsets,)."""
+        """Log evidence of no change, not even of the offset, shape (onsets,)."""
         return np.asarray(
             sum(
                 _marginal(axis.gram[end] - axis.gram[start], axis.rows.shape[1] - 2, [])
@@ -113,15 +114,15 @@ class Sideways:
 
 
 def one_cosine(places: int) -> Array:
-    """The 1-cosine gust: it rises and falls within twice so many intervals, so that it is as large
-    as a constant one of that length, shape (steps,). Source: MIL-F-8785C, 3.7.3."""
+    """The 1-cosine gust: it rises and falls within twice the number of intervals, so that it has
+    the impulse of a constant one of that length, shape (steps,). Source: MIL-F-8785C, 3.7.3."""
     phase = np.pi * (np.arange(2 * places) + 0.5) / places
     return np.asarray(0.5 * (1 - np.cos(phase)))
 
 
 def alongside(each: tuple[Array, Array, Array], log_odds: Array) -> Array:
-    """Log evidence of the axes over nothing there, where something else happens to the body, shape
-    (onsets,): by that of nothing, of a force and of gusts, and their log odds."""
+    """Log evidence of the axes over no event, where another cause acts on the body, shape
+    (onsets,): from that of no event, of a force and of gusts, and their log odds."""
     still, lasting, passing = each
     blown = logsumexp(passing, axis=1) - np.log(passing.shape[1])
     either = np.stack([still, lasting, blown]) + log_odds[:, None]
@@ -133,10 +134,11 @@ def _changed(gram: Array, one: int, changes: Sequence[float], last: int) -> tupl
     with a column, shapes (onsets, n, n) and (onsets, n, 1).
 
     Args:
-        gram: Of the columns as in `Whitened.joined` or `passing`, shape (onsets, m, m).
-        one: Place of the constant.
-        changes: Deviation of what begins at the onset, and of a blow.
-        last: Place of the column.
+        gram: Gram matrices of the columns as in `Whitened.joined` or `passing`, shape (onsets, m,
+            m).
+        one: Index of the constant.
+        changes: Standard deviation of a step at the onset, and of a blow.
+        last: Index of the column.
     """
     k = one + 2
     sd = _deviations(one, changes)

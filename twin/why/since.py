@@ -1,8 +1,7 @@
-"""What a vehicle file adds: places of the rotors, mass, and what was usual when it was calibrated.
+"""Use of a vehicle file: positions of the rotors, mass, and reference values of its calibration.
 
-The mean residuals of the twin, up to a sudden event, are held against those of the calibration, by
-the law of `explain --since`; what a log knows per mass or per thrust is then in kilograms or
-newtons.
+The mean residuals of the twin, up to a sudden event, are compared with those of the calibration, by
+the law of `explain --since`; sizes per mass or per thrust are then in kilograms or newtons.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,16 +21,16 @@ from .flight import FlightFrame, misfit
 from .records import Event, Severity
 
 CALM_S = 3.0
-"""Left out after take-off, and before landing or a loss of control."""
+"""Time after take-off, and before landing or a loss of control, that is not used."""
 LEAST_S = 8.0
-"""Of a part whose means are compared."""
+"""Shortest part whose means are compared."""
 
 
 class SinceCalibration:
-    """What has changed since a vehicle was calibrated.
+    """Changes since a vehicle was calibrated.
 
     Attributes:
-        vehicle: The file; without a calibration nothing was usual.
+        vehicle: Vehicle of the file; without a calibration there are no reference values.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -41,8 +40,8 @@ class SinceCalibration:
         """Balance of forces and moments, and notes on the file.
 
         Args:
-            flight: With the rotors of the file.
-            until_s: When something sudden began; infinity: nothing did.
+            flight: Flight with the rotors of the file.
+            until_s: Start of a sudden event; infinity: none.
         """
         known, name = self.vehicle.calibration, self.vehicle.name
         found, note = Findings(), misfit(flight)
@@ -57,10 +56,10 @@ class SinceCalibration:
         return replace(found, notes=(note,))
 
     def _balance(self, flight: FlightFrame, until_s: float) -> Findings:
-        """Of the longest part under control, before something sudden.
+        """Balance of the longest part under control, before a sudden event.
 
         Raises:
-            LogError: It does not show the balance.
+            LogError: The part does not determine the balance.
         """
         spans = [(flight.t_s[p.start], flight.t_s[p.flown - 1]) for p in flight.airborne]
         calm = [(a + CALM_S, min(b, until_s) - CALM_S) for a, b in spans]
@@ -76,7 +75,7 @@ class SinceCalibration:
         return findings_of(balance_of(trim, normal, SURE), "at the calibration", "kg")
 
     def sized(self, events: Sequence[Event]) -> tuple[Event, ...]:
-        """Events whose sizes are in newtons and kilograms."""
+        """Events with sizes in newtons and kilograms."""
         return tuple(self._sized(events))
 
     def _sized(self, events: Sequence[Event]) -> Iterator[Event]:

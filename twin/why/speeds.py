@@ -1,12 +1,12 @@
-"""Speed against thrust: where rotor speeds are logged beside commands, whether the speed of a rotor
-that loses thrust falls with it.
+"""Speed against thrust: whether the speed of a rotor that loses thrust falls with it, where rotor
+speeds are logged as well as commands.
 
     n_i = a_i + b_i c_i * lag + v
 
-learned from the seconds before an onset, by rotor. A motor, its speed controller or its supply
-lose speed; a propeller that breaks or slips loses thrust at a speed that stays, or rises, since it
-takes less torque. Thrust goes with the square of the speed: a loss d by the motor takes
-1 - sqrt(1 - d) of the speed.
+learned for each rotor from the seconds before an onset. With a fault of motor, speed controller or
+supply the speed falls; with a broken or slipping propeller thrust falls at constant or rising
+speed, since its torque is smaller. Thrust is proportional to the square of the speed: a loss d by
+the motor reduces the speed by 1 - sqrt(1 - d).
 """
 
 from dataclasses import dataclass
@@ -19,24 +19,24 @@ from scipy.signal import lfilter
 from .flight import Array, FlightFrame
 
 BEFORE_S, SETTLES_S, AFTER_S = 20.0, 0.3, 3.0
-"""Before an onset, by which the speed by command is learned; after it, from when and until when it
-is compared."""
+"""Time before an onset for learning the speed by command; times after it from and until which it is
+compared."""
 LAGS_S = (0.0, 0.02, 0.04, 0.08, 0.15)
-"""Of the speed behind the command, among which is chosen."""
+"""Candidate lags of the speed behind the command."""
 SHARE = (0.3, 0.7)
-"""Of the fall that the loss of thrust would ask for: below the first the speed stays, above the
-second it falls with the thrust; between them it is not said."""
+"""Share of the expected drop of speed: below the first the speed is constant, above the second it
+falls with the thrust; between them nothing is reported."""
 LEAST = 3.0
-"""Deviations by which the two have to differ for anything to be told."""
+"""Standard deviations by which the two must differ for a conclusion."""
 
 
 @dataclass(frozen=True, slots=True)
 class Speed:
-    """What the speed of a rotor does at an onset.
+    """Change of a rotor's speed at an onset.
 
     Attributes:
-        lost: Share of the speed that its command asks for.
-        sd: Deviation of that, by the other rotors and by the seconds before.
+        lost: Lost share of the speed that corresponds to its command.
+        sd: Standard deviation of that share, by the other rotors and by the seconds before.
         tells: "motor", "propeller", or "" where that is not clear.
     """
 
@@ -52,20 +52,20 @@ CHECKS = {
     "the motor.",
     "": "",
 }
-"""What the speed says, for the bench."""
+"""Bench check by the faulty part."""
 
 
 def speed_of(flight: FlightFrame, rotor: int, onset_s: float, thrust_lost: float) -> Speed | None:
-    """What the speed of a rotor does when it loses thrust.
+    """Change of a rotor's speed when it loses thrust.
 
     Args:
-        flight: With commands and speeds.
-        rotor: From 1.
-        onset_s: When it loses thrust, s.
-        thrust_lost: Share that it loses.
+        flight: Flight with commands and speeds.
+        rotor: Number of the rotor, from 1.
+        onset_s: Time of the loss of thrust, s.
+        thrust_lost: Lost share of thrust.
 
     Returns:
-        None where commands or speeds are not logged, or too little is known.
+        None where commands or speeds are not logged, or the data are insufficient.
     """
     if not {"command", "rotor_speed"} <= flight.grid.keys():
         return None
@@ -89,7 +89,7 @@ def speed_of(flight: FlightFrame, rotor: int, onset_s: float, thrust_lost: float
 
 
 def _expected(command: Array, speed: Array, before: NDArray[np.bool_], dt_s: float) -> Array:
-    """Speed by command: a straight line of each rotor before the onset, at the best lag."""
+    """Speed by command: a straight line for each rotor before the onset, at the best lag."""
     found: dict[float, Array] = {}
     for lag in LAGS_S:
         k = 1 - np.exp(-dt_s / lag) if lag else 1.0

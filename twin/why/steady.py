@@ -1,10 +1,9 @@
-"""What is there during the whole flight: the balance of the rotors, tilt of the board, compass,
-battery.
+"""Lasting states of a whole flight: balance of the rotors, tilt of the board, compass, battery.
 
-A rotor that has lost thrust, a load at a place and a centre of mass that moved ask the rotors for
-more, each in its own pattern over thrust, roll, pitch and yaw. Against normal flights of the same
-aircraft these patterns compete; without any, aircraft of one type differ by more than a weak rotor
-does, which is all that symmetry tells.
+A rotor that has lost thrust, a load at a position and a shifted centre of mass increase commands,
+each in its own pattern over thrust, roll, pitch and yaw. Relative to normal flights of the same
+aircraft these patterns compete; without any, aircraft of one type differ by more than the effect of
+a weak rotor, and symmetry is the only reference.
 """
 
 from collections.abc import Sequence
@@ -22,30 +21,30 @@ from .records import Amount, Event, NotVisible, Severity
 Array = NDArray[np.float64]
 
 CALM_S = 3.0
-"""Left out after take-off, and before landing."""
+"""Time after take-off, and before landing, that is not used."""
 LEAST_S = 3.0
-"""Of calm flight."""
+"""Shortest calm flight, s."""
 HIGH = 0.75
-"""Share of the usual height above which no ground carries."""
+"""Share of the usual height above which the ground has no effect."""
 FLEET_SD = (0.05, 0.14)
-"""Standard deviation between sound aircraft of roll or pitch, and of yaw (6 to 14 %), in the mean
+"""Standard deviation between intact aircraft of roll or pitch, and of yaw (6 to 14 %), in the mean
 logarithm of the commands of the recorded flights."""
 NAMED = 0.5
-"""Probability from which on something is named."""
+"""Probability from which a cause is named."""
 LEAN_RAD, LEAN_SD_RAD = np.radians(4.0), np.radians(1.5)
-"""Lean of the specific force in calm hover from which on the board, or the rotors, are tilted, and
-how sharp that is. By judgement; no clean flight reaches it."""
+"""Lean of the specific force in calm hover from which the board, or the rotors, are tilted, and
+width of that threshold. By judgement; no clean flight reaches it."""
 BOARD_RAD, WIND_RAD = np.radians(3.0), np.radians(5.0)
-"""Priors: tilt of a board that is mounted by hand; lean by a wind of 3 m/s on an aircraft that
-brakes by 0.3 m/s2 for each m/s. Without a turn of the aircraft a wind hides a tilt of the board."""
+"""Priors: tilt of a manually mounted board; lean by a wind of 3 m/s on an aircraft with drag of 0.3
+m/s2 per m/s. Without a turn of the aircraft wind hides a tilt of the board."""
 CALM_M_S, CALM_TILT_RAD = 1.5, np.radians(8.0)
-"""Speed and tilt of a hover: faster, drag leans the specific force."""
+"""Largest speed and tilt of a hover: faster, drag leans the specific force."""
 FIELD, FIELD_SD = 0.25, 0.05
-"""Spread of the field's strength, over its mean, from which on a compass is disturbed, and how
-sharp that is. By judgement; clean flights reach 0.25 where the autopilot mistrusts its compass."""
+"""Spread of the field's strength, over its mean, from which a compass is disturbed, and width of
+that threshold. By judgement; clean flights reach 0.25 where the autopilot rejects its compass."""
 SAG, SAG_SD = 0.15, 0.03
-"""Share of the voltage that the current takes away, from which on a battery is weak, and how sharp
-that is; clean flights: 6 % at most."""
+"""Share of the voltage lost under load from which a battery is weak, and width of that threshold;
+clean flights: 6 % at most."""
 
 
 def steady(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
@@ -54,12 +53,12 @@ def steady(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findi
 
 
 def lasting(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
-    """Findings without an onset, but for the balance of the rotors."""
+    """Findings without an onset, except for the balance of the rotors."""
     return joined_findings([_lean(flight), _compass(flight), _battery(flight)])
 
 
 def joined_findings(found: Sequence[Findings]) -> Findings:
-    """What several finders say, as one."""
+    """Findings of several finders as one."""
     return Findings(
         events=[e for f in found for e in f.events],
         one_of_causes=next((f.one_of_causes for f in found if f.one_of_causes), ()),
@@ -74,7 +73,7 @@ def joined_findings(found: Sequence[Findings]) -> Findings:
 
 
 def _calm(flight: FlightFrame) -> NDArray[np.bool_]:
-    """Where it flies under control, high above the ground."""
+    """Mask of controlled flight, high above the ground."""
     on = np.zeros(len(flight.t_s), dtype=bool)
     edge = flight.places(CALM_S)
     for part in flight.airborne:
@@ -87,8 +86,8 @@ def _calm(flight: FlightFrame) -> NDArray[np.bool_]:
 
 
 def _balance(flight: FlightFrame, references: Sequence[FlightFrame]) -> Findings:
-    """Against normal flights where there are some, else against symmetry; nothing where nobody
-    knows which motor is where."""
+    """Balance relative to normal flights where there are some, else to symmetry; none where the
+    motor numbers are unknown."""
     calm = _calm(flight)
     if flight.drive is None or flight.layout is None or calm.sum() * flight.dt_s < LEAST_S:
         return Findings()
@@ -103,7 +102,7 @@ def _balance(flight: FlightFrame, references: Sequence[FlightFrame]) -> Findings
     ]
     found = None
     if references:
-        from .balance import changed  # its causes are those of `explain`, half a second to import
+        from .balance import changed  # imports `explain`, half a second
 
         found = changed(flight, calm, normal)
     if found is None:
@@ -112,7 +111,7 @@ def _balance(flight: FlightFrame, references: Sequence[FlightFrame]) -> Findings
 
 
 def _by_symmetry(command: Array) -> Findings:
-    """What the balance tells without normal flights: next to nothing, and how large it is."""
+    """Balance without normal flights: hardly informative, with the size of the asymmetry."""
     level = np.log(np.clip(command, LEAST_COMMAND, None)).mean(axis=0)
     share = np.exp(level - level.mean()) - 1.0
     most = int(np.argmax(share))
@@ -137,8 +136,9 @@ def _by_symmetry(command: Array) -> Findings:
 def _lean(flight: FlightFrame) -> Findings:
     """Angle of the mean specific force in hover from the z axis of the board.
 
-    Wind leans it as well, towards one side of the earth: only by turns is that told from a board
-    that is tilted. The lean is the sum of one of the board and one of the earth, each with a prior.
+    Wind leans it as well, in one direction relative to the Earth: only turns separate it from a
+    tilted board. The lean is the sum of one fixed to the board and one fixed to the Earth, each
+    with a prior.
     """
     if "acc" not in flight.grid or "vel" not in flight.grid or flight.tilt_rad is None:
         return Findings()
@@ -163,7 +163,7 @@ def _lean(flight: FlightFrame) -> Findings:
 
 
 def _board(force: Array, R_nb: Array, dt_s: float) -> tuple[Array, float]:
-    """Lean that turns with the board, forward and right, rad, and its standard deviation."""
+    """Lean fixed to the board, forward and right, rad, and its standard deviation."""
     leans = force[:, :2] / np.maximum(-force[:, 2].mean(), 1e-9)
     yaw = np.arctan2(R_nb[:, 1, 0], R_nb[:, 0, 0])
     c, s, one = np.cos(yaw), np.sin(yaw), np.ones(len(yaw))
@@ -198,7 +198,7 @@ def _compass(flight: FlightFrame) -> Findings:
 
 
 def _battery(flight: FlightFrame) -> Findings:
-    """Share of the voltage that the current takes away, by a straight line through both."""
+    """Share of the voltage lost under load, by a straight line of voltage over current."""
     calm = np.zeros(len(flight.t_s), dtype=bool)
     for part in flight.airborne:
         calm[part.start : part.flown] = True
@@ -233,7 +233,7 @@ def _beyond(
     text: str,
     bench_check: str,
 ) -> Findings:
-    """An event where a size is beyond what sound aircraft have."""
+    """An event where a size exceeds that of intact aircraft."""
     probability = float(norm.cdf((value - limit) / sd))
     if probability < NAMED:
         return Findings(nothing=1.0 - probability)

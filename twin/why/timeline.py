@@ -1,7 +1,7 @@
-"""What happened besides, on the time axis of the events: by the autopilot's word and by the motion.
+"""Other items on the time axis of the events: from the autopilot's records and from the motion.
 
-Take-off and landing, motors at a stop, contact, a record that ends in the air, and what the
-autopilot says itself: arming, modes, failsafes, resets of its estimator, messages.
+Take-off and landing, motors at a limit, contact, a record that ends in the air, and the autopilot's
+own records: arming, modes, failsafes, resets of its estimator, messages.
 """
 
 import re
@@ -18,30 +18,31 @@ from .flight import CONTACT_M_S2, Airborne, FlightFrame, lift
 from .records import TimelineItem
 
 UPPER_STOP, LOWER_STOP = 0.985, 0.01
-"""Commands from which on a motor is at its stop; rounding of a log takes 1 % at most."""
+"""Commands from which a motor is at its limit; rounding of a log is 1 % at most."""
 STOP_S = 0.2
-"""Least time at a stop: a controller's kick is shorter."""
+"""Shortest time at a limit: a controller's transient is shorter."""
 JOINED_S = 0.5
-"""Between two stretches that are shown as one."""
+"""Largest gap between two stretches that are shown as one."""
 MOST_STOPS = 12
-"""Of each motor; more say no more."""
+"""Largest number of items for each motor."""
 MOST_MESSAGES = 60
-"""On the time axis, and as many resets of the estimator; `report` lists all messages."""
+"""Largest number on the time axis, and of resets of the estimator; `report` lists all messages."""
 REPEATED_S = 10.0
-"""The same message, or reset, within that time is shown once."""
+"""Time within which a repeated message, or reset, is shown once."""
 MARGIN_S = 2.0
-"""Before take-off and after landing, for messages; before the end of a flight, for touchdown."""
+"""Time before take-off and after landing, for messages; before the end of a flight, for
+touchdown."""
 LAND_DETECTOR = re.compile(r"(Takeoff|Landing) detected")
-"""Messages of PX4's land detector, src/modules/commander/Commander.cpp: without being grave they
-say what the autopilot takes for the ground."""
+"""Messages of PX4's land detector, src/modules/commander/Commander.cpp: not severe, but they show
+the autopilot's ground state."""
 SILENT_S = 1.0
-"""Without a sample of any signal: the logger left out something."""
+"""Time without a sample of any signal: a gap of the logger."""
 CUT_VOLTAGE = 0.75
-"""Share of the flight's median voltage below which a board browns out, if its record ends so."""
+"""Share of the flight's median voltage below which a board browns out, if its record ends there."""
 
 
 def timeline(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Findings:
-    """What happened besides the events."""
+    """Items of the timeline apart from the events."""
     items: list[TimelineItem] = []
     for part in flight.airborne:
         items += [*_in_the_air(flight, part), *_stops(flight, part), *_contacts(flight, part)]
@@ -55,7 +56,7 @@ def timeline(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Fin
 
 
 def _in_the_air(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
-    """Take-off, and how it ended."""
+    """Take-off, and the end of the flight."""
     begin, end = float(flight.t_s[part.start]), float(flight.t_s[part.end - 1])
     if part.start > flight.places(SILENT_S):
         yield TimelineItem(kind="takeoff", t_s=begin, text="clear of the ground")
@@ -68,7 +69,7 @@ def _in_the_air(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
 
 
 def _lands(flight: FlightFrame, part: Airborne) -> bool:
-    """Whether it comes down under control."""
+    """Whether it lands under control."""
     return not _cut_off(flight, part) and part.lost is None and not part.falls
 
 
@@ -88,7 +89,7 @@ def _ends_in_the_air(flight: FlightFrame) -> str:
 
 
 def _stops(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
-    """Motors at a stop, by their commands as logged."""
+    """Motors at a limit, by their logged commands."""
     if flight.drive != "command":
         return
     command = flight.signals["command"]
@@ -103,12 +104,12 @@ def _stops(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
 
 
 def _long(t: NDArray[np.float64], on: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Stretches of time in which it holds for long enough, near ones joined."""
+    """Stretches of time in which a condition is true for long enough, near ones joined."""
     return [(t[a], t[b]) for a, b in _joined(t, on) if t[b] - t[a] >= STOP_S]
 
 
 def _joined(t: NDArray[np.float64], on: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last places of stretches in which it holds, near ones joined."""
+    """First and last places of stretches in which a condition is true, near ones joined."""
     joined: list[tuple[int, int]] = []
     for a, b in stretches_where(on):
         end = min(b, len(t) - 1)
@@ -120,7 +121,7 @@ def _joined(t: NDArray[np.float64], on: NDArray[np.bool_]) -> list[tuple[int, in
 
 
 def _contacts(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
-    """Specific forces that the rotors cannot bring: it touches something, and flies on."""
+    """Specific forces beyond those of the rotors: contact, after which the flight continues."""
     if "acc" not in flight.grid:
         return
     rows = slice(part.start, part.flown)
@@ -166,7 +167,7 @@ def _said(flight: FlightFrame, autopilot: Autopilot) -> Iterator[TimelineItem]:
 
 
 def _resets(resets: Sequence[Reset]) -> list[TimelineItem]:
-    """Resets of the estimator; those of one kind that follow each other are one item."""
+    """Resets of the estimator; successive ones of one kind are one item."""
     rows: list[list[Reset]] = []
     for reset in sorted(resets, key=lambda r: (r.of, r.t_s)):
         last = rows[-1][-1] if rows else reset
@@ -201,8 +202,8 @@ def _arming(flight: FlightFrame, autopilot: Autopilot) -> Iterator[TimelineItem]
 
 
 def _messages(flight: FlightFrame, messages: Sequence[Message]) -> Iterator[TimelineItem]:
-    """Grave ones, those without a level, take-off and landing, while it flies; the same one once in
-    a while."""
+    """Severe messages, those without a level, take-off and landing, during the flight; repetitions
+    are limited."""
     spans = [(flight.t_s[p.start], flight.t_s[p.end - 1]) for p in flight.airborne]
     shown: dict[str, float] = {}
     for message in messages:

@@ -1,8 +1,8 @@
-"""Vibration and its source: a rotor, once or several times per turn, or the structure.
+"""Vibration and its source: a rotor, once or several times per revolution, or the structure.
 
 A line of the spectrum that follows the speed of a rotor is that rotor's; one that follows the
-commands is of the rotors; one that stays where it is while these move is of the structure. What
-lies above half the rate of the log is folded down, and looked for there.
+commands comes from the rotors; one that is constant while these change comes from the structure.
+Frequencies above half the rate of the log are aliased, and searched for at the aliased frequency.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,28 +23,30 @@ from .records import Event, EvidenceSeries, Severity
 
 Array = NDArray[np.float64]
 ABOVE_HZ = 12.0
-"""No body turns or climbs faster by its rotors: the loop of the attitude ends at 5 to 10 Hz."""
+"""Upper frequency of a body's motion by its rotors: the bandwidth of the attitude loop is 5 to 10
+Hz."""
 LEAST_HZ = 60.0
-"""Rate of an accelerometer in which vibration is looked for."""
+"""Lowest rate of an accelerometer for the analysis of vibration."""
 TOO_MUCH_M_S2, TOO_MUCH_SD = 15.0, 0.25
-"""Level of an axis from which on estimators suffer, and how sharp that is, as a logarithm:
+"""Level of an axis from which estimators are degraded, and width of that threshold, as a logarithm:
 ArduPilot's documentation of VIBE asks for less than 15 m/s2."""
 SEGMENT_S = 1.0
-"""Of the spectra in which lines are followed."""
+"""Length of the spectra in which lines are followed."""
 OVER = 6.0
 """Power of a line over that of its surroundings."""
 AROUND_HZ = 12.0
-"""Width of these."""
+"""Width of the surroundings."""
 HARMONICS = (1, 2, 3, 4)
-"""Per turn: unbalance once, blades twice or three times."""
+"""Multiples of the rotor frequency: unbalance once, blades twice or three times."""
 MOVED = 0.04
-"""Least spread of the commands, as a share, by which following them differs from staying."""
+"""Smallest relative spread of the commands for which following them differs from a constant
+frequency."""
 ALIKE = 0.3
-"""Mean logarithm of power by which two sources count as equal."""
+"""Difference of mean log power below which two sources are equal."""
 STRUCTURE = "of the structure: it stays while the rotors change speed"
-"""Said of a line that follows nothing."""
+"""Text for a line that is constant."""
 EVEN = "source not known: no rotor is known to change its speed enough"
-"""Said where following and staying are the same."""
+"""Text where a constant and a following frequency are equal."""
 MIDDLE = 1e-3
 """Weight by which the strongest of equal neighbours is the middle of a line."""
 
@@ -54,10 +56,10 @@ class Line:
     """A line of the spectrum.
 
     Attributes:
-        hz: Its frequency in the log, in the middle.
+        hz: Mean frequency in the log.
         level: Root mean square, in the unit of the signal.
-        source: Words.
-        rotor: Whose it is; None: no single one's.
+        source: Source in words.
+        rotor: Number of the rotor; None: not a single one.
     """
 
     hz: float
@@ -106,17 +108,17 @@ def vibration(flight: FlightFrame, references: Sequence[FlightFrame] = ()) -> Fi
 
 
 def strongest_line(t: Array, hz: Array, power: Array, flight: FlightFrame) -> Line | None:
-    """The line that stands out most along what it may follow; None where none does.
+    """The strongest line along the candidate frequencies; None where there is none.
 
-    Each candidate is a frequency over time: that of a rotor, once or several times per turn; one
-    that goes with the commands; one that stays. It is weighed by the mean logarithm of the power
+    Each candidate is a frequency over time: that of a rotor, once or several times per revolution;
+    one that follows the commands; a constant one. It is weighed by the mean logarithm of the power
     along it over that of the surroundings.
 
     Args:
-        t: Middles of the segments, s, shape (m,).
+        t: Midpoints of the segments, s, shape (m,).
         hz: Frequencies, shape (n,).
         power: Spectral density of each segment, shape (n, m).
-        flight: Whose rotors it may follow.
+        flight: Flight with the rotors.
     """
     step = float(hz[1])
     wide = max(round(2.0 * AROUND_HZ / step) | 1, 5)
@@ -163,7 +165,7 @@ def _named(
 
 
 def _tracks(t: Array, hz: Array, flight: FlightFrame) -> Iterator[tuple[str, int | None, Array]]:
-    """Frequencies over time that a line may follow: words, rotor, Hz."""
+    """Candidate frequencies of a line over time: words, rotor, Hz."""
     table, top = flight.flight.table, float(hz[-1])
     speeds = [str(c) for c in table if str(c).startswith("rotor_") and flight.flight.has(c)]
     for name in speeds:
@@ -190,9 +192,9 @@ def _tracks(t: Array, hz: Array, flight: FlightFrame) -> Iterator[tuple[str, int
 
 
 def _even(signal: Signal, start: float, end: float) -> tuple[float, float, Array] | None:
-    """Begin, rate and samples of a signal on an even grid; None where there are too few."""
+    """Start, rate and samples of a signal on a uniform grid; None where there are too few."""
     step = 1.0 / signal.rate_hz
-    samples = signal.t_s[signal.t_s >= start]  # between them interpolation dampens
+    samples = signal.t_s[signal.t_s >= start]  # interpolation attenuates between them
     if not len(samples):
         return None
     first = float(samples[0])
@@ -203,7 +205,7 @@ def _even(signal: Signal, start: float, end: float) -> tuple[float, float, Array
 
 
 def _spectra(shaken: tuple[float, float, Array]) -> tuple[Array, Array, Array]:
-    """Middles of the segments, frequencies, densities (n, m, axes)."""
+    """Midpoints of the segments, frequencies, densities (n, m, axes)."""
     start, rate, values = shaken
     size = round(SEGMENT_S * rate)
     hz, t, power = spectrogram(values, rate, nperseg=size, noverlap=size // 2, axis=0)

@@ -1,10 +1,10 @@
-"""`why` on the stream: the last minute of a flight, evaluated each second, and what began in it.
+"""Live version of `why`: the last minute of a flight, evaluated each second, and its new events.
 
-The finders are those of a log: the body's competition at the onsets of the last seconds,
-instruments and vibration over the window. An event is an alarm when evaluations in a row name it
-surely, when as much was flown after its onset as counts in a log, or at once when control is lost.
-Until it is settled its name may change; from then on the body is evaluated from the event on, as in
-a log.
+The finders are those for a log: the body's competition at the onsets of the last seconds,
+instruments and vibration over the window. An event is an alarm when successive evaluations name it
+with high probability, when the time after its onset equals that used in a log, or immediately on a
+loss of control. Until it is settled its name may change; from then on the body is evaluated from
+the event on, as in a log.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -30,50 +30,50 @@ from .sensors import LANDING_S, OF_ESTIMATE, part_events
 from .vibration import vibration
 
 PERIOD_S = 1.0
-"""Between two evaluations, s."""
+"""Time between two evaluations, s."""
 WINDOW_S = BEFORE_S + AFTER_S + 4.0
-"""Of the flight that is held: what an onset is weighed on, and some evaluations."""
+"""Length of flight in memory: data for weighing an onset, and some evaluations."""
 RECENT_S = AFTER_S + 3.0
-"""Before now, in which onsets are tried."""
+"""Time before the present in which onsets are considered."""
 SCREENED_S = 30.0
-"""Of the flight, by which the onsets are screened: what comes near its level is evaluated again."""
+"""Length of flight for the screening of onsets: those near their level are evaluated again."""
 CURVE_S = 20.0
-"""After so long the likely curves of thrust are chosen anew."""
+"""Time after which the likely curves of thrust are chosen again."""
 Find = Callable[[FlightFrame, Airborne], Sequence[Event]]
-"""Events of the part of a flight that goes on."""
+"""Function for events of the present part of a flight."""
 FINDERS: tuple[tuple[Find, float], ...] = (
     (lambda flown, part: part_events(flown, part)[1], 2.0),
     (lambda flown, _: vibration(flown).events, 10.0),
 )
-"""Of instruments and of vibration, and the time between two of their evaluations, s."""
+"""Finders of instruments and vibration, and the time between two of their evaluations, s."""
 CLEAR, LEAST_AGREEING = 0.9, 2
-"""Probability, and evaluations in a row, from which on a name is said before it settles."""
+"""Probability, and successive evaluations, from which a name is reported before it is settled."""
 NEAR_S = 1.0
-"""Onsets of two evaluations that are so near are of one event."""
+"""Largest distance of onsets of one event in two evaluations."""
 IDLE_S = 5.0
-"""After the last moment in the air nothing is sought."""
+"""Time after the last moment in the air from which the search stops."""
 CLIMBS_M, TURNS_RAD_S, AGO_S = 0.4, 0.03, 2.0
-"""Change of height, and mean body rate, that show that an aircraft is in the air; the time over
-which they are taken."""
+"""Change of height, and mean body rate, that show that an aircraft is in the air; their time
+span."""
 PASSING = (BLOW, *OF_ESTIMATE, "mag_disturbance", "baro_disturbance")
-"""Causes that are over by the time that they are settled."""
+"""Causes that have ended by the time they are settled."""
 FIT_S = 20.0
-"""In the air, after which the rotors of a vehicle file are judged."""
+"""Time in the air after which the rotors of a vehicle file are checked."""
 
 
 GROUNDED = "On the ground nothing is looked for: alarms begin after take-off."
-"""Said until height and attitude move, and after a landing."""
+"""Text until height and attitude change, and after a landing."""
 
 
 class Alarm(Struct, frozen=True, kw_only=True):
-    """Something that went wrong while it flies.
+    """An event that is reported during flight.
 
     Attributes:
-        event: What, of which rotor or sensor, since when, how much, how probable.
-        raised_s: When it was said, on the clock of the flight.
-        known_s: When it could have been said at the soonest: at the first of the evaluations in a
-            row that found it.
-        closed_s: When it was over, or withdrawn; null: it stands.
+        event: Event with cause, rotor or sensor, onset, size and probability.
+        raised_s: Time of the alarm, on the clock of the flight.
+        known_s: Earliest possible time of the alarm: at the first of the successive evaluations
+            that found it.
+        closed_s: Time at which it ended, or was withdrawn; null: still active.
     """
 
     event: Event
@@ -84,16 +84,16 @@ class Alarm(Struct, frozen=True, kw_only=True):
 
 @dataclass(slots=True)
 class Case:
-    """What is seen of one event, evaluation by evaluation.
+    """State of one event over successive evaluations.
 
     Attributes:
-        event: As it was seen last.
-        agreeing: Evaluations in a row under this name; 0: not any more.
-        since_s: When the first of them was.
-        missed: Evaluations in a row that did not find it.
-        alarm: What was said of it.
-        settled: Whether its name will not change any more.
-        seen_s: When it was seen last.
+        event: Event in the last evaluation.
+        agreeing: Successive evaluations under this name; 0: no longer found.
+        since_s: Time of the first of them.
+        missed: Successive evaluations that did not find it.
+        alarm: Alarm that was reported for it.
+        settled: Whether its name is final.
+        seen_s: Time of the last evaluation that found it.
     """
 
     event: Event | None = None
@@ -115,11 +115,11 @@ class Case:
         self.agreeing, self.event, self.seen_s = self.agreeing + 1, event, now_s
 
     def news(self, now_s: float, settles_s: float, at_once: bool = False) -> Iterator[Alarm]:
-        """What is new about its alarm.
+        """New or changed alarms of this event.
 
         Args:
-            now_s: Of the evaluation.
-            settles_s: After its onset.
+            now_s: Time of the evaluation.
+            settles_s: Time after its onset at which it is settled.
             at_once: Whether one evaluation is enough.
         """
         event, old = self.event, self.alarm
@@ -129,7 +129,7 @@ class Case:
         gone = self.missed >= LEAST_AGREEING and old_enough
         if old is not None and (
             not _same(event, old.event) if self.agreeing else gone
-        ):  # it is something else, or nothing
+        ):  # it is another event, or none
             yield structs.replace(old, closed_s=now_s)
             self.alarm = old = None
         surely = at_once or (
@@ -153,20 +153,20 @@ def _same(a: Event, b: Event) -> bool:
 
 
 class Watch:
-    """Looks at a flight while it goes on.
+    """Evaluation of `why` on a live flight.
 
     Attributes:
-        misfit: Why the rotors of the vehicle file are not those of the aircraft, in which case no
-            event of the body is said; "": they are, or it is not known yet.
-        rests: Why nothing is looked for, or not all of it; "": all is.
+        misfit: Reason why the rotors of the vehicle file are not those of the aircraft, in which
+            case no event of the body is reported; "": they are, or it is not known yet.
+        rests: Reason why the search is off or partial; "": it is on.
     """
 
     def __init__(self, vehicle: Vehicle | None = None) -> None:
-        """Nothing has come.
+        """Set up without rows.
 
         Args:
-            vehicle: Where its rotors are and how they turn; None: the usual frame that explains
-                the flight best.
+            vehicle: Vehicle with positions and directions of its rotors; None: the usual frame that
+                explains the flight best.
         """
         layout = None if vehicle is None else layout_of(vehicle)
         self._rows = LastRows("live", airframe=None if layout is None else Airframe(layout=layout))
@@ -179,11 +179,11 @@ class Watch:
         self.misfit, self.rests = "", GROUNDED
 
     def push(self, rows: Rows) -> None:
-        """Take new rows of the flight table, NaN where a signal has no sample."""
+        """Append rows of the flight table, NaN where a signal has no sample."""
         self._rows.append(rows)
 
     def evaluate(self) -> tuple[Alarm, ...]:
-        """Alarms that are new, have changed, or are over, since the last evaluation."""
+        """Alarms that are new, have changed, or have ended, since the last evaluation."""
         if not len(self._rows):
             return ()
         now_s = self._rows.last_s
@@ -203,10 +203,10 @@ class Watch:
         return (*body, *self._evaluate_others(flown, part, now_s))
 
     def _part(self, flown: FlightFrame, now_s: float) -> Airborne | None:
-        """The part of the flight that goes on, from where it left the ground; None: it rests.
+        """The present part of the flight, from its take-off; None: on the ground.
 
-        A motor that idles on the ground is not told from one that hovers by its command while
-        nothing else was flown: it takes off where height and attitude move.
+        A motor that idles on the ground has a command similar to hover while nothing else was
+        flown: take-off is where height and attitude change.
         """
         parts = flown.airborne
         if not parts or now_s - flown.t_s[parts[-1].end - 1] > IDLE_S:
@@ -227,7 +227,7 @@ class Watch:
         return replace(part, start=start)
 
     def _evaluate_others(self, flown: FlightFrame, part: Airborne, now_s: float) -> Iterator[Alarm]:
-        """Instruments and vibration, each once in a flight of `WINDOW_S`."""
+        """Alarms of instruments and vibration, each once in a flight of `WINDOW_S`."""
         for find, every_s in FINDERS:
             if now_s - self._evaluated_s[find] < every_s - PERIOD_S / 2:
                 continue
@@ -243,7 +243,7 @@ class Watch:
                     del cases[key]
 
     def _causes(self, events: Sequence[Event]) -> list[Event]:
-        """Those that are probable, and that nothing in the motion of the body explains."""
+        """Probable causes that the motion of the body does not explain."""
         return [
             e
             for e in in_order([*self._body.seen, *events])
@@ -251,14 +251,14 @@ class Watch:
         ]
 
     def _judge_rotors(self, flown: FlightFrame, part: Airborne) -> None:
-        """Once, whether the body turns as the rotors of the vehicle file would turn it."""
+        """Check once whether the body rotates as the rotors of the vehicle file predict."""
         if self._fit_open and (part.flown - part.start) * flown.dt_s >= FIT_S:
             self._fit_open, why = False, misfit(flown)
             self.misfit = f"{why} Nothing is said of rotors." if why else ""
 
 
 def _rests(flown: FlightFrame, part: Airborne) -> str:
-    """Why a part in the air is not looked at whole."""
+    """Reason why a part in the air is not fully analysed."""
     if {"gyro", "acc"} - flown.grid.keys() or flown.drive is None or flown.layout is None:
         return (
             "Alarms are of instruments alone: IMU, motor commands or order of rotors are missing."
@@ -272,7 +272,7 @@ def _rests(flown: FlightFrame, part: Airborne) -> str:
 
 
 def _moves(flown: FlightFrame, part: Airborne) -> NDArray[np.bool_]:
-    """Where a part is in the air for sure: it climbs, or is higher than before and turns."""
+    """Mask of times that are certainly in the air: climbing, or higher than before and rotating."""
     rows, back = slice(part.start, part.end), flown.places(AGO_S)
     turns = np.zeros(part.end - part.start, dtype=np.bool_)
     if "gyro" in flown.grid:
@@ -288,16 +288,16 @@ def _moves(flown: FlightFrame, part: Airborne) -> NDArray[np.bool_]:
 
 @dataclass(slots=True)
 class _BodyWatch:
-    """What moved the body, from a take-off on.
+    """Events of the body, from a take-off on.
 
     Attributes:
-        case: Of the newest event.
-        said: Events before it.
-        from_s: From where on the flight counts: behind the last event, s.
-        over: Whether the body is another one by now, or control was lost.
-        curves: Of thrust, the most probable first: by the first one onsets are screened.
-        chosen_s: When they were chosen, s.
-        unanswered: Why nothing is sought, as `Body.unanswered`.
+        case: State of the newest event.
+        said: Earlier events.
+        from_s: Time from which the flight is evaluated: after the last event, s.
+        over: Whether the body has changed for good, or control was lost.
+        curves: Curves of thrust, the most probable first: onsets are screened with the first one.
+        chosen_s: Time at which they were chosen, s.
+        unanswered: Reason why the search is off, as `Body.unanswered`.
     """
 
     case: Case = field(default_factory=Case)
@@ -310,11 +310,11 @@ class _BodyWatch:
 
     @property
     def seen(self) -> list[Event]:
-        """Events that were said, and the newest."""
+        """Reported events, and the newest."""
         return self.said + ([] if self.case.event is None else [self.case.event])
 
     def evaluate(self, flown: FlightFrame, part: Airborne, now_s: float) -> Iterator[Alarm]:
-        """What is new."""
+        """New alarms."""
         missing = {"gyro", "acc"} - flown.grid.keys()
         short = (part.flown - part.start) * flown.dt_s < LEAST_S
         if self.over or missing or flown.drive is None or flown.layout is None or short:
@@ -329,7 +329,7 @@ class _BodyWatch:
         self.over |= ended
 
     def _settle(self, case: Case) -> None:
-        """From an event on the body is another one, or is evaluated from there on."""
+        """After an event the body has changed for good, or is evaluated from there on."""
         if case.alarm is None or case.event is None or case.event.onset_s is None:
             return
         self.said.append(case.event)
@@ -361,13 +361,13 @@ class _BodyWatch:
 
 
 def _has_tumbled(flown: FlightFrame, part: Airborne) -> bool:
-    """Whether all that the body can show of a loss of control is there."""
+    """Whether all data on a loss of control are available."""
     assert part.lost is not None
     return part.crash is not None or len(flown.t_s) - part.lost > flown.places(AFTER_LOSS_S)
 
 
 def _body_of(flown: FlightFrame, part: Airborne) -> Body:
-    """As `Body.of`, but that a part does not end where the window does."""
+    """Body as from `Body.of`, but with a part that does not end with the window."""
     body = Body.of(flown, part)
     start = part.start if part.start == 0 else body.start
     end = part.end if part.end == len(flown.t_s) and part.lost is None else body.end
