@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from msgspec import structs
 
 from twin.errors import TwinError
-from twin.formatting import joined, pretty_unit
+from twin.formatting import certainty, joined, pretty_unit
 from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
 from twin.why.causes import BLOW, ROTOR
@@ -74,8 +74,6 @@ class WhyResult(PageMixin):
                 ("time", "what", "which", "how much", "probability", "or"),
                 tuple(_row(e) for e in self.record.events),
             )
-        if self.record.timeline:
-            yield "\n".join(f"{i.t_s:8.2f} s  {i.text}" for i in self.record.timeline)
         checks = [e.bench_check for e in self.record.events if e.bench_check and not e.consequence]
         if checks:
             yield "To check: " + " ".join(dict.fromkeys(checks))
@@ -83,6 +81,8 @@ class WhyResult(PageMixin):
             yield _hidden(self.record)
         if self.record.notes:
             yield "\n".join(self.record.notes)
+        if self.record.timeline:
+            yield "\n".join(f"{i.t_s:8.2f} s  {i.text}" for i in self.record.timeline)
 
 
 def why(flight: Any, references: Any = (), since: Vehicle | None = None) -> WhyResult:
@@ -121,13 +121,13 @@ def _summary(record: WhyRecord | UnreadRecord) -> tuple[str, ...]:
         cause = cause_in_words(first)
         when = "all the time" if first.onset_s is None else f"{first.onset_s:.2f} s"
     lost = record.loss_of_control_s
-    sure = f"{100 * record.probability:.0f} %"
+    told = record.verdict != "cannot_tell"
     return (
         record.flight,
         _words(record.verdict),
         cause,
         when,
-        sure,
+        certainty(record.probability if first is None else first.probability) if told else "",
         "" if lost is None else f"{lost:.2f} s",
     )
 
@@ -147,10 +147,10 @@ def _row(event: Event) -> tuple[str, ...]:
     when = "all the time" if event.onset_s is None else f"{event.onset_s:.2f} s"
     which = ", ".join(f"rotor {r}" for r in event.rotor or ()) or (event.sensor or "")
     others = ", ".join(
-        f"{cause_in_words(c)} {100 * c.probability:.0f} %" for c in listed_alternatives(event)
+        f"{cause_in_words(c)} {certainty(c.probability)}" for c in listed_alternatives(event)
     )
     what = _words(event.cause) + (" (consequence)" if event.consequence else "")
-    return when, what, which, size_in_words(event), f"{100 * event.probability:.0f} %", others
+    return when, what, which, size_in_words(event), certainty(event.probability), others
 
 
 def size_in_words(event: Event) -> str:

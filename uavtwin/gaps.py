@@ -19,7 +19,7 @@ from .display import PageMixin, TextTable
 from .flights import opened_flights
 from .record import Headline, Record, Section
 from .vehicles import checked_vehicle
-from .wording import describe, drive_sentence, hover_sentence
+from .wording import describe, drive_sentence, hover_sentence, misfit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -233,7 +233,7 @@ def gap_record(gaps: Sequence[FlightGap]) -> GapRecord:
             warnings.append(f"{key}: the measured signal is flat, it has no share of it")
     places = rank(pooled)
     return GapRecord(
-        headline=Headline(claim(places)),
+        headline=Headline(unfit(gaps) + claim(places)),
         flights=tuple(map(_flight, gaps)),
         channels={
             key: GapChannel(
@@ -253,6 +253,13 @@ def gap_record(gaps: Sequence[FlightGap]) -> GapRecord:
         ),
         warnings=tuple(warnings),
     )
+
+
+def unfit(gaps: Sequence[FlightGap]) -> str:
+    """That the vehicle file does not fit, by the first flight that shows it, with a blank behind
+    it; "" where none does."""
+    texts = (misfit(g.carried, g.vehicle) for g in gaps)
+    return next((f"{t} " for t in texts if t), "")
 
 
 def claim(places: Sequence[Ranked]) -> str:

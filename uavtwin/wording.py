@@ -114,24 +114,26 @@ LEAST_M, LEAST_RAD, LEAST_LOSS = 5e-4, math.radians(0.5), 0.02
 """A centre of mass, an angle, a loss below these is not said."""
 
 
-MISFIT = 0.15
-"""Deviation from 1 of the share of its weight that the twin carries, from which on the vehicle file
-does not fit the aircraft."""
+BY_BATTERY = ((3.5 / 3.85) ** 2, (4.2 / 3.85) ** 2)
+"""Thrust at a command over that at half charge, 0.83 to 1.19: it goes with the square of the speed
+(Leishman, Principles of Helicopter Aerodynamics, 2006, ch. 2.2), the speed with the voltage: 3.5 V
+of an empty, 4.2 V of a full cell. A twin that carries less or more of its weight has another mass
+or thrust than the aircraft."""
 
 
 def misfit(carried: float | None, vehicle: str) -> str:
-    """Why a vehicle file does not fit the hover of a flight; "" where it does, or is unknown.
+    """Why a vehicle file does not fit an aircraft; "" where it does, or is unknown.
 
     Args:
-        carried: Thrust of the twin over the weight, in hover.
+        carried: Thrust of the twin over its weight, at the commands of a flight.
         vehicle: Name of the file.
     """
-    if carried is None or not abs(carried - 1) > MISFIT:
+    if carried is None or BY_BATTERY[0] <= carried <= BY_BATTERY[1]:
         return ""
     return (
-        f"in hover the thrust of {vehicle} is {100 * carried:.0f} % of the weight that it gives: "
-        f"mass, thrust constant or battery voltage of the file are not those of this aircraft. "
-        f"Correct them, or draft a file: uavtwin vehicle draft."
+        f"{vehicle} does not fit this aircraft: at the commands of the flight it carries "
+        f"{100 * carried:.0f} % of its weight, and no charge of the battery explains that. Correct "
+        f"its mass or thrust, or draft a file: uavtwin vehicle draft."
     )
 
 

@@ -3,6 +3,7 @@
 import json
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import uavtwin as ut
 from fmus.experiments import MANIFEST
 from twin.errors import TwinError
 from uavtwin.exports.credibility import FILE, PAGE, check_required, members, of_file
-from uavtwin.exports.parts import learned
+from uavtwin.exports.parts import LAWLESS, learned
 from uavtwin.exports.write import Exportable, export_parts
 
 WORSE = {"before": 0.5, "after": 0.7, "shrink": -0.4, "shrink_ci95": [-0.6, -0.2]}
@@ -97,6 +98,15 @@ def test_a_learned_force_is_another_twin_and_is_listed() -> None:
     found = of_file(ut.credibility(vehicle), True, made.changes, made.evidence)
     assert "a learned force" in found.factors["validation"].because
     assert found.evidence.keys() >= {"fit_1", "force.json"}
+
+
+def test_a_twin_without_an_accepted_law_says_so(tmp_path: Path) -> None:
+    force = ut.learned_force("copter_drag")
+    none = replace(force, model=replace(force.model, ridge=None))
+    made = ut.twin(ut.load_vehicle(force.folder / "vehicle.toml"), drive="command", force=none)
+    assert LAWLESS in made.changes and "a learned force acts on it" not in made.changes
+    fmu, _ = export_parts([made])(tmp_path, lambda _: None)
+    assert LAWLESS in fmu.note
 
 
 def test_an_unknown_model_is_said_with_those_that_are_shipped() -> None:

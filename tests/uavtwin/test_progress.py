@@ -65,14 +65,25 @@ def test_explain_shows_it_with_json_too(
 def test_where_stderr_is_no_terminal_a_line_now_and_then_says_how_far_it_is(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    clock = iter((0.0, 4.0, 10.0, 15.0, 20.5))
+    clock = iter((0.0, 4.0, 8.0, 11.0, 17.0, 19.0, 22.0))
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
     with printing.progress("training") as step:
-        for done in (0.1, 0.25, 0.3, 0.5):
+        for done in (0.1, 0.2, 0.275, 0.425, 0.475, 0.55):
             step(done)
     said = capsys.readouterr()
-    assert said.err.splitlines() == ["training: 25 %, 30 s left", "training: 50 %, 20 s left"]
+    assert said.err.splitlines() == ["training: 28 %", "training: 55 %, 18 s left"]
     assert said.out == ""
+
+
+def test_time_left_is_said_once_it_is_known_and_does_not_jump() -> None:
+    """A search of 60 s that says a tenth for its first half, then goes on evenly."""
+    left, said = printing.TimeLeft(), {}
+    for second in range(1, 61):
+        done = second / 300 if second < 30 else 0.1 + 0.9 * (second - 29) / 31
+        said[second] = left.said(float(second), done)
+    known = {s: float(text.removesuffix(" s left")) for s, text in said.items() if text}
+    assert known and min(known) > 34, known
+    assert all(abs(s + value - 60) < 12 for s, value in known.items()), known
 
 
 def test_the_environment_names_the_vehicle(

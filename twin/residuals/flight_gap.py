@@ -240,9 +240,6 @@ def _weakest(vehicle: Vehicle, back: Mean | None, right: Mean | None) -> WeakRot
 
 DEFAULT_HORIZON_S = 0.5
 """Short horizon, s: residuals grow to centimetres and do not diverge yet. Made up."""
-LIKELY_WEIGHT = (0.5, 2.0)
-"""Ratio of measured to predicted specific force along the thrust, beyond which the vehicle is
-doubted."""
 
 
 def flight_gap(
@@ -279,7 +276,6 @@ def flight_gap(
     short, notes = _short_horizon(
         alignment, horizon_s, block_rows, lambda done: progress(0.2 + 0.8 * done)
     )
-    notes += _wrong_vehicle(channels, vehicle)
     warnings = [f"{f.where}: {f.message}" for f in flight.findings if f.severity != "info"]
     progress(1.0)
     return FlightGap(
@@ -366,18 +362,6 @@ def diagnosis_of(
         return None
     aligned = align_flight(flight, vehicle, 1 / GRID_HZ)
     return diagnose(imu_channels(flight, vehicle, aligned), vehicle, hover)
-
-
-def _wrong_vehicle(channels: Sequence[Channel], vehicle: Vehicle) -> list[str]:
-    """Warning where the weight carried by the rotors differs greatly from that in the flight."""
-    for channel in (c for c in channels if c.name == "acc_z"):
-        ratio = float(channel.measured.mean() / channel.simulated.mean())
-        if not LIKELY_WEIGHT[0] <= ratio <= LIKELY_WEIGHT[1]:
-            return [
-                f"in flight the measured acc_z is on average {ratio:.2g} times that of the twin: "
-                f"is {vehicle.name} the right vehicle file?"
-            ]
-    return []
 
 
 def _short_horizon(

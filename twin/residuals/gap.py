@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..errors import ModelError
 from ..logs.airframe import Place
+from ..logs.columns import ACC
 from ..representation import short_repr
 
 if TYPE_CHECKING:
@@ -189,6 +190,17 @@ class FlightGap:
     driven_by: str = ""
 
     __repr__ = short_repr
+
+    @property
+    def carried(self) -> float | None:
+        """Share of its weight that the twin carries at the commands: in hover, else over the whole
+        flight; None: not known."""
+        if self.hover is not None:
+            return self.hover.carried.value
+        lift = next((c for c in self.channels if c.name == ACC[2] and not c.horizon_s), None)
+        if lift is None or not len(lift.t_s):
+            return None
+        return float(np.nanmean(lift.simulated) / np.nanmean(lift.measured))
 
     @property
     def duration_s(self) -> float:

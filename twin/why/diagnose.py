@@ -168,8 +168,8 @@ def _what_is_not_shown(never: Sequence[NotVisible]) -> str:
     """Text on causes that would not be visible, and the reason."""
     causes = [v.cause.replace("_", " ") for v in never]
     if 2 * len(causes) > len(CAUSES):
-        return f"little: rotors, mass, forces are not judged, since {never[0].reason}"
-    return f"no {joined([*dict.fromkeys(causes)], 'or')}: {never[0].reason}"
+        return f"rotors, mass, forces are not judged, since {never[0].reason}"
+    return f"{joined([*dict.fromkeys(causes)], 'or')} would not show, since {never[0].reason}"
 
 
 def in_order(events: Sequence[Event]) -> tuple[Event, ...]:
@@ -266,22 +266,22 @@ def _clauses(
     elif first is not None:
         yield f"{first.text} ({certainty(first.probability)}){_else(first)}."
     elif never and lost is None:
-        yield f"This log can show {_what_is_not_shown(never)}."
-        yield f"Of what it can show, {_nothing(1.0 - probability)}."
+        yield f"Cannot tell: {_what_is_not_shown(never)}."
+        yield f"{_nothing(1.0 - probability, ' else')}."
     elif verdict == "cannot_tell" and lost is None:
         yield "Something may have changed since the normal flights; this log cannot tell what."
     elif verdict == "nothing_found":
-        yield f"{_nothing(probability, ' that this log can show').capitalize()}."
+        yield f"{_nothing(probability)}."
     if lost is not None:
         yield f"Control is lost at {lost:.2f} s" + (
             "." if verdict == "found" else ", and this log does not show why."
         )
 
 
-def _nothing(probability: float, of_what: str = "") -> str:
-    """Text on how sure it is that nothing went wrong."""
-    nothing = "nothing" if probability >= LIKELY else "probably nothing"
-    return f"{nothing} went wrong{of_what} ({certainty(probability)})"
+def _nothing(probability: float, more: str = "") -> str:
+    """How sure it is that nothing, or nothing else, went wrong."""
+    nothing = "Nothing" if probability >= LIKELY else "Probably nothing"
+    return f"{nothing}{more} went wrong that this log can show ({certainty(probability)})"
 
 
 def _else(event: Event) -> str:

@@ -28,7 +28,7 @@ MOST_STOPS = 12
 MOST_MESSAGES = 60
 """Largest number on the time axis, and of resets of the estimator; `report` lists all messages."""
 REPEATED_S = 10.0
-"""Time within which a repeated message, or reset, is shown once."""
+"""Time within which a repeated message, reset or contact is shown once."""
 MARGIN_S = 2.0
 """Time before take-off and after landing, for messages; before the end of a flight, for
 touchdown."""
@@ -108,12 +108,14 @@ def _long(t: NDArray[np.float64], on: NDArray[np.bool_]) -> list[tuple[float, fl
     return [(t[a], t[b]) for a, b in _joined(t, on) if t[b] - t[a] >= STOP_S]
 
 
-def _joined(t: NDArray[np.float64], on: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last places of stretches in which a condition is true, near ones joined."""
+def _joined(
+    t: NDArray[np.float64], on: NDArray[np.bool_], apart_s: float = JOINED_S
+) -> list[tuple[int, int]]:
+    """First and last places where a condition is true; stretches within `apart_s` are joined."""
     joined: list[tuple[int, int]] = []
     for a, b in stretches_where(on):
         end = min(b, len(t) - 1)
-        if joined and t[a] - t[joined[-1][1]] < JOINED_S:
+        if joined and t[a] - t[joined[-1][1]] < apart_s:
             joined[-1] = joined[-1][0], end
         else:
             joined.append((a, end))
@@ -130,17 +132,16 @@ def _contacts(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
         raised = lift(flight.grid[flight.drive][rows]).mean(axis=1)
         force = force / np.maximum(raised / max(float(np.median(raised)), 1e-9), 1.0)
     t_s, hit = flight.t_s[rows], force > CONTACT_M_S2
-    landed = t_s[-1] - MARGIN_S if _lands(flight, part) else np.inf
-    for a, b in _joined(t_s, hit)[:MOST_STOPS]:
-        count, peak = len(stretches_where(hit[a : b + 1])), number(float(force[a : b + 1].max()))
-        one = "touchdown" if t_s[a] > landed else "shock"
-        several = f"{count} shocks, the hardest"
-        yield TimelineItem(
-            kind="contact",
-            t_s=float(t_s[a]),
-            end_s=float(t_s[b]) if count > 1 else None,
-            text=f"{several if count > 1 else one} of {peak} m/s²",
-        )
+    landed = t_s > (t_s[-1] - MARGIN_S if _lands(flight, part) else np.inf)
+    for one, on in (("shock", hit & ~landed), ("touchdown", hit & landed)):
+        for a, b in _joined(t_s, on, REPEATED_S):
+            count, peak = len(stretches_where(on[a : b + 1])), number(float(force[a : b + 1].max()))
+            yield TimelineItem(
+                kind="contact",
+                t_s=float(t_s[a]),
+                end_s=float(t_s[b]) if count > 1 else None,
+                text=f"{f'{count} {one}s, the hardest' if count > 1 else one} of {peak} m/s²",
+            )
 
 
 def _gaps(flight: FlightFrame) -> Iterator[TimelineItem]:

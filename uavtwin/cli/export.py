@@ -20,7 +20,7 @@ from .options import (
     trained,
     vehicle_named,
 )
-from .printing import print_files, print_json, progress
+from .printing import STDOUT, print_files, print_json, progress
 
 if TYPE_CHECKING:
     from fmus.compensator import NetworkFile
@@ -200,6 +200,8 @@ def export(
         print_json(written)
     else:
         print_files(written)
+        if not (python_slave or arrays):  # which hold no reference results
+            STDOUT.print(f"next: uavtwin verify {out / Path(written[0].file).name}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,9 +17,10 @@ from rich.console import Console
 from rich.progress import (
     BarColumn,
     Progress,
+    ProgressColumn,
+    Task,
     TaskProgressColumn,
     TextColumn,
-    TimeRemainingColumn,
 )
 from rich.table import Column, Table
 from rich.text import Text
@@ -59,6 +60,47 @@ EVERY_S = 10.0
 """Time between two lines of progress where stderr is no terminal."""
 
 
+FORETOLD, STEADY = 0.25, 1.5
+"""Share done from which on the time left may be said; ratio of two speeds that are the same."""
+
+
+class TimeLeft:
+    """Time left of a run by its speed in the last third; nothing while that speed changes."""
+
+    def __init__(self) -> None:
+        self._seen: list[tuple[float, float]] = []
+
+    def said(self, elapsed_s: float, done: float) -> str:
+        """In words; "": not known.
+
+        Args:
+            elapsed_s: Since the run began.
+            done: Share done, 0..1.
+        """
+        if not self._seen or elapsed_s >= self._seen[-1][0] + 1:
+            self._seen.append((elapsed_s, done))
+        recent = [x for x in self._seen if x[0] >= elapsed_s * 2 / 3]
+        if done < FORETOLD or len(recent) < 3:
+            return ""
+        (a, x), (b, y), (c, z) = recent[0], recent[len(recent) // 2], recent[-1]
+        slow, fast = sorted(((y - x) / (b - a), (z - y) / (c - b)))
+        if fast > STEADY * slow or slow <= 0:
+            return ""
+        return f"{(1 - done) * (c - a) / (z - x):.0f} s left"
+
+
+class _LeftColumn(ProgressColumn):
+    """Time left of a bar."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._left = TimeLeft()
+
+    def render(self, task: Task) -> Text:
+        """In words."""
+        return Text(self._left.said(task.elapsed or 0.0, task.completed))
+
+
 @contextmanager
 def progress(what: str) -> Iterator[Callable[[float], None]]:
     """A bar on stderr, or a line now and then where that is no terminal; the function takes the
@@ -67,24 +109,25 @@ def progress(what: str) -> Iterator[Callable[[float], None]]:
         yield _lines(what)
         return
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
-    with Progress(*columns, TimeRemainingColumn(), console=STDERR, transient=True) as bar:
+    with Progress(*columns, _LeftColumn(), console=STDERR, transient=True) as bar:
         task = bar.add_task(what, total=1.0)
         yield lambda done: bar.update(task, completed=done)
 
 
 def _lines(what: str) -> Callable[[float], None]:
-    """Prints the share done and the time left, as long as it has taken until then tells it."""
+    """Prints the share done, and the time left once that is known."""
     began = said = time.monotonic()
+    left = TimeLeft()
 
     def tell(done: float) -> None:
         """Print a line where the last one is old enough."""
         nonlocal said
         now = time.monotonic()
+        known = left.said(now - began, done)
         if now - said < EVERY_S:
             return
         said = now
-        left = f", {(now - began) * (1 - done) / done:.0f} s left" if done > 0 else ""
-        STDERR.print(f"{what}: {100 * done:.0f} %{left}")
+        STDERR.print(f"{what}: {100 * done:.0f} %{f', {known}' if known else ''}")
 
     return tell
 

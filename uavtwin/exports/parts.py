@@ -143,6 +143,10 @@ def twin(
     return Twin(model.name, assembly, compensator, model.grounded, tuple(changes), evidence, bands)
 
 
+LAWLESS = "its training accepted no law: the untrained observer alone acts, where a log drives it"
+"""What exports say of a twin whose training found none that flies better on other flights."""
+
+
 def _taught(
     compensator: NetworkFile | None, force: LearnedForce | None
 ) -> tuple[list[str], dict[str, str]]:
@@ -154,7 +158,7 @@ def _taught(
     if force is not None:
         from learning.force.model import FILE as FORCE_FILE
 
-        changes.append("a learned force acts on it")
+        changes.append("a learned force acts on it" if force.model.says else LAWLESS)
         evidence |= {f.name: f.sha256 for f in force.model.flights}
         if (force.folder / FORCE_FILE).is_file():
             evidence[FORCE_FILE] = sha256(force.folder / FORCE_FILE)

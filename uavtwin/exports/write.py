@@ -25,7 +25,7 @@ from ..output import results_folder, sha256
 from ..record import Record
 from ..vehicles import GROUNDED
 from .credibility import CredibilityRecord, FactorRecord, check_required, members, of_file
-from .parts import Twin
+from .parts import LAWLESS, Twin
 from .traceability import members as traces
 
 Exportable = Component | FmuModel | NetworkFile | Twin
@@ -234,7 +234,7 @@ def _twin_products(twin: Twin, starts: Starts) -> list[Product]:
     note = f"{GROUNDED}{twin.grounded}" if twin.grounded else ""
     fused = replace(fused, description=f"{fused.description} {note}".rstrip())
     system = Product(f"{fused.name}.ssp", write, references=True)
-    said = [note] * bool(note)
+    said = [note] * bool(note) + [c for c in twin.changes if c == LAWLESS]
     if bands is not None and not bands.level:
         said.append(f"{NEVER_VALID}: {bands.because}")
     return [replace(_native(fused), note="; ".join(said)), replace(system, note=note)]

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from msgspec import structs, to_builtins
 
+from twin.formatting import certainty
 from twin.logs.mavlink.frames import dialect
 from twin.physics.sensors.table import SENSORS
 from twin.residuals.stream import Rows
@@ -44,10 +45,10 @@ class FlightWatch(Protocol):
 def sentence(alarm: Alarm) -> str:
     """What an alarm says to people: what has happened, how much, and how sure that is."""
     event = alarm.event
-    details = [d for d in (size_in_words(event), f"{event.probability:.0%}") if d]
+    details = [d for d in (size_in_words(event), certainty(event.probability)) if d]
     text = f"{event.text} ({', '.join(details)})"
     if event.alternatives:
-        known = (f"{cause_in_words(c)} ({c.probability:.0%})" for c in event.alternatives)
+        known = (f"{cause_in_words(c)} ({certainty(c.probability)})" for c in event.alternatives)
         text += f"; or {' or '.join(known)}"
     if alarm.closed_s is not None:
         text += f"; over since {alarm.closed_s:.1f} s"

@@ -28,7 +28,7 @@ from twin.residuals.gap import (
     summarise,
 )
 
-from ..gaps import GapResult, claim
+from ..gaps import GapResult, claim, unfit
 from ..wording import KINDS, Kind, describe, drive_sentence, grouped, hover_sentence, mode
 from .autopilot import autopilot_content
 from .drawing import DENSE_HZ, GAP_PX, TREND_HZ, Axis, Budget, Panels, Spans, fitted, thinned
@@ -102,7 +102,7 @@ class _Scored:
         return render(
             "report.html.j2",
             {"words": describe},
-            claim=claim(places),
+            claim=unfit(gaps) + claim(places),
             detail=_detail(places),
             drive=drive_sentence({g.flight: g.driven_by for g in gaps}),
             hover=[_hover(gaps[i], f"{gaps[i].flight}: ") for i in drawn if gaps[i].hover],
@@ -141,7 +141,7 @@ class _Scored:
                 "id": f"flight{i}" if i in drawn else "",
                 "name": self.gaps[i].flight,
                 "duration_s": self.gaps[i].duration_s,
-                "claim": claim(rank({s.name: s for s in self.summed[i]})),
+                "claim": unfit([self.gaps[i]]) + claim(rank({s.name: s for s in self.summed[i]})),
                 "hover": _hover(self.gaps[i]) if self.gaps[i].hover else "",
             }
             for i in [*drawn, *others][:MOST_LISTED]
@@ -167,7 +167,7 @@ class _Scored:
             "vehicle": gap.vehicle,
             "duration_s": gap.duration_s,
             "phases": phases,
-            "claim": claim(places),
+            "claim": unfit([gap]) + claim(places),
             "figures": [
                 _figure(name, kind, members, phases, budget)
                 for kind, members in _furthest_first(grouped(gap.channels), places)

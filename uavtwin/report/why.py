@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.formatting import pretty_unit
+from twin.formatting import certainty, pretty_unit
 from twin.logs.columns import GYRO
 from twin.why.flight import FlightFrame
 from twin.why.records import Event, EvidenceSeries
@@ -200,7 +200,7 @@ def _card(
 ) -> _Card:
     when = "all the time" if event.onset_s is None else f"{event.onset_s:.2f} s"
     others = " or ".join(
-        f"{cause_in_words(c)} ({100 * c.probability:.0f} %)" for c in listed_alternatives(event)
+        f"{cause_in_words(c)} ({certainty(c.probability)})" for c in listed_alternatives(event)
     )
     quoted = ", ".join(
         f"{i.text} at {i.t_s:.2f} s"

@@ -92,11 +92,11 @@ def test_a_newer_firmware_and_a_log_that_states_nothing_are_no_other_aircraft() 
     assert found.verdict == "nothing_found"
 
 
-def test_a_log_without_commands_says_first_that_it_can_show_little() -> None:
+def test_a_log_without_commands_says_first_that_it_cannot_tell() -> None:
     table = {name: v for name, v in sound().items() if not name.startswith("cmd_")}
     found = diagnose(Flight("f", pd.DataFrame(table)))
     assert found.verdict == "cannot_tell" and found.probability == pytest.approx(0.0, abs=0.2)
-    assert found.text.startswith("This log can show little: rotors, mass, forces are not judged")
+    assert found.text.startswith("Cannot tell: rotors, mass, forces are not judged")
 
 
 def hidden(value: float | None, events: Sequence[Event] = ()) -> Finder:
@@ -110,8 +110,8 @@ def test_where_no_rotor_failure_would_show_the_log_cannot_tell() -> None:
     found = diagnose(hover(), finders=[hidden(None)])
     assert found.verdict == "cannot_tell" and found.probability == 0.0
     assert found.text == (
-        "This log can show no rotor failure: noise. "
-        "Of what it can show, nothing went wrong (more than 99 %)."
+        "Cannot tell: rotor failure would not show, since noise. "
+        "Nothing else went wrong that this log can show (more than 99 %)."
     )
     found = diagnose(hover(), finders=[hidden(0.3)])
     assert found.verdict == "nothing_found"

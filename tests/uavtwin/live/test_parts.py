@@ -252,7 +252,7 @@ def test_parts_report_once_and_rest_until_the_next_section(tmp_path: Path) -> No
     assert parts.run(Part.ALARMS, lambda: 3) == 3
 
 
-@pytest.mark.parametrize(("carried", "fits"), [(1.05, True), (0.7, False), (1.3, False)])
+@pytest.mark.parametrize(("carried", "fits"), [(1.05, True), (0.75, False), (1.3, False)])
 def test_a_vehicle_file_that_carries_another_weight_is_said(carried: float, fits: bool) -> None:
     """After twenty seconds in the air, not before."""
     lift, rng = Lift(), np.random.default_rng(5)
