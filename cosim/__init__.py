@@ -1,1 +1,1 @@
-"""Co-simulation: systems, the master, the gap between a flight and its twin, the command line."""
+"""Co-simulation: systems of FMUs, the master, SSP files, masters in worker processes."""

@@ -1,11 +1,11 @@
-"""Calls into an FMU library, and the trace of them that another process can read.
+"""Calls into an FMU library, and a trace of them for another process.
 
-The arguments of a call are made once: 0.3 us instead of 8 us a call.
+The arguments of a call are created once: 0.3 us instead of 8 us per call.
 
-The trace says what a slave is doing even when its process is dead. It is one file of fixed size,
-each recording another one of the size that was asked for. The reading process makes them and seals
-their sizes, so that no code but the writer can truncate or extend them; it reads no more than it
-asked for.
+The trace shows the present call of a slave even when its process is dead. It is one file of fixed
+size; each recording is another one of the requested size. The reading process creates them and
+seals their sizes, so that no other process can truncate or extend them; it never reads more than it
+requested.
 """
 
 import ctypes
@@ -27,32 +27,32 @@ from .interface import SCALARS, Port
 
 Array = NDArray[np.float64]
 _LEAD = 4096
-"""Bytes before all content: what an FMU writes into open files by mistake lands there. A mapping in
-Python keeps its file open."""
+"""Bytes before all content: erroneous writes of an FMU to open files end there. A mapping in Python
+keeps its file open."""
 _CLOCK, _CALL, _NAMES, _NAME_BYTES, _MOST_NAMES = _LEAD, _LEAD + 8, _LEAD + 256, 256, 4095
 """Offsets in the trace, and sizes, bytes."""
 HEADER = _NAMES + _MOST_NAMES * _NAME_BYTES
-"""Bytes of the trace: the clock, the number of the call, and what calls there are."""
+"""Size of the trace, bytes: the clock, the number of the call, and the list of calls."""
 ONE, QUARTER, MORE, FOLLOWING, TINY = 1.0, 2.0**-54, 1.5 * 2.0**-53, 1.0 + 2.0**-52, 5e-324
-"""A process rounds to nearest if ONE + QUARTER + MORE is FOLLOWING, and keeps what is smaller than
-the smallest normal number if TINY + TINY is not 0. Variables, which are added where they are asked
-for; not a function, whose call would cost a step as much as the sums."""
+"""Test values: a process rounds to nearest if ONE + QUARTER + MORE is FOLLOWING, and keeps
+subnormal numbers if TINY + TINY is not 0. Variables, which are added at each test; a function call
+would cost a step as much as the sums."""
 
 
 _FENV_BYTES = 256
-"""No less than the size of C99's `fenv_t`, the floating-point environment of a thread."""
+"""Upper bound of the size of C99's `fenv_t`, the floating-point environment of a thread."""
 
 
 class SharedTrace:
-    """The written side.
+    """Writer of the trace.
 
     Attributes:
-        clock: Time of the call under way, s.
-        call: Its number; negative after it has returned.
+        clock: Time of the present call, s.
+        call: Number of the call; negative after it has returned.
     """
 
     def __init__(self, file: int) -> None:
-        """Take an open file of `HEADER` bytes; it is closed."""
+        """Map an open file of `HEADER` bytes, which is closed."""
         self._table, self._pid = -1, os.getpid()
         self._memory = _mapped(file, HEADER)
         os.close(file)
@@ -64,11 +64,11 @@ class SharedTrace:
         self.clock = ctypes.c_double.from_buffer(self._memory, _CLOCK)
 
     def take_table(self, file: int) -> None:
-        """Take the open file of the next recording."""
+        """Set the open file of the next recording."""
         self._table = file
 
     def table(self, count: int) -> Array:
-        """That many NaN in the file of the recording, which is closed.
+        """Array of NaN in the file of the recording, which is closed.
 
         Raises:
             FmuError: There is none of this size.
@@ -88,20 +88,20 @@ class SharedTrace:
         return table
 
     def check_process(self) -> None:
-        """End this process if it is a copy, made by an FMU, of that which wrote the trace."""
+        """End this process if it is a copy, made by an FMU, of the process that wrote the trace."""
         if os.getpid() != self._pid:
             os._exit(0)
 
     def traced(self, who: str, function: str, call: Callable[[], Any]) -> "TracedCall":
-        """The call, written into the trace before it is made; see `TracedCall`."""
+        """The call, recorded in the trace before it is made; see `TracedCall`."""
         return TracedCall(self, who, function, call)
 
     def restore_arithmetic(self) -> None:
-        """Round and treat small numbers as before the first call of an FMU."""
+        """Restore rounding and subnormal handling as before the first call of an FMU."""
         self._libm.fesetenv(self._arithmetic)
 
     def number(self, text: str) -> int:
-        """Of a call, from 1 on; those beyond the last have no name."""
+        """Number of a call, from 1; those beyond the last have no name."""
         number = self._numbers.setdefault(text, len(self._numbers) + 1)
         if number <= _MOST_NAMES:
             at = _NAMES + (number - 1) * _NAME_BYTES
@@ -111,11 +111,11 @@ class SharedTrace:
 
 
 class TracedCall:
-    """A call that writes its number on a trace before, and that it has returned after.
+    """A call that writes its number to a trace before, and marks its return after.
 
     Attributes:
-        number: Of the call.
-        bare: The call alone, for a loop that writes the number itself.
+        number: Number of the call.
+        bare: The call only, for a loop that writes the number itself.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class TracedCall:
         """Make the call.
 
         Raises:
-            FmuError: The FMU changed how this process calculates.
+            FmuError: The FMU changed the floating-point environment of this process.
         """
         self._slot.value = self.number
         result = self.bare()
@@ -139,8 +139,8 @@ class TracedCall:
         raise self.spoilt()
 
     def spoilt(self) -> FmuError:
-        """Error for a call that has changed how this process calculates, which is undone: what
-        others do from here on, and the end of the run, is not held against them."""
+        """Error for a call that has changed the floating-point environment, which is restored, so
+        that later calls are not blamed."""
         self._trace.restore_arithmetic()
         return FmuError(
             f"{self._who}: {self._function} at {self._trace.clock.value:g} s: changed how the "
@@ -150,8 +150,8 @@ class TracedCall:
 
 
 def _mapped(file: int, size: int) -> mmap.mmap:
-    """A file, which a copy of this process, made by an FMU, does not have: it ends where it writes
-    there."""
+    """Mapping of a file that is not inherited by a copy of this process, made by an FMU: the copy
+    crashes when it writes there."""
     memory = mmap.mmap(file, size)
     if hasattr(mmap, "MADV_DONTFORK"):  # Linux
         memory.madvise(mmap.MADV_DONTFORK)
@@ -159,13 +159,13 @@ def _mapped(file: int, size: int) -> mmap.mmap:
 
 
 class TraceEntry(NamedTuple):
-    """What a trace says.
+    """Content of a trace.
 
     Attributes:
         clock_s: Time of the last call.
-        busy: Whether it has not returned.
+        busy: Whether the call has not returned.
         who: Slave and file, "" before the first call.
-        function: Of the FMU.
+        function: Name of the FMU function.
     """
 
     clock_s: float
@@ -175,12 +175,12 @@ class TraceEntry(NamedTuple):
 
 
 def shared_file(size: int) -> int:
-    """A new file of this many zeros without a name; where the system can, its size is sealed.
+    """A new unnamed file of zeros; where the system can, its size is sealed.
 
-    It takes no memory before it is written.
+    It uses no memory before it is written.
 
     Raises:
-        OSError: It cannot be so large.
+        OSError: The size is not available.
     """
     if not hasattr(os, "memfd_create"):
         with tempfile.TemporaryFile() as stream:
@@ -199,7 +199,7 @@ def shared_file(size: int) -> int:
 
 
 def read_trace(file: int) -> TraceEntry:
-    """The reading side."""
+    """Content of a trace, for the reading process."""
     clock_s, number = struct.unpack("dq", os.pread(file, 16, _CLOCK).ljust(16, b"\0"))
     at = _NAMES + (abs(number) - 1) * _NAME_BYTES
     name = os.pread(file, _NAME_BYTES, at) if 0 < abs(number) <= _MOST_NAMES else b""
@@ -208,19 +208,19 @@ def read_trace(file: int) -> TraceEntry:
 
 
 def table_bytes(count: int) -> int:
-    """Size of the file of a recording of this many numbers."""
+    """Size of the file of a recording with a number of values."""
     return _LEAD + 8 * count
 
 
 def read_table(file: int, times_s: Array, width: int) -> tuple[Array, Array]:
-    """Times and rows that have been written, shapes (n,) and (n, width).
+    """Written times and rows, shapes (n,) and (n, width).
 
-    The rows end before the first that does not have its time: it was not written, or overwritten.
+    The rows end before the first whose time is wrong: it was not written, or overwritten.
 
     Args:
-        file: Of the recording.
-        times_s: Of the rows that were asked for; no more is read, however long the file is.
-        width: Numbers in a row.
+        file: File of the recording.
+        times_s: Requested times of the rows; no more is read, however long the file is.
+        width: Number of values in a row.
     """
     rows = len(times_s)
     flat = np.full(rows * (1 + width), np.nan)
@@ -241,8 +241,8 @@ class Transfer:
     """Moves the values of some variables between a float64 array and the FMU.
 
     Attributes:
-        calls: One raw call per FMI type, its buffer, and the positions of the buffer's entries in
-            the array; None: the buffer is the array.
+        calls: One raw call per FMI type, its buffer, and the indices of the buffer's entries in the
+            array; None: the buffer is the array.
     """
 
     def __init__(self, library: "Library", verb: str, ports: Sequence[Port], values: Array) -> None:
@@ -263,11 +263,11 @@ class Library:
     """The loaded library of one FMU instance.
 
     Attributes:
-        clock: Time of the step under way, s.
+        clock: Time of the present step, s.
     """
 
     def __init__(self, fmu: Any, fmi: int, who: str = "", trace: SharedTrace | None = None) -> None:
-        """Take an instance; `trace` tells others its calls, made in the name of a slave."""
+        """Set up an instance; `trace` records its calls under the name of a slave."""
         self.fmi, self._who, self._trace = fmi, who, trace
         self.clock = ctypes.c_double() if trace is None else trace.clock
         self._dll = fmu.dll
@@ -277,9 +277,8 @@ class Library:
     def call(self, function: str, *arguments: Any) -> Call:
         """A function, named without `fmi2` or `fmi3`, with its arguments after the instance.
 
-        Indexing the library gives a pointer without the argument types that FMPy has set on its
-        own, and `from_param` what ctypes would make of an argument in each call: nothing is left
-        to convert.
+        Indexing the library gives a pointer without the argument types that FMPy has set, and
+        `from_param` the converted arguments: no conversion remains in each call.
         """
         full = f"fmi{self.fmi}{function}"
         call = partial(self._dll[full], self._component, *arguments)
@@ -306,7 +305,7 @@ class Library:
         return self.call("GetDirectionalDerivative", *head, *tail)
 
     def _pointer(self, array: NDArray[Any]) -> Any:
-        """Address of an array, which lives as long as the library from here on."""
+        """Address of an array, which the library keeps alive."""
         self._buffers.append(array)
         return ctypes.c_void_p.from_param(array.ctypes.data)
 
@@ -315,8 +314,8 @@ class Step:
     """The doStep of one instance.
 
     Attributes:
-        call: Steps from `time_s` over `step_s`, ctypes doubles set before.
-        flags: What FMI 3 tells after a step: event, termination, early return; one byte each.
+        call: Step from `time_s` over `step_s`, ctypes doubles that are set before.
+        flags: Flags of FMI 3 after a step: event, termination, early return; one byte each.
         reached_s: Time that the FMU has reached, FMI 3.
     """
 

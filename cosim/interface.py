@@ -1,4 +1,4 @@
-"""What a co-simulation FMU says of itself: its variables, units, dependencies and abilities."""
+"""Interface of a co-simulation FMU: its variables, units, dependencies and capabilities."""
 
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -33,7 +33,7 @@ SCALARS: dict[int, dict[str, tuple[str, type[np.generic]]]] = {
         "Boolean": ("Boolean", np.bool_),
     },
 }
-"""By FMI version: FMI type -> name in the get and set functions, NumPy type of its buffer."""
+"""FMI type -> name in the get and set functions, NumPy type of its buffer, by FMI version."""
 
 _SAVES = ("canGetAndSetFMUstate", "canGetAndSetFMUState")  # FMI 2, FMI 3
 _DERIVATIVES = ("providesDirectionalDerivative", "providesDirectionalDerivatives")  # FMI 2, FMI 3
@@ -41,12 +41,12 @@ _DERIVATIVES = ("providesDirectionalDerivative", "providesDirectionalDerivatives
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A variable of an FMU as the master sees it.
+    """A variable of an FMU for the master.
 
     Attributes:
-        nominal: Size of a usual value, 1 where the FMU does not say.
-        settable: Whether it takes a start value.
-        kind: "Real", "Integer", "Boolean" or "Enumeration"; None for what is no such scalar.
+        nominal: Typical magnitude, 1 where the FMU has none.
+        settable: Whether it accepts a start value.
+        kind: "Real", "Integer", "Boolean" or "Enumeration"; None for other types.
         items: Value -> name of an enumeration.
     """
 
@@ -74,7 +74,7 @@ class Interface:
 
     @cached_property
     def fmi(self) -> int:
-        """2 or 3."""
+        """FMI version, 2 or 3."""
         return 2 if self.description.fmiVersion.startswith("2") else 3
 
     @cached_property
@@ -86,7 +86,7 @@ class Interface:
         """The variable of that name.
 
         Raises:
-            FmuError: There is none; the text names the nearest.
+            FmuError: There is none; the text names the most similar one.
         """
         if name not in self.ports:
             near = get_close_matches(name, self.ports, n=1, cutoff=0.5)
@@ -95,10 +95,10 @@ class Interface:
         return self.ports[name]
 
     def scalar(self, name: str) -> Port:
-        """The same, of a kind that the master can move.
+        """The variable of that name, if its type is supported by the master.
 
         Raises:
-            FmuError: It is an array, a text or another kind.
+            FmuError: It is an array, a text or another type.
         """
         port = self.port(name)
         if port.kind is None:
@@ -109,7 +109,7 @@ class Interface:
         return port
 
     def value(self, port: Port, value: float) -> float | int | bool:
-        """A start value as its variable takes it.
+        """A start value converted to the type of its variable.
 
         Raises:
             FmuError: It would have to be rounded, or is no item of an enumeration.
@@ -135,22 +135,22 @@ class Interface:
         return bool(value) if port.kind == "Boolean" else int(value)
 
     def names(self, *causalities: str) -> list[str]:
-        """Scalars of these causalities, in the FMU's order; arrays and texts are left out."""
+        """Scalars of these causalities, in the FMU's order, without arrays and texts."""
         return [p.name for p in self.ports.values() if p.causality in causalities and p.kind]
 
     @property
     def saves_state(self) -> bool:
-        """Whether a step can be taken back."""
+        """Whether a step can be rolled back."""
         return self._can(*_SAVES)
 
     @property
     def has_derivatives(self) -> bool:
-        """Whether it gives directional derivatives."""
+        """Whether it provides directional derivatives."""
         return self._can(*_DERIVATIVES)
 
     @property
     def varies_step(self) -> bool:
-        """Whether its communication steps may differ in length."""
+        """Whether its communication steps may vary in length."""
         return self._can("canHandleVariableCommunicationStepSize")
 
     def _can(self, *names: str) -> bool:
@@ -158,10 +158,11 @@ class Interface:
         return any(getattr(part, n, None) in (True, "true", "1") for n in names)
 
     def dependencies(self, initial: bool = False) -> dict[str, set[str]]:
-        """Inputs on which each output directly depends; all inputs where the FMU does not say.
+        """Inputs on which each output directly depends; all inputs where the FMU does not declare
+        it.
 
         Args:
-            initial: At the end of initialisation, when an input may also enter by way of the
+            initial: Whether at the end of initialisation, when an input may also act through the
                 initial states; else while stepping.
         """
         inputs = set(self.names("input"))
@@ -184,7 +185,7 @@ def read_interface(path: Path) -> Interface:
     Raises:
         FmuError: Not a readable FMU, or not one for co-simulation.
     """
-    open_archive(path)  # refuses what is not safe to parse
+    open_archive(path)  # refuses unsafe descriptions
     try:
         description = fmpy.read_model_description(path)
     except Exception as error:  # FMPy and lxml raise many kinds

@@ -1,4 +1,4 @@
-"""What a worker process may use, and how one ended."""
+"""Resource limits of a worker process, and the description of its end."""
 
 import contextlib
 import signal
@@ -9,14 +9,14 @@ from twin.errors import FmuError, TwinError
 
 
 def check_limits(error: type[TwinError], **limits: float) -> None:
-    """Raise the error if a limit is no positive number."""
+    """Raise the error if a limit is not positive."""
     for name, value in limits.items():
         if not (isfinite(value) and value > 0):
             raise error(f"limit {name} = {value:g}: needs a positive number.")
 
 
 def exit_text(code: int) -> str:
-    """How a process ended, by its return code."""
+    """Text on the end of a process, by its return code."""
     if code < 0:
         with contextlib.suppress(ValueError):  # a signal without a name
             return f"signal {signal.Signals(-code).name}"
@@ -28,10 +28,10 @@ class Limits:
     """Limits of a worker process.
 
     Attributes:
-        call_s: Time that one call into an FMU may take, loading and ending included.
-        whole_s: Time that loading may take, and that initialising and running may take together;
-            a run by the clock may take as long as the clock in addition.
-        memory_gib: Memory that the process may ask for.
+        call_s: Time limit of one call into an FMU, including loading and freeing.
+        whole_s: Time limit of loading, and of initialisation and run together; a run in real time
+            may take the simulated time in addition.
+        memory_gib: Memory limit of the process.
     """
 
     call_s: float = 60.0

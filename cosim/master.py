@@ -1,11 +1,11 @@
-"""The co-simulation master: loads a system, initialises it and runs it; see `stepping` for how.
+"""The co-simulation master: loads, initialises and runs a system; `stepping` has the algorithms.
 
 In real time, simulated time does not run ahead of the clock.
 
-Adaptive steps are controlled by one step against two half steps, with rollback. The coupling holds
-inputs over a step, so it is of first order: the difference between one step of h and two of h/2
-estimates the error of the latter, whose result is retained. Steps end at every output instant and
-at every sample instant of a slave, and never cross one.
+Adaptive steps are controlled by comparing one step with two half steps, with rollback. The coupling
+holds inputs over a step, so it is of first order: the difference between one step of h and two of
+h/2 estimates the error of the latter, whose result is retained. Steps end at every output instant
+and at every sample instant of a slave, and never cross one.
 
 Source: Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, sec. II.4; for
 co-simulation, Schierz, Arnold & Clauss, Co-simulation with communication step size control in an
@@ -31,14 +31,14 @@ from .system import System
 
 
 class Rollback:
-    """One kept state of all slaves and of the bus, overwritten by each `keep`."""
+    """One saved state of all slaves and of the bus, overwritten by each `keep`."""
 
     def __init__(self, bus: Bus) -> None:
         self.bus = bus
         self._states: dict[str, SavedState] = {}
 
     def keep(self) -> None:
-        """Keep the present state.
+        """Save the present state.
 
         Raises:
             FmuError: A slave cannot save its state.
@@ -48,13 +48,13 @@ class Rollback:
         self._values = self.bus.values.copy()
 
     def back(self) -> None:
-        """Return to the kept state."""
+        """Return to the saved state."""
         for name, s in self.bus.slaves.items():
             s.restore(self._states[name])
         self.bus.values[:] = self._values
 
     def free(self) -> None:
-        """Forget it."""
+        """Free the saved state."""
         for name, state in self._states.items():
             self.bus.slaves[name].free(state)
         self._states.clear()
@@ -65,14 +65,15 @@ Advance = Callable[[float, float], None]
 SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
 """`fac`, `facmin` and `facmax` of Hairer, Norsett & Wanner, sec. II.4."""
 SAMPLE_PERIOD = "sample_period"
-"""Parameter that makes a slave a sampled one: its period, s."""
+"""Parameter that marks a sampled slave: its period, s."""
 ON_GRID = 1e-6
-"""A time that many periods from an instant is that instant: times carry rounding errors."""
+"""Distance of a time from an instant, in periods, below which they are equal: times have rounding
+errors."""
 
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Instants origin + k * period, none of which a step crosses."""
+    """Instants origin + k * period that no step crosses."""
 
     origin_s: float
     period_s: float
@@ -85,16 +86,16 @@ class Grid:
 
 @dataclass
 class Control:
-    """Chooses step lengths.
+    """Step-size control.
 
     Attributes:
-        names: Signals that are compared.
-        nominal: Size of a usual value of each, shape (n,).
-        tolerance: Error allowed per step, relative to the larger of value and nominal value.
-        shortest_s: Steps shorter than this end the run.
-        step_s: Length to try next.
+        names: Names of the compared signals.
+        nominal: Typical magnitude of each signal, shape (n,).
+        tolerance: Largest error per step, relative to the larger of value and nominal value.
+        shortest_s: Step length below which the run is aborted.
+        step_s: Length of the next step.
         steps: Steps accepted, each of two halves.
-        rejected: Steps taken back.
+        rejected: Number of rejected steps.
     """
 
     names: Sequence[str]
@@ -106,13 +107,13 @@ class Control:
     rejected: int = field(default=0, init=False)
 
     def length(self, left_s: float) -> float:
-        """Length of the next step, which leaves no crumb before the next instant."""
+        """Length of the next step, such that no very short step remains before the next instant."""
         if self.step_s >= left_s * (1 - 1e-9):
             return left_s
         return min(self.step_s, left_s / 2)
 
     def accepts(self, time_s: float, tried_s: float, whole: Array, halves: Array) -> bool:
-        """Judge a step by its two results and choose the next length.
+        """Accept or reject a step by its two results and set the next length.
 
         Raises:
             FmuError: A step would become too short.
@@ -120,11 +121,11 @@ class Control:
         with np.errstate(invalid="ignore"):
             scale = np.maximum(self.nominal, np.abs(halves))
             error = np.abs(whole - halves) / scale / self.tolerance
-        error[np.isnan(error)] = np.inf  # a shorter step may stay finite
+        error[np.isnan(error)] = np.inf  # a shorter step may remain finite
         ratio = float(error.max(initial=0.0))
         better_s = tried_s * SAFETY / np.sqrt(ratio) if ratio > 0 else np.inf
         if ratio <= 1:
-            # A step cut short by an instant says little against the longer one that was planned.
+            # A step shortened by an instant is no evidence against the longer planned step.
             longest_s = GROW * max(tried_s, self.step_s)
             self.steps += 1
         else:
@@ -149,7 +150,7 @@ def advance_to(
     system: Rollback,
     compared: NDArray[np.intp],
 ) -> None:
-    """Controlled steps from a time to an instant."""
+    """Adaptive steps from a time to an instant."""
     values = system.bus.values
     while time_s < instant_s:
         end_s = min([instant_s, *(g.after(time_s) for g in grids)])
@@ -168,13 +169,12 @@ def advance_to(
 
 
 class Pace:
-    """Waits at communication points until the clock has come as far.
+    """Waits at communication points until the clock has reached simulated time.
 
-    Every deadline is counted from the first one, so waiting too long once delays nothing after
-    it.
+    Every deadline is counted from the first one, so one long wait does not delay later ones.
 
     Attributes:
-        lateness_s: Longest time by which a communication point was reached too late.
+        lateness_s: Largest delay of a communication point behind the clock.
     """
 
     def __init__(self, factor: float, start_time_s: float) -> None:
@@ -183,7 +183,7 @@ class Pace:
         self.lateness_s = 0.0
 
     def wait(self, time_s: float) -> None:
-        """Return when the clock shows a simulated time, at once when it is late."""
+        """Wait until the clock reaches a simulated time; returns at once when late."""
         due = self._begin + (time_s - self._start_time_s) / self._factor
         ahead_s = due - time.perf_counter()
         if ahead_s > 0:
@@ -199,12 +199,12 @@ SHORTEST = 1e-9
 
 
 class Master:
-    """Loads a system once and runs it as often as wanted; a context manager.
+    """Loads a system once and runs it any number of times; a context manager.
 
     Attributes:
-        slaves: In the order of the system.
+        slaves: Slaves in the order of the system.
         record_names: "slave.variable" of each recorded column.
-        time_s: Time reached.
+        time_s: Present time.
     """
 
     def __init__(
@@ -213,9 +213,9 @@ class Master:
         """Load the FMUs.
 
         Args:
-            system: What to run.
-            record: "slave.variable" outputs to record; None: all that are scalars.
-            trace: Where another process can read the calls under way and the recording.
+            system: System to run.
+            record: Names "slave.variable" of outputs to record; None: all scalars.
+            trace: Trace of the present calls and the recording for another process.
 
         Raises:
             FmuError: A file, a name, a unit or a connection is wrong.
@@ -239,12 +239,12 @@ class Master:
         return Slave(name, path) if self._trace is None else TracedSlave(name, path, self._trace)
 
     def _connect(self) -> None:
-        """Bus and algorithms over the present instances, whose addresses they hold."""
+        """Bus and algorithms for the present instances, whose addresses they use."""
         self._bus = Bus(self.system, {s.name: s for s in self.slaves}, self._record)
         self._stepping = Stepping(self._bus)
 
     def _reset(self) -> None:
-        """Put all slaves into the instantiated state; what cannot is instantiated again."""
+        """Reset all slaves to the instantiated state; those that cannot are instantiated again."""
         renewed = False
         for i, s in enumerate(self.slaves):
             try:
@@ -262,16 +262,16 @@ class Master:
         starts: Mapping[str, float] | None = None,
         stop_time_s: float | None = None,
     ) -> None:
-        """Set start values and initialise all slaves at a time, after a run from its beginning.
+        """Set start values and initialise all slaves at a time, also after a run.
 
         Args:
             start_time_s: Time of the first communication point; None: the system's.
-            starts: Start values on top of the system's, "slave.variable" -> value.
-            stop_time_s: Stop time that the slaves get, and no run goes beyond; None: they get none.
+            starts: Start values in addition to the system's, "slave.variable" -> value.
+            stop_time_s: Stop time of the slaves, which no run exceeds; None: they get none.
 
         Raises:
             FmuError: A start value is wrong, a slave refused, a loop has no solution, or an output
-                is no finite number.
+                is not finite.
         """
         start_s = self.system.start_time_s if start_time_s is None else start_time_s
         self._stop_s = np.inf if stop_time_s is None else stop_time_s
@@ -284,7 +284,7 @@ class Master:
         for s in self.slaves:
             s.initialize(start_s, values[s.name], stop_time_s)
         for s in self.slaves:
-            s.read_outputs()  # where the solution of loops starts
+            s.read_outputs()  # initial guess for loops
         self._stepping.settle(start_s, initial=True)
         self._bus.write_all()
         for s in self.slaves:
@@ -308,22 +308,22 @@ class Master:
         progress: Callable[[float], None] | None = None,
         realtime: float | None = None,
     ) -> Recording:
-        """Step until a time; the first row is the present.
+        """Step until a time; the first row is the present state.
 
         Args:
             stop_time_s: Time of the last communication point.
             step_s: Base communication step.
-            algorithm: See `stepping`.
-            every: Record every so many steps.
-            progress: Called now and then with the time reached.
+            algorithm: Algorithm of `stepping`.
+            every: Decimation of the recording, in steps.
+            progress: Called regularly with the time reached.
             realtime: Simulated seconds per second of the clock, 1 for real time; None: as fast
                 as possible.
 
         Raises:
             FmuError: The step is not positive, or the time is past.
-            RunError: A slave failed or gave what is no finite number; holds the recording.
-            Interrupted: Ctrl-C; holds the recording up to then. Between two steps, where a run in
-                real time spends its time, the system can be run on.
+            RunError: A slave failed or returned a value that is not finite; has the recording.
+            Interrupted: Ctrl-C; has the recording up to then. Between two steps, where a run in
+                real time spends most of its time, the system can be continued.
         """
         steps = self._steps(stop_time_s, step_s)
         if every < 1:
@@ -338,7 +338,7 @@ class Master:
         self._ready = waiting = False
         done = 0
         try:
-            with np.errstate(invalid="ignore"):  # `check` looks for what is not finite
+            with np.errstate(invalid="ignore"):  # `check` tests for finite values
                 for done in range(1, steps + 1):
                     step(self.time_s, min(step_s, self._stop_s - self.time_s))
                     self.time_s = origin + done * step_s
@@ -374,7 +374,7 @@ class Master:
         algorithm: Algorithm = "settled",
         progress: Callable[[float], None] | None = None,
     ) -> Recording:
-        """Run with step-size control and record on an even grid; the first row is the present.
+        """Run with step-size control, recording on a uniform grid from the present state on.
 
         No step crosses an output instant, nor a sample instant of a slave that has a parameter
         `sample_period`.
@@ -382,15 +382,15 @@ class Master:
         Args:
             stop_time_s: Time of the last output.
             step_s: Time between two outputs, the longest step.
-            tolerance: Error allowed per step in every real number that is connected or recorded,
+            tolerance: Largest error per step of every real number that is connected or recorded,
                 relative to the larger of its value and its nominal value.
-            algorithm: See `stepping`.
-            progress: Called now and then with the time reached.
+            algorithm: Algorithm of `stepping`.
+            progress: Called regularly with the time reached.
 
         Raises:
-            FmuError: A slave cannot take steps back.
-            RunError: A slave failed, or the tolerance cannot be reached; holds the recording.
-            Interrupted: Ctrl-C; holds the recording up to then.
+            FmuError: A slave does not support rollback.
+            RunError: A slave failed, or the tolerance cannot be reached; has the recording.
+            Interrupted: Ctrl-C; has the recording up to then.
         """
         steps = self._steps(stop_time_s, step_s)
         if not (tolerance > 0 and np.isfinite(tolerance)):
@@ -454,7 +454,7 @@ class Master:
         """Number of steps until a time.
 
         Raises:
-            FmuError: There is no such number, or nothing has been initialised.
+            FmuError: There is no such number, or the system is not initialised.
         """
         if not step_s > 0 or not np.isfinite(step_s):
             raise FmuError(f"communication step {step_s:g} s must be positive, e.g. 0.001.")
@@ -497,7 +497,7 @@ class Master:
 
 
 class _Rows:
-    """The rows of a recording under way."""
+    """The rows of a recording in progress."""
 
     def __init__(self, bus: Bus, count: int, trace: SharedTrace | None) -> None:
         self._bus, self._filled = bus, 0
@@ -505,12 +505,12 @@ class _Rows:
         size = count * (1 + width)
         table = np.empty(size) if trace is None else trace.table(size)
         self._time, self._values = table[:count], table[count:].reshape(count, width)
-        # Where everything on the bus is recorded, a copy does without the slower gather.
+        # Where everything on the bus is recorded, a plain copy replaces the slower gather.
         everything = np.array_equal(bus.columns, np.arange(len(bus.values)))
         self._columns: NDArray[np.intp] | slice = slice(None) if everything else bus.columns
 
     def add(self, time_s: float) -> None:
-        """Record the present; the time last, which says in a trace that the row is whole."""
+        """Record the present state; the time last, which marks the row in a trace as complete."""
         self._values[self._filled] = self._bus.values[self._columns]
         self._time[self._filled] = time_s
         self._filled += 1
@@ -518,7 +518,7 @@ class _Rows:
     def recording(
         self, steps: int, rejected: int = 0, pace: Pace | None = None, incomplete: str = ""
     ) -> Recording:
-        """What has been recorded so far."""
+        """Recording of all rows so far."""
         return Recording(
             self._bus.recorded,
             self._time[: self._filled],

@@ -1,4 +1,4 @@
-"""What a run leaves behind."""
+"""Result of a run."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,13 +20,13 @@ class Recording:
 
     Attributes:
         names: "slave.variable" of each column.
-        time_s: Shape (n,).
-        values: Shape (n, len(names)).
+        time_s: Times, shape (n,).
+        values: Values, shape (n, len(names)).
         steps: Communication steps taken.
-        rejected: Steps taken back by the step-size control and tried again with shorter ones.
-        lateness_s: Longest delay behind the clock, of a run in real time.
-        incomplete: Why the run did not come to its end; "" where it did.
-        printed: What FMUs in a process of their own printed, the end of it.
+        rejected: Steps rejected by the step-size control and repeated with shorter ones.
+        lateness_s: Largest delay behind the clock, of a run in real time.
+        incomplete: Reason why the run is incomplete; "" where it is complete.
+        printed: Last part of the output printed by FMUs in a separate process.
     """
 
     names: tuple[str, ...]
@@ -45,7 +45,7 @@ class Recording:
         return self.values[:, self.names.index(name)]
 
     def frame(self) -> "pd.DataFrame":
-        """As a table with `time` first; `attrs` say where it is incomplete."""
+        """The recording as a table with `time` first; `attrs` state where it is incomplete."""
         import pandas as pd
 
         table = pd.DataFrame(self.values, columns=list(self.names))
@@ -57,7 +57,7 @@ class Recording:
     def write(self, path: Path) -> None:
         """Write Parquet or CSV, chosen by the suffix; CSV keeps every bit (shortest repr).
 
-        Parquet keeps `incomplete`, too: pandas reads it into `attrs`.
+        Parquet stores `incomplete`, too: pandas reads it into `attrs`.
         """
         if path.suffix == ".parquet":
             self.frame().to_parquet(path, index=False)
@@ -71,7 +71,7 @@ class RunError(FmuError):
     """An FMU failed while a system ran.
 
     Attributes:
-        recording: What had been recorded by then.
+        recording: Recording up to the failure.
     """
 
     def __init__(self, why: str, recording: Recording) -> None:
@@ -83,7 +83,7 @@ class Interrupted(KeyboardInterrupt):
     """A run was interrupted between or during steps.
 
     Attributes:
-        recording: What had been recorded by then.
+        recording: Recording up to the interruption.
     """
 
     def __init__(self, recording: Recording) -> None:

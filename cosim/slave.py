@@ -38,13 +38,13 @@ from .interface import SCALARS, Port, read_interface
 Array = NDArray[np.float64]
 _OK, _WARNING, _DISCARD, _FATAL, _PENDING = 0, 1, 2, 4, 5  # `fmi2Status`, `fmi3Status`
 _LAST_SUCCESSFUL_TIME, _TERMINATED = 2, 3
-"""Of `fmi2StatusKind`."""
+"""Kinds of `fmi2StatusKind`."""
 _LONGEST = 1000
-"""Characters of what an FMU says that are passed on."""
+"""Largest number of characters of a message from an FMU."""
 
 
 class SavedState:
-    """A state of one slave, kept in the FMU's memory until `Slave.free`."""
+    """A saved state of one slave, in the FMU's memory until `Slave.free`."""
 
     def __init__(self) -> None:
         self.handle = ctypes.c_void_p()
@@ -58,7 +58,7 @@ class Slave:
     """
 
     def __init__(self, name: str, path: Path, trace: SharedTrace | None = None) -> None:
-        """Load and instantiate; `trace` tells the calls to other processes: `TracedSlave`."""
+        """Load and instantiate; `trace` records the calls for other processes: `TracedSlave`."""
         self.name, self.path, self._trace = name, path, trace
         self._who = f"{name} ({path.name})"
         self.interface = read_interface(path)
@@ -94,8 +94,8 @@ class Slave:
             else:
                 options = {"logMessage": self._log3}
             self._call("instantiate", lambda: fmu.instantiate(**options))
-        except Exception as error:  # refused by us, or FMPy's bare exceptions
-            os.chdir(here)  # where a library does not load, FMPy stays in its folder
+        except Exception as error:  # refused above, or FMPy's bare exceptions
+            os.chdir(here)  # FMPy does not return from its folder if a library fails to load
             if fmu is not None:
                 fmu.freeLibrary()
             self._folder.cleanup()
@@ -107,11 +107,11 @@ class Slave:
         return fmu
 
     def _log2(self, env: Any, instance: bytes, status: int, category: bytes, text: bytes) -> None:
-        # A printf format, whose arguments ctypes cannot see.
+        # A printf format, with arguments that ctypes cannot access.
         self._log3(env, status, category, (text or b"").replace(b"%%", b"%"))
 
     def _log3(self, env: Any, status: int, category: bytes, text: bytes) -> None:
-        if status != _OK or category != b"logEvents":  # what went well is no reason of an error
+        if status != _OK or category != b"logEvents":  # successful events explain no error
             self._messages.append((text or b"").decode(errors="replace"))
 
     def initialize(
@@ -132,18 +132,18 @@ class Slave:
         self._checked("enterInitializationMode", lambda: enter(**times))
 
     def finish_initialization(self) -> None:
-        """Leave initialisation; from here on the FMU steps."""
+        """Leave initialisation; afterwards the FMU can step."""
         self._checked("exitInitializationMode", self._fmu.exitInitializationMode)
         self._running = True
 
     def reset(self) -> None:
-        """Back to the instantiated state, with the start values of the FMU.
+        """Return to the instantiated state, with the start values of the FMU.
 
-        An instance that has not been initialised is in that state and is not reset: some FMUs
-        fail there (fmi2Reset, fmi3Reset before the first use).
+        An instance that has not been initialised is in that state and is not reset: some FMUs fail
+        there (fmi2Reset, fmi3Reset before the first use).
 
         Raises:
-            FmuError: The FMU cannot be reset: only a new instance is in that state.
+            FmuError: The FMU cannot be reset: a new instance is necessary.
         """
         if self._fresh:
             return
@@ -158,12 +158,12 @@ class Slave:
             return
         try:
             if self._dead:
-                self._fmu.freeLibrary()  # after a fatal error nothing else may be called
+                self._fmu.freeLibrary()  # after a fatal error no other call is allowed
                 return
             for state in list(self._saved):
                 self.free(state)
             if self._running:
-                with contextlib.suppress(Exception):  # what it says now changes nothing
+                with contextlib.suppress(Exception):  # messages no longer matter
                     self._call("terminate", self._fmu.terminate)
             self._call("freeInstance", self._fmu.freeInstance)
         finally:
@@ -180,13 +180,13 @@ class Slave:
     def bind(
         self, inputs: Sequence[str], outputs: Sequence[str], sent: Array, received: Array
     ) -> None:
-        """Choose the variables to move.
+        """Set the variables to exchange.
 
         Args:
-            inputs: Names.
-            outputs: Names.
-            sent: Contiguous, shape (len(inputs),): becomes `self.inputs`.
-            received: Contiguous, shape (len(outputs),): becomes `self.outputs`.
+            inputs: Names of the inputs.
+            outputs: Names of the outputs.
+            sent: Contiguous array, shape (len(inputs),): becomes `self.inputs`.
+            received: Contiguous array, shape (len(outputs),): becomes `self.outputs`.
         """
         self.inputs, self.outputs = sent, received
         self.bound_inputs, self.bound_outputs = tuple(inputs), tuple(outputs)
@@ -245,13 +245,13 @@ class Slave:
     # -- saved states ---------------------------------------------------------------------
 
     def save(self, into: SavedState | None = None) -> SavedState:
-        """Keep the present state of the FMU.
+        """Save the present state of the FMU.
 
         Args:
-            into: A state to overwrite; None: a new one.
+            into: State to overwrite; None: a new one.
 
         Raises:
-            FmuError: The FMU cannot.
+            FmuError: The FMU does not support it.
         """
         if not self.interface.saves_state:
             raise FmuError(
@@ -265,11 +265,11 @@ class Slave:
         return state
 
     def restore(self, state: SavedState) -> None:
-        """Go back to a saved state, which stays saved."""
+        """Return to a saved state, which remains saved."""
         self._state_call("Set", state.handle)
 
     def free(self, state: SavedState) -> None:
-        """Forget a saved state; twice does no harm."""
+        """Free a saved state; a second call has no effect."""
         if state in self._saved:
             self._saved.discard(state)
             self._state_call("Free", ctypes.byref(state.handle))
@@ -282,7 +282,7 @@ class Slave:
     # -- failures -------------------------------------------------------------------------
 
     def _call(self, what: str, call: Callable[[], Any]) -> Any:
-        """A call by way of FMPy."""
+        """A call through FMPy."""
         return call() if self._trace is None else self._trace.traced(self._who, what, call)()
 
     def _said(self, fallback: str) -> str:
@@ -300,7 +300,7 @@ class Slave:
             raise self._error(what, self._said(str(error))) from error
 
     def judge(self, status: int, what: str) -> None:
-        """Raise unless a status is no more than a warning."""
+        """Raise unless a status is OK or a warning."""
         if status == _WARNING:
             return
         self._dead = status == _FATAL
@@ -327,7 +327,7 @@ class Slave:
         self.judge(status, what)
 
     def _wants_end(self) -> bool:
-        """Whether an FMU that discarded a step asks to end the simulation."""
+        """Whether an FMU that discarded a step requests the end of the simulation."""
         if self.interface.fmi == 3:
             return False  # reported by a flag of the step
         ends = ctypes.c_int(0)
@@ -347,7 +347,7 @@ class Slave:
 
 
 class TracedSlave(Slave):
-    """A slave that writes its calls into a trace and checks after each how this process calculates.
+    """A slave that traces its calls and checks the floating-point environment after each.
 
     The calls of the inner loop are written here, at half the cost of `TracedCall`.
     """
@@ -360,17 +360,17 @@ class TracedSlave(Slave):
     def bind(
         self, inputs: Sequence[str], outputs: Sequence[str], sent: Array, received: Array
     ) -> None:
-        """See `Slave.bind`."""
+        """Set the variables to exchange, as in `Slave.bind`."""
         super().bind(inputs, outputs, sent, received)
         self._moves_in, self._moves_out = _bare(self._setters), _bare(self._getters)
         doing = cast(TracedCall, self._step.call)
         self._doing = doing.number, -doing.number, doing.bare
 
     def write_inputs(self) -> None:
-        """See `Slave.write_inputs`.
+        """Send `inputs` to the FMU, as in `Slave.write_inputs`.
 
         Raises:
-            FmuError: The FMU failed, or changed how this process calculates.
+            FmuError: The FMU failed, or changed the floating-point environment.
         """
         slot, moves = self._slot, self._moves_in
         for number, returned, set_, buffer, positions in moves:
@@ -381,15 +381,15 @@ class TracedSlave(Slave):
                 slot.value = returned
                 self.judge(status, "set inputs")
         if moves:
-            slot.value = returned  # from the last of them
+            slot.value = returned  # of the last call
             if ONE + QUARTER + MORE != FOLLOWING or not TINY + TINY:
                 raise cast(TracedCall, self._setters[-1][0]).spoilt()
 
     def read_outputs(self) -> None:
-        """See `Slave.read_outputs`.
+        """Fetch `outputs` from the FMU, as in `Slave.read_outputs`.
 
         Raises:
-            FmuError: The FMU failed, or changed how this process calculates.
+            FmuError: The FMU failed, or changed the floating-point environment.
         """
         slot, moves = self._slot, self._moves_out
         for number, returned, get, buffer, positions in moves:
@@ -400,15 +400,15 @@ class TracedSlave(Slave):
             if positions is not None:
                 self.outputs[positions] = buffer
         if moves:
-            slot.value = returned  # from the last of them
+            slot.value = returned  # of the last call
             if ONE + QUARTER + MORE != FOLLOWING or not TINY + TINY:
                 raise cast(TracedCall, self._getters[-1][0]).spoilt()
 
     def step(self, time_s: float, step_s: float) -> None:
-        """See `Slave.step`.
+        """One communication step, as in `Slave.step`.
 
         Raises:
-            FmuError: The FMU failed, or changed how this process calculates.
+            FmuError: The FMU failed, or changed the floating-point environment.
         """
         step, slot = self._step, self._slot
         number, returned, call = self._doing
@@ -424,7 +424,7 @@ class TracedSlave(Slave):
 
 
 def _bare(moves: Sequence[Any]) -> list[tuple[int, int, Any, NDArray[Any], NDArray[Any] | None]]:
-    """What to write before and after, and the bare call, of what moves values."""
+    """Trace numbers before and after, and the bare call, of transfers."""
     return [
         (call.number, -call.number, call.bare, buffer, positions)
         for call, buffer, positions in moves
@@ -435,13 +435,13 @@ _ROOT_EPS = float(np.sqrt(np.finfo(np.float64).eps))  # relative step of forward
 
 
 def jacobian(slave: Slave, outputs: Sequence[str], inputs: Sequence[str]) -> Callable[[], Array]:
-    """Derivatives of bound outputs against bound inputs, at the present inputs.
+    """Derivatives of bound outputs with respect to bound inputs, at the present inputs.
 
-    The FMU's directional derivatives, or forward differences by set and get where it has none.
-    What is no real number does not answer.
+    The FMU's directional derivatives, or forward differences by set and get where it has none. The
+    derivative of a variable that is not real is 0.
 
     Returns:
-        A function without arguments that gives the matrix, shape (outputs, inputs).
+        A function without arguments that returns the matrix, shape (outputs, inputs).
     """
     rows = [i for i, n in enumerate(outputs) if slave.ports[n].kind == "Real"]
     columns = [i for i, n in enumerate(inputs) if slave.ports[n].kind == "Real"]
@@ -467,7 +467,7 @@ def _tangents(slave: Slave, outputs: Sequence[str], inputs: Sequence[str]) -> Ca
     ]
 
     def evaluate() -> Array:
-        """One call per input."""
+        """Directional derivatives: one call per input."""
         for call in calls:
             if status := call():
                 slave.judge(status, "directional derivative")
@@ -484,7 +484,7 @@ def _differences(
     nominal = [slave.ports[n].nominal for n in inputs]
 
     def evaluate() -> Array:
-        """One set and get per input; all is as before afterwards."""
+        """Forward differences: one set and get per input; all values are restored afterwards."""
         u, y = slave.inputs.copy(), slave.outputs.copy()
         matrix = np.zeros((len(rows), len(columns)))
         for k, j in enumerate(columns):

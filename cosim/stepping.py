@@ -1,4 +1,4 @@
-"""What one communication step does.
+"""Algorithms of one communication step.
 
 Algorithms:
     jacobi        All slaves step from the values at the start of the step; outputs are read when
@@ -15,7 +15,7 @@ Algorithms:
 An algebraic loop between slaves has the values v of its outputs on both sides: v = g(v), where g
 sets the connected inputs of all slaves in the loop and reads their outputs. It is solved by
 Newton's method: each iteration solves (1 - dg/dv) step = g(v) - v with the directional derivatives
-of the FMUs; a step that does not bring g(v) - v down is halved.
+of the FMUs; a step that does not reduce g(v) - v is halved.
 
 Sources: FMI 3.0.1 specification, sec. 4 and 2.4.9; FMI 2.0.4, sec. 4.2.4; Gomes et al.,
 Co-simulation: a survey, ACM Computing Surveys 51 (2018), sec. 4; Deuflhard, Newton Methods for
@@ -40,14 +40,14 @@ from .system import System
 
 
 class Bus:
-    """All outputs in use in one array, all connected inputs in another.
+    """All connected or recorded outputs in one array, all connected inputs in another.
 
     Each slave's outputs and inputs are views of the two, so that one gather serves all slaves.
 
     Attributes:
-        values: Outputs in use, shape (n,).
-        position: "slave.output" -> where it is in `values`.
-        source: "slave.input" -> the output that it takes.
+        values: Values of the outputs, shape (n,).
+        position: "slave.output" -> index in `values`.
+        source: "slave.input" -> its source output.
     """
 
     def __init__(
@@ -92,11 +92,12 @@ class Bus:
         return self.slaves[slave].interface.port(variable)
 
     def positions(self, names: Sequence[str]) -> NDArray[np.intp]:
-        """Where outputs are in `values`."""
+        """Indices of outputs in `values`."""
         return np.array([self.position[n] for n in names], dtype=np.intp)
 
     def check(self, time_s: float) -> None:
-        """Refuse what is no finite number: times 0, that alone is not 0. Callers mute `invalid`.
+        """Refuse values that are not finite: only they differ from 0 after multiplication by 0.
+        Callers mute `invalid`.
 
         Raises:
             FmuError: An output is NaN or infinite.
@@ -122,7 +123,7 @@ class Bus:
             s.write_inputs()
 
     def refresh(self, slaves: Sequence[Slave]) -> None:
-        """Send present values to slaves and read what their outputs make of them."""
+        """Send present values to slaves and read the resulting outputs."""
         self._write(slaves)
         for s in slaves:
             s.read_outputs()
@@ -135,11 +136,11 @@ class Bus:
     def dependencies(
         self, initial: bool = False, slaves: Set[str] | None = None
     ) -> dict[str, set[str]]:
-        """Output -> the outputs that it directly depends on, through connected inputs.
+        """Output -> the outputs on which it directly depends, through connected inputs.
 
         Args:
-            initial: At the end of initialisation; else while stepping.
-            slaves: Whose outputs; None: of all.
+            initial: Whether at the end of initialisation; else while stepping.
+            slaves: Slaves with the outputs; None: all.
         """
         return {
             f"{s.name}.{output}": {
@@ -154,7 +155,7 @@ class Bus:
 def batches(
     order: Iterable[Visit], dependencies: Mapping[str, Set[str]]
 ) -> list[tuple[str, ...] | Loop]:
-    """Successive slaves that do not depend on each other, in one batch."""
+    """Successive independent slaves in one batch."""
     sources_of: dict[str, set[str]] = {}
     for output, sources in dependencies.items():
         sources_of.setdefault(slave_of(output), set()).update(map(slave_of, sources))
@@ -186,32 +187,32 @@ def stepping_order(order: Iterable[Visit], slaves: Iterable[str]) -> list[Visit]
     for loop in (v for v in order if isinstance(v, Loop)):
         end = 1 + max(result.index(slave_of(o)) for o in loop.outputs)
         while end < len(result) and isinstance(result[end], Loop):
-            end += 1  # loops with the same last member stay in their order
+            end += 1  # loops with the same last member remain in order
         result.insert(end, loop)
     return result
 
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-12
-"""Residual that ends the iterations, relative to the values in the loop."""
+"""Relative residual at which the iterations end."""
 ROUNDING = 1e-9
-"""Residual that is accepted where no step brings it down any more."""
+"""Residual that is accepted where no step reduces it further."""
 SMALLEST = 1e-300
-"""Keeps the scale of a residual above zero."""
+"""Lower bound of the scale of a residual."""
 MAX_ITERATIONS = 30
-"""Of Newton's method. Made up."""
+"""Largest number of Newton iterations. Made up."""
 MAX_HALVINGS = 20
-"""Of one step. Made up."""
+"""Largest number of halvings of one step. Made up."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Part of dg/dv that one slave gives.
+    """Part of dg/dv from one slave.
 
     Attributes:
-        rows: Positions of its outputs in the loop.
-        takes: Which value of the loop each of its inputs takes, shape (inputs, loop), 0 or 1.
-        slope: Outputs against inputs.
+        rows: Indices of its outputs in the loop.
+        takes: Loop value of each of its inputs, shape (inputs, loop), 0 or 1.
+        slope: Derivatives of outputs with respect to inputs.
     """
 
     rows: list[int]
@@ -220,7 +221,7 @@ class _Block:
 
 
 class LoopSolver:
-    """Solves one loop on the bus, starting from the values there."""
+    """Solver for one loop on the bus, starting from the values there."""
 
     def __init__(self, bus: Bus, loop: Loop) -> None:
         self._bus, self._loop = bus, loop
@@ -239,10 +240,10 @@ class LoopSolver:
         return _Block(rows, takes.astype(np.float64), jacobian(s, outputs, inputs))
 
     def solve(self, time_s: float) -> None:
-        """Leave the solution on the bus and in the slaves.
+        """Solve the loop; the solution is on the bus and in the slaves.
 
         Raises:
-            FmuError: Newton's method found none.
+            FmuError: Newton's method did not converge.
         """
         v = self._bus.values[self._at]
         residual, size = self._residual(v), np.abs(v)
@@ -276,7 +277,7 @@ class LoopSolver:
     def _descend(
         self, v: Array, residual: Array, step: Array, scale: Array
     ) -> tuple[Array, Array | None]:
-        """The first of step, step / 2, step / 4, ... that brings the residual down; None: none."""
+        """The first of step, step / 2, step / 4, ... that reduces the residual; None: none."""
         worst = np.max(np.abs(residual) / scale)
         for _ in range(MAX_HALVINGS):
             after = self._residual(v + step)
@@ -286,7 +287,7 @@ class LoopSolver:
         return v, None
 
     def _residual(self, v: Array) -> Array:
-        """g(v) - v; leaves v in the inputs and g(v) on the bus."""
+        """Residual g(v) - v; leaves v in the inputs and g(v) on the bus."""
         bus = self._bus
         bus.values[self._at] = v
         for name in self._members:
@@ -309,11 +310,11 @@ Settle = Callable[[float], None]
 
 
 class Stepping:
-    """The algorithms over one bus.
+    """The algorithms for one bus.
 
     Attributes:
-        count: Base steps since the start.
-        one_rate: Whether every slave steps every time.
+        count: Number of base steps since the start.
+        one_rate: Whether every slave steps in every base step.
     """
 
     def __init__(self, bus: Bus) -> None:
@@ -330,18 +331,18 @@ class Stepping:
         self._sequence = cache(self._make_sequence)
 
     def algorithm(self, name: str) -> Callable[[float, float], None]:
-        """A function that steps everything from a time over a step, by name."""
+        """A function that steps all slaves from a time over a step, by name."""
         known = {"jacobi": self._jacobi, "settled": self._settled, "gauss_seidel": self._seidel}
         if name not in known:
             raise FmuError(f"algorithm {name!r}: choose {', '.join(get_args(Algorithm))}.")
         return known[name]
 
     def settle(self, time_s: float, initial: bool = False) -> None:
-        """Bring all outputs up to date without stepping, loops included.
+        """Update all outputs without stepping, loops included.
 
         Args:
-            time_s: For messages.
-            initial: During initialisation.
+            time_s: Time for messages.
+            initial: Whether during initialisation.
         """
         for settle in self._settles(self._bus.dependencies(initial)):
             settle(time_s)
@@ -356,7 +357,7 @@ class Stepping:
             settle(time_s + h)
 
     def _advance(self, time_s: float, h: float, read: Sequence[Slave]) -> None:
-        """Step everything from what is on the bus, then read some of it."""
+        """Step all slaves with the values on the bus, then read some outputs."""
         if self.one_rate:
             self._bus.write_all()
             for s in self._slaves:
@@ -387,7 +388,7 @@ class Stepping:
         self.count += 1
 
     def _due(self) -> frozenset[str]:
-        """Slaves whose period ends with the step under way."""
+        """Slaves whose period ends with the present step."""
         if self.one_rate:
             return self._all
         return frozenset(s for s, k in self._period.items() if (self.count + 1) % k == 0)

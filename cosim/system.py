@@ -16,13 +16,12 @@ _TAKES = {
     "Boolean": ("Boolean",),
     "Enumeration": ("Enumeration",),
 }
-"""Kind of an input -> kinds of outputs whose values it takes as they are, an enumeration's by their
-codes."""
+"""Kind of an input -> kinds of outputs that it accepts, an enumeration's by their codes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Connection:
-    """`source` and `target` are "slave.variable"."""
+    """Connection of `source` to `target`, both "slave.variable"."""
 
     source: str
     target: str
@@ -30,19 +29,19 @@ class Connection:
 
 @dataclass(frozen=True)
 class System:
-    """What the master runs.
+    """System of FMUs for the master.
 
     Attributes:
         fmus: Name of each slave -> its FMU.
         connections: Output to input; an input has at most one source.
         starts: Start values, "slave.variable" -> value.
-        periods: Slaves that step only every so many base steps; 1 where not named.
-        start_time_s: Usual start time.
-        stop_time_s: Usual stop time; None: there is none.
-        step_s: Usual base step; None: there is none.
-        foreign: Whether its FMUs come from outside, so that `uavtwin simulate` runs them in a
-            process of their own.
-        folder: What keeps the files of an unpacked archive while the system is in use.
+        periods: Decimation of slaves, in base steps; 1 for slaves not named.
+        start_time_s: Default start time.
+        stop_time_s: Default stop time; None: none.
+        step_s: Default base step; None: none.
+        foreign: Whether its FMUs are of other origin, so that `uavtwin simulate` runs them in a
+            separate process.
+        folder: Object that keeps the files of an unpacked archive while the system is in use.
     """
 
     fmus: Mapping[str, Path]
@@ -61,7 +60,7 @@ class System:
         """Slave and variable of "slave.variable".
 
         Raises:
-            FmuError: No such slave.
+            FmuError: There is no such slave.
         """
         slave, _, variable = name.partition(".")
         if slave not in self.fmus or not variable:
@@ -74,13 +73,13 @@ class System:
         return slave, variable
 
     def check(self, interfaces: Mapping[str, Interface]) -> None:
-        """Hold names, connections, start values and periods against the FMUs.
+        """Check names, connections, start values and periods against the FMUs.
 
         Args:
-            interfaces: Of every slave.
+            interfaces: Interface of every slave.
 
         Raises:
-            FmuError: Something does not fit.
+            FmuError: A name, connection, value or period does not fit.
         """
         for name in self.starts:
             slave, variable = self.split(name)

@@ -1,4 +1,4 @@
-"""The whole twin, with a compensator or without: as one fused FMU, and as one FMU per part."""
+"""The whole twin, with or without a compensator: as one fused FMU, and as one FMU per part."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -12,15 +12,15 @@ from twin.physics.airframe import REPORTED
 from .system import Connection, System
 
 COMPENSATOR = "compensator"
-"""Name of the part, and of the component that a user exports."""
+"""Name of the compensator, as a part and in exports."""
 PHASE = "phase"
-"""Input that a driven twin has of its own: nobody in it knows what is flown."""
+"""Additional input of a driven twin: the phase of flight, which none of its parts can know."""
 STEP_S = 1e-3
 """Step of the whole twin: of its fused FMU, and of the co-simulation of its parts."""
 
 
 def fused_model(assembly: Assembly, vehicle: str, compensator: FmuModel | None = None) -> FmuModel:
-    """The whole twin as the model of one FMU, with a compensator or without."""
+    """The whole twin as the model of one FMU, with or without a compensator."""
     parts = parts_of(assembly, compensator)
     text = f"Flying twin of {vehicle}: {', '.join(parts)} in one"
     return fuse("corrected_twin", text, parts, _wires(assembly, parts), STEP_S)
@@ -49,7 +49,7 @@ def parts_of(assembly: Assembly, compensator: FmuModel | None) -> dict[str, Comp
     """Parts by name.
 
     Raises:
-        TwinError: The compensator reads what no part gives.
+        TwinError: The compensator has an input without a source.
     """
     parts: dict[str, Component | FmuModel] = dict(assembly.parts)
     if compensator is None:
@@ -91,7 +91,7 @@ def _wires(
 
 
 def _by_number(parts: Mapping[str, Component | FmuModel], output: str) -> str:
-    """The code of an enumeration in its place: libcosim and ecos know numbers alone."""
+    """Output with the code of an enumeration, since libcosim and ecos support numbers only."""
     part, _, name = output.partition(".")
     code = f"{name}_code"
     return f"{part}.{code}" if code in parts[part].output_names else output

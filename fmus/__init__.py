@@ -1,6 +1,6 @@
-"""FMUs: from components and recorded flights to archives that any FMI tool runs.
+"""FMUs: from components and recorded flights to archives that any FMI tool can run.
 
-Names are loaded when they are used: who only runs FMUs needs neither CasADi nor pandas.
+Names are loaded on first use: running FMUs needs neither CasADi nor pandas.
 """
 
 from importlib import import_module
@@ -30,9 +30,10 @@ _HOME = {
     "fuse": "fusing",
     "replay_model": "replay",
 }
-"""Module of each name; none is called as a name is, since importing it would take its place."""
+"""Module of each name; no module has the name of an object, since its import would replace the
+object."""
 
-if not TYPE_CHECKING:  # so that a type checker refuses a name that is not above
+if not TYPE_CHECKING:  # a type checker then refuses unknown names
 
     def __getattr__(name: str) -> object:
         if name not in _HOME:

@@ -1,7 +1,7 @@
-"""FMU archives of any origin: looked at before they are unpacked, refused when unsafe.
+"""FMU archives of any origin: checked before they are unpacked, refused when unsafe.
 
-Nothing is written outside the folder given, nothing is written before every member has been
-judged, and never more than `MAX_UNPACKED_BYTES`.
+Nothing is written outside the given folder, nothing is written before every member has been
+checked, and never more than `MAX_UNPACKED_BYTES`.
 """
 
 import re
@@ -23,26 +23,27 @@ from .names import IDENTIFIER
 MAX_UNPACKED_BYTES = 512 * 2**20
 """Largest archive after unpacking. Made up."""
 MAX_MEMBERS = 20_000
-"""Most members of an archive. Made up."""
+"""Largest number of members of an archive. Made up."""
 MAX_DESCRIPTION_BYTES = 32 * 2**20
 """Largest modelDescription.xml. Made up."""
 MAX_DIRECTORY_BYTES = 8 * 2**20
-"""Of the list of members: 400 for each of `MAX_MEMBERS`."""
+"""Largest central directory: 400 bytes for each of `MAX_MEMBERS`."""
 DESCRIPTION = "modelDescription.xml"  # member of every FMU, FMI 2.2 and 2.4
 _CHUNK = 2**20  # bytes read at once
 _END_BYTES = 2**16 + 22 + 20 + 56
-"""In which an archive ends: a comment, the end of its list, and of that the form for large ones."""
+"""Bytes at the end of an archive with a comment, the end record of its directory, and the zip64
+records."""
 _UNREADABLE = (zipfile.BadZipFile, OSError, NotImplementedError, RuntimeError, EOFError)
-"""What `zipfile` raises on what is no archive or a damaged one."""
+"""Exceptions of `zipfile` for a damaged archive or another file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Archive:
-    """An FMU archive whose members have been judged.
+    """An FMU archive whose members have been checked.
 
     Attributes:
         members: Members as listed in the archive.
-        problems: Why it must not be unpacked; empty when it may be.
+        problems: Reasons why it must not be unpacked; empty when it may be.
         description: Content of `modelDescription.xml`, safe to parse.
         root: The parsed description.
     """
@@ -62,7 +63,7 @@ class Archive:
 
 
 def open_archive(path: Path) -> Archive:
-    """Judge an archive without unpacking it.
+    """Check an archive without unpacking it.
 
     Raises:
         FmuError: Not an FMU at all, or its description is unsafe to parse.
@@ -79,10 +80,10 @@ def open_archive(path: Path) -> Archive:
 
 
 def archive_members(path: Path, kind: str = "FMU") -> tuple[zipfile.ZipInfo, ...]:
-    """What a zip archive lists, not judged yet; `kind` is for messages.
+    """Unchecked members in the directory of a zip archive; `kind` is for messages.
 
     Raises:
-        FmuError: It is none, or its list is too long to be read.
+        FmuError: The file is no zip archive, or its directory is too long to be read.
     """
     try:
         if (size := _directory_bytes(path)) > MAX_DIRECTORY_BYTES:
@@ -92,15 +93,15 @@ def archive_members(path: Path, kind: str = "FMU") -> tuple[zipfile.ZipInfo, ...
             )
         with zipfile.ZipFile(path) as archive:
             return tuple(archive.infolist())
-    except (*_UNREADABLE, ValueError) as error:  # ValueError: of zipfile, on damaged headers
+    except (*_UNREADABLE, ValueError) as error:  # ValueError: from zipfile, on damaged headers
         raise FmuError(f"{path.name}: not a readable {kind} archive: {error}.") from error
 
 
 def _directory_bytes(path: Path) -> int:
-    """Size of the list of members as the end of an archive says it; 0 where it says nothing.
+    """Size of the central directory according to the end record of an archive; 0 without one.
 
-    Source: PKWARE APPNOTE 6.3.10, 4.3.14 to 4.3.16. `zipfile` makes an object of each entry before
-    it can be asked how many there are.
+    Source: PKWARE APPNOTE 6.3.10, 4.3.14 to 4.3.16. `zipfile` creates an object for each entry
+    before their number can be queried.
     """
     with path.open("rb") as file:
         size = file.seek(0, 2)
@@ -119,7 +120,7 @@ def unpack(path: Path, folder: Path) -> None:
     """Unpack an FMU into an empty folder.
 
     Raises:
-        FmuError: The archive is unsafe or damaged; the text lists why.
+        FmuError: The archive is unsafe or damaged; the text lists the reasons.
     """
     archive = open_archive(path)
     if archive.problems:
@@ -133,7 +134,7 @@ def unpack(path: Path, folder: Path) -> None:
 
 
 def copy_members(source: zipfile.ZipFile, members: Iterable[zipfile.ZipInfo], folder: Path) -> None:
-    """Write members that have been judged, never more than `MAX_UNPACKED_BYTES` in all."""
+    """Write checked members, never more than `MAX_UNPACKED_BYTES` in total."""
     left = MAX_UNPACKED_BYTES
     for member in members:
         target = folder / member.filename
@@ -145,7 +146,7 @@ def copy_members(source: zipfile.ZipFile, members: Iterable[zipfile.ZipInfo], fo
 
 
 def _copy_member(source: zipfile.ZipFile, member: zipfile.ZipInfo, target: Path, limit: int) -> int:
-    """Write one member, counting what really comes out of the stream."""
+    """Write one member, counting the actual bytes of the stream."""
     written = 0
     with source.open(member) as stream, target.open("wb") as file:
         while chunk := stream.read(_CHUNK):
@@ -192,7 +193,8 @@ def parse_xml(path: Path, member: str, content: bytes) -> etree._Element:
 
 
 def member_problems(members: tuple[zipfile.ZipInfo, ...]) -> list[str]:
-    """Why members of an archive must not be unpacked, one sentence each; none: all may be."""
+    """Reasons why members of an archive must not be unpacked, one sentence each; none: all may
+    be."""
     if len(members) > MAX_MEMBERS:
         return [f"the archive has {len(members)} members, more than {MAX_MEMBERS}"]
     problems = []
@@ -222,10 +224,10 @@ def member_problems(members: tuple[zipfile.ZipInfo, ...]) -> list[str]:
 
 
 def repeated_entries(members: Iterable[zipfile.ZipInfo]) -> list[str]:
-    """Entries that an archive holds more than once, equal each time; one sentence each.
+    """Duplicate entries of an archive with equal content; one sentence each.
 
-    They do no harm, but the writer of the archive did not mean them. Entries of one name that are
-    not equal are among the `member_problems`.
+    They are harmless, but unintended. Entries of one name with different content are among the
+    `member_problems`.
     """
     counts = Counter(map(_content, members))
     return [
@@ -236,12 +238,13 @@ def repeated_entries(members: Iterable[zipfile.ZipInfo]) -> list[str]:
 
 
 def _content(member: zipfile.ZipInfo) -> tuple[str, int, int]:
-    """Name, size and checksum."""
+    """Name, size and checksum of a member."""
     return member.orig_filename, member.file_size, member.CRC
 
 
 def is_unsafe(name: str) -> bool:
-    """Whether a member of this name could land outside the folder, or not land everywhere."""
+    """Whether a member of this name could be written outside the folder, or is invalid on some
+    platform."""
     parts = name.replace("\\", "/").split("/")
     return (
         "\\" in name

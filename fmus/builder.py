@@ -1,7 +1,7 @@
-"""Native FMUs: C source, one compiler call, one archive. Same inputs give the same bytes.
+"""Native FMUs: C source, one compiler call, one archive. Equal inputs give equal bytes.
 
-Compiled libraries are cached with a hash of their content, only where nobody else may write. An
-entry that is cut or was replaced does not fit its hash, counts as absent and is written again.
+Compiled libraries are cached with a hash of their content, only where no other user may write. A
+truncated or replaced entry does not match its hash, counts as missing and is written again.
 """
 
 import fcntl
@@ -41,14 +41,14 @@ from .platforms import (
 )
 from .source import generated_sources
 
-_HASH_BYTES = hashlib.sha256().digest_size  # in front of an entry of the cache
+_HASH_BYTES = hashlib.sha256().digest_size  # at the start of a cache entry
 
 
 def cache_folder() -> Path:
-    """Where compiled libraries are cached: `UAVTWIN_CACHE`, else the user's cache folder.
+    """Folder for compiled libraries: `UAVTWIN_CACHE`, else in the user's cache folder.
 
     Raises:
-        FmuError: It cannot be made, it belongs to somebody else, or others may write into it.
+        FmuError: It cannot be created, belongs to another user, or other users may write into it.
     """
     folder = Path(os.environ.get("UAVTWIN_CACHE") or platformdirs.user_cache_dir("uavtwin"))
     try:
@@ -73,7 +73,7 @@ def cache_folder() -> Path:
 
 
 def cached(name: str) -> bytes | None:
-    """What was cached under a name; None: nothing, or no longer what it was."""
+    """Cached content of a name; None: there is none, or it is damaged."""
     try:
         entry = (cache_folder() / name).read_bytes()
     except OSError:
@@ -83,9 +83,9 @@ def cached(name: str) -> bytes | None:
 
 
 def cached_or_made(name: str, make: Callable[[], bytes]) -> bytes:
-    """What was cached under a name, else what is made and cached now.
+    """Cached content of a name, else newly made content, which is cached.
 
-    Of several processes that want the same at once one makes it, and the others wait.
+    Of several processes that need the same content at once one makes it, and the others wait.
     """
     if (before := cached(name)) is not None:
         return before
@@ -99,10 +99,10 @@ def cached_or_made(name: str, make: Callable[[], bytes]) -> bytes:
 
 @contextmanager
 def _alone(name: str) -> Iterator[None]:
-    """While nobody else, another thread included, makes this.
+    """Context with an exclusive lock on a name, across threads and processes.
 
-    Names with the same first two letters share a lock, so that there are few files of them. A lock
-    ends with its process, however that ends. Who holds one asks for no other.
+    Names with the same first two letters share a lock, which limits the number of lock files. A
+    lock ends with its process in any case. Its holder must not request another one.
     """
     folder = cache_folder() / "locks"
     folder.mkdir(mode=0o700, exist_ok=True)
@@ -112,20 +112,20 @@ def _alone(name: str) -> Iterator[None]:
 
 
 def store(name: str, content: bytes) -> None:
-    """Store content under a name; a reader finds all of it or nothing.
+    """Store content under a name atomically.
 
-    Where it cannot be written, on a full disk, it is made again the next time.
+    If it cannot be written, on a full disk, it is made again the next time.
     """
     with suppress(OSError), scratch_file(cache_folder() / name) as partial:
         partial.write_bytes(hashlib.sha256(content).digest() + content)
 
 
 CFLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-fvisibility=hidden")
-"""No -ffast-math in physics: results are the same bits on every compiler that was tried."""
+"""Flags without -ffast-math: results are bit-identical on every tested compiler."""
 
 NAMESPACE = uuid.UUID("7f1f3f2e-8a4f-5d0b-9d57-0a1d1c7d6b55")  # of the FMUs' tokens; drawn once
 _ENTRY = 3
-"""Form of the entries of the cache."""
+"""Version of the format of cache entries."""
 _INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)
 _HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
@@ -137,11 +137,11 @@ def build(model: FmuModel, path: Path, fmi: int = 2, platforms: Iterable[str] = 
     """Build a co-simulation FMU with its sources inside.
 
     Args:
-        model: What the FMU computes.
+        model: Model of the FMU.
         path: File to write; its folder must exist.
         fmi: 2 or 3.
-        platforms: Names from `fmus.platforms.PLATFORMS`, or `all`. linux64 alone is made by the
-            machine's compiler, anything else by zig (the extra `cross`).
+        platforms: Names from `fmus.platforms.PLATFORMS`, or `all`. linux64 alone is built by the
+            machine's compiler, all others by zig (the extra `cross`).
 
     Returns:
         The path.
@@ -173,7 +173,7 @@ def build(model: FmuModel, path: Path, fmi: int = 2, platforms: Iterable[str] = 
 
 
 def _sources(model: FmuModel, fmi: int) -> dict[str, str]:
-    """C files and headers of the FMU, still without the token (which the rest determines)."""
+    """C files and headers of the FMU, without the token (which depends on the others)."""
     own = resources.files(__package__) / "c"
     headers = resources.files("fmpy") / "c-code"
     names = {"core.c", "core.h", "kernel.h", "noise.h", f"fmi{fmi}.c"}
@@ -186,7 +186,7 @@ def _sources(model: FmuModel, fmi: int) -> dict[str, str]:
 
 
 def _token(model: FmuModel, fmi: int, sources: Mapping[str, str]) -> str:
-    """Instantiation token: the same for the same content, different for any other."""
+    """Instantiation token: equal for equal content, different for any other."""
     digest = hashlib.sha256(model_description(model, fmi, "", ()))
     for name in sorted(sources):
         digest.update(name.encode() + sources[name].encode())
@@ -209,7 +209,7 @@ def _binaries(
     }
     members = {f"binaries/{p.folders[fmi]}/{name}{p.suffix}": made[p.name] for p in platforms}
     if fmi == 2 and {"darwin64", "darwin-arm64"} <= made.keys():
-        # FMI 2 tools look for darwin64 on every Mac, so the binary there serves both kinds.
+        # FMI 2 tools expect darwin64 on every Mac, so the binary there is universal.
         members[f"binaries/darwin64/{name}.dylib"] = universal_binary(
             made["darwin64"], made["darwin-arm64"]
         )
@@ -223,10 +223,10 @@ def compile_library(
     sources: Mapping[str, str],
     compiled: Sequence[str],
 ) -> bytes:
-    """Shared library of the sources, from the cache when the same was compiled before.
+    """Shared library of the sources, from the cache if the same sources were compiled before.
 
-    Objects are cached as well: twins of one vehicle share most of theirs, and so do the versions of
-    FMI, which only their own file knows.
+    Objects are cached as well: twins of one vehicle share most of them, and so do both FMI
+    versions, which differ in one file.
     """
     file = f"{name}{platform.suffix}"
     whole = _entry(file, compiler, sources, platform.suffix)
@@ -237,11 +237,12 @@ def compile_library(
             Path(folder, source).write_text(text)
 
         def compile_one(source: str) -> str:
-            """Name of its object. Relative names: nothing of this machine enters the binary."""
+            """Compile a source; returns the name of its object. Relative names: the binary contains
+            nothing of this machine."""
             made = Path(folder, f"{Path(source).stem}.o")
 
             def make() -> bytes:
-                """By the compiler."""
+                """Call the compiler."""
                 _run(name, [*compiler.command, *CFLAGS, "-c", source, "-o", made.name], folder)
                 return made.read_bytes()
 
@@ -260,7 +261,7 @@ def compile_library(
 
 
 def _included(source: str, sources: Mapping[str, str]) -> dict[str, str]:
-    """A source with every header among the sources that it includes, directly or not."""
+    """A source with every header among the sources that it includes, directly or indirectly."""
     found: dict[str, str] = {}
     left = [source]
     while left:
@@ -272,7 +273,7 @@ def _included(source: str, sources: Mapping[str, str]) -> dict[str, str]:
 
 
 def _entry(file: str, compiler: Compiler, sources: Mapping[str, str], suffix: str) -> str:
-    """Under which name the cache has what a compiler, which knows its platform, makes of these."""
+    """Name of the cache entry for these sources and a compiler, which determines the platform."""
     digest = hashlib.sha256(repr((_ENTRY, file, CFLAGS, compiler.identity)).encode())
     for source in sorted(sources):
         digest.update(source.encode() + sources[source].encode())
@@ -283,7 +284,7 @@ def _run(name: str, command: Sequence[str], folder: str) -> None:
     """One call of the compiler in a folder.
 
     Raises:
-        FmuError: It failed.
+        FmuError: The compiler failed.
     """
     environment = {
         **os.environ,
@@ -298,10 +299,10 @@ def _run(name: str, command: Sequence[str], folder: str) -> None:
 
 
 def extend_archive(path: Path, members: Mapping[str, bytes]) -> None:
-    """Put members into an archive of ours, in the place of those of their names.
+    """Add members to an archive of this project, replacing those of the same names.
 
     Raises:
-        FmuError: One would land outside the folder that it is unpacked into.
+        FmuError: A member would be written outside the folder on unpacking.
     """
     with zipfile.ZipFile(path) as archive:
         own = {name: archive.read(name) for name in archive.namelist()}
@@ -309,10 +310,10 @@ def extend_archive(path: Path, members: Mapping[str, bytes]) -> None:
 
 
 def write_archive(path: Path, members: Mapping[str, bytes]) -> None:
-    """A zip whose bytes depend on the members alone: sorted, fixed times, fixed modes.
+    """A zip archive whose bytes depend only on the members: sorted, fixed times, fixed modes.
 
     Raises:
-        FmuError: A member would land outside the folder that it is unpacked into.
+        FmuError: A member would be written outside the folder on unpacking.
     """
     for name in members:
         if is_unsafe(name):

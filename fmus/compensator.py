@@ -1,7 +1,7 @@
-"""Compensator: a learned correction of the virtual sensors as an FMU, from the ONNX file alone.
+"""Compensator: a learned correction of the virtual sensors as an FMU, from the ONNX file only.
 
-The file may come from anywhere; `network_file` reads and judges it. Here what it says becomes the
-interface table of an FMU, and its network C, by emx-onnx-cgen.
+The file may have any origin; `network_file` reads and checks it. This module converts its
+description to the interface table of an FMU, and its network to C, by emx-onnx-cgen.
 """
 
 import re
@@ -43,32 +43,33 @@ static void network_softmax(const float*, float*, int);
 #define fmaxf network_max
 #define fminf network_min
 """
-"""In front of the network's C: what stands for functions of the C library, c/compensator.h."""
+"""Preamble of the network's C: replacements for functions of the C library, c/compensator.h."""
 _TEMPLATES = tuple(
     f"{name}_op.c.j2" for name in ("matmul", "matmul_integer", "dynamic_quantize_linear", "softmax")
 )
-"""Ours, in the place of the generator's."""
+"""Templates of this project that replace those of the generator."""
 _EXPORTED = re.compile(
     r"^extern const [^\n]*;\n|^_Bool network_load\(.*?^\}\n", re.MULTILINE | re.DOTALL
-)  # what the generator offers to others
+)  # templates of the generator
 _OPEN = re.compile(r"^(?=const EMX_UNUSED|void network\()", re.MULTILINE)
-"""Starts of what is to become static."""
+"""Start of declarations that become static."""
 
 
 class UnsupportedNetworkError(FmuError):
-    """The C generator refuses a network that onnxruntime may run."""
+    """Error for a network that the C generator does not support, although onnxruntime may run
+    it."""
 
 
 @lru_cache(maxsize=2)
 def network_source(content: bytes) -> str:
-    """C function `network` of an ONNX file; all static, and nothing is allocated in it.
+    """C function `network` of an ONNX file; all static, without memory allocation.
 
-    No text of the file gets into the C: the generator sees a copy of the graph whose names are
-    ours, without metadata.
+    No text of the file enters the C: the generator gets a copy of the graph with generated names
+    and without metadata.
 
     Raises:
-        UnsupportedNetworkError: The generator refuses the network.
-        FmuError: The graph cannot stand in an FMU, or emx-onnx-cgen is not installed.
+        UnsupportedNetworkError: The generator does not support the network.
+        FmuError: The graph is not allowed in an FMU, or emx-onnx-cgen is not installed.
     """
     try:
         import emx_onnx_cgen
@@ -101,21 +102,21 @@ def network_source(content: bytes) -> str:
 
 
 MAX_STEP_S = 1e-3
-"""Nothing is integrated; it is what a compensator alone names as its step."""
+"""Step size in the description of a compensator; nothing is integrated."""
 
 
 def compensator_model(folder: Path) -> FmuModel:
     """The native FMU model of the compensator in a folder.
 
     Raises:
-        UnsupportedNetworkError: The C generator refuses the network.
-        FmuError: The folder holds no compensator, or a package is missing.
+        UnsupportedNetworkError: The C generator does not support the network.
+        FmuError: The folder contains no compensator, or a package is missing.
     """
     return native_model(read_network(folder))
 
 
 def native_model(network: NetworkFile) -> FmuModel:
-    """The same of a network that was read."""
+    """The native FMU model of a network."""
     defines: dict[str, Constant] = {
         "SAMPLE_PERIOD": 1,
         "N_CHANNELS": len(network.channels),
@@ -131,7 +132,7 @@ def native_model(network: NetworkFile) -> FmuModel:
 def interface_model(
     network: NetworkFile, kernels: str = "", defines: Mapping[str, Constant] = {}
 ) -> FmuModel:
-    """Names, units and dependencies of a compensator, with its code or without."""
+    """Names, units and dependencies of a compensator, with or without its code."""
     variables = (
         Variable(
             "sample_period",
@@ -197,7 +198,7 @@ def _inputs(network: NetworkFile) -> list[Variable]:
 
 
 def _drive(name: str, number: int) -> tuple[str, str]:
-    """Unit and meaning of what drives the rotors."""
+    """Unit and description of a rotor input."""
     unit, what = ("rad/s", "Speed") if name.startswith("rotor_") else ("1", "Command")
     return unit, f"{what} of motor {number}"
 
@@ -224,7 +225,7 @@ def _outputs(network: NetworkFile) -> list[Variable]:
 
 
 def _may_lack(variables: Iterable[Variable]) -> frozenset[str]:
-    """Signals, which may be no number for a while, and each of them with its correction."""
+    """Signals that may be NaN for some time, and their corrections."""
     return frozenset(
         v.name
         for v in variables

@@ -27,18 +27,18 @@ _TYPES = {
         "enumeration": "Enumeration",
     },
 }
-"""By FMI version: names of the kinds of variables."""
+"""Names of the variable types, by FMI version."""
 
 
 def model_description(model: FmuModel, fmi: int, token: str, sources: Sequence[str]) -> bytes:
     """The XML file; value references count from 1 in the order of the interface table.
 
     Raises:
-        FmuError: A name or a text of the model cannot stand in an FMU.
+        FmuError: A name or a text of the model is not allowed in an FMU.
     """
     check_interface(model)
     root = _fmi2(model, token, sources) if fmi == 2 else _fmi3(model, token)
-    if token:  # which the date is no part of
+    if token:  # the date is not part of the token
         root.attrib.update(dated())
     return xml_bytes(root)
 
@@ -54,7 +54,7 @@ def build_description(model: FmuModel, sources: Sequence[str]) -> bytes:
 
 
 def xml_bytes(root: etree._Element) -> bytes:
-    """A document, as UTF-8."""
+    """An XML document, as UTF-8."""
     text: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
     return text
 
@@ -196,7 +196,7 @@ def _fmi3(model: FmuModel, token: str) -> etree._Element:
 
 
 def _array(element: etree._Element, entry: Entry) -> None:
-    """Size of an array, and the start value and usual size of all that it holds."""
+    """Set dimensions, start value and nominal of an array."""
     if not _computed(entry.first):
         element.set("start", " ".join(repr(float(v.start)) for v in entry.members))
         sizes = (usual_size(v) for v in entry.members)
@@ -205,7 +205,7 @@ def _array(element: etree._Element, entry: Entry) -> None:
 
 
 def _made_by() -> dict[str, str]:
-    """Attributes of either version."""
+    """Attributes on the tool, for both versions."""
     made = project()
     return {
         "author": made.author,
@@ -217,7 +217,7 @@ def _made_by() -> dict[str, str]:
 
 
 def dated() -> dict[str, str]:
-    """`generationDateAndTime`, where SOURCE_DATE_EPOCH gives one (reproducible-builds.org).
+    """Attribute `generationDateAndTime` from SOURCE_DATE_EPOCH (reproducible-builds.org).
 
     Raises:
         FmuError: It is no number of seconds since 1970.
@@ -239,7 +239,7 @@ def _computed(variable: Variable) -> bool:
 
 
 def states_of(model: FmuModel) -> dict[str, ExchangeState]:
-    """Continuous states by the variable that shows each, and by that of its derivative."""
+    """Continuous states by the variable of each, and by that of its derivative."""
     states = model.exchange.states if model.exchange else ()
     return {s.name: s for s in states} | {s.derivative: s for s in states}
 
@@ -250,7 +250,7 @@ def _of_exchange(
     states: Mapping[str, ExchangeState],
     number: Mapping[str, int],
 ) -> None:
-    """Attributes of a state or a derivative; of other variables none."""
+    """Set attributes of a state or a derivative; of other variables none."""
     if entry.first.name not in states:
         return
     own = [states[v.name] for v in entry.members]
@@ -267,10 +267,10 @@ def _of_exchange(
 def _unknowns(
     model: FmuModel, indicators: bool = False
 ) -> Iterator[tuple[str, list[str], dict[str, set[str]]]]:
-    """Groups of the model structure: name, variables, on which each depends.
+    """Groups of the model structure: name, variables, dependencies of each.
 
-    A derivative and an event indicator depend on states and inputs. So does an output, where
-    there is a solver outside; in co-simulation the states are inside, and on inputs alone.
+    A derivative and an event indicator depend on states and inputs. So does an output in model
+    exchange; in co-simulation the states are internal, and it depends on inputs only.
     """
     exchange = model.exchange
     states = exchange.states if exchange else ()
@@ -331,7 +331,7 @@ def _unit_definitions(root: etree._Element, model: FmuModel) -> None:
 
 
 def _type_definitions(root: etree._Element, model: FmuModel, fmi: int) -> None:
-    """Enumerations, with the codes that the rest of the twin has for them."""
+    """Add the enumerations, with the same codes as in the rest of the twin."""
     if not model.enumerations:
         return
     definitions = etree.SubElement(root, "TypeDefinitions")
@@ -346,14 +346,13 @@ def _type_definitions(root: etree._Element, model: FmuModel, fmi: int) -> None:
 
 
 STEP_S = 0.01
-"""Communication step for who asks for none: a tenth of the work of 1 ms, and the inner step stays
-what it is."""
+"""Default communication step: a tenth of the computation of 1 ms, with the same internal step."""
 TOLERANCE = 1e-8
-"""Relative tolerance for who asks for none, in model exchange."""
+"""Default relative tolerance, in model exchange."""
 CATEGORIES = {
     "logStatusError": "Errors",
     "logEvents": "Begin and end, events, reset and restored states; only when asked for",
-}  # log categories and what is logged in them
+}  # log categories and their content
 
 
 def _log_categories(root: etree._Element) -> None:

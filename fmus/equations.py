@@ -1,5 +1,5 @@
-"""The equations of a component as text, its numbers put in: what a person reads, from the same
-operations that its C is made of."""
+"""The equations of a component as readable text with numeric parameters, from the operations of its
+C code."""
 
 import re
 from collections import Counter
@@ -18,7 +18,7 @@ from .kernels import NUMBERS, operations
 
 Array = NDArray[np.float64]
 SUM, PRODUCT, SIGN, POWER, ATOM = 1, 2, 3, 4, 5
-"""How strongly the parts of an expression hold together; what holds less stands in brackets."""
+"""Precedence of an expression; one of lower precedence is put in brackets."""
 OPERATORS = {
     ca.OP_ADD: ("{0} + {1}", SUM, SUM, SUM),
     ca.OP_SUB: ("{0} - {1}", SUM, SUM, PRODUCT),
@@ -39,27 +39,27 @@ OPERATORS = {
     ca.OP_OR: ("{0} or {1}", 0, SUM, SUM),
     ca.OP_IF_ELSE_ZERO: ("({1} if {0} else 0)", ATOM, SUM, SUM),
 }
-"""Pattern, strength of the result, and the least strength of each argument."""
+"""Pattern, precedence of the result, and the least precedence of each argument."""
 FUNCTIONS = {
     code: pattern.partition("(")[0]
     for code, pattern in NUMBERS.items()
     if re.fullmatch(r"\w+\(.*\)", pattern) and code not in OPERATORS
 } | {ca.OP_FMAX: "max", ca.OP_FMIN: "min", ca.OP_SIGN: "sign", ca.OP_FABS: "abs"}
-"""Names of the other operations: those of C, but for what C writes as a condition."""
+"""Names of the other operations: those of C, except for those written as conditions in C."""
 CONTACT = "ground.enabled"
-"""Parameter of the airframe that switches ground contact on."""
+"""Parameter of the airframe that enables ground contact."""
 LEAVES = (ca.OP_INPUT, ca.OP_CONST)  # operations without arguments
 
 
 @dataclass(frozen=True, slots=True)
 class Equation:
-    """One line.
+    """One line of the equations.
 
     Attributes:
-        left: What is defined: a state's derivative, an output, or a shared part `t1`, `t2`, ...
+        left: Left side: a state's derivative, an output, or a shared part `t1`, `t2`, ...
         right: The expression.
-        unit: "" of a shared part.
-        description: "" of a shared part.
+        unit: Unit, "" for a shared part.
+        description: Description, "" for a shared part.
     """
 
     left: str
@@ -73,17 +73,17 @@ def equations_of(
 ) -> list[Equation]:
     """Outputs and derivatives of a component as functions of states and inputs.
 
-    Parameters are numbers: start values, some of them changed by `values`. A part that several
-    equations share is a line of its own in front of them; where it is an output, or an element of
-    the rotation matrix from body to NED, its name is used.
+    Parameters are numbers: start values, with changes by `values`. A part that several equations
+    share is a separate line in front of them; where it is an output, or an element of the rotation
+    matrix from body to NED, its name is used.
 
     Args:
-        component: Its equations.
+        component: Component with the equations.
         values: Parameters that differ from their start values.
-        contact: Whether ground contact is written, too; else the equations are those of flight.
+        contact: Whether ground contact is included; else the equations are those in flight.
 
     Raises:
-        FmuError: An operation is not known here.
+        FmuError: An operation is not supported.
         ModelError: A name of `values` is no parameter.
     """
     symbols, given = _Symbols(component), dict(values or {})
@@ -94,7 +94,7 @@ def equations_of(
     changes = _changes(component, symbols, x, p)
     turned = _rotation([s.name for s in component.states], x)
     outputs = component.outputs(x, symbols.u, p)
-    # One graph without repeats: what is the same has one name.
+    # One graph without repetitions: equal expressions have one name.
     every = ca.cse(ca.densify(ca.vertcat(*turned.values(), outputs, *changes.values())))
     defined = [
         *((name, "1", "rotation from body to NED") for name in turned),
@@ -107,7 +107,7 @@ def equations_of(
 
 
 class _Symbols:
-    """What the equations are written in: states, inputs, draws of noise, delayed signals."""
+    """Symbols of the equations: states, inputs, noise draws, delayed signals."""
 
     def __init__(self, component: Component) -> None:
         sampling = component.sampling
@@ -124,7 +124,8 @@ class _Symbols:
 
 
 def _changes(component: Component, symbols: _Symbols, x: ca.SX, p: Array) -> dict[str, ca.SX]:
-    """Derivatives of the states and, of a sampled component, their values after an instant."""
+    """Derivatives of the states and, for a sampled component, their values after a sample
+    instant."""
     found = {"d": component.derivatives(x, symbols.u, p)}
     if component.sampling is not None:
         update = component.sampling.update
@@ -133,7 +134,7 @@ def _changes(component: Component, symbols: _Symbols, x: ca.SX, p: Array) -> dic
 
 
 def _without_constants(component: Component, symbols: _Symbols, p: Array) -> ca.SX:
-    """States, with a number in place of each that never leaves its initial value."""
+    """States, with those that never change replaced by their initial values."""
     x, initial = ca.SX(symbols.x), component.initial(symbols.u, p)
     while True:
         changes = _changes(component, symbols, x, p)
@@ -166,10 +167,10 @@ def _rotation(states: Sequence[str], x: ca.SX) -> dict[str, ca.SX]:
 
 
 class _Text:
-    """Operations as text; each result that is used more than once has a name.
+    """Operations as text; each result that is used more than once gets a name.
 
     Args:
-        function: Of states and inputs, with all that is defined as one result.
+        function: Function of states and inputs, with all defined quantities as one result.
         leaves: Names of states and inputs.
         defined: Name, unit and description of each element of the result.
     """
@@ -193,9 +194,9 @@ class _Text:
         self._shared = {k for k, n in used.items() if n > 1 and not self._short(k)}
 
     def lines(self) -> list[Equation]:
-        """One for each result that says something, shared parts before what needs them.
+        """One line for each non-trivial result, shared parts before their uses.
 
-        Left out: `pos_x = pos_x`, states that stay as they are, and those that nothing depends on.
+        Omitted: `pos_x = pos_x`, constant states, and those on which nothing depends.
         """
         needed = self._needed()
         for row, k in zip(self._defined, self._results, strict=True):
@@ -226,13 +227,13 @@ class _Text:
         return found
 
     def _states_in(self, results: Iterable[int]) -> set[str]:
-        """States among the leaves of some values."""
+        """States among the leaves of some expressions."""
         below = (self._steps[k] for k in self._below(results))
         inputs = (s.place for s in below if s.code == ca.OP_INPUT)
         return {self._leaves[0][place] for which, place in inputs if which == 0}
 
     def _below(self, results: Iterable[int]) -> set[int]:
-        """These values and all that they are made of."""
+        """Some expressions and all their operands."""
         found, stack = set(results), list(results)
         while stack:
             for k in set(self._steps[stack.pop()].arguments) - found:
@@ -241,19 +242,19 @@ class _Text:
         return found
 
     def _rests(self, k: int, state: str, name: str) -> bool:
-        """Whether a derivative is zero, or the next value the present one."""
+        """Whether a derivative is zero, or the next value equals the present one."""
         step = self._steps[k]
         if name.startswith("d "):
             return step.code == ca.OP_CONST and step.value == 0
         return step.code == ca.OP_INPUT and self._leaves[step.place[0]][step.place[1]] == state
 
     def _short(self, k: int) -> bool:
-        """Whether it is no longer than a name would be: a sign, or an operation of two leaves."""
+        """Whether it is no longer than a name: a sign, or an operation on two leaves."""
         step = self._steps[k]
         return all(self._steps[a].code in LEAVES for a in step.arguments) or step.code == ca.OP_NEG
 
     def _term(self, k: int) -> tuple[str, int]:
-        """Text of a value, and how strongly it holds together."""
+        """Text of a value, and its precedence."""
         if k in self._names:
             return self._names[k], ATOM
         text, strength = self._expression(k)
@@ -289,14 +290,14 @@ class _Text:
 
 
 def _state_of(name: str) -> str:
-    """The state whose derivative or next value a name is; "" of an output."""
+    """The state of a derivative or next value; "" for an output."""
     if name.startswith("d "):
         return name.removeprefix("d ").removesuffix("/dt")
     return name.removeprefix("next ") if name.startswith("next ") else ""
 
 
 def _rate_unit(unit: str) -> str:
-    """Of a derivative: m/s is that of m, m/s2 that of m/s."""
+    """Unit of a derivative: m/s for m, m/s2 for m/s."""
     whole, _, power = unit.partition("/s")
     if unit.endswith("/s") or (power.isdigit() and unit.endswith(power)):
         return f"{whole}/s{int(power or 1) + 1}"

@@ -1,11 +1,11 @@
-"""Experiments inside an FMU, with the outputs that belong to them: read, rerun, compared.
+"""Experiments inside an FMU, with their reference outputs: read, rerun, compared.
 
 Source: FMI Layered Standard References (FMI-LS-REF), draft 1.0.0-alpha.1, and the Experiments
 Format of the Modelica Association, a draft without a version: its schema as of commit 2b88754 of
-modelica/ma-hs-experiments, where the times stand in `TransientSimulation`.
+modelica/ma-hs-experiments, where the times are in `TransientSimulation`.
 
-Neither says how results are compared. Here `tolerance` of an experiment is the largest deviation of
-an output over the largest magnitude of its reference, at the times of the reference.
+Neither defines how results are compared. Here `tolerance` of an experiment is the largest deviation
+of an output over the largest magnitude of its reference, at the times of the reference.
 """
 
 import csv
@@ -33,31 +33,31 @@ Table = dict[str, Array]
 """Values by name, `time` in s first."""
 
 VERSION = "1.0.0-alpha.1"
-"""Of FMI-LS-REF."""
+"""Version of FMI-LS-REF."""
 NAME = "org.fmi-standard.fmi-ls-ref"
 FOLDER = f"extra/{NAME}"
 MANIFEST = f"{FOLDER}/fmi-ls-manifest.xml"
 TYPE = "application/x-ma-hs-experiments"
 TOLERANCE = 1e-4
-"""Of what is written, and where an experiment gives none. Other processors and compilers leave
-less; a mass that is 3 % off leaves 1e-2. Made up."""
+"""Tolerance in written files, and default of an experiment. Other processors and compilers deviate
+less; a mass error of 3 % gives 1e-2. Made up."""
 _ROLES = ("experiment", "experiment/smoke-test", "experiment/validation")
-"""Of files with experiments that are rerun."""
+"""Roles of files with experiments that are rerun."""
 _LEAST = 1e-9
 """Magnitude below which a reference counts as zero."""
 
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """One to be rerun.
+    """An experiment to rerun.
 
     Attributes:
-        name: Of the experiment.
-        start_s: Time at which it begins.
-        stop_s: Time at which it ends.
-        step_s: Between two exchanges of values.
+        name: Name of the experiment.
+        start_s: Start time.
+        stop_s: Stop time.
+        step_s: Communication step.
         tolerance: Largest deviation over the largest magnitude of the reference.
-        stimuli: Inputs over time; empty: they stay at their start values.
+        stimuli: Inputs over time; empty: they keep their start values.
         references: Outputs over time.
     """
 
@@ -72,15 +72,15 @@ class Experiment:
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
-    """How far a rerun is from its reference.
+    """Deviation of a rerun from its reference.
 
     Attributes:
-        experiment: Its name.
-        output: That is farthest off, in parts of its reference.
-        share: By how much; infinite: it gave no number.
-        tolerance: Of the experiment.
-        outputs: How many were compared.
-        zero: How many of them are zero throughout in the reference: they tell few twins apart.
+        experiment: Name of the experiment.
+        output: Output with the largest relative deviation.
+        share: Relative deviation; infinite: a value was NaN.
+        tolerance: Tolerance of the experiment.
+        outputs: Number of outputs compared.
+        zero: Number of outputs whose reference is zero throughout: these hardly distinguish twins.
     """
 
     experiment: str
@@ -92,15 +92,15 @@ class Deviation:
 
     @property
     def passed(self) -> bool:
-        """Whether all of them are within the tolerance."""
+        """Whether all outputs are within the tolerance."""
         return self.share <= self.tolerance
 
 
 def run(path: Path, experiment: Experiment, outputs: Iterable[str]) -> Table:
-    """Outputs of an experiment, by FMPy, at each of its steps.
+    """Outputs of an experiment at each of its steps, simulated by FMPy.
 
     Raises:
-        FmuError: The FMU is unsafe, or it fails.
+        FmuError: The FMU is unsafe, or the simulation fails.
     """
     stimuli = experiment.stimuli
     given = None
@@ -131,11 +131,11 @@ def run(path: Path, experiment: Experiment, outputs: Iterable[str]) -> Table:
 
 
 def verify(path: Path) -> list[Deviation]:
-    """Rerun every experiment that an FMU holds.
+    """Rerun every experiment in an FMU.
 
     Raises:
-        FmuError: It holds none, they cannot be read or have other checksums than its manifest
-            says, or the FMU cannot be run.
+        FmuError: It has none, they cannot be read or their checksums differ from its manifest, or
+            the FMU cannot be run.
     """
     archive = open_archive(path)
     experiments = read_experiments(archive)
@@ -155,7 +155,7 @@ def verify(path: Path) -> list[Deviation]:
 
 
 def _deviation(experiment: Experiment, found: Table) -> Deviation:
-    """The output that is farthest off."""
+    """The output with the largest relative deviation."""
     at = experiment.references["time"]
     shares: dict[str, float] = {}
     for name, wanted in experiment.references.items():
@@ -170,7 +170,7 @@ def _deviation(experiment: Experiment, found: Table) -> Deviation:
 
 
 def related_problems(archive: Archive) -> list[str]:
-    """Files of the manifest that are not there, or have another checksum."""
+    """Files of the manifest that are missing, or have another checksum."""
     problems = []
     with zipfile.ZipFile(archive.path) as opened:
         for element in _related(archive, opened):
@@ -192,7 +192,7 @@ def read_experiments(archive: Archive) -> list[Experiment]:
     """Experiments of an FMU, in order; none: it has no manifest, or no experiments.
 
     Raises:
-        FmuError: They cannot be read, or want more than inputs, times and references.
+        FmuError: They cannot be read, or need more than inputs, times and references.
     """
     found = []
     with zipfile.ZipFile(archive.path) as opened:
@@ -222,7 +222,7 @@ def _experiment(
         )
 
     def table(part: etree._Element | None) -> Table:
-        """Columns that a part of the experiment names; {} without one."""
+        """Columns named by a part of the experiment; {} without one."""
         if part is None:
             return {}
         if part.get("type", "text/csv") != "text/csv":
@@ -249,7 +249,7 @@ def _experiment(
 
 
 def _table(archive: Archive, opened: zipfile.ZipFile, member: str) -> Table:
-    """Columns of a CSV; the first is the time."""
+    """Columns of a CSV file; the first is the time."""
     try:
         rows = list(csv.reader(io.StringIO(_content(archive, opened, member).decode())))
         values = np.array(rows[1:], float)
@@ -262,7 +262,7 @@ def _table(archive: Archive, opened: zipfile.ZipFile, member: str) -> Table:
 
 
 def _member(base: str, source: str) -> str:
-    """Name in the archive of what a file there names."""
+    """Name in the archive of a file that is referenced relative to another one."""
     return posixpath.normpath(posixpath.join(posixpath.dirname(base), source))
 
 
@@ -271,10 +271,10 @@ def _has(kind: str, checksum: str, content: bytes) -> bool:
 
 
 def _content(archive: Archive, opened: zipfile.ZipFile, member: str) -> bytes:
-    """Of a member.
+    """Content of a member.
 
     Raises:
-        FmuError: It is not there, or damaged.
+        FmuError: It is missing, or damaged.
     """
     try:
         return opened.read(member)

@@ -1,4 +1,4 @@
-"""Several components as one FMU: the parts are stepped together inside, without a master."""
+"""Fusion of several components into one FMU: the parts are stepped inside, without a master."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -23,21 +23,21 @@ def fuse(
 
     Every parameter, every output and every input without a connection becomes a variable of the
     FMU, named "part.variable". A communication step is divided into equal steps of at most
-    `step_s`; in each, all parts step from the inputs held, then their outputs go along the
-    connections. The numbers are those of the co-simulation of one FMU per part by the Jacobi
-    algorithm at that step, to the last bit. For that the noise of a part is that of its component
-    alone: two parts of one component draw the same numbers unless their seeds differ.
+    `step_s`; in each, all parts step with their inputs held, then their outputs are copied along
+    the connections. The results equal those of the co-simulation of one FMU per part by the Jacobi
+    algorithm at that step, to the last bit. Therefore the noise of a part depends on its component
+    only: two parts of one component draw the same numbers unless their seeds differ.
 
     Args:
         name: Model identifier, a C identifier.
-        description: One line.
+        description: Description in one line.
         parts: Components, or models of one part, by a name that is a C identifier.
         connections: ("part.output", "part.input") pairs.
         step_s: Longest step between two exchanges of values.
 
     Raises:
-        FmuError: A name is wrong or unknown, a connection is not from an output to a free input of
-            the same unit, outputs depend on themselves, or two parts would draw the same noise.
+        FmuError: A name is invalid or unknown, a connection is not from an output to a free input
+            of the same unit, outputs depend on themselves, or two parts would draw the same noise.
     """
     if not step_s > 0 or step_s == float("inf"):
         raise FmuError(f"{name}: step {step_s:g} s must be positive, e.g. 0.001.")
@@ -53,7 +53,7 @@ def fuse(
 
 
 def _renamed(owner: str, name: str, of: FmuModel | Component) -> Submodel:
-    """The part under a new name, which its variables, states and files bear as well."""
+    """The part under a new name, also in its variables, states and files."""
     model = component_model(of) if isinstance(of, Component) else of
     if len(model.parts) > 1:
         raise FmuError(f"{owner}: {name} is fused already; give its parts instead.")
@@ -90,7 +90,8 @@ def _renamed_sampling(name: str, sampling: Sampling) -> Sampling:
 def _check_connections(
     owner: str, parts: Iterable[Submodel], connections: Iterable[tuple[str, str]]
 ) -> None:
-    """Known names, from an output to an input, one source each, equal units."""
+    """Check that names are known, connections go from an output to an input, with one source each
+    and equal units."""
     variables = {v.name: v for part in parts for v in part.variables}
     seen: set[str] = set()
     for source, target in connections:
@@ -115,7 +116,8 @@ def _check_connections(
 
 
 def _same_kind(source: Variable, target: Variable) -> bool:
-    """Whether a value means the same at both ends; an enumeration may have further items there."""
+    """Whether a value has the same meaning at both ends; the enumeration of the target may have
+    further items."""
     a, b = source.kind, target.kind
     if isinstance(a, Enumeration) and isinstance(b, Enumeration):
         return a.items == b.items[: len(a.items)]
@@ -123,7 +125,7 @@ def _same_kind(source: Variable, target: Variable) -> bool:
 
 
 def _check_noise(owner: str, parts: Iterable[Submodel]) -> None:
-    """No two parts with one stream and one seed."""
+    """Check that no two parts have equal stream and seed."""
     drawn: dict[tuple[int, float], str] = {}
     for part in parts:
         if part.sampling is None or part.sampling.seed is None:
@@ -138,9 +140,10 @@ def _check_noise(owner: str, parts: Iterable[Submodel]) -> None:
 
 
 def _order(owner: str, parts: tuple[Submodel, ...], source: Mapping[str, str]) -> tuple[int, ...]:
-    """Visits of parts after which every output is right, at initialisation and while stepping.
+    """Order of evaluation of parts after which every output is correct, at initialisation and while
+    stepping.
 
-    A part comes twice where some of its outputs are needed before its inputs are known.
+    A part occurs twice where some of its outputs are needed before its inputs are known.
     """
     dependencies = {
         output: {source[u] for u in (*direct, *part.initial_dependencies[output]) if u in source}

@@ -1,8 +1,7 @@
-"""What an FMU of any origin holds and what is wrong with it; nothing is unpacked or loaded.
+"""Content and problems of an FMU of any origin; nothing is unpacked or loaded.
 
-Shared libraries are judged by their headers alone: for which processor and system, whether all is
-there. Sources: System V ABI, ELF header; Microsoft, PE format; Apple, mach-o/loader.h and
-mach-o/fat.h.
+Shared libraries are checked by their headers only: processor, system, completeness. Sources: System
+V ABI, ELF header; Microsoft, PE format; Apple, mach-o/loader.h and mach-o/fat.h.
 """
 
 import io
@@ -29,35 +28,35 @@ _ARCHITECTURES = (
     *("x86", "x86_64", "aarch32", "aarch64"),
     *("riscv32", "riscv64", "ppc32", "ppc64"),
 )  # FMI 3, 2.5.1.4.2
-_SYSTEMS = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}  # ending of a library
+_SYSTEMS = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}  # extension of a library
 _PLATFORMS = {
     "linux32": ("linux", {"x86"}),
     "linux64": ("linux", {"x86_64"}),
     "win32": ("windows", {"x86"}),
     "win64": ("windows", {"x86_64"}),
-    "darwin64": ("darwin", {"x86_64", "aarch64"}),  # FMI 2 names no other folder for a Mac
+    "darwin64": ("darwin", {"x86_64", "aarch64"}),  # FMI 2 has no other folder for a Mac
     **{f"{a}-{system}": (system, {a}) for a in _ARCHITECTURES for system in _SYSTEMS},
 }
-"""Folder below `binaries` -> system and processors; FMI 2, 2.1.1, and FMI 3, 2.5.1.4.2."""
+"""System and processors by folder below `binaries`; FMI 2, 2.1.1, and FMI 3, 2.5.1.4.2."""
 _ELF_MACHINES = {3: "x86", 62: "x86_64", 40: "aarch32", 183: "aarch64", 20: "ppc32", 21: "ppc64"}
-"""`e_machine`, elf.h."""
+"""Processor by `e_machine`, elf.h."""
 _ELF_RISCV = 243  # `e_machine` of both widths
 _PE_MACHINES = {0x14C: "x86", 0x8664: "x86_64", 0x1C4: "aarch32", 0xAA64: "aarch64"}
-"""`Machine`, PE format."""
+"""Processor by `Machine`, PE format."""
 _MACH_CPUS = {7: "x86", 0x01000007: "x86_64", 12: "aarch32", 0x0100000C: "aarch64"}
-"""`cputype`, mach/machine.h."""
-_MAX_SLICES, _MAX_COMMANDS = 16, 10_000  # of a library of a Mac; by judgement
+"""Processor by `cputype`, mach/machine.h."""
+_MAX_SLICES, _MAX_COMMANDS = 16, 10_000  # limits of a Mac library; by judgement
 
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    """What a file says that it is.
+    """Header of an executable file.
 
     Attributes:
-        system: Of `_SYSTEMS`.
-        processors: Those that run it; several in a universal binary.
+        system: System, a key of `_SYSTEMS`.
+        processors: Processors that can run it; several in a universal binary.
         shared: Whether it can be loaded as a library.
-        end: Bytes that it must have.
+        end: Least size of the file, bytes.
     """
 
     system: str
@@ -67,17 +66,17 @@ class _Header:
 
 
 def library_suffix(platform: str) -> str | None:
-    """Of shared libraries in a folder below `binaries`; None: no platform that is known."""
+    """Extension of shared libraries in a folder below `binaries`; None: an unknown platform."""
     known = _PLATFORMS.get(platform)
     return None if known is None else _SYSTEMS[known[0]]
 
 
 def library_problem(content: bytes, platform: str) -> str | None:
-    """Why a file is no shared library for a platform that is known; None: it is one."""
+    """Reason why a file is no shared library for a known platform; None: it is one."""
     system, processors = _PLATFORMS[platform]
     try:
         header = _header(content)
-    except (struct.error, OverflowError):  # an offset beyond what fits, or beyond any file
+    except (struct.error, OverflowError):  # an offset out of range
         return f"is cut: {len(content)} bytes end within its headers"
     if header is None:
         return "is no shared library: neither ELF, PE nor Mach-O"
@@ -92,7 +91,7 @@ def library_problem(content: bytes, platform: str) -> str | None:
 
 
 def _header(content: bytes) -> _Header | None:
-    """Of a file of any of the three formats; None: of no other."""
+    """Header of a file in any of the three formats; None: another format."""
     start = content[:4]
     if start == b"\x7fELF":
         return _elf(content)
@@ -162,7 +161,7 @@ def _mach(content: bytes) -> _Header | None:
 
 
 def _universal(content: bytes) -> _Header | None:
-    """Of several Mach-O files in one; class files of Java begin with the same four bytes."""
+    """Header of several Mach-O files in one; class files of Java begin with the same four bytes."""
     (count,) = struct.unpack_from(">I", content, 4)
     if not 0 < count <= _MAX_SLICES:
         return None
@@ -180,14 +179,14 @@ def _universal(content: bytes) -> _Header | None:
 
 
 MAX_FACT = 500
-"""Characters of one that the FMU says of itself."""
+"""Largest number of characters of a fact from the FMU."""
 MAX_PROBLEMS = 100
-"""Listed of one FMU; of more, how many."""
+"""Largest number of problems listed for one FMU; beyond it, their number."""
 _QUOTED = r"'(?:[A-Za-z0-9_!#$%&()*+,\-./:;<>=?@\[\]^{}|~ ]|\\['\"?\\abfnrtv])+'"
 _PART = rf"(?:[A-Za-z_][A-Za-z0-9_]*|{_QUOTED})(?:\[[0-9]+(?:,[0-9]+)*\])?"  # of a structured name
-_PATH = rf"{_PART}(?:\.{_PART})*"  # parts with dots
+_PATH = rf"{_PART}(?:\.{_PART})*"  # parts separated by dots
 _STRUCTURED = re.compile(rf"{_PATH}|der\({_PATH}(?:,[0-9]+)?\)")
-"""Names of the convention "structured", FMI 2.2.9. FMPy takes a millisecond for each."""
+"""Names of the convention "structured", FMI 2.2.9. FMPy needs a millisecond for each."""
 _NUMBERS = {
     **dict.fromkeys(("Real", "Float64", "Float32"), ("start", "nominal")),
     "DefaultExperiment": ("startTime", "stopTime", "stepSize", "tolerance"),
@@ -197,12 +196,12 @@ _NUMBERS = {
 
 @dataclass(frozen=True, slots=True)
 class FmuReport:
-    """What `inspect_fmu` found.
+    """Result of `inspect_fmu`.
 
     Attributes:
         facts: Printable facts by name.
-        problems: Everything wrong with it.
-        platforms: It has a folder of binaries for each.
+        problems: All problems found.
+        platforms: Platforms with a folder of binaries.
     """
 
     facts: dict[str, str]
@@ -213,13 +212,13 @@ class FmuReport:
 
 
 def inspect_fmu(path: Path) -> FmuReport:
-    """Look into an FMU.
+    """Inspect an FMU.
 
     Raises:
         FmuError: Not an FMU at all, or its description is unsafe to parse.
     """
     archive = open_archive(path)
-    alone = io.BytesIO()  # the description alone, so that nothing else of the archive is read
+    alone = io.BytesIO()  # only the description, so that no other member is read
     with zipfile.ZipFile(alone, "w") as copy:
         copy.writestr(DESCRIPTION, archive.description)
     description, wrong = _description(path, alone)
@@ -251,13 +250,13 @@ def inspect_fmu(path: Path) -> FmuReport:
 
 
 def brief(text: str) -> str:
-    """One line, cut where it is long."""
+    """A text as one line, truncated if long."""
     line = " ".join(text.split())
     return line if len(line) <= MAX_FACT else f"{line[:MAX_FACT]}..."
 
 
 def _description(path: Path, alone: io.BytesIO) -> tuple[ModelDescription, list[str]]:
-    """The description as FMPy reads it, and what FMPy finds wrong with it."""
+    """The description as read by FMPy, and the problems that FMPy reports."""
     try:
         try:
             return fmpy.read_model_description(alone, validate_model_structure=True), []
@@ -271,7 +270,7 @@ def _description(path: Path, alone: io.BytesIO) -> tuple[ModelDescription, list[
 
 
 def name_problems(description: ModelDescription) -> Iterator[str]:
-    """Names of variables that their convention does not allow."""
+    """Names of variables that violate their naming convention."""
     structured = description.variableNamingConvention == "structured"
     for v in description.modelVariables:
         fits = _STRUCTURED.fullmatch(v.name) if structured else not re.search(r"[\r\n\t]", v.name)
@@ -284,7 +283,7 @@ def name_problems(description: ModelDescription) -> Iterator[str]:
 
 
 def _number_problems(root: etree._Element) -> Iterator[str]:
-    """Start values and times that are no finite numbers."""
+    """Start values and times that are not finite numbers."""
     for element in root.iter(*_NUMBERS):
         named = element if "name" in element.attrib else element.getparent()
         for attribute in _NUMBERS[element.tag]:
@@ -296,7 +295,7 @@ def _number_problems(root: etree._Element) -> Iterator[str]:
 
 
 def _is_finite(text: str) -> bool:
-    """Whether it is a finite number; whether it is one at all is for the schema to say."""
+    """Whether it is a finite number; the schema checks whether it is a number at all."""
     try:
         return math.isfinite(float(text))
     except ValueError:
@@ -304,7 +303,7 @@ def _is_finite(text: str) -> bool:
 
 
 def _member_problems(archive: Archive) -> Iterator[str]:
-    """Members whose content is damaged, and libraries that are none of their platform's."""
+    """Members with damaged content, and libraries that do not fit their platform."""
     wanted = set(_libraries(archive))
     with zipfile.ZipFile(archive.path) as opened:
         for member in archive.members:
@@ -322,7 +321,7 @@ def _member_problems(archive: Archive) -> Iterator[str]:
 
 
 def _libraries(archive: Archive) -> Iterator[str]:
-    """Where a tool looks for the library of each kind of simulation on each platform inside."""
+    """Paths of the library for each kind of simulation on each platform in the FMU."""
     kinds = ("CoSimulation", "ModelExchange", "ScheduledExecution")
     parts = {e.get("modelIdentifier", "") for kind in kinds for e in archive.root.findall(kind)}
     folders = {n.split("/")[1] for n in archive.names if n.startswith("binaries/")}
@@ -352,12 +351,12 @@ def _variables(description: ModelDescription) -> dict[str, str]:
 
 
 def _experiments(archive: Archive, known: set[str], problems: list[str]) -> dict[str, str]:
-    """Reference results of an FMU; what is wrong with them goes to the problems.
+    """Facts on the reference results of an FMU; their problems are appended.
 
     Args:
         archive: The FMU.
         known: Names of its variables.
-        problems: That were found.
+        problems: Collects the problems.
     """
     try:
         problems += related_problems(archive)

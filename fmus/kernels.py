@@ -1,6 +1,6 @@
-"""Kernels: the CasADi functions of a component that the C of its FMU calls, and that C.
+"""Kernels: the CasADi functions of a component that its FMU calls in C, and their C source.
 
-Which functions there are and what of them is computed but once; their directional derivatives; each
+The list of functions and the parts that are computed only once; their directional derivatives; each
 as a list of scalar operations, and that list as C, one statement for each operation.
 """
 
@@ -28,7 +28,7 @@ def tangents(component: Component, exchange: bool) -> list[ca.Function]:
     """`(x, u, p, du, dp) -> dy` while stepping, `(u, p, du, dp, w) -> dy` at the start.
 
     With `exchange` the first has another argument, the change of the states: `dx`. A component that
-    `starts_alike` has the first alone.
+    `starts_alike` has the first one only.
     """
     x, dx = (ca.SX.sym(n, len(component.states)) for n in ("x", "dx"))
     u, du = (ca.SX.sym(n, len(component.inputs)) for n in ("u", "du"))
@@ -53,15 +53,15 @@ def tangents(component: Component, exchange: bool) -> list[ca.Function]:
 
 
 def starts_alike(component: Component, exchange: bool) -> bool:
-    """Whether there is one tangent for both: without states nothing is different at the start.
+    """Whether there is one tangent for both: without states the start does not differ.
 
-    It is compiled once: that of a learned force takes a compiler twenty seconds.
+    It is compiled once: the tangent of a learned force takes a compiler twenty seconds.
     """
     return not (component.states or exchange)
 
 
 _COSTLY = ("step", "outputs", "update")
-"""Functions that take most of a step's time."""
+"""Functions with most of a step's computing time."""
 _Stepping = tuple[ca.Function, str]
 """A function that runs in every step, and its arguments, a letter each: x, u, p and so on."""
 
@@ -71,16 +71,17 @@ class Kernels:
     """The functions that the C source of a component calls.
 
     Attributes:
-        functions: First among them `prepare`, `p -> c`, of which those that run in every step have
-            an argument more than in the component, c after p: what they compute of parameters
-            alone, it has computed before. The operations are the same and so are the numbers, to
-            the last bit.
-        cheaper: Of `step`, `outputs`, `update` and `signals`, the shortcuts that have another one.
-        in_place: Names of those whose result takes the place of the states, their first argument.
-        often: Names of those that most steps call: shortcuts, or the full one where there is none.
-        seldom: Names of those that no step calls.
+        functions: Functions; the first is `prepare`, `p -> c`. Those that run in every step have an
+            additional argument c after p: their parts that depend on parameters only, computed
+            before. Operations and results are the same, to the last bit.
+        cheaper: Numbers of the shortcuts with a cheaper version of `step`, `outputs`, `update` and
+            `signals`.
+        in_place: Names of functions whose result overwrites the states, their first argument.
+        often: Names of functions that most steps call: shortcuts, or the full one where there is
+            none.
+        seldom: Names of functions that no step calls.
         still: Whether a step changes no state.
-        starts_alike: Whether the tangent while stepping is that of the start, too.
+        starts_alike: Whether the tangent while stepping is also that of the start.
     """
 
     functions: tuple[ca.Function, ...] = field(repr=False)
@@ -97,7 +98,7 @@ def kernels(component: Component, exchange: bool) -> Kernels:
 
     Args:
         component: Equations and interface.
-        exchange: Whether a outside solver may integrate it, besides co-simulation.
+        exchange: Whether an external solver may integrate it, in addition to co-simulation.
     """
     full = _full(component)
     stepping, cheaper = [full[name] for name in full], {}
@@ -130,7 +131,7 @@ def kernels(component: Component, exchange: bool) -> Kernels:
 
 
 def _full(component: Component) -> dict[str, _Stepping]:
-    """What runs in every step, by what it is called here."""
+    """Functions that run in every step, by their name in C."""
     functions = {"step": (component.step, "xuph"), "outputs": (component.outputs, "xup")}
     sampling = component.sampling
     if sampling is not None:
@@ -150,7 +151,7 @@ def _short(shortcut: Shortcut, name: str) -> ca.Function | None:
 
 
 def _same(one: ca.Function, other: ca.Function, letters: str) -> bool:
-    """Whether two functions are the same operations; `one` may do with the first arguments."""
+    """Whether two functions have the same operations; `one` may lack the first arguments."""
     symbols = [ca.SX.sym(k, other.size1_in(i)) for i, k in enumerate(letters)]
     n = other.size1_out(0)
     both = ca.cse(ca.vertcat(one(*symbols[: one.n_in()]), other(*symbols)))
@@ -158,10 +159,10 @@ def _same(one: ca.Function, other: ca.Function, letters: str) -> bool:
 
 
 def prepared(functions: Sequence[_Stepping]) -> list[ca.Function]:
-    """`prepare` and the functions, what they have of parameters alone taken out into it.
+    """`prepare` and the functions, whose parts that depend on parameters only are moved to it.
 
     Args:
-        functions: Each with its arguments; a letter stands for the same in all of them.
+        functions: Functions with their arguments; a letter has the same meaning in all of them.
     """
     symbols: dict[str, ca.SX] = {}
     for function, letters in functions:
@@ -185,10 +186,10 @@ class Operation:
     """One scalar operation.
 
     Attributes:
-        code: CasADi's, such as `casadi.OP_ADD`.
-        arguments: Numbers of the operations whose results it takes.
-        place: Of an input: which argument of the function, and where in it.
-        value: Of a constant.
+        code: Code of CasADi, such as `casadi.OP_ADD`.
+        arguments: Numbers of the operations whose results are its operands.
+        place: For an input: argument of the function, and index in it.
+        value: Value of a constant.
     """
 
     code: int
@@ -198,13 +199,13 @@ class Operation:
 
 
 def operations(function: ca.Function) -> tuple[list[Operation], list[int]]:
-    """What a function does, in order.
+    """Operations of a function, in order.
 
     Args:
-        function: Of scalar operations (`SX`), with one dense result.
+        function: Function of scalar operations (`SX`), with one dense result.
 
     Returns:
-        Operations, each behind those whose results it takes; and which of them give the result.
+        Operations, each after its operands; and the numbers of those that are the result.
     """
     found: list[Operation] = []
     latest: dict[int, int] = {}  # place in CasADi's work space -> operation that wrote it last
@@ -226,23 +227,24 @@ def operations(function: ca.Function) -> tuple[list[Operation], list[int]]:
 
 
 CYCLES = {ca.OP_DIV: 13, ca.OP_SQRT: 21, ca.OP_INPUT: 0, ca.OP_CONST: 0}
-"""About how long an operation takes, in processor cycles; others take `USUAL`. A processor starts a
-division every five cycles and a root every nine, be it of one number or of two side by side, and a
-controller waits for little else: so divisions and roots of a kernel are computed two by two."""
+"""Approximate duration of an operation, in processor cycles; others take `USUAL`. A processor
+starts a division every five cycles and a root every nine, for one number or two in a vector, and
+these dominate the time of a controller: so divisions and roots of a kernel are computed in
+pairs."""
 USUAL = 3
 """Cycles of an operation that `CYCLES` does not list."""
 APART = 12
-"""Cycles by which two that go together may be ready one after the other. As this is less than what
-either takes, neither waits for the other, nor do any two pairs for each other."""
+"""Largest difference of cycles between the operands of a pair. As this is less than the duration of
+either, neither waits for the other, and pairs do not wait for each other."""
 
 
 def paired(steps: Sequence[Operation]) -> dict[int, int]:
     """Partner of each division and each root that has one.
 
     Args:
-        steps: Of one function; see `operations`.
+        steps: Operations of one function; see `operations`.
     """
-    done: list[int] = []  # when each is, if all begin as soon as they can
+    done: list[int] = []  # time at which each is done, if all begin as soon as possible
     for step in steps:
         begins = max((done[a] for a in step.arguments), default=0)
         done.append(begins + CYCLES.get(step.code, USUAL))
@@ -259,18 +261,18 @@ def paired(steps: Sequence[Operation]) -> dict[int, int]:
 
 
 def guards(steps: Sequence[Operation], results: Sequence[int]) -> dict[int, int]:
-    """Condition of each power without which nothing of it gets into a result.
+    """Condition of each power outside of which it does not affect a result.
 
-    Of several aircraft at once no branch leaves out what one of them does without.
+    With several aircraft at once no branch skips what only some of them do not need.
 
     Args:
-        steps: Of one function.
-        results: Which of them give its result; see `operations`.
+        steps: Operations of one function.
+        results: Numbers of those that are its result; see `operations`.
     """
     powers = (ca.OP_POW, ca.OP_CONSTPOW)
     if not any(step.code in powers for step in steps):
         return {}
-    needed: dict[int, frozenset[int]] = {k: frozenset() for k in results}  # conditions, of each
+    needed: dict[int, frozenset[int]] = {k: frozenset() for k in results}  # conditions of each
     for k in range(len(steps) - 1, -1, -1):
         step, own = steps[k], needed.get(k, frozenset())
         for i, a in enumerate(step.arguments):
@@ -290,7 +292,7 @@ TRUTHS = {
     ca.OP_AND: "{0} && {1}",
     ca.OP_OR: "{0} || {1}",
 }
-"""What is 0 or 1, in C."""
+"""Operations with a result of 0 or 1, in C."""
 NUMBERS = {
     ca.OP_ASSIGN: "{0}",
     ca.OP_ADD: "{0} + {1}",
@@ -302,7 +304,7 @@ NUMBERS = {
     ca.OP_TWICE: "2. * {0}",
     ca.OP_INV: "1. / {0}",
     ca.OP_IF_ELSE_ZERO: "{0} ? {1} : 0.",
-    # A comparison is compiled in line, a call of the library is not; numbers are never NaN here.
+    # A comparison is compiled inline, a call of the library is not; numbers are never NaN here.
     ca.OP_FMAX: "{0} > {1} ? {0} : {1}",
     ca.OP_FMIN: "{0} < {1} ? {0} : {1}",
     ca.OP_SIGN: "{0} < 0 ? -1. : {0} > 0 ? 1. : {0}",
@@ -329,7 +331,7 @@ NUMBERS = {
 }
 """The other operations, in C."""
 TOGETHER = {ca.OP_DIV: "quotients", ca.OP_SQRT: "roots"}
-"""Functions of `kernel.h` that do two at once."""
+"""Functions of `kernel.h` that compute two values at once."""
 
 
 def kernel_source(
@@ -338,22 +340,22 @@ def kernel_source(
     often: Collection[str] = (),
     seldom: Collection[str] = (),
 ) -> str:
-    """C source of the kernels, all of it static: several parts are linked into one library.
+    """C source of the kernels, all static: several parts are linked into one library.
 
-    A kernel takes the address of each argument, then that of its result, which it writes when it
-    has read all of them; of several aircraft at once, a number of each side by side (`LANES` of
-    `kernel.h`). The source holds no name and no number of a vehicle, so that one
-    compilation serves many.
+    A kernel takes the address of each argument, then that of its result, which it writes after
+    reading all of them; for several aircraft at once, one value of each in a vector (`LANES` of
+    `kernel.h`). The source contains no name and no number of a vehicle, so that one compilation
+    serves many.
 
     Args:
-        functions: Of scalar operations, with one result each.
-        in_place: Names of those whose result replaces the first argument; what stays as it is is
+        functions: Functions of scalar operations, with one result each.
+        in_place: Names of those whose result overwrites the first argument; unchanged elements are
             not written.
-        often: Names of those that most steps call, which are worth more of the compiler's time.
-        seldom: Names of those that no step calls, which are worth less.
+        often: Names of those that most steps call, which are optimised more.
+        seldom: Names of those that no step calls, which are optimised less.
 
     Raises:
-        FmuError: An operation is not known here.
+        FmuError: An operation is not supported.
     """
     names = [f.name() for f in functions]
     worth = ["OFTEN " * (name in often) + "SELDOM " * (name in seldom) for name in names]
@@ -389,7 +391,7 @@ class _Kernel:
         self._written: set[int] = set()
 
     def statements(self, wanted: int) -> Iterator[str]:
-        """All that is not yet written of what gives an operation's result, in order."""
+        """Statements not yet written that an operation's result needs, in order."""
         stack = [wanted]
         while stack:
             k = stack[-1]
@@ -405,7 +407,7 @@ class _Kernel:
             self._written.update(both)
 
     def _needs(self, k: int) -> tuple[int, ...]:
-        """What is written before an operation."""
+        """Operations that must be written before an operation."""
         more = (self._guard[k],) if k in self._guard else ()
         return (*more, *self._steps[k].arguments)
 
@@ -434,10 +436,10 @@ class _Kernel:
         raise FmuError(f"{self._name}: there is no C for operation {step.code} of CasADi.")
 
     def _number(self, k: int) -> str:
-        """An operand of arithmetic: a truth value is an int otherwise."""
+        """An operand of arithmetic: a Boolean is an int otherwise."""
         return f"(double)v{k}" if self._steps[k].code in TRUTHS else f"v{k}"
 
 
 def _constant(value: float) -> str:
-    """Small whole numbers belong to the equations, others may be of a vehicle."""
+    """A constant in C: small integers belong to the equations, others may depend on a vehicle."""
     return f"{value:.0f}." if value == round(value) and abs(value) < 1e6 else f"{value:.16e}"

@@ -1,13 +1,13 @@
-"""What the builder turns into an FMU: parts with their tables and kernels, how they join.
+"""Model of an FMU for the builder: parts with their tables and kernels, and their connections.
 
-In FMI 3, variables that belong together may be one array: `pos` for `pos_x`, `pos_y`, `pos_z`. It
-holds scalars that follow each other in the table of their part and differ in an axis or a number
-alone, so that in C it is a place in the same memory and nothing is computed otherwise.
+In FMI 3, variables that belong together may be one array: `pos` for `pos_x`, `pos_y`, `pos_z`. Its
+scalars are consecutive in the table of their part and differ only in an axis or a number, so that
+it uses the same memory in C and no computation changes.
 
-For model exchange an outside solver sees states and derivatives (FMI 2.0 chapter 3, FMI 3.0 chapter
-3). The outputs of the component are joined by states that no output shows, the derivatives, and the
-expressions at whose zeros derivatives jump, all of causality `local`. Co-simulation of the same FMU
-goes on as before.
+For model exchange an external solver uses states and derivatives (FMI 2.0 chapter 3, FMI 3.0
+chapter 3). The component has these in addition to its outputs: states that no output shows, the
+derivatives, and the expressions at whose zeros derivatives are discontinuous, all of causality
+`local`. Co-simulation of the same FMU is unchanged.
 """
 
 import re
@@ -35,21 +35,21 @@ from .kernels import draws, first_state, kernel_source, kernels
 from .names import check_identifier, check_name, check_text, check_variable, rate_unit
 
 PULL_1_S = 10.0
-"""Rate at which a state is drawn back to where its projection puts it, 1/s: no solver outside
-keeps a quaternion at unit length. Where the projection holds it adds nothing. Made up: slower
-than rotors and so never what limits a step, faster than solvers drift."""
+"""Rate at which a state decays to its projection, 1/s: no external solver keeps a quaternion at
+unit length. On the projection the term is zero. Made up: slower than rotors, so that it never
+limits a step, faster than the drift of solvers."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExchangeState:
-    """A continuous state as the importer sees it.
+    """A continuous state in model exchange.
 
     Attributes:
-        place: Among all states of the component.
-        name: Of the output, or local variable, that shows it.
-        derivative: Name of the variable of its rate of change.
+        place: Index among all states of the component.
+        name: Name of the output, or local variable, with its value.
+        derivative: Name of the variable of its derivative.
         jumps: Whether an event can change it.
-        nominal: A usual size.
+        nominal: Typical magnitude.
     """
 
     place: int
@@ -61,10 +61,10 @@ class ExchangeState:
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """What model exchange adds to a part.
+    """Additions to a part for model exchange.
 
     Attributes:
-        states: In the order of the solver's vector.
+        states: States in the order of the solver's vector.
         crossings: Names of the event indicators.
         depends: States on which each output and local variable depends.
     """
@@ -75,10 +75,10 @@ class Exchange:
 
 
 def exchanged(component: Component) -> tuple[Component, Exchange]:
-    """A component with its local variables behind its outputs, and what they are.
+    """A component with its local variables after its outputs, and their description.
 
     Raises:
-        FmuError: The component has nothing of what a solver needs.
+        FmuError: The component lacks the functions for a solver.
     """
     continuous = component.continuous
     if continuous is None:
@@ -100,7 +100,7 @@ def exchanged(component: Component) -> tuple[Component, Exchange]:
     table = (*component.output_variables, *_local_variables(component, states, hidden))
 
     def company(name: str, outputs: ca.Function, derivatives: ca.Function) -> ca.Function:
-        """Outputs, and behind them what the solver sees."""
+        """Outputs, followed by the quantities for the solver."""
         rates = derivatives(x, u, p) + PULL_1_S * (continuous.project(x) - x)
         rows = [x[i] for i in hidden] + [rates[i] for i in continuous.states]
         all_rows = ca.vertcat(outputs(x, u, p), *rows, continuous.crossings(x, u, p))
@@ -147,14 +147,14 @@ def _jumps(component: Component, place: int) -> bool:
 
 
 def _nominals(component: Component, continuous: Continuous) -> list[float]:
-    """Size of each state at its start value, 1 where that is below: of metres, radians, shares."""
+    """Magnitude of each state at its start value, at least 1: for metres, radians, shares."""
     u, p = component.input_values(), component.parameter_values()
     start = component.initial(u, p)
     return [max(1.0, abs(float(start[i]))) for i in continuous.states]
 
 
 def _on_states(component: Component, states: Iterable[ExchangeState]) -> dict[str, tuple[str, ...]]:
-    """By the sparsity of the equations."""
+    """States on which each output depends, by the sparsity of the equations."""
     rows, columns = component.outputs.jac_sparsity(0, 0).get_triplet()
     nonzero = set(zip(rows, columns, strict=True))
     return {
@@ -170,11 +170,11 @@ _AXES = (("x", "y", "z"), ("w", "x", "y", "z"))  # vector, quaternion
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One variable as an importer sees it.
+    """A variable of an FMU: a scalar or an array.
 
     Attributes:
-        name: Its own, or that of the scalar that it is.
-        members: Scalars in their order.
+        name: Name of the array, or of the scalar.
+        members: Scalars in order.
     """
 
     name: str
@@ -182,17 +182,17 @@ class Entry:
 
     @property
     def is_array(self) -> bool:
-        """Whether it is one, be it of one element."""
+        """Whether it is an array, even of one element."""
         return self.name != self.members[0].name
 
     @property
     def first(self) -> Variable:
-        """What all members have in common can be read from it."""
+        """The first member, for properties that all have in common."""
         return self.members[0]
 
     @property
     def description(self) -> str:
-        """What the members mean: "Position, NED north | east | down"."""
+        """Description with those of the members: "Position, NED north | east | down"."""
         words = [re.split(r"\b", v.description) for v in self.members]
         if len(words) == 1:
             return self.first.description
@@ -204,16 +204,16 @@ class Entry:
 
 
 def scalars(variables: Iterable[Variable]) -> tuple[Entry, ...]:
-    """Every variable on its own."""
+    """Every variable as a separate entry."""
     return tuple(Entry(v.name, (v,)) for v in variables)
 
 
 def arrays(variables: Sequence[Variable], alike: Callable[[Variable], object]) -> tuple[Entry, ...]:
-    """The same variables, those that belong together as arrays; their order stays.
+    """Entries with groups of variables as arrays, in the same order.
 
     Args:
-        variables: Of an FMU, in their order.
-        alike: What else has to be the same of the members of an array.
+        variables: Variables of an FMU, in order.
+        alike: Further properties that must be equal for the members of an array.
     """
     taken = {v.name for v in variables}
     entries: list[Entry] = []
@@ -228,7 +228,7 @@ def arrays(variables: Sequence[Variable], alike: Callable[[Variable], object]) -
 
 
 def _begins(variables: Sequence[Variable], alike: Callable[[Variable], object]) -> tuple[str, int]:
-    """Name and size of the array that begins here; size 0: none does."""
+    """Name and size of the array that begins here; size 0: none."""
     first = variables[0]
     stem = _stem(first)
 
@@ -253,7 +253,7 @@ def _facts(v: Variable) -> tuple[object, ...]:
 
 
 def _common(rows: Sequence[Sequence[str]]) -> int:
-    """How many entries all rows have the same at their beginning."""
+    """Number of leading entries that all rows have in common."""
     return len(list(takewhile(lambda column: len(set(column)) == 1, zip(*rows, strict=False))))
 
 
@@ -267,23 +267,24 @@ class Submodel:
 
     Attributes:
         name: A C identifier.
-        variables: In the order of its value references from 1 on: parameters, inputs, outputs.
+        variables: Variables in the order of their value references from 1: parameters, inputs,
+            outputs.
         dependencies: Inputs on which each output directly depends during simulation.
         initial_dependencies: Inputs and parameters on which each output depends at the end of
             initialisation.
         state_names: Continuous states, for messages.
         max_step_s: Longest internal step.
-        glue: File of `fmus/c` that makes a model of tables and kernels.
-        kernels: C source in front of it.
-        apart: Whether the kernels are a file of their own, which includes the glue as well.
-        defines: Macros that the glue needs.
-        shortcuts: Which cheaper kernels the glue tries, by kernel; None where it knows of none.
-        sampling: What happens at sample instants.
+        glue: File of `fmus/c` with the code around tables and kernels.
+        kernels: C source of the kernels.
+        apart: Whether the kernels are compiled as a separate file, which also includes the glue.
+        defines: Macros of the glue.
+        shortcuts: Cheaper kernels that the glue tries, by kernel; None where it has none.
+        sampling: Evaluation at sample instants.
         resources: Files it reads.
-        folder: Where they lie in the resources folder, "" or ending in a slash.
-        may_lack: Inputs and outputs that may be no number (NaN); any other stops the simulation.
-        held: Real outputs that change at instants alone and stand still between them.
-        exchange: What a solver outside sees, for model exchange; None: co-simulation alone.
+        folder: Their folder in the resources folder, "" or ending in a slash.
+        may_lack: Inputs and outputs that may be NaN; any other NaN stops the simulation.
+        held: Real outputs that change only at sample instants.
+        exchange: Additions for model exchange; None: co-simulation only.
     """
 
     name: str
@@ -313,17 +314,17 @@ class Submodel:
 
 @dataclass(frozen=True, slots=True)
 class FmuModel:
-    """Everything an FMU holds, apart from the FMI version it speaks.
+    """Content of an FMU, independent of the FMI version.
 
     Names of variables are unique over all parts.
 
     Attributes:
         name: Model identifier, a C identifier.
-        parts: One, or several joined by `fuse`.
+        parts: Parts: one, or several joined by `fuse`.
         connections: (output, input), by name.
-        order: Indices of parts in an order in which all outputs become right at initialisation.
+        order: Indices of parts in an order of evaluation with correct outputs at initialisation.
         step_s: Longest step between two exchanges of values; None for a part alone.
-        arrays: Whether scalars that belong together are arrays, in FMI 3.
+        arrays: Whether groups of scalars are arrays, in FMI 3.
     """
 
     name: str
@@ -338,7 +339,7 @@ class FmuModel:
 
     @property
     def entries(self) -> tuple[Entry, ...]:
-        """Its variables as an importer sees them, in the order of their value references from 1."""
+        """Its variables as scalars and arrays, in the order of their value references from 1."""
         if not self.arrays:
             return scalars(self.variables)
         part_of = {v.name: i for i, part in enumerate(self.parts) for v in part.variables}
@@ -352,7 +353,7 @@ class FmuModel:
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        """In value-reference order: parameters, inputs without source, outputs, locals."""
+        """Scalars in value-reference order: parameters, unconnected inputs, outputs, locals."""
         connected = {target for _, target in self.connections}
         kinds: tuple[Causality, ...] = ("parameter", "input", "output", "local")
         return tuple(
@@ -370,7 +371,7 @@ class FmuModel:
         return tuple(v.name for v in self.variables if v.causality == "output")
 
     def with_starts(self, starts: Mapping[str, float]) -> "FmuModel":
-        """The same with other start values of parameters or inputs.
+        """The model with other start values of parameters or inputs.
 
         Raises:
             ModelError: A name is neither, or a value is outside its range.
@@ -379,7 +380,7 @@ class FmuModel:
         check_starts(self.name, settable, starts)
 
         def changed(part: Submodel) -> Submodel:
-            """The part, outputs as they were."""
+            """The part with its outputs unchanged."""
             table = (replace(v, start=starts.get(v.name, v.start)) for v in part.variables)
             return replace(part, variables=tuple(table))
 
@@ -387,12 +388,12 @@ class FmuModel:
 
     @property
     def held(self) -> frozenset[str]:
-        """Real outputs that change at instants alone and stand still between them."""
+        """Real outputs that change only at sample instants."""
         return frozenset().union(*(part.held for part in self.parts))
 
     @property
     def enumerations(self) -> tuple[Enumeration, ...]:
-        """Types of its variables that have named values, each once."""
+        """Enumerations of its variables, each once."""
         kinds = (v.kind for v in self.variables)
         return tuple(dict.fromkeys(k for k in kinds if isinstance(k, Enumeration)))
 
@@ -410,7 +411,7 @@ class FmuModel:
     def initial_dependencies(self) -> dict[str, tuple[str, ...]]:
         """Inputs and parameters on which each output depends at the end of initialisation."""
         source = {target: output for output, target in self.connections}
-        dependencies: dict[str, dict[str, None]] = {}  # sets in a fixed order
+        dependencies: dict[str, dict[str, None]] = {}  # ordered sets
         for part in (self.parts[i] for i in self.order):
             dependencies |= {
                 output: {
@@ -429,7 +430,7 @@ class FmuModel:
 
     @property
     def exchange(self) -> Exchange | None:
-        """What a solver outside sees; None: co-simulation alone."""
+        """Additions for model exchange; None: co-simulation only."""
         return self.parts[0].exchange if len(self.parts) == 1 else None
 
     @property
@@ -439,13 +440,13 @@ class FmuModel:
 
 
 def with_real_outputs(model: FmuModel) -> FmuModel:
-    """The same, every output a real number: truth values as 0 and 1, enumerations by their codes.
+    """The model with all outputs as real numbers: Booleans as 0 and 1, enumerations by their codes.
 
     For importers that read all outputs by `fmi2GetReal` or `fmi3GetFloat64`.
     """
 
     def changed(part: Submodel) -> Submodel:
-        """The part; what was no real number stands still between instants."""
+        """The part; converted outputs change only at sample instants."""
         others = {v.name for v in part.of("output") if not v.real}
         table = tuple(replace(v, kind="real") if v.name in others else v for v in part.variables)
         return replace(part, variables=table, held=part.held | others)
@@ -454,10 +455,10 @@ def with_real_outputs(model: FmuModel) -> FmuModel:
 
 
 def check_interface(model: FmuModel) -> None:
-    """Whether names and texts of a model can stand in an FMU, each variable once.
+    """Check that names and texts of a model are allowed in an FMU, and each variable occurs once.
 
     Raises:
-        FmuError: One cannot.
+        FmuError: One is not allowed.
     """
     check_identifier("model identifier", model.name)
     check_text(f"{model.name}: description", model.description)
@@ -472,7 +473,7 @@ def check_interface(model: FmuModel) -> None:
 
 
 def _check_enumerations(model: FmuModel) -> None:
-    """Names and items; what one name stands for is the same in all parts."""
+    """Check names and items; a name must have the same definition in all parts."""
     types: set[str] = set()
     for kind in model.enumerations:
         check_name(f"{model.name}: enumeration", kind.name)
@@ -488,7 +489,7 @@ def component_model(component: Component, exchange: bool = False) -> FmuModel:
 
     Args:
         component: Equations and interface.
-        exchange: Whether a outside solver may integrate it, besides co-simulation.
+        exchange: Whether an external solver may integrate it, in addition to co-simulation.
 
     Raises:
         FmuError: The component cannot be exchanged.
@@ -530,7 +531,7 @@ def _dependencies(component: Component) -> dict[str, tuple[str, ...]]:
 
 
 def _held(component: Component) -> frozenset[str]:
-    """Real outputs of memory alone, by the sparsity of the equations."""
+    """Real outputs that depend on memory only, by the sparsity of the equations."""
     if component.sampling is None or component.continuous is None:
         return frozenset()
     on_states = _pattern(component.outputs, 0, len(component.states))

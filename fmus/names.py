@@ -1,9 +1,9 @@
-"""Names, texts and units that come from a file: what may stand in one before it enters C or XML.
+"""Checks of names, texts and units from a file before they enter C or XML.
 
-An FMU is code that other tools load. What a file says about itself is data, of any author: a
-name that is no short identifier is refused where it is read, and again where it is written.
+An FMU is code that other tools load. Descriptions in a file are untrusted data: a name that is no
+short identifier is refused when it is read, and again when it is written.
 
-Units are exponents of the SI base units that FMI knows.
+Units are exponents of the SI base units of FMI.
 """
 
 import math
@@ -13,35 +13,35 @@ from twin.component import Variable
 from twin.errors import FmuError
 
 LONGEST_NAME = 64
-"""Of a name that a file gives."""
+"""Largest length of a name from a file."""
 LONGEST_VARIABLE = 256
-"""Of a variable of an FMU, the names of its part and of what it stands for together."""
+"""Largest length of an FMU variable's name, with the name of its part."""
 LONGEST_TEXT = 1000
-"""Of a description."""
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.]*")  # of a file's own
+"""Largest length of a description."""
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.]*")  # in a file
 IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-"""Of C: a letter or _, then letters, digits and _, all of ASCII."""
+"""Identifier of C: a letter or _, then letters, digits and _, all of ASCII."""
 
 
 def check_name(where: str, name: object, longest: int = LONGEST_NAME) -> str:
-    """The name, if it is one: a letter or _, then letters, digits, _ and dots, all of ASCII.
+    """The name, if it is valid: a letter or _, then letters, digits, _ and dots, all of ASCII.
 
     Args:
         where: File and quantity, for the message.
-        name: What stands there.
-        longest: Characters it may have.
+        name: Value to check.
+        longest: Largest number of characters.
 
     Raises:
-        FmuError: It is no name.
+        FmuError: It is no valid name.
     """
     return _checked(where, name, _NAME, "letters, digits, _ and dots", longest)
 
 
 def check_variable(where: str, name: object) -> str:
-    """The name of a variable of an FMU; that of a derivative is `der(...)`, as in FMI 2.2.9.
+    """The name of an FMU variable; that of a derivative is `der(...)`, as in FMI 2.2.9.
 
     Raises:
-        FmuError: It is none.
+        FmuError: It is no valid name.
     """
     if isinstance(name, str) and name.startswith("der(") and name.endswith(")"):
         return f"der({check_name(where, name[4:-1], LONGEST_VARIABLE)})"
@@ -49,19 +49,19 @@ def check_variable(where: str, name: object) -> str:
 
 
 def check_identifier(where: str, name: object, longest: int = LONGEST_NAME) -> str:
-    """The same without dots: an identifier of C.
+    """The name, if it is an identifier of C, without dots.
 
     Raises:
-        FmuError: It is none.
+        FmuError: It is no valid identifier.
     """
     return _checked(where, name, IDENTIFIER, "letters, digits and _", longest)
 
 
 def check_text(where: str, text: object, longest: int = LONGEST_TEXT) -> str:
-    """The text, if it is one line that can be printed, of any script.
+    """The text, if it is one printable line, in any script.
 
     Raises:
-        FmuError: It is not.
+        FmuError: It is no printable line.
     """
     if not isinstance(text, str) or len(text) > longest or not text.isprintable():
         raise FmuError(
@@ -72,7 +72,7 @@ def check_text(where: str, text: object, longest: int = LONGEST_TEXT) -> str:
 
 
 def shown(value: object, longest: int = 80) -> str:
-    """A value of a file in a message: plain ASCII on one line, cut where it is long."""
+    """A value of a file for a message: plain ASCII on one line, truncated if long."""
     text = ascii(value[: longest + 1] if isinstance(value, str) else value)
     return text if len(text) <= longest else f"{text[:longest]}..."
 
@@ -136,13 +136,13 @@ DISPLAY_UNITS: dict[str, tuple[str, float]] = {
     "T": ("uT", 1e6),
     "Pa": ("hPa", 1e-2),
 }
-"""How people write some of them: name, and what one of ours is in it."""
+"""Common display units: name, and its value for one SI unit."""
 USUAL_SIZES = {"Pa": 1e5, "T": 1e-5, "V": 10.0, "m/s2": 10.0, "rad/s2": 10.0}
-"""Of a quantity without a start value of its own, where it is far from 1."""
+"""Typical magnitude by unit where it is far from 1, for variables without a start value."""
 
 
 def usual_size(variable: Variable) -> float:
-    """Nominal value: its own, the power of ten below the start value, or what is usual of the
+    """Nominal value: its own, the power of ten below the start value, or the typical one of the
     unit."""
     unit, start = variable.unit, variable.start
     if variable.nominal is not None:
@@ -156,7 +156,7 @@ _RATE = re.compile(r"(.+)/s([0-9]?)")  # unit of a derivative
 
 
 def rate_unit(unit: str) -> str:
-    """Unit of the time derivative: "m/s2" of "m/s"."""
+    """Unit of the time derivative: "m/s2" for "m/s"."""
     rate = _RATE.fullmatch(unit)
     return f"{unit}/s" if rate is None else f"{rate[1]}/s{int(rate[2] or 1) + 1}"
 
@@ -164,7 +164,7 @@ def rate_unit(unit: str) -> str:
 def base_exponents(unit: str) -> dict[str, int]:
     """Exponents of kg, m, s, A, K, mol, cd, rad.
 
-    A coefficient of a polynomial of the rotor speed, "U.sK/radK", is U times s^K / rad^K.
+    A coefficient of a polynomial in rotor speed, "U.sK/radK", is U times s^K / rad^K.
 
     Raises:
         KeyError: The unit is unknown: add it to `BASE_UNITS`.

@@ -1,10 +1,10 @@
-"""`model.onnx` of a trained compensator: what it says about itself, held against its graph.
+"""`model.onnx` of a trained compensator: its metadata, checked against its graph.
 
-The file may come from anywhere, and its graph is judged before anything is made of it. What is
-refused could run for ever, read other files, need memory without end or put somebody's text into C:
-control flow, functions and operators of other domains, numbers in other files, tensors without a
-fixed size, sizes and counts beyond bounds, numbers that are not finite, names that are no
-identifiers. `onnx.checker` judges none of that.
+The file may have any origin, and its graph is checked before it is used. Refused are graphs that
+could run for ever, read other files, need unbounded memory or insert text into C: control flow,
+functions and operators of other domains, numbers in other files, tensors without a fixed size,
+sizes and counts beyond bounds, numbers that are not finite, names that are no identifiers.
+`onnx.checker` checks none of that.
 """
 
 import hashlib
@@ -28,18 +28,18 @@ Shape = tuple[int, ...]
 INPUTS = ("virtual", "command", "phase", "measured", "valid", "state")  # of the graph
 OUTPUTS = ("correction", "spread", "anomaly", "inside", "state_out")  # of the graph
 MAX_FILE_BYTES = 256 * 2**20
-"""The largest preset has 8 MB."""
+"""Largest file; the largest preset has 8 MB."""
 MAX_NODES = 10_000
-"""Most operators of a graph. Made up."""
+"""Largest number of operators in a graph. Made up."""
 MAX_NUMBERS = 2**18
-"""Of a tensor that is made at each sample: 1 MiB of the caller's stack. The largest preset has
-5,218 in its state."""
+"""Largest size of an intermediate tensor: 1 MiB of the caller's stack. The largest preset has 5,218
+numbers in its state."""
 _OPERATOR_DOMAINS = ("", "ai.onnx")  # ONNX's own, by its two names
-_WAY_OUT = "Use a file that uavtwin train wrote"  # end of messages
+_WAY_OUT = "Use a file that uavtwin train wrote"  # remedy in messages
 
 
 def parse_network(path: Path, content: bytes) -> Any:
-    """The ONNX model in the bytes of a file, not judged yet.
+    """The unchecked ONNX model from the bytes of a file.
 
     Raises:
         FmuError: It is no ONNX file, it is too large, or the package onnx is missing.
@@ -60,8 +60,8 @@ def parse_network(path: Path, content: bytes) -> Any:
 
 
 def take_one_sample(model: Any) -> None:
-    """Let a model that takes any number of samples in a call take one, as an FMU does: the first
-    axis of its inputs and outputs, where it has a name, gets the size 1."""
+    """Change a model with any number of samples per call to one sample, as in an FMU: the first
+    axis of its inputs and outputs gets the size 1 where it has a name."""
     for value in (*model.graph.input, *model.graph.output):
         shape = value.type.tensor_type.shape.dim
         if shape and shape[0].HasField("dim_param"):
@@ -69,10 +69,10 @@ def take_one_sample(model: Any) -> None:
 
 
 def check_graph(path: Path, model: Any) -> None:
-    """Whether the graph of a parsed file is one that can become an FMU.
+    """Check that a parsed graph can become an FMU.
 
     Raises:
-        FmuError: It is not; the text says what of it.
+        FmuError: It cannot; the text states the reason.
     """
     import onnx
 
@@ -98,15 +98,15 @@ def check_graph(path: Path, model: Any) -> None:
 
 
 def row_widths(values: Any) -> dict[str, int]:
-    """Inputs or outputs of a judged graph by name: each is one row of so many numbers."""
+    """Width of the inputs or outputs of a checked graph by name: each is one row."""
     return {v.name: _shape(v)[-1] for v in values}
 
 
 def plain_copy(model: Any) -> Any:
-    """The same operators and numbers without any text of its author.
+    """A copy of the model with operators and numbers, without any text of its author.
 
     Tensors between inputs and outputs are numbered. Names of nodes, metadata and descriptions are
-    left out: the C generator writes all of them into comments as they are.
+    omitted: the C generator writes all of them into comments unchanged.
     """
     import onnx
 
@@ -135,7 +135,7 @@ def plain_copy(model: Any) -> Any:
         numbers.append(onnx.numpy_helper.from_array(array, names[tensor.name]))
 
     def row(value: Any) -> Any:
-        """An input or output, its name and shape alone."""
+        """An input or output with name and shape only."""
         return onnx.helper.make_tensor_value_info(
             value.name, onnx.TensorProto.FLOAT, list(_shape(value))
         )
@@ -152,7 +152,7 @@ def plain_copy(model: Any) -> Any:
 
 
 def check_names(path: Path, graph: Any) -> None:
-    """Whether all names and texts in a graph are identifiers.
+    """Check that all names and texts in a graph are identifiers.
 
     Raises:
         FmuError: One is not.
@@ -171,7 +171,7 @@ def check_names(path: Path, graph: Any) -> None:
 
 
 def missing_package(error: ModuleNotFoundError) -> FmuError:
-    """What to say where a package is not installed."""
+    """Error for a package that is not installed."""
     return FmuError(
         f"a compensator needs the package {error.name}: {install_command('learn')}. To export one "
         f"that is trained, onnx and emx-onnx-cgen are enough."
@@ -182,7 +182,7 @@ def missing_package(error: ModuleNotFoundError) -> FmuError:
 
 
 def _check_structure(path: Path, model: Any) -> None:
-    """Operators of ONNX alone, in one flat graph."""
+    """Check that there are only operators of ONNX, in one flat graph."""
     graph = model.graph
     for what, found, most in (
         ("functions", len(model.functions), 0),
@@ -219,14 +219,14 @@ def _attribute_types() -> tuple[int, ...]:
 
 
 def _tensors(graph: Any) -> Iterator[Any]:
-    """Every tensor of numbers: weights, and constants among the attributes of operators."""
+    """Every numeric tensor: weights, and constants among the attributes of operators."""
     yield from graph.initializer
     for node in graph.node:
         yield from (a.t for a in node.attribute if a.HasField("t"))
 
 
 def _check_numbers(path: Path, tensor: Any) -> None:
-    """In the file itself, of a type that networks have, as many as said, finite."""
+    """Check that numbers are in the file itself, of a supported type, complete, and finite."""
     import onnx
 
     kind = onnx.TensorProto
@@ -255,7 +255,7 @@ def _types() -> list[int]:
 
 
 def _check_row(path: Path, value: Any) -> None:
-    """An input or output: one row of float32."""
+    """Check that an input or output is one row of float32."""
     import onnx
 
     if value.type.tensor_type.elem_type != onnx.TensorProto.FLOAT:
@@ -285,40 +285,40 @@ def _refusal(path: Path, quantity: str, value: object, need: str) -> FmuError:
 
 
 FILE, INT8_FILE = "model.onnx", "model_int8.onnx"
-"""In the folder of a trained model: as trained, and with weights of 8 bits."""
+"""Files in the folder of a trained model: as trained, and with weights of 8 bits."""
 FORMAT = "uavtwin compensator 1"  # in the metadata
 PROTOCOLS = ("reconstruct", "track", "free")  # ways of feeding measurements
 MAX_CHANNELS, MAX_COMMANDS, MAX_PHASES, MAX_HORIZON = 64, 64, 64, 10_000
-"""Counts; ours have 15 channels."""
+"""Largest counts; models of this project have 15 channels."""
 MAX_STATE = 50_000
-"""Numbers of the packed state; the largest preset has 5,218."""
+"""Largest size of the packed state; the largest preset has 5,218."""
 MAX_RATE_HZ = 1e5
 """Highest sample rate of a compensator, Hz. Made up."""
 MAX_TEXT = 255
-"""Characters of a vehicle's name, which may be that of its file."""
+"""Largest number of characters of a vehicle's name, which may be that of its file."""
 MAX_METADATA = 2**20
-"""Characters of one entry."""
+"""Largest number of characters of one entry."""
 
 
 @dataclass(frozen=True, slots=True)
 class NetworkFile:
-    """A compensator as its ONNX file describes it.
+    """A compensator as described by its ONNX file.
 
     Attributes:
-        path: Of the file.
-        content: Its bytes.
-        channels: Virtual signals, as the twin names its outputs.
-        units: Of the channels.
+        path: Path of the file.
+        content: Content of the file.
+        channels: Virtual signals, by the names of the twin's outputs.
+        units: Units of the channels.
         groups: Sensors; each channel's name begins with one of them.
-        commands: What drives the rotors, as the twin names its outputs.
-        phases: Code of each phase.
-        rate_hz: Samples per second.
-        protocol: Which measurements it sees.
-        horizon: Age of the newest one, samples.
-        uncorrected_rms: What is to be expected without a correction, by channel.
-        vehicle: Name of the twin's vehicle, "" where not said.
-        vehicle_sha256: Of the vehicle's file, "" where not said.
-        state_size: Numbers of the packed state.
+        commands: Rotor inputs, by the names of the twin's outputs.
+        phases: Code of each phase of flight.
+        rate_hz: Sample rate.
+        protocol: Measurements that are inputs.
+        horizon: Age of the newest measurement, samples.
+        uncorrected_rms: Expected rms residual without a correction, by channel.
+        vehicle: Name of the twin's vehicle, "" where not stated.
+        vehicle_sha256: Hash of the vehicle's file, "" where not stated.
+        state_size: Size of the packed state.
     """
 
     path: Path
@@ -340,7 +340,7 @@ class NetworkFile:
 
     @property
     def sees_measurements(self) -> bool:
-        """Whether measured signals enter at all."""
+        """Whether measured signals are inputs."""
         return self.protocol != "free"
 
     @property
@@ -352,12 +352,12 @@ class NetworkFile:
 def read_network(folder: Path, file: str = FILE) -> NetworkFile:
     """The network in the folder of a trained model, by the name of its file.
 
-    The file may come from anywhere: names, sizes and numbers in it are checked before they are
-    used, so that what is read can be written into an FMU.
+    The file may have any origin: names, sizes and numbers are checked before use, so that all of it
+    can be written into an FMU.
 
     Raises:
-        FmuError: There is none, it is damaged or foreign, something in it cannot stand in an FMU,
-            or the package onnx is missing.
+        FmuError: There is none, it is damaged or of another kind, a part of it is not allowed in an
+            FMU, or the package onnx is missing.
     """
     path = folder / file
     if not path.is_file():
@@ -378,7 +378,7 @@ def read_network(folder: Path, file: str = FILE) -> NetworkFile:
 
 
 class _Metadata:
-    """The entries of a file, one kind of value per method; each refuses what is of another kind."""
+    """Reader of a file's entries, one method per kind of value; each refuses other kinds."""
 
     def __init__(self, path: Path, properties: Any) -> None:
         self.path = path
@@ -389,9 +389,9 @@ class _Metadata:
             self._texts[entry.key] = entry.value
 
     def check_format(self, graph: Any) -> None:
-        """Whether the file is a compensator's and its graph as it was written.
+        """Check that the file is a compensator's and its graph unchanged.
 
-        The checksum tells of damage, not of intent: an author of changes can mend it.
+        The checksum detects damage, not intent: an author of changes can correct it.
         """
         if self._texts.get("format") != FORMAT:
             raise FmuError(
@@ -405,13 +405,13 @@ class _Metadata:
             )
 
     def refuse(self, key: str, value: object, need: str) -> NoReturn:
-        """Raise what says which entry is wrong and how."""
+        """Raise an error that names the invalid entry and the condition."""
         raise FmuError(
             f"{self.path}: its metadata do not fit: {key} = {shown(value)}, {need}. {_WAY_OUT}."
         )
 
     def value(self, key: str) -> Any:
-        """Of JSON, where NaN and infinity are none."""
+        """A JSON value, without NaN and infinity."""
         text = self._texts.get(key)
         if text is None:
             self.refuse(key, None, "the entry is missing")
@@ -423,7 +423,7 @@ class _Metadata:
             self.refuse(key, text, f"it is not JSON: {error}")
 
     def names(self, key: str, most: int) -> tuple[str, ...]:
-        """1 to `most` identifiers, none twice."""
+        """1 to `most` distinct identifiers."""
         values = self.list(key, most)
         where = f"{self.path}: {key}"
         names = tuple(check_identifier(where, v, LONGEST_NAME) for v in values)
@@ -439,17 +439,17 @@ class _Metadata:
         return values
 
     def text(self, key: str) -> str:
-        """One line."""
+        """One line of text."""
         return check_text(f"{self.path}: {key}", self.value(key), MAX_TEXT)
 
     def whole(self, key: str, value: object, most: int) -> int:
-        """A whole number from 0 on."""
+        """An integer from 0 to `most`."""
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
             self.refuse(key, value, f"it must be a whole number from 0 to {most}")
         return value
 
     def numbers(self, key: str, values: object, n: int, least: float) -> tuple[float, ...]:
-        """So many finite numbers, each of them `least` or more."""
+        """A given number of finite numbers, each at least `least`."""
         if not isinstance(values, list) or len(values) != n:
             self.refuse(key, values, f"it must be a list of {n} numbers")
         for value in values:
@@ -460,7 +460,7 @@ class _Metadata:
 
 
 def _described(said: _Metadata, content: bytes, graph: Any) -> NetworkFile:
-    """What the metadata say, in the words of the dataclass."""
+    """The metadata as a `NetworkFile`."""
     inputs = row_widths(graph.input)
     if tuple(inputs) != INPUTS:
         said.refuse("inputs of the graph", tuple(inputs), f"they must be {INPUTS}")
@@ -520,7 +520,7 @@ def _phases(said: _Metadata) -> dict[str, int]:
 
 
 def _check_fit(said: _Metadata, network: NetworkFile, graph: Any) -> None:
-    """Whether metadata and graph say the same, and what the graph was scaled by is usable."""
+    """Check that metadata and graph agree, and that the scaling of the graph is usable."""
     n, m, state = len(network.channels), len(network.commands), network.state_size
     if state > MAX_STATE:
         said.refuse("state of the graph", state, f"at most {MAX_STATE} numbers are kept")
@@ -545,7 +545,8 @@ def _check_fit(said: _Metadata, network: NetworkFile, graph: Any) -> None:
 
 
 def _check_normalisation(said: _Metadata, n_channels: int, n_phases: int) -> None:
-    """The numbers that are within the graph, as the file repeats them: finite, scales above 0."""
+    """Check the scaling numbers of the graph, as repeated in the metadata: finite, scales above
+    0."""
     tables = said.value("normalisation")
     if not isinstance(tables, dict):
         said.refuse("normalisation", tables, "it must be tables by name")
@@ -563,7 +564,7 @@ def _check_normalisation(said: _Metadata, n_channels: int, n_phases: int) -> Non
 
 
 def _is_number(value: object) -> bool:
-    """Whether it is a number that a double holds."""
+    """Whether it is a number in the range of a double."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return -1.7e308 < value < 1.7e308

@@ -1,4 +1,4 @@
-"""In which order the outputs of connected slaves or parts become right, and which form loops."""
+"""Order of evaluation for connected slaves or parts, and algebraic loops among them."""
 
 from collections.abc import Mapping, Set
 from dataclasses import dataclass
@@ -8,23 +8,23 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """Outputs, as "slave.output", that directly depend on themselves by way of each other."""
+    """Outputs, as "slave.output", that directly depend on themselves through each other."""
 
     outputs: tuple[str, ...]
 
 
 Visit = str | Loop
-"""A slave whose inputs are to be set and outputs read, or a loop that is to be solved."""
+"""A slave whose inputs are set and outputs read, or a loop to solve."""
 
 
 def visits(dependencies: Mapping[str, Set[str]]) -> list[Visit]:
-    """An order of visits after which every output is right.
+    """An order of evaluation after which every output is correct.
 
-    A slave comes twice where some of its outputs are needed before its inputs are known: an
-    airframe gives its position to a controller whose command enters its acceleration.
+    A slave occurs twice where some of its outputs are needed before its inputs are known: an
+    airframe outputs its position to a controller whose command enters its acceleration.
 
     Args:
-        dependencies: Output -> the outputs that it directly depends on, through connected inputs.
+        dependencies: Output -> the outputs on which it directly depends, through connected inputs.
             Outputs that are no keys are known beforehand.
     """
     order: list[Visit] = []
@@ -53,8 +53,8 @@ def visits(dependencies: Mapping[str, Set[str]]) -> list[Visit]:
 
 
 def _first_loop(outputs: list[str], dependencies: Mapping[str, Set[str]], done: Set[str]) -> Loop:
-    """A strongly connected component that waits for nothing but itself."""
-    from scipy.sparse import csr_array  # half a second to load, and loops are rare
+    """A strongly connected component that depends only on itself."""
+    from scipy.sparse import csr_array  # half a second to import, and loops are rare
     from scipy.sparse.csgraph import connected_components
 
     index = {o: i for i, o in enumerate(outputs)}

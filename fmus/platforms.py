@@ -1,4 +1,4 @@
-"""Platforms of an FMU: the folder of each binary and the compiler that makes it."""
+"""Platforms of an FMU: the folder of each binary and its compiler."""
 
 import importlib.metadata
 import os
@@ -16,13 +16,13 @@ from twin.errors import FmuError
 
 @dataclass(frozen=True, slots=True)
 class Platform:
-    """Where an FMU runs.
+    """Platform on which an FMU runs.
 
     Attributes:
-        folders: Folder below `binaries`, by FMI version. FMI 2 names x86 alone; for ARM the tuple
-            of FMI 3 stands in.
-        suffix: Of the shared library.
-        target: What zig calls it, with the oldest system that still runs it.
+        folders: Folder below `binaries`, by FMI version. FMI 2 defines x86 only; for ARM the tuple
+            of FMI 3 is used.
+        suffix: Extension of the shared library.
+        target: Target of zig, with the oldest supported system.
     """
 
     name: str
@@ -51,16 +51,16 @@ PLATFORMS = {
         ),
     )
 }  # by name
-DEFAULT = ("linux64",)  # unless told otherwise
+DEFAULT = ("linux64",)  # default platforms
 
 
 @dataclass(frozen=True, slots=True)
 class Compiler:
-    """How to call a compiler for one platform.
+    """Compiler call for one platform.
 
     Attributes:
         command: Program and leading arguments.
-        identity: Text that changes when the compiler would make other bytes.
+        identity: Text that identifies compilers with identical output.
     """
 
     command: tuple[str, ...]
@@ -68,7 +68,8 @@ class Compiler:
 
 
 def select_platforms(names: Iterable[str]) -> tuple[Platform, ...]:
-    """The platforms of these names, each once and in table order; `all` means every one.
+    """The platforms of these names, without duplicates and in table order; `all` stands for every
+    one.
 
     Raises:
         FmuError: An unknown name, or none at all.
@@ -86,7 +87,7 @@ def compilers(platforms: tuple[Platform, ...]) -> dict[str, Compiler]:
     """Compiler of each platform: the machine's own for linux64 alone where there is one, else zig
     for all of them.
 
-    So all binaries of one FMU come from one compiler.
+    So all binaries of one FMU are built by one compiler.
 
     Raises:
         FmuError: `CC` names a compiler that is not on the path.
@@ -100,7 +101,7 @@ def compilers(platforms: tuple[Platform, ...]) -> dict[str, Compiler]:
 
 
 def universal_binary(x86_64: bytes, arm64: bytes) -> bytes:
-    """One Mach-O file of two architectures (what `lipo -create` makes).
+    """One Mach-O file of two architectures (as from `lipo -create`).
 
     Source: Apple, mach-o/fat.h; big endian, slices aligned to the page of ARM, 2**14 bytes.
     """
@@ -117,9 +118,9 @@ def universal_binary(x86_64: bytes, arm64: bytes) -> bytes:
 
 
 def without_link_time(dll: bytes) -> bytes:
-    """A library of Windows without the second at which it was linked: two builds are alike.
+    """A Windows library without its time of linking: two builds are identical.
 
-    Source: Microsoft, PE Format: where the header begins is said at 0x3c, the time 8 bytes on.
+    Source: Microsoft, PE Format: the offset of the header is at 0x3c, the time 8 bytes after it.
     """
     (header,) = struct.unpack_from("<I", dll, 0x3C)
     at = header + 8
@@ -127,7 +128,7 @@ def without_link_time(dll: bytes) -> bytes:
 
 
 def machine_compiler() -> Compiler | None:
-    """That of `CC`, else `cc`; None where the machine has none."""
+    """Compiler of `CC`, else `cc`; None where the machine has none."""
     name = os.environ.get("CC", "cc")
     found = shutil.which(name)
     if found is not None:

@@ -1,4 +1,5 @@
-"""Reference results of a built FMU: what it gave where it was built, as `experiments` reads it."""
+"""Reference results of a built FMU: its outputs on the building machine, in the format of
+`experiments`."""
 
 import csv
 import hashlib
@@ -34,23 +35,24 @@ from .platforms import DEFAULT
 _NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
 _ABOUT = "Layered Standard providing information on related files included in an FMU."
 _CLOSED, _OPEN = (5.0, 0.05), (1.0, 0.02)
-"""End and step, s, long enough for a take-off, and of what is driven from outside. Made up: without
-a controller a Crazyflie tumbles, and what 1e-12 of its inputs leaves grows from 1e-6 after 1 s to
-all of it after 5 s."""
-_MOTOR = re.compile(r"(^|\.)(cmd|rotor)_\d+$")  # input of what is driven from outside
+"""Stop time and step, s: of a closed loop, long enough for a take-off, and of a component with
+external inputs. Made up: without a controller a Crazyflie tumbles, and a change of its inputs of
+1e-12 grows to 1e-6 of the result after 1 s and to all of it after 5 s."""
+_MOTOR = re.compile(r"(^|\.)(cmd|rotor)_\d+$")  # rotor input
 _DIGITS = 9
-"""Significant ones of a number: four more than `TOLERANCE` asks for."""
+"""Significant digits of a number: four more than `TOLERANCE` requires."""
 _EXCITED = 0.02
-"""Amplitude of an input over its usual size. Made up: what it drives is still near its start."""
+"""Amplitude of an input over its typical magnitude. Made up: the response remains near the
+start."""
 
 
 def add_reference_results(path: Path, model: FmuModel, fmi: int) -> None:
-    """Run an FMU that `build` has written, and put experiment and outputs into it.
+    """Run an FMU written by `build`, and add experiment and outputs to it.
 
     Args:
-        path: Of the FMU, which is replaced.
-        model: What it was built of; without arrays.
-        fmi: Its version.
+        path: Path of the FMU, which is replaced.
+        model: Model of the FMU; without arrays.
+        fmi: FMI version.
     """
     inputs = [v for v in model.variables if v.causality == "input"]
     stop_s, step_s = _OPEN if any(_MOTOR.search(v.name) for v in inputs) else _CLOSED
@@ -60,16 +62,16 @@ def add_reference_results(path: Path, model: FmuModel, fmi: int) -> None:
     )
     with tempfile.TemporaryDirectory() as folder:
         runnable = Path(folder, path.name)
-        build(model, runnable, fmi, DEFAULT)  # of the cache, where it is for this platform
+        build(model, runnable, fmi, DEFAULT)  # from the cache, if it is for this platform
         found = run(runnable, experiment, model.output_names)
     extend_archive(path, _members(experiment, found))
 
 
 def _stimuli(inputs: Iterable[Variable], time: Array) -> Table:
-    """Real inputs around their start values, each with a frequency of its own; others as they are,
-    or from the first step on as they usually are.
+    """Real inputs around their start values, each with its own frequency; others constant, or at
+    their usual value from the first step on.
 
-    Numbers are those that the file has.
+    Numbers are rounded as in the file.
     """
     waves: Table = {}
     for k, v in enumerate(inputs):

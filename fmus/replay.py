@@ -15,21 +15,21 @@ from .model import FmuModel, Submodel
 
 Array = NDArray[np.float64]
 GAP_FACTOR = 5.0
-"""A pause longer than this many median sample intervals counts as a gap."""
+"""Length of a gap, in median sample intervals."""
 
 
 def replay_model(
     flight: Flight, columns: tuple[str, ...], linear: tuple[str, ...] = ()
 ) -> FmuModel:
-    """FMU model that plays columns of a flight table.
+    """FMU model that outputs columns of a flight table over time.
 
     Each column becomes an output of that name and a Boolean `valid.<column>`, false outside
     the record and in gaps. Nothing is extrapolated.
 
     Args:
         flight: The recorded flight.
-        columns: Columns to play.
-        linear: Those of them to interpolate linearly; the others hold the last sample.
+        columns: Columns to output.
+        linear: Columns with linear interpolation; the others hold the last sample.
 
     Raises:
         LogError: A column has no sample.

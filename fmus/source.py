@@ -1,9 +1,9 @@
 """The generated C of an FMU: a file per part with its tables, one with its kernels where these are
-compiled on their own, and `system.c`, which joins the parts.
+compiled separately, and `system.c`, which connects the parts.
 
-Names and numbers of a model come from files; they get into C through `c_string`, `c_number`,
-`c_list` and `names` alone. What is written is a literal or a checked identifier, so no value can
-end it and go on as code.
+Names and numbers of a model come from files; they enter C only through `c_string`, `c_number`,
+`c_list` and `names`. The output is a literal or a checked identifier, so no value can end it and
+continue as code.
 """
 
 import math
@@ -17,14 +17,15 @@ from .model import Constant, Exchange, FmuModel, Submodel
 from .names import check_identifier, check_variable, shown
 
 _PLAIN = frozenset(map(chr, range(0x20, 0x7F))) - frozenset('"\\?')
-"""Stand for themselves in a string; `?` not, since two of them begin a trigraph of C99."""
+"""Characters that need no escape in a string; `?` does, since two of them begin a trigraph of
+C99."""
 
 
 def c_string(text: str) -> str:
     """A string literal of the text as UTF-8.
 
     Raises:
-        FmuError: It holds the character 0, which ends a string of C, or half a character.
+        FmuError: The text contains the character 0, which ends a string of C, or half a character.
     """
     try:
         encoded = text.encode()
@@ -32,16 +33,16 @@ def c_string(text: str) -> str:
         encoded = b"\0"
     if 0 in encoded:
         raise FmuError(f"{shown(text)} cannot be a string of C: take the character 0 out of it.")
-    # An octal escape has three digits at most, so what follows it is never taken for a part of it.
+    # An octal escape has at most three digits, so the next character is never part of it.
     plain = (chr(b) if chr(b) in _PLAIN else f"\\{b:03o}" for b in encoded)
     return f'"{"".join(plain)}"'
 
 
 def c_number(value: float) -> str:
-    """A whole number, or a double that reads back as the same.
+    """An integer, or a double that is read back unchanged.
 
     Raises:
-        FmuError: It is not finite, or no number at all.
+        FmuError: It is not finite, or no number.
     """
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise FmuError(f"{shown(value)} cannot be a constant of C: give a finite number.")
@@ -58,7 +59,7 @@ def c_list(values: Iterable[float]) -> str:
 
 
 _NUMBER = re.compile(r"(?<== )-?\d\.\d{16}e[+-]\d+(?=;)")
-"""A number in a kernel that may be of a vehicle; small whole ones have no exponent."""
+"""A number in a kernel that may depend on a vehicle; small integers have no exponent."""
 
 
 def generated_sources(model: FmuModel, token: str) -> dict[str, str]:
@@ -75,7 +76,8 @@ def generated_sources(model: FmuModel, token: str) -> dict[str, str]:
 
 
 def _kernels(part: Submodel) -> str:
-    """Kernels compiled on their own: they know how many variables there are, no name, no number."""
+    """Separately compiled kernels: they contain the number of variables, but no name and no
+    number."""
     defines = {"KERNELS": "", **_shared(part)}
     array, places = _numbers(part), iter(range(len(_NUMBER.findall(part.kernels))))
     kernels = _NUMBER.sub(lambda _: f"{array}[{next(places)}]", part.kernels)
@@ -96,13 +98,13 @@ def _kernels(part: Submodel) -> str:
 
 
 def _numbers(part: Submodel) -> str:
-    """Name of the array in `part_NAME.c` of the numbers of its kernels, one by one: two that
-    are equal in one model need not be in another, which has the same kernels."""
+    """Name of the array in `part_NAME.c` with the numbers of its kernels, one by one: two that are
+    equal in one model may differ in another with the same kernels."""
     return f"numbers_of_{check_identifier('part of an FMU', part.name)}"
 
 
 def _shared(part: Submodel) -> dict[str, object]:
-    """Macros that kernels and tables of a part have in common."""
+    """Macros shared by kernels and tables of a part."""
     parameters, inputs = len(part.of("parameter")), len(part.of("input"))
     shared: dict[str, object] = {
         "PART": check_identifier("part of an FMU", part.name),
@@ -132,7 +134,7 @@ def _glue(part: Submodel) -> str:
 
 
 def _part(part: Submodel) -> str:
-    """Tables, kernels unless they are apart, and the code around them; static but for the model."""
+    """Tables, kernels unless they are separate, and the glue; all static except for the model."""
     shared = _shared(part)
     defines = {
         "MODEL": f"model_{part.name}",
@@ -219,7 +221,7 @@ def _exchange(part: Submodel, exchange: Exchange) -> str:
 
 
 def _system(model: FmuModel, token: str) -> str:
-    """The parts, the variables of the FMU and the connections."""
+    """The parts, the variables of the FMU and the connections, as C."""
     place = {
         v.name: (i, reference)
         for i, part in enumerate(model.parts)

@@ -1,4 +1,4 @@
-"""What an `.ssp` of any origin holds and what is wrong with it; no library in it is loaded."""
+"""Content and problems of an `.ssp` of any origin; no library in it is loaded."""
 
 import tempfile
 from collections.abc import Iterable, Mapping
@@ -26,21 +26,22 @@ from ..system import System
 from .read import read_structure, read_unpacked, tag, unpack_ssp
 
 MAX_LISTED = 100
-"""Components, pairs of components, and problems that are listed; of more, how many."""
+"""Largest number of listed components, pairs of components, and problems; beyond it, their
+number."""
 _PLATFORM_OF = {folder: p.name for p in PLATFORMS.values() for folder in p.folders.values()}
-"""Both versions of FMI may be in one system, and name their folders each in its way."""
+"""Platform by folder: both FMI versions may be in one system, with different folder names."""
 
 
 @dataclass(frozen=True, slots=True)
 class SspReport:
-    """What `inspect_ssp` found.
+    """Result of `inspect_ssp`.
 
     Attributes:
         facts: Printable facts by name.
-        problems: Everything wrong with it.
-        notes: What may be meant so.
-        platforms: On which every FMU inside runs.
-        runs_here: Whether this machine's is among them.
+        problems: All problems found.
+        notes: Facts that may be intended.
+        platforms: Platforms on which every FMU inside runs.
+        runs_here: Whether the platform of this machine is among them.
     """
 
     facts: dict[str, str]
@@ -53,13 +54,13 @@ class SspReport:
 
 
 def inspect_ssp(path: Path) -> SspReport:
-    """Look into an SSP: its structure, and the description and libraries of every FMU.
+    """Inspect an SSP: its structure, and the description and libraries of every FMU.
 
     Its files are unpacked to a temporary folder, never more than `MAX_UNPACKED_BYTES`; the FMUs are
-    read where they lie, never more than that of all of them together.
+    read there, never more than that of all of them together.
 
     Raises:
-        FmuError: Unsafe, damaged, or no SSP at all.
+        FmuError: Unsafe, damaged, or no SSP.
     """
     with tempfile.TemporaryDirectory(prefix="uavtwin-") as name:
         folder = Path(name)
@@ -85,13 +86,13 @@ def inspect_ssp(path: Path) -> SspReport:
 
 
 def _too_much(files: Iterable[Path]) -> str | None:
-    """Why archives within an archive are not looked at; None: they may be."""
+    """Reason why archives within an archive are not inspected; None: they are."""
     members = unpacked = described = 0
     for file in files:
         try:
             listed = archive_members(file)
         except FmuError:
-            continue  # said where the FMU is looked at
+            continue  # reported where the FMU is inspected
         members += len(listed)
         unpacked += sum(m.file_size for m in listed)
         described += sum(m.file_size for m in listed if m.filename == DESCRIPTION)
@@ -106,7 +107,7 @@ def _too_much(files: Iterable[Path]) -> str | None:
 
 
 def _looked_at(file: Path) -> FmuReport | str:
-    """What an FMU holds, or why it is none."""
+    """Report on an FMU, or the reason why it is none."""
     try:
         return inspect_fmu(file)
     except FmuError as error:
@@ -156,7 +157,7 @@ def _report(
 
 
 def _component(element: etree._Element, fmus: Mapping[str, FmuReport]) -> str:
-    """Its FMU, and what that says of itself."""
+    """Text on a component: its FMU, and the description of that."""
     source = str(element.get("source", "no source"))
     if (found := fmus.get(source)) is None:
         return source
@@ -165,14 +166,14 @@ def _component(element: etree._Element, fmus: Mapping[str, FmuReport]) -> str:
 
 
 def _ends(link: etree._Element) -> tuple[str, str, str]:
-    """Component, component, and what of the first goes where in the second."""
+    """Source component, target component, and the connected variables."""
     source, target = link.get("startConnector", ""), link.get("endConnector", "")
     what = source if source == target else f"{source} as {target}"
     return link.get("startElement", "(system)"), link.get("endElement", "(system)"), what
 
 
 def _by_pair(ends: Iterable[tuple[str, str, str]]) -> dict[str, str]:
-    """Names of the variables by the two components that they connect."""
+    """Names of the connected variables by pair of components."""
     pairs: dict[str, list[str]] = {}
     for start, end, what in ends:
         pairs.setdefault(f"{start} -> {end}", []).append(what)
@@ -180,14 +181,14 @@ def _by_pair(ends: Iterable[tuple[str, str, str]]) -> dict[str, str]:
 
 
 def _listed(facts: dict[str, str]) -> dict[str, str]:
-    """The first of many."""
+    """The first of many facts."""
     if len(facts) <= MAX_LISTED:
         return facts
     return dict(list(facts.items())[:MAX_LISTED]) | {"and more": str(len(facts) - MAX_LISTED)}
 
 
 def _times(system: System) -> dict[str, str]:
-    """What a run takes from the file."""
+    """Simulation times and steps in the file."""
     stop = "without end" if system.stop_time_s is None else f"to {system.stop_time_s:g} s"
     step = "no base step" if system.step_s is None else f"base step {system.step_s:g} s"
     slow = "".join(f", {name} every {n} steps" for name, n in list(system.periods.items())[:9])

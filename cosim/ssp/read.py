@@ -1,8 +1,8 @@
 """Systems from `.ssp` files of any origin.
 
 The portable subset of SSP 1.0: one flat system of co-simulation FMUs with scalar connectors.
-What lies outside is refused with what to do about it, never left out in silence. Archives are
-unpacked by the rules for FMU archives.
+Anything else is refused with a remedy, never ignored silently. Archives are unpacked by the rules
+for FMU archives.
 """
 
 import math
@@ -27,10 +27,10 @@ from ..system import Connection, System
 
 
 def unpack_ssp(path: Path, folder: Path) -> None:
-    """Unpack into an empty folder; nothing is written before every member has been judged.
+    """Unpack into an empty folder; nothing is written before every member has been checked.
 
     Raises:
-        FmuError: Unsafe or damaged.
+        FmuError: The archive is unsafe or damaged.
     """
     members = archive_members(path, "SSP")
     if problems := member_problems(members):
@@ -49,17 +49,17 @@ NAMESPACES = {
     "ssv": "http://ssp-standard.org/SSP1/SystemStructureParameterValues",
     "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
 }
-"""The prefixes matter: libcosim and ecos look for them literally."""
+"""Namespaces with the prefixes that libcosim and ecos expect literally."""
 FMU_TYPE = "application/x-fmu-sharedlibrary"  # SSP 1.0, media type
 SET_TYPE = "application/x-ssp-parameter-set"  # SSP 1.0, media type
 PARAMETER_SET = "initialValues"
-"""Name of all parameter sets that we write; ecos applies a set by name."""
+"""Name of all parameter sets that are written; ecos applies a set by name."""
 OSP = "com.opensimulationplatform"
-"""Annotations with the base step and the step of single slaves, read by libcosim."""
+"""Namespace of annotations with the base step and the step of single slaves, read by libcosim."""
 
 
 def tag(name: str) -> str:
-    """`ssd:System` as lxml spells it."""
+    """Name of an element as in lxml, for `ssd:System`."""
     prefix, _, local = name.partition(":")
     return f"{{{NAMESPACES[prefix]}}}{local}"
 
@@ -69,12 +69,12 @@ _KINDS = {
     "output": ("output",),
     "parameter": ("parameter", "structuralParameter"),
     "calculatedParameter": ("calculatedParameter",),
-}  # causalities that a connector's kind may have
+}  # causalities by kind of connector
 _FLATTEN = "Flatten the system in the tool that wrote the file: components side by side."  # way out
 
 
 class _Folder:
-    """A temporary folder that goes when nobody refers to this object any more."""
+    """A temporary folder that is deleted with the last reference to this object."""
 
     def __init__(self) -> None:
         self.path = Path(tempfile.mkdtemp(prefix="uavtwin-"))
@@ -82,7 +82,7 @@ class _Folder:
 
 
 def read_ssp(path: Path) -> System:
-    """Read a system; its FMUs are unpacked to a folder that lives as long as the system.
+    """Read a system; its FMUs are unpacked to a folder that exists as long as the system.
 
     Raises:
         FmuError: Unsafe, damaged, misspelt or outside the portable subset.
@@ -93,7 +93,7 @@ def read_ssp(path: Path) -> System:
 
 
 def read_structure(path: Path, folder: Path) -> etree._Element:
-    """The description of an SSP that was unpacked.
+    """The description in an unpacked SSP.
 
     Raises:
         FmuError: There is none, or it is no XML that is safe to parse.
@@ -105,13 +105,13 @@ def read_structure(path: Path, folder: Path) -> etree._Element:
 
 
 def read_unpacked(path: Path, folder: Path, root: etree._Element, keep: object = None) -> System:
-    """The system of an SSP that was unpacked.
+    """The system of an unpacked SSP.
 
     Args:
-        path: Of the SSP, for messages.
-        folder: With its files.
-        root: Its description.
-        keep: What keeps the folder while the system is in use.
+        path: Path of the SSP, for messages.
+        folder: Folder with its files.
+        root: Root element of its description.
+        keep: Object that keeps the folder while the system is in use.
 
     Raises:
         FmuError: Misspelt or outside the portable subset.
@@ -121,7 +121,7 @@ def read_unpacked(path: Path, folder: Path, root: etree._Element, keep: object =
 
 @dataclass(frozen=True, slots=True)
 class _Component:
-    """One component and what the SSD says of its connectors: name -> kind."""
+    """One component and its connectors in the SSD: name -> kind."""
 
     fmu: Path
     interface: Interface
@@ -129,7 +129,7 @@ class _Component:
 
 
 class _Reader:
-    """Reads one description; `file` is for messages."""
+    """Reader of one description; `file` is for messages."""
 
     def __init__(self, file: str, folder: Path, root: etree._Element) -> None:
         self.file, self.folder, self.root = file, folder, root
@@ -197,7 +197,7 @@ class _Reader:
         return result
 
     def interface(self, fmu: Path) -> Interface:
-        """Of an FMU, read once however many components are made of it."""
+        """Interface of an FMU, read once for any number of components."""
         if fmu not in self.interfaces:
             try:
                 self.interfaces[fmu] = read_interface(fmu)
@@ -208,7 +208,7 @@ class _Reader:
     def connectors(
         self, component: etree._Element, name: str, interface: Interface
     ) -> dict[str, str]:
-        """Declared connectors, held against the FMU."""
+        """Declared connectors, checked against the FMU."""
         result: dict[str, str] = {}
         for element in component.iterfind(f"{tag('ssd:Connectors')}/{tag('ssd:Connector')}"):
             variable, kind = element.get("name", ""), element.get("kind", "")
@@ -240,7 +240,7 @@ class _Reader:
     def connections(
         self, top: etree._Element, components: Mapping[str, _Component]
     ) -> Iterator[Connection]:
-        """From output to input, whichever end the file calls the start."""
+        """Connections from output to input, for either order of the ends in the file."""
         for element in top.iterfind(f"{tag('ssd:Connections')}/{tag('ssd:Connection')}"):
             ends = []
             for end in ("start", "end"):
@@ -266,7 +266,7 @@ class _Reader:
             yield Connection(source, target)
 
     def refuse_transformation(self, connection: etree._Element, what: str) -> None:
-        """A transformation that changes nothing passes."""
+        """Refuse a transformation, unless it changes nothing."""
         for child in connection.iterchildren("{*}*"):
             name = etree.QName(child).localname
             if not name.endswith("Transformation"):
@@ -284,7 +284,7 @@ class _Reader:
     def starts(
         self, components: Mapping[str, _Component], top: etree._Element
     ) -> Iterator[tuple[str, float]]:
-        """Values in order of rising priority: components, then the system."""
+        """Start values in order of increasing priority: components, then the system."""
         for element in top.iterfind(f"{tag('ssd:Elements')}/{tag('ssd:Component')}"):
             yield from self.bindings(element, components, f"{element.get('name')}.")
         yield from self.bindings(top, components, "")
@@ -292,7 +292,7 @@ class _Reader:
     def bindings(
         self, owner: etree._Element, components: Mapping[str, _Component], scope: str
     ) -> Iterator[tuple[str, float]]:
-        """Values that one element binds."""
+        """Start values bound by one element."""
         inside = f"{tag('ssd:ParameterValues')}/{tag('ssv:ParameterSet')}"
         for b in owner.iterfind(f"{tag('ssd:ParameterBindings')}/{tag('ssd:ParameterBinding')}"):
             source = b.get("source")
@@ -318,7 +318,7 @@ class _Reader:
     def start(
         self, parameter: etree._Element, name: str, components: Mapping[str, _Component]
     ) -> tuple[str, float]:
-        """One value."""
+        """One start value."""
         slave, _, variable = name.partition(".")
         if slave not in components:
             raise self.missing("component", slave, components)
@@ -368,7 +368,7 @@ class _Reader:
     # -- helpers ----------------------------------------------------------------------------
 
     def local_file(self, source: str, what: str) -> Path:
-        """A file inside the archive."""
+        """Path of a file inside the archive."""
         parts = urlsplit(source)
         inside = PurePosixPath(unquote(parts.path))
         outside = parts.scheme or parts.netloc or inside.is_absolute() or ".." in inside.parts
@@ -384,7 +384,7 @@ class _Reader:
         return file
 
     def number(self, text: str, what: str) -> float:
-        """A finite number of the file."""
+        """A finite number from the file."""
         try:
             value = float(text)
         except ValueError:

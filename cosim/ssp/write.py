@@ -1,4 +1,4 @@
-"""Systems to `.ssp` files: SSP 1.0, one flat system of scalars, the same bytes each time."""
+"""Writer of `.ssp` files: SSP 1.0, one flat system of scalars, with reproducible bytes."""
 
 import re
 import zipfile
@@ -23,18 +23,18 @@ _TOOL = "uavtwin"  # `generationTool`
 def write_ssp(system: System, path: Path) -> Path:
     """Write a system with its FMUs and start values.
 
-    libcosim and ecos read the file as it is (`docs/guide/cosimulation.md`). The FMUs go in
-    unchanged, so a tool without SSV uses the start values that they were exported with.
+    libcosim and ecos can read the file (`docs/guide/cosimulation.md`). The FMUs are included
+    unchanged, so a tool without SSV uses their exported start values.
 
     Args:
-        system: What to write; its usual times and step become the default experiment.
+        system: System to write; its default times and step become the default experiment.
         path: File to write; its folder must exist.
 
     Returns:
         The path.
 
     Raises:
-        FmuError: The system does not fit its FMUs, or cannot be said in SSP.
+        FmuError: The system does not fit its FMUs, or cannot be represented in SSP.
     """
     interfaces = {name: read_interface(fmu) for name, fmu in system.fmus.items()}
     system.check(interfaces)
@@ -152,7 +152,8 @@ def _connectors(
     interface: Interface,
     units: Mapping[str, Mapping[str, str]],
 ) -> None:
-    """All scalar inputs and outputs; enumerations, which libcosim refuses, only where connected."""
+    """Add all scalar inputs and outputs; enumerations, which libcosim refuses, only where
+    connected."""
     connected = {n for c in system.connections for n in (c.source, c.target)}
     ports = [interface.ports[n] for n in interface.names("input", "output")]
     shown = [p for p in ports if p.kind != "Enumeration" or f"{slave}.{p.name}" in connected]
@@ -262,7 +263,8 @@ def _bytes(root: etree._Element) -> bytes:
 
 
 def _write_archive(path: Path, members: Mapping[str, bytes]) -> None:
-    """Sorted, with fixed times and modes; FMUs are archives already and only stored."""
+    """Write members sorted, with fixed times and modes; FMUs are archives already and are only
+    stored."""
     with scratch_file(path) as partial, zipfile.ZipFile(partial, "w") as archive:
         for name in sorted(members):
             info = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))

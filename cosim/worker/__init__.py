@@ -1,8 +1,8 @@
-"""The master's methods for a system in a worker process, so that a fault of an FMU is an error.
+"""Master in a separate worker process, so that a crash of an FMU is an error.
 
-The whole loop runs there, so a step costs what it costs in this process. What is recorded lies in
-memory that both share, so it is here whatever becomes of the worker. The worker is ended with all
-that it started.
+The whole loop runs in the worker, so a step costs the same as in this process. The recording is in
+shared memory, so it remains available if the worker dies. The worker is ended with all its child
+processes.
 """
 
 import contextlib
@@ -36,31 +36,31 @@ from ..recording import Interrupted, Recording, RunError
 from ..system import System
 
 _TICK_S = 0.05
-"""Between two readings of the worker's trace, s. Made up."""
+"""Interval at which the worker's trace is read, s. Made up."""
 _START_S = 60.0
-"""For Python to start, on a machine that is busy."""
+"""Time limit for the start of Python, on a busy machine."""
 _PRINTED_BYTES = 2**16
-"""Of what a worker prints, the last that are passed on in an error."""
+"""Size of the last part of a worker's output that is included in an error."""
 _ANSWER_BYTES = 2**20
-"""Longest answer that is read."""
+"""Longest answer that is accepted."""
 
 
 _SPOILT = "its process wrote into what belongs to uavtwin"  # end of a message
 _KINDS = {"done", "failed", "refused", "progress"}
-"""Of answers."""
+"""Kinds of answers."""
 
 
 class Ended(Exception):  # noqa: N818
-    """The worker can answer nothing any more; the text says what became of it."""
+    """The worker cannot answer any more; the text states how it ended."""
 
 
 class Process:
-    """A worker with files of its own.
+    """A worker process with its files.
 
     Attributes:
         trace: File of its trace.
         table: File of its last recording.
-        running: Whether it was not ended.
+        running: Whether the worker has not been ended.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -69,7 +69,7 @@ class Process:
         self.trace, self.table = shared_file(HEADER), shared_file(0)
         self._printed, self._pending = bytearray(), bytearray()
         requests, self._requests = socket.socketpair()
-        self._requests.shutdown(socket.SHUT_RD)  # what an FMU writes there comes to nothing
+        self._requests.shutdown(socket.SHUT_RD)  # input written by an FMU is discarded
         self._answers, answers = os.pipe()
         self._output, output = os.pipe()
         given = (requests.fileno(), answers, self.trace)
@@ -88,13 +88,13 @@ class Process:
                 env={
                     **os.environ,
                     "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path)),
-                    "TMPDIR": self._folder.name,  # what it leaves behind goes with the folder
+                    "TMPDIR": self._folder.name,  # its temporary files are deleted with the folder
                 },
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=output,
                 pass_fds=given,
-                start_new_session=True,  # a group of its own, which is ended as one
+                start_new_session=True,  # a separate process group, which is ended as a whole
             )
         finally:
             requests.close()
@@ -108,7 +108,7 @@ class Process:
 
     @property
     def printed(self) -> str:
-        """The end of what it printed."""
+        """The last part of its output."""
         return self._printed.decode(errors="replace")
 
     def ask(
@@ -121,14 +121,14 @@ class Process:
         """Answer to a request.
 
         Args:
-            request: What to do, with its arguments.
+            request: Name of the request, with its arguments.
             progress: Called with the time reached.
-            clocked_s: Time that a run by the clock takes by itself.
-            table: Bytes of the recording that it makes; None: it makes none.
+            clocked_s: Duration of a run in real time.
+            table: Size of the recording, bytes; None: no recording.
 
         Raises:
-            Ended: There is none; the worker was ended, or is no more.
-            OSError: There is no room for the recording.
+            Ended: There is no answer; the worker was ended, or has ended.
+            OSError: There is no memory for the recording.
         """
         if not self.running:
             raise Ended("its process had been ended before")
@@ -153,7 +153,7 @@ class Process:
             self._left_s -= max(0.0, time.monotonic() - begin - (clocked_s or 0.0))
 
     def begin(self) -> None:
-        """A run begins: the time for it as a whole starts again."""
+        """Start of a run: its total time limit starts again."""
         self._left_s = self._limits.whole_s
 
     def _wait(
@@ -184,7 +184,7 @@ class Process:
                 )
 
     def _read(self, wait_s: float) -> list[Mapping[str, Any]]:
-        """Answers that have come; keeps what was printed."""
+        """Answers received so far; stores printed output."""
         for key, _ in self._selector.select(wait_s):
             data = os.read(key.fd, 2**16)
             if not data:
@@ -200,17 +200,17 @@ class Process:
         return [_answer(bytes(line)) for line in lines]
 
     def _ended(self) -> bool:
-        """Whether the process is no more; its use of resources is kept."""
+        """Whether the process has ended; its resource usage is stored."""
         if self._process.returncode is None:
             pid, status, usage = os.wait4(self._process.pid, os.WNOHANG)
             if pid:
                 self._process.returncode = os.waitstatus_to_exitcode(status)
-                peak = _peak_bytes(usage)  # of a new process begins at that of who starts it
+                peak = _peak_bytes(usage)  # a new process starts with the peak of its parent
                 self._peak_bytes = peak if peak > self._peak_before else 0
         return self._process.returncode is not None
 
     def _end(self) -> str:
-        """End it and say how it had ended."""
+        """End it and describe how it had ended."""
         deadline = time.monotonic() + 1.0
         while not self._ended() and time.monotonic() < deadline:
             time.sleep(0.01)
@@ -227,7 +227,7 @@ class Process:
         return text
 
     def end(self) -> None:
-        """Kill it and all of its group, and remove its files; twice does no harm."""
+        """Kill it with its process group, and remove its files; a second call has no effect."""
         if not self.running:
             return
         self.running = False
@@ -235,7 +235,7 @@ class Process:
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
         with contextlib.suppress(Ended):
-            self._read(0.0)  # what it printed last
+            self._read(0.0)  # the last printed output
         self._selector.close()
         self._requests.close()
         for file in (self._answers, self._output):
@@ -243,11 +243,11 @@ class Process:
         self._folder.cleanup()
 
     def entry(self) -> TraceEntry:
-        """The call under way, or the last one."""
+        """The present call, or the last one."""
         return read_trace(self.trace)
 
     def spoilt(self) -> Ended:
-        """End it, as it has answered what only others in its process can have written."""
+        """End it, since its answer can only come from other code in its process."""
         self.end()
         return Ended(_SPOILT)
 
@@ -263,7 +263,7 @@ def _answer(line: bytes) -> Mapping[str, Any]:
     """One answer.
 
     Raises:
-        Ended: It is none.
+        Ended: The line is no answer.
     """
     try:
         content = json.loads(line)
@@ -290,9 +290,9 @@ P = ParamSpec("P")
 def _in_worker(
     method: Callable[Concatenate[Master, P], Recording],
 ) -> Callable[Concatenate["WorkerMaster", P], Recording]:
-    """A run of `Master`, with its arguments and errors, in the worker.
+    """A run of `Master`, with its arguments and errors, executed in the worker.
 
-    `RunError` then also says that an FMU ended the worker.
+    `RunError` also reports that an FMU ended the worker.
     """
     arguments = signature(method)
 
@@ -309,7 +309,7 @@ def _in_worker(
 
 
 class WorkerMaster:
-    """As `Master`, method by method; after a fault or Ctrl-C a new one is needed."""
+    """`Master`, method by method, in a worker; after a crash or Ctrl-C a new one is needed."""
 
     def __init__(
         self, system: System, record: Sequence[str] | None = None, limits: Limits | None = None
@@ -317,7 +317,7 @@ class WorkerMaster:
         """Start a worker and load the FMUs.
 
         Raises:
-            FmuError: As `Master`, or an FMU ended the worker.
+            FmuError: As in `Master`, or an FMU ended the worker.
         """
         self.system, self._record_only, self._limits = system, record, limits or Limits()
         self._last: Recording | None = None
@@ -352,7 +352,8 @@ class WorkerMaster:
         starts: Mapping[str, float] | None = None,
         stop_time_s: float | None = None,
     ) -> None:
-        """See `Master.initialize`; a new worker takes the place of one that a reset ended."""
+        """Set start values and initialise, as in `Master.initialize`; replaces a worker that ended
+        during a reset."""
         self._process.begin()
         arguments = {
             "start_time_s": start_time_s,
@@ -376,7 +377,7 @@ class WorkerMaster:
         """Free all slaves and end the worker.
 
         Raises:
-            RunError: An FMU ended the worker, or did not return; holds the last recording.
+            RunError: An FMU ended the worker, or did not return; has the last recording.
         """
         if not self._process.running:
             self._process.forget()
@@ -409,14 +410,14 @@ class WorkerMaster:
     # -- requests ---------------------------------------------------------------------------
 
     def _record(self, request: Mapping[str, Any], progress: Progress | None) -> Recording:
-        """What a run gives.
+        """Recording of a run.
 
         Args:
             request: Method of `Master`, as "do", and its arguments.
             progress: Called with the time reached.
 
         Raises:
-            FmuError, RunError, Interrupted: As the method.
+            FmuError, RunError, Interrupted: As in the method.
         """
         self._last = None
         stop_time_s, every = request["stop_time_s"], request.get("every", 1)
@@ -452,7 +453,7 @@ class WorkerMaster:
         return self._last
 
     def _steps(self, stop_time_s: float, step_s: float) -> int:
-        """Steps of a run, as `Master` counts them; 0 where it refuses to run."""
+        """Number of steps of a run, as counted by `Master`; 0 where it refuses to run."""
         steps = (stop_time_s - self._time_s) / step_s if step_s > 0 else 0.0
         return max(0, round(steps)) if isfinite(steps) else 0
 
@@ -464,7 +465,7 @@ class WorkerMaster:
         lateness_s: float = 0.0,
         incomplete: str = "",
     ) -> Recording:
-        """What has been recorded; where nobody counted, the steps up to its last row."""
+        """Recording so far; without a count of steps, those up to its last row."""
         expected_s = np.asarray(self._time_s + every * np.arange(self._rows) * self._step_s)
         time_s, values = read_table(self._process.table, expected_s, len(self.record_names))
         if steps is None:
@@ -499,7 +500,7 @@ class WorkerMaster:
             ) from error
 
     def _fault(self, what: str) -> str:
-        """Which FMU, in which function, when, and what became of the worker."""
+        """Text on the FMU, function and time of a crash, and the end of the worker."""
         entry = self._process.entry()
         if not entry.who:
             printed = shown(self._process.printed.strip()[-300:], 400)

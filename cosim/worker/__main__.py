@@ -1,7 +1,7 @@
-"""`python -m cosim.worker REQUESTS ANSWERS TRACE BYTES`: the worker, which `Process` alone starts.
+"""`python -m cosim.worker REQUESTS ANSWERS TRACE BYTES`: the worker, started only by `Process`.
 
-A master that takes requests, one JSON text a line, and answers them. No request comes from an FMU,
-and no answer is more than text and numbers: its reader runs nothing of it.
+A master that receives requests, one JSON text per line, and answers them. No request comes from an
+FMU, and answers are only text and numbers, of which the reader executes nothing.
 """
 
 import json
@@ -27,17 +27,17 @@ Answer = Callable[[Mapping[str, Any]], None]
 
 
 def serve(requests: int, answers: int, trace: int, memory_bytes: int) -> None:
-    """Answer until asked to close; ends this process.
+    """Answer until the request to close; ends this process.
 
     Args:
-        requests: Socket to read from; at its end the asking process is no more.
+        requests: Socket to read from; its end means that the parent process has ended.
         answers: File to write to.
         trace: File of the trace.
         memory_bytes: Limit of writable memory.
     """
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # from an FMU: it is not ours to handle
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # from an FMU, which may end the process
     lines: queue.SimpleQueue[tuple[bytes, list[int]]] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(requests, lines), daemon=True).start()
 
@@ -60,15 +60,15 @@ def serve(requests: int, answers: int, trace: int, memory_bytes: int) -> None:
             answer({"failed": str(error), "run": [r.steps, r.rejected, r.lateness_s]})
         except TwinError as error:
             answer({"refused": str(error)})
-        except Exception as error:  # memory used up, or a mistake of ours
+        except Exception as error:  # out of memory, or an internal error
             answer({"refused": f"the process of the FMUs: {type(error).__name__}: {error}"})
         else:
             answer({"done": done})
 
 
 def _read(file: int, lines: "queue.SimpleQueue[tuple[bytes, list[int]]]") -> None:
-    """Pass lines on with the files that came with them; when who asks is gone, end this process and
-    all that FMUs started."""
+    """Forward lines with their files; when the parent process has ended, end this process and all
+    processes started by FMUs."""
     pending, files = b"", list[int]()
     with suppress(OSError), socket.socket(fileno=file) as stream:
         while True:
@@ -84,7 +84,7 @@ def _read(file: int, lines: "queue.SimpleQueue[tuple[bytes, list[int]]]") -> Non
 
 
 class _Server:
-    """What can be asked, by name."""
+    """Requests of the worker, by name."""
 
     def __init__(self, trace: SharedTrace, answer: Answer) -> None:
         self._trace, self._answer = trace, answer
@@ -102,16 +102,16 @@ class _Server:
         return list(self._master.record_names)
 
     def initialize(self, **arguments: Any) -> None:
-        """As the master's."""
+        """Initialise the master."""
         self._master.initialize(**arguments)
 
     def run(self, **arguments: Any) -> list[float]:
-        """As the master's; steps, rejected steps, lateness. The rows are in the trace."""
+        """Run the master; returns steps, rejected steps, lateness. The rows are in the trace."""
         r = self._master.run(progress=self._progress, **arguments)
         return [r.steps, r.rejected, r.lateness_s]
 
     def run_adaptive(self, **arguments: Any) -> list[float]:
-        """As the master's."""
+        """Run the master with step-size control."""
         r = self._master.run_adaptive(progress=self._progress, **arguments)
         return [r.steps, r.rejected, r.lateness_s]
 

@@ -1,13 +1,13 @@
-"""What an FMU says about itself to people: a page, licences, a picture, and which terminals it has.
+"""Documentation inside an FMU: a page, licences, an icon, and the definition of its terminals.
 
-The page says what the FMU is, how it is run, its frames, variables and effects. FMI 2.0.1 section
-2.3 and FMI 3.0 section 2.5.1: `documentation/index.html` is where tools begin,
+The page describes the FMU, its use, its frames, variables and effects. FMI 2.0.1 section 2.3 and
+FMI 3.0 section 2.5.1: `documentation/index.html` is the entry page for tools,
 `documentation/licenses/license.txt` is the licence, from the metadata of the installed package.
-`icon.png` is `icon.svg`, drawn by a browser.
+`icon.png` is `icon.svg`, rendered by a browser.
 
-`terminalsAndIcons.xml` of FMI 3.0 says which variables belong together. Variables of one name mean
-the same in every component, so what an airframe gives and an IMU takes are terminals of one name,
-whose members a tool joins by theirs.
+`terminalsAndIcons.xml` of FMI 3.0 groups variables. Variables of one name have the same meaning in
+every component, so outputs of an airframe and inputs of an IMU are terminals of one name, whose
+members a tool connects by name.
 """
 
 import re
@@ -24,20 +24,20 @@ from twin.effects import EFFECTS, Effect
 
 from ..model import FmuModel
 
-_NAME = "uavtwin"  # of the installed package
+_NAME = "uavtwin"  # name of the installed package
 
 
 @dataclass(frozen=True, slots=True)
 class Project:
-    """What stands in every FMU.
+    """Facts of this project that every FMU contains.
 
     Attributes:
-        name: Of the tool.
-        version: Of the package.
-        author: Of the code.
-        licence: Its short name (SPDX).
-        copyright: The line of the licence.
-        text: The whole licence. That of the FMI headers among the sources stands in these.
+        name: Name of the tool.
+        version: Version of the package.
+        author: Author of the code.
+        licence: Short name of the licence (SPDX).
+        copyright: Copyright line of the licence.
+        text: Full text of the licence. The FMI headers among the sources contain their own.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Project:
 
 @cache
 def project() -> Project:
-    """Of this installation."""
+    """Facts of this installation."""
     own = metadata.distribution(_NAME)
     text = own.read_text("licenses/LICENSE") or ""
     line = next((line for line in text.splitlines() if line.startswith("Copyright")), "")
@@ -69,8 +69,8 @@ class Bus:
     """A kind of terminal.
 
     Attributes:
-        name: Of the terminal.
-        description: One line.
+        name: Name of the terminal.
+        description: Description in one line.
         members: Pattern of the names of its variables.
     """
 
@@ -79,8 +79,8 @@ class Bus:
     members: str
 
 
-_SIGNALS = ("input", "output")  # causalities of what is connected
-_XYZ = "_[xyz]"  # the end of a vector's names
+_SIGNALS = ("input", "output")  # causalities of connected variables
+_XYZ = "_[xyz]"  # suffix of a vector's names
 BUSES = (
     Bus("motor_commands", "What the controller asks of each motor", r"cmd_\d+"),
     Bus("rotors", "What each rotor does", r"(rotor|spin_rate|spin|thrust)_\d+"),
@@ -99,11 +99,12 @@ BUSES = (
         rf"(acc|gyro|mag|meas_pos|meas_vel){_XYZ}|meas_q_[wxyz]|baro_pa",
     ),
 )
-"""Variables that belong together, by pattern of their names."""
+"""Groups of variables, by pattern of their names."""
 
 
 def terminals_and_icons(model: FmuModel) -> bytes:
-    """The file; in a fused FMU each part has a terminal of its name that holds its own."""
+    """The XML file; in a fused FMU each part has a terminal of its name that contains its own
+    ones."""
     root = etree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     graphics = etree.SubElement(root, "GraphicalRepresentation")
     square = {"x1": "-100", "y1": "-100", "x2": "100", "y2": "100"}
@@ -126,11 +127,12 @@ def terminals_and_icons(model: FmuModel) -> bytes:
 
 
 def _terminals(names: Mapping[str, str], prefix: str) -> Iterator[etree._Element]:
-    """One per bus that has members among the names with the prefix.
+    """Terminals of the buses with members among the names with the prefix.
 
     Args:
-        names: Of what each variable is, or begins with where it is an array, to its own.
-        prefix: Of the part.
+        names: Names by identifier: the scalar that each variable is, or begins with if it is an
+            array, and the variable's name.
+        prefix: Prefix of the part.
     """
     own = {first.removeprefix(prefix): n for first, n in names.items() if first.startswith(prefix)}
     for bus in BUSES:
@@ -161,8 +163,8 @@ class EffectRows:
     """An effect that an FMU can switch on.
 
     Attributes:
-        place: Its block of parameters, "airframe.rotor_drag".
-        effect: What it is.
+        place: Prefix of its parameters, "airframe.rotor_drag".
+        effect: The effect.
         numbers: Its parameters, the switch first.
     """
 
@@ -172,10 +174,10 @@ class EffectRows:
 
 
 def documentation(model: FmuModel, fmi: int) -> dict[str, bytes]:
-    """Members of the archive, the same bytes for the same model.
+    """Members of the archive, with equal bytes for equal models.
 
     Args:
-        model: What the FMU computes; its texts may come from files and are escaped.
+        model: Model of the FMU; its texts may come from files and are escaped.
         fmi: 2 or 3.
     """
     effects = tuple(effect_rows(model))
@@ -200,7 +202,7 @@ def documentation(model: FmuModel, fmi: int) -> dict[str, bytes]:
 
 
 def _icon(model: FmuModel, fmi: int) -> dict[str, bytes]:
-    """Where each version looks for it; with it, in FMI 3, the terminals."""
+    """The icon at the path for each version; in FMI 3 also the terminals."""
     own = resources.files(__package__)
     if fmi == 2:
         return {"model.png": (own / "icon.png").read_bytes()}

@@ -1,10 +1,11 @@
 """Python-slave FMUs: a component evaluated by Python itself, behind pythonfmu's shared libraries.
 
-For prototypes, and for what the C route refuses. Such an FMU runs in a Python process alone, with
-numpy and casadi: other hosts cannot load it (`undefined symbol: _Py_NoneStruct`).
+For prototypes, and for models that cannot be converted to C. Such an FMU runs only in a Python
+process with numpy and casadi: other hosts cannot load it (`undefined symbol: _Py_NoneStruct`).
 
-All Python slaves of a process share its modules. So everything an FMU imports of ours is inside it
-under names made of its content, and two versions of a component never meet.
+All Python slaves of a process share its modules. So an FMU contains copies of all imported modules
+of this project under names derived from its content, and two versions of a component do not
+conflict.
 """
 
 import hashlib
@@ -38,14 +39,14 @@ keep(globals())  # pythonfmu gives back a reference to them that it does not own
 '''  # source of the slave's module
 _IMPORTED = re.compile(r"^from (\.+)([\w.]*) import", re.MULTILINE)  # relative imports
 _OURS = re.compile(r"^(from|import) (twin|pythonfmu)\b", re.MULTILINE)
-"""Imports that get another name."""
+"""Imports that are renamed."""
 
 
 def build_python_slave(component: Component, path: Path) -> Path:
     """Build an FMI 2 co-simulation FMU that runs in a Python process.
 
     Args:
-        component: What the FMU computes.
+        component: Component of the FMU.
         path: File to write; its folder must exist.
 
     Returns:
@@ -60,7 +61,7 @@ def build_python_slave(component: Component, path: Path) -> Path:
 
 
 def build_network_slave(network: NetworkFile, path: Path) -> Path:
-    """Build the same of a compensator: the ONNX file itself, run by onnxruntime.
+    """Build the Python-slave FMU of a compensator: the ONNX file itself, run by onnxruntime.
 
     Raises:
         FmuError: pythonfmu is not installed.
@@ -82,14 +83,14 @@ def _build(
     own: Mapping[str, bytes],
     path: Path,
 ) -> Path:
-    """The archive of a model that Python evaluates.
+    """Build the archive of a model that Python evaluates.
 
     Args:
-        model: Its interface.
-        needs: What the host must have.
-        slave: Class of the first script that pythonfmu is to make instances of.
+        model: Interface of the FMU.
+        needs: Packages that the host needs.
+        slave: Class of the first script that pythonfmu instantiates.
         scripts: Modules of this package that run in the FMU.
-        own: Files that they read.
+        own: Files that the scripts read.
         path: File to write.
     """
     try:
@@ -119,9 +120,10 @@ def _build(
 
 
 def component_text(component: Component) -> str:
-    """A component as JSON, equations serialized by CasADi, without what `Run` never takes.
+    """A component as JSON, with equations serialised by CasADi, without parts that `Run` does not
+    use.
 
-    `script.read_component` reads it.
+    `script.read_component` is the reader.
     """
     fields = asdict(replace(component, shortcuts=(), continuous=None))
     return json.dumps(fields, default=_function, allow_nan=False, indent=1)
@@ -134,7 +136,7 @@ def _function(value: Any) -> dict[str, str]:
 
 
 def _network_text(network: NetworkFile, model: FmuModel) -> str:
-    """What `network` must know besides the ONNX file."""
+    """Data of `network` in addition to the ONNX file."""
     (part,) = model.parts
     content = {
         "name": model.name,
@@ -150,7 +152,7 @@ def _network_text(network: NetworkFile, model: FmuModel) -> str:
 
 
 def _description(model: FmuModel, token: str) -> bytes:
-    """As of the native FMU, apart from what a Python slave has not."""
+    """Description of the native FMU, without features that a Python slave lacks."""
     root = etree.fromstring(
         model_description(model, 2, token, ()), etree.XMLParser(remove_blank_text=True)
     )
@@ -164,7 +166,7 @@ def _description(model: FmuModel, token: str) -> bytes:
 
 
 def _files(entry: str, scripts: Iterable[str], own: Mapping[str, bytes]) -> dict[str, bytes]:
-    """What goes into the resources folder, under names that are still the same in every FMU."""
+    """Content of the resources folder, under names that are still the same in every FMU."""
     licence = metadata.distribution("pythonfmu").read_text("licenses/LICENSE") or ""
     ours = resources.files(__package__)
     texts = {
@@ -179,7 +181,7 @@ def _files(entry: str, scripts: Iterable[str], own: Mapping[str, bytes]) -> dict
 
 
 def _modules(module: str) -> dict[str, str]:
-    """Files of a module, of the packages it is in, and of all that it imports from there."""
+    """Files of a module, of its parent packages, and of all its imports from there."""
     top = module.partition(".")[0]
     folder, found, wanted = resources.files(top), dict[str, str](), [module]
     while wanted:
@@ -206,10 +208,10 @@ def _digest(contents: Mapping[str, bytes]) -> str:
 
 
 def _staged(files: Mapping[str, bytes], tag: str) -> dict[str, bytes]:
-    """Archive members: each module under a name of its own."""
+    """Archive members: each module under a unique name."""
 
     def content(name: str) -> bytes:
-        """The file; a module imports the others by their new names."""
+        """The file with imports of the others renamed."""
         if not name.endswith(".py"):
             return files[name]
         return _OURS.sub(rf"\1 \2_{tag}", files[name].decode()).encode()

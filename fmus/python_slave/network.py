@@ -1,7 +1,7 @@
-"""What a Python-slave compensator runs: its ONNX file by onnxruntime, behind `script`.
+"""Compensator of a Python slave: its ONNX file run by onnxruntime, behind `script`.
 
-`build` puts this file into the FMU, next to `script`. Values are those of
-`c/compensator.h` but for the rounding of float32 sums.
+`build` copies this file into the FMU, next to `script`. Values equal those of `c/compensator.h`
+except for rounding of float32 sums.
 """
 
 import json
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Network:
-    """A compensator in the words of a component, as far as slaves and runs look at one."""
+    """A compensator with the interface of a component, as far as slaves and runs use it."""
 
     name: str
     variables: tuple[Variable, ...]
@@ -40,21 +40,21 @@ class Network:
 
     @property
     def parameters(self) -> tuple[Variable, ...]:
-        """As of a component."""
+        """Parameters of a component."""
         return self._of("parameter")
 
     @property
     def inputs(self) -> tuple[Variable, ...]:
-        """As of a component."""
+        """Inputs of a component."""
         return self._of("input")
 
     @property
     def output_variables(self) -> tuple[Variable, ...]:
-        """As of a component."""
+        """Outputs of a component."""
         return self._of("output")
 
     def advance(self, x: Array, u: Array, p: Array, duration_s: float) -> Array:
-        """Between sample instants nothing changes."""
+        """State after a step: unchanged between sample instants."""
         return x
 
     def start(self) -> Array:
@@ -65,7 +65,8 @@ class Network:
         return x
 
     def sampled(self, x: Array, u: Array) -> Array:
-        """State after a sample: the network's own, then what it put out, then samples left out."""
+        """State after a sample: the network's own, its outputs, and the number of dropped
+        samples."""
         n, m = len(self.uncorrected_rms), self.n_commands
         measured = valid = np.zeros(n)
         if self.sensors is not None:
@@ -82,7 +83,7 @@ class Network:
         return np.concatenate([state[0], *(s[0] for s in said), x[-1:]]).astype(np.float64)
 
     def outputs(self, x: Array, u: Array) -> Array:
-        """Held correction, corrected inputs, spread, anomaly, inside, samples left out."""
+        """Held correction, corrected inputs, spread, anomaly, inside, number of dropped samples."""
         n = len(self.uncorrected_rms)
         correction, rest = x[self.state_size :][:n], x[self.state_size + n :]
         return np.concatenate([correction, u[:n] + correction, rest])
@@ -92,7 +93,7 @@ class Network:
 
 
 class NetworkRun(Run):
-    """One simulation; the first sample is a period after the start."""
+    """One simulation; the first sample is one period after the start."""
 
     component: Any
 
@@ -110,24 +111,24 @@ class NetworkRun(Run):
 
 
 class NetworkSlave(ComponentSlave):
-    """One instance."""
+    """One instance of the FMU."""
 
     run_type = NetworkRun
 
     @property
     def may_lack(self) -> frozenset[str]:
-        """Of the network."""
+        """Variables of the network that may be NaN."""
         return _network().may_lack
 
     @staticmethod
     def described() -> Any:
-        """What runs here."""
+        """Network of this FMU."""
         return _network()
 
 
 @cache
 def _network() -> Network:
-    """Read once, at the first instance: later the folder of this file may be gone."""
+    """Network, read once, for the first instance: later the folder of this file may be deleted."""
     fields = json.loads(Path(__file__).with_name("network.json").read_text())
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1

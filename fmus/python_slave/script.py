@@ -1,7 +1,7 @@
-"""What a Python-slave FMU runs: a component behind the calls of pythonfmu.
+"""Python-slave FMU: a component behind the calls of pythonfmu.
 
-`python_slave` puts this file into the FMU, next to copies of the `twin` and `pythonfmu` modules it
-needs, all under names of that FMU's own. Values, checks and modes are those of `c/core.c`.
+`python_slave` copies this file into the FMU, next to copies of the necessary `twin` and `pythonfmu`
+modules, all under names of that FMU. Values, checks and modes are those of `c/core.c`.
 """
 
 import contextlib
@@ -25,21 +25,21 @@ Array = NDArray[np.float64]
 
 COMPONENT = "component.json"  # resource of the FMU
 _VERSION = __name__.encode()
-"""In front of each saved state: inside an FMU this name is made of its content."""
+"""Prefix of each saved state: inside an FMU this name is derived from its content."""
 _INSTANTIATED, _INITIALIZING, _STEPPING, _TERMINATED, _FAILED = range(5)
-"""Life of a slave, FMI 2, 4.2.4."""
+"""Modes of a slave, FMI 2, 4.2.4."""
 _WHERE = (
     *("before initialization", "in initialization mode", "in step mode"),
     *("after terminate; reset the FMU first", "after an error in a step; reset the FMU first"),
 )
-"""What errors say of a mode."""
+"""Text on a mode in errors."""
 
 
 def read_component(text: str) -> Component:
-    """The component that `python_slave.component_text` wrote.
+    """The component written by `python_slave.component_text`.
 
     Raises:
-        ModelError: This CasADi cannot read what another version wrote.
+        ModelError: This CasADi cannot read the file of another version.
     """
     fields = json.loads(text, object_hook=_function)
     if sampling := fields["sampling"]:
@@ -65,24 +65,25 @@ def _function(fields: dict[str, Any]) -> Any:
 
 @cache
 def _component() -> Component:
-    """Read once, at the first instance: later the folder of this file may be gone."""
+    """Component, read once, for the first instance: later the folder of this file may be
+    deleted."""
     return read_component(Path(__file__).with_name(COMPONENT).read_text())
 
 
 class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
-    """One instance."""
+    """One instance of the FMU."""
 
     run_type = Run
-    """What steps it."""
+    """Class of its simulation run."""
 
     @property
     def may_lack(self) -> frozenset[str]:
-        """Variables that may be no number: none."""
+        """Variables that may be NaN: none."""
         return frozenset()
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        with contextlib.suppress(ValueError):  # of no use any more, and a trap once it is deleted
+        with contextlib.suppress(ValueError):  # no longer needed, and invalid once it is deleted
             sys.path.remove(self.resources)
         self._component = c = self.described()
         self.vars = dict(enumerate(c.variables, start=1))
@@ -97,7 +98,7 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
 
     @staticmethod
     def described() -> Component:
-        """What runs here."""
+        """Component of this FMU."""
         return _component()
 
     # -- life cycle -----------------------------------------------------------------------
@@ -105,7 +106,7 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
     def setup_experiment(
         self, start_time: float, stop_time: float | None, tolerance: float | None
     ) -> None:
-        """Remember when it starts, and when it must end."""
+        """Store start time and stop time."""
         self._expect("start and stop time", "set", _INSTANTIATED)
         if not np.isfinite(start_time):
             self._refuse(f"start time {start_time:g} is not finite")
@@ -115,12 +116,12 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
         self._start_s, self._stop_s = start_time, stop_s
 
     def enter_initialization_mode(self) -> None:
-        """Begin at the start time."""
+        """Initialise at the start time."""
         self._expect("initialization", "entered", _INSTANTIATED)
         self._mode, self._time_s, self._stale = _INITIALIZING, self._start_s, True
 
     def exit_initialization_mode(self) -> None:
-        """Find the states at the start."""
+        """Compute the states at the start."""
         self._expect("initialization", "ended", _INITIALIZING)
         self._run = self._begin()
         self._check_finite("state", self._component.states, self._run.x)
@@ -144,14 +145,14 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
         return True
 
     def terminate(self) -> None:
-        """Outputs can still be read."""
+        """Terminate; outputs can still be read."""
         self._expect("the simulation", "terminated", _STEPPING)
         self._mode = _TERMINATED
 
     # -- values ---------------------------------------------------------------------------
 
     def get_real(self, vrs: list[int]) -> list[float]:
-        """Values by value reference; outputs as present inputs and parameters have them."""
+        """Values by value reference; outputs from present inputs and parameters."""
         return self._get(vrs, "real")
 
     def get_integer(self, vrs: list[int]) -> list[int]:
@@ -159,7 +160,7 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
         return [int(value) for value in self._get(vrs, "integer", "enumeration")]
 
     def get_boolean(self, vrs: list[int]) -> list[bool]:
-        """Truth values by value reference."""
+        """Booleans by value reference."""
         return [value != 0 for value in self._get(vrs, "boolean")]
 
     def _get(self, vrs: list[int], *kinds: str) -> list[float]:
@@ -179,7 +180,7 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
         self._set(vrs, [float(value) for value in values], "integer", "enumeration")
 
     def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
-        """Set truth values by value reference."""
+        """Set Booleans by value reference."""
         self._set(vrs, [float(value) for value in values], "boolean")
 
     def _set(self, vrs: list[int], values: list[float], *kinds: str) -> None:
@@ -269,11 +270,12 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
 
 
 def _outliving_failures(method: Callable[..., Any]) -> Callable[..., Any]:
-    """Where a call fails, keep what pythonfmu lets go of: it does so again with the instance."""
+    """Decorator: on failure of a call, keep references that pythonfmu releases and will release
+    again with the instance."""
 
     @wraps(method)
     def call(slave: ComponentSlave, *arguments: Any) -> Any:
-        """The method, with references kept where it fails."""
+        """Call of the method that keeps references on failure."""
         try:
             return method(slave, *arguments)
         except Exception:
@@ -285,7 +287,7 @@ def _outliving_failures(method: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def keep(owned: object) -> None:
-    """One more reference, given back by nobody in Python."""
+    """Add a reference that Python never releases."""
     ctypes.pythonapi.Py_IncRef(ctypes.py_object(owned))
 
 

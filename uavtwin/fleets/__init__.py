@@ -1,1 +1,2 @@
-"""Many logs of many aircraft: each checked, compared and explained, and what they say together."""
+"""Analysis of many logs of many aircraft: each checked, compared and explained, with joint
+statistics."""

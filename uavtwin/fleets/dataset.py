@@ -21,7 +21,7 @@ from ..output import output_file
 Row = dict[str, Any]
 """One row of a table, by column."""
 MOTORS = 12
-"""Of the largest aircraft that is read."""
+"""Largest number of motors of an aircraft that is read."""
 Kind = Literal["text", "count", "number", "flag"]
 _TYPES: Mapping[Kind, pa.DataType] = {
     "text": pa.string(),
@@ -34,13 +34,13 @@ _TYPES: Mapping[Kind, pa.DataType] = {
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column.
+    """Column of a table.
 
     Attributes:
-        name: In the table.
-        kind: Of its values; each may be missing.
-        unit: As printed, "" where there is none.
-        meaning: In a line.
+        name: Name in the table.
+        kind: Kind of its values; each may be missing.
+        unit: Printed unit, "" without one.
+        meaning: Meaning in one line.
     """
 
     name: str
@@ -99,10 +99,10 @@ VITALS = (
         for i in range(1, MOTORS + 1)
     ),
 )
-"""Numbers of a flight that tell how the aircraft does, from `check` and `gap` alone."""
+"""Numbers of a flight on the state of the aircraft, from `check` and `gap` only."""
 
 NO_LOG = "no log"
-"""Status of a file that ends as logs do and is none, such as a list in CSV."""
+"""Status of a file with the extension of logs that is none, such as a list in CSV."""
 
 TABLES: Mapping[str, Sequence[Column]] = {
     "flights": (
@@ -176,7 +176,7 @@ TABLES: Mapping[str, Sequence[Column]] = {
 
 
 def schema(table: str) -> pa.Schema:
-    """Of a table as Parquet, units in the metadata of its columns."""
+    """Schema of a table in Parquet, with units in the metadata of its columns."""
     return pa.schema(
         [
             pa.field(
@@ -190,7 +190,7 @@ def schema(table: str) -> pa.Schema:
 
 
 def row(table: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """A row with all columns of a table, None where nothing is given.
+    """A row with all columns of a table, None for missing values.
 
     Raises:
         KeyError: A value has no column.
@@ -204,24 +204,24 @@ def row(table: str, values: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass
 class JobRows:
-    """What came of a job, as rows of the tables.
+    """Results of a job, as rows of the tables.
 
     Attributes:
-        job: Its number.
-        rows: Of the tables.
+        job: Number of the job.
+        rows: Rows by table.
     """
 
     job: int
     rows: dict[str, list[Row]] = field(default_factory=dict)
 
     def add(self, table: str, **values: Any) -> Row:
-        """One more row, which may still be changed."""
+        """Add a row, which may still be changed."""
         made = row(table, values)
         self.rows.setdefault(table, []).append(made)
         return made
 
     def json(self) -> dict[str, Any]:
-        """On a line of the journal; numbers that are none are left out."""
+        """Content of a journal line; missing numbers are omitted."""
         tables = {
             table: [{k: v for k, raw in r.items() if (v := _strict(raw)) is not None} for r in rows]
             for table, rows in self.rows.items()
@@ -230,12 +230,12 @@ class JobRows:
 
     @classmethod
     def read(cls, content: Mapping[str, Any]) -> "JobRows":
-        """Of `json`."""
+        """Rows from the result of `json`."""
         return cls(content["job"], {k: v for k, v in content.items() if k != "job"})
 
 
 def _strict(value: Any) -> Any:
-    """Null for a number that JSON cannot hold, plain types for those of numpy."""
+    """Null for a number that JSON cannot represent, plain types for those of numpy."""
     if hasattr(value, "item"):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
@@ -244,9 +244,9 @@ def _strict(value: Any) -> Any:
 JOURNAL = "fleet.jsonl"
 """File that marks an unfinished fleet."""
 PIECE = 500
-"""Logs whose rows are in memory at once."""
+"""Number of logs whose rows are in memory at once."""
 COPY = "holds the same flight as {}, which counts once"
-"""Error of a log whose flight another log holds as well."""
+"""Error of a log with the same flight as another one."""
 
 
 class Journal(journal.Journal[int]):
@@ -262,19 +262,19 @@ class Journal(journal.Journal[int]):
         return int(content["job"])
 
     def add(self, found: JobRows) -> None:
-        """Write a job down."""
+        """Append the result of a job."""
         self.write(found.json())
 
     def places(self) -> dict[int, int]:
-        """Where the line of each job begins."""
+        """Offset of each job's line."""
         return {int(content["job"]): place for place, content in self.contents()}
 
     def lines(self, jobs: Iterable[int], places: Mapping[int, int]) -> Iterator[dict[str, Any]]:
-        """Lines of jobs, in their order, a copy of a flight marked as such.
+        """Lines of jobs, in order, with duplicate flights marked.
 
         Args:
-            jobs: Their numbers; all are done.
-            places: Of their lines.
+            jobs: Numbers of the jobs; all must be done.
+            places: Offsets of their lines.
         """
         first: dict[bytes, str] = {}
         with self._path.open("rb") as file:
@@ -284,7 +284,7 @@ class Journal(journal.Journal[int]):
 
 
 def _once(content: dict[str, Any], first: dict[bytes, str]) -> dict[str, Any]:
-    """A line, without what would count twice."""
+    """A line without the rows of a duplicate flight."""
     about = (content.get("flights") or [{}])[0]
     print_ = about.get("fingerprint")
     if print_ is None:
@@ -297,11 +297,11 @@ def _once(content: dict[str, Any], first: dict[bytes, str]) -> dict[str, Any]:
 
 
 def write_dataset(lines: Iterable[Mapping[str, Any]], out: Path) -> None:
-    """Write all tables, each at once and as a whole.
+    """Write all tables, each atomically.
 
     Args:
-        lines: Of the journal, in the order of the rows.
-        out: Folder.
+        lines: Lines of the journal, in the order of the rows.
+        out: Output folder.
     """
     with ExitStack() as stack:
         writers = {
@@ -334,20 +334,20 @@ def _flush(
 
 
 def path_of(folder: Path, table: str) -> Path:
-    """File of a table."""
+    """Path of a table."""
     return folder / f"{table}.parquet"
 
 
 def read_table(
     folder: Path, table: str, columns: Sequence[str] | None = None, filters: Any = None
 ) -> pd.DataFrame:
-    """A table, or some columns of it.
+    """A table, or some of its columns.
 
     Args:
-        folder: Of the dataset.
-        table: Of `TABLES`.
-        columns: Wanted; None: all.
-        filters: As of `pyarrow.parquet.read_table`.
+        folder: Folder of the dataset.
+        table: Name in `TABLES`.
+        columns: Names of the columns; None: all.
+        filters: Filters of `pyarrow.parquet.read_table`.
     """
     names = None if columns is None else list(columns)
     path = path_of(folder, table)
@@ -358,8 +358,8 @@ def read_table(
 
 
 def distinct(folder: Path, table: str, columns: Sequence[str]) -> list[tuple[str, ...]]:
-    """Combinations of values of some columns of text, in order of appearance; memory holds a piece
-    of the table."""
+    """Distinct combinations of values of text columns, in order of appearance; reads the table in
+    pieces."""
     found: dict[tuple[str, ...], None] = {}
     path = path_of(folder, table)
     with opened(path, path.name) as file, as_log_error(path.name):
@@ -370,10 +370,10 @@ def distinct(folder: Path, table: str, columns: Sequence[str]) -> list[tuple[str
 
 
 def check_dataset(folder: Path) -> None:
-    """Refuse a folder without the tables, or with others of their names.
+    """Refuse a folder without the tables, or with other files of their names.
 
     Raises:
-        TwinError: It is none of `uavtwin fleet`.
+        TwinError: It is no folder of `uavtwin fleet`.
     """
     missing = [path_of(folder, t).name for t in TABLES if not path_of(folder, t).is_file()]
     if missing:

@@ -1,4 +1,5 @@
-"""A fleet from start to end: found, looked at on an engine, resumed where it was killed."""
+"""Analysis of a fleet from start to end: logs found, analysed by an engine, resumed after
+interruption."""
 
 import glob
 import hashlib
@@ -30,18 +31,18 @@ from .log_analysis import OF_VEHICLE, VERBS, LogAnalysis, LogJob, Verb, file_ste
 from .result import FleetResult, result_of
 
 MOST_LOGS = 10_000_000
-"""Logs that are taken at once. Made up."""
+"""Largest number of logs of a fleet. Made up."""
 
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """One file.
+    """One log file.
 
     Attributes:
-        path: Absolute.
-        name: From the folder that all have in common.
-        bytes: Its size.
-        changed_ns: When it was changed last.
+        path: Absolute path.
+        name: Path relative to the common folder.
+        bytes: Size of the file.
+        changed_ns: Time of the last change.
     """
 
     path: str
@@ -51,24 +52,25 @@ class Log:
 
     @property
     def job(self) -> int:
-        """Number by which it is known again, 63 bits: other content has another one."""
+        """Identifying number, 63 bits: different for other content."""
         text = f"{self.path}\0{self.bytes}\0{self.changed_ns}"
         return job_number(text)
 
 
 def job_number(text: str) -> int:
-    """63 bits of a hash."""
+    """Number from 63 bits of a hash."""
     return int.from_bytes(hashlib.sha256(text.encode("utf-8", "surrogateescape")).digest()[:8]) >> 1
 
 
 def found_logs(given: Sequence[str | Path]) -> list[Log]:
-    """All logs of files, patterns and folders, by name, each once.
+    """All logs of files, patterns and folders, by name, without duplicates.
 
     Args:
-        given: Of a folder those files, at any depth, that end as logs do.
+        given: Files, patterns and folders; of a folder all files at any depth with an extension of
+            logs.
 
     Raises:
-        LogError: There are none where some should be.
+        LogError: A path or pattern has no logs.
     """
     paths = sorted({p for one in given for p in _of(str(one))}, key=counted_key)
     if not paths:
@@ -85,7 +87,7 @@ def found_logs(given: Sequence[str | Path]) -> list[Log]:
 
 
 def _of(text: str) -> Iterator[str]:
-    """Absolute paths that are meant."""
+    """Absolute paths of a file, pattern or folder."""
     if os.path.isdir(text):
         suffixes = {s for f in FORMATS for s in f.suffixes}
         inside = [
@@ -115,12 +117,13 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True)
 class Work(Workers):
-    """How logs are looked at; but for logs that need more than is allowed, nothing depends on it.
+    """Settings of the computation; results do not depend on it, except for logs that exceed the
+    limits.
 
-    Workers of a Dask cluster find the logs at the same paths.
+    Workers of a Dask cluster need the logs at the same paths.
 
     Attributes:
-        allowed: What one log, or one aircraft, may use.
+        allowed: Limits for one log, or one aircraft.
     """
 
     allowed: JobLimits = field(default_factory=JobLimits)
@@ -128,15 +131,15 @@ class Work(Workers):
 
 @dataclass(frozen=True, slots=True)
 class FleetRequest:
-    """What is done with a fleet.
+    """Settings of the analysis.
 
     Attributes:
         vehicle: Name or file of the vehicle of all aircraft; None: each has its own.
         per_aircraft: Folder with a vehicle file per aircraft.
-        verbs: Of `VERBS`.
-        alone: Whether each flight is explained by itself, or each aircraft with all its flights.
-        indoors: Whether all flew within walls; None: as each log says.
-        trust_vehicle: Whether rotors that the logs state otherwise than the file are left out.
+        verbs: Verbs to run, from `VERBS`.
+        alone: Whether each flight is explained separately, or each aircraft with all its flights.
+        indoors: Whether all flights were indoors; None: by each log.
+        trust_vehicle: Whether contradictions between rotors of logs and vehicle file are ignored.
     """
 
     vehicle: str | None = None
@@ -170,10 +173,10 @@ class FleetRequest:
         return None if self.vehicle is None else load_vehicle(self.vehicle)
 
     def own(self) -> dict[str, Vehicle]:
-        """Vehicles by the stem of the names of their files.
+        """Vehicles by the stem of their files' names.
 
         Raises:
-            TwinError: There are none, or one is wrong.
+            TwinError: There are none, or one is invalid.
         """
         if self.per_aircraft is None:
             return {}
@@ -199,25 +202,26 @@ def fleet(
     force: bool = False,
     progress: Progress = lambda _: None,
 ) -> FleetResult:
-    """Check, compare and explain many logs, and say which aircraft differs and what drifts.
+    """Check, compare and explain many logs; report aircraft that differ and numbers that drift.
 
-    One that was interrupted or killed goes on where it was when the same call is made again. What
-    is found is the same to the last bit with any engine and any number of workers.
+    After an interruption the same call resumes the analysis. Results are bit-identical with any
+    engine and any number of workers.
 
     Args:
         logs: Files, patterns, or folders with logs at any depth.
         vehicle: Vehicle file of all aircraft, or a built-in name.
         out: Folder for the dataset, the page and vehicle files.
         per_aircraft: Instead of `vehicle`, a folder with a file for each aircraft.
-        verbs: What is done with each log: `check`, `why`, `gap`, `explain`.
-        each: Whether each `flight` is explained by itself, or each `aircraft` with all its flights.
-        indoors: Whether all flew within walls; None: as each log says.
+        verbs: Verbs to run on each log: `check`, `why`, `gap`, `explain`.
+        each: Whether each `flight` is explained separately, or each `aircraft` with all its
+            flights.
+        indoors: Whether all flights were indoors; None: by each log.
         engine: `local`, or `dask` with a scheduler.
         workers: Processes of the local engine; default: one per core.
         scheduler: Address of a Dask scheduler.
-        allowed: What one log, or one aircraft, may use.
+        allowed: Limits for one log, or one aircraft.
         force: Whether files in the folder may be replaced.
-        progress: Called with the share done, 0..1.
+        progress: Called with the completed share, 0..1.
 
     Raises:
         TwinError: There is no log or no vehicle, or the folder is not free.
@@ -243,21 +247,21 @@ def run_fleet(
     alongside: Callable[[FleetResult, Path], None] = lambda *_: None,
     each: Callable[[JobRows], None] = lambda _: None,
 ) -> FleetResult:
-    """Look at the logs that are not done, and write what they say together.
+    """Analyse the remaining logs, and write the joint results.
 
     Args:
         given: Files, patterns, folders.
-        request: What is done with them.
-        out: Folder.
-        work: How.
+        request: Settings of the analysis.
+        out: Output folder.
+        work: Settings of the computation.
         force: Whether files in the folder may be replaced.
-        progress: Called with the share done, 0..1.
-        found: Takes the result as soon as there is one.
-        alongside: Writes what else belongs into the folder, which it is given.
-        each: Called with what is found in each log, or of each aircraft, as it comes.
+        progress: Called with the completed share.
+        found: Called with the result as soon as it is available.
+        alongside: Writes further files into the given folder.
+        each: Called with the results of each log, or of each aircraft, as they arrive.
 
     Raises:
-        TwinError: As `fleet`.
+        TwinError: As in `fleet`.
     """
     check_folder(out, force, JOURNAL)
     base, own = request.base(), request.own()
@@ -292,7 +296,7 @@ def run_fleet(
 def analysis_of(
     request: FleetRequest, base: Vehicle | None, own: Mapping[str, Vehicle], allowed: JobLimits
 ) -> LogAnalysis:
-    """The analysis of each log, with a hash of everything that its rows depend on."""
+    """The analysis of each log, with a hash of all inputs of its rows."""
     import uavtwin
 
     texts = {stem: v.text for stem, v in own.items()}
@@ -316,7 +320,7 @@ def analysis_of(
 
 
 def aircraft_jobs(jobs: Sequence[LogJob], journal: Journal) -> list[LogJob]:
-    """A job for each aircraft that logs name, by its name, each flight once."""
+    """A job for each aircraft named in logs, by its name, each flight once."""
     flights: dict[str, list[LogJob]] = {}
     for job, line in zip(jobs, journal.lines([k.job for k in jobs], journal.places()), strict=True):
         about = line["flights"][0]
@@ -339,7 +343,7 @@ def _do(
     progress: Progress,
     each: Callable[[JobRows], None],
 ) -> None:
-    """Do what is not done."""
+    """Run the jobs that are not done."""
     left = [k for k in jobs if k.job not in journal.done]
     done = len(jobs) - len(left)
     for found in engine.run(analysis, _largest_first(left)):
@@ -350,27 +354,27 @@ def _do(
 
 
 def _largest_first(jobs: Sequence[LogJob]) -> Iterator[LogJob]:
-    """The large ones first: no worker has one left when the others are done."""
+    """Jobs with the largest first, so that no worker ends with a large one."""
     return iter(sorted(jobs, key=lambda k: (-k.bytes, k.names[0])))
 
 
 DIGITS = 6
-"""Significant ones of a number in a vehicle file."""
+"""Significant digits of a number in a vehicle file."""
 FOLDER = "vehicles"
-"""For the vehicle files, in the folder of the dataset."""
+"""Folder for the vehicle files, in the folder of the dataset."""
 
 
 Numbers = Mapping[str, Estimate]
-"""By "effect.number"."""
+"""Estimates by "effect.number"."""
 
 
 @dataclass
 class Files:
-    """Numbers of the files.
+    """Numbers for the vehicle files.
 
     Attributes:
-        of_type: Of the type; none: nothing is common to it.
-        of_aircraft: Of each aircraft.
+        of_type: Numbers common to the type; none: there are no common ones.
+        of_aircraft: Numbers of each aircraft.
     """
 
     of_type: dict[str, Estimate] = field(default_factory=dict)
@@ -378,17 +382,17 @@ class Files:
 
 
 def numbers_of_files(spreads: Sequence[Spread], explained: Sequence[str], typed: bool) -> Files:
-    """What goes where.
+    """Numbers for the vehicle files, of the type and of each aircraft.
 
-    An effect of the type goes into the files of all its aircraft: where its own flights determine
-    it, as they do, drawn to the type as far as they are unsure; where they do not, as of the type,
-    with the spread between aircraft as standard deviation. Other effects are of their aircraft
-    alone.
+    An effect of the type is written to the files of all its aircraft: where its own flights
+    determine it, their estimate, shrunk towards the type by its uncertainty; where they do not,
+    that of the type, with the spread between aircraft as standard deviation. Other effects belong
+    to their aircraft only.
 
     Args:
         spreads: Numbers over aircraft.
-        explained: Aircraft.
-        typed: Whether all are of one type; else each has its own numbers alone.
+        explained: Names of the aircraft.
+        typed: Whether all are of one type; else each has its own numbers only.
     """
     files = Files(of_aircraft={a: {} for a in explained})
     for s in spreads:
@@ -434,12 +438,12 @@ def with_numbers(vehicle: Vehicle, numbers: Numbers, name: str) -> Vehicle:
 def write_vehicles(
     files: Files, base: Vehicle | None, own: Mapping[str, Vehicle], out: Path
 ) -> list[str]:
-    """Write all files; names of those that were.
+    """Write all files; returns their names.
 
     Args:
-        files: Numbers.
+        files: Numbers for the files.
         base: Vehicle of all aircraft; None: each has its own.
-        own: Vehicles by the stem of the name of the file of an aircraft.
+        own: Vehicles by the stem of their aircraft's file name.
         out: Folder of the dataset.
     """
     written = []

@@ -1,4 +1,4 @@
-"""What the flights of a fleet say together: which aircraft differs, which number drifts."""
+"""Joint statistics of a fleet's flights: aircraft that differ, numbers that drift."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -24,17 +24,17 @@ from .statistics import (
 
 Array = NDArray[np.float64]
 WHOLE = "whole flight"
-"""Phase that stands for all samples, as in `uavtwin.gaps`."""
+"""Phase for all samples, as in `uavtwin.gaps`."""
 MEAN_OF = "mean residual "
-"""Before the name of a channel: the mean of measured minus simulated over a flight."""
+"""Prefix of a channel's name: the mean of measured minus simulated over a flight."""
 NORMAL_MAD = 1.4826
-"""Standard deviation over the median absolute deviation, of a normal distribution."""
+"""Standard deviation over the median absolute deviation, for a normal distribution."""
 MEDIAN_COST = np.pi / 2
-"""Variance of a median over that of a mean, of a normal distribution."""
+"""Variance of a median over that of a mean, for a normal distribution."""
 FEWEST_OWN = 2
-"""Flights of an aircraft from which on it may differ: one may be unlike the next of the same."""
+"""Fewest flights of an aircraft that may differ: a single one may be an exception."""
 FEWEST_FLIGHTS = 3
-"""Of which an aircraft tells by itself how much its flights differ."""
+"""Fewest flights for an estimate of the variation between flights of one aircraft."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +42,9 @@ class Measure:
     """One number of all flights that have it.
 
     Attributes:
-        name: Of a column of `flights`, or the mean residual of a channel.
-        unit: As printed.
-        table: A row per flight: `aircraft`, `date_year`, `value`.
+        name: Name of a column of `flights`, or the mean residual of a channel.
+        unit: Printed unit.
+        table: One row per flight: `aircraft`, `date_year`, `value`.
     """
 
     name: str
@@ -54,18 +54,18 @@ class Measure:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """An aircraft against the others, in one number.
+    """Comparison of an aircraft with the others, in one number.
 
     Attributes:
-        number: Its name.
-        unit: As printed.
-        aircraft: Which.
+        number: Name of the number.
+        unit: Printed unit.
+        aircraft: Name of the aircraft.
         value: Median of its flights.
         others: Median over the other aircraft.
         spread: Standard deviation of the other aircraft.
-        p: Probability of one as far out among so many that are alike.
-        q: Share of false discoveries among those that are at least as clear.
-        flights: Of this aircraft.
+        p: Probability of a value as extreme among equal aircraft.
+        q: Share of false discoveries among results at least as significant.
+        flights: Number of flights of this aircraft.
     """
 
     number: str
@@ -86,14 +86,14 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """A number of an aircraft over time.
+    """Trend of a number of an aircraft over time.
 
     Attributes:
-        number: Its name.
-        unit: Of the number; slopes are per 30 days.
-        aircraft: Which.
-        trend: Its slope.
-        q: Share of false discoveries among those that are at least as clear.
+        number: Name of the number.
+        unit: Unit of the number; slopes are per 30 days.
+        aircraft: Name of the aircraft.
+        trend: Slope over time.
+        q: Share of false discoveries among results at least as significant.
     """
 
     number: str
@@ -109,10 +109,10 @@ class Drift:
 
 
 def measures(folder: Path) -> Iterator[Measure]:
-    """Numbers of flights whose aircraft is known, one after another: memory holds one of them.
+    """Numbers of flights whose aircraft is known, one after another: one at a time is in memory.
 
     Args:
-        folder: Of the dataset.
+        folder: Folder of the dataset.
     """
     about = ["log", "aircraft", "date_year"]
     known = ~read_table(folder, "flights", ["aircraft"])["aircraft"].isin(["", None])
@@ -139,10 +139,10 @@ def measures(folder: Path) -> Iterator[Measure]:
 
 
 def compared(folder: Path) -> tuple[list[Difference], list[Drift]]:
-    """Every aircraft against the others, and over time, the clearest first.
+    """Every aircraft compared with the others, and over time, the most significant first.
 
-    Differences: within a number by Rosner's procedure over the aircraft, over numbers by
-    Benjamini and Hochberg. Drifts: by Benjamini and Hochberg over all numbers and aircraft.
+    Differences: within a number by Rosner's procedure over the aircraft, over numbers by Benjamini
+    and Hochberg. Drifts: by Benjamini and Hochberg over all numbers and aircraft.
     """
     differences: list[Difference] = []
     smallest: dict[str, float] = {}
@@ -166,7 +166,7 @@ def compared(folder: Path) -> tuple[list[Difference], list[Drift]]:
 
 
 def _against_others(m: Measure) -> list[Difference]:
-    """Each aircraft of several flights against the others."""
+    """Each aircraft with several flights compared with the others."""
     names, flights, value, variance = per_aircraft(m.table)
     if len(names) < FEWEST_AIRCRAFT:
         return []
@@ -184,10 +184,10 @@ def _against_others(m: Measure) -> list[Difference]:
 
 
 def per_aircraft(table: pd.DataFrame) -> tuple[list[str], NDArray[np.int64], Array, Array]:
-    """Aircraft, flights of each, median of each, and the variance of that median.
+    """Aircraft, number of flights, median, and the variance of that median.
 
     Args:
-        table: With `aircraft` and `value`.
+        table: Table with `aircraft` and `value`.
     """
     grouped = table.groupby("aircraft", sort=True)["value"]
     names = [str(n) for n in grouped.groups]
@@ -202,7 +202,7 @@ def per_aircraft(table: pd.DataFrame) -> tuple[list[str], NDArray[np.int64], Arr
 
 
 def _judged(d: Difference, smallest: dict[str, float]) -> Difference:
-    """The same with its share of false discoveries among all numbers."""
+    """The difference with its share of false discoveries among all numbers."""
     p = [d.p if name == d.number else other for name, other in smallest.items()]
     q = float(adjusted(p)[list(smallest).index(d.number)])
     sizes = (d.value, d.others, d.spread, d.p, q, d.flights)
@@ -217,24 +217,24 @@ def _over_time(m: Measure) -> Iterator[Drift]:
 
 
 SURE = 0.5
-"""Probability from which on an effect of one explanation is taken for there."""
+"""Probability from which an effect of one explanation counts as present."""
 NAMED_SHARE = 0.5
-"""Of the explanations of an aircraft, and of the aircraft of a type, that name an effect: of fewer,
-it is of some flights, or of some aircraft, alone."""
+"""Least share of an aircraft's explanations, and of a type's aircraft, that name an effect: with
+fewer, it belongs to some flights, or some aircraft, only."""
 FEWEST_OF_TYPE = 3
-"""From which on an effect is of the type."""
+"""Fewest aircraft with an effect of the type."""
 
 
 @dataclass(frozen=True, slots=True)
 class OfAircraft:
-    """A number of an aircraft.
+    """A number of an effect for one aircraft.
 
     Attributes:
-        aircraft: Which.
+        aircraft: Name of the aircraft.
         value: Estimate from its own flights.
-        sd: Its standard deviation.
-        named: Explanations that name the effect.
-        explained: Explanations.
+        sd: Standard deviation of the estimate.
+        named: Number of explanations that name the effect.
+        explained: Number of explanations.
     """
 
     aircraft: str
@@ -245,21 +245,21 @@ class OfAircraft:
 
     @property
     def steady(self) -> bool:
-        """Whether it is of the aircraft, not of some flights of it."""
+        """Whether it belongs to the aircraft, not only to some of its flights."""
         return self.named >= NAMED_SHARE * self.explained
 
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """A number of an effect over the aircraft.
+    """A number of an effect over all aircraft.
 
     Attributes:
-        effect: Name.
-        number: Of the effect.
-        unit: As printed.
-        aircraft: Those that have it, by name.
-        common: What they have in common, in their order.
-        explained: Aircraft that were explained.
+        effect: Name of the effect.
+        number: Name of the effect's number.
+        unit: Printed unit.
+        aircraft: Aircraft that have it, by name.
+        common: Joint estimate, in the order of the aircraft.
+        explained: Number of aircraft that were explained.
     """
 
     effect: str
@@ -271,32 +271,32 @@ class Spread:
 
     @property
     def of_type(self) -> bool:
-        """Whether the effect is one of the type."""
+        """Whether the effect belongs to the type."""
         enough = len(self.aircraft) >= max(FEWEST_OF_TYPE, NAMED_SHARE * self.explained)
         return enough and self.of_vehicle
 
     @property
     def of_vehicle(self) -> bool:
-        """Whether a vehicle file may hold the effect, and no day has brought it."""
+        """Whether the effect is allowed in a vehicle file, and does not depend on the day."""
         effect = EFFECTS[self.effect]
         return effect.of_vehicle and not effect.of_weather
 
 
 def explained_aircraft(folder: Path) -> dict[str, int]:
-    """Explanations of each aircraft that could be explained, by name."""
+    """Number of explanations of each aircraft that could be explained, by name."""
     effects = read_table(folder, "effects", ["log", "aircraft", "verdict"]).drop_duplicates()
     done = effects[(effects["verdict"] != "unusable") & (effects["aircraft"] != "")]
     return {str(a): int(n) for a, n in done.groupby("aircraft", sort=True).size().items()}
 
 
 def spreads(folder: Path, explained: dict[str, int] | None = None) -> list[Spread]:
-    """Every number of an effect that aircraft have, over the aircraft, by name.
+    """Every number of an effect over the aircraft, by name.
 
-    Estimates of several flights of an aircraft are put together as those of aircraft are.
+    Estimates from several flights of an aircraft are combined like those of several aircraft.
 
     Args:
-        folder: Of the dataset.
-        explained: Explanations by aircraft; None: as the dataset has them.
+        folder: Folder of the dataset.
+        explained: Number of explanations by aircraft; None: from the dataset.
     """
     effects = read_table(folder, "effects")
     count = explained_aircraft(folder) if explained is None else explained

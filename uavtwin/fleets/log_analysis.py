@@ -35,7 +35,7 @@ from .dataset import MOTORS, NO_LOG, JobRows, Row
 
 Verb = Literal["check", "why", "gap", "explain"]
 VERBS: tuple[Verb, ...] = ("check", "why", "gap", "explain")
-"""What may be done with each log, in this order."""
+"""Verbs for each log, in this order."""
 OF_VEHICLE = frozenset({"gap", "explain"})
 """Verbs that need a vehicle file."""
 
@@ -45,11 +45,11 @@ class LogJob:
     """A job: one log, or all logs of one aircraft.
 
     Attributes:
-        job: Its number.
-        paths: Of the logs.
-        names: Of the logs.
-        bytes: Of the logs together.
-        aircraft: Whose logs they are; "": it is one log, whatever it is of.
+        job: Number of the job.
+        paths: Paths of the logs.
+        names: Names of the logs.
+        bytes: Total size of the logs.
+        aircraft: Aircraft of the logs; "": the job is one log, of any aircraft.
     """
 
     job: int
@@ -61,18 +61,19 @@ class LogJob:
 
 @dataclass(frozen=True, slots=True)
 class LogAnalysis:
-    """What is done with each log: the task of `uavtwin.jobs`, with its cache key.
+    """Job definition of each log and its cache key: the task of `uavtwin.jobs`.
 
     Attributes:
-        key: Hash of everything that the rows depend on.
+        key: Hash of all inputs of the rows.
         vehicle: Text of the vehicle file of all; "": each aircraft has its own.
-        own: Texts by the stem of the name of the file of an aircraft.
+        own: Texts of vehicle files by the stem of their aircraft's file name.
         file: Name of the file or folder, for messages.
-        verbs: What is done.
-        alone: Whether each flight is explained by itself.
-        indoors: Whether all flew within walls; None: as each log says.
-        allowed: What a job may use.
-        trust_vehicle: As of `uavtwin.flights.read_flights`.
+        verbs: Verbs to run.
+        alone: Whether each flight is explained separately.
+        indoors: Whether all flights were indoors; None: by each log.
+        allowed: Limits of a job.
+        trust_vehicle: Whether contradictions between log and vehicle file are ignored, as in
+            `uavtwin.flights.read_flights`.
     """
 
     key: str
@@ -86,23 +87,23 @@ class LogAnalysis:
     trust_vehicle: bool = False
 
     def name(self, job: LogJob) -> str:
-        """Number of the job."""
+        """Number of the job as text."""
         return str(job.job)
 
     def worker(self) -> ProcessWorker[LogJob, JobRows]:
-        """One more worker process."""
+        """Another worker process."""
         return ProcessWorker(self, JobRows.read, self.lost, self.allowed)
 
     def packed(self) -> "LogAnalysis":
-        """It travels as it is: logs stay where they are."""
+        """The task unchanged: logs remain in place."""
         return self
 
     def unpacked(self, folder: Path) -> "LogAnalysis":
-        """The same; it has no files of its own."""
+        """The task unchanged; it has no files of its own."""
         return self
 
     def lost(self, job: LogJob, why: str) -> JobRows:
-        """Of a job that ended its process."""
+        """Rows of a job that ended its process."""
         found = JobRows(job.job)
         if job.aircraft:
             _say(found, "", job.aircraft, "explain", "problem", why)
@@ -111,7 +112,7 @@ class LogAnalysis:
         return found
 
     def do(self, job: LogJob, progress: Progress = lambda _: None) -> dict[str, Any]:
-        """What is found, as a line of the journal."""
+        """Results as a line of the journal."""
         return self.analyse(job).json()
 
     def analyse(self, job: LogJob) -> JobRows:
@@ -126,7 +127,7 @@ class LogAnalysis:
             status = NO_LOG if isinstance(error, NoLogError) else "unreadable"
             about |= {"status": status, "error": str(error)}
             return found
-        except Exception as error:  # one that cannot be read hides none of the others
+        except Exception as error:  # an unreadable log does not affect others
             about |= {"status": "failed", "error": _mistake(error)}
             return found
         try:
@@ -188,12 +189,12 @@ class LogAnalysis:
             _explain(flights, self._vehicle(job.aircraft), self.indoors, "", found, job.aircraft)
         except TwinError as error:
             _say(found, "", job.aircraft, "explain", "problem", str(error))
-        except Exception as error:  # a mistake with one aircraft hides none of the others
+        except Exception as error:  # an error with one aircraft does not affect others
             _say(found, "", job.aircraft, "explain", "problem", _mistake(error))
         return found
 
     def _vehicle(self, aircraft: str) -> Vehicle:
-        """The vehicle that an aircraft is compared with.
+        """The vehicle for the comparison with an aircraft.
 
         Raises:
             TwinError: There is none for it.
@@ -221,7 +222,7 @@ def _check(flight: AnyFlight, about: Row, found: JobRows) -> None:
 
 
 def _why(flight: AnyFlight, about: Row, found: JobRows) -> None:
-    """What went wrong, from the log alone."""
+    """Add the diagnosis from the log alone."""
     record = why(flight if isinstance(flight, Flight) else str(flight.source)).record
     causes = [cause_in_words(e) for e in record.events if not e.consequence]
     about |= {"why": record.verdict, "causes": "; ".join(dict.fromkeys(causes))}
@@ -229,7 +230,7 @@ def _why(flight: AnyFlight, about: Row, found: JobRows) -> None:
 
 
 def _gap(flight: AnyFlight, vehicle: Vehicle, about: Row, found: JobRows) -> Any:
-    """Rows of channels; what the hover says of the twin."""
+    """Add rows of channels; returns the hover diagnosis of the twin."""
     result = gap(flight, vehicle)
     for warning in result.flights[0].warnings:
         _say(found, about["log"], about["aircraft"], "gap", "warning", warning)
@@ -247,7 +248,8 @@ def _explain(
     found: JobRows,
     aircraft: str | None = None,
 ) -> Row:
-    """Rows of effects; the verdict. Nothing is flown in closed loop, no manoeuvre is looked for."""
+    """Add rows of effects; returns the verdict. Without closed-loop flights and search for
+    manoeuvres."""
     explained = inner.explain(flights, [], vehicle, missions=(), indoors=indoors, suggest=False)
     aircraft = aircraft_name(flights[0]) if aircraft is None else aircraft
     for text in explained.reasons:
@@ -292,7 +294,7 @@ def _say(found: JobRows, log: str, aircraft: str, verb: str, severity: str, text
 
 
 def _mistake(error: Exception) -> str:
-    """What a mistake of ours says, or a limit that was met."""
+    """Text on an internal error, or on an exceeded limit."""
     if isinstance(error, MemoryError):
         return "needs more memory than its process may use (--memory-limit)"
     said = " ".join(str(error).split())[:300]
@@ -300,8 +302,8 @@ def _mistake(error: Exception) -> str:
 
 
 def aircraft_name(flight: AnyFlight) -> str:
-    """Name of the aircraft: the identifier of its autopilot and its airframe, as two flights of one
-    call are held to be of one aircraft; "" where the log holds no identifier.
+    """Name of the aircraft: the identifier of its autopilot and its airframe, by which several
+    flights of one call are checked to be of one aircraft; "" where the log has no identifier.
     """
     aircraft, airframe, hardware = reported_aircraft(flight)
     own = aircraft or hardware
@@ -309,7 +311,7 @@ def aircraft_name(flight: AnyFlight) -> str:
 
 
 def file_stem(aircraft: str) -> str:
-    """Of the file of an aircraft: letters, digits, `_`, `-` and `.` alone, no `.` in front."""
+    """Stem of an aircraft's file name: only letters, digits, `_`, `-` and `.`, no leading `.`."""
     return re.sub(r"[^A-Za-z0-9_.-]+", "_", aircraft).strip("._") or "aircraft"
 
 
@@ -323,23 +325,23 @@ Array = NDArray[np.float64]
 LEAST_S = 5.0
 """Shortest flight from which a battery resistance or a gyroscope bias is estimated, s; made up."""
 LEAST_A = 0.02
-"""Share of its mean by which a current has to vary."""
+"""Least relative variation of a current."""
 LEAST_V = 1.0
-"""Below it no battery is connected."""
+"""Voltage below which no battery is connected."""
 WINDOW_S = 0.5
-"""Over which the attitude turns, for the bias of the gyroscope: noise of an attitude of 1 mrad is
-3 mrad/s in one window, and little in the median of all."""
+"""Windows over which the attitude rotates, for the bias of the gyroscope: attitude noise of 1 mrad
+is 3 mrad/s in one window, and small in the median of all."""
 
 
 def vitals_of(
     flight: AnyFlight, hover: Hover | None, diagnosis: HoverDiagnosis | None
 ) -> dict[str, float | None]:
-    """Those that can be estimated, by the names of their columns.
+    """Vital numbers that can be estimated, by the names of their columns.
 
     Args:
-        flight: As read.
+        flight: Flight as read.
         hover: Its hover; None: it has none.
-        diagnosis: Of the twin in it; None: none.
+        diagnosis: Diagnosis of the twin in hover; None: none.
     """
     vitals: dict[str, float | None] = {"battery_resistance_ohm": battery_resistance(flight)}
     bias = gyro_bias(flight)
@@ -369,8 +371,8 @@ def _of_hover(hover: Hover) -> dict[str, float | None]:
 def battery_resistance(flight: AnyFlight) -> float | None:
     """Resistance of a battery, ohm: least squares of V = a + b t - R I over a flight.
 
-    What a fall of the voltage within seconds of a change of the current adds to the resistance of
-    the first instant is in it; what the charge takes, which is slow, is in b.
+    It includes the drop of the voltage within seconds of a change of the current, in addition to
+    the instantaneous resistance; the slow effect of the charge is in b.
 
     Returns:
         None: voltage or current are not logged, or the current does not vary.
@@ -395,11 +397,11 @@ def battery_resistance(flight: AnyFlight) -> float | None:
 
 
 def gyro_bias(flight: AnyFlight) -> Array | None:
-    """Bias of a gyroscope, rad/s, body FRD, shape (3,): its mean over windows of half a second
-    minus the rate at which the attitude turns over each, the median of all.
+    """Bias of a gyroscope, rad/s, body FRD, shape (3,): median over windows of half a second of its
+    mean minus the rotation rate of the attitude.
 
-    Turns about an axis that moves itself are counted to second order: the angle of a window is
-    a + 1/2 int (a(t) x da), a the integral of the rates from its begin on.
+    Rotation about a moving axis is included to second order: the angle of a window is a + 1/2 int
+    (a(t) x da), with a the integral of the rates from its start.
 
     Source: Bortz, IEEE Trans. Aerosp. Electron. Syst. 7 (1971) 61-66.
 

@@ -1,4 +1,4 @@
-"""SQL over the dataset of a fleet: nothing but its tables can be read, nothing can be written."""
+"""SQL queries of a fleet's dataset: only its tables can be read, nothing can be written."""
 
 import datetime
 import math
@@ -22,41 +22,41 @@ _SETTINGS = {
     "autoinstall_known_extensions": False,
     "autoload_known_extensions": False,
 }
-"""Of DuckDB: no Python objects, no extensions."""
+"""Settings of DuckDB: no Python objects, no extensions."""
 MOST_MEMORY = "4GB"
-"""Of a query."""
+"""Memory limit of a query."""
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """Rows of a query.
+    """Result of a query.
 
     Attributes:
-        names: Of the columns.
-        rows: A value per column: numbers, texts, None.
+        names: Names of the columns.
+        rows: Rows with a value per column: numbers, texts, None.
     """
 
     names: tuple[str, ...]
     rows: tuple[tuple[Any, ...], ...]
 
     def frame(self) -> "pd.DataFrame":
-        """As a table of pandas."""
+        """The rows as a pandas table."""
         import pandas as pd
 
         return pd.DataFrame(self.rows, columns=list(self.names))
 
     def records(self) -> list[dict[str, Any]]:
-        """A mapping per row, as JSON can hold it."""
+        """A mapping per row, of JSON types."""
         return [{n: _plain(v) for n, v in zip(self.names, row, strict=True)} for row in self.rows]
 
 
 def query(folder: str | Path, sql: str, time_limit_s: float = 300.0) -> Answer:
-    """Ask the dataset of a fleet.
+    """Query the dataset of a fleet.
 
     Args:
-        folder: `--out` of `uavtwin fleet`.
+        folder: Folder of `--out` of `uavtwin fleet`.
         sql: One SELECT over flights, channels, effects, findings, in the SQL of DuckDB.
-        time_limit_s: After which the query is ended: a recursive one may have no end.
+        time_limit_s: Time after which the query is aborted: a recursive one may never end.
 
     Raises:
         TwinError: The package is missing, it is no such folder, DuckDB refuses the query, or it
@@ -103,7 +103,7 @@ def query(folder: str | Path, sql: str, time_limit_s: float = 300.0) -> Answer:
 
 
 def _said(text: str) -> str:
-    """What DuckDB says, and what there is instead."""
+    """Message of DuckDB, with the available names."""
     first = text.split("\n\nLINE")[0].strip()
     if "file system operations are disabled" in text:
         return f"{first} A query reads nothing but {', '.join(TABLES)}."
@@ -113,7 +113,7 @@ def _said(text: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """A value as JSON can hold it."""
+    """A value of a JSON type."""
     if isinstance(value, Decimal):
         value = float(value)
     if isinstance(value, float):

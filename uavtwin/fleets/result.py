@@ -1,4 +1,4 @@
-"""A fleet: its aircraft and logs in short, and what its flights say together."""
+"""Result of a fleet: overview of aircraft and logs, and their joint statistics."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -27,42 +27,42 @@ from .fleet_statistics import (
 from .statistics import FEWEST_AIRCRAFT, FEWEST_FLIGHTS
 
 UNNAMED = "(not named by its log)"
-"""Stands for the aircraft of logs that name none."""
+"""Name for the aircraft of logs that name none."""
 _NUMBERS = ("hover_command", "hover_speed_rad_s", "carried", "back_m", "right_m")
 """Columns of `flights` whose median is shown."""
 _SPLIT = tuple(f"motor_{i}" for i in range(1, MOTORS + 1))
 """Columns of the motors."""
 _ABOUT = ("log", "aircraft", "status", "vehicle", "verdict", "named", "causes")
-"""Columns of text that an overview reads."""
+"""Text columns of an overview."""
 HEADER = (
     *("went wrong", "hover", "carried", "back, mm", "right, mm"),
     *("least loaded motor", "most loaded motor", "lacks"),
 )
-"""Of the printed table."""
+"""Head of the printed table."""
 UNKNOWN = "-"
-"""Cell of what is not known."""
+"""Cell of an unknown value."""
 CELLS = (
     f"{UNKNOWN}: nothing named, or not known (no hover in the log, no vehicle). Went wrong: causes "
     "of why. Carried: thrust of the twin over the weight. Back, right: centre of mass. Loaded: "
     "command of a motor in hover, over the mean of all. Lacks: effects of explain. Log: state of "
     "the file, not of the flight."
 )
-"""What the cells of the printed table mean."""
+"""Legend of the printed table."""
 
 
 class AircraftRecord(Record, frozen=True, kw_only=True):
-    """An aircraft in short; null for what is unknown.
+    """Overview of an aircraft; null for unknown values.
 
     Attributes:
-        aircraft: Its name.
-        flights: How many.
-        vehicle: Of its vehicle file.
-        hover_command, hover_speed_rad_s, carried, back_m, right_m: Medians of its flights, as of
+        aircraft: Name of the aircraft.
+        flights: Number of flights.
+        vehicle: Name of its vehicle file.
+        hover_command, hover_speed_rad_s, carried, back_m, right_m: Medians of its flights, as in
             the columns of `flights`.
-        split: Of the motors, median.
-        named: Flights that name an effect, by effect.
-        causes: Flights in which `why` names a cause, by cause.
-        misfit: Why the vehicle file does not fit; null where it does.
+        split: Split of the motors, median.
+        named: Number of flights in which `explain` names an effect, by effect.
+        causes: Number of flights in which `why` names a cause, by cause.
+        misfit: Reason why the vehicle file does not fit; null where it does.
     """
 
     aircraft: str
@@ -81,18 +81,18 @@ class AircraftRecord(Record, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """What is known of one log, or the medians over the logs of one aircraft; NaN: unknown.
+    """Overview of one log, or medians over the logs of one aircraft; NaN: unknown.
 
     Attributes:
-        name: Of the log or the aircraft.
-        aircraft: As its log names it; "" where it does not.
-        flights: How many.
-        status: Of a log; "" of an aircraft.
-        vehicle: Name of the vehicle file it is compared with.
+        name: Name of the log or the aircraft.
+        aircraft: Aircraft named in the log; "" without one.
+        flights: Number of flights.
+        status: Status of a log; "" for an aircraft.
+        vehicle: Name of the vehicle file used.
         numbers: Columns of `flights` by name: hover, carried, centre of mass.
         split: Command or speed of each motor in hover over the mean of all, minus 1.
-        named: Effects that `explain` lists, each with the number of flights.
-        causes: Of `why`, each with the number of flights.
+        named: Number of flights by effect that `explain` lists.
+        causes: Number of flights by cause that `why` names.
     """
 
     name: str
@@ -107,12 +107,13 @@ class Overview:
 
     @property
     def misfit(self) -> str:
-        """Why the vehicle file does not fit; "" where it does, or where that is not known."""
+        """Reason why the vehicle file does not fit; "" where it does, or where that is not
+        known."""
         text = misfit(self.numbers["carried"], self.vehicle)
         return f"{self.name}: {text}" if text else ""
 
     def cells(self) -> tuple[str, ...]:
-        """As `HEADER` says."""
+        """Cells of a row below `HEADER`."""
         n = self.numbers
         hover = _text(n["hover_command"], "{:.3f}") or _text(n["hover_speed_rad_s"], "{:.0f} rad/s")
         extremes: tuple[str, ...] = ("", "")
@@ -131,14 +132,14 @@ class Overview:
         )
 
     def _counted(self, names: Mapping[str, int]) -> str:
-        """Names, of several flights each with how many have it."""
+        """Names; for several flights each with the number of flights."""
         return ", ".join(
             f"{n.replace('_', ' ')}{f' ({k} of {self.flights})' if self.flights > 1 else ''}"
             for n, k in names.items()
         )
 
     def line(self) -> str:
-        """What is known, in one line."""
+        """The overview in one line."""
         known = zip(HEADER, self.cells(), strict=True)
         cells = (f"{name} {text}" for name, text in known if text)
         about = f"log {self.status}" if self.status else f"{self.flights} flights"
@@ -147,7 +148,7 @@ class Overview:
 
     @property
     def record(self) -> AircraftRecord:
-        """For `fleet.json`."""
+        """Record for `fleet.json`."""
         return AircraftRecord(
             aircraft=self.name,
             flights=self.flights,
@@ -161,14 +162,14 @@ class Overview:
 
 
 def of_logs(folder: Path, most: int | None = None) -> list[Overview]:
-    """One of each log, in the order of the table; of `most` logs."""
+    """Overview of each log, in the order of the table; of the first `most` logs."""
     flights = _table(folder)
     rows = flights if most is None else flights.head(most)
     return [of_log({str(k): v for k, v in row.items()}) for row in rows.to_dict("records")]
 
 
 def of_aircraft(folder: Path) -> list[Overview]:
-    """One of each aircraft, by name; those of logs that name none come together."""
+    """Overview of each aircraft, by name; logs without a name count as one."""
     flights = _table(folder)
     read = flights[~flights["status"].isin(["unreadable", NO_LOG, "copy", "failed"])]
     effects = read_table(folder, "effects", ["log", "aircraft", "effect"]).dropna()
@@ -197,7 +198,7 @@ def _of_aircraft(read: pd.DataFrame, named: "pd.Series") -> Iterator[Overview]:
 
 
 def of_log(row: Mapping[str, Any]) -> Overview:
-    """Of a row of `flights`, in which what is unknown may be missing."""
+    """Overview from a row of `flights`, in which unknown values may be missing."""
     text = {n: row.get(n) or "" for n in _ABOUT}
     number = {n: np.nan if row.get(n) is None else float(row[n]) for n in (*_NUMBERS, *_SPLIT)}
     return Overview(
@@ -214,7 +215,7 @@ def of_log(row: Mapping[str, Any]) -> Overview:
 
 
 def _listed(text: str) -> list[str]:
-    """Causes of a cell."""
+    """Causes in a cell."""
     return [c for c in str(text).split("; ") if c]
 
 
@@ -229,12 +230,12 @@ def _table(folder: Path) -> pd.DataFrame:
 
 
 def table_of(rows: Sequence[Overview], first: str, most: int) -> TextTable:
-    """As printed: the first `most` of them.
+    """Printed table of the first `most` rows.
 
     Args:
-        rows: Logs or aircraft.
-        first: What they are.
-        most: Rows that are printed.
+        rows: Overviews of logs or aircraft.
+        first: Title of the first column.
+        most: Largest number of printed rows.
     """
     logs = any(r.status for r in rows)
     lines = tuple(
@@ -251,17 +252,17 @@ def _text(value: float, form: str) -> str:
 
 
 MOST_ROWS = 20
-"""Rows of a table that are printed."""
+"""Largest number of printed rows of a table."""
 BAD = ("unreadable", "failed", "refused", "findings")
 """Statuses of logs that are listed as bad."""
 
 
 @dataclass(frozen=True, slots=True)
 class EstimateRecord(OfAircraft):
-    """A number of an aircraft.
+    """A number of an effect for one aircraft.
 
     Attributes:
-        own: The estimate, drawn to the type as far as it is unsure.
+        own: The estimate, shrunk towards the type by its uncertainty.
         own_sd: Standard deviation of `own`.
     """
 
@@ -270,20 +271,20 @@ class EstimateRecord(OfAircraft):
 
 
 class SpreadRecord(Record, frozen=True, kw_only=True):
-    """A number of an effect over aircraft.
+    """A number of an effect over all aircraft.
 
     Attributes:
-        effect: Its name.
-        number: Of the effect.
-        unit: SI.
-        of_type: Whether the effect is one of the type.
-        mean: Over aircraft.
-        sd: Of the mean.
-        low: Lower end of its 95 % interval; null: one aircraft alone.
-        high: Upper end.
+        effect: Name of the effect.
+        number: Name of the effect's number.
+        unit: SI unit.
+        of_type: Whether the effect belongs to the type.
+        mean: Mean over aircraft.
+        sd: Standard deviation of the mean.
+        low: Lower end of the mean's 95 % interval; null: a single aircraft.
+        high: Upper end of the mean's 95 % interval.
         between: Standard deviation between aircraft.
-        explained: Aircraft that were explained.
-        aircraft: Those that have it.
+        explained: Number of aircraft that were explained.
+        aircraft: Aircraft that have it.
     """
 
     effect: str
@@ -300,11 +301,11 @@ class SpreadRecord(Record, frozen=True, kw_only=True):
 
 
 class ComparisonCounts(Record, frozen=True, kw_only=True):
-    """How many tests were made.
+    """Numbers of statistical tests.
 
     Attributes:
-        differences: Comparisons of aircraft.
-        drifts: Slopes over time.
+        differences: Number of comparisons of aircraft.
+        drifts: Number of slopes over time.
     """
 
     differences: int
@@ -312,24 +313,24 @@ class ComparisonCounts(Record, frozen=True, kw_only=True):
 
 
 class FleetRecord(Record, frozen=True, kw_only=True):
-    """What the logs of a fleet say together.
+    """Joint results of a fleet's logs.
 
     Attributes:
         vehicle: Name of the vehicle file of all; null: each aircraft has its own.
-        logs: How many.
-        statuses: How many logs are of which status.
-        diagnosed: Flights that `why` looked at.
-        went_wrong: Those of them in which it found something.
-        aircraft: Flights by aircraft.
-        unnamed: Flights whose log names no aircraft.
-        dated: Flights with a date.
-        cannot: What could not be determined, and why.
-        misfits: Aircraft that their vehicle file does not fit, and why.
-        overview: Of each aircraft.
-        tests: How many were made.
-        differences: Those that are significant, the clearest first.
-        drifts: Those that are significant.
-        effects: Of each number of an effect that aircraft have.
+        logs: Number of logs.
+        statuses: Number of logs by status.
+        diagnosed: Number of flights diagnosed by `why`.
+        went_wrong: Number of these flights with a fault.
+        aircraft: Number of flights by aircraft.
+        unnamed: Number of flights whose log names no aircraft.
+        dated: Number of flights with a date.
+        cannot: Results that could not be determined, with the reason.
+        misfits: Aircraft that do not fit their vehicle file, with the reason.
+        overview: Overview of each aircraft.
+        tests: Numbers of statistical tests.
+        differences: Significant differences, the most significant first.
+        drifts: Significant drifts.
+        effects: Each number of an effect over the aircraft that have it.
     """
 
     vehicle: str | None
@@ -351,22 +352,22 @@ class FleetRecord(Record, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, repr=False)
 class FleetResult(PageMixin):
-    """What came of a fleet.
+    """Result of a fleet.
 
     Attributes:
-        folder: Of the dataset.
+        folder: Folder of the dataset.
         vehicle: Name of the vehicle file of all; "": each aircraft has its own.
-        statuses: How many logs are of which status.
-        aircraft: Flights by aircraft.
-        unnamed: Flights whose log does not name an aircraft.
-        dated: Flights with a date.
-        differences: Every aircraft against the others, the clearest first.
-        drifts: Every number over time, the clearest first.
+        statuses: Number of logs by status.
+        aircraft: Number of flights by aircraft.
+        unnamed: Number of flights whose log names no aircraft.
+        dated: Number of flights with a date.
+        differences: Every aircraft compared with the others, the most significant first.
+        drifts: Every number over time, the most significant first.
         spreads: Numbers of effects over aircraft.
-        explained: Explanations by aircraft.
+        explained: Number of explanations by aircraft.
         rows: An overview of each aircraft, by name.
-        diagnosed: Flights that `why` looked at.
-        went_wrong: Those of them in which it found something.
+        diagnosed: Number of flights diagnosed by `why`.
+        went_wrong: Number of these flights with a fault.
     """
 
     folder: Path
@@ -387,27 +388,27 @@ class FleetResult(PageMixin):
 
     @property
     def logs(self) -> int:
-        """How many."""
+        """Number of logs."""
         return sum(n for status, n in self.statuses.items() if status != NO_LOG)
 
     @property
     def bad(self) -> int:
-        """Logs that are damaged or of no use, copies left out."""
+        """Number of damaged or unusable logs, without duplicates."""
         return sum(self.statuses.get(s, 0) for s in BAD)
 
     @property
     def differing(self) -> tuple[Difference, ...]:
-        """Differences that count."""
+        """Significant differences."""
         return tuple(d for d in self.differences if d.significant)
 
     @property
     def drifting(self) -> tuple[Drift, ...]:
-        """Drifts that count."""
+        """Significant drifts."""
         return tuple(d for d in self.drifts if d.significant)
 
     @property
     def misfits(self) -> tuple[str, ...]:
-        """Aircraft, and logs that name none, that their vehicle file does not fit, and why."""
+        """Aircraft, and logs without one, that do not fit their vehicle file, with the reason."""
         rows = [r for r in self.rows if r.name != UNNAMED]
         if self.unnamed:
             rows += [r for r in of_logs(self.folder) if not r.aircraft]
@@ -415,7 +416,7 @@ class FleetResult(PageMixin):
 
     @property
     def claim(self) -> str:
-        """What matters, in one sentence."""
+        """The main result, in one sentence."""
         about = _many(self.logs, "log")
         if self.aircraft:
             about += f" of {_many(len(self.aircraft), 'aircraft', '')}"
@@ -430,14 +431,14 @@ class FleetResult(PageMixin):
         return f"{about}: {', '.join(parts)}"
 
     def _differ(self) -> str:
-        """How many aircraft differ, or why that cannot be determined."""
+        """Text on the number of aircraft that differ, or why it cannot be determined."""
         if not self.differences:
             return f"which aircraft differs cannot be determined ({self._no_differences()})"
         differ = len({d.aircraft for d in self.differing})
         return f"{differ or 'none'} {'differs' if differ == 1 else 'differ'} from the others"
 
     def _drift(self) -> str:
-        """How many aircraft drift, or why that cannot be determined."""
+        """Text on the number of aircraft that drift, or why it cannot be determined."""
         if not self.drifts:
             return (
                 f"what drifts cannot be determined (no aircraft has {FEWEST_FLIGHTS} flights "
@@ -454,7 +455,7 @@ class FleetResult(PageMixin):
 
     @property
     def cannot(self) -> tuple[str, ...]:
-        """What could not be determined, and why."""
+        """Results that could not be determined, with the reason."""
         found = [] if self.differences else [self._differ()]
         found += [] if self.drifts else [self._drift()]
         if self.unnamed:
@@ -465,8 +466,8 @@ class FleetResult(PageMixin):
         return tuple(found)
 
     def bad_logs(self, most: int) -> pd.DataFrame:
-        """Logs that are damaged or of no use, and files that are none: log, status, error or its
-        first problem."""
+        """Damaged or unusable logs, and files that are none: log, status, error or its first
+        problem."""
         about = read_table(self.folder, "flights", ["log", "status", "error"])
         rows = about[about["status"].isin([*BAD, "copy", NO_LOG])].head(most).copy()
         damaged = rows[rows["status"] == "findings"]["log"].tolist()
@@ -483,7 +484,7 @@ class FleetResult(PageMixin):
 
     @cached_property
     def record(self) -> FleetRecord:
-        """Every number that is printed."""
+        """Record of every number that is printed."""
         return FleetRecord(
             vehicle=self.vehicle or None,
             logs=self.logs,
@@ -503,7 +504,7 @@ class FleetResult(PageMixin):
         )
 
     def findings(self) -> Iterable[str | TextTable]:
-        """The claim, each aircraft, each log, what differs, what drifts, effects, bad logs."""
+        """The main result, each aircraft, each log, differences, drifts, effects, bad logs."""
         yield self.claim
         if self.misfits:
             yield "\n".join(self.misfits[:MOST_ROWS])
@@ -557,15 +558,15 @@ class FleetResult(PageMixin):
             yield "\n".join(f"{text[0].upper()}{text[1:]}." for text in self.cannot)
 
     def brief(self) -> str:
-        """How many logs of how many aircraft."""
+        """Text on the number of logs and aircraft."""
         return f"{type(self).__name__}: {self.logs} logs of {len(self.aircraft)} aircraft"
 
 
 def result_of(folder: Path, vehicle: str) -> FleetResult:
-    """What a dataset says.
+    """Result of a dataset.
 
     Args:
-        folder: Of the dataset.
+        folder: Folder of the dataset.
         vehicle: Name of the vehicle of all aircraft; "": each has its own.
     """
     about = read_table(folder, "flights", ["status", "aircraft", "date_year", "why"])

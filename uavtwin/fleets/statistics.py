@@ -1,20 +1,21 @@
-"""Statistics of a fleet: aircraft against each other, numbers against dates, many tests at once.
+"""Statistics of a fleet: comparison of aircraft, trends over time, multiple tests.
 
 Sources: Rosner, Technometrics 25 (1983) 165-172, the generalised extreme Studentised deviate: the
-one farthest from the rest is taken out, and again; an aircraft differs where its deviate, or that
-of one taken out after it, is more than the most extreme of so many would have. His critical values
-are for 25 and more; of fewer, one of several steps is beyond them more often than he says, so that
-here probabilities are multiplied by the number of steps.
+value farthest from the others is removed, repeatedly; an aircraft differs where its deviate, or
+that of one removed after it, exceeds the critical value for the most extreme one. His critical
+values are for 25 and more values; for fewer, one of several steps exceeds them more often than
+stated, so here probabilities are multiplied by the number of steps.
 
 Benjamini, Hochberg, J. R. Stat. Soc. B 57 (1995) 289-300, by `scipy.stats.false_discovery_control`:
-it holds for independent tests and for those that go up and down together; numbers of one flight are
-of that kind.
+valid for independent and for positively dependent tests; numbers of one flight are of the latter
+kind.
 
 Each estimate of an aircraft is a draw around its value, of known standard deviation; the values are
-draws around that of the type, of a standard deviation to be found: Paule, Mandel, J. Res. Natl.
-Bur. Stand. 87 (1982) 377-385, for the spread between aircraft, as DerSimonian, Kacker, Contemp.
-Clin. Trials 28 (2007) 105-114 recommend; Hartung, Knapp, Stat. Med. 20 (2001) 3875-3889, for how
-well the mean is known; Morris, J. Am. Stat. Assoc. 78 (1983) 47-55, for the values of the aircraft.
+draws around that of the type, with a standard deviation to be estimated: Paule, Mandel, J. Res.
+Natl. Bur. Stand. 87 (1982) 377-385, for the spread between aircraft, as DerSimonian, Kacker,
+Contemp. Clin. Trials 28 (2007) 105-114 recommend; Hartung, Knapp, Stat. Med. 20 (2001) 3875-3889,
+for the uncertainty of the mean; Morris, J. Am. Stat. Assoc. 78 (1983) 47-55, for the values of the
+aircraft.
 
 Theil, Proc. Kon. Ned. Akad. Wetensch. A 53 (1950) 386-392; Sen, J. Am. Stat. Assoc. 63 (1968)
 1379-1389; Kendall, Biometrika 30 (1938) 81-93, for slopes over the date.
@@ -31,21 +32,21 @@ from scipy.stats import t as student
 
 Array = NDArray[np.float64]
 FEWEST_AIRCRAFT = 4
-"""Aircraft among which one can differ."""
+"""Fewest aircraft among which one can differ."""
 MOST_SHARE = 1 / 3
-"""Of the aircraft, that may differ; of more, nobody knows which are the usual ones."""
+"""Largest share of aircraft that may differ; with more, the normal ones are not defined."""
 
 
 def differing(value: Sequence[float] | Array, variance: Sequence[float] | Array) -> Array:
-    """Probability that one as far from the others would be among so many that are alike.
+    """Probability of a value as far from the others among equal aircraft.
 
     Args:
-        value: Of each aircraft, shape (n,).
-        variance: Of each value, by what is known of it; those above the mean of the others widen
-            what is allowed. Shape (n,).
+        value: Value of each aircraft, shape (n,).
+        variance: Variance of each value by its own uncertainty; those above the mean of the others
+            widen the limits. Shape (n,).
 
     Returns:
-        Shape (n,); 1 for those that are not among the farthest third.
+        Probabilities, shape (n,); 1 for those that are not among the farthest third.
     """
     y, own = np.asarray(value, dtype=np.float64), np.asarray(variance, dtype=np.float64)
     p = np.ones(len(y))
@@ -65,14 +66,14 @@ def differing(value: Sequence[float] | Array, variance: Sequence[float] | Array)
 
 
 def _deviates(y: Array, own: Array) -> Array:
-    """Distance of each from the mean of the others, over what it would be if it were one of them.
+    """Distance of each value from the others' mean, over its deviation for equal aircraft.
 
     Args:
-        y: Shape (n,).
+        y: Values, shape (n,).
         own: Variances, shape (n,).
 
     Returns:
-        Shape (n,); infinite for one that is apart from others that are all the same.
+        Deviates, shape (n,); infinite for a value that differs from others that are all equal.
     """
     n = len(y)
     centred = y - np.median(y)
@@ -87,30 +88,31 @@ def _deviates(y: Array, own: Array) -> Array:
 
 
 FALSE_SHARE = 0.05
-"""Accepted share of false discoveries among the differences and drifts that are reported."""
+"""Accepted share of false discoveries among the reported differences and drifts."""
 
 
 def adjusted(p: Sequence[float]) -> Array:
-    """Smallest share of false discoveries at which each test counts, shape (n,).
+    """Smallest share of false discoveries at which each test is significant, shape (n,).
 
     Args:
-        p: Probability of each under its hypothesis that there is nothing.
+        p: Probability of each result under its null hypothesis.
     """
     return np.asarray(false_discovery_control(p)) if len(p) else np.zeros(0)
 
 
 @dataclass(frozen=True, slots=True)
 class Common:
-    """What several estimates say together.
+    """Joint result of several estimates.
 
     Attributes:
-        mean: Of the values behind the estimates.
+        mean: Mean of the true values.
         sd: Standard deviation of the mean.
-        between: Standard deviation of the values about it.
-        low: Lower end of the 95 % interval of the mean.
-        high: Upper end; infinite for a single estimate whose spread nobody knows.
-        own: Value of each, drawn to the mean as far as its estimate is unsure, shape (n,).
-        own_sd: Standard deviation of each, shape (n,).
+        between: Standard deviation of the true values about the mean.
+        low: Lower end of the mean's 95 % interval.
+        high: Upper end of the mean's 95 % interval; infinite for a single estimate with unknown
+            spread.
+        own: Value of each, shrunk towards the mean by its uncertainty, shape (n,).
+        own_sd: Standard deviation of each `own` value, shape (n,).
     """
 
     mean: float
@@ -127,7 +129,7 @@ def common_of(value: Sequence[float] | Array, sd: Sequence[float] | Array) -> Co
 
     Args:
         value: Estimates, shape (n,), n at least 1.
-        sd: Of each, positive, shape (n,).
+        sd: Standard deviation of each estimate, positive, shape (n,).
     """
     y, s = np.asarray(value, dtype=np.float64), np.asarray(sd, dtype=np.float64)
     if len(y) == 1:
@@ -145,7 +147,7 @@ def common_of(value: Sequence[float] | Array, sd: Sequence[float] | Array) -> Co
 
 
 def _between(y: Array, s: Array) -> float:
-    """Variance between the values at which the weighted squares are what they should be."""
+    """Variance between the values for which the weighted squares equal their expectation."""
 
     def excess(tau2: float) -> float:
         w = 1 / (s**2 + tau2)
@@ -160,13 +162,12 @@ def _between(y: Array, s: Array) -> float:
 
 
 FEWEST_FLIGHTS = 6
-"""Dated flights from which on a trend is looked for: of five, no order has a probability below
-1 %."""
+"""Fewest dated flights for a trend: with five, no order has a probability below 1 %."""
 MOST_POINTS = 1000
-"""Points of a trend: of more flights, medians of so many groups of them in order of date, since the
-slopes are between all pairs."""
+"""Largest number of points of a trend: more flights are grouped by date and replaced by medians,
+since slopes are between all pairs."""
 DAYS = 30.0
-"""Days that a slope is per."""
+"""Time unit of a slope, days."""
 YEAR_D = 365.25
 """Julian year, days."""
 
@@ -177,11 +178,11 @@ class Trend:
 
     Attributes:
         slope: Median of the slopes between all pairs of flights, per 30 days.
-        low: Lower end of its 95 % interval.
-        high: Upper end.
-        p: Probability of an order as strict, of flights that only differ by chance.
-        flights: How many.
-        days: From the first to the last.
+        low: Lower end of the slope's 95 % interval.
+        high: Upper end of the slope's 95 % interval.
+        p: Probability of an order at least as strict, for flights that differ only by chance.
+        flights: Number of flights.
+        days: Time from the first to the last flight.
     """
 
     slope: float
@@ -193,11 +194,11 @@ class Trend:
 
 
 def trend_of(date_year: Sequence[float] | Array, value: Sequence[float] | Array) -> Trend | None:
-    """Robust slope of a number against the date: 29 % of the flights may be anything.
+    """Robust slope of a number over the date: up to 29 % of the flights may be outliers.
 
     Args:
         date_year: Decimal years, shape (n,).
-        value: Shape (n,).
+        value: Values, shape (n,).
 
     Returns:
         None: too few flights, or all on one day.
@@ -218,7 +219,7 @@ def trend_of(date_year: Sequence[float] | Array, value: Sequence[float] | Array)
 
 
 def _grouped(t: Array, y: Array) -> tuple[Array, Array]:
-    """Medians of groups where there are many."""
+    """Medians of groups where there are many flights."""
     if len(t) <= MOST_POINTS:
         return t, y
     order = np.argsort(t, kind="stable")

@@ -1,1 +1,1 @@
-"""A page where logs are dropped: what it stores, what it does with each, and its small server."""
+"""Web page for uploaded logs: store, analysis, and a small server."""

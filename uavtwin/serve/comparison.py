@@ -1,4 +1,4 @@
-"""Two flights over each other, and what their logs say of the aircraft side by side."""
+"""Page with two flights overlaid, and the facts in their logs side by side."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,9 +17,9 @@ from ..report.page import BLACK, ORANGE, Plot, plot, render
 HERE = Path(__file__).parent
 """Folder of the templates."""
 _PANEL_PX = 96
-"""Height of a panel."""
+"""Height of a panel, px."""
 _LINES = ({"color": BLACK, "width": 1.4}, {"color": ORANGE, "width": 1.4})
-"""Of the first flight and of the second."""
+"""Line styles of the first flight and of the second."""
 _GROUND = ("", "ground")
 """Phases in which an aircraft does not fly."""
 Array = NDArray[np.float64]
@@ -32,17 +32,17 @@ _FIGURES: tuple[tuple[str, tuple[tuple[str, tuple[str, ...]], ...]], ...] = (
     ("Specific force", tuple((f"{c}, m/s²", (c,)) for c in ACC)),
     ("Motors and battery", (("mean command, 1", ("cmd",)), ("battery, V", ("vbat_v",)))),
 )
-"""Title of each figure, and of each of its panels the title and the columns."""
+"""Title of each figure, and title and columns of each of its panels."""
 
 
 def comparison_page(first: AnyFlight, second: AnyFlight, name: str, other_name: str) -> str:
-    """The page of two flights; time counts from the take-off where both logs say when it was.
+    """The page of two flights; time counts from take-off where both logs have it.
 
     Args:
-        first: A flight.
-        second: Another.
-        name: Of the first.
-        other_name: Of the second.
+        first: First flight.
+        second: Second flight.
+        name: Name of the first flight.
+        other_name: Name of the second flight.
     """
     flights, names = (first, second), (name, other_name)
     begins = [take_off_s(f) for f in flights]
@@ -51,7 +51,7 @@ def comparison_page(first: AnyFlight, second: AnyFlight, name: str, other_name: 
     span = float(min(e[0] for e in ends)), float(max(e[1] for e in ends))
 
     def page(budget: Budget) -> str:
-        """As finely as the budget allows."""
+        """The page with the resolution that the budget allows."""
         figures = []
         for title, panels in _FIGURES:
             rows = [(t, _curves(flights, shifts, t, columns)) for t, columns in panels]
@@ -72,14 +72,14 @@ def comparison_page(first: AnyFlight, second: AnyFlight, name: str, other_name: 
 
 
 def take_off_s(flight: AnyFlight) -> float | None:
-    """When it leaves the ground, s from the start of its log; None: not known."""
+    """Time of take-off, s from the start of its log; None: not known."""
     codes, names = flight.phase_codes
     flying = ~np.isin(codes, [k for k, n in enumerate(names) if n in _GROUND])
     return float(flight.time_s[int(np.argmax(flying))]) if flying.any() else None
 
 
 def side_by_side(first: Mapping[str, str], second: Mapping[str, str]) -> Iterator[tuple[str, ...]]:
-    """Name, first and second value of each entry, those that differ first; "" where one lacks."""
+    """Name, first and second value of each fact, different ones first; "" where one lacks it."""
     names = list(dict.fromkeys((*first, *second)))
     differ = [n for n in names if first.get(n) != second.get(n)]
     for name in (*differ, *(n for n in names if n not in differ)):
@@ -87,7 +87,7 @@ def side_by_side(first: Mapping[str, str], second: Mapping[str, str]) -> Iterato
 
 
 def _parameters(flight: AnyFlight) -> dict[str, str]:
-    """Parameters of the autopilot that are not as delivered."""
+    """Parameters of the autopilot that differ from their defaults."""
     if flight.autopilot is None:
         return {}
     return {p.name: number(p.value) for p in flight.autopilot.parameters}
@@ -100,7 +100,7 @@ def _figure(
     span: tuple[float, float],
     budget: Budget,
 ) -> Plot:
-    """A panel per row, both flights in each."""
+    """A figure with a panel per row, both flights in each."""
     panels = Panels((_PANEL_PX,) * len(rows), "compare")
     for k, (panel, curves) in enumerate(rows):
         axes = panels.add(panel)
@@ -115,7 +115,7 @@ def _figure(
 def _curves(
     flights: Sequence[AnyFlight], shifts: Sequence[float], panel: str, columns: tuple[str, ...]
 ) -> list[Curve | None]:
-    """What a panel shows of each flight."""
+    """Curve of each flight in a panel."""
     found = [_curve(f, panel, columns) for f in flights]
     return [c and (c[0] - shift, c[1]) for c, shift in zip(found, shifts, strict=True)]
 

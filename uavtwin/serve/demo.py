@@ -1,4 +1,4 @@
-"""A simulated aircraft on the live page of a site that listens to none, begun by a click."""
+"""Simulated aircraft on the live page of a site without one, started by a click."""
 
 import logging
 import socket
@@ -23,23 +23,23 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 VEHICLE = "copter_default"
-"""That flies."""
+"""Vehicle of the simulation."""
 _SILENT_S = 5.0
-"""After which the flight is over, s."""
+"""Time without messages after which the flight has ended, s."""
 
 
 class DemoFlight:
     """The flight of `uavtwin live --demo`; one at a time.
 
     Attributes:
-        routes: Of the live page.
+        routes: Routes of the live page.
     """
 
     def __init__(self, begin_page: Callable[[str], Response]) -> None:
-        """Nothing flies yet.
+        """Set up without a flight.
 
         Args:
-            begin_page: Draws the page where one is begun, with what the last one came to.
+            begin_page: Draws the page with the start button, and the result of the last flight.
         """
         self._begin_page = begin_page
         self._view: LiveView | None = None
@@ -75,7 +75,7 @@ class DemoFlight:
             await self._view.routes[1].endpoint(websocket)
 
     async def _begin(self, _: Request) -> Response:
-        """Begin a flight, unless one goes on; the page shows it."""
+        """Start a flight, unless one is in progress; the page shows it."""
         if not self._flies:
             from ..live.page.view import LiveView
             from ..live.session import LiveOptions
@@ -91,7 +91,7 @@ class DemoFlight:
         return RedirectResponse(LIVE, 303)
 
     def _fly(self, vehicle: "Vehicle", options: "LiveOptions", feed: "PageFeed") -> None:
-        """Simulate a flight, send it in real time, and listen to it."""
+        """Simulate a flight, send it in real time, and receive it."""
         from twin.why.watch import Watch
 
         from ..demo.in_flight import damaged_flight, ending, sent_meanwhile
@@ -103,14 +103,14 @@ class DemoFlight:
             with sent_meanwhile(flight, options.listen):
                 session.run(self._ended.is_set, feed.known)
             self._said = f"The last demonstration is over: {ending()}."
-        except Exception as error:  # of a thread: nobody else hears of it
+        except Exception as error:  # the error of a thread is not visible elsewhere
             _LOG.exception("the demonstration failed")
             what = "" if isinstance(error, TwinError) else f"{type(error).__name__}: "
             self._said = f"The last demonstration failed: {what}{error}"
 
 
 def _free_port() -> int:
-    """A port for datagrams that nobody listens at."""
+    """A free port for datagrams."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
         opened.bind(("127.0.0.1", 0))
         return int(opened.getsockname()[1])

@@ -1,4 +1,5 @@
-"""A site, opened: flights of a store, a live flight, or both, by the verbs `serve` and `live`."""
+"""Set-up of a site with stored flights, a live flight, or both, for the verbs `serve` and
+`live`."""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -17,16 +18,16 @@ if TYPE_CHECKING:
     from .schedule import Limits
 
 _OF_SITE, _OF_STORE = ("starlette", "uvicorn", "websockets"), ("duckdb",)
-"""Packages of any site, and of one with flights."""
+"""Packages of any site, and of one with stored flights."""
 Add = Callable[[Path, str], str]
-"""Adds a log to the flights, by file and name."""
+"""Function that adds a log to the flights, by file and name."""
 
 
 def lacking(with_flights: bool) -> list[str]:
-    """Packages that a site needs and that are not installed.
+    """Necessary packages that are not installed.
 
     Args:
-        with_flights: Whether it has a list of flights.
+        with_flights: Whether the site has a list of flights.
     """
     needed = (*_OF_SITE, *(_OF_STORE if with_flights else ()))
     return [n for n in needed if find_spec(n) is None]
@@ -41,18 +42,18 @@ def open_site(
     live: "LiveView | None" = None,
     token: str | None = None,
 ) -> Iterator[tuple["SiteServer", Add | None]]:
-    """A site that is about to be served, and what adds a log to its flights.
+    """A site ready to be served, and the function that adds a log to its flights.
 
     Args:
-        where: HOST:PORT.
-        option: That named it.
-        store: Folder of the flights; None: the site is the page of the live flight alone.
-        limits: What a log and a job may use; None: the usual ones.
-        live: The flight that is going on.
-        token: What viewers must know; None: that of the store, else a new one, beyond this machine.
+        where: Address HOST:PORT.
+        option: Option with that address.
+        store: Folder of the flights; None: the site is only the page of the live flight.
+        limits: Limits for a log and a job; None: the defaults.
+        live: The live flight.
+        token: Token of viewers; None: that of the store, else a new one for other machines.
 
     Raises:
-        TwinError: The address is none or is taken, the token is too short, the store is in use, or
+        TwinError: The address is invalid or in use, the token is too short, the store is in use, or
             packages are missing.
     """
     if missing := lacking(store is not None):

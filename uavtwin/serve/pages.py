@@ -1,4 +1,4 @@
-"""What the server answers with: the list, a flight, reports with the site's bar on top."""
+"""Pages of the server: the list, a flight, reports with the navigation bar of the site."""
 
 import gzip
 import json
@@ -31,15 +31,15 @@ WORDS = {
     "mcap": "MCAP",
     "fmu": "FMU",
 }
-"""Kinds of jobs that a flight's page lists, in words."""
+"""Names of the kinds of jobs on a flight's page."""
 OFFERED = {
     "explain": "names the physical effect that the vehicle lacks; takes minutes",
     "mcap": "the flight for Foxglove and PlotJuggler",
     "fmu": "the twin of the vehicle for Simulink, OpenModelica, FMPy",
 }
-"""What a job is for that was never asked for."""
+"""Description of jobs that were not requested yet."""
 REPORTS = {"why": "why.html", "gap": "gap.html", "explain": "explain/report.html"}
-"""Reports of a flight, by kind of job."""
+"""Report files of a flight, by kind of job."""
 FILES = {
     TABLE: "series, SI, NED (Parquet)",
     "flight.mcap": "series for Foxglove and PlotJuggler (MCAP)",
@@ -51,9 +51,9 @@ FILES = {
     "gap.json": "what gap says (JSON)",
     "explain/explain.json": "what explain says (JSON)",
 }
-"""Files of a flight that can be downloaded, besides its log and its vehicle file."""
+"""Downloadable files of a flight, besides its log and its vehicle file."""
 MOST_MOMENTS = 40
-"""Of a flight, with a link each."""
+"""Largest number of linked moments of a flight."""
 
 
 @cache
@@ -101,7 +101,7 @@ def _seconds(span_s: float) -> str:
 
 @cache
 def scripts() -> tuple[str, ...]:
-    """Hashes of the scripts of this version: of the site, of reports, of what draws figures."""
+    """Hashes of the scripts of this version: of the site, of reports, of the plotting library."""
     bundle = gzip.decompress((REPORT / "vendor" / "plotly-basic.min.js.gz").read_bytes())
     report = (REPORT / "page.js").read_text("utf-8")
     return tuple(map(hash_of, (f"\n{_script()}\n", f"\n{report}\n", bundle.decode())))
@@ -109,15 +109,15 @@ def scripts() -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """A kind of job of a flight, as its page lists it.
+    """A kind of job in the list on a flight's page.
 
     Attributes:
-        kind: Of the job.
-        state: How far it is; "": it was never asked for.
-        done: Share done, 0..1; None: not known.
-        text: What came of it, or why it failed.
-        link: Address of what came of it, "" where there is none.
-        offered: Word of the button that begins it, "" where there is none.
+        kind: Kind of the job.
+        state: State of the job; "": not requested.
+        done: Completed share, 0..1; None: not known.
+        text: Result, or the reason of failure.
+        link: Address of the result, "" without one.
+        offered: Label of the button that starts it, "" without one.
     """
 
     kind: str
@@ -129,18 +129,19 @@ class Action:
 
 
 class Pages:
-    """Draws what is in a store.
+    """Pages of a store.
 
     Attributes:
-        headers: Of the pages; scripts of reports that earlier versions wrote run too.
+        headers: HTTP headers of the pages; scripts of reports written by earlier versions are
+            allowed too.
     """
 
     def __init__(self, store: Store, done: Mapping[Run, float], vehicles: Sequence[str]) -> None:
-        """Keep what it draws.
+        """Set up for a store.
 
         Args:
             store: Flights, jobs and results.
-            done: Share done of what is running.
+            done: Completed share of running jobs.
             vehicles: Names of the built-in vehicles.
         """
         self._store, self._done, self._vehicles = store, done, tuple(vehicles)
@@ -157,12 +158,12 @@ class Pages:
         return self._text("list.html.j2", rows=rows, count=count, shown=len(flights), search=search)
 
     def row(self, flight: FlightRow) -> str:
-        """A flight in the list."""
+        """Row of a flight in the list."""
         jobs = [j for j in self._store.jobs(flight.id) if j.state in ("queued", "running")]
         return self._text("row.html.j2", flight=flight, jobs=jobs, share=self._share(jobs))
 
     def _share(self, jobs: Sequence[JobRow]) -> float | None:
-        """Share done of what is running; None: not known."""
+        """Completed share of running jobs; None: not known."""
         running = [j for j in jobs if j.state == "running"]
         return self._done.get(running[0].run) if running else None
 
@@ -179,7 +180,7 @@ class Pages:
         )
 
     def parts(self, flight: FlightRow) -> dict[str, str]:
-        """What changes of the page of a flight while jobs are done, by identifier."""
+        """Parts of a flight's page that change while jobs run, by identifier."""
         check = self._result(flight, "check.json")
         said = 0 if check is None else len(check["problems"]) + len(check["warnings"])
         return {
@@ -196,7 +197,7 @@ class Pages:
         }
 
     def _result(self, flight: FlightRow, name: str) -> dict[str, Any] | None:
-        """A result in JSON; None: it is not there."""
+        """A result in JSON; None: there is none."""
         try:
             content = json.loads((self._store.results(flight.id) / name).read_text("utf-8"))
         except (OSError, ValueError):
@@ -239,7 +240,7 @@ class Pages:
         return Action(kind, state, done, text or "", link, offered)
 
     def _moments(self, flight: FlightRow) -> list[tuple[float, str, str]]:
-        """Time, kind and words of what happened, in order of time."""
+        """Time, kind and text of events, in order of time."""
         why = self._result(flight, "why.json") or {}
         events = [
             (e["onset_s"], "consequence" if e["consequence"] else "cause", e["text"])
@@ -253,7 +254,7 @@ class Pages:
         return sorted([*events, *others])[:MOST_MOMENTS]
 
     def _files(self, flight: FlightRow) -> list[tuple[str, str]]:
-        """Name and words of what can be downloaded."""
+        """Name and description of downloadable files."""
         place = self._store.results(flight.id)
         found = [("log", f"the log as it came ({flight.name})")]
         found += [(name, about) for name, about in FILES.items() if (place / name).is_file()]
@@ -264,13 +265,13 @@ class Pages:
         return found
 
     def bar(self, flight: FlightRow) -> Markup:
-        """The links between the pages of a flight."""
+        """Navigation bar between the pages of a flight."""
         jobs = {j.kind: j.state for j in self._store.jobs(flight.id)}
         there = [k for k in REPORTS if jobs.get(k) == "done"]
         return Markup(self._text("bar.html.j2", flight=flight, there=there))
 
     def report(self, flight: FlightRow, file: Path) -> str:
-        """A report with the bar on top."""
+        """A report with the navigation bar."""
         page = file.read_text("utf-8")
         own = f"<body>\n<style>\n{_style()}\n</style>\n{self.bar(flight)}"
         return page.replace("<body>", own, 1)
@@ -283,14 +284,14 @@ class Pages:
         button: str = "",
         action: str = "",
     ) -> str:
-        """A page of a sentence.
+        """A page with one sentence.
 
         Args:
-            title: Of the page.
+            title: Title of the page.
             text: The sentence.
-            again_s: After which the browser asks again; None: it does not.
-            button: Word on a button below.
-            action: Address to which that posts; "": there is none.
+            again_s: Interval at which the browser reloads the page; None: never.
+            button: Label of a button below.
+            action: Address to which the button posts; "": no button.
         """
         return self._text(
             "said.html.j2", title=title, text=text, again_s=again_s, button=button, action=action

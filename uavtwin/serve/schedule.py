@@ -1,4 +1,4 @@
-"""Jobs from the table to worker processes and back: who does what, how far it is, its end."""
+"""Scheduler: distribution of jobs to worker processes, their progress and results."""
 
 import contextlib
 import logging
@@ -15,24 +15,24 @@ from .store import OF_VEHICLE, FlightRow, JobRow, Run, Store
 from .work import LONG, QUICK, Answer, Job, LogWork
 
 QUICK_SHARE = 1 / 3
-"""Of the time limit, for a job that is not long: a hostile log holds a worker no longer. `why` of
-40 min of flight took 3 min on a core that it shared."""
+"""Share of the time limit for a quick job, so that a hostile log blocks a worker no longer. `why`
+of 40 min of flight took 3 min on a shared core."""
 LARGE_BYTES = 30_000_000
-"""Of a log after which a worker process is replaced: what it took of the memory goes back."""
+"""Size of a log after which a worker process is replaced, to release its memory."""
 _IDLE_S = 5.0
-"""After which a thread looks for work without being woken, or after a failure of the store."""
+"""Interval at which a thread looks for work, or retries after a failure of the store."""
 _LOG = logging.getLogger(__name__)
-"""Of failures that no job can report."""
+"""Log of failures that no job can report."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a log, and a job, may use.
+    """Limits for a log and for a job.
 
     Attributes:
-        allowed: Time of a long job, memory of any.
-        most_bytes: Of a log.
-        workers: Processes.
+        allowed: Time limit of a long job, memory limit of any job.
+        most_bytes: Largest size of a log.
+        workers: Number of worker processes.
     """
 
     allowed: JobLimits = field(default_factory=lambda: JobLimits(1800.0, 3.0))
@@ -41,19 +41,19 @@ class Limits:
 
 
 class Scheduler:
-    """Threads that take jobs from the store, each with a process that does them.
+    """Threads that take jobs from the store, each with a worker process.
 
     Attributes:
-        done: Share done of each run of a job that goes on, 0..1.
+        done: Completed share of each running job, 0..1.
     """
 
     def __init__(self, store: Store, limits: Limits, changed: Callable[[str], None]) -> None:
-        """Start nothing yet.
+        """Set up without starting.
 
         Args:
-            store: With the jobs.
-            limits: What they may use.
-            changed: Called with the flight of which something is new, from any thread.
+            store: Store with the jobs.
+            limits: Limits of the jobs.
+            changed: Called with a flight that has changed, from any thread.
         """
         self._store, self._limits, self._changed = store, limits, changed
         self._bell = threading.Condition()
@@ -70,12 +70,12 @@ class Scheduler:
         ]
 
     def start(self) -> None:
-        """Begin with what waits."""
+        """Start with the queued jobs."""
         for thread in self._threads:
             thread.start()
 
     def close(self) -> None:
-        """End all processes; what they did is done again by the next server."""
+        """End all processes; the next server repeats their jobs."""
         with self._bell:
             self._ended = True
             self._bell.notify_all()
@@ -85,12 +85,12 @@ class Scheduler:
             thread.join(5.0)
 
     def wake(self) -> None:
-        """There is something new in the store."""
+        """Notify of new jobs in the store."""
         with self._bell:
             self._bell.notify_all()
 
     def cancel(self, flight: str, kind: str, other: str = "") -> bool:
-        """End a job, or take it out of the queue; whether it was open."""
+        """End a job, or remove it from the queue; returns whether it was open."""
         job = self._store.job(flight, kind, other)
         if job is None or not self._store.end(job, "cancelled"):
             return False
@@ -99,13 +99,13 @@ class Scheduler:
         return True
 
     def choose(self, flight: str, vehicle: str) -> None:
-        """Compare a flight with a vehicle; what is being done with the former one ends."""
+        """Set the vehicle of a flight; running jobs with the previous one end."""
         self._store.choose(flight, vehicle)
         self._kill_ended()
         self.wake()
 
     def map_topics(self, name: str, file: Path) -> dict[str, list[str]]:
-        """Take a mapping file of ROS 2 bags, and read bags of its name anew, see
+        """Add a mapping file of ROS 2 bags, and read bags of its name again, see
         `Store.add_mapping`."""
         flights = self._store.add_mapping(name, file)
         self._kill_ended()
@@ -115,7 +115,7 @@ class Scheduler:
         return flights
 
     def _kill_ended(self) -> None:
-        """End the processes of runs that have ended in the store."""
+        """End the processes of jobs that have ended in the store."""
         with self._bell:
             for job, worker in self._running.items():
                 if not self._store.is_running(job):
@@ -126,12 +126,12 @@ class Scheduler:
     def _work(self, number: int) -> None:
         kinds = QUICK if number == 0 and self._limits.workers > 1 else (*QUICK, *LONG)
         with contextlib.closing(self._workers[number]) as worker:
-            with contextlib.suppress(OSError):  # the first job starts it, or says why not
+            with contextlib.suppress(OSError):  # the first job starts it, or reports why not
                 worker.do({"kind": "warm"})
             while not self._ended:
                 try:
                     self._do_next(kinds, worker)
-                except Exception:  # of the store: a disk that is full may have room later
+                except Exception:  # from the store: a full disk may have space later
                     _LOG.exception("a worker of the page goes on in %g s", _IDLE_S)
                     with self._bell:
                         self._bell.wait_for(lambda: self._ended, _IDLE_S)
@@ -141,7 +141,7 @@ class Scheduler:
             return
         try:
             self._do(job, worker)
-        except Exception:  # one that fails here takes none of the others along
+        except Exception:  # a failure here must not affect other threads
             said = traceback.format_exc(limit=-1).strip().splitlines()[-1]
             self._store.end(job, "failed", f"{said} This is a mistake of uavtwin.")
         finally:
@@ -149,7 +149,7 @@ class Scheduler:
         self._changed(job.flight)
 
     def _next(self, kinds: tuple[str, ...]) -> JobRow | None:
-        """The next job, waited for; None: it is over."""
+        """The next job, waiting for one; None: the scheduler is closed."""
         with self._bell:
             while not self._ended:
                 if (job := self._store.take(kinds)) is not None:
@@ -181,7 +181,7 @@ class Scheduler:
                 self.done.pop(job.run, None)
             if not self._store.is_running(job):
                 worker.close()  # it was killed, perhaps between two jobs
-        if not self._ended or "lost" not in answer:  # else the next server does it again
+        if not self._ended or "lost" not in answer:  # else the next server repeats it
             self._finish(job, flight, answer)
         if flight.bytes > LARGE_BYTES:
             worker.close()
@@ -191,7 +191,7 @@ class Scheduler:
         self._changed(job.flight)
 
     def _content(self, job: JobRow, flight: FlightRow) -> dict[str, Any]:
-        """What the process has to know."""
+        """Data for the process."""
         store = self._store
         content = {
             "kind": job.kind,
@@ -209,21 +209,22 @@ class Scheduler:
         return content
 
     def _finish(self, job: JobRow, flight: FlightRow, answer: Answer) -> None:
-        """Write down what came of a run, unless it was cancelled or begun anew."""
+        """Store the result of a run, unless it was cancelled or restarted."""
         store = self._store
         if not store.is_running(job):
             return
         for log in answer.get("logs", ()):
             new, _ = store.add(log["name"], Path(log["file"]), log["sha256"], log["bytes"])
             self._changed(new)
-        with store.lock:  # nobody cancels it meanwhile
+        with store.lock:  # so that it is not cancelled meanwhile
             if store.is_running(job):
                 self._record(job, flight, answer)
         self._kill_ended()
         self.wake()
 
     def _record(self, job: JobRow, flight: FlightRow, answer: Answer) -> None:
-        """The same, of a run that goes on; ends it last: a kill before has all of it done again."""
+        """Store the result of a running job, its end last: after a kill the job is repeated as a
+        whole."""
         store = self._store
         if error := answer.get("error") or answer.get("lost"):
             if job.kind == "check":
@@ -244,7 +245,7 @@ class Scheduler:
         store.end(job, "done")
 
     def _known_vehicle(self, flight: str) -> None:
-        """Compare a flight with the vehicle that was chosen for another of the same aircraft."""
+        """Set the vehicle that was chosen for another flight of the same aircraft."""
         found = self._store.flight(flight)
         if found is None or found.vehicle or not found.aircraft:
             return
@@ -253,5 +254,5 @@ class Scheduler:
 
 
 def _lost(job: Job, why: str) -> Answer:
-    """Of a job that ended its process."""
+    """Answer for a job that ended its process."""
     return {"lost": f"{why}."}

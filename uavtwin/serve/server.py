@@ -1,4 +1,4 @@
-"""The flights of the site: what may be asked of them, and what happens then."""
+"""Routes of the site's flights and their actions."""
 
 import asyncio
 import contextlib
@@ -33,30 +33,30 @@ from .store import LONGEST_TAGS, OF_VEHICLE, FlightRow, Store, is_mapping
 from .work import explained_file
 
 MOST_LISTENERS = 64
-"""Pages that are open at once and hear what is new."""
+"""Largest number of open pages with live updates."""
 _FORM_BYTES = 16_384
-"""Of the content of a form."""
+"""Largest size of a form."""
 _PAUSE_S, _SILENT_S = 0.2, 15.0
-"""Between two messages to a page, and after which an empty one says that we are there, s."""
+"""Interval between two messages to a page, and interval of empty keep-alive messages, s."""
 _BLOCK = 1 << 20
-"""Bytes that are copied at once."""
+"""Block size for copying, bytes."""
 
 
 class Listener:
-    """A page that hears of which flights something is new."""
+    """A page that receives the names of changed flights."""
 
     def __init__(self, only: str) -> None:
-        """Nothing is new yet.
+        """Set up without changes.
 
         Args:
-            only: The flight that it shows; "": all of them.
+            only: Flight of the page; "": all of them.
         """
         self.only = only
         self._flights: dict[str, None] = {}
         self._loop, self._bell = asyncio.get_running_loop(), asyncio.Event()
 
     def put(self, flight: str) -> None:
-        """Something is new; from any thread."""
+        """Add a changed flight; from any thread."""
         if not self.only or flight == self.only:
             with contextlib.suppress(RuntimeError):  # the server has ended
                 self._loop.call_soon_threadsafe(self._add, flight)
@@ -66,7 +66,7 @@ class Listener:
         self._bell.set()
 
     async def news(self) -> list[str]:
-        """Flights of which something is new, waited for; none after a while of silence."""
+        """Changed flights, waiting for them; none after a period without changes."""
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._bell.wait(), _SILENT_S)
         self._bell.clear()
@@ -75,22 +75,22 @@ class Listener:
 
 
 class Site:
-    """The pages over a store, and the jobs behind them.
+    """The pages of a store, and their jobs.
 
     Attributes:
-        app: For an ASGI server.
+        app: Application for an ASGI server.
     """
 
     def __init__(
         self, store: Store, limits: Limits, doors: AccessPolicy, live: Sequence[BaseRoute] = ()
     ) -> None:
-        """Begin with the jobs that wait.
+        """Set up and start the queued jobs.
 
         Args:
-            store: Open.
-            limits: What a log and a job may use.
-            doors: Who may ask.
-            live: Routes of the page of a live flight; none: a simulated one flies when asked.
+            store: Open store.
+            limits: Limits for a log and a job.
+            doors: Access rules.
+            live: Routes of the page of a live flight; none: a simulated flight on request.
         """
         self._store, self._limits = store, limits
         self._listeners: set[Listener] = set()
@@ -127,13 +127,13 @@ class Site:
         self._jobs.start()
 
     def close(self) -> None:
-        """End what is being done; the next server goes on with it."""
+        """End running jobs; the next server continues."""
         self._demo.close()
         self._jobs.close()
         self._store.close()
 
     def changed(self, flight: str) -> None:
-        """Something is new of a flight; from any thread."""
+        """Notify of a changed flight; from any thread."""
         for listener in list(self._listeners):
             listener.put(flight)
 
@@ -152,7 +152,7 @@ class Site:
         return self._page(self._pages.listed(request.query_params.get("q", "")[:LONGEST_TAGS]))
 
     async def _upload(self, request: Request) -> Response:
-        """Take a file, block by block to the disk."""
+        """Store an uploaded file, block by block."""
         name = str(request.path_params.get("name", "")) or "log"
         mapping, most = is_mapping(name), self._limits.most_bytes
         given = (MOST_MAPPING, f"of {name}, a mapping; leave out signals") if mapping else (most,)
@@ -174,18 +174,18 @@ class Site:
         return JSONResponse(content, 201 if created else 200)
 
     def _mapped(self, name: str, file: Path) -> Response:
-        """Take a mapping file of ROS 2 bags."""
+        """Store a mapping file of ROS 2 bags."""
         bags = self._jobs.map_topics(name, file)
         again = ", ".join(dict.fromkeys(kind for kinds in bags.values() for kind in kinds))
         note = f"its bag is read again: {again}" if bags else "waits for a bag of its name"
         return JSONResponse({"flights": list(bags), "note": note, "created": True}, 201)
 
     async def _events(self, request: Request) -> Response:
-        """What is new, as long as the page is open."""
+        """Stream of changes, as long as the page is open."""
         only = request.query_params.get("flight", "")
         if len(self._listeners) >= MOST_LISTENERS:
             return self._page(self._pages.said("Too many pages", "Close one of the others."), 503)
-        at_once = {"X-Accel-Buffering": "no"}  # said to a proxy, which else keeps what is small
+        at_once = {"X-Accel-Buffering": "no"}  # for a proxy, which would buffer small messages
         return StreamingResponse(
             self._messages(Listener(only)),
             media_type="text/event-stream",
@@ -209,11 +209,11 @@ class Site:
             self._listeners.discard(listener)
 
     def _newest(self) -> list[str]:
-        """Those of the list, the oldest first, as a page puts each on top."""
+        """Newest flights of the list, oldest first, as a page inserts each at the top."""
         return [f.id for f in reversed(self._store.flights()[0])]
 
     def _message(self, flight: str, whole: bool) -> bytes:
-        """A flight as a page shows it, by identifier; null where it is gone."""
+        """A flight as shown on a page, by identifier; null where it was deleted."""
         found = self._store.flight(flight)
         parts: dict[str, str | None] = {f"flight-{flight}": None}
         if found is not None:
@@ -229,10 +229,10 @@ class Site:
         return RedirectResponse(f"/flights/{quote(chosen[0])}/compare/{quote(chosen[1])}", 303)
 
     def _nothing_flies(self, last: str) -> Response:
-        """The live page of a site that listens to no aircraft.
+        """The live page of a site without an aircraft.
 
         Args:
-            last: What the last demonstration came to; "": there was none.
+            last: Result of the last demonstration; "": there was none.
         """
         text = (
             "Nothing flies: this server reads logs. The demonstration simulates a flight in which "
@@ -244,11 +244,11 @@ class Site:
         return self._page(self._pages.said("Live", f"{last} {text}".strip(), None, *begin))
 
     def add(self, file: Path, name: str) -> str:
-        """Copy a file into the store as a log: identifier of its flight.
+        """Copy a file into the store as a log; returns the identifier of its flight.
 
         Args:
-            file: The log.
-            name: That the list shows.
+            file: Path of the log.
+            name: Name in the list.
 
         Raises:
             TwinError: It is too large.
@@ -266,10 +266,10 @@ class Site:
     def _with_flight(
         self, answer: Callable[[Request, FlightRow], Awaitable[Response]]
     ) -> Callable[[Request], Awaitable[Response]]:
-        """A route of a flight that is there."""
+        """Route for an existing flight."""
 
         async def found(request: Request) -> Response:
-            """Answer, or say what is wrong."""
+            """Answer of the route, or an error."""
             flight = self._store.flight(str(request.path_params["flight"]))
             if flight is None:
                 return self._missing("no such flight")
@@ -284,7 +284,7 @@ class Site:
         return self._page(self._pages.said("Not found", f"{text}."), 404)
 
     def _back(self, flight: FlightRow) -> Response:
-        """To the page of a flight, after a form."""
+        """Redirect to the page of a flight, after a form."""
         self.changed(flight.id)
         return RedirectResponse(f"/flights/{flight.id}", 303)
 
@@ -301,7 +301,7 @@ class Site:
         )
 
     async def _compared(self, request: Request, flight: FlightRow) -> Response:
-        """Two flights over each other, drawn when first asked for."""
+        """Comparison of two flights, created on first request."""
         other = self._store.flight(str(request.path_params["other"]))
         if other is None or other.id == flight.id:
             return self._missing("no such other flight")
@@ -375,7 +375,7 @@ class Site:
         }
         if known["mass_kg"] is None:
             raise TwinError("mass: a log tells force over mass alone. Weigh the aircraft.")
-        await asyncio.to_thread(self._jobs.cancel, flight.id, "draft")  # of other values
+        await asyncio.to_thread(self._jobs.cancel, flight.id, "draft")  # a draft with other values
         write_json(self._store.results(flight.id) / "draft.json", known)
         self._queue(flight.id, "draft")
         return self._back(flight)
@@ -389,7 +389,7 @@ class Site:
 
 
 def _closing() -> dict[str, str]:
-    """Of an answer before all of the request was read."""
+    """Headers of an answer before the whole request was read."""
     return {"Connection": "close"}
 
 
@@ -412,10 +412,10 @@ async def _form(request: Request) -> dict[str, str]:
 
 
 def _positive(form: dict[str, str], name: str) -> float | None:
-    """A number of a form; None where it is left out.
+    """A number of a form; None where it is missing.
 
     Raises:
-        TwinError: It is none, or not positive.
+        TwinError: It is no number, or not positive.
     """
     text = form.get(name, "")
     if not text:

@@ -1,9 +1,9 @@
-"""The folder of the page: logs by their hash, results as files, a table of flights and of jobs.
+"""Store of the site: logs by their hash, results as files, a table of flights and of jobs.
 
-A mapping file of ROS 2 bags waits for bags of its name, and is copied next to each.
+A mapping file of ROS 2 bags is stored for bags of its name, and is copied next to each.
 
-The table of jobs is the journal: a job is queued in it before anything is done, and one that was
-running when the server ended is queued again by the next.
+The table of jobs is the journal: a job is queued in it before it runs, and one that was running
+when the server ended is queued again by the next.
 """
 
 import contextlib
@@ -29,23 +29,25 @@ from ..site.doors import SHORTEST_TOKEN
 
 State = Literal["queued", "running", "done", "failed", "cancelled"]
 OPEN: tuple[State, ...] = ("queued", "running")
-"""States of a job that something will still come of."""
+"""States of a job that has not ended."""
 OF_VEHICLE = ("gap", "fmu", "explain")
 """Kinds of jobs that need a vehicle."""
 MOST_TRIES = 3
-"""Times that a job is begun: one during which the server ended so often is not begun again."""
+"""Largest number of starts of a job: one during which the server ended that often is not started
+again."""
 SHOWN = 200
-"""Flights of a list: more are found by searching."""
+"""Number of flights in a list: more are found by searching."""
 LONGEST_NAME = 80
-"""Characters of the name of a file."""
+"""Largest number of characters of a file name."""
 LONGEST_TAGS = 200
-"""Characters of the tags of a flight."""
+"""Largest number of characters of a flight's tags."""
 JOURNAL = "explain.part"
-"""As of `uavtwin.explain_journal`, which would bring numpy and CasADi into the server."""
+"""File name as in `uavtwin.explain_journal`, whose import would load numpy and CasADi into the
+server."""
 _OF_LOG = ("check", "why", "draft", "gap", "mcap", "explain")
-"""Kinds of jobs that come of a log, in the order in which they are named."""
+"""Kinds of jobs for each log, in the order of their names."""
 FORMAT = 1
-"""Of the tables; a store of another one is not opened."""
+"""Version of the tables; a store of another version is not opened."""
 _TABLES = f"""
 CREATE TABLE IF NOT EXISTS format AS SELECT {FORMAT} AS number;
 CREATE TABLE IF NOT EXISTS flights (
@@ -66,11 +68,11 @@ _SETTINGS = {
     "autoinstall_known_extensions": "false",
     "autoload_known_extensions": "false",
 }
-"""Of DuckDB: a small share of the memory, no extensions."""
+"""Settings of DuckDB: little memory, no extensions."""
 _ANSWERS = ("verdict", "check_text", "why_verdict", "why_text", "gap_text", "explain_text")
-"""Columns that come of the log."""
+"""Columns with results of the log."""
 _SEARCHED = ("name", "tags", "verdict", "check_text", "why_text", "airframe", "format", "vehicle")
-"""Columns in which a search looks."""
+"""Columns that a search covers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,23 +81,23 @@ class FlightRow:
 
     Attributes:
         id: First characters of the hash of its log.
-        sha256: That hash.
-        name: Of the file as it came.
-        bytes: Of the log.
-        added_s: When it came, s since 1970.
-        format: Of the log.
+        sha256: Full hash of its log.
+        name: Original name of the file.
+        bytes: Size of the log.
+        added_s: Time of upload, s since 1970.
+        format: Format of the log.
         aircraft: Identifier in the log, "" where it has none.
         airframe: Kind of aircraft.
         date_year: Date by the satellites, decimal year.
-        duration_s: Of the flight table.
-        verdict: Of check: fine, warnings, problems, unreadable; None: not known yet.
-        check_text: First of what check says.
-        why_verdict: Of why.
-        why_text: Its sentence.
-        gap_text: Of gap.
-        explain_text: Of explain.
-        tags: Words of the reader.
-        vehicle: Name of the vehicle file, or of a built-in vehicle, that it is compared with.
+        duration_s: Duration of the flight table.
+        verdict: Verdict of check: fine, warnings, problems, unreadable; None: not known yet.
+        check_text: First finding of check.
+        why_verdict: Verdict of why.
+        why_text: Sentence of why.
+        gap_text: Sentence of gap.
+        explain_text: Sentence of explain.
+        tags: Tags set by users.
+        vehicle: Name of the vehicle file, or of a built-in vehicle, for the comparison.
     """
 
     id: str
@@ -119,7 +121,7 @@ class FlightRow:
 
 
 Run = tuple[str, str, str, float]
-"""Of a job: flight, kind, the other flight, when it was queued, s since 1970."""
+"""Run of a job: flight, kind, the other flight, time of queueing, s since 1970."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,15 +129,15 @@ class JobRow:
     """A job.
 
     Attributes:
-        flight: Of which flight.
-        kind: What is done.
-        other: Of two flights, the second; else "".
-        state: How far it is.
-        queued_s: Since when it waits, s since 1970.
-        began_s: When it began last.
-        ended_s: When it ended.
-        tries: How often it was begun.
-        text: Why it failed.
+        flight: Flight of the job.
+        kind: Kind of the job.
+        other: Second flight of a comparison; else "".
+        state: State of the job.
+        queued_s: Time of queueing, s since 1970.
+        began_s: Time of the last start.
+        ended_s: Time of the end.
+        tries: Number of starts.
+        text: Reason of failure.
     """
 
     flight: str
@@ -150,7 +152,7 @@ class JobRow:
 
     @property
     def run(self) -> Run:
-        """Which run of the job: one that is queued again is another."""
+        """Identifier of this run of the job: one that is queued again has another."""
         return self.flight, self.kind, self.other, self.queued_s
 
 
@@ -159,10 +161,10 @@ _JOB = ", ".join(JobRow.__slots__)
 
 
 def safe_name(given: str) -> str:
-    """A name that may be one of a file: letters, digits, `_`, `-` and `.`, none of these in front.
+    """A valid file name: letters, digits, `_`, `-` and `.`, beginning with a letter or digit.
 
     Args:
-        given: By anybody.
+        given: Name of any origin.
     """
     name = re.sub(r"[^A-Za-z0-9_.-]+", "_", given.replace("\\", "/").rpartition("/")[2])
     stem, dot, end = name.strip("._-").rpartition(".")
@@ -170,7 +172,7 @@ def safe_name(given: str) -> str:
 
 
 def is_mapping(name: str) -> bool:
-    """Whether a file is called as the mapping file of a ROS 2 bag."""
+    """Whether a file has the name of a mapping file for a ROS 2 bag."""
     return name.lower().endswith(MAPPING_SUFFIX)
 
 
@@ -183,13 +185,13 @@ def _is_bag(flight: FlightRow) -> bool:
 
 @dataclass(slots=True)
 class Upload:
-    """A file that is coming in.
+    """A file that is being uploaded.
 
     Attributes:
-        path: Where it is written.
-        most: Bytes that it may have.
-        limit: What sets them.
-        size: Bytes that have come.
+        path: Path of the partial file.
+        most: Largest size, bytes.
+        limit: Name of the limit.
+        size: Bytes received.
     """
 
     path: Path
@@ -202,7 +204,7 @@ class Upload:
         self.path.touch()
 
     def check(self, size: int) -> None:
-        """Refuse a size.
+        """Refuse a file that is too large.
 
         Raises:
             TwinError: It is too large.
@@ -212,7 +214,7 @@ class Upload:
             raise TwinError(f"over {most}, the limit ({self.limit})")
 
     def write(self, part: bytes) -> None:
-        """Take the next bytes.
+        """Append bytes.
 
         Raises:
             TwinError: There are too many, or the disk is full.
@@ -228,22 +230,22 @@ class Upload:
 
     @property
     def sha256(self) -> str:
-        """Hash of what has come."""
+        """Hash of the received bytes."""
         return str(self._hash.hexdigest())
 
 
 class Store:
-    """The folder, open; one process has it.
+    """The open store; one process has it.
 
     Attributes:
-        lock: Held by who reads and then writes; no other lock is taken within.
+        lock: Lock for read-modify-write; no other lock is taken within.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Open it, or make it; what was being uploaded is gone, what was running is queued.
+        """Open or create it; incomplete uploads are removed, running jobs are queued again.
 
         Raises:
-            TwinError: The package is missing, another server has it, or it is no such folder.
+            TwinError: The package is missing, another server uses it, or it is no such folder.
         """
         try:
             import duckdb
@@ -286,7 +288,7 @@ class Store:
         return tables
 
     def close(self) -> None:
-        """Another process may open it; an end that was asked for is no failure of a job."""
+        """Close, so that another process may open it; jobs that end by request have not failed."""
         with self.lock:
             self._write(
                 "UPDATE jobs SET state = 'queued', tries = tries - 1 WHERE state = 'running'"
@@ -298,12 +300,12 @@ class Store:
             return list(self._tables.execute(sql, list(values)).fetchall())
 
     def _write(self, sql: str, values: Sequence[Any] = ()) -> int:
-        """Rows that were changed."""
+        """Number of rows that were changed."""
         found = self._rows(sql, values)
         return int(found[0][0]) if found else 0
 
     def token(self) -> str:
-        """What viewers beyond this machine must know: of the store, so that a link stays valid."""
+        """Token of viewers on other machines: stored, so that a link stays valid."""
         file, new = self.folder / "token", self.folder / "token.new"
         token = file.read_text("utf-8").strip() if file.exists() else ""
         if len(token) < SHORTEST_TOKEN:
@@ -314,7 +316,7 @@ class Store:
                 out.write(token)
                 out.flush()
                 os.fsync(made)
-            new.replace(file)  # whole, or not there
+            new.replace(file)  # atomically
         return token
 
     def known_scripts(self, new: Sequence[str]) -> tuple[str, ...]:
@@ -330,11 +332,11 @@ class Store:
 
     @contextlib.contextmanager
     def upload(self, most: int, limit: str = "--size-limit") -> Iterator[Upload]:
-        """A file that is coming in; gone at the end unless it was added.
+        """A file that is being uploaded; removed at the end unless it was added.
 
         Args:
-            most: Bytes that it may have.
-            limit: What sets them.
+            most: Largest size, bytes.
+            limit: Name of the limit.
         """
         coming = Upload(self.folder / "incoming" / secrets.token_hex(8), most, limit)
         try:
@@ -343,13 +345,13 @@ class Store:
             coming.path.unlink(missing_ok=True)
 
     def add(self, name: str, file: Path, sha256: str, size: int) -> tuple[str, bool]:
-        """Take a file as a log: identifier of its flight, and whether it is new.
+        """Add a file as a log; returns the identifier of its flight, and whether it is new.
 
         Args:
-            name: As its owner calls it.
-            file: Moved to its place.
-            sha256: Its hash.
-            size: Its bytes.
+            name: Original name of the file.
+            file: Path of the file, which is moved.
+            sha256: Hash of the file.
+            size: Size of the file.
         """
         flight, name = sha256[:16], safe_name(name)
         with self.lock:
@@ -374,12 +376,12 @@ class Store:
             shutil.copyfile(mapping, log.with_name(mapping.name))
 
     def add_mapping(self, name: str, file: Path) -> dict[str, list[str]]:
-        """Take a mapping file of ROS 2 bags: flights of its name, and the kinds of jobs that are
-        done anew for each.
+        """Add a mapping file of ROS 2 bags; returns the flights of its name, and the kinds of jobs
+        that are repeated for each.
 
         Args:
-            name: As its owner calls it.
-            file: Moved to its place.
+            name: Original name of the file.
+            file: Path of the file, which is moved.
 
         Raises:
             TwinError: It is no mapping, or has no name.
@@ -402,7 +404,7 @@ class Store:
             }
 
     def _queue_again(self, bag: FlightRow) -> list[str]:
-        """Forget what came of a bag, and queue it again: its kinds of jobs."""
+        """Delete results of a bag, and queue it again; returns its kinds of jobs."""
         self._map(self.log(bag))
         jobs = [j for j in self.jobs(bag.id) if j.state != "cancelled"]
         drafted = {j.kind for j in jobs if (j.kind, j.state) == ("draft", "done")}  # it is chosen
@@ -421,21 +423,21 @@ class Store:
         return kinds
 
     def log(self, flight: FlightRow) -> Path:
-        """The log of a flight."""
+        """Path of a flight's log."""
         return self.folder / "logs" / flight.sha256 / flight.name
 
     def results(self, flight: str) -> Path:
-        """Folder of what came of a flight."""
+        """Folder of a flight's results."""
         place = self.folder / "flights" / flight
         place.mkdir(exist_ok=True)
         return place
 
     def incoming(self, job: JobRow) -> Path:
-        """Folder for what a run unpacks; not made."""
+        """Folder for the unpacked files of a run; not created."""
         return self.folder / "incoming" / "-".join(map(str, job.run))
 
     def delete(self, flight: FlightRow) -> None:
-        """Forget a flight, its log and its results; the same log may come again at once."""
+        """Delete a flight, its log and its results; the same log may be added again at once."""
         gone = [self.folder / "incoming" / secrets.token_hex(8) for _ in range(2)]
         with self.lock:
             self._write("DELETE FROM jobs WHERE flight = ? OR other = ?", (flight.id, flight.id))
@@ -456,7 +458,7 @@ class Store:
         return FlightRow(*found[0]) if found else None
 
     def flights(self, search: str = "") -> tuple[list[FlightRow], int]:
-        """Flights that hold all words of a search, the newest first, and how many there are."""
+        """Flights that match all words of a search, the newest first, and their number."""
         words = search.split()[:10]
         text = " || ' ' || ".join(f"coalesce({c}, '')" for c in _SEARCHED)
         where = " AND ".join([f"contains(lower({text}), lower(?))"] * len(words)) or "true"
@@ -468,7 +470,7 @@ class Store:
         return [FlightRow(*row) for row in found], int(count)
 
     def note(self, flight: str, **values: str | float | None) -> None:
-        """Write down what is known of a flight, by column of `FlightRow`."""
+        """Store facts of a flight, by column of `FlightRow`."""
         columns = [c for c in values if c in FlightRow.__slots__[5:]]
         if columns:
             which = ", ".join(f"{c} = ?" for c in columns)
@@ -476,7 +478,7 @@ class Store:
             self._write(f"UPDATE flights SET {which} WHERE id = ?", given)
 
     def choose(self, flight: str, vehicle: str) -> None:
-        """Compare a flight with another vehicle: what came of the former one is forgotten."""
+        """Set another vehicle of a flight: results with the previous one are deleted."""
         with self.lock:
             self.note(flight, vehicle=vehicle, gap_text=None, explain_text=None)
             self._write(
@@ -503,13 +505,12 @@ class Store:
         return self.folder / "vehicles" / f"{name}.toml" if name in self.vehicles() else None
 
     def add_vehicle(self, file: Path) -> str:
-        """Copy a vehicle file to the others; its name there.
+        """Copy a vehicle file to the others; returns its name there.
 
-        It has a number behind it where another vehicle is called so: what came of that one stays
-        true.
+        A number is appended where another vehicle has that name: results of that one remain valid.
 
         Args:
-            file: Stays where it is.
+            file: Path of the file, which is not moved.
         """
         content, stem = file.read_bytes(), Path(safe_name(file.name)).stem
         taken = builtin_vehicles()
@@ -528,7 +529,7 @@ class Store:
     # -- jobs -----------------------------------------------------------------------------------
 
     def queue(self, flight: str, kind: str, other: str = "") -> bool:
-        """Queue a job; whether it was not open already. One that has ended is done again."""
+        """Queue a job; returns whether it was not open already. One that has ended is repeated."""
         with self.lock:
             found = self.job(flight, kind, other)
             if found is not None and found.state in OPEN:
@@ -550,7 +551,7 @@ class Store:
         return JobRow(*found[0]) if found else None
 
     def is_running(self, job: JobRow) -> bool:
-        """Whether this run of a job goes on: not cancelled, not queued again."""
+        """Whether this run of a job is in progress: not cancelled, not queued again."""
         now = self.job(job.flight, job.kind, job.other)
         return now is not None and now.state == "running" and now.run == job.run
 
@@ -560,10 +561,10 @@ class Store:
         return [JobRow(*row) for row in found]
 
     def take(self, kinds: Sequence[str]) -> JobRow | None:
-        """The next job that waits, running from now on; None: none does.
+        """The next queued job, marked as running; None: there is none.
 
         Args:
-            kinds: That are taken, the most urgent first.
+            kinds: Kinds that are taken, the most urgent first.
         """
         with self.lock:
             rows = self._rows(
@@ -582,7 +583,7 @@ class Store:
             return job
 
     def end(self, job: JobRow, state: State, text: str | None = None) -> bool:
-        """Write down how an open run of a job ended; whether it was still open."""
+        """Store the end of an open run of a job; returns whether it was still open."""
         return bool(
             self._write(
                 "UPDATE jobs SET state = ?, ended_s = ?, text = ? WHERE flight = ? AND kind = ? "

@@ -1,6 +1,6 @@
-"""What is done with a log, in a process of its own: each kind of job writes its files.
+"""Jobs for a log, in a separate process: each kind of job writes its files.
 
-Nothing heavy is imported before a job asks for it: the server imports this module too.
+Large packages are imported only by the jobs that need them: the server imports this module too.
 """
 
 import hashlib
@@ -20,30 +20,30 @@ if TYPE_CHECKING:
     from twin.logs import Flight
 
 Job = Mapping[str, Any]
-"""Kind, log, folder of the results, vehicle; what a kind needs besides."""
+"""Kind, log, folder of the results, vehicle; further data by kind."""
 Answer = dict[str, Any]
-"""`error`, or any of `note` (columns of the flight), `queue` (kinds of jobs), `logs` (of an
-archive), `vehicle` (a file for the store), `chosen` (whether the flight has it from now on)."""
+"""Result with `error`, or any of `note` (columns of the flight), `queue` (kinds of jobs), `logs`
+(of an archive), `vehicle` (a file for the store), `chosen` (whether the flight uses it)."""
 TABLE = "flight.parquet"
-"""The flight table that check leaves for everything else."""
+"""Flight table that check writes for all other jobs."""
 MOST_LOGS = 500
-"""Of one archive."""
+"""Largest number of logs in one archive."""
 _BLOCK = 1 << 20
-"""Bytes that are unpacked at once."""
+"""Block size for unpacking, bytes."""
 
 
 @dataclass(frozen=True, slots=True)
 class LogWork:
-    """Does the jobs of the page.
+    """Runs the jobs of the site.
 
     Attributes:
-        most_bytes: That a log out of an archive may have.
+        most_bytes: Largest size of a log from an archive.
     """
 
     most_bytes: int
 
     def do(self, job: Job, progress: Progress = lambda _: None) -> Answer:
-        """What comes of a job; an error is an answer too."""
+        """Result of a job; an error is a result too."""
         try:
             return KINDS[job["kind"]](self, job, progress)
         except TwinError as error:
@@ -56,7 +56,7 @@ class LogWork:
 
 
 def _warm(_: LogWork, __: Job, ___: Progress) -> Answer:
-    """Import what the first log needs."""
+    """Import the packages for the first log."""
     from .. import diagnosis, file_check, gaps  # noqa: F401
     from ..report import gap, why  # noqa: F401
 
@@ -64,7 +64,7 @@ def _warm(_: LogWork, __: Job, ___: Progress) -> Answer:
 
 
 def _check(work: LogWork, job: Job, _: Progress) -> Answer:
-    """What the file is and is good for; the flight table; the logs of an archive."""
+    """Format and findings of the file; the flight table; the logs of an archive."""
     from twin.logs import Flight, open_flight
     from twin.logs.read import logs_in_archive
     from twin.vehicle_file import builtin_vehicles
@@ -116,10 +116,10 @@ def _unpack(archive: Path, members: list[str], folder: Path, most: int) -> list[
     """Name, file, hash and size of each log of an archive.
 
     Args:
-        archive: ZIP.
+        archive: Path of a ZIP archive.
         members: Names of its logs.
         folder: For what is unpacked; made. Who gave it clears it.
-        most: Bytes of one log.
+        most: Folder for unpacked files; it is created. The caller removes it.
 
     Raises:
         LogError: There are too many, one or all of them are too large, or one cannot be unpacked.
@@ -150,7 +150,7 @@ def _unpack(archive: Path, members: list[str], folder: Path, most: int) -> list[
 
 
 def _unpack_one(archive: Path, name: str, file: Path, most: int) -> Answer:
-    """Name, file, hash and size of one log of an archive, which is left off above `most` bytes."""
+    """Name, file, hash and size of one log of an archive, which is refused above `most` bytes."""
     digest, size = hashlib.sha256(), 0
     file.parent.mkdir(exist_ok=True)
     with zipfile.ZipFile(archive) as opened, opened.open(name) as source, file.open("wb") as out:
@@ -162,7 +162,7 @@ def _unpack_one(archive: Path, name: str, file: Path, most: int) -> Answer:
 
 
 def _why(_: LogWork, job: Job, __: Progress) -> Answer:
-    """What went wrong, from the log alone."""
+    """Diagnosis of the flight from the log alone."""
     from ..diagnosis import why
     from ..output import write_json
 
@@ -174,7 +174,7 @@ def _why(_: LogWork, job: Job, __: Progress) -> Answer:
 
 
 def _gap(_: LogWork, job: Job, progress: Progress) -> Answer:
-    """Flight against the twin of its vehicle."""
+    """Gap between the flight and the twin of its vehicle."""
     from ..flights import open_alike
     from ..gaps import gap
     from ..output import write_json
@@ -188,7 +188,7 @@ def _gap(_: LogWork, job: Job, progress: Progress) -> Answer:
 
 
 def _draft(_: LogWork, job: Job, __: Progress) -> Answer:
-    """A first vehicle file from the log and what the reader knows of the aircraft."""
+    """First vehicle file from the log and the owner's knowledge of the aircraft."""
     from twin.logs import read_flight
 
     from ..vehicle_draft import draft_vehicle
@@ -201,17 +201,17 @@ def _draft(_: LogWork, job: Job, __: Progress) -> Answer:
 
 
 def explained_file(folder: Path, flight: str) -> Path:
-    """The vehicle with the effects that explain named in a flight.
+    """Vehicle file with the effects that explain named for a flight.
 
     Args:
-        folder: Results of the flight.
-        flight: Its identifier.
+        folder: Folder of the flight's results.
+        flight: Identifier of the flight.
     """
     return folder / "explain" / f"explained_{flight[:6]}.toml"
 
 
 def _explain(_: LogWork, job: Job, progress: Progress) -> Answer:
-    """Which effect the vehicle lacks; killed or cancelled, its search goes on where it was."""
+    """Missing effect of the vehicle; after a kill or cancellation, the search is resumed."""
     from ..explain_journal import JOURNAL, ExplainJournal, run_key
     from ..explanation import explain, write_explanation
     from ..flights import open_alike
@@ -234,7 +234,7 @@ def _explain(_: LogWork, job: Job, progress: Progress) -> Answer:
 
 
 def _mcap(_: LogWork, job: Job, __: Progress) -> Answer:
-    """The flight for Foxglove and PlotJuggler, and a layout for each."""
+    """Export of the flight for Foxglove and PlotJuggler, and a layout for each."""
     from twin.logs import read_flight
 
     from ..output import output_file
@@ -249,7 +249,7 @@ def _mcap(_: LogWork, job: Job, __: Progress) -> Answer:
 
 
 def _fmu(_: LogWork, job: Job, progress: Progress) -> Answer:
-    """The whole twin of the vehicle."""
+    """FMU of the whole twin of the vehicle."""
     from ..exports.parts import twin
     from ..exports.write import export
     from ..vehicles import load_vehicle
@@ -259,7 +259,7 @@ def _fmu(_: LogWork, job: Job, progress: Progress) -> Answer:
 
 
 def _compare(_: LogWork, job: Job, __: Progress) -> Answer:
-    """Two flights over each other."""
+    """Comparison of two flights."""
     from twin.logs import open_flight
 
     from ..output import output_file
@@ -284,6 +284,6 @@ KINDS: Mapping[str, Callable[[LogWork, Job, Progress], Answer]] = {
 }
 """Kinds of jobs, the most urgent first."""
 LONG = ("fmu", "explain")
-"""Kinds that take minutes: one worker never does them, so that new logs do not wait."""
+"""Kinds that take minutes: one worker never runs them, so that new logs do not wait."""
 QUICK = tuple(k for k in KINDS if k not in ("warm", *LONG))
-"""The others."""
+"""Other kinds of jobs."""
