@@ -168,12 +168,13 @@ THRUST_CURVE = Effect(
             "1",
             "what is added to the power of thrust over that in hover",
             0.2,
-            (-0.6, 0.6),
+            (-1.0, 2.0),
         ),
     ),
     ("acc",),
     "definition: a power of thrust over that in hover, so that more command never lifts less, "
-    "however far beyond the commands that were flown",
+    "however far beyond the commands that were flown; range: at -1 no command lifts more than "
+    "another, at 2 a map that is linear in the command should be its cube",
     _thrust_curve,
     prior=Prior(RARE, "the shape of a map is better known than its size", {"": Normal(0.0, 0.15)}),
     change=None,

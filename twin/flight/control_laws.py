@@ -182,9 +182,9 @@ FASTEST_RAD_S = 1e5
 """Rotor speed up to which the largest thrust is searched. Made up."""
 IDLE_OVER_HOVER = 0.05
 """Smallest thrust in flight over hover thrust: no rotor stops in the air. Made up."""
-INVERSE_DEGREE = 7
+INVERSE_DEGREE = 9
 """Degree of the polynomial that inverts a thrust map: the smallest odd one with an error below 2 %
-of the hover thrust for `thrust_curve` from -0.6 to 0.6 on the Crazyflie's cubic (5: 2.9 %)."""
+of the hover thrust for `thrust_curve` from -0.75 to 2 on the Crazyflie's cubic (7: 5 %)."""
 INVERSE_USED, INVERSE_ERROR = 0.3, 0.03
 """Thrust over hover thrust from which an inverse must be accurate, and its largest relative error.
 Made up."""
