@@ -417,7 +417,10 @@ MAG_HARD_IRON = Effect(
     "field, beside motors, batteries and steel in floors",
     _mag_hard_iron,
     prior=Prior(
-        UNMEASURED, "up to the field itself where nobody calibrated", {"": Normal(0.0, 4e-5)}
+        UNMEASURED,
+        "up to the field itself where nobody calibrated; batteries and the place, and flights "
+        "between which it was calibrated",
+        {"": Normal(0.0, 4e-5, 1e-6)},
     ),
     change=None,
     wording=None,
