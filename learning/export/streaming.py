@@ -120,9 +120,9 @@ def _step(g: Graph, model: Compensator) -> None:
             slow = _smoothed(g, model, features, slow)
         first = model.info.horizon * n
         known = past if rows <= 1 else g.columns(past, first, first + n)
-    y, log_spread, alarm = "", "", ""
+    y, log_spread = "", ""
     if model.network is not None:
-        y, log_spread, alarm, cells = network(g, model, known, features, here, cells)
+        y, log_spread, cells = network(g, model, known, features, here, cells)
 
     with g.scope("envelope"):
         distance = _distance(g, model, raw) if limited(protocol) else ""
@@ -181,8 +181,6 @@ def _step(g: Graph, model: Compensator) -> None:
             ratio = g.op("Div", size, g.floats(_row(model.anomaly_scale)))
             innovation_ratios = g.op("Where", fresh, ratio, innovation_ratios)
             alarm = g.op("ReduceMax", innovation_ratios, axes=[1], keepdims=1)
-        elif alarm:
-            alarm = g.op("ReduceMax", alarm, axes=[0], keepdims=0)
         else:
             alarm = g.op("Mul", sample.phase, silent)  # of as many samples
     g.output("anomaly", 1, "Where", sample.whole, alarm, silent)
@@ -359,13 +357,8 @@ def _row(values: Tensor) -> Array:
 
 def network(
     g: Graph, model: Compensator, known: str, features: str, here: str, cells: str
-) -> tuple[str, str, str, str]:
-    """Output times its gain, its log spread, alarm of each cluster, next cells.
-
-    Returns:
-        Shapes (B, 15), (B, 15), (clusters, B, 1), (B, numbers) for B samples; "" for the log spread
-        without a head, and for the alarm in `track`, which knows innovations.
-    """
+) -> tuple[str, str, str]:
+    """Output times its gain (B, 15), its log spread (B, 15), "" without a head, next cells."""
     network, preset = _network(model), model.info.preset
     clusters = [n for n in network.networks if isinstance(n, ClusterNetwork)]
     units = [*preset.encoder_units, *preset.decoder_units]
@@ -387,7 +380,7 @@ def network(
         with g.scope("to_latent"):
             z = g.op("Add", g.op("MatMul", h, g.floats(to_latent)), through)
     with g.scope("quantiser"):
-        code, alarm = _quantised(g, model, clusters, z)
+        code = _quantised(g, model, clusters, z)
     with g.scope("decoder"):
         embedding = numbers(network.phase_embedding)
         biases = np.stack([_phase_table(c.decoder, embedding) for c in clusters])
@@ -398,7 +391,7 @@ def network(
         y, log_spread = _read_out(g, model, clusters, h, code)
     with g.scope("cells"):
         after = g.concat(*(v for pair in (*encoded, *decoded) for v in pair), axis=2)
-        return y, log_spread, alarm, _side_by_side(g, after)
+        return y, log_spread, _side_by_side(g, after)
 
 
 def _network(model: Compensator) -> SvqNetwork:
@@ -478,42 +471,22 @@ def _lstm(
     return x, after
 
 
-def _quantised(
-    g: Graph, model: Compensator, clusters: Sequence[ClusterNetwork], z: str
-) -> tuple[str, str]:
-    """Code (C, B, D) and alarm (C, B, 1): |z - e|^2 of the nearest code over what is usual; "" for
-    the alarm in `track`."""
+def _quantised(g: Graph, model: Compensator, clusters: Sequence[ClusterNetwork], z: str) -> str:
+    """Code of a latent, shape (C, B, D)."""
     kind, temperature = model.info.preset.quantiser, model.info.preset.temperature
-    alarmed = model.info.protocol != "track"  # which knows innovations
     if kind == "none":
-        code = g.op("Mul", z, g.floats(temperature / 2))
-        return code, _far(g, model, z) if alarmed else ""
+        return g.op("Mul", z, g.floats(temperature / 2))
     codes = np.stack([numbers(c.quantiser.codes) for c in clusters])  # (C, K, D)
     book = g.floats(codes)  # one constant for both products: its numbers are read once
     logits = g.transpose(g.op("MatMul", book, g.transpose(z, 0, 2, 1)), 0, 2, 1)  # (C, B, K)
     logits = g.op("Sub", logits, g.floats((codes**2).sum(-1)[:, None] / temperature))
-    largest = ""
-    if alarmed or kind == "hard":
-        largest = g.op("ReduceMax", logits, axes=[2], keepdims=1)
     if kind == "soft":
         shares = g.op("Softmax", logits, axis=2)
     else:
-        nearest = g.op("Cast", g.op("Equal", logits, largest), to=onnx.TensorProto.FLOAT)
+        largest = g.op("ReduceMax", logits, axes=[2], keepdims=1)
+        nearest = g.op("Cast", g.op("Equal", logits, largest), to=_FLOAT)
         shares = g.op("Div", nearest, g.op("ReduceSum", nearest, g.integers(2), keepdims=1))
-    code = g.op("MatMul", shares, book)
-    if not alarmed:
-        return code, ""
-    # |z - e|^2 = |z|^2 - (2 z.e - |e|^2)
-    usual = numbers(model.anomaly_scale)[:, None, None]
-    nearness = g.op("Mul", largest, g.floats(temperature / usual))
-    return code, g.op("Sub", _far(g, model, z), nearness)
-
-
-def _far(g: Graph, model: Compensator, z: str) -> str:
-    """|z|^2 over what is usual, shape (C, B, 1)."""
-    usual = numbers(model.anomaly_scale)[:, None, None]
-    square = g.op("ReduceSum", g.op("Mul", z, z), g.integers(2), keepdims=1)
-    return g.op("Mul", square, g.floats(model.info.preset.temperature**2 / 4 / usual))
+    return g.op("MatMul", shares, book)
 
 
 def _read_out(

@@ -4,9 +4,8 @@
 
 `near` and `close` are 1 in the envelope of the training and fade beyond (`learning.data.envelope`).
 The alarm is the innovation, what a reading has beyond the corrected twin, over its spread, and over
-what that reached on flights left out, or on time held back where there is but one; where no reading
-is seen (`free`), or it is given to be returned (`reconstruct`), the distance of the encoder's
-latent to the codes.
+what that reached on flights left out, or on time held back where there is but one. There is none
+where no reading is seen (`free`), or it is given to be returned (`reconstruct`).
 
 `Compensator.run` is the definition, over whole flights. What flies is the ONNX graph that
 `learning.export.streaming` writes of it, one sample per call with all memory in `state`, whose
@@ -107,8 +106,7 @@ class Compensator(nn.Module):
             "leftover": (n_channels,),  # spread of what it leaves: unit of the network's output
             "gate": (n_channels,),
             "spread_factor": (N_PHASES, n_channels),  # makes the spread right where it is told
-            # spreads by channel, or a squared distance by cluster, above which something is strange
-            "anomaly_scale": (n_channels if info.protocol == "track" else len(info.clusters),),
+            "anomaly_scale": (n_channels,),  # spreads above which something is strange, in `track`
         }
         for name, shape in shapes.items():
             self.register_buffer(name, torch.ones(shape))
@@ -117,11 +115,6 @@ class Compensator(nn.Module):
     def family(self) -> str:
         """Its row in the registry."""
         return "svq" if self.info.preset.network else "linear"
-
-    @property
-    def alarms(self) -> bool:
-        """Whether it tells strange readings; of what sees none only a network does."""
-        return self.network is not None or self.info.protocol == "track"
 
     @property
     def history(self) -> int:
@@ -182,7 +175,7 @@ class Compensator(nn.Module):
         n = len(flight.t_s)
         correction = np.zeros((n, len(CHANNELS)))
         spread = np.tile(self.rms.double().numpy(), (n, 1))
-        anomaly = np.zeros(n) if self.alarms else no_alarm(n)
+        anomaly = np.zeros(n) if self.info.protocol == "track" else no_alarm(n)
         inside = np.zeros(n, dtype=np.bool_)
         scaling, base = self.scaling(), self.base.double().numpy()
         gain = (self.gate * self.leftover).double().numpy()
@@ -204,8 +197,6 @@ class Compensator(nn.Module):
                 anomaly[span.rows] = held(size / level, span.fresh, 0.0).max(axis=1)
                 today = error_of_today(size, span.fresh, self.info.horizon, self.info.rate_hz)
                 spread[span.rows] *= between(close[:, None], today, np.ones_like(today))
-            elif self.alarms:
-                anomaly[span.rows] = (out.distance / self.anomaly_scale).amax(-1).numpy()
             inside[span.rows] = span.inside
         return Corrected(correction, spread, anomaly, inside)
 
@@ -214,7 +205,8 @@ class Compensator(nn.Module):
     def outputs(self, spans: Sequence[SpanSequence]) -> list[NetworkOut]:
         """Output of the network over each span, from the state zero, shapes (n, ...)."""
         if self.network is None:
-            return [_nothing(len(s.d), len(self.info.clusters)) for s in spans]
+            nothing = [torch.zeros(len(s.d), len(CHANNELS)) for s in spans]
+            return [NetworkOut(zero, zero) for zero in nothing]
         found, device = [], self.network.phase_embedding.device
         for span in spans:
             known, features, phase = (t.to(device) for t in network_inputs(span))
@@ -225,9 +217,9 @@ class Compensator(nn.Module):
                 out, state = self.network(
                     known[None, rows], features[None, rows], phase[None, rows], state
                 )
-                parts.append((out.y[0], out.log_spread[0], out.distance[0]))
-            y, log_spread, distance = (torch.cat(p).cpu() for p in zip(*parts, strict=True))
-            found.append(NetworkOut(y, log_spread, distance))
+                parts.append((out.y[0], out.log_spread[0]))
+            y, log_spread = (torch.cat(p).cpu() for p in zip(*parts, strict=True))
+            found.append(NetworkOut(y, log_spread))
         return found
 
     def without_network(self) -> "Compensator | None":
@@ -271,12 +263,6 @@ class Compensator(nn.Module):
                 "reach": said.reach,
             }
         }
-
-
-def _nothing(n: int, clusters: int) -> NetworkOut:
-    """What no network says of n samples."""
-    zero = torch.zeros(n, len(CHANNELS))
-    return NetworkOut(zero, zero, torch.zeros(n, clusters))
 
 
 def innovation_size(innovation: Array, spread: Array) -> Array:

@@ -27,7 +27,7 @@ WEIGHTS = "weights.safetensors"  # in the folder of a model
 MODEL = "model.json"  # in the folder of a model: all but weights
 CURVE = "learning_curve.json"
 """Files of a model."""
-FORMAT = 5
+FORMAT = 6
 """Version of the folder's layout."""
 
 

@@ -27,13 +27,11 @@ class Latent:
         z: Latent, shape (..., D).
         code: What the decoder gets, before any gradient trick, shape (..., D).
         logits: Of the assignment; their exponentials sum up to anything, shape (..., K).
-        distance: |z - e|^2 of the nearest code e, |z|^2 without a quantiser, shape (...).
     """
 
     z: Tensor
     code: Tensor
     logits: Tensor
-    distance: Tensor
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,13 +41,11 @@ class NetworkOut:
     Attributes:
         y: In units of what it was trained on, shape (..., 15).
         log_spread: Logarithm of the predicted spread of `y`, 0 without a head, shape (..., 15).
-        distance: To the nearest code of each cluster, squared, shape (..., clusters).
         latents: Per cluster; empty where no loss asks for them.
     """
 
     y: Tensor
     log_spread: Tensor
-    distance: Tensor
     latents: tuple[Latent, ...] = ()
 
 
@@ -105,10 +101,9 @@ class Quantiser(nn.Module):
         squares = (self.codes * self.codes).sum(-1)
         # |z - e|^2 = |z|^2 - (2 z.e - |e|^2): the same |z|^2 for every code cancels in a softmax
         closeness = (2 * z) @ self.codes.T - squares  # (..., K)
-        distance = (z * z).sum(-1) - closeness.amax(-1)
         logits = closeness / self.temperature
         if self.kind == "none":
-            return z, Latent(z, z, logits, (z * z).sum(-1))
+            return z, Latent(z, z, logits)
         if self.kind == "soft":
             code = torch.softmax(logits, dim=-1) @ self.codes
         else:
@@ -117,7 +112,7 @@ class Quantiser(nn.Module):
         passed = code
         if self.kind == "hard" or self.straight_through:
             passed = z + (code - z).detach()
-        return passed, Latent(z, code, logits, distance)
+        return passed, Latent(z, code, logits)
 
     def response(self) -> Tensor:
         """Change of the code per change of a small latent, shape (D, D)."""
@@ -280,12 +275,7 @@ class SvqNetwork(nn.Module):
             spreads.append(spread)
             latents.append(latent)
             states.append(after)
-        out = NetworkOut(
-            self._in_order(ys),
-            self._in_order(spreads),
-            torch.stack([latent.distance for latent in latents], dim=-1),
-            tuple(latents),
-        )
+        out = NetworkOut(self._in_order(ys), self._in_order(spreads), tuple(latents))
         return out, torch.cat(states, dim=-1)
 
     def fill_unseen(self, seen: Sequence[bool]) -> None:

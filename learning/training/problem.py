@@ -24,7 +24,7 @@ from ..model.linear import (
     time_blocks,
     to_learn,
 )
-from ..model.network import NetworkOut, SvqNetwork
+from ..model.network import SvqNetwork
 from ..preset import Preset, Protocol
 from .windows import MANY_FLIGHTS, TrainingSamples, validation_rows
 
@@ -32,12 +32,8 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
-ANOMALY_QUANTILE = 0.99
-"""Share of samples of `free` and `reconstruct` that raise no alarm. Not chosen on flights."""
 INNOVATION_QUANTILE = 0.999
 """Of each of many channels, any of which raises an alarm. Not chosen on flights."""
-NO_DISTANCE = 1e-12
-"""Squared, from a code, below which there is none."""
 ROUNDING = 10 * float(np.finfo(np.float32).eps)
 """Share of a number that is below what a model in float32 can tell."""
 ENOUGH = 20
@@ -159,8 +155,6 @@ class TrainingProblem:
             known = np.where(factor > 0, factor, 1.0)[phases]
             level = self._innovation_level(error / known, used)
             model.anomaly_scale.copy_(torch.from_numpy(level))
-        else:
-            model.anomaly_scale.copy_(self._distance_level(outs).clamp(min=NO_DISTANCE))
 
     def _calibration_errors(self, error: Array, validate: BoolArray) -> tuple[Array, BoolArray]:
         """Errors that tell what is to be expected, and which of them do, shape (n, 15) both.
@@ -200,22 +194,6 @@ class TrainingProblem:
                 level[c] = max(level[c], float(usual))
         return np.where(used.any(axis=0), level * (1 + 1 / len(flights)), UNLIMITED)
 
-    def _distance_level(self, outs: Sequence[NetworkOut]) -> torch.Tensor:
-        """What one sample in a hundred exceeds, of the flight that has most, shape (clusters,).
-
-        Of the time held back, where a flight has some: the network is nearer to what it was
-        trained on.
-        """
-        flights = np.array([s.flight for s in self.spans])
-        levels = []
-        for flight in np.unique(flights):
-            own = np.flatnonzero(flights == flight).tolist()
-            distance = torch.cat([outs[k].distance for k in own])
-            held = torch.from_numpy(np.concatenate([self.validate[k].any(1) for k in own]))
-            used = distance[held] if int(held.sum()) >= ENOUGH else distance
-            levels.append(torch.quantile(used[_some(len(used))], ANOMALY_QUANTILE, dim=0))
-        return torch.stack(levels).amax(dim=0)
-
     def validation_mse(self) -> dict[str, dict[str, float]]:
         """Per channel what the linear prediction leaves, and what the network does besides."""
         rows = zip(CHANNELS, self.error_without, self.error_with, strict=True)
@@ -242,8 +220,3 @@ def _mean_square(errors: Sequence[Array], scored: Sequence[BoolArray]) -> Array:
     """Per channel over all spans, 0 without samples, shape (15,)."""
     error, count = np.concatenate(errors), np.concatenate(scored)
     return np.asarray(np.sum(error**2, axis=0, where=count) / np.maximum(count.sum(0), 1))
-
-
-def _some(n: int) -> slice:
-    """Every k-th sample, so that at most 100,000 are sorted."""
-    return slice(0, n, -(-n // 100_000))

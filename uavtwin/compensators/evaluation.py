@@ -1,7 +1,7 @@
 """Evaluation: a compensator and trivial baselines on flights of their own."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
 from pathlib import Path
@@ -16,7 +16,7 @@ from learning.data.flights import ResidualFlight, read_residuals, residual_fligh
 from learning.data.scaling import in_spans
 from learning.evaluation import WHOLE, evaluate, pooled
 from learning.model.compensator import LINEAR_PART, Compensator
-from learning.model.family import Corrected, Model, TrainedModel, TrainingTask, no_alarm
+from learning.model.family import Corrected, Model, TrainedModel, TrainingTask
 from learning.model.folder import load
 from twin.formatting import counted, percent
 from twin.logs import Flight
@@ -226,7 +226,7 @@ def evaluate_model(
     compiled = (folder / FILE).is_file()
     if compiled:
         with compiled_compensator(folder) as fmu:
-            said = _StoredCorrections({f.name: _said(fmu.run(f), model) for f in flights})
+            said = _StoredCorrections({f.name: fmu.run(f) for f in flights})
     else:
         said = _StoredCorrections({f.name: model.run(f) for f in flights})
     task = TrainingTask(model.info.protocol, model.info.horizon)
@@ -240,13 +240,6 @@ def evaluate_model(
         runs="fmu" if compiled else "python",
         in_use=in_use,
     )
-
-
-def _said(of_fmu: Corrected, model: TrainedModel) -> Corrected:
-    """What an FMU said; its anomaly is 0 where the model gives no alarm."""
-    if not isinstance(model, Compensator) or model.alarms:
-        return of_fmu
-    return replace(of_fmu, anomaly=no_alarm(len(of_fmu.anomaly)))
 
 
 def _in_use(folder: Path, vehicle: Vehicle, given: Sequence[Flight]) -> InUseRecord:

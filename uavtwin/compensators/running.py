@@ -18,7 +18,7 @@ from cosim.slave import Slave
 from fmus import build
 from fmus.compensator import NetworkFile, native_model, read_network
 from learning.data.flights import ResidualFlight, residual_flight, restart_before_s
-from learning.model.family import Corrected
+from learning.model.family import Corrected, no_alarm
 from twin.errors import LogError
 from twin.logs import Flight
 from twin.residuals.aligned import AlignedFlight
@@ -48,14 +48,17 @@ class CompiledCompensator:
         network, n = self.network, flight.virtual.shape[1]
         correction = np.zeros((len(flight.t_s), n))
         spread = np.tile(np.array(network.uncorrected_rms), (len(flight.t_s), 1))
-        anomaly, inside = np.zeros(len(flight.t_s)), np.zeros(len(flight.t_s), dtype=np.bool_)
+        alarms, inside = network.protocol == "track", np.zeros(len(flight.t_s), dtype=np.bool_)
+        anomaly = np.zeros(len(flight.t_s)) if alarms else no_alarm(len(flight.t_s))
         table, stepping = fed(network, flight), Stepping(self.fmu, network)
         try:
             for a, b in flight.spans:
                 stepping.begin()
                 said = np.array([stepping.step(row) for row in table[a:b]])
                 correction[a:b], spread[a:b] = said[:, :n], said[:, n : 2 * n]
-                anomaly[a:b], inside[a:b] = said[:, 2 * n], said[:, -1] > 0
+                inside[a:b] = said[:, -1] > 0
+                if alarms:
+                    anomaly[a:b] = said[:, 2 * n]
         finally:
             stepping.close()
         return Corrected(correction, spread, anomaly, inside)

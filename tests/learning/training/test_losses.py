@@ -64,8 +64,8 @@ def test_samples_that_do_not_count_do_not_count() -> None:
     preset = tiny(weight_quantiser=0.0)
     target, scored = torch.randn(2, 10, 15), torch.ones(2, 10, 15)
     scored[:, 5:] = 0
-    out = NetworkOut(torch.randn(2, 10, 15), torch.zeros(2, 10, 15), torch.zeros(2, 10, 2))
-    wild = NetworkOut(out.y + 9 * (1 - scored), out.log_spread, out.distance)
+    out = NetworkOut(torch.randn(2, 10, 15), torch.zeros(2, 10, 15))
+    wild = NetworkOut(out.y + 9 * (1 - scored), out.log_spread)
     quantisers = [Quantiser(preset) for _ in CLUSTERS]
     parts = [losses(o, target, scored, CLUSTERS, quantisers, preset) for o in (out, wild)]
     for name in ("reconstruction", "distribution", "spread", "total"):
@@ -79,7 +79,7 @@ def test_weights_scale_their_parts_and_none_is_nought() -> None:
     target, scored = torch.randn(2, 10, 15), torch.ones(2, 10, 15)
     quantisers = [Quantiser(tiny()) for _ in CLUSTERS]
     latents = tuple(latent(q, torch.randn(2, 10, 4)) for q in quantisers)
-    out = NetworkOut(torch.randn(2, 10, 15), torch.zeros(2, 10, 15), torch.zeros(2, 10, 2), latents)
+    out = NetworkOut(torch.randn(2, 10, 15), torch.zeros(2, 10, 15), latents)
     weights = {"weight_reconstruction": 2.0, "weight_quantiser": 3.0, "weight_distribution": 4.0}
     ones = losses(out, target, scored, CLUSTERS, quantisers, tiny(**dict.fromkeys(weights, 1.0)))
     more = losses(out, target, scored, CLUSTERS, quantisers, tiny(**weights))
@@ -97,7 +97,7 @@ def test_spread_is_least_at_the_size_of_the_error() -> None:
     preset = tiny(quantiser="none", weight_distribution=0.0)
     y = torch.randn(4, 100, 15, requires_grad=True)
     log_spread = torch.zeros(15, requires_grad=True)
-    out = NetworkOut(y, log_spread.expand(4, 100, 15), torch.zeros(4, 100, 2))
+    out = NetworkOut(y, log_spread.expand(4, 100, 15))
     target = y.detach() + 0.1 * torch.randn(4, 100, 15)
     loss = losses(out, target, torch.ones_like(y), CLUSTERS, [], preset).spread
     loss.backward()  # type: ignore[no-untyped-call]
