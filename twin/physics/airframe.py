@@ -25,7 +25,7 @@ from ..errors import ModelError
 from ..frames import AXES, FRD, NED, cross, to_body
 from ..vehicle import Vehicle
 from ..vehicle.vehicle import first_reaching, hover_level
-from .observer import NONE, followed, shown
+from .observer import followed, never_followed, shown
 from .rigid_body import (
     OUTSIDE,
     angular_acceleration,
@@ -183,7 +183,7 @@ def _equations(
     weight = vehicle.mass_kg * vehicle.gravity_m_s2
     sizes = {"N": weight, "N.m": weight * vehicle.arm_m}
     outside = [m.input(*row, nominal=sizes[row[1]] or None) for row in OUTSIDE]
-    learned = followed(m, motion, period) if restart else NONE
+    learned = followed(m, motion, period, outside) if restart else never_followed(outside)
     rotors = blocks.apply(rotor_equations(m, vehicle, drive, inputs, motion, blocks))
     wrench = blocks.apply(_wrench(m, vehicle, rotors))
     contact = ground_contact(
@@ -198,8 +198,8 @@ def _equations(
     force_b, moment_b = (
         [sum(terms, start=ca.SX(0)) for terms in zip(*parts, strict=True)]
         for parts in (
-            (wrench.force, contact.force, outside[:3], learned.force_b),
-            (wrench.moment, contact.moment, outside[3:], learned.moment_b),
+            (wrench.force, contact.force, learned.outside[:3], learned.force_b),
+            (wrench.moment, contact.moment, learned.outside[3:], learned.moment_b),
         )
     )
     specific_force_b = [f / motion.body.mass for f in force_b]

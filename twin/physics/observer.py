@@ -13,6 +13,11 @@ m/s2; attitudes of motion capture and of autopilots have errors of 1 to 3 degree
 would make the accelerometer wrong by that amount (0.44 instead of 0.07 m/s2, NanoBench). A tilt
 does not change it.
 
+A given motion contains the effect of the forces from outside already. They act once the motion is
+no longer given, and their own lag is taken off the learned disturbance:
+
+    given    x' = f(x) + d              alone    x' = f(x) + outside + d - lag(outside)
+
 Source: Luenberger's observer with an integrating disturbance; Chen, Yang, Guo & Li, IEEE Trans.
 Industrial Electronics 63, 2016, sec. II.
 """
@@ -47,30 +52,36 @@ class Disturbance:
     """Learned disturbance; zero while the observer is switched off, shape (3,) each.
 
     Attributes:
+        outside: Force, N, and moment, N m, from outside that act, body FRD, shape (6,).
         force_b: Force, body FRD, N.
         moment_b: Moment, body FRD, N m.
         gravity_b: Acceleration that the accelerometer does not measure, body FRD, m/s2.
         alone_s: Time since the motion was given, or since the start, s.
     """
 
+    outside: Sequence[ca.SX]
     force_b: Sequence[ca.SX]
     moment_b: Sequence[ca.SX]
     gravity_b: Sequence[ca.SX]
     alone_s: ca.SX
 
 
-_NOTHING = [ca.SX(0)] * 3
-NONE = Disturbance(_NOTHING, _NOTHING, _NOTHING, ca.SX(0))
-"""Disturbance of an airframe whose motion is never given."""
+def never_followed(outside: Sequence[ca.SX]) -> Disturbance:
+    """Disturbance of an airframe whose motion is never given."""
+    nothing = [ca.SX(0)] * 3
+    return Disturbance(outside, nothing, nothing, nothing, ca.SX(0))
 
 
-def followed(m: ComponentBuilder, motion: Motion, period: ca.SX) -> Disturbance:
+def followed(
+    m: ComponentBuilder, motion: Motion, period: ca.SX, outside: Sequence[ca.SX]
+) -> Disturbance:
     """Let inputs set the motion during a simulation, and learn the disturbance meanwhile.
 
     Args:
         m: Builder of the airframe.
         motion: States of the airframe.
         period: Time between two sample instants, s.
+        outside: Force, N, and moment, N m, given from outside, body FRD, shape (6,).
     """
     now = m.input("restart", "1", "Whether the motion is the given one", kind="boolean") > 0.5
     given = {
@@ -97,9 +108,12 @@ def followed(m: ComponentBuilder, motion: Motion, period: ca.SX) -> Disturbance:
     m.update("restart.before", now)
     alone_s = m.memory("alone", "s", "time since the motion was given")
     m.update("alone", ca.if_else(now, 0.0, alone_s + period))
-    follows = ca.logic_and(now, before > 0.5)
-    acts = []
-    for (name, unit, meaning), lacks in zip(LEARNED, _drift(motion, given), strict=True):
+    is_given = before > 0.5
+    follows = ca.logic_and(now, is_given)
+    mass, acts = motion.body.mass, []
+    causes = [outside[0] / mass, outside[1] / mass, *outside[2:]]
+    drifts = _drift(motion, given)
+    for (name, unit, meaning), lacks, said in zip(LEARNED, drifts, causes, strict=True):
         lag, fade = (
             m.parameter(f"disturbance.{kind}.{name}", start, "s", text, minimum=1e-2)
             for kind, start, text in (
@@ -108,11 +122,20 @@ def followed(m: ComponentBuilder, motion: Motion, period: ca.SX) -> Disturbance:
             )
         )
         known = m.memory(f"disturbance.{name}", unit, meaning)
+        there = m.memory(f"disturbance.outside.{name}", unit, f"{meaning}, as said from outside")
         learned = ca.if_else(follows, known + lacks / lag, known)
+        later = ca.if_else(follows, there + (said - there) * period / lag, there)
         m.update(f"disturbance.{name}", ca.if_else(now, learned, known * (1 - period / fade)))
-        acts.append(ca.if_else(on, known, 0.0))
-    nothing = ca.SX(0)
-    return Disturbance([nothing, nothing, acts[2]], acts[3:], [*acts[:2], nothing], alone_s)
+        m.update(f"disturbance.outside.{name}", ca.if_else(now, later, there * (1 - period / fade)))
+        acts.append(ca.if_else(on, known - ca.if_else(is_given, 0.0, there), 0.0))
+    nothing, acting = ca.SX(0), ca.if_else(ca.logic_and(on, is_given), 0.0, 1.0)
+    return Disturbance(
+        [acting * push for push in outside],
+        [nothing, nothing, acts[2]],
+        acts[3:],
+        [*acts[:2], nothing],
+        alone_s,
+    )
 
 
 def shown(m: ComponentBuilder, disturbance: Disturbance) -> None:

@@ -1,5 +1,7 @@
 """What acts on the airframe from outside, and the airframe set anew while it runs."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -116,14 +118,22 @@ LEARNED = {
 LAG_S, FADE_S = 0.1, 0.5
 
 
-def follow(given_motion: Array, **parameters: float) -> tuple[Run, Rig]:
-    """An airframe that is given a motion, shape (n, 13), millisecond by millisecond."""
+def follow(
+    given_motion: Array, push: Mapping[str, float] | None = None, **parameters: float
+) -> tuple[Run, Rig]:
+    """An airframe that is given a motion, shape (n, 13), millisecond by millisecond.
+
+    Args:
+        given_motion: As `GIVEN`.
+        push: What is said from outside meanwhile.
+        parameters: Of the airframe.
+    """
     component = airframe(FREE, restart=True)
     rig = Rig(component, {"ground.enabled": 0.0, "disturbance.enabled": 1.0, **parameters})
     run = Run(component, rig.inputs(), rig.p)
     for k, row in enumerate(given_motion):
         given_now = dict(zip((f"restart.{n}" for n in GIVEN), row, strict=True))
-        run.step(1e-3 * k, 1e-3, rig.inputs({"restart": 1.0, **given_now}))
+        run.step(1e-3 * k, 1e-3, rig.inputs({"restart": 1.0, **given_now, **(push or {})}))
     return run, rig
 
 
@@ -147,6 +157,26 @@ def test_what_the_equations_lack_is_learned_and_fades() -> None:
     for name in LEARNED:
         left = later[f"disturbance.{name}"] / known[f"disturbance.{name}"]
         assert left == pytest.approx(np.exp(-1), rel=2e-3)
+
+
+@pytest.mark.slow
+def test_what_is_said_from_outside_acts_once_the_twin_is_left_alone() -> None:
+    """A plant that is pushed, and a twin that is told so: as long as it follows it is as one that
+    is not, whose observer sees the push; alone it goes on as the plant, and the other's fades."""
+    plant, seconds = in_air(FREE), 1.5
+    flown = plant.fly(plant.state(), plant.inputs(LACKING), seconds + 0.5)
+    motion = plant.get(flown[1:], *GIVEN)
+    given_motion, later = motion[: round(1e3 * seconds)], motion[-1]
+    off, shown = [], []
+    for push in ({}, LACKING):
+        run, rig = follow(given_motion, push)
+        following = rig.outputs(run.x, rig.inputs(push))
+        shown.append([following[n] for n in rig.component.output_names])
+        for k in range(500):
+            run.step(seconds + 1e-3 * k, 1e-3, rig.inputs(push))
+        off.append(np.linalg.norm(rig.get(run.x, *GIVEN)[3:6] - later[3:6]))
+    np.testing.assert_array_equal(*shown)
+    assert off[1] < 0.05 * off[0]
 
 
 @pytest.mark.slow
@@ -181,7 +211,7 @@ def test_a_restart_alone_teaches_nothing() -> None:
     u = rig.inputs({"restart": 1.0, **{f"restart.{k}": v for k, v in GIVEN.items()}})
     run.step(0.5, 1e-3, u)
     names = [n for n in rig.names if n.startswith("disturbance.")]
-    np.testing.assert_array_equal(rig.get(run.x, *names), np.zeros(6))
+    np.testing.assert_array_equal(rig.get(run.x, *names), np.zeros(len(names)))
     run.step(0.501, 1e-3, u)  # it was to stay where it had moved from
     assert np.abs(rig.get(run.x, *names)).max() > 0
     assert rig.outputs(run.x, u)["disturbance.force_z"] == 0
