@@ -308,7 +308,7 @@ class Submodel:
     __repr__ = short_repr
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:
-        """Its parameters, inputs, outputs or local variables."""
+        """Parameters, inputs, outputs or local variables of the part."""
         return tuple(v for v in self.variables if v.causality == causality)
 
 
@@ -339,7 +339,7 @@ class FmuModel:
 
     @property
     def entries(self) -> tuple[Entry, ...]:
-        """Its variables as scalars and arrays, in the order of their value references from 1."""
+        """Variables as scalars and arrays, in the order of their value references from 1."""
         if not self.arrays:
             return scalars(self.variables)
         part_of = {v.name: i for i, part in enumerate(self.parts) for v in part.variables}

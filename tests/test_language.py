@@ -48,6 +48,45 @@ def test_headings() -> None:
     assert [found for f in files for found in banned_headings(f)] == []
 
 
+FINISHED = (
+    *("twin/component", "twin/draft", "twin/effects", "twin/flight", "twin/logs", "twin/physics"),
+    *("twin/residuals", "twin/vehicle", "twin/vehicle_file", "twin/why", "fmus", "cosim"),
+    *("uavtwin/cli", "uavtwin/demo", "uavtwin/exports", "uavtwin/fleets", "uavtwin/hil"),
+    *("uavtwin/jobs", "uavtwin/live", "uavtwin/report", "uavtwin/series", "uavtwin/serve"),
+    "uavtwin/site",
+)
+"""Folders in which each line of a docstring can be read without the line above."""
+UNFINISHED = ("lanes.py",)
+"""Modules in them that are excepted."""
+
+
+def fragments(file: Path) -> Iterator[str]:
+    """Summaries of docstrings, and lines of Args and Attributes, that begin with "Of"."""
+    for line, text in enumerate(file.read_text("utf-8").splitlines(), 1):
+        if re.match(r'\s*(?:[rR]?"""|[*\w, ]+: )Of ', text):
+            yield f"{file}:{line} {text.strip()}"
+
+
+def test_docstrings_are_no_fragments() -> None:
+    files = [f for d in FINISHED for f in sorted((ROOT / d).rglob("*.py"))]
+    assert [found for f in files if f.name not in UNFINISHED for found in fragments(f)] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ('"""Of the effect."""', 1),
+        ("    name: Of the effect.", 1),
+        ("    x, y: Of the hub, m.", 1),
+        ("    name: Name of the effect. Of all.", 0),
+    ],
+)
+def test_fragments_are_found(tmp_path: Path, text: str, found: int) -> None:
+    file = tmp_path / "a.py"
+    file.write_text(text)
+    assert len(list(fragments(file))) == found
+
+
 SHORT = {"guide": 800, "method": 3000}
 """Words that a page of a folder has at most: a reader finishes it."""
 MOST = {"README.md": 600, "docs/guide": 12_000}

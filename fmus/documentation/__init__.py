@@ -165,7 +165,7 @@ class EffectRows:
     Attributes:
         place: Prefix of its parameters, "airframe.rotor_drag".
         effect: The effect.
-        numbers: Its parameters, the switch first.
+        numbers: Parameters of the effect, the switch first.
     """
 
     place: str

@@ -117,7 +117,7 @@ class Variable:
 
     @property
     def start_text(self) -> str:
-        """Its start value in printed form."""
+        """Start value in printed form."""
         if isinstance(self.kind, Enumeration):
             return self.kind.items[int(self.start)]
         if self.boolean:

@@ -240,7 +240,7 @@ class Effect:
         meaning: One line that a pilot understands.
         component: Name of the component with its term.
         stage: Class of the stage that its term changes.
-        parameters: Its numbers.
+        parameters: Numbers of the effect.
         needs: Flight-table signals that are necessary to observe it; "q" stands for q_w..q_z, "acc"
             for acc_x..acc_z, and so on.
         source: Paper and equation, or the measurement.
@@ -249,10 +249,10 @@ class Effect:
         prior: Prior of the effect; None: rare and uniform over its range.
         change: Prior of a change since a calibration; None: it does not change from one flight to
             the next.
-        wording: Its clauses in a report; None: only its numbers are reported.
+        wording: Clauses on the effect in a report; None: only its numbers are reported.
         advice: Manoeuvres to fly where its numbers are undetermined, by number or by the start of
             its name, "" for all others; None: nothing in particular.
-        observable_as: How a flight makes it observable.
+        observable_as: Way in which a flight makes the effect observable.
         of_logs: Numbers that it has in a log only, not in a component.
         period: Sample period of the airframe for its memory; None: it has no memory there.
         of_weather: Whether it depends on the day: an estimate from one flight is not valid for
@@ -299,7 +299,7 @@ class Effect:
         return self.observable_as.mistaken_for if isinstance(self.observable_as, Equation) else ()
 
     def starts(self, vehicle: Vehicle) -> dict[str, float]:
-        """Its numbers by name, each at its start value."""
+        """Numbers of the effect by name, each at its start value."""
         sized = [p.sized(vehicle) for p in self.parameters]
         return {name: p.start for p in sized for name in p.names(vehicle)}
 

@@ -123,7 +123,7 @@ def lifted_off(excess_n: Array, height_m: Array, length_m: float) -> NDArray[np.
     pulls equally well below that, as for a vehicle that took off from a stand.
 
     Args:
-        excess_n: As in `observe_swing`.
+        excess_n: Measured specific force minus the predicted one, as in `observe_swing`.
         height_m: Height above the resting place; infinite where unknown. Shape (n,).
         length_m: Length of the rope.
     """
@@ -152,7 +152,7 @@ def hang_load(
         states: States of the airframe, shape (n, n_x).
         names: Names of the states.
         swung: Result of `observe_swing`.
-        free_n: As in `observe_swing`.
+        free_n: Specific force without the load, as in `observe_swing`.
         length_m: Length of the rope.
         share: Mass of the load over that of the vehicle, which reduces its acceleration.
     """

@@ -97,7 +97,7 @@ class Thrust:
         direction: Direction of rotation: +1 clockwise seen from above, -1 counter-clockwise.
         hover: Thrust of one rotor in hover by the vehicle's numbers, N.
         spin: Rotor speed relative to hover.
-        spin_rate: Its time derivative, 1/s.
+        spin_rate: Time derivative of the relative rotor speed, 1/s.
         thrust: Thrust along body -z, N.
         torque: Reaction torque, N m, a positive number.
     """

@@ -59,7 +59,7 @@ NO_MULTIROTOR = {
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where and when a log was made.
+    """Place and date of a log.
 
     Attributes:
         latitude_rad: Geodetic latitude, north positive.

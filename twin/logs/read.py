@@ -328,7 +328,7 @@ def read_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> Fl
 
     Args:
         path: File in one of `formats.FORMATS`.
-        rebuild_commands: As in `formats.ReadOptions`.
+        rebuild_commands: Whether commands are rebuilt, as in `formats.ReadOptions`.
 
     Raises:
         LogError: The file cannot be used; the text states the reason and the remedy.
@@ -371,8 +371,8 @@ def open_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> An
     memory use stays bounded.
 
     Args:
-        path: As in `read_flight`.
-        rebuild_commands: As in `read_flight`.
+        path: Path of the file, as in `read_flight`.
+        rebuild_commands: Whether commands are rebuilt, as in `read_flight`.
 
     Raises:
         LogError: As in `read_flight`.

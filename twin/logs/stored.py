@@ -284,8 +284,8 @@ class StoredFlight(Notes):
     def around(
         self, columns: Sequence[str], start_s: float, end_s: float
     ) -> tuple[Array, Array, int]:
-        """Such samples from two before a span of time to two after it, as far as available, and a
-        row number before which there are none of them."""
+        """Samples from two before a span of time to two after it, as far as available, and a row
+        number before which there are none of them."""
         first, end = (int(i) for i in np.searchsorted(self.time_s, [start_s, end_s], side="right"))
         reach = 16
         while True:

@@ -382,7 +382,7 @@ def rows_along_pose(
     """Inputs of a sensor of `OF_POSE` on a grid, shape (n, n_u).
 
     Args:
-        sensor: Its component.
+        sensor: Component of the sensor.
         flight: Flight whose columns, held between samples, are its other inputs.
         pose: Signals from `pose_signals`.
         t_s: Times of the grid, shape (n,).
@@ -486,8 +486,8 @@ def gyro_rate(sensor: Component, sensed: ca.SX, shown: ca.SX) -> ca.SX:
 
     Args:
         sensor: Component of the IMU.
-        sensed: Its inputs; the derivative of the body rate is the angular acceleration.
-        shown: Its readings as an expression of the inputs.
+        sensed: Inputs of the IMU; the derivative of the body rate is the angular acceleration.
+        shown: Readings of the IMU as an expression of the inputs.
     """
     change = ca.SX.zeros(sensed.shape)
     for a in "xyz":

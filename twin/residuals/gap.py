@@ -204,7 +204,7 @@ class FlightGap:
 
     @property
     def duration_s(self) -> float:
-        """From the first sample of any channel to the last."""
+        """Time from the first sample of any channel to the last."""
         spans = [(float(c.t_s[0]), float(c.t_s[-1])) for c in self.channels if len(c.t_s)]
         return max(e for _, e in spans) - min(s for s, _ in spans) if spans else 0.0
 

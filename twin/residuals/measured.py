@@ -269,7 +269,7 @@ def zero_phase(signal: AnySignal, cutoff_hz: float) -> Array:
 
 
 def filtered_at(signal: AnySignal, cutoff_hz: float, t_s: Array) -> Array:
-    """Such values, interpolated at times, shape (len(t_s), k)."""
+    """Low-passed values, interpolated at times, shape (len(t_s), k)."""
     t_known_s, values, rate = signal.t_s, signal.values, signal.rate_hz
     if not _is_filtered(len(values), rate, cutoff_hz):
         return _interpolated(t_s, t_known_s, values, rate)
@@ -506,7 +506,7 @@ def resample_like(values: Array, t_s: Array, signal: AnySignal, derivative: int 
 
     Args:
         values: Derivative of the continuous signal, shape (n, k).
-        t_s: Its times, s, shape (n,).
+        t_s: Times of these values, s, shape (n,).
         signal: Signal whose times are used.
         derivative: Order of the derivative.
 

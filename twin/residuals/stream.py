@@ -514,7 +514,7 @@ class Stream:
             self._begins_s = last.first_s
 
     def lacks(self, columns: Sequence[str]) -> list[str]:
-        """Those of some new columns that would change the twin."""
+        """New columns that would change the twin."""
         if self.equations is None:
             return []
         return [c for c in columns if c in NEEDED and c not in self._columns]

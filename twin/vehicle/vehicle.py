@@ -122,8 +122,8 @@ WORDS = (
     Word(0.03, ("measured",), "rulers, pendulums and test stands repeat to a few percent"),
     Word(0.01, ("weighed",), "the scale is better, what is aboard is not always the same"),
 )
-"""In order of doubt: the first row with a word in the source is used. Sizes by judgement; those of
-maps and inertia as in the priors of `twin.effects`."""
+"""Words of sources in order of doubt: the first row with a word in the source is used. Sizes by
+judgement; those of maps and inertia as in the priors of `twin.effects`."""
 
 GROUPS = {
     "rotors.thrust": ("rotors.thrust_from_speed", "rotors.thrust_from_command"),

@@ -279,7 +279,7 @@ def _clauses(
 
 
 def _nothing(probability: float, more: str = "") -> str:
-    """How sure it is that nothing, or nothing else, went wrong."""
+    """Sentence on how sure it is that nothing, or nothing else, went wrong."""
     nothing = "Nothing" if probability >= LIKELY else "Probably nothing"
     return f"{nothing}{more} went wrong that this log can show ({certainty(probability)})"
 

@@ -1,4 +1,4 @@
-"""`uavtwin check`: any file that the program knows."""
+"""`uavtwin check`: any file of a known kind."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -59,7 +59,7 @@ def check(
     for path in files:
         try:
             report = check_file(path, model, key)
-        except Exception as error:  # one that cannot be read hides none of the others
+        except Exception as error:  # an unreadable one does not affect others
             worst = max(worst, print_error(error, f"check {path}"))
             reports.append(UnreadFile(file=path.name, error=str(error)))
             continue
@@ -74,7 +74,8 @@ def check(
 
 
 def _print(report: "CheckReport", every: bool) -> None:
-    """The verdict, then the lines that matter most, each on one line; or all of them, whole."""
+    """Print the verdict, then the most important lines, each on one line; or all of them, in
+    full."""
     STDOUT.print(report.claim(), style="bold")
     shown = report.lines() if every else report.short_lines()
     cut = STDOUT.is_terminal and not every

@@ -11,7 +11,7 @@ from .options import Exit, Force, Rebuild
 from .printing import STDERR, STDOUT, print_damage
 
 _WRITTEN = (".parquet", ".csv", ".mcap")
-"""Endings of the files that can be written."""
+"""Extensions of the files that can be written."""
 
 
 def convert(

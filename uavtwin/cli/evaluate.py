@@ -1,4 +1,4 @@
-"""`uavtwin evaluate`: a compensator on flights of its own."""
+"""`uavtwin evaluate`: a compensator on other flights than those of training."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -81,7 +81,7 @@ def evaluate(
     inputs += [Path(p) for p in (explained, physics) if p]
 
     def write(folder: Path, steps: "OptionalSteps", _: Callable[[float], None]) -> list[str]:
-        """Page, numbers, model card."""
+        """Write page, numbers, model card."""
         written = write_page(found, folder, "evaluation.json")
         card = steps.run("model card", folder, lambda p: write_measured_card(model, found, read, p))
         return [*written, card] if card else written

@@ -77,7 +77,7 @@ def explain(
 ) -> None:
     """Name the physical effect that a model lacks, add it, and show that the gap shrinks.
 
-    Killed, it goes on where its search was when the same command is given again.
+    After an interruption the same command resumes the search.
     """
     given = _one_vehicle(vehicle if since else vehicle_named(vehicle, ""), since)
     from fmus.platforms import DEFAULT, compilers, select_platforms
@@ -126,7 +126,7 @@ def explain(
     }
 
     def write(folder: Path, steps: "OptionalSteps", step: Callable[[float], None]) -> list[str]:
-        """Page, numbers, vehicle files, FMUs."""
+        """Write page, numbers, vehicle files, FMUs."""
         written = explanation.write_explanation(found.details, folder)
         if not no_fmus:
             written += explanation.write_fmus(found.details, folder, steps, step)
@@ -158,10 +158,10 @@ def _read(
     rebuild_commands: bool | None,
     trust_vehicle: bool,
 ) -> "tuple[list[AnyFlight], list[AnyFlight]]":
-    """Flights to fit on, and those held out, all read in the same way.
+    """Flights for the fit, and held-out ones, all read with the same options.
 
     Raises:
-        TwinError: One is both, or cannot be used.
+        TwinError: One is in both, or cannot be used.
     """
     from ..flights import open_alike
 
@@ -173,10 +173,10 @@ def _read(
 
 
 def _one_vehicle(vehicle: str | None, since: str | None) -> str:
-    """The vehicle that was named.
+    """The named vehicle.
 
     Raises:
-        TwinError: None was, or two were.
+        TwinError: None was named, or two.
     """
     if (given := vehicle or since) and not (vehicle and since):
         return given
@@ -189,7 +189,7 @@ def _one_vehicle(vehicle: str | None, since: str | None) -> str:
 
 
 def site_record(flight: "AnyFlight", indoor: bool | None) -> dict[str, bool | str]:
-    """What a flight was taken for, and why, for `run.json`."""
+    """Indoors or outdoors for a flight, and the source of that, for `run.json`."""
     from twin.explain.explanation import sited
 
     site = sited(flight, indoor).site
@@ -199,10 +199,10 @@ def site_record(flight: "AnyFlight", indoor: bool | None) -> dict[str, bool | st
 
 
 def flight_payloads(texts: Sequence[str], flights: Sequence[str]) -> dict[str, float]:
-    """Known mass aboard by flight, kg, of "FLIGHT=KG" texts.
+    """Known payload by flight, kg, from "FLIGHT=KG" texts.
 
     Raises:
-        TwinError: A text is not of that form, or there is no such flight.
+        TwinError: A text has another form, or there is no such flight.
     """
     from ..explanation import check_payloads
 

@@ -32,15 +32,15 @@ if TYPE_CHECKING:
     from ..vehicles import Vehicle
 
 COMPENSATOR, FUSED, REPLAY = "compensator", "corrected-twin", "replay"
-"""What can be exported besides the components."""
+"""Exportable objects besides the components."""
 MISSION = "mission"
-"""Component whose mission can be chosen."""
+"""Component with a choice of missions."""
 DRIVES = {
     "commands": "command",
     "rotor_speeds": "rotor_speed",
     MISSION: None,
 }
-"""Drives by the words of the option; None: no rotor is driven from outside."""
+"""Rotor inputs by the words of the option; None: no external input."""
 _FOR = {
     "flight": (REPLAY,),
     "linear": (REPLAY,),
@@ -52,7 +52,7 @@ _FOR = {
     "noise": (FUSED,),
     "model": (COMPENSATOR, FUSED),
 }
-"""Option -> what is made otherwise by it."""
+"""Option -> objects that it affects."""
 Components = Annotated[
     list[str],
     typer.Argument(
@@ -206,7 +206,7 @@ def export(
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The options of the verb, as they were given; the help of `export` says what each is."""
+    """The options of the verb as given; the help of `export` describes each."""
 
     vehicle: str = "copter_default"
     fmi: str = "2"
@@ -229,13 +229,13 @@ class Choice:
     require: Sequence[str] = ()
 
     def recorded(self) -> dict[str, Any]:
-        """For `run.json`, which lists files that were read among its inputs."""
+        """Options for `run.json`, which lists input files separately."""
         read = {f.name: getattr(self, f.name) for f in fields(self)}
         chosen = {k: v for k, v in read.items() if k not in ("flight", "model", "evidence")}
         return {**chosen, "vehicle": Path(self.vehicle).name}
 
     def inputs(self) -> list[Path]:
-        """Files that are read."""
+        """Input files."""
         from fmus.compensator import FILE, INT8_FILE
         from learning.force.model import FILE as FORCE_FILE
 
@@ -256,7 +256,7 @@ _DEFAULT = Choice()
 def export_components(
     names: Sequence[str], choice: Choice
 ) -> "Callable[[Path, Callable[[float], None]], list[WrittenFile]]":
-    """Read the options, check everything, then return the function that writes into a folder.
+    """Read and check all options, then return the function that writes into a folder.
 
     Raises:
         TwinError: An unknown component, FMI version, drive, platform or start value; a missing
@@ -285,12 +285,12 @@ def export_components(
 
 
 def _default(model: Path | None, evidence: Path | None) -> str:
-    """Vehicle where none is given: that of the evidence, else of the model, else a default."""
+    """Default vehicle: that of the evidence, else of the model, else a built-in one."""
     return default_vehicle(model) if evidence is None else str(evidence / "vehicle.toml")
 
 
 def default_vehicle(model: Path | None) -> str:
-    """Vehicle where none is given: the one that a trained model corrects, else a default."""
+    """Default vehicle: the one of a trained model, else a built-in one."""
     own = None if model is None else model / "vehicle.toml"
     if own is not None and own.is_file():
         return str(own)
@@ -298,9 +298,9 @@ def default_vehicle(model: Path | None) -> str:
 
 
 def _check_options(names: Sequence[str], choice: Choice, versions: Sequence[int]) -> None:
-    """Refuse options that do not go together."""
+    """Refuse options that contradict each other."""
     unused = {n for n, used_by in _FOR.items() if not set(used_by) & set(names)}
-    if DRIVES.get(choice.drive or MISSION) is not None:  # a log drives it: nobody flies it
+    if DRIVES.get(choice.drive or MISSION) is not None:  # a log, not a mission, provides inputs
         unused |= {"controller"} | ({"mission"} - set(names))
     for option in _FOR:
         if option in unused and getattr(choice, option) != getattr(_DEFAULT, option):
@@ -334,7 +334,7 @@ def _part(
     network: "NetworkFile | None",
     force: "LearnedForce | None",
 ) -> "Exportable":
-    """What a name stands for."""
+    """Object of a name."""
     from twin.logs import read_flight
 
     from ..exports import parts
@@ -368,7 +368,7 @@ def _part(
 def _learned(
     names: Sequence[str], choice: Choice, vehicle: "Vehicle"
 ) -> "tuple[NetworkFile | None, LearnedForce | None]":
-    """What was trained, a compensator held against the vehicle; the twin holds a force so."""
+    """Trained models; a compensator is checked against the vehicle here, a force by the twin."""
     from ..exports.parts import check_compensator, learned
 
     if choice.model is None:

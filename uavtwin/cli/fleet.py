@@ -84,10 +84,10 @@ def fleet(
 ) -> None:
     """Check, diagnose, compare and explain many logs.
 
-    Which aircraft differs, what drifts, what went wrong, which log is bad?
+    Which aircraft differs, which numbers drift, what went wrong, which logs are bad?
 
-    One that was interrupted goes on where it was when the same command is given again. `uavtwin
-    fleet FOLDER --sql "SELECT ..."` asks the tables that it leaves; nothing else is read.
+    After an interruption the same command resumes the analysis. `uavtwin fleet FOLDER --sql "SELECT
+    ..."` queries the resulting tables; no other file is read.
     """
     if sql is not None:
         _print_answer(_one_folder(logs), sql, time_limit, as_json, as_csv)
@@ -120,14 +120,14 @@ def fleet(
 
 
 def _one_folder(given: list[str]) -> Path:
-    """The folder that `--sql` asks."""
+    """The folder for `--sql`."""
     if len(given) != 1:
         raise TwinError(f"fleet --sql: asks one folder that fleet wrote; {len(given)} are given.")
     return Path(given[0])
 
 
 def _print_answer(folder: Path, sql: str, time_limit_s: float, as_json: bool, as_csv: bool) -> None:
-    """Ask the tables of a fleet, and print the rows as a table, JSON or CSV; a table that is wider
+    """Query the tables of a fleet, and print the rows as a table, JSON or CSV; of a table wider
     than the terminal, a line per cell."""
     from ..display import TextTable
     from ..fleets.query import query
@@ -150,14 +150,14 @@ def _print_answer(folder: Path, sql: str, time_limit_s: float, as_json: bool, as
 
 
 def _cell(value: object) -> str:
-    """As printed in a table."""
+    """A value in the form of a printed table."""
     if value is None:
         return ""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _found(found: "JobRows") -> None:
-    """One line of what is found in a log, or of an aircraft, as it comes."""
+    """Print one line on the results of a log, or of an aircraft, as they arrive."""
     from ..fleets.result import of_log
 
     for row in found.rows.get("flights", ()):

@@ -1,4 +1,4 @@
-"""`uavtwin live --hil`: the twin as the simulator that an autopilot flies."""
+"""`uavtwin live --hil`: the twin as the simulator of an autopilot."""
 
 import math
 import tempfile
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from ..vehicles import Vehicle
 
 _PANEL = "With --hil"
-"""Of the help, with options that mean nothing otherwise."""
+"""Panel of the help with options for this mode only."""
 LISTEN = "tcpin:127.0.0.1:4560"
-"""Where PX4 looks for its simulator."""
+"""Address at which PX4 expects its simulator."""
 Rate = Annotated[
     float,
     typer.Option(rich_help_panel=_PANEL, help="HIL_SENSOR per second: 1000 over a whole number."),
@@ -62,7 +62,7 @@ Starts = Annotated[
     typer.Option("--start", rich_help_panel=_PANEL, help="Start value PART.NAME=VALUE."),
 ]
 _YEAR = 2025.5
-"""Of the magnetic field, as in vehicle files that give none."""
+"""Year of the magnetic field, the default of vehicle files."""
 
 
 def fly_hil(
@@ -115,7 +115,7 @@ def fly_hil(
 
 
 def print_hil(status: "HilStatus", as_json: bool) -> None:
-    """Print how the flight was, and end with the exit code for it."""
+    """Print the result of the flight, and end with its exit code."""
     if as_json:
         print_json(status)
     else:
@@ -131,7 +131,7 @@ def print_hil(status: "HilStatus", as_json: bool) -> None:
 def _twin(
     vehicle: "Vehicle", folder: Path, scenario: "Scenario", model: Path | None
 ) -> "FlyingTwin":
-    """The twin, with what was trained where something is given."""
+    """The twin, with a trained model where one is given."""
     from ..exports.parts import learned
     from ..hil.flying import flying_twin_of
 
@@ -140,7 +140,7 @@ def _twin(
 
 
 def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions", demo: bool) -> "HilStatus":
-    """Fly until it ends; a line each second."""
+    """Simulate until the end; prints a line each second."""
     from ..demo.autopilot import Pilot, flown_meanwhile
     from ..demo.flights import WAYPOINTS
     from ..hil.session import HilSession
@@ -158,7 +158,7 @@ def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions", demo: bo
 
 
 def _place(text: str) -> tuple[float, float, float]:
-    """Latitude, longitude, rad, and height, m."""
+    """Latitude, longitude, rad, and height, m, from text."""
     latitude, longitude, height_m = three_numbers(text, "--place")
     return math.radians(latitude), math.radians(longitude), height_m
 

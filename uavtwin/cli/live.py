@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from ..vehicles import Vehicle as OwnVehicle
 
 _DEMO_VEHICLE, _DEMO_PAGE, _DEMO_SILENT_S = "copter_default", "127.0.0.1:8080", 5.0
-"""Vehicle and page of `--demo`, and the time without messages after which that and `--replay`
-end, s."""
+"""Vehicle and page of `--demo`, and the silence after which that and `--replay` end, s."""
 
 Vehicle = Annotated[
     str | None,
@@ -65,7 +64,7 @@ Replayed = Annotated[
     ),
 ]
 _LISTEN = "udpin:127.0.0.1:14550"
-"""Where ground stations listen."""
+"""Usual address of ground stations."""
 Listen = Annotated[
     str | None,
     typer.Option(
@@ -152,11 +151,11 @@ Alarms = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """Where the page is, and of which site.
+    """Options of the page and its site.
 
     Attributes:
-        serve: HOST:PORT.
-        token: What viewers must know; None: as usual there.
+        serve: Address HOST:PORT.
+        token: Token of viewers; None: the default.
         store: Folder of the flights of the site; None: it has none.
     """
 
@@ -166,9 +165,9 @@ class Shown:
 
 
 _BOTH = {"vehicle", "model", "demo", "hil", "listen", "duration", "as_json"}
-"""Parameters with and without `--hil`."""
+"""Parameters for both modes, with and without `--hil`."""
 _OF_HIL = {"rate", "speed", "patience", "place", "wind", "gusts", "seed", "effect", "start"}
-"""Parameters with `--hil` alone."""
+"""Parameters for `--hil` only."""
 
 
 def live(
@@ -271,7 +270,7 @@ def _check_mode(given: typer.Context, hil: bool) -> None:
 
 
 def _usual_page(with_flights: bool) -> str | None:
-    """Where the page is served unless it is named; None, with a word, where it cannot be."""
+    """Default address of the page; None, with a message, where it cannot be used."""
     from ..serve.opened import lacking
 
     if lacking(with_flights):
@@ -281,7 +280,7 @@ def _usual_page(with_flights: bool) -> str | None:
 
 
 def _print_model(model: "ModelStatus", units: Mapping[str, str]) -> None:
-    """What the compensator said."""
+    """Print the state of the compensator."""
     STDOUT.print(
         f"compensator, which sees residuals of {model.horizon_s:g} s ago: above 1 in "
         f"{model.unusual:.1%} of the flight, inside its training in {model.inside:.0%}",
@@ -292,7 +291,7 @@ def _print_model(model: "ModelStatus", units: Mapping[str, str]) -> None:
 
 
 def _print_truth(status: "LiveStatus") -> None:
-    """What was wrong with the aircraft of a demonstration, once it has been."""
+    """Print the fault of a demonstration's aircraft, once it has occurred."""
     from ..demo.in_flight import BEGINS_S, ending
 
     if status.flight_s > BEGINS_S:
@@ -308,7 +307,7 @@ def _fly(
     replay: Path | None,
     model: Path | None,
 ) -> "LiveStatus":
-    """Open the page where one is wanted, and listen."""
+    """Open the page if requested, and receive."""
     from twin.logs import read_flight
     from twin.why.watch import Watch
 
@@ -340,7 +339,7 @@ def _fly(
 
 @contextmanager
 def _page(shown: Shown, twin: "OwnVehicle", options: "LiveOptions") -> "Iterator[PageFeed]":
-    """The site with the page of this flight; at the end the recording joins its flights."""
+    """The site with the page of this flight; at the end the recording is added to its flights."""
     from ..live.page.view import LiveView
     from ..serve.opened import open_site
 
@@ -359,7 +358,7 @@ def _page(shown: Shown, twin: "OwnVehicle", options: "LiveOptions") -> "Iterator
 
 @contextmanager
 def _compensator(folder: Path, vehicle: "OwnVehicle") -> "Iterator[RunningCompensator]":
-    """The compensator of a folder, held against the vehicle and built."""
+    """The compensator of a folder, checked against the vehicle and built."""
     from learning.force.model import is_force
 
     from ..compensators.running import RunningCompensator, compiled_compensator
@@ -377,12 +376,12 @@ def _compensator(folder: Path, vehicle: "OwnVehicle") -> "Iterator[RunningCompen
 
 
 def _run(session: "LiveSession", feed: "PageFeed | None") -> "LiveStatus":
-    """Fly until it ends; a line each second."""
+    """Run until the end; prints a line each second."""
     said: set[tuple[Any, ...]] = set()
     failed: set[str] = set()
 
     def say(status: "LiveStatus") -> None:
-        """A line, and alarms that are new or over."""
+        """Print a line, and alarms that are new or have ended."""
         STDERR.print(status.line())
         for alarm in status.alarms:
             key = alarm["section"], alarm["cause"], alarm["raised_s"], alarm["closed_s"]
@@ -405,7 +404,7 @@ def _run(session: "LiveSession", feed: "PageFeed | None") -> "LiveStatus":
 
 
 def _print(status: "LiveStatus", out: Path | None) -> None:
-    """What is known at the end."""
+    """Print the final status."""
     from ..live.worker import ERRORS
 
     STDOUT.print(status.line())

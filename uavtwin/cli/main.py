@@ -1,9 +1,8 @@
-"""The command line: `uavtwin VERB ...`. Exit 0 fine, 1 findings, 2 used wrongly, 3 our
-mistake.
+"""The command line: `uavtwin VERB ...`. Exit codes: 0 fine, 1 findings, 2 wrong use, 3 our error.
 
-A file per verb, which reads texts into objects and calls the same functions as `import uavtwin`.
-Results go to stdout, progress and warnings to stderr. Heavy modules are imported by the verb that
-needs them, when it runs.
+One file per verb, which converts texts to objects and calls the same functions as `import uavtwin`.
+Results are printed on stdout, progress and warnings on stderr. Large modules are imported only by
+the verb that needs them, when it runs.
 """
 
 import os
@@ -51,7 +50,7 @@ def version() -> None:
 
 
 def _print_version(wanted: bool) -> None:
-    """Print the version and end, where it is wanted."""
+    """Print the version and end, if requested."""
     import uavtwin
 
     if wanted:
@@ -60,8 +59,8 @@ def _print_version(wanted: bool) -> None:
 
 
 _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-"""Read where numpy and scipy are imported, which the verbs do. Of several threads the sums come in
-another order and end in other bits; one is as fast for matrices of this size."""
+"""Read on import of numpy and scipy, which the verbs do. With several threads sums have another
+order and rounding; one thread is as fast for matrices of this size."""
 PANELS = {
     "Your flights": (check, why, gap, explain, convert),
     "Your aircraft": (vehicle, calibrate, show),
@@ -70,10 +69,10 @@ PANELS = {
     "Learn": (train, evaluate),
     "Try": (demo,),
 }
-"""The verbs in the order of the help, by what somebody has at hand. A verb is a function in a file
-of its name, or a Typer application of further verbs, and a name here."""
+"""The verbs in the order of the help, by the kind of input. A verb is a function in a file of its
+name, or a Typer application of further verbs, and a name here."""
 HIDDEN = (version,)
-"""What the help does not list: what `--version` prints."""
+"""Verbs that the help does not list: the one of `--version`."""
 FORMER: dict[str, tuple[str, ...] | str] = {
     "hil": ("live", "--hil"),
     "query": ("fleet",),
@@ -81,16 +80,16 @@ FORMER: dict[str, tuple[str, ...] | str] = {
     "simulate MISSION --model FOLDER.",
     "bench": "bench: is no verb any more. In a checkout: python -m benchmarks.speed.",
 }
-"""Names of verbs that are kept for one release, and what these are now, or where they went."""
+"""Former names of verbs, supported for one release, and their replacements or an explanation."""
 _OPTION = re.compile(r"--?[a-z][a-z-]*(=.*)?", re.DOTALL)
-"""What begins as a comment of SQL is none."""
+"""Pattern of an option, which excludes a comment of SQL."""
 
 VERBS = tuple(
     verb
     for verb in (*chain.from_iterable(PANELS.values()), *HIDDEN)
     if not isinstance(verb, typer.Typer)
 )
-"""All that are functions, for the reference."""
+"""All verbs that are functions, for the reference."""
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -120,7 +119,7 @@ def _options(
 
 
 def main() -> None:
-    """Entry point: an error becomes one line and an exit code, 2 where the user can mend it."""
+    """Entry point: an error becomes one line and an exit code, 2 where the user can correct it."""
     os.environ.update(dict.fromkeys(_BLAS_THREADS, "1"))
     try:
         with _temporary_files():
@@ -128,7 +127,7 @@ def main() -> None:
     except KeyboardInterrupt:
         _end_interrupted()
     except Exception as error:
-        # An interrupt inside CasADi comes out as a SystemError.
+        # CasADi converts an interrupt to a SystemError.
         if isinstance(error, SystemError) and isinstance(error.__cause__, KeyboardInterrupt):
             _end_interrupted()
         sys.exit(print_error(error, f"uavtwin {shlex.join(sys.argv[1:])}"))
@@ -136,8 +135,8 @@ def main() -> None:
 
 @contextmanager
 def _temporary_files() -> Iterator[None]:
-    """All temporary files, those of compilers too, in one folder; the next call takes away what
-    calls that were killed have left."""
+    """All temporary files, also of compilers, in one folder; the next call deletes those of killed
+    calls."""
     given, before = os.environ.get("TMPDIR"), tempfile.tempdir
     with scratch_folder(Path(tempfile.gettempdir())) as folder:
         tempfile.tempdir = os.environ["TMPDIR"] = str(folder)
@@ -156,7 +155,7 @@ def _end_interrupted() -> NoReturn:
 
 
 def _checked(arguments: list[str]) -> list[str]:
-    """The arguments, refused where a file stands in the place of the verb."""
+    """The arguments, refused where a file is in the place of the verb."""
     first = arguments[0] if arguments else ""
     if Path(first).is_file() and first not in {c.__name__ for c in VERBS}:
         file = shlex.quote(first)
@@ -168,10 +167,10 @@ def _checked(arguments: list[str]) -> list[str]:
 
 
 def _renamed(arguments: list[str]) -> list[str]:
-    """A former name as it is now.
+    """The present form of a former verb.
 
     Raises:
-        TwinError: It is no verb any more.
+        TwinError: The verb was removed.
     """
     now = FORMER.get(arguments[0]) if arguments else None
     if now is None:
@@ -183,7 +182,7 @@ def _renamed(arguments: list[str]) -> list[str]:
 
 
 def _asked(arguments: list[str]) -> list[str]:
-    """Arguments of `query FOLDER SELECT` as `fleet` has them: its second positional is `--sql`."""
+    """Arguments of `query FOLDER SELECT` for `fleet`: the second positional becomes `--sql`."""
     command = typer.main.get_command(app).commands["fleet"]  # type: ignore[attr-defined]
     valued = {o for p in command.params if not getattr(p, "is_flag", True) for o in p.opts}
     places = [
@@ -203,8 +202,8 @@ def _asked(arguments: list[str]) -> list[str]:
 
 
 def _spread(arguments: list[str]) -> list[str]:
-    """`--holdout A B` as `--holdout A --holdout B`, and so `--reference`: all files up to the next
-    option belong to it."""
+    """`--holdout A B` as `--holdout A --holdout B`, also for `--reference`: all files up to the
+    next option belong to it."""
     found: list[str] = []
     option = ""
     for argument in arguments:

@@ -1,4 +1,4 @@
-"""What the verbs of the command line share: options, exit codes, texts read into numbers."""
+"""Options, exit codes, and parsing of numbers, shared by the verbs of the command line."""
 
 import os
 import re
@@ -16,7 +16,7 @@ COMPONENT_NAMES = (
     "airframe, imu, magnetometer, barometer, position, battery, environment, mission, controller, "
     "controller_px4"
 )
-"""`twin.flight.assembly.COMPONENTS` in words, which help is printed without loading."""
+"""`twin.flight.assembly.COMPONENTS` in words, for help without importing it."""
 
 
 class Exit(IntEnum):
@@ -33,15 +33,16 @@ _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan|[+-]?
 
 
 def quantity(text: str, unit: str, bare: bool = True) -> float:
-    """A number with a unit, as "480mm" or "2 min", in the wanted unit.
+    """A number with a unit, such as "480mm" or "2 min", in the required unit.
 
     Args:
-        text: As given on the command line.
-        unit: That is wanted, and that a number without one has.
-        bare: Whether a number may be without a unit.
+        text: Text of the command line.
+        unit: Required unit, also of a number without one.
+        bare: Whether a number without a unit is allowed.
 
     Raises:
-        ValueError: It is no number, its unit is none or of another kind, or the unit is missing.
+        ValueError: It is no number, its unit is invalid or of another quantity, or the unit is
+            missing.
     """
     from twin.vehicle_file.entries import unit_factor
 
@@ -63,14 +64,14 @@ def quantity(text: str, unit: str, bare: bool = True) -> float:
 
 
 def of_unit(unit: str, metavar: str, *names: str, help: str, panel: str | None = None) -> Any:
-    """An option whose value is a number in a unit, or in another unit of its kind.
+    """An option whose value is a number, with an optional unit of one quantity.
 
     Args:
-        unit: Of a number without unit.
-        metavar: What stands for the value in the help.
-        names: Of the option; none: that of the parameter.
-        help: What it is.
-        panel: Of the help; None: that of all options.
+        unit: Unit of a number without one.
+        metavar: Placeholder for the value in the help.
+        names: Names of the option; none: that of the parameter.
+        help: Help text.
+        panel: Panel of the help; None: that of all options.
     """
 
     def parser(text: Any) -> float:
@@ -88,7 +89,7 @@ def trained(help: str, kind: Callable[..., Any] = typer.Option) -> Any:
     """An option, or argument, whose value is the folder of a trained model.
 
     Args:
-        help: What it is.
+        help: Help text.
         kind: `typer.Option` or `typer.Argument`.
     """
 
@@ -104,16 +105,16 @@ def trained(help: str, kind: Callable[..., Any] = typer.Option) -> Any:
 def named_numbers(
     texts: Sequence[str], option: str, form: str, unit: str = "1"
 ) -> dict[str, float]:
-    """Numbers of "NAME=NUMBER" texts, the name up to the last equals sign.
+    """Numbers from "NAME=NUMBER" texts, with the name up to the last equals sign.
 
     Args:
-        texts: As given on the command line.
-        option: By which they were given.
-        form: How to write it.
-        unit: Of the numbers; one that is written behind them is converted.
+        texts: Texts of the command line.
+        option: Name of the option.
+        form: Description of its form.
+        unit: Unit of the numbers; a number with another unit is converted.
 
     Raises:
-        TwinError: A text is not of that form.
+        TwinError: A text has another form.
     """
     values = {}
     for text in texts:
@@ -128,7 +129,7 @@ def named_numbers(
 
 
 def times_real_time(text: str, most: float) -> float:
-    """Speed of the option `--speed`: a number, or `max`.
+    """Value of the option `--speed`: a number, or `max`.
 
     Raises:
         TwinError: It is neither.
@@ -154,12 +155,12 @@ Force = Annotated[bool, typer.Option("--force", help="Replace files that are the
 
 @dataclass(frozen=True, slots=True)
 class Prints:
-    """What `--json` of a verb prints, for the reference of JSON keys: behind `Json` in its type.
+    """Content of `--json` of a verb, for the reference of JSON keys: follows `Json` in its type.
 
     Attributes:
         records: "MODULE:CLASS" of each kind of content.
-        file: That has the same content; "": none.
-        about: What else there is to know, in Markdown.
+        file: File with the same content; "": none.
+        about: Additional description, in Markdown.
     """
 
     records: tuple[str, ...]
@@ -200,7 +201,7 @@ Workers = Annotated[
 ]
 Scheduler = Annotated[str | None, typer.Option(help="Of Dask: tcp://HOST:8786.")]
 VEHICLE_VARIABLE = "UAVTWIN_VEHICLE"
-"""Of the environment: the vehicle where a command names none."""
+"""Environment variable with the vehicle where a command names none."""
 VehicleName = Annotated[
     str | None,
     typer.Option(
@@ -244,7 +245,7 @@ TrustVehicle = Annotated[
 
 
 def needed_vehicle(given: str | None, verb: str) -> str:
-    """The vehicle of a command that cannot do without.
+    """The vehicle of a command that needs one.
 
     Raises:
         TwinError: None is named.
@@ -262,5 +263,5 @@ def needed_vehicle(given: str | None, verb: str) -> str:
 
 
 def vehicle_named(given: str | None, default: str) -> str:
-    """The vehicle of a command: as given, else that of the environment, else a default."""
+    """The vehicle of a command: as given, else from the environment, else a default."""
     return given or os.environ.get(VEHICLE_VARIABLE) or default

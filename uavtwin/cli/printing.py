@@ -1,4 +1,4 @@
-"""What the command line prints: results on stdout, progress and warnings on stderr."""
+"""Output of the command line: results on stdout, progress and warnings on stderr."""
 
 import os
 import signal
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 class _Terminal(Console):
-    """Shows what would steer a terminal, and half characters, as escapes: names come from files."""
+    """Console that escapes terminal control and half characters: names come from files."""
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Text with its styles."""
@@ -50,14 +50,14 @@ class _Terminal(Console):
 
 
 WIDTH = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 160
-"""Characters in a line of a table where nobody says how many there are."""
+"""Default number of characters in a line of a table."""
 STDOUT = _Terminal(highlight=False, markup=False, soft_wrap=True, width=WIDTH)  # for results
 STDERR = _Terminal(stderr=True, highlight=False, markup=False, soft_wrap=True)
 """Consoles for results, and for progress and warnings."""
 
 
 EVERY_S = 10.0
-"""Time between two lines of progress where stderr is no terminal."""
+"""Interval between two lines of progress where stderr is no terminal."""
 
 
 FORETOLD, STEADY = 0.25, 1.5
@@ -71,7 +71,7 @@ class TimeLeft:
         self._seen: list[tuple[float, float]] = []
 
     def said(self, elapsed_s: float, done: float) -> str:
-        """In words; "": not known.
+        """Remaining time in words; "": not known.
 
         Args:
             elapsed_s: Since the run began.
@@ -97,14 +97,14 @@ class _LeftColumn(ProgressColumn):
         self._left = TimeLeft()
 
     def render(self, task: Task) -> Text:
-        """In words."""
+        """Remaining time in words."""
         return Text(self._left.said(task.elapsed or 0.0, task.completed))
 
 
 @contextmanager
 def progress(what: str) -> Iterator[Callable[[float], None]]:
-    """A bar on stderr, or a line now and then where that is no terminal; the function takes the
-    share done, 0..1."""
+    """A progress bar on stderr, or regular lines where that is no terminal; the function takes the
+    completed share, 0..1."""
     if not STDERR.is_terminal:
         yield _lines(what)
         return
@@ -115,12 +115,12 @@ def progress(what: str) -> Iterator[Callable[[float], None]]:
 
 
 def _lines(what: str) -> Callable[[float], None]:
-    """Prints the share done, and the time left once that is known."""
+    """Function that prints the completed share, and the remaining time once it is known."""
     began = said = time.monotonic()
     left = TimeLeft()
 
     def tell(done: float) -> None:
-        """Print a line where the last one is old enough."""
+        """Print a line if the last one is old enough."""
         nonlocal said
         now = time.monotonic()
         known = left.said(now - began, done)
@@ -133,7 +133,7 @@ def _lines(what: str) -> Callable[[float], None]:
 
 
 def _visible(text: str) -> str:
-    """Text with control, format and half characters written out, line ends and tabs left."""
+    """Text with control, format and half characters written out, except line ends and tabs."""
     return "".join(
         ascii(c)[1:-1] if unicodedata.category(c) in ("Cc", "Cf", "Cs") and c not in "\n\t" else c
         for c in text
@@ -141,14 +141,14 @@ def _visible(text: str) -> str:
 
 
 def print_error(error: Exception, doing: str) -> Exit:
-    """One line of what went wrong; the traceback of a mistake of ours goes to a file that it names.
+    """Print an error in one line; it names a file with the traceback of an internal error.
 
     Args:
-        error: What was raised.
-        doing: What was being done, and with which files.
+        error: Error that was raised.
+        doing: Activity during the error, with its files.
 
     Returns:
-        The exit code that it deserves.
+        The exit code for the error.
     """
     code = Exit.WRONG_USE
     if isinstance(error, TwinError):
@@ -167,7 +167,7 @@ def print_error(error: Exception, doing: str) -> Exit:
 
 
 def _stored_traceback(error: Exception) -> str:
-    """The file that tells where in the program it happened, among the logs of the user."""
+    """File with the traceback, among the logs of the user."""
     text = "".join(traceback.format_exception(error))
     try:
         folder = platformdirs.user_log_path("uavtwin", ensure_exists=True)
@@ -186,7 +186,8 @@ def warn(text: str) -> None:
 
 @contextmanager
 def interruptible() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C, or a signal to end, ends a flight and not its report: gives whether one has come."""
+    """Context in which Ctrl-C, or a signal to end, ends a flight but not its report: returns
+    whether one has come."""
     came: list[int] = []
     names = (signal.SIGINT, signal.SIGTERM)
     before = {n: signal.signal(n, lambda number, _: came.append(number)) for n in names}
@@ -200,19 +201,19 @@ def interruptible() -> Iterator[Callable[[], bool]]:
 def print_json(
     content: "Record | DataclassInstance | Sequence[Record | DataclassInstance]",
 ) -> None:
-    """A result for machines; its keys are those of the class, in the reference of JSON keys."""
+    """Print a result as JSON; its keys are those of the class, in the reference of JSON keys."""
     from ..record import content_of
 
     sys.stdout.write(json_text(content_of(content)))
 
 
 def print_rows(rows: Sequence[Mapping[str, Any]]) -> None:
-    """Rows for machines, whose keys nobody knows before."""
+    """Print rows with arbitrary keys as JSON."""
     sys.stdout.write(json_text(rows))
 
 
 def print_table(table: "TextTable") -> None:
-    """A table as wide as it needs; what does not fit goes on in the next line."""
+    """Print a table at its natural width; longer lines are wrapped."""
     columns = (
         Column(name, no_wrap=i in table.unbroken, overflow="fold")
         for i, name in enumerate(table.header)
@@ -224,7 +225,7 @@ def print_table(table: "TextTable") -> None:
 
 
 def print_sections(sections: "Iterable[str | TextTable]") -> None:
-    """A result as it prints itself, the claim in bold."""
+    """Print a result, with the main result in bold."""
     for i, section in enumerate(sections):
         if isinstance(section, str):
             STDOUT.print(section, style="bold" if i == 0 else None)
@@ -233,7 +234,7 @@ def print_sections(sections: "Iterable[str | TextTable]") -> None:
 
 
 def print_damage(flights: "Sequence[AnyFlight]") -> int:
-    """Print what the readers found damaged; how many."""
+    """Print damage found by the readers; returns the number of findings."""
     errors = [(f.name, x) for f in flights for x in f.findings if x.severity == "error"]
     for name, finding in errors:
         STDERR.print(
@@ -244,10 +245,10 @@ def print_damage(flights: "Sequence[AnyFlight]") -> int:
 
 
 def print_incomplete(steps: "OptionalSteps") -> bool:
-    """Warn of optional steps that failed, the results being in place; whether any did.
+    """Warn of optional steps that failed while the results are complete; returns whether any did.
 
     Raises:
-        Exception: One failed by a mistake of ours, or Ctrl-C.
+        Exception: One failed by an internal error, or Ctrl-C.
     """
     for failed in steps.failed:
         STDERR.print(
@@ -259,13 +260,13 @@ def print_incomplete(steps: "OptionalSteps") -> bool:
 
 
 def print_written(out: Path, files: Sequence[str]) -> None:
-    """Names of the results in a folder, the first of them with the folder, and its run.json."""
+    """Print names of the results in a folder, the first one with the folder, and its run.json."""
     first, *others = files
     STDOUT.print(f"written: {', '.join([str(out / first), *others, 'run.json'])}")
 
 
 def print_files(written: "list[WrittenFile]") -> None:
-    """FMUs and systems that were written, with their hashes, and notes on them."""
+    """Print written FMUs and systems, with their hashes, and notes on them."""
     for row in written:
         platforms = ",".join(row.platforms)
         STDOUT.print(f"{row.file}  FMI {row.fmi}  {platforms}  {row.bytes} bytes")

@@ -32,7 +32,7 @@ def replay(
     rebuild_commands: Rebuild = None,
     as_json: Annotated[Json, Prints("uavtwin.live.replay:Played")] = False,
 ) -> None:
-    """Play a log as a MAVLink aircraft, with faults of a radio link where they are asked for."""
+    """Play a log as a MAVLink aircraft, with optional faults of a radio link."""
     from twin.logs import read_flight
 
     from ..live.replay import MAX_SPEED, Faults, Replay

@@ -1,4 +1,5 @@
-"""How the verbs end that leave a folder: result, files, series, run.json, damage, exit code."""
+"""Common end of the verbs that write a folder: result, files, series, run.json, damage, exit
+code."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -26,8 +27,8 @@ if TYPE_CHECKING:
     from ..series.files import Form, Series
 
 Write = Callable[[Path, OptionalSteps, Callable[[float], None]], list[str]]
-"""Writes files into a folder, optional ones by their steps, and takes the share done to a function;
-names of the files, the first one for people."""
+"""Function that writes files into a folder, optional ones by their steps, and reports the completed
+share; returns the names of the files, the main one first."""
 
 
 class Printable(Protocol):
@@ -35,10 +36,10 @@ class Printable(Protocol):
 
     @property
     def record(self) -> "Record":
-        """Every number of it."""
+        """Record of all its numbers."""
 
     def findings(self) -> "Iterable[str | TextTable]":
-        """What it says, the claim first."""
+        """Text of the result, the main sentence first."""
 
 
 class Paged(Printable, Protocol):
@@ -49,7 +50,7 @@ class Paged(Printable, Protocol):
 
 
 def print_result(found: Printable, as_json: bool) -> None:
-    """A result for machines; else its findings, warnings on stderr."""
+    """Print a result as JSON; else its findings, with warnings on stderr."""
     if as_json:
         print_json(found.record)
         return
@@ -59,26 +60,26 @@ def print_result(found: Printable, as_json: bool) -> None:
 
 
 def write_page(found: Paged, folder: Path, name: str) -> list[str]:
-    """Write the page of a result and its numbers; names of the files."""
+    """Write the page of a result and its numbers; returns the names of the files."""
     write_json(folder / name, found.record.json())
     found.report(folder / "report.html")
     return ["report.html", name]
 
 
 TABLES = "tables"
-"""Folder of the tables in one of results."""
+"""Folder of the tables in a folder of results."""
 
 
 def write_tables(record: "Record", folder: Path) -> None:
     """Write each list of a record, or its parts by name, as CSV: a row each, `a.b` for b in a,
-    `a.1` for the first number in a; lists of parts, or parts by name, within a row are a table of
-    their own."""
+    `a.1` for the first number in a; lists of parts, or parts by name, within a row are separate
+    tables."""
     folder.mkdir()
     _write_parts(record.json(), folder, "")
 
 
 def _write_parts(whole: dict[str, Any], folder: Path, name: str) -> None:
-    """Tables of what a part of the record holds."""
+    """Write the tables of a part of the record."""
     for key, value in whole.items():
         if rows := _rows(value):
             _write_table(rows, folder, name + key)
@@ -87,7 +88,7 @@ def _write_parts(whole: dict[str, Any], folder: Path, name: str) -> None:
 
 
 def _rows(value: object) -> list[dict[str, Any]]:
-    """A list of parts, or parts by name, or by two names, as rows; none of anything else."""
+    """A list of parts, or parts by name, or by two names, as rows; none for anything else."""
     if isinstance(value, list):
         return value if all(isinstance(p, dict) for p in value) else []
     if not isinstance(value, dict) or not all(isinstance(p, dict) for p in value.values()):
@@ -99,7 +100,7 @@ def _rows(value: object) -> list[dict[str, Any]]:
 
 
 def _flat(row: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Columns and cells of a row; what is a table of its own stays whole."""
+    """Columns and cells of a row; nested tables remain whole."""
     for key, cell in row.items():
         if isinstance(cell, dict) and not _rows(cell):
             yield from _flat(cell, f"{before}{key}.")
@@ -108,7 +109,7 @@ def _flat(row: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _write_table(rows: list[dict[str, Any]], folder: Path, name: str) -> None:
-    """One table, and those of the parts in its rows, which say of which row they are."""
+    """Write one table, and those of the parts in its rows, with references to the row."""
     import pandas as pd
 
     table = pd.DataFrame([dict(_flat(row)) for row in rows], dtype=object)
@@ -155,25 +156,25 @@ def conclude(
     seed: int | None = None,
     journal: str = "",
 ) -> None:
-    """Print a result, write its folder, and end with exit code 1 where there are findings.
+    """Print a result, write its folder, and end with exit code 1 if there are findings.
 
     Args:
-        verb: Of the command line.
-        found: The result.
-        out: Folder.
-        write: What is in it besides series and run.json.
-        options: For run.json.
-        inputs: Files that were read; what is no file, such as a built-in vehicle, is left out.
-        force: Whether files that are there are replaced.
+        verb: Verb of the command line.
+        found: Result of the verb.
+        out: Output folder.
+        write: Writes its files besides series and run.json.
+        options: Options for run.json.
+        inputs: Input files; other inputs, such as a built-in vehicle, are ignored.
+        force: Whether existing files are replaced.
         as_json: Whether JSON is printed.
-        findings: Whether the result asks for exit code 1, which damaged flights and optional steps
-            that fail do as well.
-        flights: That were read.
-        series: Of the folder.
-        forms: Of these.
+        findings: Whether the result needs exit code 1, as do damaged flights and failed optional
+            steps.
+        flights: Flights that were read.
+        series: Series for the folder.
+        forms: Formats of the series.
         tables: Whether the lists of the record are written as tables too.
-        seed: Of what is drawn.
-        journal: Name of a file of the folder that the run leaves if it is killed; "": none.
+        seed: Seed of random numbers.
+        journal: Name of a file that remains in the folder if the run is killed; "": none.
     """
     from ..series.files import write_all_series
 

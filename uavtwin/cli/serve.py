@@ -34,8 +34,7 @@ def serve(
 ) -> None:
     """Serve a page where one drops flight logs and reads what check, why, gap and explain say.
 
-    Nothing leaves this machine. Ends with Ctrl-C; what was being done goes on when it is started
-    again.
+    Nothing leaves this machine. Ends with Ctrl-C; interrupted jobs are resumed at the next start.
     """
     from ..jobs.process import JobLimits
     from ..serve.opened import open_site

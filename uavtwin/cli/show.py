@@ -28,10 +28,10 @@ def show(
         Json, Prints("fmus.equations:Equation", about="A list, one of each.")
     ] = False,
 ) -> None:
-    """Print the equations of a component as they are assembled, the vehicle's numbers put in.
+    """Print the equations of a component as they are assembled, with the vehicle's numbers.
 
-    What effects that are off would add is left out. `d x/dt` is the derivative of a state, `next x`
-    its value after a sample instant, `t1` a part that several equations share.
+    Terms of effects that are off are omitted. `d x/dt` is the derivative of a state, `next x` its
+    value after a sample instant, `t1` a part that several equations share.
     """
     from fmus.equations import equations_of
 

@@ -1,4 +1,4 @@
-"""`uavtwin simulate`: flights of the twin, and systems of other tools."""
+"""`uavtwin simulate`: flights of the twin, and systems from other tools."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -34,7 +34,7 @@ from .printing import STDERR, STDOUT, print_incomplete, print_json, print_writte
 
 Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
 _VEHICLE = "copter_default"
-"""Vehicle where none is named."""
+"""Default vehicle."""
 Aircraft = Annotated[
     str | None,
     typer.Option(
@@ -176,9 +176,9 @@ def _write(
     seed: int,
     steps: "OptionalSteps",
 ) -> list[str]:
-    """All that a run leaves, marked where it is incomplete; names of the recordings.
+    """Write all results of a run, marked if incomplete; returns the names of the recordings.
 
-    A recording for which there is no room leaves the figures and the page.
+    Without space for a recording, figures and page are still written.
     """
     from ..output import results_folder, write_json, write_run
     from ..report.simulation import page_text
@@ -201,7 +201,7 @@ def _write(
 
 
 def _end(run: "Run", out: Path) -> NoReturn:
-    """Say how a run was ended and where its recording is, and end with the exit code for it."""
+    """Print how a run ended and the path of its recording, and end with its exit code."""
     text = (
         f"{run.recording.incomplete.rstrip('.')}. What was recorded up to "
         f"{run.recording.time_s[-1]:g} s is in {out}, marked incomplete."
@@ -214,7 +214,7 @@ def _end(run: "Run", out: Path) -> NoReturn:
 
 
 def aircraft_of(scenario: str, given: str | None) -> tuple[str, bool]:
-    """Name of the vehicle that flies; and whether an `.ssp` flies its own parts instead."""
+    """Name of the vehicle; and whether an `.ssp` uses its own parts instead."""
     if scenario.endswith(".ssp") and given in (None, _VEHICLE):
         return _VEHICLE, True
     return vehicle_named(given, _VEHICLE), False

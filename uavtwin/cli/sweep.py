@@ -73,9 +73,9 @@ def sweep(
         Json, Prints("uavtwin.sweeps.result:SweepRecord", file="sweep.json")
     ] = False,
 ) -> None:
-    """Fly a scenario many times, each time with other numbers, and see what matters.
+    """Fly a scenario many times, each time with other numbers, and find the important ones.
 
-    A sweep that was interrupted goes on where it was when the same command is given again.
+    After an interruption the same command resumes the sweep.
     """
     from cosim.limits import Limits
 
@@ -126,8 +126,7 @@ def _note(
     options: dict[str, Any],
     given: tuple[Path, ...],
 ) -> None:
-    """Write `run.json`; of the engine and its workers it says nothing, since nothing depends on
-    them."""
+    """Write `run.json`, without engine and workers, which do not affect the results."""
     from ..output import write_run
 
     about = {

@@ -1,4 +1,4 @@
-"""`uavtwin train`: a compensator of what no named effect explains."""
+"""`uavtwin train`: a compensator of residuals that no named effect explains."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ..learned import TrainResult
 
 LONGEST_HORIZON_S = 1.0
-"""Of a compensator that sees past residuals."""
+"""Longest horizon of a compensator with past residuals as inputs."""
 Protocol = Literal["force", "reconstruct", "track", "free"]
 
 ModelName = Annotated[
@@ -95,7 +95,7 @@ def train(
 ) -> None:
     """Train a compensator on what a vehicle model leaves unexplained in flights.
 
-    A training that was interrupted is resumed when the same command is given again.
+    After an interruption the same command resumes the training.
     """
 
     from learning.data.flights import DEFAULT_RATE_HZ
@@ -113,7 +113,7 @@ def train(
     inputs = [p for p in (*flights, Path(named), *laws) if p.is_file()]
 
     def alongside(trained: "TrainResult", folder: Path) -> None:
-        """Print what was trained, before the folder is moved to its place, and write run.json."""
+        """Print the trained model, before the folder is moved to its place, and write run.json."""
         if as_json:
             print_json(trained.record)
         else:
@@ -140,10 +140,10 @@ def train(
 
 
 def _samples(horizon_s: float, rate_hz: float) -> int:
-    """Samples of a horizon.
+    """Number of samples of a horizon.
 
     Raises:
-        TwinError: They are no whole number, or the horizon is too long.
+        TwinError: It is no integer, or the horizon is too long.
     """
     count = round(horizon_s * rate_hz) if 0 < horizon_s <= LONGEST_HORIZON_S else 0
     if count < 1 or abs(count - horizon_s * rate_hz) > 1e-6:

@@ -1,4 +1,4 @@
-"""`uavtwin vehicle ...`: making vehicle files."""
+"""`uavtwin vehicle ...`: creation of vehicle files."""
 
 from itertools import takewhile
 from pathlib import Path
@@ -29,7 +29,7 @@ def convert(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Write the vehicle file of an aircraft that another simulator describes."""
+    """Write the vehicle file of an aircraft described by another simulator."""
     from ..output import check_file
     from ..vehicles import convert_vehicle
 
@@ -110,15 +110,15 @@ def draft(
 
 
 def _length(text: str | None, option: str) -> float | None:
-    """A length with its unit, m."""
+    """A length from text with a unit, m."""
     return None if text is None else _quantity(text, option, "m", "480mm or 0.48m", bare=False)
 
 
 def _quantity(text: str, option: str, unit: str, form: str, bare: bool) -> float:
-    """A positive number in the SI unit.
+    """A positive number from text, in the SI unit.
 
     Raises:
-        TwinError: It is none, or has no unit of this kind.
+        TwinError: It is invalid, or has no unit of this quantity.
     """
     try:
         found = quantity(text, unit, bare)

@@ -21,9 +21,9 @@ def verify(
         ),
     ] = False,
 ) -> None:
-    """Rerun the reference results inside FMUs, and say whether they come out the same here.
+    """Rerun the reference results inside FMUs, and compare the outputs.
 
-    Their code is executed. Exit code 1: one is not the same.
+    Their code is executed. Exit code 1: an output deviates.
     """
     from ..exports.verify import VerifyRecord
     from ..exports.verify import verify as rerun
@@ -32,7 +32,7 @@ def verify(
     for path in fmus:
         try:
             result = rerun(path)
-        except TwinError as error:  # one that cannot be rerun hides none of the others
+        except TwinError as error:  # a failed one does not affect others
             worst = max(worst, print_error(error, f"verify {path}"))
             lost = VerifyRecord(file=path.name, passed=False, experiments=(), error=str(error))
             records.append(lost)

@@ -69,7 +69,7 @@ def why(
     for log in logs:
         try:
             result = ask_why(log, normal, vehicle)
-        except Exception as error:  # one that cannot be read hides none of the others
+        except Exception as error:  # an unreadable one does not affect others
             if len(logs) == 1:
                 raise
             worst = max(worst, print_error(error, f"why {log}"))

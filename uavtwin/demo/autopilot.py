@@ -1,5 +1,5 @@
-"""What `uavtwin live --hil --demo` is flown by: a stand-in for PX4, our controller behind real
-MAVLink messages.
+"""Autopilot of `uavtwin live --hil --demo`: a stand-in for PX4, the project's controller behind
+real MAVLink messages.
 
 It reads the true motion of HIL_STATE_QUATERNION, as an estimator without errors would, and answers
 each HIL_SENSOR with HIL_ACTUATOR_CONTROLS of its time, as PX4 does in lockstep.
@@ -31,23 +31,23 @@ from .flights import Waypoints, setpoints_along
 
 Array = NDArray[np.float64]
 STATE_US = 1000
-"""Between two HIL_STATE_QUATERNION that are asked for, microseconds: one before each HIL_SENSOR."""
+"""Requested interval of HIL_STATE_QUATERNION, microseconds: one before each HIL_SENSOR."""
 HOP: Waypoints = (
     ("ground", 0.5, (0.0, 0.0, 0.0)),
     ("takeoff", 2.0, (0.0, 0.0, -1.5)),
     ("forward", 3.0, (2.0, 1.0, -2.0)),
     ("hover", 1.5, (2.0, 1.0, -2.0)),
 )
-"""Phase, duration, s, and place reached, m NED, of a short flight: seven seconds."""
+"""Waypoints of a short flight of seven seconds: phase, duration, s, and position reached, m NED."""
 
 
 @dataclass
 class Pilot:
-    """Our controller along waypoints, once per HIL_SENSOR.
+    """The project's controller along waypoints, once per HIL_SENSOR.
 
     Attributes:
-        vehicle: That it is designed for.
-        waypoints: It flies along.
+        vehicle: Vehicle for which it is designed.
+        waypoints: Waypoints of its flight.
     """
 
     vehicle: Vehicle
@@ -66,7 +66,7 @@ class Pilot:
         return STEP_S * len(self._setpoints)
 
     def controls(self, t_us: int, motion: dict[str, float]) -> Controls:
-        """What it answers at a time to a motion: `pos_x`, `vel_x`, `q_w`, `omega_x` and so on."""
+        """Controls for a motion at a time: `pos_x`, `vel_x`, `q_w`, `omega_x` and so on."""
         before_us = t_us if self._before_us is None else self._before_us
         if t_us > before_us:
             self._run.step(1e-6 * before_us, 1e-6 * (t_us - before_us), self._u)
@@ -94,13 +94,13 @@ def motion_of(state: Message, origin: Sequence[float] = PLACE) -> dict[str, floa
 
 @dataclass
 class StandIn:
-    """An autopilot that connects and flies.
+    """A simulated autopilot that connects and flies.
 
     Attributes:
-        pilot: Who flies.
-        answers: Made of a controls message before it is sent; None: it is not.
-        place: Of the start: latitude, longitude, rad; height over the ellipsoid, m.
-        on_message: Called with each message that it receives.
+        pilot: Pilot with the controller.
+        answers: Changes a controls message before it is sent; None: it is not sent.
+        place: Place of the start: latitude, longitude, rad; height above the ellipsoid, m.
+        on_message: Called with each received message.
     """
 
     pilot: Pilot
@@ -109,7 +109,7 @@ class StandIn:
     on_message: Callable[[Message], object] = lambda _: None
 
     def fly(self, where: Address) -> None:
-        """Until the simulator hangs up."""
+        """Connect and fly until the simulator disconnects."""
         with socket.create_connection(where.pair, timeout=20) as wire:
             self._fly(wire)
 
@@ -143,20 +143,20 @@ class StandIn:
 
 @contextmanager
 def flown_meanwhile(pilot: Pilot, simulator: Address, place: Sequence[float]) -> Iterator[None]:
-    """Connect to a simulator and fly it, in the background, until it hangs up.
+    """Connect to a simulator and fly it, in the background, until it disconnects.
 
     Args:
-        pilot: Who flies.
-        simulator: Where it listens.
-        place: Of the start, as of `StandIn`.
+        pilot: Pilot with the controller.
+        simulator: Address of the simulator.
+        place: Place of the start, as in `StandIn`.
 
     Raises:
-        Exception: Of the pilot, once the simulator has hung up.
+        Exception: From the pilot, after the simulator has disconnected.
     """
     failed: list[Exception] = []
 
     def fly() -> None:
-        """In a thread of its own; that the simulator hangs up is the end, no error."""
+        """Run in a separate thread; a disconnection is the end, no error."""
         try:
             with suppress(OSError):
                 StandIn(pilot, place=place).fly(simulator)

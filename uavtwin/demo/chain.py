@@ -1,4 +1,4 @@
-"""What `uavtwin demo` does: built-in flights with a hidden effect, gap, name, vehicle, proof."""
+"""Steps of `uavtwin demo`: built-in flights with a hidden effect, gap, name, vehicle, proof."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from ..record import Record
 from .flights import WAYPOINTS, Hidden, Waypoints, fly, hide
 
 SIDEWAYS: Waypoints = tuple((p, t, (-0.8 * y, 0.8 * x, z)) for p, t, (x, y, z) in WAYPOINTS)
-"""The same shape flown sideways, a little slower."""
+"""The waypoints flown sideways, slightly slower."""
 DIAGONAL: Waypoints = (
     ("ground", 1.0, (0.0, 0.0, 0.0)),
     ("takeoff", 3.0, (0.0, 0.0, -2.0)),
@@ -32,18 +32,18 @@ DIAGONAL: Waypoints = (
     ("land", 3.0, (0.0, 0.0, 0.0)),
     ("ground", 1.0, (0.0, 0.0, 0.0)),
 )
-"""A flight of another shape, to be held out."""
-FIT = {"fit_1": WAYPOINTS, "fit_2": SIDEWAYS}  # missions of the flights to fit on
+"""Waypoints of a flight with another shape, for holding out."""
+FIT = {"fit_1": WAYPOINTS, "fit_2": SIDEWAYS}  # missions of the flights for the fit
 HOLDOUT = {"holdout": DIAGONAL}
-"""Flights to fit on and to hold out, by name."""
+"""Missions of held-out flights, by name."""
 
 
 class TruthRecord(Record, frozen=True, kw_only=True):
-    """What was hidden.
+    """The hidden effect.
 
     Attributes:
-        effect: Its name.
-        text: In words.
+        effect: Name of the effect.
+        text: Description in words.
     """
 
     effect: str
@@ -51,13 +51,13 @@ class TruthRecord(Record, frozen=True, kw_only=True):
 
 
 class DemoRecord(Record, frozen=True, kw_only=True):
-    """A demonstration.
+    """Record of a demonstration.
 
     Attributes:
-        gap: Of the first flight.
-        explain: What was found.
-        truth: What was hidden.
-        named_rightly: Whether that is what was found, alone.
+        gap: Gap of the first flight.
+        explain: Result of explain.
+        truth: The hidden effect.
+        named_rightly: Whether exactly this effect was named.
     """
 
     gap: GapRecord
@@ -66,19 +66,19 @@ class DemoRecord(Record, frozen=True, kw_only=True):
     named_rightly: bool
 
     def json(self) -> dict[str, Any]:
-        """As strict JSON content, `explain` with the digits of `explain.json`."""
+        """Record as strict JSON content, `explain` with the digits of `explain.json`."""
         return super().json() | {"explain": self.explain.json()}
 
 
 @dataclass(frozen=True, slots=True)
 class Demo:
-    """The chain, run.
+    """Result of the demonstration.
 
     Attributes:
-        hidden: What the flights really have.
-        flights: Two to fit on and one held out.
-        gap: Of the first flight.
-        found: What the search says.
+        hidden: Effect of the plant.
+        flights: Flights: two for the fit and one held out.
+        gap: Gap of the first flight.
+        found: Result of the search.
     """
 
     hidden: Hidden
@@ -90,12 +90,12 @@ class Demo:
 
     @property
     def right(self) -> bool:
-        """Whether the name is that of the hidden effect, alone."""
+        """Whether exactly the hidden effect was named."""
         return self.found.verdict == "named" and self.found.effects == (self.hidden.effect,)
 
     @property
     def record(self) -> DemoRecord:
-        """Everything in numbers."""
+        """Record of all numbers."""
         return DemoRecord(
             gap=self.gap.record,
             explain=self.found.record,
@@ -105,7 +105,7 @@ class Demo:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Of the explanation."""
+        """Warnings of the explanation."""
         return self.found.warnings
 
     def findings(self) -> Iterable[str | TextTable]:
@@ -116,7 +116,7 @@ class Demo:
 
     @property
     def ending(self) -> str:
-        """The truth, and whether it was found."""
+        """Text on the hidden effect, and whether it was found."""
         truth = f"hidden in these flights: {self.hidden.text} ({title(self.hidden.effect)})"
         return f"{truth}. The name is {'right' if self.right else 'wrong'}."
 
@@ -124,12 +124,12 @@ class Demo:
 def run_demo(
     vehicle: Vehicle, seed: int, progress: Callable[[float], None] = lambda _: None
 ) -> Demo:
-    """Hide an effect, fly, compare, and look for it.
+    """Hide an effect, fly, compare, and search for it.
 
     Args:
-        vehicle: The twin.
-        seed: Draws the effect and the sensor noise.
-        progress: Called with the share done.
+        vehicle: Vehicle of the twin.
+        seed: Seed of the effect and the sensor noise.
+        progress: Called with the completed share.
     """
     hidden = hide(vehicle, seed)
     flights = tuple(
@@ -152,10 +152,10 @@ def write_demo(
     """Write flights, gap, explanation and the truth; returns the names of the files.
 
     Args:
-        demo: The chain, run.
-        folder: To write into.
-        steps: Takes the FMUs, which the rest is whole without.
-        progress: Called with the share done.
+        demo: Result of the demonstration.
+        folder: Output folder.
+        steps: Runs the optional export of FMUs.
+        progress: Called with the completed share.
     """
     (folder / "flights").mkdir()
     for flight in demo.flights:

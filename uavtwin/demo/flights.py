@@ -1,7 +1,7 @@
-"""Built-in flights with a hidden effect: what `uavtwin demo` flies.
+"""Built-in flights of `uavtwin demo` with a hidden effect.
 
-The plant is the airframe of a built-in vehicle with one thing changed that the twin does not
-know; a controller designed on the twin flies it, and noisy sensors record it as a flight table.
+The plant is the airframe of a built-in vehicle with one change that the twin does not know; a
+controller designed on the twin flies it, and noisy sensors record it as a flight table.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ from twin.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 IMU_S, POSE_S = 0.005, 0.01
-"""Sample time of IMU and pose of the made flights, s."""
+"""Sample periods of IMU and pose in the generated flights, s."""
 ACC_NOISE_M_S2, GYRO_NOISE_RAD_S = 0.05, 0.005  # made up: a quiet MEMS IMU
 POS_NOISE_M, VEL_NOISE_M_S, ATT_NOISE = 0.001, 0.01, 0.0005  # made up: motion capture
 
@@ -43,12 +43,12 @@ WAYPOINTS: Waypoints = (
     ("land", 3.0, (0.0, 0.0, 0.0)),
     ("ground", 1.0, (0.0, 0.0, 0.0)),
 )
-"""Phase, duration in s, and place reached at its end (m NED from the resting place)."""
+"""Phase, duration in s, and position reached at its end (m NED from the resting place)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """An effect put into the plant: its identifier, and what was changed, in words."""
+    """An effect in the plant: its identifier, and a description in words."""
 
     effect: str
     text: str
@@ -73,12 +73,12 @@ def fly(
     """Fly the waypoints with the plant under the twin's controller and record the sensors.
 
     Args:
-        vehicle: What the controller was designed for.
-        plant: What really flies.
-        seed: Of the sensor noise.
-        name: Of the flight.
-        waypoints: Phase, duration and place of each leg.
-        imu_s: Time between two rows of the table, commands and IMU in each.
+        vehicle: Vehicle for which the controller was designed.
+        plant: Vehicle that flies.
+        seed: Seed of the sensor noise.
+        name: Name of the flight.
+        waypoints: Phase, duration and position of each leg.
+        imu_s: Time between two rows of the table, with commands and IMU in each.
     """
     setpoints, phases = setpoints_along(plant, waypoints)
     recorder = recorder_of(plant, seed, imu_s)
@@ -86,7 +86,7 @@ def fly(
 
 
 def recorder_of(plant: Vehicle, seed: int, imu_s: float) -> Recorder:
-    """Motion capture and a quiet IMU; arguments as of `fly`."""
+    """Settings of motion capture and a low-noise IMU; arguments as in `fly`."""
     drives = motor_columns("cmd" if plant.drive == "command" else "rotor", plant.rotors.count)
     return Recorder(
         streams=(
@@ -179,4 +179,4 @@ _HIDERS: dict[str, Callable[[Vehicle, np.random.Generator], Hidden]] = {
     THRUST_SCALE.name: _thrust_scale,
     INERTIA_ERROR.name: _inertia_error,
 }
-"""By effect, what draws its numbers and changes the vehicle."""
+"""Function that draws the numbers of an effect and changes the vehicle, by effect."""

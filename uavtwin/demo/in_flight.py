@@ -1,7 +1,7 @@
-"""What `uavtwin live --demo` listens to: a built-in aircraft that is damaged in mid-flight.
+"""Built-in aircraft of `uavtwin live --demo`, damaged in mid-flight.
 
-It is flown in closed loop beforehand and then sent over the loopback in real time by the sender of
-`uavtwin replay`; nothing of what listens knows that it is no real aircraft.
+It is simulated in closed loop beforehand and then sent over the loopback in real time by the sender
+of `uavtwin replay`; the receiver cannot distinguish it from a real aircraft.
 """
 
 import threading
@@ -29,28 +29,29 @@ from .flights import (
 )
 
 BEGINS_S = 20.0
-"""After the start of the flight: what listens has by then learned what is usual."""
+"""Time of the damage after the start of the flight: by then the receiver has learned the normal
+state."""
 LOSS, ROTOR = 0.2, 3
-"""Share of its thrust that a rotor loses, and which. Made up: a broken tip."""
+"""Lost share of a rotor's thrust, and the number of the rotor. Made up: a broken tip."""
 SECONDS = 60.0
 """Length of the flight, s."""
 _BATTERY_S, _BATTERY_NOISE = 0.1, 1e-3
-"""Sample time of the battery, s, and noise of its voltage, V."""
+"""Sample period of the battery, s, and noise of its voltage, V."""
 _LEG_S = 3.0
-"""Time for each leg, s."""
+"""Duration of each leg, s."""
 _SQUARE = ((1.0, 0.0, -1.5), (1.0, 0.8, -2.0), (0.0, 0.8, -1.5), (0.0, 0.0, -1.5))
-"""Corners, over the longest leg."""
+"""Corners of the squares, over the longest leg."""
 _REACH_M, _SMALL_REACH_M, _SMALL_ARM_M = 5.0, 1.5, 0.06
-"""Distance of the legs, m, of a large and of a small aircraft, and the arm from which on it is
-large, m."""
+"""Length of the legs, m, for a large and for a small aircraft, and the arm from which it is large,
+m."""
 
 
 def waypoints(vehicle: Vehicle, seconds: float = SECONDS) -> Waypoints:
-    """Take-off, a hover, and squares until the time is over; it does not land.
+    """Take-off, a hover, and squares until the end; without a landing.
 
     Args:
-        vehicle: That flies: a small one flies smaller squares.
-        seconds: How long.
+        vehicle: Vehicle that flies: a small one flies smaller squares.
+        seconds: Duration.
     """
     reach = _SMALL_REACH_M if vehicle.arm_m < _SMALL_ARM_M else _REACH_M
     start = (0.0, 0.0, -1.5)
@@ -71,11 +72,11 @@ def damaged_flight(
     """A flight in which a rotor loses thrust.
 
     Args:
-        vehicle: That flies, and for which its controller is designed.
-        begins_s: Since when, s.
-        loss: Share of its thrust.
-        seconds: How long the flight is, to the next whole square.
-        seed: Of the noise of the sensors.
+        vehicle: Vehicle that flies, and for which its controller is designed.
+        begins_s: Start of the loss, s.
+        loss: Lost share of its thrust.
+        seconds: Duration of the flight, extended to a whole square.
+        seed: Seed of the sensor noise.
 
     Raises:
         ModelError: The vehicle cannot hover.
@@ -104,27 +105,27 @@ def damaged_flight(
 
 
 def ending(begins_s: float = BEGINS_S, loss: float = LOSS) -> str:
-    """The truth about such a flight."""
+    """Text on the true fault of such a flight."""
     return f"in this flight rotor {ROTOR} lost {100 * loss:.0f} % of its thrust at {begins_s:g} s"
 
 
 @contextmanager
 def sent_meanwhile(flight: Flight, to: Address) -> Iterator[None]:
-    """Send a flight in real time, in the background; it ends with the block.
+    """Send a flight in real time, in the background, until the end of the context.
 
     Args:
-        flight: To send.
-        to: Who listens.
+        flight: Flight to send.
+        to: Address of the listener.
     """
     sender, over = Replay(to), threading.Event()
 
     def go_on(_: float) -> None:
-        """Called as it is sent."""
+        """Called during sending."""
         if over.is_set():
             raise _EndedError
 
     def play() -> None:
-        """In a thread of its own."""
+        """Run in a separate thread."""
         with suppress(_EndedError):
             sender.play(flight, go_on)
 
@@ -139,4 +140,4 @@ def sent_meanwhile(flight: Flight, to: Address) -> Iterator[None]:
 
 
 class _EndedError(Exception):
-    """Nobody listens any more."""
+    """There is no listener any more."""

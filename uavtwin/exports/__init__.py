@@ -1,1 +1,1 @@
-"""Components, the whole twin, replays and compensators as files that FMI tools run."""
+"""Export of components, the whole twin, replays and compensators for FMI tools."""

@@ -1,5 +1,5 @@
-"""How far a twin was off on flights of other days: accuracy.json, beside the vehicle file of
-`explain`, and the bands that an exported twin looks up.
+"""Errors of a twin on flights of other days: accuracy.json, next to the vehicle file of `explain`,
+and the bands of an exported twin.
 """
 
 import hashlib
@@ -19,9 +19,9 @@ from ..vehicles import checked_vehicle
 from .credibility import FactorRecord
 
 FILE = "accuracy.json"
-"""Its name in the folder of `explain`."""
+"""Name of the file in the folder of `explain`."""
 PLAIN, OBSERVED = "plain", "observer"
-"""Twins that are compared: as they are, and with their disturbance observer on."""
+"""Twins that are compared: unchanged, and with their disturbance observer on."""
 _MOST_BYTES = 2**24  # of a file that is read
 
 
@@ -29,13 +29,14 @@ class BandsRecord(Record, frozen=True, kw_only=True):
     """Bands of one twin.
 
     Attributes:
-        horizons_s: Times alone at which it was compared, s.
-        limits: What the aircraft went through at most, by name: airspeed (m/s), rates (rad/s),
-            thrust and ground (1).
+        horizons_s: Times without given motion at which it was compared, s.
+        limits: Largest values during the flights, by name: airspeed (m/s), rates (rad/s), thrust
+            and ground (1).
         calm: Share of the envelope up to which the regime is calm.
         bands: 95 % bands by quantity and regime, at each of `horizons_s`.
-        windows: How often the twin was left alone, by flight.
-        missing: Quantities without a band, and regimes of them without one of their own, and why.
+        windows: Number of windows without given motion, by flight.
+        missing: Quantities without a band, and their regimes without a separate one, with the
+            reason.
     """
 
     horizons_s: tuple[float, ...]
@@ -47,14 +48,14 @@ class BandsRecord(Record, frozen=True, kw_only=True):
 
 
 class AccuracyRecord(Record, frozen=True, kw_only=True):
-    """How far a driven twin was off on flights that took no part in its fit.
+    """Errors of a driven twin on flights that took no part in its fit.
 
     Attributes:
-        vehicle: Name.
-        vehicle_sha256: Of the vehicle file.
-        drive: What drove it: command or rotor_speed.
+        vehicle: Name of the vehicle.
+        vehicle_sha256: Hash of the vehicle file.
+        drive: Input of the twin: command or rotor_speed.
         twins: Bands by twin: plain, and with its observer on.
-        missing: Twins without bands, and flights that could not be compared, and why.
+        missing: Twins without bands, and flights that could not be compared, with the reason.
     """
 
     digits = 6
@@ -66,10 +67,10 @@ class AccuracyRecord(Record, frozen=True, kw_only=True):
     missing: dict[str, str]
 
     def bands(self, twin: str) -> Bands:
-        """Of a twin that has some.
+        """Bands of a twin that has some.
 
         Raises:
-            ModelError: They are none.
+            ModelError: They are invalid.
         """
         found = self.twins[twin]
         rows = {q: [by[r] for r in REGIMES] for q, by in found.bands.items()}
@@ -78,7 +79,7 @@ class AccuracyRecord(Record, frozen=True, kw_only=True):
 
 
 def record_of(bands: Bands, windows: dict[str, int], missing: dict[str, str]) -> BandsRecord:
-    """Bands as they are written."""
+    """Record of bands."""
     return BandsRecord(
         horizons_s=tuple(bands.horizons_s),
         limits=dict(zip((name for name, *_ in SEEN), bands.limits, strict=True)),
@@ -93,15 +94,15 @@ def record_of(bands: Bands, windows: dict[str, int], missing: dict[str, str]) ->
 
 
 def digest(vehicle: Vehicle) -> str:
-    """Of the file that a vehicle makes."""
+    """Hash of the file of a vehicle."""
     return hashlib.sha256(checked_vehicle(vehicle, "accuracy").toml().encode()).hexdigest()
 
 
 def read_accuracy(folder: Path, vehicle: Vehicle) -> AccuracyRecord:
-    """What `explain` has left in a folder; where it left nothing, it says so.
+    """Record in a folder of `explain`; an empty one with the reason where there is none.
 
     Raises:
-        TwinError: It cannot be read, or it is of other numbers.
+        TwinError: It cannot be read, or belongs to other numbers.
     """
     path, own = folder / FILE, digest(vehicle)
     if not path.is_file():
@@ -131,14 +132,14 @@ def read_accuracy(folder: Path, vehicle: Vehicle) -> AccuracyRecord:
 def accuracy_part(
     found: AccuracyRecord, vehicle: Vehicle, drive: str, observer: bool, changes: Iterable[str]
 ) -> tuple[Component, FactorRecord]:
-    """The part of a twin that says how far it may be off, and the same for its card.
+    """The component with the accuracy bands of a twin, and the factor for its card.
 
     Args:
-        found: Of flights that took no part in the fit.
-        vehicle: Of the twin.
-        drive: What drives it.
+        found: Errors on flights that took no part in the fit.
+        vehicle: Vehicle of the twin.
+        drive: Input of the twin.
         observer: Whether its observer is on.
-        changes: In what else it is another twin than the compared ones.
+        changes: Further differences from the compared twins.
     """
     twin = OBSERVED if observer else PLAIN
     why = ", ".join(changes)

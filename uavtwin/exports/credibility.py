@@ -1,11 +1,10 @@
-"""What is known of a twin's credibility: eleven factors with a level and what it rests on.
+"""Credibility of a twin: eleven factors with a level and its justification.
 
-Factors and the scale 0 to 4 are named after NASA-STD-7009B (2024): of the capability of a model its
-data pedigree, verification, validation, technical review and process and product management; of its
-results the use, input pedigree, uncertainty, robustness, technical review and management of the
-use. Its own text decides what a level means; the rules here are this program's, from files alone.
-They end at 2: what they cannot see, a person has to judge. A factor of which nothing is known
-has 0.
+Factors and the scale 0 to 4 are named after NASA-STD-7009B (2024): for the capability of a model
+its data pedigree, verification, validation, technical review and process and product management;
+for its results the use, input pedigree, uncertainty, robustness, technical review and management of
+the use. The text of the standard defines the levels; the rules here are those of this program, from
+files only. They end at 2: further criteria need the judgement of a person. An unknown factor has 0.
 """
 
 from collections.abc import Iterable, Mapping
@@ -27,14 +26,14 @@ from ..vehicles import Vehicle, checked_vehicle, load_vehicle
 FILE, PAGE = "documentation/credibility.json", "documentation/credibility.html"
 """Members of an archive, FMU or SSP."""
 HIGHEST = 4
-"""Level of the standard; none of ours is over 2."""
+"""Highest level of the standard; the rules here give at most 2."""
 RESULTS = ("explain.json", "run.json", "vehicle.toml", "accuracy.json")
-"""Of a folder of `explain`, which the card rests on."""
+"""Files in a folder of `explain` on which the card is based."""
 UNCHECKED = "named as other programs quote them, not checked against the text of the standard"
-"""Said of the factors in the card itself."""
+"""Note on the factors in the card itself."""
 _MADE_UP = "made up"
 OF_FLIGHTS = ("uavtwin calibrate,", "uavtwin explain,")
-"""How sources begin that flights have given."""
+"""Start of sources that refer to flights."""
 _MOST_BYTES = 64 * 2**20  # of a result that is read
 
 
@@ -42,8 +41,8 @@ class FactorRecord(Record, frozen=True, kw_only=True):
     """A factor of credibility.
 
     Attributes:
-        level: 0 to 4; 0: nothing is known.
-        because: What the level rests on.
+        level: Level 0 to 4; 0: nothing is known.
+        because: Justification of the level.
     """
 
     level: int
@@ -54,14 +53,14 @@ class CredibilityRecord(Record, frozen=True, kw_only=True):
     """Credibility of a twin, as far as files show it.
 
     Attributes:
-        standard: That names the factors and the scale.
-        names: Where the names of the factors are from.
+        standard: Standard that defines the factors and the scale.
+        names: Source of the names of the factors.
         vehicle: Name of the vehicle.
-        factors: By name.
-        evidence: SHA-256 of files that the levels rest on, by name; flights among them.
-        verdicts: What explain says of the flights: `verdict`, and the probability of each effect.
-        settings: Of that explain: their hash, and those that were changed.
-        sources: Where each number of the vehicle is from, by its key in the file.
+        factors: Factors by name.
+        evidence: SHA-256 of files on which the levels are based, by name; flights among them.
+        verdicts: Results of explain: `verdict`, and the probability of each effect.
+        settings: Settings of explain: their hash, and changed values.
+        sources: Source of each number of the vehicle, by its key in the file.
     """
 
     standard: str
@@ -78,53 +77,53 @@ _T = TypeVar("_T")
 
 
 class _Channel(msgspec.Struct, frozen=True):
-    """What is read of a `ChannelRecord`."""
+    """Fields in use of a `ChannelRecord`."""
 
     shrink: float | None
     shrink_ci95: tuple[float, float] | None
 
     @property
     def worse(self) -> bool:
-        """Whether the gap grew, by the best case of its interval."""
+        """Whether the gap grew, even at the lower end of its interval."""
         best = self.shrink if self.shrink_ci95 is None else self.shrink_ci95[1]
         return best is None or best < 0.0
 
 
 class _HeldOut(msgspec.Struct, frozen=True):
-    """What is read of a `HeldOutRecord`."""
+    """Fields in use of a `HeldOutRecord`."""
 
     flight: str
     spans_s: tuple[tuple[float, float], ...] | None
 
 
 class _ClosedLoop(msgspec.Struct, frozen=True):
-    """What is read of a `ClosedLoopRecord`."""
+    """Fields in use of a `ClosedLoopRecord`."""
 
     stable: bool
     missions: dict[str, msgspec.Raw]
 
 
 class _Effect(msgspec.Struct, frozen=True):
-    """What is read of an `EffectRecord`."""
+    """Fields in use of an `EffectRecord`."""
 
     name: str
     probability: float
 
 
 class _Settings(msgspec.Struct, frozen=True):
-    """What is read of a `SettingsRecord`."""
+    """Fields in use of a `SettingsRecord`."""
 
     hash: str
     changed: dict[str, object]
 
     @property
     def said(self) -> dict[str, str]:
-        """The hash, and what was changed."""
+        """Hash of the settings, and changed values."""
         return {"hash": self.hash} | {k: str(v) for k, v in self.changed.items()}
 
 
 class _Explained(msgspec.Struct, frozen=True):
-    """What is read of explain.json."""
+    """Fields in use of explain.json."""
 
     verdict: str
     effects: tuple[_Effect, ...]
@@ -140,24 +139,24 @@ class _Explained(msgspec.Struct, frozen=True):
 
 
 class _Input(msgspec.Struct, frozen=True):
-    """What is read of an `InputRecord`."""
+    """Fields in use of an `InputRecord`."""
 
     name: str
     sha256: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
 
 class _Run(msgspec.Struct, frozen=True):
-    """What is read of run.json."""
+    """Fields in use of run.json."""
 
     inputs: tuple[_Input, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """What `explain` left in a folder.
+    """Content of a folder of `explain`.
 
     Attributes:
-        content: Of explain.json.
+        content: Content of explain.json.
         files: SHA-256 by name.
     """
 
@@ -166,11 +165,11 @@ class _Found:
 
 
 def credibility(vehicle: Vehicle, folder: Path | None = None) -> CredibilityRecord:
-    """What is known of a vehicle's twin; `of_file` says it of a file that holds it.
+    """Credibility of a vehicle's twin; `of_file` adds that of an exported file.
 
     Args:
-        vehicle: Whose.
-        folder: That `uavtwin explain` wrote, and whose vehicle.toml it is; None: there is none.
+        vehicle: Vehicle of the twin.
+        folder: Folder of `uavtwin explain` with this vehicle as vehicle.toml; None: there is none.
 
     Raises:
         TwinError: The folder is none of `explain`, or of another vehicle.
@@ -210,11 +209,11 @@ def of_file(
     """The card of one file.
 
     Args:
-        card: Of the twin as its vehicle file has it.
-        references: Whether reference results are inside.
-        changes: In what the file is another twin than that.
-        evidence: SHA-256 of files that the changes rest on, by name.
-        bands: What is known of the uncertainty of its outputs; None: nothing is asked of it.
+        card: Card of the twin by its vehicle file.
+        references: Whether reference results are included.
+        changes: Differences of the file from that twin.
+        evidence: SHA-256 of files on which the differences are based, by name.
+        bands: Factor of the uncertainty of its outputs; None: not applicable.
     """
     own = dict(card.factors)
     if bands is not None:
@@ -243,7 +242,7 @@ def _nothing(because: str) -> FactorRecord:
 
 
 def _data_pedigree(vehicle: Vehicle) -> FactorRecord:
-    """1: every number that the file gives has a source; 2: flights gave some of them too."""
+    """Level 1: every number in the file has a source; 2: flights are the source of some."""
     given = {k: s for k, s in vehicle.sources.items() if not s.startswith(DEFAULT)}
     made_up = [k for k, s in given.items() if not s or _MADE_UP in s.lower()]
     measured = sum(s.startswith(OF_FLIGHTS) for s in given.values())
@@ -254,7 +253,8 @@ def _data_pedigree(vehicle: Vehicle) -> FactorRecord:
 
 
 def _validation(found: _Found | None) -> FactorRecord:
-    """1: parts of the flights were held out; 2: whole flights, and no channel got worse there."""
+    """Level 1: parts of the flights were held out; 2: whole flights, and no channel got worse
+    there."""
     if found is None:
         return _nothing("no flights compared: --evidence names the folder of explain")
     held, gap = found.content.holdout, found.content.gap
@@ -273,7 +273,7 @@ def _validation(found: _Found | None) -> FactorRecord:
 
 
 def _uncertainty(vehicle: Vehicle) -> FactorRecord:
-    """1: some numbers have a standard deviation; of files, 2: outputs have bands."""
+    """Level 1: some numbers have a standard deviation; 2, of files: outputs have bands."""
     if not vehicle.deviations:
         return _nothing("no number has a standard deviation")
     known = len(vehicle.deviations)
@@ -281,7 +281,7 @@ def _uncertainty(vehicle: Vehicle) -> FactorRecord:
 
 
 def _robustness(found: _Found | None) -> FactorRecord:
-    """1: the missions are flown with the numbers that were found."""
+    """Level 1: the missions were flown in closed loop with the estimated numbers."""
     flown = None if found is None else found.content.closed_loop
     if flown is None or not flown.missions:
         return _nothing("no missions were flown with what was found")
@@ -292,14 +292,14 @@ def _robustness(found: _Found | None) -> FactorRecord:
 
 
 def _process(found: _Found | None) -> FactorRecord:
-    """1: what made the numbers can be made again."""
+    """Level 1: the computation of the numbers can be repeated."""
     if found is None:
         return _nothing("what made the numbers is not recorded")
     return FactorRecord(level=1, because="inputs, options and versions in run.json, hashes here")
 
 
 def _read(folder: Path, vehicle: Vehicle) -> _Found:
-    """Results of `explain`, with the hashes of what it read."""
+    """Results of `explain`, with the hashes of its inputs."""
     explained = _content(folder, "explain.json", _Explained)
     run = _content(folder, "run.json", _Run)
     own = load_vehicle(folder / "vehicle.toml")
@@ -314,7 +314,7 @@ def _read(folder: Path, vehicle: Vehicle) -> _Found:
 
 
 def _content(folder: Path, name: str, kind: type[_T]) -> _T:
-    """What is read of a result."""
+    """Fields in use of a result."""
     try:
         with (folder / name).open("rb") as file:
             return msgspec.json.decode(file.read(_MOST_BYTES), type=kind)
@@ -325,14 +325,14 @@ def _content(folder: Path, name: str, kind: type[_T]) -> _T:
 
 
 def check_required(found: CredibilityRecord, wanted: Iterable[str]) -> None:
-    """Refuse a twin below levels that are asked for.
+    """Refuse a twin below required levels.
 
     Args:
-        found: Of the twin.
-        wanted: "FACTOR=LEVEL" texts.
+        found: Card of the twin.
+        wanted: Required levels, "FACTOR=LEVEL" texts.
 
     Raises:
-        TwinError: A text is not of that form, or a factor has a lower level.
+        TwinError: A text has another form, or a factor has a lower level.
     """
     for text in wanted:
         name, _, number = text.partition("=")
@@ -351,7 +351,7 @@ def check_required(found: CredibilityRecord, wanted: Iterable[str]) -> None:
 
 
 def members(found: CredibilityRecord) -> dict[str, bytes]:
-    """The card as members of an archive: for machines and for people."""
+    """The card as members of an archive: machine-readable and as a page."""
     rows = tuple((n, str(f.level), f.because) for n, f in found.factors.items())
     tables = (
         TextTable(("factor", "level, 0 to 4", "because"), rows).html(),

@@ -1,4 +1,4 @@
-"""What can be exported: components of a vehicle, the whole twin, a replay, a compensator."""
+"""Exportable objects: components of a vehicle, the whole twin, a replay, a compensator."""
 
 import hashlib
 from collections.abc import Iterable, Mapping
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 
 Controller = Literal["lqr", "px4"]
 OBSERVER = "airframe.disturbance.enabled"
-"""Parameter that switches the disturbance observer of a driven twin."""
+"""Parameter that enables the disturbance observer of a driven twin."""
 NOISE = "residual_force.noise.enabled"
-"""Parameter that switches the noise of a learned force, where it is built in."""
+"""Parameter that enables the noise of a learned force, where it is included."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,13 +43,14 @@ class Twin:
     """A vehicle with its sensors: components, connections, perhaps a compensator.
 
     Attributes:
-        name: Of the vehicle.
-        assembly: Components and who feeds whom.
+        name: Name of the vehicle.
+        assembly: Components and their connections.
         compensator: Correction of the sensors; None: without.
-        grounded: Why it does not fly, as the vehicle file says; "": it does not say so.
-        changes: In what it is another twin than the vehicle file has.
-        evidence: SHA-256 of what that rests on, by name; flights among them.
-        bands: What the card says of the bands of its outputs; None: it has no part for them.
+        grounded: Reason why it cannot fly by the vehicle file; "": none.
+        changes: Differences from the twin of the vehicle file.
+        evidence: SHA-256 of the files on which the differences are based, by name; flights among
+            them.
+        bands: Factor of the card for the bands of its outputs; None: it has no bands.
     """
 
     name: str
@@ -65,11 +66,11 @@ class Twin:
 
 @dataclass(frozen=True, slots=True)
 class LearnedForce:
-    """Force and moment that a vehicle's equations lack, as flights have taught.
+    """Learned force and moment that a vehicle's equations lack.
 
     Attributes:
-        model: The law.
-        folder: That it was read from, for messages.
+        model: Learned law.
+        folder: Folder from which it was read, for messages.
     """
 
     model: "ForceModel"
@@ -90,23 +91,23 @@ def twin(
     noise: bool = False,
     accuracy: AccuracyRecord | None = None,
 ) -> Twin:
-    """The whole twin of a vehicle, all effects built in and those of the vehicle on.
+    """The whole twin of a vehicle, with all effects included and those of the vehicle on.
 
     Args:
-        vehicle: Whose twin.
-        mission: That it flies.
-        controller: That flies it.
-        compensator: Of `uavtwin.compensator`, trained for this vehicle.
-        drive: Who replays a log gives commands or rotor speeds, and no mission and no controller
-            are in it; None: it flies the mission.
-        force: Of `learned_force`, learned for this vehicle.
+        vehicle: Vehicle of the twin.
+        mission: Name of the mission.
+        controller: Controller of the mission.
+        compensator: Compensator from `uavtwin.compensator`, trained for this vehicle.
+        drive: Commands or rotor speeds as external inputs, for replaying a log, without mission and
+            controller; None: it flies the mission.
+        force: Learned force from `learned_force`, for this vehicle.
         position: Kind of position sensor.
-        observer: Whether a driven twin has its disturbance observer on; with anything learned it
-            has.
-        noise: Whether what the force does not foretell is drawn (`residual_force.noise.enabled`,
-            on); else nothing of it is in the twin.
-        accuracy: How far it was off on other flights, so that a driven twin says how far it may be
-            off and where that is known; None: it says nothing.
+        observer: Whether a driven twin has its disturbance observer on; with a learned model it
+            always has.
+        noise: Whether the noise of the learned force is included (`residual_force.noise.enabled`,
+            on).
+        accuracy: Errors on other flights, so that a driven twin outputs error bands and their
+            validity; None: no such outputs.
 
     Raises:
         TwinError: An unknown mission, controller, drive or position sensor, or a compensator or
@@ -150,7 +151,7 @@ LAWLESS = "its training accepted no law: the untrained observer alone acts, wher
 def _taught(
     compensator: NetworkFile | None, force: LearnedForce | None
 ) -> tuple[list[str], dict[str, str]]:
-    """What was learned is in it; hashes of the model and of the flights that taught it."""
+    """Notes on included learned models; hashes of the models and of their training flights."""
     changes, evidence = [], {}
     if compensator is not None:
         changes.append("a trained compensator corrects its sensors")
@@ -173,17 +174,17 @@ def component(
     position: Kind = "gnss",
     mission: str = "hover",
 ) -> Component:
-    """One component of a vehicle, with all the effects that act in it.
+    """One component of a vehicle, with all effects that act in it.
 
     Args:
-        name: Of `twin.flight.assembly.COMPONENTS`.
-        vehicle: Whose component.
-        drive: Inputs of the airframe; None: what the vehicle describes.
+        name: Name in `twin.flight.assembly.COMPONENTS`.
+        vehicle: Vehicle of the component.
+        drive: Inputs of the airframe; None: those that the vehicle describes.
         position: Kind of position sensor.
-        mission: Of the component `mission`.
+        mission: Mission of the component `mission`.
 
     Raises:
-        TwinError: There is no such component, drive, sensor or mission, or the vehicle has no
+        TwinError: There is no such component, drive, sensor or mission, or the vehicle lacks
             numbers for it.
     """
     model = checked_vehicle(vehicle, "component")
@@ -210,10 +211,10 @@ def _check_position(name: str, position: str) -> None:
 
 
 def replay(flight: Flight, linear: Iterable[str] = ()) -> FmuModel:
-    """A recorded flight as something to export: its columns become outputs.
+    """A recorded flight for export: its columns become outputs.
 
     Args:
-        flight: To replay.
+        flight: Flight to replay.
         linear: Columns to interpolate linearly; others hold their last value.
 
     Raises:
@@ -229,20 +230,20 @@ def replay(flight: Flight, linear: Iterable[str] = ()) -> FmuModel:
 
 
 def compensator(folder: str | Path, int8: bool = False) -> NetworkFile:
-    """A trained compensator from the folder that `train` wrote.
+    """A trained compensator from the folder of `train`.
 
     Args:
-        folder: With its `model.onnx`.
-        int8: With weights of 8 bits: about half of the size, and faster.
+        folder: Folder with its `model.onnx`.
+        int8: Whether to use weights of 8 bits: about half of the size, and faster.
 
     Raises:
-        FmuError: The folder holds none.
+        FmuError: The folder has none.
     """
     return read_network(model_folder(folder), INT8_FILE if int8 else FILE)
 
 
 def check_compensator(network: NetworkFile, vehicle: Vehicle) -> None:
-    """Hold a compensator against the vehicle whose twin it is to correct.
+    """Check a compensator against the vehicle of the twin.
 
     Raises:
         TwinError: It was trained for another vehicle, or for other numbers of this one.
@@ -257,10 +258,10 @@ def check_compensator(network: NetworkFile, vehicle: Vehicle) -> None:
 
 
 def check_unaided(network: NetworkFile) -> None:
-    """Refuse a compensator that needs the readings of an aircraft, where none flies.
+    """Refuse a compensator with measurements as inputs, where there is no aircraft.
 
     Raises:
-        TwinError: It sees measurements.
+        TwinError: It has measurements as inputs.
     """
     if network.sees_measurements:
         raise TwinError(
@@ -271,8 +272,8 @@ def check_unaided(network: NetworkFile) -> None:
 
 
 def law_for(force: LearnedForce, vehicle: Vehicle, noise: bool = False) -> ForceLaw:
-    """The law of a learned force, held against the vehicle whose twin it is to move, with its noise
-    or without.
+    """The law of a learned force, checked against the vehicle of the twin, with or without its
+    noise.
 
     Raises:
         TwinError: It was learned for another vehicle, or for other numbers of this one.
@@ -284,10 +285,10 @@ def law_for(force: LearnedForce, vehicle: Vehicle, noise: bool = False) -> Force
 
 
 def learned_force(folder: str | Path) -> LearnedForce:
-    """A learned force from the folder that `train` wrote under the protocol `force`.
+    """A learned force from a folder of `train` under the protocol `force`.
 
     Raises:
-        ModelError: The folder holds none.
+        ModelError: The folder has none.
     """
     from learning.force.model import load_force
 
@@ -296,11 +297,11 @@ def learned_force(folder: str | Path) -> LearnedForce:
 
 
 PRETRAINED = Path(__file__).parent.parent / "pretrained"
-"""Holds the folder of each model that is shipped, by name."""
+"""Folder with the folder of each built-in model, by name."""
 
 
 def model_folder(given: str | Path) -> Path:
-    """Folder of a model: that of a path, or of a model that is shipped, by its name."""
+    """Folder of a model: a path, or the name of a built-in model."""
     shipped = PRETRAINED / Path(given).name
     if Path(given).exists() or str(given) != shipped.name or not shipped.is_dir():
         return Path(given)
@@ -308,14 +309,14 @@ def model_folder(given: str | Path) -> Path:
 
 
 def learned(folder: Path, int8: bool = False) -> tuple[NetworkFile | None, LearnedForce | None]:
-    """What the folder of `train` holds: a compensator of the sensors, a learned force, or both.
+    """Models in a folder of `train`: a compensator of the sensors, a learned force, or both.
 
     Args:
-        folder: To read.
-        int8: As of `compensator`.
+        folder: Folder to read.
+        int8: Whether to use weights of 8 bits, as in `compensator`.
 
     Raises:
-        TwinError: It holds neither.
+        TwinError: It has neither.
     """
     from learning.force.model import FILE as FORCE_FILE
     from learning.force.model import is_force
@@ -328,7 +329,7 @@ def learned(folder: Path, int8: bool = False) -> tuple[NetworkFile | None, Learn
 
 
 def _check_taught(model: str, name: str, sha256: str, vehicle: Vehicle) -> None:
-    """Hold what was learned for a vehicle, "" where not said, against the one that is given."""
+    """Check a trained model's vehicle, "" where not stated, against the given one."""
     if name and name != vehicle.name:
         raise TwinError(
             f"{model}: the model corrects the twin of {name}, not of {vehicle.name}. Give the "

@@ -1,10 +1,10 @@
-"""Where an exported twin is from: traces to sources, settings and hashes, for machines.
+"""Traceability of an exported twin: sources, settings and hashes, in machine-readable form.
 
 Two files of the SSP Layered Standard Traceability 1.0, sections SRMD, STMD and packaging.
-Simulation resource meta data (SRMD) say of an archive, FMU or SSP, where each number of the vehicle
-is from, and its card of credibility. Simulation task meta data (STMD) of an .ssp say how it was
-made: which flights and settings gave which numbers, and what its verdicts rest on. A file that does
-not go along is named by its SHA-256 (RFC 6920).
+Simulation resource meta data (SRMD) of an archive, FMU or SSP, contain the source of each number of
+the vehicle, and its card of credibility. Simulation task meta data (STMD) of an .ssp contain its
+derivation: flights and settings of each number, and the basis of its verdicts. A file that is not
+included is identified by its SHA-256 (RFC 6920).
 """
 
 import re
@@ -25,7 +25,7 @@ from .credibility import FILE, OF_FLIGHTS, RESULTS, CredibilityRecord
 
 SRMD = "extra/org.ssp-standard.ssp-traceability.srmd/resourceMetaData.srmd"
 STMD = "extra/org.ssp-standard.ssp-traceability.stmd/SimulationTask.stmd"
-"""Members of an archive; the second of an .ssp alone."""
+"""Members of an archive; the second only of an .ssp."""
 _VERSION = "1.0.0"
 _SPACES = {
     k: f"http://ssp-standard.org/SSPTraceability1/{v}"
@@ -36,17 +36,17 @@ _SPACES = {
     )
 } | {"xlink": "http://www.w3.org/1999/xlink"}
 _ROOT = "../../"
-"""Of the archive, from the folder of either file."""
+"""Path of the archive's root, from the folder of either file."""
 
 
 def _tag(name: str) -> str:
-    """Of an element or attribute, "prefix:name"."""
+    """Name of an element or attribute, "prefix:name", as in lxml."""
     prefix, _, local = name.partition(":")
     return f"{{{_SPACES[prefix]}}}{local}"
 
 
 def members(found: CredibilityRecord, path: Path) -> dict[str, bytes]:
-    """What goes along with a card into an archive of ours, which lies there without."""
+    """Members of an archive in addition to its card."""
     traces = {SRMD: resource_meta_data(found)}
     if path.suffix == ".ssp":
         with zipfile.ZipFile(path) as archive:
@@ -116,7 +116,7 @@ def _levels(found: CredibilityRecord) -> dict[str, str]:
 
 
 def _step(phase: etree._Element, name: str, *particles: str) -> dict[str, etree._Element]:
-    """Particles of a step by name; "": the step itself, whose classifications come last."""
+    """Particles of a step by name; "": the step itself, with classifications last."""
     step = etree.SubElement(phase, _tag(f"stmd:{name}"))
     return {p: etree.SubElement(step, _tag(f"stc:{p}")) if p else step for p in particles}
 
@@ -132,7 +132,7 @@ def _evidence(
     hashes: Mapping[str, str],
     kind: str = "document",
 ) -> None:
-    """A file that does not go along, if there is such evidence."""
+    """Add a file that is not included, if there is such evidence."""
     if name not in ids:
         return
     digest = urlsafe_b64encode(bytes.fromhex(hashes[name])).decode().rstrip("=")
@@ -144,7 +144,7 @@ def _evidence(
 
 
 def _refer(where: etree._Element, ids: Iterable[str]) -> None:
-    """Resources that stand elsewhere in the document."""
+    """Add references to resources elsewhere in the document."""
     for own in ids:
         etree.SubElement(where, _tag("stc:ResourceReference"), {_tag("xlink:href"): f"#{own}"})
 
@@ -152,8 +152,7 @@ def _refer(where: etree._Element, ids: Iterable[str]) -> None:
 def _derived(
     sources: Mapping[str, str], given: Sequence[str], ids: Mapping[str, str]
 ) -> dict[str, str]:
-    """Number -> resources of the flights that gave it, of those that are known by their hashes and
-    that have their name alone."""
+    """Number -> resources of its flights, known by hash or by name only."""
     stems = Counter(PurePath(n).stem for n in given if not n.endswith(".toml"))
     own = {PurePath(n).stem: ids[n] for n in given if not n.endswith(".toml")}
     named = {
@@ -170,7 +169,7 @@ def _names(source: str, flight: str) -> bool:
 
 
 def _classified(where: etree._Element, kind: str, entries: Mapping[str, str]) -> None:
-    """Keywords with their values; nothing without."""
+    """Add keywords with their values, if there are any."""
     if not entries:
         return
     part = etree.SubElement(where, _tag("stc:Classification"), type=f"uavtwin.{kind}")
@@ -185,5 +184,5 @@ def _text(root: etree._Element) -> bytes:
 
 
 def _printed(text: str) -> str:
-    """The same with a question mark for each character that XML may not have."""
+    """The text with a question mark for each character that XML does not allow."""
     return "".join(c if c.isprintable() else "?" for c in text)

@@ -1,4 +1,4 @@
-"""An FMU rerun against the reference results that it holds."""
+"""Verification of an FMU by rerunning its reference results."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -13,16 +13,16 @@ from ..record import Record
 
 
 class ExperimentRecord(Record, frozen=True, kw_only=True):
-    """An experiment of an FMU, and how far it is from its reference here.
+    """An experiment of an FMU, and its deviation from the reference.
 
     Attributes:
-        name: Of the experiment.
+        name: Name of the experiment.
         passed: Whether every output is within the tolerance.
-        outputs: How many were compared.
-        zero: How many of them are zero throughout in the reference: they tell few twins apart.
-        worst: Output that is farthest off.
-        deviation: Of that, over the largest magnitude of its reference; null: no number came out.
-        tolerance: Of the experiment.
+        outputs: Number of outputs compared.
+        zero: Number of outputs whose reference is zero throughout: these hardly distinguish twins.
+        worst: Output with the largest relative deviation.
+        deviation: Deviation of that output, over the largest magnitude of its reference; null: NaN.
+        tolerance: Tolerance of the experiment.
     """
 
     name: str
@@ -35,13 +35,13 @@ class ExperimentRecord(Record, frozen=True, kw_only=True):
 
 
 class VerifyRecord(Record, frozen=True, kw_only=True):
-    """What `verify` found.
+    """Record of `verify`.
 
     Attributes:
         file: Name of the FMU or .ssp.
-        passed: Whether all experiments did.
-        experiments: In the order of the FMU; of an .ssp with the name of the part in front.
-        error: Why it could not be rerun; empty: it was.
+        passed: Whether all experiments passed.
+        experiments: Experiments in the order of the FMU; of an .ssp with the part's name as prefix.
+        error: Reason why it could not be rerun; empty: it was.
     """
 
     file: str
@@ -52,11 +52,11 @@ class VerifyRecord(Record, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class VerifyResult(DisplayMixin):
-    """What `verify` found.
+    """Result of `verify`.
 
     Attributes:
         file: Name of the FMU or .ssp.
-        deviations: One of each experiment.
+        deviations: One deviation per experiment.
     """
 
     file: str
@@ -64,7 +64,7 @@ class VerifyResult(DisplayMixin):
 
     @property
     def passed(self) -> bool:
-        """Whether all experiments did."""
+        """Whether all experiments passed."""
         return all(d.passed for d in self.deviations)
 
     @property
@@ -95,7 +95,7 @@ class VerifyResult(DisplayMixin):
             )
 
     def brief(self) -> str:
-        """Whether it passed."""
+        """Text on whether it passed."""
         return f"{type(self).__name__}: {self.file}, {'passed' if self.passed else 'failed'}"
 
 
@@ -105,7 +105,7 @@ def verify(path: str | Path) -> VerifyResult:
     Their code is executed.
 
     Raises:
-        TwinError: There is no such file; one holds no reference results, or cannot be run.
+        TwinError: There is no such file; one has no reference results, or cannot be run.
     """
     path = Path(path)
     if not path.is_file():
@@ -114,7 +114,7 @@ def verify(path: str | Path) -> VerifyResult:
         return VerifyResult(path.name, tuple(rerun(path)))
     from cosim.ssp import read_ssp
 
-    system = read_ssp(path)  # whose files live as long as it does
+    system = read_ssp(path)  # its files exist as long as it does
     found = [
         replace(d, experiment=f"{name}.{d.experiment}", output=f"{name}.{d.output}")
         for name, fmu in system.fmus.items()

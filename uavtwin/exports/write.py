@@ -1,5 +1,5 @@
-"""Components of a vehicle, or its whole twin, as files that FMI tools run: one per product and FMI
-version.
+"""Writer of components of a vehicle, or its whole twin, as files for FMI tools: one per product and
+FMI version.
 """
 
 import tempfile
@@ -30,33 +30,33 @@ from .traceability import members as traces
 
 Exportable = Component | FmuModel | NetworkFile | Twin
 KNOWN = "accuracy.known"
-"""Parameter of a twin with bands: whether it is the one that was compared."""
+"""Parameter of a twin with bands: whether it equals the compared one."""
 
 NEVER_VALID = "accuracy.valid is always false"
-"""Note on a twin of which no bands hold."""
+"""Note on a twin without valid bands."""
 
 
 @dataclass(slots=True)
 class Starts:
-    """Start values that a user gave, and what of them has found its place.
+    """Start values given by a user, and the names to which they apply.
 
     Attributes:
-        values: By name; "part.name" for the whole twin.
-        known: Names that something to be exported has.
+        values: Values by name; "part.name" for the whole twin.
+        known: Names in the objects to export.
     """
 
     values: Mapping[str, float]
     known: set[str] = field(default_factory=set)
 
     def of(self, part: Component | FmuModel, name: str = "") -> dict[str, float]:
-        """Those of one part; `name`: by which it is known in the whole twin."""
+        """Start values of one part; `name`: its name in the whole twin."""
         prefix = f"{name}." if name else ""
         settable = {v.name for v in part.variables if v.causality != "output"}
         self.known |= {prefix + n for n in settable}
         return {n: self.values[prefix + n] for n in settable if prefix + n in self.values}
 
     def check(self) -> None:
-        """Refuse names that nothing has.
+        """Refuse names that do not exist.
 
         Raises:
             TwinError: There is one.
@@ -71,12 +71,12 @@ class Product:
     """One file per FMI version.
 
     Attributes:
-        file: Its name.
+        file: Name of the file.
         write: `(path, FMI version, platforms)`: write it.
-        note: What the user should know of it, or "".
-        model: Of a native FMU; None: it is something else.
-        references: Whether reference results go into it.
-        card: Of its credibility; None: none goes along.
+        note: Note for the user, or "".
+        model: Model of a native FMU; None: another kind of file.
+        references: Whether reference results are added.
+        card: Card of its credibility; None: none is included.
     """
 
     file: str
@@ -91,12 +91,12 @@ class WrittenFile(Record, frozen=True, kw_only=False, omit_defaults=True):
     """A file that was written.
 
     Attributes:
-        file: Its path, relative to the folder of the export.
+        file: Path of the file, relative to the folder of the export.
         fmi: FMI version.
-        platforms: For which it holds binaries.
-        bytes: Its size.
-        sha256: Of its content.
-        note: What the user should know of it; missing where there is none.
+        platforms: Platforms with binaries in it.
+        bytes: Size of the file.
+        sha256: Hash of its content.
+        note: Note for the user; missing without one.
     """
 
     file: str
@@ -115,18 +115,18 @@ def products_of(
     arrays: bool = False,
     real_outputs: bool = False,
 ) -> list[Product]:
-    """Files of one thing to be exported; the whole twin has two, fused and as `.ssp`.
+    """Files of one object to export; the whole twin has two, fused and as `.ssp`.
 
     Args:
-        what: To export.
-        starts: Start values, of which it takes its own.
-        versions: FMI versions that are wanted.
+        what: Object to export.
+        starts: Start values, of which its own are used.
+        versions: Requested FMI versions.
         python_slave: Whether Python evaluates it inside the FMU, for prototypes.
-        arrays: Whether variables that belong together are arrays; no `.ssp` then.
+        arrays: Whether groups of variables are arrays; no `.ssp` then.
         real_outputs: Whether every output is a real number; no `.ssp` then.
 
     Raises:
-        TwinError: It cannot be written so.
+        TwinError: It cannot be written in this form.
     """
     if real_outputs:
         if python_slave:
@@ -163,7 +163,7 @@ def products_of(
 def _native(model: FmuModel) -> Product:
     def write(path: Path, fmi: int, platforms: Sequence[str]) -> None:
         build(model, path, fmi, platforms)
-        if not model.arrays:  # the tables of the experiments have scalars
+        if not model.arrays:  # experiments have scalars in their tables
             add_reference_results(path, model, fmi)
 
     return Product(f"{model.name}.fmu", write, model=model, references=not model.arrays)
@@ -180,7 +180,7 @@ def _slave(component: Component) -> Product:
 def _compensator_product(
     network: NetworkFile, versions: Sequence[int], python_slave: bool, starts: Starts
 ) -> Product:
-    """Native; as a Python slave where that is wanted, or the C generator refuses the network."""
+    """Native FMU; a Python slave on request, or if the C generator does not support the network."""
     if not python_slave:
         try:
             model = native_model(network)
@@ -222,7 +222,7 @@ def _twin_products(twin: Twin, starts: Starts) -> list[Product]:
         compensator = compensator.with_starts(own[COMPENSATOR])
 
     def write(path: Path, fmi: int, platforms: Sequence[str]) -> None:
-        """The `.ssp`, its FMUs built next to it and removed."""
+        """Write the `.ssp`, with its FMUs built next to it and then removed."""
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=".parts") as folder:
             system = system_of(assembly, Path(folder), fmi, platforms, compensator=compensator)
             for name, part in parts_of(assembly, compensator).items():
@@ -241,8 +241,8 @@ def _twin_products(twin: Twin, starts: Starts) -> list[Product]:
 
 
 def _bands(twin: Twin, starts: Starts) -> FactorRecord | None:
-    """What is known of the bands of a twin: with other start values it is not the compared one, but
-    for the pressure of the day, which every flight had its own of."""
+    """Factor for the bands of a twin: with other start values it is not the compared one, except
+    for the pressure of the day, which differed between flights."""
     others = [n for n in starts.values if not n.endswith("barometer.ground_pressure")]
     if twin.bands is None or not twin.bands.level or not others:
         return twin.bands
@@ -250,7 +250,7 @@ def _bands(twin: Twin, starts: Starts) -> FactorRecord | None:
 
 
 def _grounded(description: str) -> str:
-    """What a description says of a twin that does not fly; "": nothing."""
+    """Text for the description of a twin that cannot fly; "": it can."""
     _, mark, why = description.partition(GROUNDED)
     return mark + why
 
@@ -262,8 +262,8 @@ def write_products(
     out: Path,
     progress: Callable[[float], None],
 ) -> list[WrittenFile]:
-    """Write everything, each with its card of credibility where it has one; several FMI versions
-    each into a folder of their own, `fmi2`, `fmi3`."""
+    """Write all products, with their cards of credibility; several FMI versions each into a
+    separate folder, `fmi2`, `fmi3`."""
     names = tuple(p.name for p in platforms)
     written: list[WrittenFile] = []
     for version in versions:
@@ -290,7 +290,7 @@ def write_products(
 
 Progress = Callable[[float], None]
 VERSIONS = (2, 3)
-"""Of FMI, that we write."""
+"""Supported FMI versions."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -298,8 +298,8 @@ class ExportResult(DisplayMixin):
     """Files that were written.
 
     Attributes:
-        folder: Where.
-        files: What.
+        folder: Folder of the export.
+        files: Written files.
     """
 
     folder: Path
@@ -307,7 +307,7 @@ class ExportResult(DisplayMixin):
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """Of the files, in the order of the FMI versions."""
+        """Paths of the files, in the order of the FMI versions."""
         return tuple(self.folder / f.file for f in self.files)
 
     def findings(self) -> Iterable[str | TextTable]:
@@ -343,19 +343,20 @@ def export(
     """Write an FMU, or the whole twin as an `.ssp`.
 
     Args:
-        what: `twin(vehicle)`, `component(NAME, vehicle)`, `replay(flight)`, `compensator(folder)`.
+        what: Result of `twin(vehicle)`, `component(NAME, vehicle)`, `replay(flight)` or
+            `compensator(folder)`.
         path: File to write, `.fmu` or, of a twin, `.ssp`; an existing one is replaced. Several FMI
-            versions go next to it, into folders of their own: `fmi2/NAME`, `fmi3/NAME`.
+            versions are written to folders next to it: `fmi2/NAME`, `fmi3/NAME`.
         fmi: FMI versions, 2, 3 or both.
-        platforms: That it runs on, see `fmus.platforms`.
-        starts: Start values baked in, by name of the parameter or input; in a twin "part.name".
+        platforms: Platforms of the binaries, see `fmus.platforms`.
+        starts: Start values in the file, by name of the parameter or input; in a twin "part.name".
         python_slave: Whether Python evaluates it inside the FMU, for prototypes.
-        arrays: Whether what belongs together is one array, `pos` for `pos_x` to `pos_z`: FMI 3, and
+        arrays: Whether groups of variables are one array, `pos` for `pos_x` to `pos_z`: FMI 3, and
             no `.ssp`.
-        real_outputs: Whether every output is a real number, for importers that know no other; no
+        real_outputs: Whether every output is a real number, for importers without other types; no
             `.ssp`.
-        card: Of `credibility`, to go along; None: none does.
-        progress: Called with the share done, 0..1.
+        card: Card from `credibility` to include; None: none.
+        progress: Called with the completed share, 0..1.
 
     Returns:
         The files, with their hashes.
@@ -371,7 +372,7 @@ def export(
     if path.suffix not in products:
         raise TwinError(f"{path}: this is written as {' or '.join(products)}; name such a file.")
     product = replace(_with_card(products[path.suffix], what, known, card), file=path.name)
-    path.parent.mkdir(parents=True, exist_ok=True)  # others may export into it at the same time
+    path.parent.mkdir(parents=True, exist_ok=True)  # others may create it at the same time
     with results_folder(path.parent, force=True) as folder:
         written = write_products([product], versions, on, folder, progress)
     return ExportResult(path.parent, tuple(written))
@@ -388,21 +389,21 @@ def export_parts(
     card: CredibilityRecord | None = None,
     require: Iterable[str] = (),
 ) -> Callable[[Path, Progress], list[WrittenFile]]:
-    """Check everything, then return the function that writes several into one folder.
+    """Check all options, then return the function that writes several objects into one folder.
 
     Args:
-        parts: What to write, under their own names; of a twin both the `.fmu` and the `.ssp`.
-        fmi: As for `export`.
-        platforms: As for `export`.
-        starts: As for `export`; each part takes those that it has.
-        python_slave: As for `export`.
-        arrays: As for `export`.
-        real_outputs: As for `export`.
-        card: As for `export`.
-        require: Levels that the card of each file must have, as "FACTOR=LEVEL".
+        parts: Objects to write, under their own names; of a twin both the `.fmu` and the `.ssp`.
+        fmi: FMI versions, as in `export`.
+        platforms: Platforms, as in `export`.
+        starts: Start values, as in `export`; each part uses its own.
+        python_slave: Whether Python evaluates them, as in `export`.
+        arrays: Whether groups are arrays, as in `export`.
+        real_outputs: Whether outputs are real, as in `export`.
+        card: Card of credibility, as in `export`.
+        require: Required levels of each file's card, as "FACTOR=LEVEL".
 
     Raises:
-        TwinError: As `export`, or a level is lower.
+        TwinError: As in `export`, or a level is lower.
     """
     known = Starts(dict(starts or {}))
     versions, on = checked_versions(fmi), _platforms(platforms)
@@ -433,10 +434,10 @@ def _with_card(
 
 
 def checked_versions(fmi: int | Iterable[int]) -> tuple[int, ...]:
-    """FMI versions, in order and each once.
+    """FMI versions in order, without duplicates.
 
     Raises:
-        TwinError: There is none, or one that we do not write.
+        TwinError: There is none, or one is not supported.
     """
     versions = tuple(sorted({fmi} if isinstance(fmi, int) else set(fmi)))
     if not versions or not set(versions) <= set(VERSIONS):

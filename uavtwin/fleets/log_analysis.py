@@ -340,7 +340,7 @@ def vitals_of(
 
     Args:
         flight: Flight as read.
-        hover: Its hover; None: it has none.
+        hover: Hover of the flight; None: it has none.
         diagnosis: Diagnosis of the twin in hover; None: none.
     """
     vitals: dict[str, float | None] = {"battery_resistance_ohm": battery_resistance(flight)}

@@ -1,1 +1,1 @@
-"""The twin as the simulator that an autopilot flies: PX4's simulator interface."""
+"""The twin as the simulator of an autopilot: PX4's simulator interface."""

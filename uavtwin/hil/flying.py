@@ -1,4 +1,4 @@
-"""The aircraft that an autopilot flies: the whole twin as one FMU, driven from outside."""
+"""The aircraft of an autopilot: the whole twin as one FMU with external commands."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -32,18 +32,18 @@ _MOTION = {
     "gps_vel": [f"position.meas_vel_{a}" for a in AXES],
 }  # variables of the whole twin
 _READINGS = {s.signal: (s.component, s.columns) for s in SENSORS if s.hil}
-"""Component and columns of what the autopilot is sent, by signal."""
+"""Component and columns of the signals sent to the autopilot."""
 
 
 @dataclass(frozen=True, slots=True)
 class TwinState:
-    """The twin at one instant, SI, NED, FRD.
+    """State of the twin at one instant, SI, NED, FRD.
 
     Attributes:
         t_s: Simulated time.
-        values: By signal: `acc`, `gyro`, `mag`, `baro` as the sensors read them, corrected where
-            there is a compensator; `gps_pos`, `gps_vel` of the receiver; `pos`, `vel`, `q`,
-            `omega`, `force` (specific force) of the true motion; `wind`.
+        values: Values by signal: `acc`, `gyro`, `mag`, `baro` as measured, corrected where there is
+            a compensator; `gps_pos`, `gps_vel` of the receiver; `pos`, `vel`, `q`, `omega`, `force`
+            (specific force) of the true motion; `wind`.
     """
 
     t_s: float
@@ -59,10 +59,10 @@ class FlyingTwin:
     """One instance of the fused FMU; `close` frees it."""
 
     def __init__(self, fmu: Path, starts: Mapping[str, float], corrected: Sequence[str]) -> None:
-        """Load it, standing on the ground at time 0.
+        """Load the FMU, on the ground at time 0.
 
         Args:
-            fmu: Of `build_twin`.
+            fmu: FMU from `build_twin`.
             starts: Start values of its variables.
             corrected: Readings that its compensator corrects, by column.
         """
@@ -90,14 +90,14 @@ class FlyingTwin:
         self._t_s = 0.0
 
     def fly(self, commands: Sequence[float], until_s: float) -> TwinState:
-        """Go on with commands held.
+        """Simulate with commands held.
 
         Args:
-            commands: Of the motors, 0..1, shape (motors,).
+            commands: Commands of the motors, 0..1, shape (motors,).
             until_s: Simulated time to reach.
 
         Raises:
-            TwinError: The twin gave what is no finite number, or gave up.
+            TwinError: An output is not finite, or the FMU failed.
         """
         self._commands[:] = commands
         self._slave.write_inputs()
@@ -112,7 +112,7 @@ class FlyingTwin:
         return self.now()
 
     def now(self) -> TwinState:
-        """As it is."""
+        """Present state."""
         read = self._read.copy()
         return TwinState(self._t_s, {name: read[part] for name, part in self._parts.items()})
 
@@ -130,19 +130,19 @@ def flying_twin_of(
     starts: Mapping[str, float] | None = None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> FlyingTwin:
-    """Build and load the twin of a vehicle, its effects on.
+    """Build and load the twin of a vehicle, with its effects on.
 
     Args:
-        vehicle: Whose twin.
-        folder: For its FMU.
+        vehicle: Vehicle of the twin.
+        folder: Folder for its FMU.
         scenario: Wind, gusts, seed, effects, start values; None: still air.
-        compensator: Of its sensors, trained to see no measurement.
+        compensator: Compensator of its sensors, trained without measurements as inputs.
         force: Learned force and moment inside its equations.
-        starts: More start values, "part.variable" -> value.
-        warn: Called with each sentence of `uavtwin.simulation.ineffective`.
+        starts: Additional start values, "part.variable" -> value.
+        warn: Called with each sentence from `uavtwin.simulation.ineffective`.
 
     Raises:
-        TwinError: The vehicle has no motor commands, or what was learned is of another vehicle or
+        TwinError: The vehicle has no motor commands, or a trained model is of another vehicle or
             needs the readings of an aircraft.
     """
     if vehicle.drive != "command":
@@ -167,7 +167,7 @@ def flying_twin_of(
 
 
 def _with_battery(assembly: Assembly, vehicle: Vehicle) -> Assembly:
-    """The same with the vehicle's battery, where its file has one."""
+    """The assembly with the vehicle's battery, where its file has one."""
     if vehicle.battery is None:
         return assembly
     parts = {**assembly.parts, "battery": COMPONENTS["battery"](vehicle, Choices())}

@@ -1,4 +1,4 @@
-"""The TCP connection on which one autopilot talks to the simulator."""
+"""TCP connection between one autopilot and the simulator."""
 
 import contextlib
 import select
@@ -13,29 +13,29 @@ from twin.logs.mavlink.frames import BAD, MARKERS, Message, dialect, packed, par
 from ..sockets import Address, listening
 
 SYSTEM = 1
-"""System id of the simulator: that of the aircraft, as PX4's own simulators have it."""
+"""System id of the simulator: that of the aircraft, as in PX4's own simulators."""
 _WAIT_S = 0.1
-"""Between two checks whether to end, s. Made up."""
+"""Interval of checks whether to end, s. Made up."""
 _LONGEST = 65536
 """Bytes that are read at once."""
 _MOST_GARBAGE = 65536
-"""Bytes without a single message after which who connected speaks something else."""
+"""Bytes without a valid message from which the peer is no MAVLink autopilot."""
 
 
 class ConnectionEndedError(TwinError):
-    """The autopilot is no longer there, or never was one."""
+    """The autopilot has disconnected, or is none."""
 
 
 @dataclass(slots=True)
 class Counts:
-    """What came and went.
+    """Counts of a connection.
 
     Attributes:
-        sent: Messages to the autopilot.
-        received: Messages of it.
-        garbage: Bytes that are no message.
-        wrong: Frames whose checksum or length is wrong.
-        refused: Connections that came while one was there.
+        sent: Number of messages to the autopilot.
+        received: Number of messages from the autopilot.
+        garbage: Number of bytes that belong to no message.
+        wrong: Number of frames with a wrong checksum or length.
+        refused: Number of connections refused because one existed.
     """
 
     sent: int = 0
@@ -46,22 +46,22 @@ class Counts:
 
 
 class AutopilotLink:
-    """Waits for an autopilot, and keeps to the first that connects.
+    """Waits for an autopilot, and accepts only the first one.
 
     Attributes:
-        counts: What came and went.
-        peer: Who is connected, HOST:PORT; "": no connection.
+        counts: Counts of the connection.
+        peer: Connected autopilot, HOST:PORT; "": no connection.
     """
 
     def __init__(self, where: Address, patience_s: float) -> None:
-        """Listen.
+        """Open the port.
 
         Args:
             where: Address of this machine.
-            patience_s: So long a message may wait until the autopilot takes it.
+            patience_s: Longest time until the autopilot accepts a message.
 
         Raises:
-            TwinError: The address is none of this machine, or is taken.
+            TwinError: The address does not belong to this machine, or is in use.
         """
         self.counts, self.peer = Counts(), ""
         self._patience_s = patience_s
@@ -72,11 +72,11 @@ class AutopilotLink:
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """Port number."""
         return int(self._door.getsockname()[1])
 
     def wait(self, stop: Callable[[], bool]) -> bool:
-        """Wait until an autopilot connects; returns whether one did before `stop` said so."""
+        """Wait until an autopilot connects; returns False if `stop` ended the wait."""
         while not stop():
             if select.select([self._door], [], [], _WAIT_S)[0]:
                 peer, address = self._door.accept()
@@ -90,7 +90,7 @@ class AutopilotLink:
         """Send messages in one piece.
 
         Raises:
-            ConnectionEndedError: The autopilot is not there any more, or takes nothing.
+            ConnectionEndedError: The autopilot has disconnected, or accepts nothing.
         """
         assert self._peer is not None
         frames = b""
@@ -109,10 +109,10 @@ class AutopilotLink:
             ) from None
 
     def messages(self, wait_s: float) -> list[Message]:
-        """Messages of the autopilot that came, or come within a time.
+        """Messages of the autopilot that have arrived, or arrive within a time.
 
         Raises:
-            ConnectionEndedError: It has closed the connection, or speaks no MAVLink.
+            ConnectionEndedError: It has closed the connection, or does not use MAVLink.
         """
         assert self._peer is not None
         until = time.monotonic() + wait_s
@@ -153,14 +153,14 @@ class AutopilotLink:
         return found
 
     def _refuse(self) -> None:
-        """One aircraft has one autopilot: a later connection is refused."""
+        """Refuse a further connection: one aircraft has one autopilot."""
         with contextlib.suppress(OSError):
             late, _ = self._door.accept()
             late.close()
             self.counts.refused += 1
 
     def close(self) -> None:
-        """Hang up, and listen no longer."""
+        """Close the connection and the port."""
         if self._peer is not None:
             self._peer.close()
         self._door.close()

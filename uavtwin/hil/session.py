@@ -1,15 +1,15 @@
-"""PX4's simulator interface in lockstep: sensors out, motor commands in, one after the other.
+"""PX4's simulator interface in lockstep: sensors out, motor commands in, alternately.
 
-    the twin goes on by a period  ->  HIL_GPS, HIL_STATE_QUATERNION, HIL_SENSOR
+    the twin advances by a period  ->  HIL_GPS, HIL_STATE_QUATERNION, HIL_SENSOR
                                   <-  HIL_ACTUATOR_CONTROLS of the time of that HIL_SENSOR
 
 An autopilot in lockstep takes its clock from HIL_SENSOR and answers each; the twin waits for the
-answer. Until the first one it does not: PX4's start needs a clock that runs. One that says that it
-is not in lockstep (`flags` of HIL_ACTUATOR_CONTROLS), as on its own board, is flown in real time on
-its newest commands.
+answer. Until the first one it does not: PX4 needs a running clock to start. An autopilot that is
+not in lockstep (`flags` of HIL_ACTUATOR_CONTROLS), as on its own board, is simulated in real time
+with its newest commands.
 
-Source: PX4's simulator_mavlink, and the simulators that fly it (Gazebo Classic, jMAVSim): sensors
-at 250 Hz, lockstep from the first answer on.
+Source: PX4's simulator_mavlink, and its simulators (Gazebo Classic, jMAVSim): sensors at 250 Hz,
+lockstep from the first answer on.
 """
 
 import math
@@ -44,21 +44,21 @@ from .link import AutopilotLink, ConnectionEndedError
 
 @dataclass(frozen=True, slots=True)
 class HilStatus:
-    """A flight under an autopilot.
+    """Status of a flight with an autopilot.
 
     Attributes:
         peer: Autopilot, HOST:PORT; "": none connected.
         flight_s: Simulated time.
-        wall_s: That it took, from the connection on.
-        answers: HIL_ACTUATOR_CONTROLS that came.
+        wall_s: Wall-clock time since the connection.
+        answers: Number of HIL_ACTUATOR_CONTROLS received.
         lockstep: Whether the autopilot waits for the simulator.
-        armed: Whether motors may turn now.
-        armed_s: Simulated time for which they might.
+        armed: Whether motors may turn at present.
+        armed_s: Simulated time for which motors were allowed to turn.
         position_n: True position, m, NED.
-        clipped: Motor commands outside 0..1, set to its end.
-        unknown: Motor commands of armed motors that were no number, taken for 0.
+        clipped: Number of motor commands outside 0..1, which were clipped.
+        unknown: Number of NaN motor commands while armed, which were replaced by 0.
         link: Counts of messages, garbage, refused connections.
-        ended: Why it ended; "": it goes on.
+        ended: Reason for the end; "": in progress.
         fine: Whether it ended as requested.
     """
 
@@ -77,7 +77,7 @@ class HilStatus:
     fine: bool = True
 
     def line(self) -> str:
-        """One line for a terminal."""
+        """The status in one line for a terminal."""
         if not self.peer:
             return "no autopilot has connected yet"
         north, east, down = self.position_n
@@ -93,27 +93,27 @@ class HilStatus:
 
 
 STEP_HZ = 1000
-"""Steps of the twin per second; HIL_SENSOR comes after a whole number of them."""
+"""Steps of the twin per second; HIL_SENSOR is sent after an integer number of them."""
 PLACE = (math.radians(48.0), math.radians(11.0), 500.0)
-"""Where the magnetic field of vehicles is measured that say nothing else: `EARTH_FIELD_N_T`."""
+"""Place of the default magnetic field: `EARTH_FIELD_N_T`."""
 SLOW_S, GPS_S, BEAT_S = 0.02, 0.1, 1.0
-"""Between two readings of magnetometer and barometer, of the receiver, and two heartbeats."""
+"""Interval of readings of magnetometer and barometer, of the receiver, and of heartbeats."""
 _LATE_S = 0.1
-"""Behind the clock by more than this, the lost time is not made up for."""
+"""Delay behind the clock beyond which the lost time is not made up."""
 
 
 @dataclass(frozen=True, slots=True)
 class HilOptions:
-    """How an autopilot is flown.
+    """Options of a flight with an autopilot.
 
     Attributes:
-        serve: Where it connects to.
-        rate_hz: HIL_SENSOR per second; 1000 over a whole number.
-        speed: Times real time, at most; infinite: as fast as both can. In lockstep only.
-        patience_s: So long an autopilot may take for an answer.
-        duration_s: Ends at this simulated time; None: it does not.
-        start_s: So long it may take for its first one: it starts meanwhile.
-        place: Latitude, longitude, rad; height over the ellipsoid, m: of the start.
+        serve: Address to which it connects.
+        rate_hz: Rate of HIL_SENSOR; 1000 over an integer.
+        speed: Largest multiple of real time; infinite: as fast as both can. In lockstep only.
+        patience_s: Longest time for an answer of the autopilot.
+        duration_s: Simulated time at which it ends; None: unlimited.
+        start_s: Longest time for the first answer, in which the autopilot starts.
+        place: Place of the start: latitude, longitude, rad; height above the ellipsoid, m.
 
     Raises:
         TwinError: A number is out of bounds.
@@ -141,18 +141,18 @@ class HilOptions:
 
 
 class HilSession:
-    """One twin and the autopilot that flies it."""
+    """Session of one twin and its autopilot."""
 
     def __init__(self, vehicle: Vehicle, twin: FlyingTwin, options: HilOptions) -> None:
-        """Listen for the autopilot.
+        """Open the port.
 
         Args:
             vehicle: Numbers of the twin.
-            twin: That is flown, at its start.
-            options: How.
+            twin: Twin at its start.
+            options: Options of the session.
 
         Raises:
-            TwinError: The address cannot be served.
+            TwinError: The address cannot be used.
         """
         self.options, self._twin, self._vehicle = options, twin, vehicle
         self.link = AutopilotLink(options.serve, options.patience_s)
@@ -170,15 +170,15 @@ class HilSession:
         on_status: Callable[[HilStatus], None] = lambda _: None,
         every_s: float = 1.0,
     ) -> HilStatus:
-        """Wait for an autopilot and let it fly until something ends it.
+        """Wait for an autopilot and simulate until the end of the session.
 
         Args:
             stop: Whether to end now.
-            on_status: Called with what is known, every `every_s`.
-            every_s: Between two calls of it.
+            on_status: Called with the status, every `every_s`.
+            every_s: Interval between two calls of it.
 
         Returns:
-            What is known at the end.
+            Status at the end.
         """
         try:
             if not self.link.wait(stop):
@@ -209,7 +209,7 @@ class HilSession:
     # -- one period ---------------------------------------------------------------------------
 
     def _advance(self) -> None:
-        """The twin goes on, says what it senses, and waits for what it is to do next."""
+        """Step the twin, send its readings, and wait for the next commands."""
         commands = self.commands(self._controls)
         self._count += 1
         self._armed_steps += self._controls is not None and self._controls.armed
@@ -224,7 +224,7 @@ class HilSession:
         return self._controls is not None and self._controls.lockstep
 
     def commands(self, controls: Controls | None) -> list[float]:
-        """What controls mean for the motors, 0..1: nothing turns that is not armed."""
+        """Motor commands from controls, 0..1: zero while disarmed."""
         if controls is None or not controls.armed:
             return [0.0] * self._twin.motors
         found = []
@@ -236,7 +236,7 @@ class HilSession:
         return found
 
     def messages(self, count: int, state: TwinState) -> list[Message]:
-        """What is sent after so many periods; HIL_SENSOR last, since an answer follows it."""
+        """Messages after a number of periods; HIL_SENSOR last, since it is answered."""
         t_us = count * self._period_us
         found = []
         if self._is_due(count, BEAT_S):
@@ -270,12 +270,12 @@ class HilSession:
         return found
 
     def _is_due(self, count: int, period_s: float) -> bool:
-        """Whether something of a period of its own is due; at the first time as well."""
+        """Whether a message with a period of its own is due; also at the first time."""
         every = max(1, round(1e6 * period_s / self._period_us))
         return count % every == 1 % every
 
     def _place(self, position_n: list[float]) -> list[float]:
-        """Latitude, longitude, height."""
+        """Latitude, longitude, height of a position."""
         found: list[float] = geodetic_of_ned(np.array([position_n]), *self.options.place)[
             0
         ].tolist()
@@ -295,7 +295,7 @@ class HilSession:
                 return
 
     def _no_answer(self, t_us: int) -> str:
-        """Why no answer counted, in words."""
+        """Text on why no answer was valid."""
         assert self._controls is not None
         heard_s = time.monotonic() - self._heard_s
         if heard_s < self.options.patience_s:
@@ -307,7 +307,7 @@ class HilSession:
         return f"the autopilot at {self.link.peer} has not answered for {heard_s:.1f} s"
 
     def _keep_pace(self) -> None:
-        """Wait for the clock, and take what comes meanwhile."""
+        """Wait for the clock, and receive messages meanwhile."""
         speed = self.options.speed if self._in_lockstep else 1.0
         self._due_s += 1e-6 * self._period_us / speed
         now = time.monotonic()
@@ -326,7 +326,7 @@ class HilSession:
             raise ConnectionEndedError(self._no_answer(0))
 
     def _take(self, wait_s: float) -> None:
-        """Take messages that came, or come within a time."""
+        """Process messages that have arrived, or arrive within a time."""
         for message in self.link.messages(wait_s):
             kind = message.get_type()
             if kind == "HIL_ACTUATOR_CONTROLS":
@@ -337,7 +337,7 @@ class HilSession:
                 self._set_interval(message)
 
     def _set_interval(self, m: Message) -> None:
-        """How often the true motion is sent; all else comes as sensors have it."""
+        """Set the rate of the true motion; all other rates are those of the sensors."""
         if m.param1 != dialect.MAVLINK_MSG_ID_HIL_STATE_QUATERNION or not math.isfinite(m.param2):
             return
         every = max(1, round(m.param2 / self._period_us)) if m.param2 >= 0 else 0
@@ -346,7 +346,7 @@ class HilSession:
     # -- what is known ------------------------------------------------------------------------
 
     def known(self, ended: str = "", fine: bool = True) -> HilStatus:
-        """All that is known now."""
+        """Present status."""
         north, east, down = self._twin.now()["pos"]
         controls = self._controls
         return HilStatus(

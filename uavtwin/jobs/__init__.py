@@ -1,1 +1,1 @@
-"""Many independent jobs: on processes here or on a cluster, each done once whatever is killed."""
+"""Many independent jobs on local processes or a cluster, each done once despite interruptions."""

@@ -1,8 +1,8 @@
-"""`python -m uavtwin.jobs.child REQUESTS ANSWERS BYTES`: started by `process` alone.
+"""`python -m uavtwin.jobs.child REQUESTS ANSWERS BYTES`: started only by `process`.
 
-Numbers of two pipes, and of the bytes of memory that it may ask for. It ends with whoever has
-started it, in the middle of a job too. It takes objects from who started it, and answers in JSON:
-whoever reads that runs nothing of what a log or an FMU has made of this process.
+Arguments are the numbers of two pipes, and the memory limit in bytes. The process ends with its
+parent, even during a job. It receives objects from its parent, and answers in JSON: the parent
+executes nothing that a log or an FMU may have injected into this process.
 """
 
 import json
@@ -16,19 +16,20 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-"""Of libraries of linear algebra: of several threads the sums end in other bits."""
+"""Environment variables for the number of threads of linear-algebra libraries: with several threads
+sums are rounded differently."""
 
 _EVERY_S = 0.25
-"""Between two messages on how much of a job is done."""
+"""Interval between two progress messages."""
 
 
 def main(requests: int, answers: int, memory_bytes: int) -> None:
-    """Do jobs until nobody asks any more.
+    """Run jobs until the parent ends.
 
     Args:
-        requests: Pipe on which jobs come.
-        answers: Pipe on which goes what comes of them.
-        memory_bytes: That this process may ask for.
+        requests: Pipe for requests.
+        answers: Pipe for answers.
+        memory_bytes: Memory limit of this process.
     """
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
@@ -36,7 +37,7 @@ def main(requests: int, answers: int, memory_bytes: int) -> None:
     asked, answered = Connection(requests), Connection(answers)
 
     def listen() -> None:
-        """Take requests; where there will be none, end at once."""
+        """Receive requests; end the process when the pipe is closed."""
         while True:
             try:
                 coming.put(asked.recv())
@@ -50,7 +51,7 @@ def main(requests: int, answers: int, memory_bytes: int) -> None:
         said_s = time.monotonic()
 
         def progress(done: float) -> None:
-            """Say the share done, now and then."""
+            """Report the completed share at intervals."""
             nonlocal said_s
             if (now_s := time.monotonic()) - said_s >= _EVERY_S:
                 said_s = now_s

@@ -1,9 +1,8 @@
-"""Jobs, and where they are done: processes of this machine, or a Dask cluster; the results are the
-same.
+"""Execution of jobs by processes of this machine or a Dask cluster, with equal results.
 
-On this machine a thread each waits for its worker, which has a process of its own: what a job does
-to its process harms one job, and nothing is computed twice or passed on by copying code. A cluster
-runs already; its workers have this package, and tasks travel as bytes.
+On this machine each thread waits for a worker with a separate process: a crash affects one job, and
+no computation is repeated or passed on by copying code. A cluster must be running; its workers have
+this package, and tasks are sent as bytes.
 """
 
 import contextlib
@@ -26,65 +25,65 @@ D_co = TypeVar("D_co", covariant=True)
 
 
 class Worker(Protocol[J_contra, D_co]):
-    """Does one job after another, in one thread."""
+    """Worker that does one job after another, in one thread."""
 
     def do(self, job: J_contra, /) -> D_co:
-        """What comes of a job; whatever happens in it, there is something."""
+        """Result of a job; every failure has a result too."""
 
     def close(self) -> None:
-        """End what it has started."""
+        """End all that the worker has started."""
 
 
 class Task(Protocol[J, D]):
-    """The same for all jobs."""
+    """Definition that is common to all jobs."""
 
     @property
     def key(self) -> str:
-        """Hash of all that decides what comes of the jobs."""
+        """Hash of all inputs of the results."""
 
     def name(self, job: J, /) -> str:
-        """Identifies a job."""
+        """Name that identifies a job."""
 
     def worker(self) -> Worker[J, D]:
-        """One more that does jobs."""
+        """A new worker."""
 
     def packed(self) -> "Packed[J, D]":
-        """As it travels to another machine."""
+        """The task in a form for another machine."""
 
     def lost(self, job: J, why: str, /) -> D:
-        """What comes of a job whose workers were lost."""
+        """Result of a job whose workers were lost."""
 
 
 class Packed(Protocol[J, D]):
-    """A task that is pickled."""
+    """A task that can be pickled."""
 
     @property
     def key(self) -> str:
-        """Of the task."""
+        """Hash of the task."""
 
     def unpacked(self, folder: Path, /) -> Task[J, D]:
-        """The task, its files written into a folder."""
+        """The task, with its files written into a folder."""
 
 
 class LocalEngine:
-    """As many workers as asked for."""
+    """Engine with a fixed number of local workers."""
 
     def __init__(self, workers: int) -> None:
-        """Start nothing yet.
+        """Set up without starting.
 
         Args:
-            workers: Threads, each with a worker.
+            workers: Number of threads, each with a worker.
         """
         self._workers = workers
 
     def run(self, task: Task[J, D], jobs: Iterable[J]) -> Iterator[D]:
-        """What comes of the jobs, in any order; jobs are taken when there is room for them."""
+        """Results of the jobs, in any order; jobs are taken on demand."""
         waiting: queue.Queue[J | None] = queue.Queue(2 * self._workers)
         done: queue.Queue[D | _Raised] = queue.Queue()
         ended = threading.Event()
 
         def work() -> None:
-            """Until there is nothing more to do, or nobody who wants it."""
+            """Run jobs until there are none, or the results are no longer wanted."""
             try:
                 with contextlib.closing(task.worker()) as worker:
                     while (job := waiting.get()) is not None and not ended.is_set():
@@ -110,10 +109,10 @@ class LocalEngine:
             for _ in threads:
                 _offer(waiting)
             for thread in threads:
-                thread.join(timeout=1.0)  # a long step is not waited for; its process ends with us
+                thread.join(timeout=1.0)  # do not wait for a long step; its process ends with ours
 
     def close(self) -> None:
-        """Nothing is left of it."""
+        """Nothing remains to be closed."""
 
 
 class _Raised:
@@ -130,7 +129,7 @@ def _found(found: D | _Raised) -> D:
 
 
 def _offer(waiting: "queue.Queue[J | None]") -> None:
-    """Say that there is nothing more; where nobody takes jobs, they are dropped."""
+    """Mark the end of the jobs; where no thread takes jobs, they are dropped."""
     while True:
         try:
             return waiting.put_nowait(None)
@@ -140,21 +139,21 @@ def _offer(waiting: "queue.Queue[J | None]") -> None:
 
 
 AHEAD = 4
-"""Jobs that are given to the cluster for each of its threads."""
+"""Jobs sent to the cluster in advance, for each of its threads."""
 
 
 CONNECT_S = 10.0
-"""How long a scheduler may take to answer; those of a batch system start within seconds."""
+"""Time limit for the answer of a scheduler; those of a batch system start within seconds."""
 
 
 class DaskEngine:
-    """The workers of a cluster; what a killed one was doing is done by another."""
+    """Engine with the workers of a cluster; jobs of a killed worker are repeated by another."""
 
     def __init__(self, scheduler: str) -> None:
-        """Connect.
+        """Connect to a scheduler.
 
         Args:
-            scheduler: Its address, tcp://HOST:8786.
+            scheduler: Address of the scheduler, tcp://HOST:8786.
 
         Raises:
             TwinError: The package is missing, or no scheduler answers.
@@ -172,7 +171,7 @@ class DaskEngine:
         self._keys: list[str] = []
 
     def run(self, task: Task[J, D], jobs: Iterable[J]) -> Iterator[D]:
-        """What comes of the jobs, in any order; jobs are taken when there is room for them."""
+        """Results of the jobs, in any order; jobs are taken on demand."""
         from distributed import KilledWorker, as_completed
 
         client = self._client
@@ -198,7 +197,7 @@ class DaskEngine:
                 yield task.lost(job, f"its workers were lost: {error}")
 
     def close(self) -> None:
-        """Leave the cluster, and nothing on it."""
+        """Disconnect, and remove all data from the cluster."""
         try:
             for key in self._keys:
                 self._client.run(release, key)
@@ -208,12 +207,12 @@ class DaskEngine:
 
 @dataclass(slots=True)
 class _Held:
-    """What a process of the cluster keeps from one job to the next.
+    """Objects that a process of the cluster caches between jobs.
 
     Attributes:
-        folder: Of the task's files.
-        task: With its files there.
-        workers: By thread.
+        folder: Folder of the task's files.
+        task: Task with its files in that folder.
+        workers: Workers by thread.
     """
 
     folder: "tempfile.TemporaryDirectory[str]"
@@ -222,13 +221,13 @@ class _Held:
 
 
 _HELD: dict[str, _Held] = {}
-"""In a process of the cluster, by key of the task."""
+"""Cached objects in a process of the cluster, by key of the task."""
 _LOCK = threading.Lock()
-"""Guards `_HELD`."""
+"""Lock of `_HELD`."""
 
 
 def do_packed(packed: Packed[J, D], job: J) -> D:
-    """On the cluster: do a job with a worker that the next job finds again."""
+    """On the cluster: do a job with a cached worker."""
     with _LOCK:
         if packed.key not in _HELD:
             folder = tempfile.TemporaryDirectory(prefix="uavtwin-", ignore_cleanup_errors=True)
@@ -253,26 +252,26 @@ def release(key: str) -> None:
 
 EngineName = Literal["local", "dask"]
 MOST_WORKERS = 1024
-"""Of the local engine."""
+"""Largest number of workers of the local engine."""
 
 
 class Engine(Protocol):
-    """Does jobs in any order."""
+    """Engine that does jobs in any order."""
 
     def run(self, task: Task[J, D], jobs: Iterable[J]) -> Iterator[D]:
-        """What comes of them, as it comes; jobs are taken when there is room for them."""
+        """Results as they arrive; jobs are taken on demand."""
 
     def close(self) -> None:
-        """Leave nothing behind."""
+        """Remove all resources."""
 
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Where jobs are done.
+    """Choice of the engine.
 
     Attributes:
         engine: `local`, or `dask` with a scheduler.
-        workers: Processes of the local engine; None: one per core.
+        workers: Number of processes of the local engine; None: one per core.
         scheduler: Address of a Dask scheduler.
     """
 
@@ -282,10 +281,10 @@ class Workers:
 
     @contextmanager
     def opened(self) -> Iterator[Engine]:
-        """The engine, closed at the end.
+        """The engine, closed at the end of the context.
 
         Raises:
-            TwinError: One is given that the engine has no use for, or lacks.
+            TwinError: An option does not apply to the engine, or is missing.
         """
         if self.engine == "dask":
             if self.scheduler is None:

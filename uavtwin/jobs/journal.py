@@ -1,4 +1,4 @@
-"""What has been done so far: a line per job, so that it goes on from there after a kill."""
+"""Journal of completed jobs, one line each, for resuming after a kill."""
 
 import fcntl
 import json
@@ -15,29 +15,29 @@ Content = Mapping[str, Any]
 
 
 class Journal(ABC, Generic[N]):
-    """A file in the folder of the results, gone when they are there.
+    """A file in the folder of the results, deleted when they are complete.
 
-    A class below says what its lines are: `kind` names the whole, and `named` takes the name of a
-    job from its line.
+    A subclass defines the lines: `kind` names the whole, and `named` returns the name of a job from
+    its line.
 
     Attributes:
         done: Names of the jobs that were in it when it was opened.
     """
 
     kind = "job"
-    """Of what it is the journal, in a word."""
+    """Name of the whole, one word."""
     differs = "other files, options or version"
-    """What may be other in a journal of another run."""
+    """Text on possible differences to the journal of another run."""
 
     def __init__(self, path: Path, key: str) -> None:
-        """Open it, or begin one.
+        """Open or create it.
 
         Args:
-            path: Of the file.
-            key: Hash of all that decides what comes of the jobs.
+            path: Path of the file.
+            key: Hash of all inputs of the results.
 
         Raises:
-            TwinError: It is of another run, not ours, or another process writes it.
+            TwinError: It belongs to another run or program, or another process writes it.
         """
         self._path = path
         self.done: set[N] = set()
@@ -45,7 +45,7 @@ class Journal(ABC, Generic[N]):
         self._file = path.open("a+b")
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            os.truncate(path, self._look(key))  # a kill in the middle of a line
+            os.truncate(path, self._look(key))  # after a kill within a line
         except BlockingIOError as error:
             self._file.close()
             raise TwinError(
@@ -62,11 +62,11 @@ class Journal(ABC, Generic[N]):
         """Name of the job of a line.
 
         Raises:
-            ValueError, KeyError, TypeError: It is of no job.
+            ValueError, KeyError, TypeError: The line is not that of a job.
         """
 
     def _look(self, key: str) -> int:
-        """Take the jobs that are done; bytes of whole lines."""
+        """Read the completed jobs; returns the number of bytes in complete lines."""
         end = 0
         self._file.seek(0)
         for number, line in enumerate(self._file):
@@ -88,19 +88,19 @@ class Journal(ABC, Generic[N]):
         return end
 
     def foreign(self, line: int) -> TwinError:
-        """A line of something else."""
+        """Error for a line of another kind."""
         return TwinError(
             f"{self._path}: line {line} is not of a {self.kind}. Choose another --out, or delete "
             f"the file to begin again."
         )
 
     def write(self, content: Content) -> None:
-        """Write a job down; a kill after this does not lose it."""
+        """Append a job; it is then preserved after a kill."""
         self._file.write(json.dumps(content, allow_nan=False).encode() + b"\n")
         self._file.flush()
 
     def contents(self) -> Iterator[tuple[int, dict[str, Any]]]:
-        """All lines of jobs, in the order in which they were written, and where each begins."""
+        """All lines of jobs, in the order of writing, with the offset of each."""
         with self._path.open("rb") as file:
             place = len(next(file))
             for line in file:
@@ -108,5 +108,5 @@ class Journal(ABC, Generic[N]):
                 place += len(line)
 
     def close(self) -> None:
-        """Another may go on with it."""
+        """Close, so that another process may continue."""
         self._file.close()

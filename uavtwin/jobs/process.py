@@ -1,4 +1,4 @@
-"""A worker whose jobs are done in a process of their own, restarted when a job ends it."""
+"""Worker with a separate process for its jobs, restarted when a job ends it."""
 
 import contextlib
 import json
@@ -18,29 +18,29 @@ from twin.errors import TwinError
 from .engine import D, J, J_contra
 
 FRESH = 100
-"""Jobs after which a process is replaced: what libraries keep for good does not pile up."""
+"""Jobs after which a process is replaced, to release memory that libraries never free."""
 _START_S = 120.0
-"""For Python to start, on a machine that is busy."""
+"""Time limit for the start of Python, on a busy machine."""
 
 
 Progress = Callable[[float], None]
-"""Takes the share of a job that is done, 0..1."""
+"""Function for the completed share of a job, 0..1."""
 
 
 class JobHandler(Protocol[J_contra]):
-    """What is sent to the process."""
+    """Object that is sent to the process and does its jobs."""
 
     def do(self, job: J_contra, progress: Progress, /) -> Any:
-        """What comes of a job, as JSON has it: that and the share done alone come back."""
+        """Result of a job, of JSON types: only this and the completed share are returned."""
 
 
 @dataclass(frozen=True, slots=True)
 class JobLimits:
-    """What a job may use.
+    """Limits of a job.
 
     Attributes:
-        time_s: Of the clock, for one job.
-        memory_gib: That its process may ask for.
+        time_s: Time limit of one job, wall clock.
+        memory_gib: Memory limit of its process.
     """
 
     time_s: float = 3600.0
@@ -51,7 +51,7 @@ class JobLimits:
 
 
 class ProcessWorker(Generic[J, D]):
-    """Does jobs in a process; whatever a job does to it, the next one is done."""
+    """Worker that does jobs in a process; a crash of one job does not affect the next."""
 
     def __init__(
         self,
@@ -60,13 +60,13 @@ class ProcessWorker(Generic[J, D]):
         lost: Callable[[J, str], D],
         allowed: JobLimits | None = None,
     ) -> None:
-        """Start nothing yet.
+        """Set up without starting.
 
         Args:
             doer: Does the jobs, in the process.
-            read: Makes of its answer what comes of a job.
-            lost: What comes of a job that ended its process, and why it did.
-            allowed: What a job may use.
+            read: Converts its answer to the result of a job.
+            lost: Result of a job that ended its process, from the reason.
+            allowed: Limits of a job.
         """
         self._doer, self._read, self._lost = doer, read, lost
         self._allowed = allowed or JobLimits()
@@ -74,12 +74,12 @@ class ProcessWorker(Generic[J, D]):
         self._done = 0
 
     def do(self, job: J, progress: Progress = lambda _: None, time_s: float | None = None) -> D:
-        """What comes of a job.
+        """Result of a job.
 
         Args:
-            job: To do.
-            progress: Called with the share done, 0..1.
-            time_s: That it may take; None: as long as all may.
+            job: Job to do.
+            progress: Called with the completed share, 0..1.
+            time_s: Time limit of this job; None: that of all jobs.
         """
         if self._done >= FRESH:
             self.close()
@@ -102,7 +102,7 @@ class ProcessWorker(Generic[J, D]):
         return self._child
 
     def kill(self) -> None:
-        """End the process in the middle of its job, which is lost then; from any thread."""
+        """End the process during its job, which is lost; from any thread."""
         if (child := self._child) is not None:
             child.kill()
 
@@ -114,11 +114,11 @@ class ProcessWorker(Generic[J, D]):
 
 
 class _EndedError(Exception):
-    """The process can answer nothing any more; the text says why."""
+    """The process cannot answer any more; the text states the reason."""
 
 
 class _Child:
-    """One process, and the pipes to it."""
+    """One process, and its pipes."""
 
     def __init__(self, doer: JobHandler[Any], allowed: JobLimits) -> None:
         requests, ask = os.pipe()
@@ -149,10 +149,10 @@ class _Child:
         self._receive(_START_S, _START_S)
 
     def ask(self, job: Any, time_s: float, progress: Progress) -> Any:
-        """What comes of a job.
+        """Result of a job.
 
         Raises:
-            _EndedError: The process is no more, took too long, or what it answers is none.
+            _EndedError: The process has ended, took too long, or its answer is invalid.
         """
         self._send(job)
         until = time.monotonic() + time_s
@@ -181,7 +181,7 @@ class _Child:
             raise _EndedError(self._how()) from error
 
     def _how(self) -> str:
-        """How the process ended."""
+        """Text on how the process ended."""
         try:
             code = self._process.wait(timeout=5.0)
         except subprocess.TimeoutExpired:
@@ -192,13 +192,13 @@ class _Child:
         )
 
     def kill(self) -> None:
-        """End it at once, and what it has started."""
+        """Kill it with all its child processes."""
         if self._process.poll() is None:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self._process.pid, signal.SIGKILL)
 
     def end(self) -> None:
-        """Kill it and close what leads to it."""
+        """Kill it and close its pipes."""
         self.kill()
         self._process.wait()
         self._ask.close()

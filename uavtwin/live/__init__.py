@@ -1,1 +1,1 @@
-"""The twin of a flying aircraft, over MAVLink; and a log played as one."""
+"""Live twin of a flying aircraft over MAVLink, and replay of a log as such an aircraft."""

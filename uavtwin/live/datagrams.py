@@ -1,12 +1,12 @@
 """MAVLink over UDP: datagrams with their time of arrival, frames, the aircraft's clock.
 
-Datagrams carry the kernel's time stamp where it sets one, so they may be taken several at a time,
-which costs less, without a change of any time of arrival.
+Datagrams have the kernel's time stamp where available, so several may be received at a time, which
+is cheaper, without changing their times of arrival.
 
-The aircraft's clock: a message that says t left at t and came later, so our time less t is the
-offset and the delay. The lowest of many, a line beneath all of them, is the offset and the shortest
-delay. Where TIMESYNC is answered, our time of the request less t bounds the offset from below: the
-middle of both lines is the offset, as far as the shortest delays there and back are alike.
+The aircraft's clock: a message with time t left at t and arrived later, so local time less t is the
+offset plus the delay. The lower bound of many, a line below all of them, is the offset plus the
+shortest delay. Where TIMESYNC is answered, local time of the request less t bounds the offset from
+below: the offset is the middle of both lines, if the shortest delays in both directions are equal.
 """
 
 import math
@@ -22,24 +22,24 @@ from dataclasses import dataclass, field
 from twin.logs.mavlink.frames import GCS, Message, MessageParser, Sequence
 
 _LONGEST = 65536
-"""Bytes of a datagram, at most: the limit of UDP."""
+"""Largest size of a datagram: the limit of UDP."""
 _STAMPED = getattr(socket, "SO_TIMESTAMPNS", 35) if sys.platform == "linux" else None
-"""Option and kind of the stamp, which Python has no name for before 3.14."""
+"""Option and kind of the stamp, without a name in Python before 3.14."""
 _STAMP = struct.Struct("@ll")
-"""Seconds and ns since 1970."""
+"""Layout of the stamp: seconds and ns since 1970."""
 _ANCILLARY_BYTES = socket.CMSG_SPACE(_STAMP.size) if _STAMPED is not None else 0
 """Space for the kernel's stamp."""
 
 
 @dataclass(frozen=True, slots=True)
 class Datagram:
-    """What came.
+    """A received datagram.
 
     Attributes:
-        content: Its bytes.
+        content: Bytes of the datagram.
         sender: Host and port.
-        at_s: When, on the monotonic clock.
-        at_us: When, us since 1970.
+        at_s: Time of arrival, on the monotonic clock.
+        at_us: Time of arrival, us since 1970.
     """
 
     content: bytes
@@ -49,36 +49,36 @@ class Datagram:
 
 
 class Arrivals:
-    """Takes datagrams from a socket that does not wait."""
+    """Receiver of datagrams from a non-blocking socket."""
 
     def __init__(self, listens: socket.socket) -> None:
-        """Ask the kernel for stamps."""
+        """Enable time stamps of the kernel."""
         self._socket = listens
         self._empty_s = time.monotonic()
         if _STAMPED is not None:
             listens.setsockopt(socket.SOL_SOCKET, _STAMPED, 1)
 
     def wait(self, longest_s: float) -> bool:
-        """Wait for something; returns whether there is any."""
+        """Wait for a datagram; returns whether there is one."""
         return bool(select.select([self._socket], [], [], longest_s)[0])
 
     def take(self, most: int) -> Iterator[Datagram]:
-        """Those that are there, at most so many."""
+        """The datagrams available, up to a number."""
         for _ in range(most):
             try:
                 content, ancillary, _, sender = self._receive()
-            except OSError:  # nothing more is there, or what was sent to a closed port came back
+            except OSError:  # none left, or a message to a closed port was returned
                 self._empty_s = time.monotonic()
                 return
             now_s, now_ns = _both_clocks()
             ago_s = 1e-9 * (now_ns - _stamp_ns(ancillary, now_ns))
-            # it came after all before it had been taken, whatever was done to the system's clock
+            # it arrived after all earlier ones were received, also if the system's clock was set
             ago_s = min(max(ago_s, 0.0), now_s - self._empty_s)
             at_us = round(1e-3 * now_ns - 1e6 * ago_s)
             yield Datagram(content, (sender[0], sender[1]), now_s - ago_s, at_us)
 
     def _receive(self) -> tuple[bytes, list[tuple[int, int, bytes]], int, tuple[str, int]]:
-        """As `recvmsg`, which not every system has."""
+        """Replacement of `recvmsg`, which some systems lack."""
         if _STAMPED is None:
             content, sender = self._socket.recvfrom(_LONGEST)
             return content, [], 0, sender
@@ -86,15 +86,15 @@ class Arrivals:
 
 
 def _both_clocks() -> tuple[float, int]:
-    """The monotonic clock, s, and the system's, ns, at one instant: of three readings that between
-    whose two least came."""
+    """The monotonic clock, s, and the system's, ns, at one instant: of three readings the one with
+    the shortest duration."""
     read = ((time.monotonic(), time.time_ns(), time.monotonic()) for _ in range(3))
     _, now_s, now_ns = min((after - before, before, ns) for before, ns, after in read)
     return now_s, now_ns
 
 
 def _stamp_ns(ancillary: list[tuple[int, int, bytes]], otherwise: int) -> int:
-    """The kernel's stamp, ns since 1970."""
+    """Time stamp of the kernel, ns since 1970."""
     for level, kind, data in ancillary:
         if level == socket.SOL_SOCKET and kind == _STAMPED and len(data) == _STAMP.size:
             seconds, ns = _STAMP.unpack(data)
@@ -104,19 +104,19 @@ def _stamp_ns(ancillary: list[tuple[int, int, bytes]], otherwise: int) -> int:
 
 Sender = tuple[str, int]
 _MOST_OTHERS = 32
-"""Other senders that are listed by name; messages of more are counted together."""
-MORE_OTHERS = "further senders"  # name of those not listed
+"""Largest number of other senders listed by name; messages of more are counted together."""
+MORE_OTHERS = "further senders"  # name for those not listed
 _FEW = 10
-"""A sender of fewer messages that is silent gives its place to the next aircraft."""
+"""Number of messages below which a silent sender is replaced by the next aircraft."""
 
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A message of the aircraft.
+    """A message from the aircraft.
 
     Attributes:
         message: The message.
-        frame: Its bytes.
+        frame: Bytes of its frame.
     """
 
     message: Message
@@ -125,17 +125,17 @@ class Received:
 
 @dataclass(slots=True)
 class Receiver:
-    """Takes datagrams apart and keeps to one aircraft.
+    """Parser of datagrams that selects one aircraft.
 
     Attributes:
-        system: System id of the aircraft; None: the first one that is heard.
-        sender: Where its messages come from; None: nothing came yet.
-        datagrams: How many came.
-        octets: How many bytes.
-        others: Messages of other systems, or of the same id from elsewhere, by who sent them: the
+        system: System id of the aircraft; None: the first one received.
+        sender: Sender of its messages; None: none so far.
+        datagrams: Number of datagrams received.
+        octets: Number of bytes received.
+        others: Messages of other systems, or of the same id from another sender, by sender: the
             first 32, and `MORE_OTHERS`.
-        parser: Takes datagrams apart; counts what is no message.
-        silent: Whether the aircraft has not been heard for a while, and may send from another port.
+        parser: Parser of the datagrams, with counts of invalid messages.
+        silent: Whether the aircraft has been silent for some time, and may send from another port.
     """
 
     system: int | None = None
@@ -152,11 +152,11 @@ class Receiver:
 
     @property
     def sequence(self) -> Sequence:
-        """Counts of the aircraft's messages."""
+        """Counts of the aircraft's messages by sequence number."""
         return Sequence() if self.system is None else self.parser.link.of(self.system)
 
     def messages(self, datagram: bytes, sender: Sender) -> Iterator[Received]:
-        """Messages of the aircraft in a datagram, those that came before left out."""
+        """Messages of the aircraft in a datagram, without duplicates."""
         self.datagrams += 1
         self.octets += len(datagram)
         for message, frame in self.parser.push(
@@ -169,7 +169,7 @@ class Receiver:
         if message.get_type() == "HEARTBEAT" and message.type == GCS:
             return self._is_other(f"ground station, system {system}")
         if self.silent and self.sender != sender and self.sequence.received < _FEW:
-            self.system, self.sender = self._wanted, None  # what was heard first was no aircraft
+            self.system, self.sender = self._wanted, None  # the first sender was no aircraft
         if self.sender is None and self.system in (None, system) and _is_vehicle(message):
             self.system, self.sender = system, sender
         if self.sender is None:
@@ -183,16 +183,16 @@ class Receiver:
         return True
 
     def _is_other(self, who: str) -> bool:
-        """Count a message that is not of the aircraft."""
+        """Whether a message is not of the aircraft; such messages are counted."""
         known = who in self.others or len(self.others) < _MOST_OTHERS
         self.others[who if known else MORE_OTHERS] += 1
         return False
 
 
 def _is_vehicle(message: Message) -> bool:
-    """Whether a message is one of an aircraft, not of what stands on the ground.
+    """Whether a message is from an aircraft, not from a ground station.
 
-    One of an unknown kind has no checksum that could be tested: random bytes look like it.
+    Messages of unknown kind have no verifiable checksum: random bytes may look like one.
     """
     kind = message.get_type()
     known = not kind.startswith("UNKNOWN")
@@ -201,23 +201,24 @@ def _is_vehicle(message: Message) -> bool:
 
 Point = tuple[float, float]
 MEMORY_S = 60.0
-"""Older points are forgotten: clocks drift with temperature."""
+"""Age of points that are dropped: clocks drift with temperature."""
 _BIN_S = 0.5
-"""Length of a bin of which the lowest point is stored, s. Made up."""
+"""Length of a bin whose lowest point is stored, s. Made up."""
 _LONG_ENOUGH_S = 5.0
-"""A shorter time says nothing of the drift."""
+"""Shortest time from which a drift is estimated."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockEstimate:
-    """What is known of the aircraft's clock.
+    """Estimated relation of the aircraft's clock to the local one.
 
     Attributes:
-        aircraft_s: Newest time of the aircraft, at which the offset holds, s.
-        offset_s: Our time less the aircraft's, s.
-        drift_ppm: By how much the aircraft's clock is faster; NaN: not known yet.
-        source: `TIMESYNC`, or `arrivals`: the offset holds the shortest delay of the link as well.
-        width_s: Between the bounds from above and below; infinite without TIMESYNC.
+        aircraft_s: Newest time of the aircraft, for which the offset is valid, s.
+        offset_s: Local time less the aircraft's, s.
+        drift_ppm: Relative rate of the aircraft's clock, positive if faster; NaN: not known yet.
+        source: Source: `TIMESYNC`, or `arrivals`, where the offset includes the shortest delay of
+            the link.
+        width_s: Distance of the upper and lower bounds; infinite without TIMESYNC.
     """
 
     aircraft_s: float
@@ -229,24 +230,25 @@ class ClockEstimate:
 
 @dataclass(slots=True)
 class ClockWatch:
-    """Estimates offset and drift of the aircraft's clock from times of messages."""
+    """Estimator for offset and drift of the aircraft's clock from times of messages."""
 
     _above: dict[int, Point] = field(default_factory=dict)
     _below: dict[int, Point] = field(default_factory=dict)
     _now_s: float = -math.inf
 
     def came(self, aircraft_s: float, at_s: float) -> None:
-        """A message that says a time of the aircraft came at a time of ours, s."""
+        """Add a message with a time of the aircraft that arrived at a local time, s."""
         self._now_s = max(self._now_s, aircraft_s)
         _keep_lowest(self._above, aircraft_s, at_s - aircraft_s)
 
     def answered(self, request_s: float, aircraft_s: float, at_s: float) -> None:
-        """TIMESYNC: request and answer at times of ours, what the aircraft's clock was between."""
+        """Add a TIMESYNC exchange: local times of request and answer, and the aircraft's time in
+        between."""
         self.came(aircraft_s, at_s)
         _keep_lowest(self._below, aircraft_s, -(request_s - aircraft_s))
 
     def estimate(self) -> ClockEstimate | None:
-        """What is known now; None: no message has come."""
+        """Present estimate; None: no message so far."""
         self._forget()
         above = _line(list(self._above.values()))
         if above is None:
@@ -255,7 +257,7 @@ class ClockWatch:
         high = _at(above, now)
         if not self._below:
             return ClockEstimate(now, high, _ppm(slope), "arrivals", math.inf)
-        # Answers are few: their line has the slope of the other one.
+        # Answers are rare: their line is given the slope of the other one.
         level = 0.0 if math.isnan(slope) else slope
         least = max(-y + level * (now - x) for x, y in self._below.values())
         return ClockEstimate(
@@ -280,14 +282,14 @@ def _at(line: tuple[float, float], x: float) -> float:
 
 
 def _ppm(slope: float) -> float:
-    """The offset falls by as much as the aircraft's clock is faster."""
+    """Relative clock rate from the slope of the offset, which falls for a faster clock."""
     return -1e6 * slope / (1.0 + slope)
 
 
 def _line(points: list[Point]) -> tuple[float, float] | None:
-    """The line beneath all points that is nearest to them: value at 0, and slope.
+    """The nearest line below all points: value at 0, and slope.
 
-    It is the edge of their lower convex hull over their middle. Over a short time it is level.
+    It is the edge of their lower convex hull at their middle. Over a short time it is level.
     """
     if not points:
         return None
@@ -307,5 +309,5 @@ def _line(points: list[Point]) -> tuple[float, float] | None:
 
 
 def _turns_right(a: Point, b: Point, c: Point) -> bool:
-    """Whether b lies on or above the line from a to c."""
+    """Whether b is on or above the line from a to c."""
     return (b[1] - a[1]) * (c[0] - a[0]) >= (c[1] - a[1]) * (b[0] - a[0])

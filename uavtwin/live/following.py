@@ -1,9 +1,9 @@
 """The twin that follows the aircraft message by message, and its publication as a second aircraft.
 
-At each reading of the IMU the airframe is stepped to its time on the newest commands, in the steps
-of the FMUs; every horizon it is set to the measured state, or an observer draws it there all the
-time. Rotor states, which no sensor measures, go on. `Publisher` sends it as MAVLink, for screens
-of ground stations.
+At each reading of the IMU the airframe is stepped to its time with the newest commands, in the
+steps of the FMUs; at every horizon its state is set to the measured one, or an observer corrects it
+continuously. Rotor states, which no sensor measures, are not corrected. `Publisher` sends it as
+MAVLink, for ground stations.
 """
 
 import contextlib
@@ -39,20 +39,21 @@ _POSE = {
     "q": QUAT,
     "gyro": tuple(f"omega_{a}" for a in AXES),
 }
-"""States of the airframe that a signal measures."""
+"""States of the airframe measured by each signal."""
 _LONGEST_US = 500_000
-"""After a longer pause the twin is set to what was measured, not stepped to it."""
+"""Longest pause over which the twin is stepped; after a longer one its state is set to the measured
+one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Following:
-    """How the state of the twin is corrected by the measured one.
+    """Correction of the twin's state by the measured one.
 
     Attributes:
-        horizon_s: It is set to what was measured that often, and free in between.
-        observer_s: Instead it is drawn to what was measured, so that what it is off decays with
-            this time constant: x += (1 - exp(-dt / observer)) (measured - x), a Luenberger observer
-            of one gain; None: it is set.
+        horizon_s: Interval at which the state is set to the measured one, and free in between.
+        observer_s: Time constant of an observer used instead, with which the deviation from the
+            measured state decays: x += (1 - exp(-dt / observer)) (measured - x), a Luenberger
+            observer of one gain; None: the state is set.
     """
 
     horizon_s: float
@@ -66,7 +67,7 @@ class Following:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What the twin reads; SI, NED, FRD."""
+    """Readings of the twin; SI, NED, FRD."""
 
     acc_b: Sequence[float]
     gyro_b: Sequence[float]
@@ -80,15 +81,16 @@ class FollowingTwin:
     """Airframe and IMU that follow an aircraft.
 
     Attributes:
-        started: Whether it has a state: attitude, velocity and body rates have come, and commands.
+        started: Whether it has a state: attitude, velocity and body rates were received, and
+            commands.
     """
 
     def __init__(self, equations: Equations, following: Following) -> None:
-        """Nothing has come.
+        """Set up without measurements.
 
         Args:
-            equations: Of the vehicle.
-            following: How its state is corrected.
+            equations: Equations of the vehicle.
+            following: Correction of its state.
         """
         body, sensor = equations.airframe, equations.imu
         self._p = body.parameter_values({"ground.enabled": 0.0})
@@ -115,11 +117,11 @@ class FollowingTwin:
 
     @property
     def started(self) -> bool:
-        """See the class."""
+        """Whether the twin has a state."""
         return self._x is not None
 
     def take(self, sample: Sample) -> bool:
-        """Take a sample; returns whether the twin was stepped to its time."""
+        """Add a sample; returns whether the twin was stepped to its time."""
         if sample.group in self._index:
             self._measured[sample.group] = sample.values
         elif sample.group in ("cmd", "rotor", "vbat_v"):
@@ -136,12 +138,12 @@ class FollowingTwin:
         return True
 
     def restart(self) -> None:
-        """Forget the state and all that was measured: another flight begins."""
+        """Reset state and measurements: another flight begins."""
         self._x, self._has_commands = None, False
         self._measured.clear()
 
     def read(self) -> Reading:
-        """What it reads now."""
+        """Present readings."""
         assert self._x is not None
         values = self._read(self._x[None], self._u[None])[0].tolist()
         edges = (0, 3, 6, 9, 12, 16, 19)
@@ -170,14 +172,14 @@ class FollowingTwin:
             self._set(t_us)
 
     def _set(self, t_us: int) -> None:
-        """Be where the aircraft was measured."""
+        """Set the state to the measured one."""
         x = np.array(self._x, dtype=np.float64).ravel()
         for group, values in self._measured.items():
             x[self._index[group]] = values
         self._x, self._t_us, self._set_us = x, t_us, t_us
 
     def _draw(self, over_s: float, observer_s: float) -> None:
-        """Be nearer to where the aircraft was measured."""
+        """Correct the state towards the measured one."""
         x = np.array(self._x, dtype=np.float64).ravel()
         pull = -np.expm1(-over_s / observer_s)
         for group, values in self._measured.items():
@@ -193,30 +195,30 @@ class FollowingTwin:
 DEFAULT_SYSTEM = 2
 """System id of the published twin."""
 _EVERY_US = 20_000
-"""Between two published states, us: 50 Hz. Made up."""
+"""Interval of published states, us: 50 Hz. Made up."""
 _BEAT_S = 1.0
-"""Between two heartbeats, s, as MAVLink recommends."""
+"""Interval of heartbeats, s, as MAVLink recommends."""
 ANOMALY = "anomaly"
 """Name of the compensator's score."""
 _TEXT, _NAME = 50, 10
-"""Characters of a STATUSTEXT, and of a NAMED_VALUE_FLOAT."""
+"""Largest number of characters of a STATUSTEXT, and of a NAMED_VALUE_FLOAT."""
 _AGES = 10_000
-"""Number of ages of which the 99th percentile is taken. Made up."""
+"""Number of ages for the 99th percentile. Made up."""
 
 
 class Publisher:
-    """Sends what the twin reads.
+    """Sender of the twin's readings.
 
     Attributes:
         system: Own system id.
-        sent: How many messages were sent.
+        sent: Number of messages sent.
     """
 
     def __init__(self, to: Address, motors: int, system: int = DEFAULT_SYSTEM) -> None:
-        """Open the way there.
+        """Open the connection.
 
         Raises:
-            TwinError: There is no such host, or the system id is none.
+            TwinError: There is no such host, or the system id is invalid.
         """
         if not 1 <= system <= 255:
             raise TwinError(f"system id {system} of the twin: 1 to 255.")
@@ -230,13 +232,13 @@ class Publisher:
         self._newest_us = 0
 
     def close(self) -> None:
-        """Give the socket back."""
+        """Close the socket."""
         self._socket.close()
 
     @property
     def age_p99_s(self) -> float:
-        """From when a message of the aircraft came to when the twin's left that was made of it, of
-        99 in 100; NaN before any was sent."""
+        """99th percentile of the time from the arrival of an aircraft's message to the departure of
+        the resulting one, s; NaN before any was sent."""
         return float(np.percentile(self._ages_s, 99)) if self._ages_s else float("nan")
 
     def alarm(self, alarm: Alarm) -> None:
@@ -248,10 +250,10 @@ class Publisher:
         self._alarms.put(score)
 
     def tick(self, aircraft: int | None) -> None:
-        """What is due without a new reading.
+        """Send periodic messages.
 
         Args:
-            aircraft: System id of the aircraft; the twin takes another.
+            aircraft: System id of the aircraft; that of the twin must differ.
         """
         if aircraft == self.system:
             self.system = self._packer.srcSystem = aircraft % 255 + 1
@@ -268,12 +270,12 @@ class Publisher:
                     self._number(ANOMALY, found)
 
     def reading(self, t_us: int, twin: FollowingTwin, came_s: float) -> None:
-        """Publish what the twin reads, 50 times a second.
+        """Publish the twin's readings, 50 times a second.
 
         Args:
-            t_us: On the aircraft's clock.
-            twin: At that time.
-            came_s: When the message came that it was made of, s of the monotonic clock.
+            t_us: Time on the aircraft's clock.
+            twin: Twin at that time.
+            came_s: Arrival of the message that caused the reading, s of the monotonic clock.
         """
         if t_us < self._next_us and self._next_us - t_us < 10 * _EVERY_US:
             return
@@ -283,7 +285,7 @@ class Publisher:
         self._ages_s.append(time.monotonic() - came_s)
 
     def _send_alarm(self, alarm: Alarm) -> None:
-        """As text, in pieces, and as a number."""
+        """Send an alarm as text, in pieces, and as a number."""
         over = alarm.closed_s is not None
         severity = dialect.MAV_SEVERITY_NOTICE if over else dialect.MAV_SEVERITY_WARNING
         text = sentence(alarm).replace("±", "+/-").encode("ascii", "replace")
@@ -294,14 +296,14 @@ class Publisher:
         self._number(alarm.event.cause, 0.0 if over else alarm.event.probability)
 
     def _number(self, name: str, value: float) -> None:
-        """NAMED_VALUE_FLOAT."""
+        """Message NAMED_VALUE_FLOAT."""
         short = name.encode("ascii", "replace")[:_NAME]
         at_ms = self._newest_us // 1000 & 0xFFFFFFFF
         self._send(dialect.MAVLink_named_value_float_message(at_ms, short, value))
 
     def _send(self, message: Message) -> None:
         frame = packed(message, self._packer)
-        with contextlib.suppress(OSError):  # no listener there, as yet
+        with contextlib.suppress(OSError):  # no listener there yet
             self._socket.sendto(frame, self._to.pair)
             self.sent += 1
 

@@ -1,9 +1,10 @@
-"""From samples of MAVLink to rows of a flight table in order of time, and their recording.
+"""Conversion of MAVLink samples to rows of a flight table in order of time, and their recording.
 
-`RowBuffer` waits for messages that were overtaken. `raw.tlog` holds every message with its time of
-arrival. Tables grow as Arrow streams (`flight.arrows`) and become Parquet (`flight.parquet`) at the
-end. A new section, after a restart of the aircraft's clock, has a number: `flight_2.parquet`.
-`errors.txt` holds tracebacks of parts of the program that failed in flight (`FaultIsolation`).
+`RowBuffer` waits for reordered messages. `raw.tlog` contains every message with its time of
+arrival. Tables are written as Arrow streams (`flight.arrows`) and converted to Parquet
+(`flight.parquet`) at the end. A new section, after a restart of the aircraft's clock, has a number:
+`flight_2.parquet`. `errors.txt` contains tracebacks of parts of the program that failed in flight
+(`FaultIsolation`).
 """
 
 import heapq
@@ -32,13 +33,13 @@ from twin.residuals.stream_residuals import ResidualBlock
 from ..output import check_folder
 
 HOLD_S = 0.15
-"""So long rows wait for messages that were overtaken."""
+"""Time for which rows wait for reordered messages."""
 PROBE_US = 1_000_000
-"""From the first sample on, in which it is seen what comes of several sources."""
+"""Time from the first sample in which the rates of several sources are measured."""
 _SILENT_US = 5_000_000
-"""After so long another source of a signal takes its place."""
+"""Silence after which another source of a signal is used."""
 _MOST_WAITING = 100_000
-"""Samples that may wait: of a clock that stands still none would ever be released."""
+"""Largest number of waiting samples: with a stopped clock none would ever be released."""
 _CRUISE_M_S = 1.0
 """Horizontal speed above which a phase of flight is forward, m/s. Made up."""
 Columns = dict[str, NDArray[np.float64] | NDArray[np.object_]]
@@ -49,9 +50,9 @@ class RowBuffer:
     """The jitter buffer of one flight section.
 
     Attributes:
-        hold_us: So long rows wait, us of the aircraft's clock.
-        zero_us: Time on the aircraft's clock that is time 0 of the flight; None: none came yet.
-        late: Samples that came after their row was gone, by signal.
+        hold_us: Time for which rows wait, us of the aircraft's clock.
+        zero_us: Time on the aircraft's clock that is time 0 of the flight; None: none received yet.
+        late: Number of samples that arrived too late for their row, by signal.
     """
 
     hold_us: int = round(1e6 * HOLD_S)
@@ -69,16 +70,16 @@ class RowBuffer:
 
     @property
     def sources(self) -> dict[str, str]:
-        """Which message each signal is taken from."""
+        """Source message of each signal."""
         return self._sources.chosen
 
     @property
     def waiting(self) -> int:
-        """Number of samples that were not handed over yet."""
+        """Number of samples that have not been released."""
         return len(self._heap)
 
     def add(self, sample: Sample) -> None:
-        """Take a sample."""
+        """Add a sample."""
         if self._first_us is None:
             self._first_us = sample.t_us
         if sample.t_us <= self._released_us:
@@ -91,10 +92,10 @@ class RowBuffer:
         heapq.heappush(self._heap, (sample.t_us, self._count, sample))
 
     def take(self, everything: bool = False) -> Columns | None:
-        """Rows for which all has come that will; None: none.
+        """Complete rows; None: there are none.
 
         Args:
-            everything: Nothing more will come.
+            everything: Whether no more samples will arrive.
         """
         if self._first_us is None or not self._heap:
             return None
@@ -113,7 +114,7 @@ class RowBuffer:
             if sample.group == LANDED:
                 self._landed = int(sample.values[0])
                 continue
-            if not portion.add(sample):  # of a time that was there already
+            if not portion.add(sample):  # of a time that has a sample already
                 continue
             if sample.group == "vel":
                 self._speed_m_s = math.hypot(*sample.values[:2])
@@ -121,12 +122,12 @@ class RowBuffer:
         self._released_us = max(self._released_us, until)
         if not portion.t_us:
             return None
-        if self.zero_us is None:  # a whole second, so that a grid is that of the aircraft's clock
+        if self.zero_us is None:  # a whole second, so that grids match the aircraft's clock
             self.zero_us = portion.t_us[0] // 1_000_000 * 1_000_000
         return portion.columns(self.zero_us)
 
     def _counts(self, sample: Sample) -> bool:
-        """Whether a sample is of the source that its signal is taken from."""
+        """Whether a sample is from the selected source of its signal."""
         chosen, last = self.sources[sample.group], self._last_us.get(sample.group)
         if sample.source != chosen:
             if last is None or sample.t_us - last < _SILENT_US:
@@ -136,7 +137,7 @@ class RowBuffer:
         return True
 
     def _phase(self) -> str:
-        """Phase of flight: of the land detector, in the air by speed."""
+        """Phase of flight: by the land detector, in the air by speed."""
         if not self._landed:
             return ""
         cruising = "forward" if self._speed_m_s > _CRUISE_M_S else "hover"
@@ -144,11 +145,11 @@ class RowBuffer:
 
 
 class _Portion:
-    """Rows that are handed over together, in order of time.
+    """Rows that are released together, in order of time.
 
     Attributes:
-        t_us: Their times, us.
-        phases: Their phases of flight.
+        t_us: Times of the rows, us.
+        phases: Phases of flight of the rows.
     """
 
     def __init__(self) -> None:
@@ -157,7 +158,7 @@ class _Portion:
         self._signals: dict[tuple[str, int], tuple[list[int], list[tuple[float, ...]]]] = {}
 
     def add(self, sample: Sample) -> bool:
-        """Take a sample, not older than those before; returns whether its place was free."""
+        """Add a sample, not older than those before; returns whether its place was free."""
         if not self.t_us or self.t_us[-1] != sample.t_us:
             self.t_us.append(sample.t_us)
             self.phases.append("")
@@ -199,17 +200,17 @@ _CUT_OFF = "flight*.arrows"  # a recording that was not closed
 
 
 class RawLog:
-    """All messages as they come, as ground stations write them."""
+    """File of all messages as they arrive, in the format of ground stations."""
 
     def __init__(self, path: Path) -> None:
         self._file: BinaryIO = path.open("xb")
 
     def add(self, arrival_us: int, frame: bytes) -> None:
-        """A message that came at a time, us since 1970."""
+        """Append a message with its time of arrival, us since 1970."""
         self._file.write(stamped(arrival_us, frame))
 
     def flush(self) -> None:
-        """Hand over to the system what was added: it outlives this process."""
+        """Flush to the system: the data then survive this process."""
         self._file.flush()
 
     def close(self) -> None:
@@ -218,17 +219,17 @@ class RawLog:
 
 
 class Recording:
-    """A folder that a live flight is recorded into."""
+    """Folder of a live flight's recording."""
 
     def __init__(self, folder: Path, motors: int) -> None:
-        """Begin a recording.
+        """Start a recording.
 
         Args:
-            folder: New, or empty.
-            motors: Of the aircraft.
+            folder: Path of the folder, new or empty.
+            motors: Number of motors.
 
         Raises:
-            TwinError: It holds files, or cannot be written.
+            TwinError: It is not empty, or cannot be written.
         """
         for left in sorted(folder.glob(_CUT_OFF)) if folder.is_dir() else ():
             raise TwinError(
@@ -245,7 +246,7 @@ class Recording:
         self.begin_section()
 
     def begin_section(self) -> None:
-        """A flight of its own begins: the aircraft's clock restarted."""
+        """Start a separate flight: the aircraft's clock restarted."""
         self._end_section()
         self._section += 1
         schemas = {"flight": flight_schema(self._motors), "residuals": _RESIDUALS}
@@ -261,23 +262,23 @@ class Recording:
         findings: Iterable[Finding],
         settled: Settled | None,
     ) -> None:
-        """New rows of the flight table, and what is known of the flight by now."""
+        """Append rows of the flight table, with the present facts of the flight."""
         notes = Notes(facts=dict(facts), findings=tuple(findings), settled=settled)
         self._tables["flight"].append(rows, noted(notes))
 
     def add_residuals(self, block: ResidualBlock) -> None:
-        """New samples of all channels."""
+        """Append samples of all channels."""
         channels = [c for c in (*block.channels, *block.short) if len(c.t_s)]
         if channels:
             self._tables["residuals"].append(_long(channels))
 
     def add_alarm(self, alarm: Mapping[str, Any]) -> None:
-        """A line of `alarms.jsonl`."""
+        """Append a line to `alarms.jsonl`."""
         self._alarms.write(json.dumps(alarm, allow_nan=False) + "\n")
         self._alarms.flush()
 
     def close(self) -> None:
-        """End all files, each whatever becomes of the others."""
+        """End all files, independently of failures of others."""
         with ExitStack() as stack:
             for end in (self._alarms.close, self.raw.close, self._end_section):
                 stack.callback(end)
@@ -288,14 +289,14 @@ class Recording:
             for name, table in tables.items():
                 parquet = self.folder / f"{self._stem(name)}.parquet"
                 stack.callback(fold, table.path, parquet)
-                stack.callback(table.close)  # before it is folded
+                stack.callback(table.close)  # before it is converted
 
     def _stem(self, name: str) -> str:
         return name if self._section == 1 else f"{name}_{self._section}"
 
 
 def _long(channels: list[Channel]) -> dict[str, Any]:
-    """Channels one below the other."""
+    """Channels in long form, one below the other."""
     sizes = [len(c.t_s) for c in channels]
 
     def same(values: list[Any]) -> Any:

@@ -1,6 +1,6 @@
-"""A flight played as a MAVLink aircraft: in real time, faster, or in step with the listener.
+"""Replay of a flight as a MAVLink aircraft: in real time, faster, or in lockstep with the listener.
 
-`Faults` are those of a radio link: some datagrams are lost, all are late, not all alike.
+`Faults` are those of a radio link: some datagrams are lost, all are delayed by different times.
 """
 
 import contextlib
@@ -23,13 +23,13 @@ from ..sockets import Address, sending
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """Faults of a link, drawn from a seed.
+    """Faults of a link, drawn with a seed.
 
     Attributes:
-        loss: Share of datagrams that are lost, 0..1.
-        jitter_s: Each is late by up to so much, all delays alike probable, s.
-        drift: By how much the aircraft's clock is faster than the listener's: 2e-5 is 20 ppm.
-        seed: Of what is drawn.
+        loss: Share of lost datagrams, 0..1.
+        jitter_s: Largest delay of a datagram, uniformly distributed, s.
+        drift: Relative rate of the aircraft's clock against the listener's: 2e-5 is 20 ppm faster.
+        seed: Seed of the random numbers.
     """
 
     loss: float = 0.0
@@ -48,11 +48,11 @@ class Faults:
 
 @dataclass(slots=True)
 class FaultyLink:
-    """A link with faults: datagrams in, datagrams out when they are due.
+    """A link with faults: datagrams in, datagrams out at their time of arrival.
 
     Attributes:
-        faults: What it does.
-        lost: How many were lost.
+        faults: Faults of the link.
+        lost: Number of lost datagrams.
     """
 
     faults: Faults
@@ -65,7 +65,7 @@ class FaultyLink:
         self._rng = np.random.default_rng(self.faults.seed)
 
     def send(self, at_s: float, datagram: bytes) -> None:
-        """Take a datagram at a time, s."""
+        """Send a datagram at a time, s."""
         self._count += 1
         if self.faults.loss and self._rng.random() < self.faults.loss:
             self.lost += 1
@@ -74,7 +74,7 @@ class FaultyLink:
         heapq.heappush(self._on_the_way, (at_s + late_s, self._count, datagram))
 
     def due(self, now_s: float) -> list[bytes]:
-        """Datagrams that arrive by now, in the order in which they do."""
+        """Datagrams that have arrived by now, in order of arrival."""
         found = []
         while self._on_the_way and self._on_the_way[0][0] <= now_s:
             found.append(heapq.heappop(self._on_the_way)[2])
@@ -82,16 +82,16 @@ class FaultyLink:
 
     @property
     def next_s(self) -> float:
-        """When the next one arrives; infinite where none is on the way."""
+        """Time of the next arrival; infinite without one."""
         return self._on_the_way[0][0] if self._on_the_way else np.inf
 
 
 BOOT_US = 10_000_000
 """Time on the aircraft's clock at time 0 of the flight, us."""
 _SCREEN_US = 100_000
-"""Between two messages for the screens of ground stations."""
+"""Interval of messages for the displays of ground stations."""
 _BEAT_US = 1_000_000
-"""Between two heartbeats, us, as MAVLink recommends."""
+"""Interval of heartbeats, us, as MAVLink recommends."""
 
 
 def motors_of(flight: Flight) -> int:
@@ -138,7 +138,7 @@ def played(flight: Flight) -> Iterator[tuple[int, list[Message]]]:
 
 
 def _screen(t_us: int, pose: dict[str, float]) -> list[Message]:
-    """What a ground station shows: the last known pose."""
+    """Messages for the display of a ground station: the last known pose."""
     found = []
     if set(QUAT) <= set(pose):
         found.append(attitude(t_us, [pose[c] for c in QUAT], (0.0, 0.0, 0.0)))
@@ -148,24 +148,24 @@ def _screen(t_us: int, pose: dict[str, float]) -> list[Message]:
 
 
 MAX_SPEED = float("inf")
-"""As fast as the listener takes it."""
+"""Speed that means: as fast as the listener receives."""
 _STEP_US = 100_000
-"""Of the flight, between two times at which an answer is waited for."""
+"""Interval of flight time at which an answer is awaited."""
 _ANSWER_S = 10.0
-"""Longest wait for an answer to TIMESYNC, s. Made up."""
+"""Longest time for an answer to TIMESYNC, s. Made up."""
 _ASK_AGAIN_S = 0.5
-"""Between two requests for it, s. Made up."""
+"""Interval of TIMESYNC requests, s. Made up."""
 
 
 @dataclass(frozen=True, slots=True)
 class Played:
-    """What was sent.
+    """Summary of the messages sent.
 
     Attributes:
-        messages: How many.
-        lost: How many of them were lost on purpose.
-        seconds: Of the flight.
-        wall_s: That it took.
+        messages: Number of messages.
+        lost: Number of messages lost by simulated faults.
+        seconds: Duration of the flight.
+        wall_s: Duration of the replay.
     """
 
     messages: int
@@ -175,22 +175,22 @@ class Played:
 
 
 class Replay:
-    """One aircraft that sends a flight."""
+    """An aircraft that sends a flight."""
 
     def __init__(
         self, to: Address, speed: float = 1.0, faults: Faults | None = None, system: int = 1
     ) -> None:
-        """Open the way there.
+        """Open the connection.
 
         Args:
-            to: Who listens.
-            speed: Times real time; `MAX_SPEED`: in step with the listener, who has to answer
-                TIMESYNC; loss and jitter then have no place.
-            faults: Of the link; None: none.
-            system: System id.
+            to: Address of the listener.
+            speed: Multiple of real time; `MAX_SPEED`: in lockstep with the listener, who must
+                answer TIMESYNC; loss and jitter are then not possible.
+            faults: Faults of the link; None: none.
+            system: System id of the aircraft.
 
         Raises:
-            TwinError: The numbers make no sense, or there is no such host.
+            TwinError: The numbers are invalid, or there is no such host.
         """
         self._faults = faults or Faults()
         if not speed > 0:
@@ -208,14 +208,14 @@ class Replay:
         self._began_s = 0.0
 
     def close(self) -> None:
-        """Give the socket back."""
+        """Close the socket."""
         self._socket.close()
 
     def play(self, flight: Flight, progress: Callable[[float], None] = lambda _: None) -> Played:
-        """Send a flight from its begin to its end.
+        """Send a flight from its start to its end.
 
         Raises:
-            TwinError: The listener that has to answer does not.
+            TwinError: The listener does not answer.
         """
         began = self._began_s = time.monotonic()
         first_us, last_us = (BOOT_US + round(1e6 * float(flight.time_s[k])) for k in (0, -1))
@@ -227,7 +227,7 @@ class Replay:
                     step_us = t_us + _STEP_US
             else:
                 self._wait_until(self._due_s(t_us))
-            # as late as it is due, not as late as a busy machine gets to it
+            # at its scheduled time, not at that of a busy machine
             at_s = None if self._speed == MAX_SPEED else self._due_s(t_us)
             for message in messages:
                 self._send(message, at_s)
@@ -243,7 +243,7 @@ class Replay:
 
     @property
     def _pace(self) -> float:
-        """Seconds of the aircraft's clock per second of ours."""
+        """Seconds of the aircraft's clock per local second."""
         return self._speed * (1.0 + self._faults.drift)
 
     def _due_s(self, t_us: int) -> float:
@@ -257,19 +257,19 @@ class Replay:
     def _deliver(self) -> None:
         now = time.monotonic() if self._faults.jitter_s else float("inf")
         for datagram in self._link.due(now):
-            with contextlib.suppress(OSError):  # no listener there, as yet
+            with contextlib.suppress(OSError):  # no listener there yet
                 select.select([], [self._socket], [], 1.0)
                 self._socket.sendto(datagram, self._to.pair)
 
     def _wait_until(self, due_s: float) -> None:
-        """Deliver and answer until then."""
+        """Deliver and answer until a time."""
         while (left := due_s - time.monotonic()) > 0:
             wait = max(min(left, self._link.next_s - time.monotonic()), 0.0)
             self._answer(wait)
             self._deliver()
 
     def _await_listener(self, token: int) -> None:
-        """Ask, and wait until all that was sent before has been taken."""
+        """Send a request, and wait until all earlier messages were received."""
         self._deliver()
         until, again = time.monotonic() + _ANSWER_S, 0.0
         while self._answered < token:
@@ -286,7 +286,7 @@ class Replay:
             self._answer(0.05)
 
     def _answer(self, wait_s: float) -> None:
-        """Take what comes in within a time: questions for the time, and answers."""
+        """Receive messages within a time: requests for the time, and answers."""
         if not select.select([self._socket], [], [], wait_s)[0]:
             return
         while True:

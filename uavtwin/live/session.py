@@ -1,4 +1,4 @@
-"""A live flight: listens to an aircraft, records it, and flies its twin."""
+"""Live session: receives an aircraft, records it, and runs its twin."""
 
 import contextlib
 import math
@@ -30,42 +30,43 @@ if TYPE_CHECKING:
     from ..compensators.running import RunningCompensator
 
 HAND_OVER_S = 0.1
-"""Between two times at which rows go on to the twin and to the disk."""
+"""Interval at which rows are passed to the twin and to the disk."""
 ASK_S = 0.5
-"""Between two questions for the aircraft's time."""
+"""Interval of requests for the aircraft's time."""
 SILENT_S = 2.0
-"""After so long the aircraft may send from another port of its machine."""
+"""Silence after which the aircraft may send from another port of its machine."""
 _PAUSE_S = 0.5
-"""After so long nothing that was overtaken is waited for."""
+"""Silence after which reordered messages are no longer awaited."""
 _WAIT_S = 0.05
 """Longest wait for a datagram, s. Made up."""
 _AT_ONCE = 200
-"""Datagrams that are taken before anything else has its turn."""
+"""Datagrams that are received before other tasks."""
 _GATHER_S = 0.02
-"""In which more may come before it is taken: to wake up costs as much as some messages. What is
-published does not wait."""
+"""Time in which more datagrams are collected before they are received: waking up costs as much as
+some messages. Publication does not wait."""
 _MANY = 50
-"""After so many datagrams at once the next are not waited for."""
+"""Number of datagrams at once from which the next ones are not awaited."""
 _CLOCKED = ("acc", "gyro")
-"""Signals by whose times the aircraft's clock is known."""
+"""Signals whose times determine the aircraft's clock."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
-    """How a live flight is listened to.
+    """Options of a live session.
 
     Attributes:
-        listen: Where the aircraft sends to.
-        system: System id of the aircraft; None: the first that is heard.
-        record: Folder of the recording; None: none is made.
+        listen: Address to which the aircraft sends.
+        system: System id of the aircraft; None: the first one received.
+        record: Folder of the recording; None: no recording.
         horizon_s: Short horizon of the residuals.
-        observer_s: Time constant by which the twin that is shown and published is drawn to what was
-            measured; None: it is set to it every horizon.
-        hold_s: So long rows wait for messages that were overtaken.
-        duration_s: Ends after so long; None: it does not.
-        until_silent_s: Ends when an aircraft that was heard is silent for so long.
-        request_rates: Whether streams are requested of the aircraft, the one command that is sent.
-        publish: Where the twin is sent to as an aircraft of its own; None: nowhere.
+        observer_s: Time constant of the observer for the displayed and published twin; None: its
+            state is set to the measured one at every horizon.
+        hold_s: Time for which rows wait for reordered messages.
+        duration_s: Duration of the session; None: unlimited.
+        until_silent_s: Silence of an aircraft after which the session ends.
+        request_rates: Whether streams are requested from the aircraft, the only command that is
+            sent.
+        publish: Address to which the twin is sent as a separate aircraft; None: not sent.
         publish_system: System id of the twin.
 
     Raises:
@@ -95,15 +96,15 @@ class LiveOptions:
 
     @property
     def following(self) -> Following:
-        """How the state of the twin is corrected."""
+        """Correction of the twin's state."""
         return Following(self.horizon_s, self.observer_s)
 
 
 class LiveSession:
-    """One aircraft and its twin.
+    """Session with one aircraft and its twin.
 
-    It sends nothing to the aircraft but TIMESYNC, which asks for the time; no heartbeat, since an
-    autopilot that has heard one takes its end for a lost link.
+    It sends only TIMESYNC to the aircraft, a request for the time; no heartbeat, since an autopilot
+    that has received one interprets its end as a lost link.
     """
 
     def __init__(
@@ -114,14 +115,14 @@ class LiveSession:
         page: PageFeed | None = None,
         compensator: "RunningCompensator | None" = None,
     ) -> None:
-        """Listen, and begin to record.
+        """Open the port, and start the recording.
 
         Args:
-            vehicle: The twin.
-            options: How.
-            watch: Makes what looks at a flight section; None: no alarms.
-            page: Gets what the page shows; None: no page.
-            compensator: Of the sensors; None: there is none.
+            vehicle: Vehicle of the twin.
+            options: Options of the session.
+            watch: Creates the diagnosis of a flight section; None: no alarms.
+            page: Receives the content of the page; None: no page.
+            compensator: Compensator of the sensors; None: there is none.
 
         Raises:
             TwinError: The address or the folder cannot be used.
@@ -168,7 +169,7 @@ class LiveSession:
             self._twin = FollowingTwin(self.worker.equations, options.following)
 
     def _begin(self) -> None:
-        """All that goes by the aircraft's clock, from the begin."""
+        """Reset everything that depends on the aircraft's clock."""
         self._rows = RowBuffer(round(1e6 * self.options.hold_s))
         self._clock = ClockWatch()
 
@@ -178,15 +179,15 @@ class LiveSession:
         on_status: Callable[[LiveStatus], None] = lambda _: None,
         every_s: float = 1.0,
     ) -> LiveStatus:
-        """Listen until it ends.
+        """Run until the end of the session.
 
         Args:
             stop: Whether to end now.
-            on_status: Called with what is known, every `every_s`.
-            every_s: Between two calls of it.
+            on_status: Called with the status, every `every_s`.
+            every_s: Interval between two calls of it.
 
         Returns:
-            What is known at the end.
+            Status at the end.
         """
         began = time.monotonic()
         self._heard_s = began
@@ -234,7 +235,7 @@ class LiveSession:
         return heard and silent_s is not None and now - self._heard_s >= silent_s
 
     def end(self) -> LiveStatus:
-        """End without `run`: what was taken is recorded; what is known at the end."""
+        """End without `run`: received data are recorded; returns the final status."""
         self._close()
         return self.known()
 
@@ -255,7 +256,7 @@ class LiveSession:
     # -- what comes ---------------------------------------------------------------------------
 
     def _receive(self) -> None:
-        """Take what has come, for a while."""
+        """Receive datagrams for some time."""
         come = self._arrivals.wait(_WAIT_S)
         self._receiver.silent = time.monotonic() - self._heard_s > SILENT_S
         if not come:
@@ -268,7 +269,7 @@ class LiveSession:
             self._count += 1
 
     def take(self, datagram: Datagram) -> None:
-        """Take a datagram: record its messages, hand their samples on."""
+        """Process a datagram: record its messages, pass their samples on."""
         come = self._parts.run(Part.RECEIVER, self._messages, datagram)
         for received in come or ():
             self._heard_s, self._receiver.silent = time.monotonic(), False
@@ -303,7 +304,7 @@ class LiveSession:
             self._parts.run(Part.SHOWN, self._follow, sample, at_s)
 
     def _follow(self, sample: Sample, at_s: float) -> None:
-        """Fly the twin that is shown and published up to a sample."""
+        """Step the displayed and published twin up to a sample."""
         flies = self._twin.take(sample)
         if flies and self._publisher is not None:
             self._publisher.reading(sample.t_us, self._twin, at_s)
@@ -311,7 +312,7 @@ class LiveSession:
             self._parts.run(Part.PAGE, self._show, self._page, sample, flies, at_s)
 
     def _show(self, page: PageFeed, sample: Sample, flies: bool, at_s: float) -> None:
-        """Hand the page what is new, at readings of the gyroscope."""
+        """Pass new data to the page, at readings of the gyroscope."""
         page.sample(sample)
         zero_us = self._rows.zero_us
         if sample.group == "gyro" and zero_us is not None and page.is_due(at_s):
@@ -319,7 +320,7 @@ class LiveSession:
             page.state(1e-6 * (sample.t_us - zero_us), reading, at_s)
 
     def _new_section(self) -> None:
-        """The aircraft's clock restarted: what came before is a flight of its own."""
+        """Start a new section: the aircraft's clock restarted."""
         self.hand_over(True)
         self._late += sum(self._rows.late.values())
         self._decoder.dropped.clear()
@@ -328,8 +329,8 @@ class LiveSession:
         self.worker.new_section()
 
     def _forget_strays(self) -> None:
-        """What came so far had stray stamps."""
-        if self._rows.zero_us is not None:  # rows of it are recorded: they stay a flight section
+        """Drop all data so far, which had stray stamps."""
+        if self._rows.zero_us is not None:  # its recorded rows remain a flight section
             self._new_section()
             return
         self._astray += self._rows.waiting
@@ -337,7 +338,7 @@ class LiveSession:
         self._begin()
 
     def hand_over(self, everything: bool = False) -> None:
-        """Give rows on to the twin and to the disk."""
+        """Pass rows to the twin and to the disk."""
         rows = self._parts.run(Part.ROWS, self._rows.take, everything)
         if rows is not None:
             self.worker.add(Batch(rows, *self._noted()))
@@ -345,7 +346,7 @@ class LiveSession:
             self._parts.run(Part.RAW, self._recording.raw.flush)
 
     def _noted(self) -> tuple[dict[str, str], tuple[Finding, ...]]:
-        """What a recording notes of the flight by now."""
+        """Facts and findings of the flight so far, for the recording."""
         return ({}, ()) if self._recording is None else (self._facts(), self._findings())
 
     # -- what is sent -------------------------------------------------------------------------
@@ -354,30 +355,30 @@ class LiveSession:
         if self._receiver.sender is None:
             return
         frame = packed(message, self._packer)
-        with contextlib.suppress(OSError):  # it is not there any more
+        with contextlib.suppress(OSError):  # it no longer exists
             self._socket.sendto(frame, self._receiver.sender)
 
     def _ask(self) -> None:
-        """Ask for the aircraft's time."""
+        """Request the aircraft's time."""
         self._request_ns = time.monotonic_ns()
         self._send(dialect.MAVLink_timesync_message(0, self._request_ns))
 
     def _timesync(self, m: Message, at_s: float) -> None:
-        """Answer a question for the time, or take an answer.
+        """Answer a request for the time, or process an answer.
 
-        The answer holds the middle between question and answer, so that the wait in between does
-        not enter.
+        The answer contains the middle between request and answer, so that the delay in between has
+        no effect.
         """
         if not m.tc1:
             answered_s = (at_s + time.monotonic()) / 2
             self._send(dialect.MAVLink_timesync_message(round(1e9 * answered_s), m.ts1))
         elif not self._decoder.is_near(m.tc1 // 1000):
-            return  # of another clock than the stamps
+            return  # from another clock than the stamps
         elif 0 < m.ts1 <= 1e9 * at_s and 1e9 * at_s - m.ts1 < 10e9:
             self._clock.answered(1e-9 * m.ts1, 1e-9 * m.tc1, at_s)
 
     def _request_rates(self) -> None:
-        """Ask for the streams that the twin needs, once, where that is wanted."""
+        """Request the streams that the twin needs, once, if enabled."""
         if not self.options.request_rates or self._requested:
             return
         self._requested = True
@@ -394,7 +395,7 @@ class LiveSession:
     # -- what is known ------------------------------------------------------------------------
 
     def _facts(self) -> dict[str, str]:
-        """For the recording."""
+        """Facts for the recording."""
         clock = self._clock.estimate()
         facts = {"aircraft": f"MAVLink system {self._receiver.system}"}
         if self._decoder.autopilot:
@@ -406,7 +407,7 @@ class LiveSession:
         return facts | {f"source {g}": s for g, s in self._rows.sources.items()}
 
     def _findings(self) -> tuple[Finding, ...]:
-        """For the recording."""
+        """Findings for the recording."""
         total, found = self._receiver.sequence, []
         if total.lost:
             found.append(Finding("warning", "link", "messages lost on the way", total.lost))
@@ -418,7 +419,7 @@ class LiveSession:
         return tuple(found)
 
     def known(self, busy: float = 0.0) -> LiveStatus:
-        """All that is known now."""
+        """Present status."""
         receiver, total = self._receiver, self._receiver.sequence
         sender = receiver.sender
         link = LinkStatus(

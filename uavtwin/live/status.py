@@ -1,4 +1,4 @@
-"""The status of a live flight, as numbers and in words, and its alarms.
+"""Status of a live flight, as numbers and in words, and its alarms.
 
 `FlightWatch` is the interface of `twin.why.watch.Watch`; a flight without one has no alarms.
 """
@@ -21,29 +21,29 @@ from .datagrams import ClockEstimate
 
 
 class FlightWatch(Protocol):
-    """Finds what goes wrong in a flight while it goes on; a new flight has a new one."""
+    """Diagnosis during a flight; each flight has a new one."""
 
     @property
     def misfit(self) -> str:
-        """Why the vehicle file does not fit; "": it does, or it is not known."""
+        """Reason why the vehicle file does not fit; "": it does, or it is not known."""
         ...
 
     @property
     def rests(self) -> str:
-        """Why nothing is looked for, or not all of it; "": all is."""
+        """Reason why the search for faults is off or partial; "": it is on."""
         ...
 
     def push(self, rows: Rows) -> None:
-        """Take new rows of the flight table."""
+        """Append rows of the flight table."""
         ...
 
     def evaluate(self) -> Sequence[Alarm]:
-        """Alarms that are new, have changed, or are over."""
+        """Alarms that are new, have changed, or have ended."""
         ...
 
 
 def sentence(alarm: Alarm) -> str:
-    """What an alarm says to people: what has happened, how much, and how sure that is."""
+    """Sentence on an alarm: event, size, and probability."""
     event = alarm.event
     details = [d for d in (size_in_words(event), certainty(event.probability)) if d]
     text = f"{event.text} ({', '.join(details)})"
@@ -56,7 +56,7 @@ def sentence(alarm: Alarm) -> str:
 
 
 def alarm_json(alarm: Alarm, section: int) -> dict[str, Any]:
-    """A line of `alarms.jsonl`: the event as `why` has it, without the signals that show it."""
+    """A line of `alarms.jsonl`: the event as in `why`, without the signals that show it."""
     event = to_builtins(structs.replace(alarm.event, evidence=()))
     times = {n: getattr(alarm, n) for n in ("raised_s", "known_s", "closed_s")}
     times["delay_s"] = alarm.raised_s - alarm.known_s
@@ -81,7 +81,7 @@ NEEDED_BY: dict[str, tuple[str, str]] = {
     "vbat_v": ("BATTERY_STATUS", "nothing on battery sag"),
     "landed": ("EXTENDED_SYS_STATE", "flight phases are unknown"),
 }
-"""By signal the message that it is read from, and what is missing without it."""
+"""Source message of each signal, and the consequence where it is missing."""
 RATES_HZ = {
     dialect.MAVLINK_MSG_ID_HIGHRES_IMU: 200.0,
     dialect.MAVLINK_MSG_ID_ODOMETRY: 50.0,
@@ -91,11 +91,11 @@ RATES_HZ = {
     dialect.MAVLINK_MSG_ID_BATTERY_STATUS: 5.0,
     dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
 }
-"""By kind of message, the requested rate, Hz, with `request_rates`."""
+"""Requested rate, Hz, by kind of message, with `request_rates`."""
 
 
 def missing(sources: Mapping[str, str]) -> dict[str, str]:
-    """What is missing: by signal, which message to request, and what is missing without it."""
+    """Missing signals: the message to request, and the consequence, by signal."""
     return {
         group: f"no {message}: {what}"
         for group, (message, what) in NEEDED_BY.items()
@@ -105,22 +105,22 @@ def missing(sources: Mapping[str, str]) -> dict[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class LinkStatus:
-    """The link to the aircraft.
+    """State of the link to the aircraft.
 
     Attributes:
-        system: System id of the aircraft; None: none was heard.
-        sender: Where it sends from.
-        messages: How many came of it.
-        lost: How many are missing by their sequence numbers.
-        duplicates: How many came twice.
-        reordered: How many were overtaken.
-        jumps: How often the sequence number jumped.
-        late: Samples that came after their row was gone.
-        strays: Samples whose time is far from that of all others.
-        garbage: Bytes that are no message.
-        wrong: Frames whose checksum is wrong.
-        version_1: Messages of MAVLink 1.
-        others: Messages of others, by who sent them.
+        system: System id of the aircraft; None: none received.
+        sender: Sender of its messages.
+        messages: Number of its messages.
+        lost: Number of missing messages, by their sequence numbers.
+        duplicates: Number of duplicate messages.
+        reordered: Number of reordered messages.
+        jumps: Number of jumps of the sequence number.
+        late: Number of samples that arrived too late for their row.
+        strays: Number of samples whose time is far from that of all others.
+        garbage: Number of bytes that belong to no message.
+        wrong: Number of frames with a wrong checksum.
+        version_1: Number of messages of MAVLink 1.
+        others: Number of messages of other senders, by sender.
     """
 
     system: int | None
@@ -140,16 +140,16 @@ class LinkStatus:
 
 @dataclass(frozen=True, slots=True)
 class ModelStatus:
-    """The compensator.
+    """State of the compensator.
 
     Attributes:
-        horizon_s: How old the newest residual is that it sees; infinite: it sees none.
-        until_s: Up to where of the flight it has been evaluated, s.
-        anomaly: How strange the last seconds were, the most; above 1 rarely on flights like those
-            of training.
-        unusual: Share of the flight so far above 1.
-        inside: Share of the flight so far where training has been.
-        rms: Of the residuals so far, by channel: of the twin, and with the correction.
+        horizon_s: Age of the newest residual among its inputs; infinite: none.
+        until_s: Time of the flight up to which it was evaluated, s.
+        anomaly: Largest anomaly score of the last seconds; rarely above 1 on flights similar to
+            those of training.
+        unusual: Share of the flight so far with a score above 1.
+        inside: Share of the flight so far within the range of training.
+        rms: Rms of the residuals so far, by channel: of the twin, and with the correction.
     """
 
     horizon_s: float
@@ -162,27 +162,27 @@ class ModelStatus:
 
 @dataclass(frozen=True, slots=True)
 class LiveStatus:
-    """A live flight.
+    """Status of a live flight.
 
     Attributes:
-        link: Counts.
-        clock: The aircraft's clock on ours; None: nothing came.
-        sources: Which message each signal is taken from.
-        missing: Signals that are absent, and what is missing without them.
-        waits_for: Why the twin has not started; "": it has.
-        sections: How many flights there were: the clock restarted, or a stream came later.
+        link: State of the link.
+        clock: The aircraft's clock relative to the local one; None: no message so far.
+        sources: Source message of each signal.
+        missing: Missing signals, and the consequence of each.
+        waits_for: Reason why the twin has not started; "": it has.
+        sections: Number of flights: after a restart of the clock, or with a later stream.
         flight_s: Time of the newest row of the flight table.
-        rms: Of residuals, by channel, up to now.
-        units: Of the channels.
-        busy: Share of one core that this process takes.
-        published_age_p99_s: Of what the twin publishes, 99 in 100: from when the message came that
-            it was made of; NaN: nothing was published.
-        alarms: The latest `alarm_json` of each.
-        model: The compensator; None: there is none.
-        misfit: Why the vehicle file does not fit: its rotors, in which case nothing is said of the
-            body, or the weight that it carries; "": it does, or it is not known.
-        rests: Why no alarm is looked for, or not all of them; "": all are.
-        errors: What failed while the flight was recorded, once each.
+        rms: Rms of residuals, by channel, so far.
+        units: Units of the channels.
+        busy: CPU use of this process as a share of one core.
+        published_age_p99_s: 99th percentile of the age of the twin's published data, from the
+            arrival of the causing message; NaN: nothing was published.
+        alarms: The latest `alarm_json` of each alarm.
+        model: State of the compensator; None: there is none.
+        misfit: Reason why the vehicle file does not fit: its rotors, in which case there are no
+            events of the body, or the weight that it carries; "": it does, or it is not known.
+        rests: Reason why the search for alarms is off or partial; "": it is on.
+        errors: Errors during the flight, without repetitions.
     """
 
     link: LinkStatus
@@ -203,7 +203,7 @@ class LiveStatus:
     errors: tuple[str, ...] = ()
 
     def line(self) -> str:
-        """One line for a terminal."""
+        """The status in one line for a terminal."""
         link = self.link
         if link.system is None:
             return "nothing heard yet"

@@ -1,7 +1,7 @@
-"""The flight behind the receiver: records rows, compares them with the twin, asks for alarms.
+"""Processing behind the receiver: records rows, compares them with the twin, evaluates alarms.
 
-It runs in a thread of its own, so that no computation keeps messages waiting. `FaultIsolation` lets
-a part of a session fail while the recording goes on.
+It runs in a separate thread, so that no computation delays the receiver. `FaultIsolation` lets a
+part of a session fail while the recording continues.
 """
 
 import contextlib
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from .status import ModelStatus
 
 ERRORS = "errors.txt"
-"""In the folder of a recording: tracebacks."""
+"""File of tracebacks in the folder of a recording."""
 _MOST = 50
 """Number of different errors whose text is stored. Made up."""
 _P = ParamSpec("_P")
@@ -45,7 +45,7 @@ _T = TypeVar("_T")
 
 
 class Part(Enum):
-    """What may fail by itself."""
+    """Part of a session that may fail separately."""
 
     RECEIVER = "the receiver"
     DECODER = "the decoder"
@@ -63,20 +63,20 @@ class Part(Enum):
 
 
 _STATEFUL = {Part.RAW, Part.TABLES, Part.GRID, Part.TWIN, Part.SHOWN, Part.ALARMS, Part.COMPENSATOR}
-"""Their state is lost with an error: they are called again in the next flight section."""
+"""Parts whose state is lost with an error: they are called again in the next flight section."""
 
 
 class FaultIsolation:
-    """Calls parts of a session so that an error of one ends no other.
+    """Isolation of the parts of a session, so that an error in one does not end another.
 
     An error is reported once, its repetitions are counted. From any thread.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
-        """No part has failed.
+        """Set up without failures.
 
         Args:
-            folder: Of the recording, which gets the tracebacks; None: nothing is recorded.
+            folder: Folder of the recording, for the tracebacks; None: no recording.
         """
         self._folder, self._lock = folder, Lock()
         self._counts: Counter[tuple[str, str]] = Counter()
@@ -97,7 +97,7 @@ class FaultIsolation:
             return None
 
     def wake(self) -> None:
-        """A new flight section begins: each part is called again."""
+        """Reset the failures at the start of a new flight section."""
         self._resting.clear()
 
     def _note(self, part: Part, error: Exception) -> None:
@@ -110,7 +110,7 @@ class FaultIsolation:
             new = self._counts[key] == 1
         if new and self._folder is not None:
             trace = "".join(traceback.format_exception(error))
-            # The disk may be what has failed: the error is reported all the same.
+            # The disk may have failed: the error is reported in any case.
             with (
                 contextlib.suppress(OSError),
                 (self._folder / ERRORS).open("a", encoding="utf-8", errors="replace") as file,
@@ -119,26 +119,27 @@ class FaultIsolation:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Every error so far, once each."""
+        """All errors so far, without repetitions."""
         with self._lock:
             counts = dict(self._counts)
         return tuple(Finding("error", part, f"failed: {e}", n) for (part, e), n in counts.items())
 
 
 JUDGED_S = 20.0
-"""In the air, after which the weight that the twin carries is judged: climbs and turns cancel."""
+"""Time in the air after which the weight carried by the twin is checked: climbs and turns
+cancel."""
 EVERY_S = 1.0
-"""Of flight, between two blocks of residuals, s."""
+"""Flight time between two blocks of residuals, s."""
 _MOST_BEHIND_S = 3.0
-"""Of flight after which residuals are computed although rows wait, s. Made up."""
+"""Flight time after which residuals are computed although rows wait, s. Made up."""
 _WAITING = 10
-"""Batches of rows that may wait, a second: then the receiver waits, and what comes waits in the
-kernel. A sender in step goes no faster; of what is killed no more is lost."""
+"""Largest number of waiting batches of rows, each a second: then the receiver waits, and datagrams
+wait in the kernel. A sender in lockstep goes no faster; a kill loses no more than these."""
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """New rows, and what is known of the flight by then."""
+    """New rows, with the present facts of the flight."""
 
     rows: Columns
     facts: dict[str, str]
@@ -146,11 +147,11 @@ class Batch:
 
 
 class _NewSection:
-    """The aircraft's clock restarted."""
+    """Marker: the aircraft's clock restarted."""
 
 
 class _End:
-    """Nothing more will come."""
+    """Marker: no more data will arrive."""
 
 
 @dataclass(slots=True)
@@ -174,13 +175,14 @@ class Lift:
 
 
 class Worker:
-    """Takes rows, reports residuals and alarms. An error of a part ends that part of the section.
+    """Thread that processes rows, and reports residuals and alarms. An error of a part ends that
+    part of the section.
 
     Attributes:
-        sections: How many flights there were.
+        sections: Number of flights.
         flight_s: Time of the newest row.
-        units: Of the channels.
-        equations: Of the twin.
+        units: Units of the channels.
+        equations: Equations of the twin.
     """
 
     def __init__(
@@ -211,41 +213,41 @@ class Worker:
         self._thread.start()
 
     def add(self, batch: Batch) -> None:
-        """Hand rows over; waits where very many are waiting."""
+        """Queue rows; waits where very many are queued."""
         self._queue.put(batch)
 
     def new_section(self) -> None:
-        """The aircraft's clock restarted."""
+        """Queue the start of a new section."""
         self._queue.put(_NewSection())
 
     def close(self) -> None:
-        """Report what is left, and end."""
+        """Report the remaining results, and end."""
         self._queue.put(_End())
         self._thread.join()
 
     @property
     def waits_for(self) -> str:
-        """Why the twin has not started."""
+        """Reason why the twin has not started."""
         return self._stream.waits_for
 
     @property
     def misfit(self) -> str:
-        """Why the vehicle file does not fit; "": it does, or it is not known."""
+        """Reason why the vehicle file does not fit; "": it does, or it is not known."""
         return (self._watch.misfit if self._watch is not None else "") or self._misfit
 
     @property
     def rests(self) -> str:
-        """Why no alarm is looked for, or not all of them; "": all are, or none is asked for."""
+        """Reason why the search for alarms is off or partial; "": it is on, or not requested."""
         return "" if self._watch is None else self._watch.rests
 
     @property
     def rms(self) -> dict[str, float]:
-        """Of the residuals of this section so far, by channel."""
+        """Rms of the residuals of this section so far, by channel."""
         return {name: math.sqrt(s / n) for name, (n, s) in dict(self._sums).items() if n}
 
     @property
     def model(self) -> "ModelStatus | None":
-        """What the compensator said of this section so far; None: there is none."""
+        """State of the compensator in this section so far; None: there is none."""
         return None if self._compensator is None else self._compensator.status
 
     def _begin(self) -> None:
@@ -287,14 +289,14 @@ class Worker:
             self._parts.run(Part.ALARMS, self._watch.push, rows)
         if self.flight_s - self._evaluated_s >= PERIOD_S:
             self._look()
-        # What waits is recorded before anything is computed, up to a point.
+        # Waiting rows are recorded before any computation, up to a limit.
         behind_s = self.flight_s - self._updated_s
         if behind_s >= (EVERY_S if self._queue.empty() else _MOST_BEHIND_S):
             self._updated_s = self.flight_s
             self._publish(self._parts.run(Part.TWIN, self._residuals.update))
 
     def _look(self) -> None:
-        """Ask for alarms: here and nowhere else."""
+        """Evaluate the alarms: the only place that does."""
         self._evaluated_s = self.flight_s
         if self._watch is None:
             return
@@ -304,7 +306,7 @@ class Worker:
             self._on_alarm(alarm)
 
     def _finish(self) -> None:
-        """Report what the section leaves, and note what was settled in it."""
+        """Report the remaining results of the section, and store its fixed values."""
         self._look()
         self._publish(self._parts.run(Part.TWIN, self._residuals.update, final=True))
 

@@ -1,1 +1,1 @@
-"""What was found, for people: words, figures, pages."""
+"""Presentation of results: words, figures, pages."""

@@ -1,8 +1,8 @@
-"""The autopilot of a flight on pages: modes and events, setpoints, vibration, messages, parameters.
+"""Records of the autopilot on pages: modes and events, setpoints, vibration, messages, parameters.
 
-Modes are a band on top of every time axis, with failsafes, arming and messages as marks: a page
-holds that strip once per flight, and page.js lays it over each figure. Vibration is a spectrogram
-of the gyroscope or accelerometer, with the filters on board.
+Modes are a band above every time axis, with failsafes, arming and messages as marks: a page
+contains that strip once per flight, and page.js copies it to each figure. Vibration is a
+spectrogram of the gyroscope or accelerometer, with the filters on board.
 """
 
 from base64 import b64encode
@@ -29,26 +29,27 @@ from .page import BLACK, BLUE, GREY, ORANGE, Figure, Plot, embedded, plot
 
 Array = NDArray[np.float64]
 COLUMNS, ROWS = 180, 96
-"""Pixels along time and frequency, at most."""
+"""Largest number of pixels along time and frequency."""
 SEGMENT_S = 1.28
-"""Of a column: lines 1 Hz apart are distinct, a climb of the rotors is followed."""
+"""Length of a segment, one per column: lines 1 Hz apart are distinct, a change of rotor speed is
+followed."""
 LEAST_RATE_HZ = 20.0
-"""Slower signals show no vibration."""
+"""Lowest sample rate for vibration."""
 _KNOWN = 0.7
-"""Share of the samples of a segment that have to be there."""
+"""Least share of available samples in a segment."""
 _LOWEST, _HIGHEST = 5.0, 99.9
-"""Percentiles of the power between which colours are spread."""
+"""Percentiles of the power at the ends of the colour scale."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spectrogram:
-    """Power of the three axes of a sensor together.
+    """Spectrogram of the three axes of a sensor together.
 
     Attributes:
-        sensor: Which.
+        sensor: Sensor of the readings.
         start_s: Time of the left edge.
         end_s: Time of the right edge.
-        rate_hz: Of the samples; the upper edge is half of it.
+        rate_hz: Sample rate; the upper edge is half of it.
         power_db: Power spectral density, dB over 1 unit^2/Hz, shape (rows, columns), from 0 Hz up;
             NaN where samples are missing.
     """
@@ -67,10 +68,10 @@ class Spectrogram:
         return 0.5 * self.rate_hz
 
     def content(self, columns: int = COLUMNS) -> dict[str, object]:
-        """As a page holds it: a byte a cell, 0 where unknown, 1 to 255 from `low` to `high`.
+        """Content for a page: a byte per cell, 0 where unknown, 1 to 255 from `low` to `high`.
 
         Args:
-            columns: At most; the strongest of neighbours is shown.
+            columns: Largest number of columns; of neighbouring ones the largest is shown.
         """
         known = self.power_db[np.isfinite(self.power_db)]
         low, high = (float(v) for v in np.percentile(known, [_LOWEST, _HIGHEST]))
@@ -89,16 +90,17 @@ class Spectrogram:
 
 
 def spectrogram(flight: AnyFlight) -> Spectrogram | None:
-    """Spectrogram of the gyroscope, of the accelerometer where that is missing or slower by half.
+    """Spectrogram of the gyroscope, or of the accelerometer if that is missing or half as fast.
 
     Each column is a segment of `SEGMENT_S` about its middle: Hann window, mean removed, samples
-    laid on their median rate. Of a long flight they lie apart, so that a column is a sample of it.
+    resampled at their median rate. Of a long flight segments are far apart, so that a column is a
+    sample of it.
 
     Args:
-        flight: As read, or left in its file.
+        flight: Flight in memory, or in its file.
 
     Returns:
-        None where it has neither at `LEAST_RATE_HZ` for ten segments.
+        None where neither has `LEAST_RATE_HZ` for ten segments.
     """
     sensors: tuple[tuple[Sensor, tuple[str, ...]], ...] = (("gyro", GYRO), ("acc", ACC))
     found = [
@@ -141,29 +143,29 @@ def spectrogram(flight: AnyFlight) -> Spectrogram | None:
 
 
 def _pooled(power: Array) -> Array:
-    """The largest of neighbouring frequencies, so that a line stays one."""
+    """The largest of neighbouring frequencies, so that lines are preserved."""
     every = -(-len(power) // ROWS)
     starts = np.arange(0, len(power), every)
     return np.asarray(np.maximum.reduceat(power, starts, axis=0))
 
 
 HEIGHT_PX = 18
-"""Of the strip."""
+"""Height of the strip, px."""
 MOST_BANDS = 100
-"""Modes and failsafes that are drawn, of each."""
+"""Largest number of modes and of failsafes that are drawn."""
 PLACES = 90
-"""Marks along a strip, at most; messages nearer to each other share one."""
+"""Largest number of marks along a strip; messages nearer to each other share one."""
 _MOST_LINES = 6
-"""Messages that one mark lists."""
+"""Largest number of messages in one mark."""
 
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """What a template needs of it.
+    """Content of the strip for a template.
 
     Attributes:
-        group: Of the figures whose time axes move together.
-        json: `modes` and `failsafes` as name, begin, end; `marks` as time, kind and text.
+        group: Group of the figures with common time axes.
+        json: `modes` and `failsafes` as name, start, end; `marks` as time, kind and text.
     """
 
     group: str
@@ -171,11 +173,11 @@ class Strip:
 
 
 def strip(group: str, autopilot: Autopilot | None, end_s: float) -> Strip | None:
-    """The strip of a flight; None where its log tells nothing of that.
+    """The strip of a flight; None where its log has no such records.
 
     Args:
-        group: Of its figures.
-        autopilot: What its autopilot says.
+        group: Group of its figures.
+        autopilot: Records of the autopilot.
         end_s: End of the record, s.
     """
     if autopilot is None or not end_s > 0.0:
@@ -197,7 +199,7 @@ def strip(group: str, autopilot: Autopilot | None, end_s: float) -> Strip | None
 
 
 def _messages(messages: Sequence[Message], end_s: float) -> list[list[object]]:
-    """A mark for those that lie near each other, grave where one of them is."""
+    """A mark for neighbouring messages, severe where one of them is."""
     places: dict[int, list[Message]] = {}
     for each in messages:
         if 0.0 <= each.t_s <= end_s:
@@ -219,17 +221,18 @@ def _messages(messages: Sequence[Message], end_s: float) -> list[list[object]]:
 
 
 MOST_MESSAGES = 200
-"""Rows of a flight's table of messages."""
+"""Largest number of rows in a flight's table of messages."""
 MOST_PARAMETERS = 300
-"""Rows of a page, of all its flights together at most five times as many."""
+"""Largest number of rows per flight in the table of parameters; five times as many for all flights
+of a page."""
 FLOWN, SETPOINT = "measured", "setpoint"
 """Names of the curves."""
 _HELD = 260
-"""Columns of pixels of a series: two figures stand side by side."""
+"""Columns of pixels of a series: two figures side by side."""
 _ROW_PX = 100
-"""Height of a panel."""
+"""Height of a panel, px."""
 _SPECTROGRAM_PX = 250
-"""Height of the spectrogram."""
+"""Height of the spectrogram, px."""
 _FOLLOWED = (
     (POS, "Position", "m", ("north", "east", "down")),
     (VEL, "Velocity", "m/s", ("north", "east", "down")),
@@ -241,12 +244,12 @@ _FOLLOWED = (
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """Setpoint and flight of one quantity, thinned to what a screen shows.
+    """Setpoint and flight of one quantity, decimated to the resolution of a screen.
 
     Attributes:
-        words: What it is.
-        unit: Of both.
-        axes: Name, then times and values of the flight, then those of the setpoint, per axis.
+        words: Name of the quantity.
+        unit: Unit of both.
+        axes: Name, then times and values of the flight, then those of the setpoint, for each axis.
     """
 
     words: str
@@ -258,12 +261,12 @@ class Followed:
 
 @dataclass(frozen=True, slots=True)
 class AutopilotView:
-    """An autopilot as a page shows it.
+    """Content of a page on the autopilot.
 
     Attributes:
-        autopilot: What it says; None: nothing.
+        autopilot: Records of the autopilot; None: none.
         end_s: End of the record, s.
-        followed: Setpoints against the flight.
+        followed: Setpoints with the measured quantities.
         vibration: Spectrogram; None: too few samples.
         rotors: Times, s, and frequency of each rotor, Hz.
     """
@@ -278,10 +281,10 @@ class AutopilotView:
 
 
 def autopilot_view(flight: AnyFlight) -> AutopilotView:
-    """The autopilot of a flight as a page shows it.
+    """The autopilot of a flight, as content of a page.
 
     Args:
-        flight: As read, or left in its file.
+        flight: Flight in memory, or in its file.
     """
     followed = [_followed(flight, *each) for each in _FOLLOWED]
     names = [c for c in motor_columns("rotor", 12) if flight.has(c)]
@@ -301,7 +304,7 @@ def autopilot_view(flight: AnyFlight) -> AutopilotView:
 def _followed(
     flight: AnyFlight, columns: tuple[str, ...], words: str, unit: str, names: Sequence[str]
 ) -> Followed | None:
-    """None where the setpoint or the signal is missing."""
+    """Setpoint and flight of one quantity; None where either is missing."""
     setpoint = None if flight.autopilot is None else flight.autopilot.setpoint(columns)
     if setpoint is None or not flight.has(*columns):
         return None
@@ -323,21 +326,21 @@ def _followed(
 
 
 def _wrapped(angle: Array) -> Array:
-    """To between half a turn back and half a turn on."""
+    """Angle wrapped to half a turn in either direction."""
     return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def autopilot_content(
     name: str, view: AutopilotView, phases: Spans, budget: Budget, share: float = 1.0
 ) -> dict[str, Any]:
-    """What the template `autopilot.html.j2` shows of a flight.
+    """Values of the template `autopilot.html.j2` for a flight.
 
     Args:
-        name: Begins the identifiers, and is the group of the time axes.
-        view: Of the flight.
-        phases: Drawn as coloured background.
-        budget: Of the page.
-        share: Of the rows that a page has room for.
+        name: Prefix of the identifiers, and group of the time axes.
+        view: Content for the flight.
+        phases: Phases drawn as coloured background.
+        budget: Budget of the page.
+        share: Share of the page's rows for this flight.
     """
     said = view.autopilot or Autopilot()
     words: Strip | None = strip(name, view.autopilot, view.end_s)
@@ -359,7 +362,7 @@ def autopilot_content(
 
 
 def _first(messages: Sequence[Message], most: int) -> list[Message]:
-    """The grave ones, then others, as many as there is room for, in order of time."""
+    """Severe messages, then others, up to a number, in order of time."""
     order = sorted(messages, key=lambda m: not m.grave)[:most]
     return sorted(order, key=lambda m: m.t_s)
 
@@ -387,7 +390,7 @@ def _followed_plot(name: str, shown: Followed, phases: Spans, budget: Budget) ->
 
 
 def _vibration_plot(name: str, view: AutopilotView, phases: Spans, budget: Budget) -> Plot:
-    """Power over time and frequency; rotors and filters as lines on it."""
+    """Power over time and frequency; with rotors and filters as lines."""
     assert view.vibration is not None
     shown = view.vibration
     panels = Panels((_SPECTROGRAM_PX,), name)
@@ -422,7 +425,7 @@ def _line(
 
 
 def _vibration_note(view: AutopilotView) -> str:
-    """How to read the spectrogram, and what lies beyond it."""
+    """Explanation of the spectrogram, and of data outside of it."""
     shown = view.vibration
     if shown is None:
         return ""

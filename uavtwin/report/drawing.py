@@ -1,8 +1,8 @@
-"""How figures of pages are drawn: panels one below the other, series thinned, a budget per page.
+"""Drawing of figures: panels below each other, series decimated, a size budget per page.
 
-Panels are written as plotly.js reads them: building them with plotly's own objects takes ten times
-as long as all the rest of a report. A series holds no more points than a screen can show, two bytes
-each, and the budget says how many, so that a page does not weigh more than `PAGE_BYTES`.
+Panels are written in the form of plotly.js: plotly's own objects would take ten times as long as
+the rest of a report. A series has no more points than a screen can show, two bytes each; the budget
+sets their number, so that a page does not exceed `PAGE_BYTES`.
 """
 
 import json
@@ -23,20 +23,20 @@ from twin.residuals.gap import slow_part
 from .page import GREY, Figure, Plot
 
 PAGE_BYTES = 1_500_000
-"""A page may weigh."""
+"""Largest size of a page."""
 FINEST, COARSEST = 700, 60
-"""Most and fewest columns of pixels of a series that is as wide as the page."""
+"""Largest and smallest number of pixel columns for a series across the whole page."""
 MOST_PARTS = 6
-"""Flights whose figures are on a page at most: of more, all would be drawn too coarsely."""
+"""Largest number of flights with figures on a page: with more, all would be drawn too coarsely."""
 
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """How finely the figures of a page are drawn: one for all that it shows.
+    """Resolution of all figures of a page.
 
     Attributes:
-        columns: Of pixels, of a series that is as wide as the page.
-        parts: How many of the page's parts, flights say, are drawn at all.
+        columns: Number of pixel columns for a series across the whole page.
+        parts: Number of the page's parts, such as flights, that are drawn.
     """
 
     columns: int = FINEST
@@ -44,30 +44,30 @@ class Budget:
 
     @property
     def spectrum(self) -> int:
-        """Columns of pixels of a spectrum, a third of the page wide."""
+        """Number of pixel columns of a spectrum, a third of the page wide."""
         return max(45, min(90, self.columns // 2))
 
     @property
     def track(self) -> int:
-        """Points of a track."""
+        """Number of points of a track."""
         return max(120, min(500, self.columns))
 
     @property
     def cells(self) -> int:
-        """Columns of a spectrogram."""
+        """Number of columns of a spectrogram."""
         return max(COARSEST, min(180, self.columns))
 
 
 def fitted(draw: Callable[[Budget], str], parts: int = 1) -> str:
-    """A page drawn as finely as `PAGE_BYTES` allow.
+    """A page with the finest resolution within `PAGE_BYTES`.
 
-    It is drawn at its finest; where that is too much, at its coarsest, with fewer parts where even
-    that is too much, and last in between. A page whose only part is too large as coarse as can be
-    is returned nonetheless.
+    It is drawn with the finest resolution; if too large, with the coarsest, then with fewer parts,
+    and last in between. A page with a single part that is too large even at the coarsest resolution
+    is returned as it is.
 
     Args:
-        draw: Text of the page.
-        parts: That there are; at most `MOST_PARTS` are drawn.
+        draw: Draws the text of the page.
+        parts: Number of parts; at most `MOST_PARTS` are drawn.
     """
     parts = min(parts, MOST_PARTS)
     finest = draw(Budget(FINEST, parts))
@@ -80,7 +80,7 @@ def fitted(draw: Callable[[Budget], str], parts: int = 1) -> str:
             coarsest = draw(Budget(COARSEST, parts))
         return coarsest
     share = (PAGE_BYTES - _bytes(coarsest)) / (_bytes(finest) - _bytes(coarsest))
-    # bytes grow with the logarithm of the columns, about: more and more series are drawn whole
+    # size grows about with the logarithm of the columns: more and more series are complete
     between = draw(Budget(int(COARSEST * (FINEST / COARSEST) ** share), parts))
     return between if _bytes(between) <= PAGE_BYTES else coarsest
 
@@ -92,28 +92,28 @@ def _bytes(page: str) -> int:
 Array = NDArray[np.float64]
 
 TREND_HZ = 2.0
-"""Low-pass of the curve that is drawn over a band where samples come faster than `DENSE_HZ`: slower
-than any rotor of the vehicles here turns, as fast as one of them tilts into another direction."""
+"""Cut-off of the curve over a band where samples are faster than `DENSE_HZ`: below any rotor
+frequency of the vehicles here, above the bandwidth of their tilt."""
 DENSE_HZ = 20.0
-"""Rate from which on spectra are drawn and noise is a band."""
+"""Rate from which spectra are drawn and noise is a band."""
 STEPS, COARSE_STEPS = 65_533, 500
-"""Of two bytes, and how many the middle half of the values spans at least."""
+"""Number of steps of two bytes, and least number of steps across the middle half of the values."""
 _LARGEST = 3.4e38
-"""Of a number of 32 bits."""
+"""Largest number of 32 bits."""
 GAP_STEPS, GAP_S = 6, 0.2
-"""A line ends where samples are missing for longer than so many usual steps and than this."""
+"""Length of a gap, in typical steps and in s, from which a line is interrupted."""
 
 
 def thinned(x: Array, y: Array, columns: int) -> tuple[Array, Array]:
-    """The least and the largest value in each of so many columns of pixels, where they are.
+    """The smallest and the largest value in each pixel column, at their positions.
 
-    What is drawn of them is what would be drawn of all samples. The first of the unknown values of
-    a column is there too, so that a gap stays a gap.
+    They give the same picture as all samples. The first of the unknown values of a column is
+    included, so that gaps are preserved.
 
     Args:
-        x: Ascending, shape (n,).
-        y: NaN where unknown, shape (n,).
-        columns: How many.
+        x: Positions, ascending, shape (n,).
+        y: Values, NaN where unknown, shape (n,).
+        columns: Number of pixel columns.
     """
     if len(x) <= 2 * columns:
         return x, y
@@ -130,7 +130,7 @@ def thinned(x: Array, y: Array, columns: int) -> tuple[Array, Array]:
 
 
 def _column(x: Array, columns: int) -> NDArray[np.intp]:
-    """Column of pixels of each value, ascending."""
+    """Pixel column of each value, ascending."""
     share = (x - x[0]) / max(float(x[-1] - x[0]), 1e-300)
     column: NDArray[np.intp] = np.minimum((share * columns).astype(np.intp), columns - 1)
     return column
@@ -138,13 +138,13 @@ def _column(x: Array, columns: int) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A series as it is drawn.
+    """A series in drawn form.
 
     Attributes:
-        t_s: Of the curve, s, shape (n,).
-        curve: Slow part where samples are dense, else the samples; NaN in gaps.
-        band: Times and values of the outline of all samples, pieces apart by NaN; None: the curve
-            is all.
+        t_s: Times of the curve, s, shape (n,).
+        curve: Low-passed values where samples are dense, else the samples; NaN in gaps.
+        band: Times and values of the outline of all samples, pieces separated by NaN; None: only
+            the curve.
     """
 
     t_s: Array
@@ -153,13 +153,13 @@ class Drawn:
 
 
 def drawn(t_s: Array, values: Array, columns: int, below_hz: float = TREND_HZ) -> Drawn:
-    """A series as a slow curve over the band of its samples, or as it is where it has few.
+    """A series as a low-passed curve over the band of its samples, or unchanged with few samples.
 
     Args:
         t_s: Times, s, ascending, shape (n,).
-        values: NaN where unknown, shape (n,).
-        columns: Columns of pixels.
-        below_hz: Low-pass of the curve.
+        values: Values, NaN where unknown, shape (n,).
+        columns: Number of pixel columns.
+        below_hz: Cut-off of the curve.
     """
     pieces = [(t_s[a:b], values[a:b]) for a, b in _pieces(t_s, values)]
     if not pieces:
@@ -179,7 +179,7 @@ def drawn(t_s: Array, values: Array, columns: int, below_hz: float = TREND_HZ) -
 
 
 def _pieces(t_s: Array, values: Array) -> list[tuple[int, int]]:
-    """First row and end of each stretch that has no gap."""
+    """First row and end of each stretch without a gap."""
     if not len(t_s):
         return []
     steps = np.diff(t_s)
@@ -191,7 +191,7 @@ def _pieces(t_s: Array, values: Array) -> list[tuple[int, int]]:
 
 
 def _outline(t_s: Array, values: Array, columns: int) -> tuple[Array, Array]:
-    """Largest values of the columns there, least ones back: a closed line around all samples."""
+    """Outline of all samples as a closed line: largest values forward, smallest values back."""
     column = _column(t_s, min(columns, max(1, len(t_s) // 4)))
     starts = np.flatnonzero(np.diff(column, prepend=-1))
     low, high = (f.reduceat(values, starts) for f in (np.minimum, np.maximum))
@@ -200,7 +200,7 @@ def _outline(t_s: Array, values: Array, columns: int) -> tuple[Array, Array]:
 
 
 def _chained(parts: list[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Parts one after the other, an unknown value between each two."""
+    """Consecutive parts, separated by an unknown value."""
     gap = np.array([np.nan])
     x = np.concatenate([p for part in parts for p in (part[0], gap)][:-1])
     y = np.concatenate([p for part in parts for p in (part[1], gap)][:-1])
@@ -208,15 +208,15 @@ def _chained(parts: list[tuple[Array, Array]]) -> tuple[Array, Array]:
 
 
 def packed(values: Array, scale: str = "linear") -> dict[str, str | float]:
-    """Numbers as a page holds them, NaN where unknown.
+    """Numbers in the form of a page, NaN where unknown.
 
-    Two bytes each: one and so many of 65,533 steps from the least to the largest, 0 where unknown.
-    On a logarithmic scale, and where far-off values make these steps coarse for all others, four:
-    single precision.
+    Two bytes each: a number of 65,533 steps from the smallest to the largest value, 0 where
+    unknown. On a logarithmic scale, and where outliers would make these steps too coarse, four
+    bytes: single precision.
 
     Args:
-        values: Shape (n,).
-        scale: Of the axis along which they are drawn, as plotly.js has it.
+        values: Values, shape (n,).
+        scale: Scale of the axis along which they are drawn, as in plotly.js.
     """
     known = values[np.isfinite(values)]
     low, high = (float(f(known)) if len(known) else 0.0 for f in (np.min, np.max))
@@ -236,7 +236,7 @@ def _text(numbers: NDArray[np.generic]) -> str:
 
 
 def unpacked(values: Mapping[str, Any]) -> Array:
-    """Numbers that `packed` wrote, shape (n,)."""
+    """Numbers written by `packed`, shape (n,)."""
     raw = b64decode(values["bdata"])
     if values["dtype"] == "f4":
         return np.frombuffer(raw, dtype="<f4").astype(np.float64)
@@ -249,7 +249,7 @@ Spans = Sequence[tuple[str, float, float]]
 """Name, start, end in s."""
 
 GAP_PX, TOP_PX, BOTTOM_PX = 17, 22, 44
-"""Between panels, above the first and below the last."""
+"""Distance between panels, above the first and below the last, px."""
 PHASE_TINT = {
     "ground": "#b9bec7",
     "takeoff": "#f2b84b",
@@ -261,17 +261,17 @@ PHASE_TINT = {
 """Background of a phase of flight."""
 OTHER_TINT = "#c9cdd4"
 BAND_OPACITY = 0.3
-"""Of the band that holds all samples."""
+"""Opacity of the band of all samples."""
 
 
 @dataclass(slots=True)
 class Panels:
-    """A figure that grows panel by panel, from top to bottom.
+    """A figure built panel by panel, from top to bottom.
 
     Attributes:
-        heights_px: Of the panels.
-        time: Group of figures whose time axes move together; "": the horizontal axis is no time.
-        figure: As plotly.js reads it.
+        heights_px: Heights of the panels.
+        time: Group of figures with common time axes; "": the horizontal axis is not time.
+        figure: Figure in the form of plotly.js.
     """
 
     heights_px: Sequence[int]
@@ -298,11 +298,11 @@ class Panels:
 
     @property
     def layout(self) -> dict[str, Any]:
-        """Of the figure."""
+        """Layout of the figure."""
         return dict.__getitem__(self.figure, "layout")
 
     def add(self, y_title: str, x: Axis | None = None, y: Axis | None = None) -> str:
-        """The next panel; returns the number of its axes as plotly.js writes it: "" for the first.
+        """Add a panel; returns the number of its axes as in plotly.js: "" for the first.
 
         Args:
             y_title: Title of the vertical axis; text is escaped.
@@ -339,13 +339,13 @@ class Panels:
         line: Mapping[str, Any],
         **more: Any,
     ) -> None:
-        """A curve.
+        """Add a curve.
 
         Args:
             axes: Number of the panel's axes.
-            x: Shape (n,).
-            y: Shape (n,).
-            name: In the key above the figure.
+            x: Horizontal values, shape (n,).
+            y: Vertical values, shape (n,).
+            name: Name in the legend above the figure.
             line: Colour, dash, width.
             more: Further attributes.
         """
@@ -376,17 +376,17 @@ class Panels:
         band: bool = True,
         below_hz: float = TREND_HZ,
     ) -> Drawn:
-        """A series over time: its slow part over the band of all samples where they are dense.
+        """Add a series over time: a low-passed curve over the band of samples where dense.
 
         Args:
             axes: Number of the panel's axes.
             t_s: Times, s, shape (n,).
-            values: Shape (n,).
-            name: In the key.
+            values: Values, shape (n,).
+            name: Name in the legend.
             line: Colour, dash, width.
-            columns: Columns of pixels it may take.
+            columns: Number of available pixel columns.
             band: Whether the band is drawn.
-            below_hz: Low-pass of the curve.
+            below_hz: Cut-off of the curve.
         """
         shown = drawn(t_s, values, columns, below_hz)
         if shown.band is not None and band:
@@ -408,7 +408,7 @@ class Panels:
         return shown
 
     def area(self, axes: str, low: float, high: float) -> None:
-        """A grey band between two values over the whole panel."""
+        """Add a grey band between two values across the panel."""
         self.layout["shapes"].append(
             {
                 "type": "rect",
@@ -423,13 +423,12 @@ class Panels:
         )
 
     def look(self, low_s: float, high_s: float, spans: Spans) -> None:
-        """The span of time that is shown, and spans of the flight as tinted background, names on
-        top.
+        """Set the displayed time span, with named spans of the flight as coloured background.
 
         Args:
             low_s: Start, s.
             high_s: End, s.
-            spans: Of the flight.
+            spans: Phases of the flight.
         """
         if not high_s > low_s:
             return
@@ -456,7 +455,7 @@ class Panels:
         )
         self.layout["annotations"].append(
             {
-                "name": f"{share:.4f}",  # where it is wider than its share it is not drawn
+                "name": f"{share:.4f}",  # omitted where it is wider than its share
                 "x": (start + end) / 2,
                 "xref": "x",
                 "y": 1,
@@ -468,7 +467,7 @@ class Panels:
         )
 
     def mark(self, t_s: float, text: str) -> None:
-        """An instant: a dotted line through all panels; its text when pointed at."""
+        """Add an instant: a dotted line through all panels, with its text on hover."""
         self.layout["shapes"].append(
             {
                 "type": "line",
@@ -496,22 +495,22 @@ class Panels:
 def spans_of(
     t_s: Array, values: NDArray[Any], name_of: Callable[[Any], str] = str
 ) -> list[tuple[str, float, float]]:
-    """Spans of time in which a value stays the same; those without a name are left out.
+    """Spans of time with a constant value; those without a name are omitted.
 
     Args:
         t_s: Times, s, shape (n,).
-        values: Shape (n,).
-        name_of: Name of a value, "" of none.
+        values: Values, shape (n,).
+        name_of: Name of a value, "" for none.
     """
     ends = [(name_of(values[a]), a, min(b, len(t_s) - 1)) for a, b in runs(values)]
     return [(name, float(t_s[a]), float(t_s[b])) for name, a, b in ends if name]
 
 
 def degenerate(figure: Plot) -> Iterator[str]:
-    """What is wrong with a figure: no curve, a single point, no extent, panels that overlap.
+    """Problems of a figure: no curve, a single point, no extent, overlapping panels.
 
     Args:
-        figure: As a page holds it.
+        figure: Figure in the form of a page.
     """
     content = json.loads(figure.json)
     data, layout = content["data"], content["layout"]

@@ -1,7 +1,7 @@
-"""The figures that convince of an effect, and how to read them.
+"""Figures that show the evidence for an effect, and how to read them.
 
-An effect that changes a mean: residuals without and with it over what it predicts, flights before
-and after. One that changes none: spectra, or a reading that stands still.
+For an effect that changes a mean: residuals without and with it over its prediction, flights before
+and after. For one that does not: spectra, or a frozen reading.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,7 +30,7 @@ _STEADY = (
 )
 """How to read the figure of an effect that changes a mean."""
 _CONSTANT = " The effect is nearly constant in this flight: it is seen by how far blue is off zero."
-"""The same of one that is nearly constant."""
+"""Addition for an effect that is nearly constant."""
 _UNSTEADY: dict[type, str] = {
     Lines: "Spectra of the readings of {}: black, with a peak where the effect lies; blue, the "
     "noise that the vehicle file allows.",
@@ -41,7 +41,7 @@ _UNSTEADY: dict[type, str] = {
     Repeats: "Readings of {} around the instant from which one of them repeats itself to the last "
     "bit.",
 }
-"""The same of one that changes none, by how it is observed."""
+"""How to read the figure of other effects, by the way in which they are observed."""
 
 
 Flights = Sequence[Sequence[ChannelData]]
@@ -49,15 +49,15 @@ Flights = Sequence[Sequence[ChannelData]]
 
 
 class SteadyEvidence(Protocol):
-    """Where an effect that changes a mean acts."""
+    """Evidence for an effect that changes a mean."""
 
     @property
     def effect(self) -> str:
-        """Its name."""
+        """Name of the effect."""
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """On which it acts, the clearest first."""
+        """Channels on which it acts, the clearest first."""
 
     @property
     def without(self) -> Flights:
@@ -65,19 +65,19 @@ class SteadyEvidence(Protocol):
 
 
 class StochasticEvidence(Protocol):
-    """Where an effect that changes no mean acts."""
+    """Evidence for an effect that changes no mean."""
 
     @property
     def effect(self) -> str:
-        """Its name."""
+        """Name of the effect."""
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """On which it was found."""
+        """Channels on which it was found."""
 
     @property
     def values(self) -> Mapping[str, float]:
-        """Its numbers, "effect.number"."""
+        """Values of its numbers, by "effect.number"."""
 
 
 class ModelledFlight(Protocol):
@@ -85,11 +85,11 @@ class ModelledFlight(Protocol):
 
     @property
     def flight(self) -> Flight:
-        """As read."""
+        """Flight as read."""
 
     @property
     def aligned(self) -> AlignedFlight:
-        """On the grid."""
+        """Flight on the grid."""
 
 
 def steady_evidence(
@@ -101,10 +101,10 @@ def steady_evidence(
     """Figures of an effect that changes a mean, and how to read them.
 
     Args:
-        acts: Where it acts.
+        acts: Effect with its channels.
         with_all: Channels of each flight with every added effect.
         flights: The same flights.
-        budget: Of the page.
+        budget: Budget of the page.
     """
     i = loudest(acts, with_all)
     name = acts.effect.replace("_", " ")
@@ -126,14 +126,14 @@ def unsteady_evidence(
     vehicle: Vehicle,
     budget: Budget,
 ) -> tuple[list[Plot], str]:
-    """The same of an effect that changes no mean.
+    """Figures of an effect that changes no mean, and how to read them.
 
     Args:
-        found: The effect.
-        flight: As read.
-        residuals: Channels of it against the model.
-        vehicle: The model as it stood.
-        budget: Of the page.
+        found: Effect with its numbers.
+        flight: Flight as read.
+        residuals: Channels of the flight relative to the model.
+        vehicle: Model before the effect was added.
+        budget: Budget of the page.
     """
     kind, name = type(EFFECTS[found.effect].observable_as), found.effect.replace("_", " ")
     time = _unsteady_group(found.effect)
@@ -149,17 +149,17 @@ def unsteady_evidence(
 
 
 def unsteady_strip(effect: str, flight: AnyFlight) -> Strip | None:
-    """Modes, failsafes and messages over the figures of `unsteady_evidence`.
+    """Modes, failsafes and messages above the figures of `unsteady_evidence`.
 
     Args:
-        effect: That is shown.
-        flight: In which.
+        effect: Name of the effect.
+        flight: Flight with the records.
     """
     return strip(_unsteady_group(effect), flight.autopilot, float(flight.time_s[-1]))
 
 
 def _unsteady_group(effect: str) -> str:
-    """Group of the figures of an effect without a mean: each looks at a time of its own."""
+    """Group of the figures of an effect without a mean: each shows another span of time."""
     return f"unsteady-{effect}"
 
 
@@ -169,24 +169,26 @@ def phases_of(flight: ModelledFlight) -> Spans:
 
 
 def time_group(flight: int) -> str:
-    """Group of the figures of a held-out flight, whose time axes move together."""
+    """Group of the figures of a held-out flight, with common time axes."""
     return f"held-out-{flight}"
 
 
 Array = NDArray[np.float64]
 MOST_CHANNELS = 2
-"""Channels that are drawn."""
+"""Largest number of drawn channels."""
 MOST_DOTS = 600
-"""Of a scatter; more lie on each other."""
+"""Largest number of points in a scatter plot; more would overlap."""
 LONGEST_S = 20.0
-"""Of a flight that is shown at once; the strongest part of a longer one is looked at first."""
+"""Longest span of a flight that is shown at first; of a longer one the part with the strongest
+effect."""
 HELD = 0.95
-"""Share of what an effect predicts that lies below the low-pass of its curves."""
+"""Share of an effect's prediction below the cut-off of its curves."""
 VARIES = 0.25
-"""Spread of what an effect predicts over its size, below which it is a constant: a scatter would be
-one dot."""
+"""Spread of an effect's prediction over its size, below which it is constant: a scatter plot would
+be one dot."""
 STANDS_OUT = 0.5
-"""Spread of what an effect predicts over that of what it leaves, below which a scatter is noise."""
+"""Spread of an effect's prediction over that of the residual, below which a scatter plot is
+noise."""
 BEFORE, AFTER, PREDICTED = "model as it stood", "model with the effect", "what the effect predicts"
 """Names of the curves."""
 
@@ -194,17 +196,17 @@ BEFORE, AFTER, PREDICTED = "model as it stood", "model with the effect", "what t
 def evidence_figure(
     acts: SteadyEvidence, with_all: Flights, flight: int, spans: Spans, time: str, budget: Budget
 ) -> Figure:
-    """Residual without and with an effect over what the effect predicts, over time.
+    """Residual without and with an effect over its prediction, over time.
 
-    A constant effect is seen as one: a residual that stands off zero all along.
+    A constant effect appears as a residual that is off zero throughout.
 
     Args:
-        acts: Where the effect acts.
+        acts: Effect with its channels.
         with_all: Channels of each flight with every added effect.
-        flight: Which of them is shown.
-        spans: Phases of it.
-        time: Group of figures whose time axes move together.
-        budget: Of the page.
+        flight: Number of the flight to show.
+        spans: Phases of the flight.
+        time: Group of figures with common time axes.
+        budget: Budget of the page.
     """
     names = acts.channels[:MOST_CHANNELS]
     panels = Panels((230,) * len(names), time)
@@ -229,13 +231,13 @@ def evidence_figure(
 
 
 def agreement_figure(acts: SteadyEvidence, with_all: Flights, flight: int) -> Figure | None:
-    """Residual without and with an effect over what the effect predicts of it; None where that is a
-    constant, or lost in noise.
+    """Residual without and with an effect over its prediction; None where that is constant, or
+    small relative to noise.
 
     Args:
-        acts: Where the effect acts.
+        acts: Effect with its channels.
         with_all: Channels of each flight with every added effect.
-        flight: Which of them is shown.
+        flight: Number of the flight to show.
     """
     names = [n for n in acts.channels[:MOST_CHANNELS] if _varies_on(acts, with_all, flight, n)]
     if not names:
@@ -270,7 +272,7 @@ def agreement_figure(acts: SteadyEvidence, with_all: Flights, flight: int) -> Fi
 
 
 def varies(predicted: Array, left: Array) -> bool:
-    """Whether what an effect predicts is more than a constant, and not lost in what it leaves."""
+    """Whether the prediction of an effect varies, and by more than noise."""
     low, high = np.percentile(predicted, [2.5, 97.5])
     more = bool(high - low > VARIES * np.abs(predicted).max(initial=0.0))
     return more and bool(np.std(predicted) > STANDS_OUT * np.std(left))
@@ -282,7 +284,7 @@ def _varies_on(acts: SteadyEvidence, with_all: Flights, flight: int, name: str) 
 
 
 def strongest(t_s: Array, predicted: Array) -> tuple[float, float]:
-    """The span of time to look at: all of it, or `LONGEST_S` where an effect predicts most."""
+    """The span of time to show: all of it, or the `LONGEST_S` with the strongest effect."""
     start, end = float(t_s[0]), float(t_s[-1])
     if end - start <= 1.3 * LONGEST_S:
         return start, end
@@ -294,7 +296,7 @@ def strongest(t_s: Array, predicted: Array) -> tuple[float, float]:
 
 
 def loudest(acts: SteadyEvidence, with_all: Flights) -> int:
-    """The flight in which an effect predicts most of its clearest channel."""
+    """The flight with the strongest effect on its clearest channel."""
     sizes = []
     for a, b in zip(acts.without, with_all, strict=True):
         one, two = (_of(f, acts.channels[0]) for f in (a, b))
@@ -303,8 +305,8 @@ def loudest(acts: SteadyEvidence, with_all: Flights) -> int:
 
 
 def _reaches_hz(t_s: Array, predicted: Array) -> float:
-    """Frequency below which most of what varies of a prediction lies; within what curves may be
-    cut at."""
+    """Frequency below which most of a prediction's variation is; limited to the range of the
+    curves' cut-off."""
     s = spectrum(t_s, predicted)
     total = np.cumsum(s.psd)
     if not len(total) or total[-1] <= 0:
@@ -316,14 +318,14 @@ def _reaches_hz(t_s: Array, predicted: Array) -> float:
 def before_after_figure(
     before: ChannelData, after: ChannelData, spans: Spans, time: str, budget: Budget
 ) -> Figure:
-    """Measured and both models, and both residuals, over time.
+    """Measured, both models, and both residuals, over time.
 
     Args:
-        before: The channel of a held-out flight with the model as it stood.
-        after: The same with the effects added.
+        before: Channel of a held-out flight with the model before.
+        after: Channel with the effects added.
         spans: Phases of the flight.
-        time: Group of figures whose time axes move together.
-        budget: Of the page.
+        time: Group of figures with common time axes.
+        budget: Budget of the page.
     """
     unit = pretty_unit(before.unit)
     panels = Panels((190, 130), time)
@@ -356,7 +358,7 @@ def _of(channels: Sequence[ChannelData], name: str) -> ChannelData:
 
 
 def _broken(channel: ChannelData, values: Array) -> Array:
-    """Values with a NaN before every new piece of flight, so that no line bridges a gap."""
+    """Values with a NaN before every new piece of flight, so that no line crosses a gap."""
     starts = np.flatnonzero(np.diff(channel.piece)) + 1
     if values is channel.t_s:  # a time between the pieces
         return np.insert(values, starts, (values[starts - 1] + values[starts]) / 2)
@@ -364,9 +366,9 @@ def _broken(channel: ChannelData, values: Array) -> Array:
 
 
 MOST_UNSTEADY = 3
-"""Channels that are drawn of an effect without a mean."""
+"""Largest number of drawn channels for an effect without a mean."""
 AROUND_S = 4.0
-"""Before and after the instant from which a reading stands still."""
+"""Time before and after the instant from which a reading is frozen."""
 _MARK = "#c23b66"
 
 
@@ -381,12 +383,12 @@ def unsteady_figure(
     """The figure that shows an effect without a mean; None where the flight lacks the readings.
 
     Args:
-        found: The effect.
-        flight: As read.
-        residuals: Its channels against the model, for a force that is slow.
-        vehicle: The model as it stood, whose noise is drawn.
-        time: Group of figures whose time axes move together.
-        budget: Of the page.
+        found: Effect with its numbers.
+        flight: Flight as read.
+        residuals: Channels of the flight relative to the model, for a slow force.
+        vehicle: Model before the effect was added, whose noise is drawn.
+        time: Group of figures with common time axes.
+        budget: Budget of the page.
     """
     match EFFECTS[found.effect].observable_as:
         case Repeats():
@@ -401,7 +403,7 @@ def unsteady_figure(
 def _still(
     found: StochasticEvidence, flight: AnyFlight, time: str, budget: Budget
 ) -> Figure | None:
-    """Readings of a sensor around the instant from which one of them stands still."""
+    """Readings of a sensor around the instant from which one of them is frozen."""
     channel = found.channels[0]
     sensor = next(s for s in SENSORS if channel in s.columns)
     if not flight.has(channel):
@@ -426,7 +428,7 @@ def _still(
 def _spectra(
     found: StochasticEvidence, flight: AnyFlight, vehicle: Vehicle, budget: Budget
 ) -> Figure | None:
-    """Spectra of readings, the noise that the vehicle file says, and the effect."""
+    """Spectra of readings, the noise in the vehicle file, and the effect."""
     observable_as = EFFECTS[found.effect].observable_as
     names = [c for c in found.channels if flight.has(c)][:MOST_UNSTEADY]
     if not names:
@@ -458,7 +460,7 @@ def _spectra(
             panels.line(axes, ends, with_it, "noise with the effect", effect)
         if isinstance(observable_as, Lines):
             at = own[observable_as.frequency]
-            at = abs((at + s.rate_hz / 2) % s.rate_hz - s.rate_hz / 2)  # folded, as it is seen
+            at = abs((at + s.rate_hz / 2) % s.rate_hz - s.rate_hz / 2)  # aliased, as it is observed
             reach = 10 ** np.array([psd.min(), psd.max()])
             line = {"color": ORANGE, "width": 1.8, "dash": "dot"}
             panels.line(axes, np.full(2, at), reach, "where the effect lies in hover", line)
@@ -476,7 +478,7 @@ def _noise(
 def _slow_force(
     found: StochasticEvidence, residuals: Sequence[ChannelData], vehicle: Vehicle, budget: Budget
 ) -> Figure | None:
-    """What is left of the accelerometer: slow, and more than its noise."""
+    """Residual of the accelerometer: slow, and larger than its noise."""
     names = [c for c in residuals if c.name in found.channels]
     if not names:
         return None
@@ -499,13 +501,13 @@ def _slow_force(
 def slow_force_over_time(
     found: StochasticEvidence, residuals: Sequence[ChannelData], time: str, budget: Budget
 ) -> Figure | None:
-    """The same over time.
+    """Residual of the accelerometer over time.
 
     Args:
-        found: A random force.
-        residuals: Channels of a flight against the model.
-        time: Group of figures whose time axes move together.
-        budget: Of the page.
+        found: Effect of a random force.
+        residuals: Channels of a flight relative to the model.
+        time: Group of figures with common time axes.
+        budget: Budget of the page.
     """
     names = [c for c in residuals if c.name in found.channels]
     if not names:
@@ -520,7 +522,7 @@ def slow_force_over_time(
 
 
 def _density(panels: Panels, name: str, unit: str, last: bool, linear: bool = False) -> str:
-    """A panel of a spectrum; lines of rotors are distinct on a linear axis."""
+    """Add the panel of a spectrum; on a linear axis lines of rotors are distinct."""
     along: dict[str, object] = {} if linear else {"type": "log", "dtick": 1}
     if last:
         along["title"] = {"text": "frequency, Hz"}

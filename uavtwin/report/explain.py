@@ -1,4 +1,4 @@
-"""The page that `uavtwin explain` leaves: one sentence, the picture that convinces, the proof."""
+"""Page of `uavtwin explain`: one sentence, the figure with the evidence, the proof."""
 
 from typing import Any
 
@@ -22,11 +22,11 @@ from .overview import flight_spans, overview, overview_plots
 from .page import Plot, plot, render
 
 MOST_AFFECTED = 2
-"""Channels of an effect that are drawn over time."""
+"""Largest number of channels of an effect that are drawn over time."""
 
 
 def page_text(result: ExplainResult) -> str:
-    """The page; the same findings give the same bytes."""
+    """The page; equal findings give equal bytes."""
     return fitted(lambda budget: _page(result, budget))
 
 
@@ -66,7 +66,7 @@ def _page(result: ExplainResult, budget: Budget) -> str:
 
 
 def _effect(result: ExplainResult, effect: EffectRecord, budget: Budget) -> dict[str, Any]:
-    """One effect as the template reads it."""
+    """One effect in the form of the template."""
     figures, how, over = _evidence(result, effect.name, budget)
     descriptions = result.descriptions(effect.name)
     least = result.details.settings.inference.selection.least
@@ -97,12 +97,12 @@ def _effect(result: ExplainResult, effect: EffectRecord, budget: Budget) -> dict
 
 
 def _meaning(effect: str) -> str:
-    """What an effect is, in one line; "" of nothing."""
+    """Meaning of an effect, in one line; "" without an effect."""
     return EFFECTS[effect].meaning if effect in EFFECTS else ""
 
 
 def _flight(result: ExplainResult, budget: Budget) -> dict[str, Any]:
-    """The last recorded flight, held out where one was: its track, motors and battery."""
+    """The last recorded flight, a held-out one if there is any: its track, motors and battery."""
     recorded = result.details.recorded
     if not recorded:
         return {"name": "", "track": [], "logged": None, "view": None}
@@ -115,7 +115,7 @@ def _flight(result: ExplainResult, budget: Budget) -> dict[str, Any]:
 
 
 def _strips(result: ExplainResult) -> list[Strip]:
-    """Modes and events of the held-out flights, whose time axes carry residuals."""
+    """Modes and events of the held-out flights, for the time axes of residuals."""
     compared = result.details.comparison
     flights = () if compared is None else compared.model.flights
     strips = [
@@ -128,8 +128,8 @@ def _strips(result: ExplainResult) -> list[Strip]:
 def _evidence(
     result: ExplainResult, effect: str, budget: Budget
 ) -> tuple[list[Plot], str, Strip | None]:
-    """Figures that convince of an effect, how to read them, and the strip over them if it is not
-    one of the page; no figures where there is nothing."""
+    """Figures with the evidence for an effect, how to read them, and the strip above them if it is
+    not one of the page; no figures without evidence."""
     found = result.details
     acts = next((a for a in found.attributions if a.effect == effect), None)
     compared = found.comparison
@@ -148,7 +148,7 @@ def _evidence(
 
 
 def _before_after(result: ExplainResult, budget: Budget) -> list[Plot]:
-    """Figures over time of the most affected channels, that whose residual shrinks most first."""
+    """Figures over time of the most affected channels, the one with the largest reduction first."""
     found = result.details
     compared = found.comparison
     if compared is None or not found.values:

@@ -1,4 +1,4 @@
-"""The page that `uavtwin fleet` leaves: which aircraft differs, what drifts, which logs are bad."""
+"""Page of `uavtwin fleet`: aircraft that differ, numbers that drift, bad logs."""
 
 from collections.abc import Iterator, Sequence
 from html import escape
@@ -19,15 +19,16 @@ from .page import BLUE, GREY, ORANGE, Plot, plot, render
 
 Array = NDArray[np.float64]
 MOST_ROWS = 100
-"""Of a table."""
+"""Largest number of rows of a table."""
 MOST_DRIFTS = 8
-"""That are drawn."""
+"""Largest number of drifts that are drawn."""
 MOST_NUMBERS = 12
-"""Numbers that are drawn by aircraft."""
+"""Largest number of numbers that are drawn by aircraft."""
 MOST_AIRCRAFT = 60
-"""Of a panel; of more, those that differ and every so many of the others."""
+"""Largest number of aircraft in a panel; of more, those that differ and a selection of the
+others."""
 MOST_POINTS = 400
-"""Flights of an aircraft that are drawn."""
+"""Largest number of drawn flights of an aircraft."""
 STATUSES = {
     "fine": "logs that are fine",
     "findings": "damaged logs",
@@ -37,10 +38,10 @@ STATUSES = {
     "copy": "copies of another log",
     "failed": "logs whose process ended",
 }
-"""How many logs are of a status, in words."""
+"""Text on the number of logs by status."""
 OUT = "#c23b66"
 _PX = 210
-"""Height of a panel."""
+"""Height of a panel, px."""
 
 
 def page_text(result: FleetResult) -> str:
@@ -74,7 +75,7 @@ def page_text(result: FleetResult) -> str:
 
 
 def _facts(result: FleetResult) -> dict[str, str]:
-    """What the fleet is."""
+    """Facts of the fleet."""
     return {
         "logs": str(result.logs),
         **{STATUSES[s]: str(n) for s, n in result.statuses.items()},
@@ -131,13 +132,13 @@ def _by_aircraft(m: Measure, out: set[str]) -> Plot:
 
 
 def _values(table: pd.DataFrame, aircraft: str) -> Array:
-    """Of an aircraft, at most so many."""
+    """Values of an aircraft, up to a number."""
     own = table[table["aircraft"] == aircraft]["value"].to_numpy(dtype=np.float64)
     return np.asarray(own[:: max(1, -(-len(own) // MOST_POINTS))])
 
 
 def _over_time(m: Measure, drift: Drift, k: int) -> Plot:
-    """A number of an aircraft against the date, with its slope."""
+    """A number of an aircraft over the date, with its slope."""
     own = m.table[m.table["aircraft"] == drift.aircraft].dropna(subset=["date_year"])
     own = own.iloc[:: -(-len(own) // MOST_POINTS)]
     year, y = (own[c].to_numpy(dtype=np.float64) for c in ("date_year", "value"))
@@ -200,8 +201,8 @@ def _axis(name: str, unit: str) -> str:
 
 
 def _short(names: Sequence[str]) -> list[str]:
-    """Names that fit below an axis: their ends, where those tell them apart. They come from logs:
-    what plotly.js would take for a mark-up is escaped."""
+    """Names that fit below an axis: their ends, where those are distinct. Since they come from
+    logs, mark-up of plotly.js is escaped."""
     ends = [n if len(n) <= 18 else f"\N{HORIZONTAL ELLIPSIS}{n[-17:]}" for n in names]
     heads = [n if len(n) <= 18 else f"{n[:17]}\N{HORIZONTAL ELLIPSIS}" for n in names]
     distinct = (some for some in (ends, heads) if len(set(some)) == len(some))

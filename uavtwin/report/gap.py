@@ -1,7 +1,7 @@
-"""The gap report: one HTML file, claim first, figures second, numbers in a table.
+"""The gap report: one HTML file with the main result, figures, and numbers in a table.
 
-The page embeds plotly.js once and fetches nothing. Figures are stored once, packed, and drawn when
-they come into view, so a page with many flights opens at once.
+The page embeds plotly.js once and loads nothing else. Figures are stored once, packed, and drawn
+when they become visible, so a page with many flights opens at once.
 """
 
 import math
@@ -36,14 +36,14 @@ from .overview import Overview, overview, overview_plots
 from .page import BLACK, BLUE, GREY, Figure, Plot, plot, render
 
 FULL_DETAIL = 5
-"""Of more flights, fewer messages and parameters of each are listed."""
+"""Number of flights up to which messages and parameters are listed in full."""
 MOST_LISTED = 200
-"""Rows of the table of flights."""
+"""Largest number of rows of the table of flights."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Figure:
-    """What the template needs of one figure."""
+    """Content of one figure for the template."""
 
     title: str
     axes: str
@@ -61,12 +61,12 @@ def page_text(result: GapResult) -> str:
 def gap_page(gaps: Sequence[FlightGap], overviews: Sequence[Overview] = ()) -> str:
     """The report of one or more flights against their twin.
 
-    The same gaps give the same bytes: identifiers are counted, no time is written. Of more flights
-    than a page has room for, those are drawn whose twin is furthest off; all are listed.
+    Equal gaps give equal bytes: identifiers are counted, no time is written. Of more flights than
+    fit on a page, those with the largest residuals are drawn; all are listed.
 
     Args:
-        gaps: One per flight.
-        overviews: What each flight was; none: pages begin with the gap.
+        gaps: One gap per flight.
+        overviews: Overview of each flight; none: pages begin with the gap.
     """
     scored = _Scored(
         tuple(gaps),
@@ -79,11 +79,11 @@ def gap_page(gaps: Sequence[FlightGap], overviews: Sequence[Overview] = ()) -> s
 
 @dataclass(frozen=True, slots=True)
 class _Scored:
-    """Flights with what does not depend on how they are drawn.
+    """Flights with all content that does not depend on the resolution.
 
     Attributes:
-        gaps: One per flight.
-        overviews: One per flight; None: not known.
+        gaps: One gap per flight.
+        overviews: One overview per flight; None: not known.
         pooled: Every channel over all flights.
         summed: Every channel of each flight.
     """
@@ -124,7 +124,7 @@ class _Scored:
         )
 
     def _furthest_off(self, most: int) -> list[int]:
-        """Flights that are drawn, in the order in which they were given."""
+        """Flights that are drawn, in the given order."""
         if len(self.gaps) <= most:
             return list(range(len(self.gaps)))
         places = [rank({s.name: s for s in summed})[:1] for summed in self.summed]
@@ -134,7 +134,7 @@ class _Scored:
         return sorted(worst[:most])
 
     def _listed(self, drawn: Sequence[int]) -> list[dict[str, Any]]:
-        """Rows of the table of flights, those that are drawn first."""
+        """Rows of the table of flights, drawn ones first."""
         others = [i for i in range(len(self.gaps)) if i not in drawn]
         return [
             {
@@ -148,7 +148,7 @@ class _Scored:
         ]
 
     def _flight(self, index: int, budget: Budget, share: float) -> dict[str, Any]:
-        """Figures and tables of one flight, as the template reads them."""
+        """Figures and tables of one flight, in the form of the template."""
         gap, shown, summed = self.gaps[index], self.overviews[index], self.summed[index]
         name, phases = f"flight{index}", gap.phases
         places = rank({s.name: s for s in summed})
@@ -181,18 +181,18 @@ class _Scored:
 def _furthest_first(
     groups: Iterable[tuple[Kind, Sequence[Channel]]], places: Sequence[Ranked]
 ) -> list[tuple[Kind, Sequence[Channel]]]:
-    """Groups of channels, that in which the twin is furthest off first."""
+    """Groups of channels, that with the largest residual first."""
     worst = {(p.channel, p.horizon_s) for p in places[:1]}
     return sorted(groups, key=lambda g: not worst & {(c.name, c.horizon_s) for c in g[1]})
 
 
 def _hover(gap: FlightGap, before: str = "") -> str:
-    """What the hover of a flight says of the twin."""
+    """Text on the twin from the hover of a flight."""
     return before + hover_sentence(gap.vehicle, gap.hover, gap.driven_by) if gap.hover else ""
 
 
 def _detail(places: Sequence[Ranked]) -> str:
-    """What a pilot should make of the headline: can a model mend it?"""
+    """Text for a pilot on the headline: whether a model can reduce it."""
     if not places or not places[0].score.rms > 0:
         return ""
     score = places[0].score
@@ -253,19 +253,19 @@ def _rows(summed: Sequence[Summary]) -> list[dict[str, Any]]:
 
 Array = NDArray[np.float64]
 Line = tuple[int, Array, Array]
-"""Place of a flight among those laid over each other, times, s, and values, shape (n,)."""
+"""Index of a flight among overlaid ones, times, s, and values, shape (n,)."""
 GROUP = "laid-over"
-"""Of the time axes of flights laid over each other."""
+"""Group of the time axes of overlaid flights."""
 COLOURS = (BLUE, "#d9622b", "#2f8f5b", "#8a4fbf", "#b58900", "#c23b66")
 
 
 @dataclass(frozen=True, slots=True)
 class LaidOver:
-    """What the template needs of flights laid over each other.
+    """Content of overlaid flights for the template.
 
     Attributes:
-        zero: What time is counted from, in words.
-        figures: Title, how the twin was held against the flights, and the figure, per quantity.
+        zero: Time zero, in words.
+        figures: Title, kind of comparison, and figure, for each quantity.
     """
 
     zero: str
@@ -275,12 +275,12 @@ class LaidOver:
 def laid_over(
     gaps: Sequence[FlightGap], overviews: Sequence[Overview | None], budget: Budget
 ) -> LaidOver | None:
-    """Measured and residual of every channel that two flights share; None where there is none.
+    """Measured and residual of every channel that two flights have in common; None without any.
 
     Args:
-        gaps: Flights; the first six are drawn.
-        overviews: What each was; None: not known.
-        budget: Of the page.
+        gaps: Gaps of the flights; the first six are drawn.
+        overviews: Overview of each flight; None: not known.
+        budget: Budget of the page.
     """
     gaps, overviews = gaps[: len(COLOURS)], overviews[: len(COLOURS)]
     zero, begins = _begins(gaps, overviews)
@@ -309,7 +309,7 @@ def laid_over(
 def _begins(
     gaps: Sequence[FlightGap], overviews: Sequence[Overview | None]
 ) -> tuple[str, list[float]]:
-    """What time is counted from, the same in all flights, and when that was in each, s."""
+    """Definition of time zero, the same for all flights, and its time in each, s."""
     lifted = [_lift_off_s(gap) for gap in gaps]
     if all(at is not None for at in lifted):
         return "take-off", [at for at in lifted if at is not None]
@@ -325,7 +325,7 @@ def _begins(
 
 
 def _lift_off_s(gap: FlightGap) -> float | None:
-    """End of the first time on the ground; None where the record does not hold it."""
+    """End of the first time on the ground; None where it is not in the record."""
     for (name, _, end_s), after in zip(gap.phases, gap.phases[1:], strict=False):
         if name == "ground" and after[0] != "ground":
             return end_s
@@ -336,8 +336,8 @@ def _lift_off_s(gap: FlightGap) -> float | None:
 def _shared(
     gaps: Sequence[FlightGap],
 ) -> list[tuple[Kind, float, dict[str, dict[int, Channel]]]]:
-    """Quantities in the order of a page: kind, horizon, and by name the channel of each flight;
-    only what two flights have in one unit."""
+    """Quantities in the order of a page: kind, horizon, and the channel of each flight by name;
+    only those that two flights have in one unit."""
     found: dict[tuple[int, float], dict[str, dict[int, Channel]]] = {}
     for i, gap in enumerate(gaps):
         for kind, members in grouped(gap.channels):
@@ -361,7 +361,7 @@ def _battery(
     begins: Sequence[float],
     budget: Budget,
 ) -> Panels | None:
-    """Voltage and current of those flights that log them."""
+    """Voltage and current of the flights that log them."""
     found: dict[str, list[Line]] = {}
     for i, shown in enumerate(overviews):
         for words, t_s, values in shown.battery if shown is not None else ():
@@ -378,7 +378,7 @@ def _battery(
 def _add(
     panels: Panels, title: str, lines: Sequence[Line], gaps: Sequence[FlightGap], budget: Budget
 ) -> None:
-    """A panel with a curve of each flight; the figure looks at all of them."""
+    """Add a panel with a curve of each flight."""
     axes = panels.add(title)
     ends = [v for _, t_s, _ in lines for v in (float(t_s[0]), float(t_s[-1]))]
     before = panels.layout["xaxis"].get("range", ends)
@@ -390,7 +390,7 @@ def _add(
 
 
 def _looked(panels: Panels, zero: str) -> Figure:
-    """The figure over the time from `zero`; its keys go together with those of the others."""
+    """The figure over the time from `zero`; its legend is shared with the others."""
     panels.layout["meta"]["keys"] = GROUP
     last = max((k for k in panels.layout if k.startswith("xaxis")), key=lambda k: int(k[5:] or 1))
     panels.layout[last]["title"] = {"text": f"time from {zero}, s"}
@@ -414,14 +414,14 @@ def channel_figures(
     """Measured, twin and residual over time, one pair of panels per channel, and their spectra.
 
     Args:
-        channels: Of one quantity and horizon.
-        phases: Drawn as coloured background.
-        time: Group of figures whose time axes move together.
-        budget: Of the page.
+        channels: Channels of one quantity and horizon.
+        phases: Phases drawn as coloured background.
+        time: Group of figures with common time axes.
+        budget: Budget of the page.
 
     Returns:
-        The figure over time; the spectra, one panel per channel, None where samples are too few;
-        and a note on what the figures leave out ("" if nothing).
+        The figure over time; the spectra, one panel per channel, None with too few samples; and a
+        note on data omitted from the figures ("" if none).
     """
     panels = Panels((SIGNAL_PX, RESIDUAL_PX) * len(channels), time)
     banded = False
@@ -445,12 +445,12 @@ def channel_figures(
 
 
 def _three(channel: Channel) -> tuple[Array, Array, Array]:
-    """What `_LINES` draws."""
+    """Measured, twin and residual for `_LINES`."""
     return channel.measured, channel.simulated, channel.residual
 
 
 def _add_time(panels: Panels, channel: Channel, budget: Budget) -> bool:
-    """Measured over twin, and the residual below; whether bands were drawn."""
+    """Add measured and twin, with the residual below; returns whether bands were drawn."""
     unit = pretty_unit(channel.unit)
     axes = [panels.add(f"{what}, {unit}") for what in (channel.name, "residual")]
     banded = False
@@ -459,7 +459,7 @@ def _add_time(panels: Panels, channel: Channel, budget: Budget) -> bool:
         shown = panels.series(axes[i == 2], channel.t_s, y, name, line, budget.columns)
         banded |= shown.band is not None
     finite = channel.residual[np.isfinite(channel.residual)]
-    if len(finite) >= 20:  # 95 % of the residuals lie in the band
+    if len(finite) >= 20:  # 95 % of the residuals are in the band
         low, high = np.percentile(finite, [2.5, 97.5])
         panels.area(axes[1], float(low), float(high))
     return banded
@@ -477,7 +477,7 @@ def _spectra_figure(
         if i == len(channels) - 1:
             frequency["title"] = {"text": "frequency, Hz"}
         density: Axis = {"type": "log", "exponentformat": "power"}
-        if top > 0 and _spread(three) > 9:  # nine decades below the peak is rounding, not flight
+        if top > 0 and _spread(three) > 9:  # nine decades below the peak is rounding
             density["range"] = [math.log10(top) - 9, math.log10(top) + 0.5]
         title = f"{channel.name}: PSD, ({pretty_unit(channel.unit)})²/Hz"
         axes = panels.add(title, frequency, density)

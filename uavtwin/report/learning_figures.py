@@ -25,7 +25,7 @@ _MODELS = (
     *(GREY, "#c3c7cd", "#b58900", BLUE, "#2f8f5b"),
     *("#8a4fbf", "#c23b66", "#5fb8c9", ORANGE),
 )
-"""Colours of twins that are compared, trivial ones first and the corrected one last."""
+"""Colours of compared twins, trivial ones first and the corrected one last."""
 _LOSSES = {
     "reconstruction": BLUE,
     "quantiser": "#8a4fbf",
@@ -39,7 +39,7 @@ def curve_figure(curve: Sequence[Mapping[str, Any]], best_epoch: int) -> Figure:
 
     Args:
         curve: One entry per epoch.
-        best_epoch: The one whose weights are stored.
+        best_epoch: Epoch whose weights are stored.
     """
     names = list(dict.fromkeys(n for e in curve for n in e if n not in ("epoch", "learning_rate")))
     positive = all(e[n] > 0 for e in curve for n in names if e.get(n))
@@ -71,16 +71,17 @@ def correction_figure(
     time: str,
     budget: Budget,
 ) -> Figure:
-    """Measured, twin, explained twin and corrected twin over time, and what is left below.
+    """Measured, twin, explained twin and corrected twin over time, with the residual below.
 
     Args:
-        name: Of the channel.
-        unit: Of the channel.
+        name: Name of the channel.
+        unit: Unit of the channel.
         t_s: Times of the samples, shape (n,).
-        lines: Some of `_LINES`, shape (n,) each; "measured" and "corrected twin" among them.
-        spread: Predicted standard deviation of what is left, shape (n,).
-        time: Group of figures whose time axes move together.
-        budget: Of the page.
+        lines: Curves by name in `_LINES`, shape (n,) each; "measured" and "corrected twin" among
+            them.
+        spread: Predicted standard deviation of the remaining residual, shape (n,).
+        time: Group of figures with common time axes.
+        budget: Budget of the page.
     """
     shown = pretty_unit(unit)
     panels = Panels((214, 126), time)
@@ -115,9 +116,9 @@ def anomaly_figure(t_s: Array, anomaly: Array, time: str, budget: Budget) -> Fig
 
     Args:
         t_s: Times of the samples, shape (n,).
-        anomaly: Shape (n,).
-        time: Group of figures whose time axes move together.
-        budget: Of the page.
+        anomaly: Anomaly score, shape (n,).
+        time: Group of figures with common time axes.
+        budget: Budget of the page.
     """
     panels = Panels((194,), time)
     axes = panels.add("anomaly score", None, {"rangemode": "tozero"})
@@ -130,11 +131,11 @@ def anomaly_figure(t_s: Array, anomaly: Array, time: str, budget: Budget) -> Fig
 
 
 def horizons_figure(rows: "pd.DataFrame", quantities: Sequence[tuple[str, str]]) -> Figure:
-    """How far twins are off over the time since they were left alone, a panel per quantity.
+    """Errors of twins over the time since their last given state, a panel per quantity.
 
     Args:
-        rows: `model`, `horizon_s` and a column per quantity.
-        quantities: Names and units.
+        rows: Table with `model`, `horizon_s` and a column per quantity.
+        quantities: Quantities with names and units.
     """
     panels = Panels((190,) * len(quantities))
     for i, (quantity, unit) in enumerate(quantities):

@@ -1,4 +1,4 @@
-"""What a flight was, before any model: where it went, what its motors and its battery did."""
+"""Overview of a flight before any model: track, motors, battery."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,11 +20,11 @@ from .page import BLACK, BLUE, GREY, Figure, Plot, plot
 
 Array = NDArray[np.float64]
 BODIES = 14
-"""Attitudes that are drawn along a track."""
+"""Largest number of attitudes drawn along a track."""
 HEIGHT_PX = 330
-"""Of a track."""
+"""Height of a track, px."""
 FLAT_M = 0.5
-"""Least extent of a picture: what hovers better than that is not enlarged further."""
+"""Least extent of a picture, m: a steadier hover is not enlarged further."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +32,11 @@ class Track:
     """A curve in space.
 
     Attributes:
-        name: In the key.
+        name: Name in the legend.
         t_s: Times, s, shape (n,).
-        position_m: North, east, down, shape (n, 3); NaN where unknown.
-        colour: Of the curve.
-        dash: As plotly.js writes it.
+        position_m: Position north, east, down, shape (n, 3); NaN where unknown.
+        colour: Colour of the curve.
+        dash: Dash pattern as in plotly.js.
     """
 
     name: str
@@ -54,13 +54,13 @@ def track_plots(
 ) -> list[Plot]:
     """Three pictures of tracks.
 
-    The basic bundle of plotly.js draws no third dimension: the page turns the curves itself,
-    without perspective.
+    The basic bundle of plotly.js has no 3D plots: the page rotates the curves itself, without
+    perspective.
 
     Args:
-        name: Begins the identifiers of the pictures.
-        tracks: Curves; the first one is that of what has the attitude.
-        budget: Of the page.
+        name: Prefix of the identifiers of the pictures.
+        tracks: Curves; the first one is that of the body with the attitude.
+        budget: Budget of the page.
         attitude: Times, s, shape (m,), and quaternions body to NED, shape (m, 4); None: not known.
     """
     thin = [(t, _thinned(t.position_m, budget.track)) for t in tracks]
@@ -82,7 +82,7 @@ def track_plots(
 
 
 def _box(known: Array) -> tuple[Array, Array]:
-    """Lowest and highest east, north and up, one extent for all axes being the least."""
+    """Lowest and highest east, north and up, with the same least extent for all axes."""
     enu = _enu(known)
     low, high = enu.min(axis=0), enu.max(axis=0)
     middle, half = (low + high) / 2, np.maximum(high - low, FLAT_M) / 2
@@ -90,28 +90,28 @@ def _box(known: Array) -> tuple[Array, Array]:
 
 
 def _enu(position_m: Array) -> Array:
-    """East, north and up of north, east and down."""
+    """East, north and up from north, east and down."""
     enu: Array = position_m[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
     return enu
 
 
 def _thinned(position_m: Array, points: int) -> Array:
-    """At most so many points of a track, evenly along it."""
+    """Evenly selected points of a track, up to a number."""
     if len(position_m) <= points:
         return position_m
     return position_m[np.unique(np.linspace(0, len(position_m) - 1, points).astype(np.intp))]
 
 
 _WORDS = ("north, m", "east, m", "up, m")
-"""Axes of a track."""
+"""Titles of the axes of a track."""
 
 
 def _flat(
     thin: Sequence[tuple[Track, Array]], low: Array, high: Array, across: int, along: int
 ) -> Figure:
-    """Tracks in a plane; axes are north, east, up by number, of equal scale."""
+    """Tracks in a plane; axes are north, east, up by number, with equal scales."""
     panels = Panels((HEIGHT_PX - 66,))
-    order = (1, 0, 2)  # where each axis is within east, north, up
+    order = (1, 0, 2)  # index of each axis in east, north, up
     edges = [[float(v[order[k]]) for v in (low, high)] for k in (across, along)]
     margin = 0.06 * max(e[1] - e[0] for e in edges)
     spans = [[e[0] - margin, e[1] + margin] for e in edges]
@@ -150,7 +150,7 @@ def _scene(
     high: Array,
     attitude: tuple[Array, Array] | None,
 ) -> dict[str, Any]:
-    """Tracks in space, east, north and up, as the script of the page draws them."""
+    """Tracks in space, east, north and up, for the script of the page."""
     extent = high - low
     return {
         "height": HEIGHT_PX,
@@ -193,14 +193,14 @@ def _bodies(track: Track, t_s: Array, q_nb: Array, size: float) -> list[list[lis
 
 
 def _short(values: Array) -> list[float | None]:
-    """Numbers as a page holds them; None where unknown."""
+    """Numbers in the form of a page; None where unknown."""
     return [float(f"{v:.5g}") if np.isfinite(v) else None for v in values]
 
 
 HELD = 1200
-"""Samples of a series that are held, about: what two columns of pixels can show."""
+"""Approximate number of stored samples of a series: the resolution of two pixel columns."""
 MOST_MOTORS = 12
-"""That are drawn."""
+"""Largest number of motors that are drawn."""
 _MOTORS = (
     *(BLUE, "#d9622b", "#2f8f5b", "#8a4fbf", "#b58900", "#c23b66"),
     *("#3aa0a8", "#6b7280", "#5fb8c9", GREY, "#c3c7cd", BLACK),
@@ -210,14 +210,14 @@ _MOTORS = (
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """A flight as the top of a page shows it, thinned to what a screen shows.
+    """A flight for the top of a page, decimated to the resolution of a screen.
 
     Attributes:
         position: Times, s, shape (n,), and position, NED, m, shape (n, 3); None: not logged.
-        attitude: Times, s, shape (m,), and quaternions body to NED, shape (m, 4); None.
-        motors: Panels of one line per motor: title, then times and values of each.
-        battery: Panels of one line: title, times, values.
-        view: Its autopilot.
+        attitude: Times, s, shape (m,), and quaternions body to NED, shape (m, 4); None: not logged.
+        motors: Panels with one line per motor: title, then times and values of each.
+        battery: Panels with one line: title, times, values.
+        view: Records of its autopilot.
     """
 
     position: tuple[Array, Array] | None
@@ -230,10 +230,10 @@ class Overview:
 
 
 def overview(flight: AnyFlight) -> Overview:
-    """What a flight was.
+    """Overview of a flight.
 
     Args:
-        flight: As read, or left in its file.
+        flight: Flight in memory, or in its file.
     """
     motors = []
     for stem, words in (("cmd", "motor command, 0 to 1"), ("rotor", "rotor speed, rad/s")):
@@ -267,7 +267,7 @@ def _line(flight: AnyFlight, column: str) -> tuple[Array, Array]:
 
 
 def _vector(flight: AnyFlight, columns: Sequence[str]) -> tuple[Array, Array] | None:
-    """Times and values of a vector, evenly thinned; None where it is not logged."""
+    """Times and values of a vector, evenly decimated; None where it is not logged."""
     if not flight.has(*columns):
         return None
     t, values = flight.signal(columns)
@@ -285,12 +285,12 @@ def overview_plots(
     """The tracks, and motors and battery over time.
 
     Args:
-        name: Begins the identifiers, and is the group of the time axes.
-        shown: The flight.
-        phases: Drawn as coloured background.
-        budget: Of the page.
-        ends: Channels north, east and down of the position of a twin that restarts from the
-            measured state again and again, at the end of each stretch.
+        name: Prefix of the identifiers, and group of the time axes.
+        shown: Overview of the flight.
+        phases: Phases drawn as coloured background.
+        budget: Budget of the page.
+        ends: Channels north, east and down of the position of a twin that restarts repeatedly from
+            the measured state, at the end of each stretch.
 
     Returns:
         The pictures of the track, and the figure over time; none and None where nothing is logged.
@@ -306,8 +306,8 @@ def overview_plots(
 
 
 def _restarted(t_s: Array, position_m: Array, ends: Sequence[Channel]) -> Track:
-    """Strokes from where the flight was to where the twin would have been after its short horizon:
-    each begins at the measured place of the restart."""
+    """Strokes from the measured position at each restart to that of the twin after its short
+    horizon."""
     begin = ends[0].t_s - ends[0].horizon_s
     start = interpolated(begin, t_s, position_m)
     end = np.column_stack([c.simulated for c in ends])

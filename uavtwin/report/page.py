@@ -1,4 +1,4 @@
-"""HTML pages that need nothing but themselves: style, figures and the library that draws them."""
+"""Self-contained HTML pages: style, figures and the plotting library."""
 
 import gzip
 import json
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 Figure = dict[str, Any]
-"""`data` and `layout` as plotly.js reads them."""
+"""`data` and `layout` of a figure in the form of plotly.js."""
 
 HERE = Path(__file__).parent
-"""Folder of the templates and of the library that draws."""
+"""Folder of the templates and of the plotting library."""
 BLACK, BLUE, ORANGE, GREY = "#000000", "#1f5fd0", "#e07b1a", "#8a8f98"
-"""Measured, nominal twin, compensated twin, residual: the same four on every page."""
+"""Colours of measured, nominal twin, compensated twin, residual, on every page."""
 DARK = {
     BLACK: "#f2f4f7",
     BLUE: "#6ea8ff",
@@ -40,20 +40,20 @@ DARK = {
     "#6b7280": "#a3abb7",
     "#d9622b": "#ff8f5c",
 }
-"""Colours of figures on a dark page, by the one on a light page."""
+"""Colours of figures on a dark page, by the colour on a light page."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """What a template needs of one figure.
+    """Content of one figure for a template.
 
     Attributes:
-        id: Of its element.
-        label: What it shows, for those who do not see it.
-        height: Pixels.
-        json: The figure, safe within a script element.
-        scene: Whether it is a track in space, no plot.
-        time: Group of figures whose time axes move together, "" where time is not along it.
+        id: Identifier of its element.
+        label: Description of the figure, for screen readers.
+        height: Height in pixels.
+        json: Figure as JSON, safe within a script element.
+        scene: Whether it is a track in space instead of a plot.
+        time: Group of figures with common time axes, "" where the axis is not time.
     """
 
     id: str
@@ -65,29 +65,29 @@ class Plot:
 
 
 def plot(name: str, label: str, figure: "Figure | go.Figure", scene: bool = False) -> Plot:
-    """A figure as a template draws it.
+    """A figure in the form of a template.
 
     Args:
-        name: Identifier on the page; what could not be one is taken out.
-        label: What it shows, in words.
-        figure: With its height in the layout; a track in space has its own.
+        name: Identifier on the page; invalid characters are removed.
+        label: Description in words.
+        figure: Figure with its height in the layout; a track in space has its own.
         scene: Whether it is a track in space.
     """
     plain = _plain(figure)
     layout = plain.get("layout", plain)
-    layout.pop("template", None)  # pages dress their figures themselves
+    layout.pop("template", None)  # pages style their figures themselves
     identifier = re.sub(r"[^\w.@-]", "-", name)
     time = str(layout.get("meta", {}).get("time", ""))
     return Plot(identifier, label, int(layout["height"]), embedded(plain), scene, time)
 
 
 def _plain(figure: "Figure | go.Figure") -> Figure:
-    """A figure of plotly's own objects as plain values."""
+    """A figure of plotly's objects as plain values."""
     return figure if isinstance(figure, dict) else dict(json.loads(figure.to_json()))
 
 
 def embedded(value: Any) -> Markup:
-    """A value as JSON that may stand inside a script element."""
+    """A value as JSON that is safe inside a script element."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"))
     safe = text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
     return Markup(safe)
@@ -95,7 +95,7 @@ def embedded(value: Any) -> Markup:
 
 @cache
 def _parts() -> dict[str, Markup]:
-    """What every page carries along."""
+    """Common parts of every page."""
     bundle = (HERE / "vendor" / "plotly-basic.min.js.gz").read_bytes()
     licence = (HERE / "vendor" / "plotly-LICENSE.txt").read_text("utf-8")
     return {
@@ -126,9 +126,9 @@ def render(
 
     Args:
         template: File of `templates` that extends `page.html.j2`.
-        filters: Jinja filters that it uses besides `FILTERS`.
-        folder: Where the template lies, if not here.
-        content: What it shows; text is escaped, half characters are written out.
+        filters: Jinja filters in addition to `FILTERS`.
+        folder: Folder of the template, if not this one.
+        content: Values for the template; text is escaped, half characters are written out.
     """
     own = jinja2.PackageLoader("uavtwin.report", "templates")
     elsewhere = [] if folder is None else [jinja2.FileSystemLoader(folder)]
@@ -146,7 +146,7 @@ def render(
 
 
 def _packed(page: str) -> str:
-    """The page with all figures packed into one script: what they share is there once."""
+    """The page with all figures packed into one script, in which common parts occur once."""
     found: dict[str, str] = {}
 
     def taken(figure: re.Match[str]) -> str:
@@ -167,7 +167,7 @@ _FIGURE = re.compile(
 
 
 def _indexed(page: str) -> str:
-    """The page with links to its headings on top, where there are some."""
+    """The page with links to its headings at the top, if there are several."""
     heads = re.findall(r'<h2 id="([^"]+)">(.*?)</h2>', page)
     if len(heads) < 2:
         return page

@@ -1,4 +1,4 @@
-"""The page that `uavtwin simulate` leaves: the flight, then every output over time."""
+"""Page of `uavtwin simulate`: the flight, then every output over time."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ from .page import BLACK, BLUE, Figure, Plot, plot, render
 
 Array = NDArray[np.float64]
 _ROW_PX = 150
-"""Height of a panel."""
+"""Height of a panel, px."""
 _COLOURS = (BLUE, "#d9622b", "#2f8f5b", "#8a4fbf", "#b58900", "#c23b66", "#3aa0a8", "#6b7280")
 SETPOINT, FLOWN = "setpoint", "flown"
 """Names of the curves."""
@@ -26,17 +26,17 @@ _FOLLOWED = (
     ("airframe.pos", "mission.setpoint_pos", "position", ("north", "east", "down")),
     ("airframe.vel", "mission.setpoint_vel", "velocity", ("north", "east", "down")),
 )
-"""What is flown, what is wanted of it, both in words, and its axes."""
+"""Column stem of the flown quantity, that of its setpoint, its name, and its axes."""
 PHASE = "mission.phase"
-"""Output that holds the phase of the mission."""
+"""Output with the phase of the mission."""
 
 
 def page_text(run: Run, facts: Mapping[str, Any] | None = None) -> str:
     """The page of a run.
 
     Args:
-        run: To show.
-        facts: What it was run with, name and value; None: those of the run.
+        run: Run to show.
+        facts: Settings of the run, name and value; None: those of the run.
     """
     facts = run.facts if facts is None else facts
     return fitted(lambda budget: _page(run, _Shown(run.recording, run.units, budget), facts))
@@ -82,14 +82,14 @@ class _Shown:
 
     @property
     def note(self) -> str:
-        """What the figures leave out, "" if nothing."""
+        """Note on data omitted from the figures, "" if none."""
         columns = self._budget.columns
         if 2 * columns >= len(self._t):
             return ""
         return f"Drawn: the least and the largest value in each of {columns} spans of time."
 
     def _phases(self) -> Spans:
-        """Phases of the mission, where it has some."""
+        """Phases of the mission, if it has some."""
         if PHASE not in self._there or len(self._t) < 2:
             return ()
         names = {code: name for name, code in PHASES.items()}
@@ -107,7 +107,7 @@ class _Shown:
         return np.column_stack([self[n] for n in names])
 
     def track(self) -> list[Plot]:
-        """The flight from above, from the side and in space; none where nothing flies."""
+        """The flight from above, from the side and in space; none without a flight."""
         flown = self._vector("airframe.pos")
         if flown is None or len(self._t) < 2:
             return []
@@ -119,7 +119,7 @@ class _Shown:
         return track_plots("flight", tracks, self._budget, None if q is None else (self._t, q))
 
     def followed(self) -> list[Plot]:
-        """Setpoint against flight."""
+        """Setpoint and flight over time."""
         plots = []
         for stem, wanted, words, axes in _FOLLOWED:
             flown, setpoint = self._vector(stem), self._vector(wanted)

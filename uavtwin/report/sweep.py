@@ -1,4 +1,4 @@
-"""The page that `uavtwin sweep` leaves: how runs ended, what matters for it, the worst of them."""
+"""Page of `uavtwin sweep`: results of the runs, important factors, the worst runs."""
 
 from typing import Any
 
@@ -14,12 +14,12 @@ from .page import BLUE, GREY, ORANGE, Plot, plot, render
 
 Array = NDArray[np.float64]
 MOST_POINTS = 3000
-"""Of a panel; more of them are one blot."""
+"""Largest number of points in a panel; more would overlap."""
 MOST_FACTORS = 12
-"""That are drawn."""
+"""Largest number of factors that are drawn."""
 COLOURS = {"flown": BLUE, "run": BLUE, "lost": ORANGE, "failed": "#c23b66"}
 _PX = 210
-"""Height of a panel."""
+"""Height of a panel, px."""
 
 
 def page_text(result: SweepResult) -> str:
@@ -58,7 +58,7 @@ def page_text(result: SweepResult) -> str:
 
 
 def _thinned(table: pd.DataFrame) -> pd.DataFrame:
-    """Every so many rows, those that did not end well first."""
+    """A selection of rows, with all that did not end well first."""
     if len(table) <= MOST_POINTS:
         return table
     bad = table[table["outcome"].isin(["lost", "failed"])].head(MOST_POINTS // 2)
@@ -68,7 +68,7 @@ def _thinned(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _distribution(table: pd.DataFrame, figure: str, unit: str) -> Plot:
-    """Share of the runs up to a value."""
+    """Cumulative distribution of a figure over the runs."""
     values = np.sort(table[figure].dropna().to_numpy(dtype=np.float64))
     share = np.arange(1, len(values) + 1) / len(values)
     keep = np.unique(np.linspace(0, len(values) - 1, min(len(values), 800)).astype(int))
@@ -80,7 +80,7 @@ def _distribution(table: pd.DataFrame, figure: str, unit: str) -> Plot:
 
 
 def _against(table: pd.DataFrame, factors: list[str], figure: str, unit: str) -> Plot:
-    """A figure against each factor, a point per run."""
+    """A figure over each factor, a point per run."""
     panels = Panels((_PX,) * len(factors))
     panels.layout["height"] += 44 * (len(factors) - 1)
     seen: set[str] = set()
@@ -106,7 +106,7 @@ def _against(table: pd.DataFrame, factors: list[str], figure: str, unit: str) ->
 
 
 def _along(values: pd.Series) -> tuple[Array, dict[str, Any]]:
-    """Places along an axis, and the axis; words stand side by side, in order."""
+    """Positions along an axis, and the axis; words are placed side by side, in order."""
     if pd.api.types.is_numeric_dtype(values) and values.dtype != bool:
         return values.to_numpy(dtype=np.float64), {}
     texts = values.astype(str).to_numpy()
@@ -116,7 +116,7 @@ def _along(values: pd.Series) -> tuple[Array, dict[str, Any]]:
 
 
 def _make_room(panels: Panels, i: int, count: int) -> None:
-    """Room for the title of each panel's horizontal axis."""
+    """Make room for the title of each panel's horizontal axis."""
     number = "" if i == 0 else str(i + 1)
     gap = 0.0 if count == 1 else min(0.22 / count, 0.5 / count)
     top = 1 - i / count

@@ -1,4 +1,4 @@
-"""The page of `uavtwin why`: the answer, the event line, a card per event, what to do next."""
+"""Page of `uavtwin why`: the result, the event line, a card per event, the next steps."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -26,21 +26,22 @@ from .page import BLACK, BLUE, GREY, ORANGE, Plot, plot, render
 
 Array = NDArray[np.float64]
 LANE_PX, ROW_PX = 150, 96
-"""Height of the event line, and of a panel below it."""
+"""Height of the event line, and of a panel below it, px."""
 MOST_CARDS = 12
-"""Of events that have a card; consequences come after causes."""
+"""Largest number of events with a card; consequences come after causes."""
 LONGEST_TITLE = 20
-"""Characters of a title next to a panel."""
+"""Largest number of characters of a title next to a panel."""
 MOST_SIGNALS = 3
-"""Of a card: what convinces is seen at a glance."""
+"""Largest number of signals on a card."""
 BEFORE_S, AFTER_S = 6.0, 4.0
-"""Drawn about an event, of signals that its finder gives nothing of."""
+"""Times before and after an event for signals that its finder does not provide."""
 APART = 0.06
-"""Share of the flight that lies between two marks through all panels; diamonds show every event."""
+"""Least distance of two marks through all panels, as a share of the flight; diamonds show every
+event."""
 QUOTED_S = 2.0
-"""Before and after an onset, within which the autopilot is quoted on its card."""
+"""Time before and after an onset within which the autopilot is quoted on its card."""
 LANES = ("autopilot", "motors", "ground", "consequence", "cause")
-"""Rows of the event line, from below."""
+"""Rows of the event line, from the bottom."""
 _LANE_OF = {
     **dict.fromkeys(("mode", "failsafe", "message", "note"), "autopilot"),
     "actuator_limit": "motors",
@@ -55,12 +56,12 @@ _LANE_COLOURS = {
     "cause": "#c23b66",
 }
 ROTOR_COLOURS = (BLUE, ORANGE, "#2f8f5b", "#8a4fbf", "#b58900", "#c23b66", "#3aa0a8", BLACK)
-"""Of commands; those of a ninth rotor and more begin anew."""
+"""Colours of commands; those of further rotors repeat."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Card:
-    """What the template needs of an event."""
+    """Content of an event for the template."""
 
     title: str
     when: str
@@ -98,7 +99,7 @@ def _page(record: WhyRecord, frame: FlightFrame | None, budget: Budget) -> str:
 
 
 def _line(record: WhyRecord, frame: FlightFrame | None, budget: Budget) -> Plot | None:
-    """Events and what happened besides over the whole flight, with height, turning and commands."""
+    """Events and other items over the whole flight, with height, rotation and commands."""
     marks = [*_marks(record)]
     rows = [] if frame is None else [*_overview(frame)]
     if not marks and not rows:
@@ -144,7 +145,7 @@ def _lane(
 
 
 def _marks(record: WhyRecord) -> Iterator[tuple[str, float, str]]:
-    """Lane, time and words of everything that has an instant."""
+    """Lane, time and words of everything with an instant."""
     for event in record.events:
         if event.onset_s is not None:
             lane = "consequence" if event.consequence else "cause"
@@ -165,7 +166,7 @@ Curve = tuple[str, str, Array, Array]
 
 
 def _overview(frame: FlightFrame) -> Iterator[tuple[str, list[Curve]]]:
-    """Height, turning and commands of the whole flight, as far as they are logged."""
+    """Height, rotation and commands of the whole flight, as far as they are logged."""
     t = frame.t_s
     if "pos" in frame.grid:
         yield "height, m", [("height", BLACK, t, -frame.grid["pos"][:, 2])]
@@ -182,7 +183,7 @@ def _drive(name: str) -> str:
 
 
 def _rotors(frame: FlightFrame, start_s: float, end_s: float) -> list[Curve]:
-    """Commands as logged."""
+    """Logged commands."""
     assert frame.drive is not None
     signal = frame.signals[frame.drive]
     near = (signal.t_s >= start_s) & (signal.t_s <= end_s)
@@ -214,7 +215,7 @@ def _card(
 
 
 def _figure(k: int, event: Event, frame: FlightFrame | None, budget: Budget) -> Plot | None:
-    """The three signals that convince: those of the finder, then commands and motion."""
+    """Three signals with the evidence: those of the finder, then commands and motion."""
     over_time = event.onset_s is not None
     rows: list[tuple[str, list[Curve]]] = [_given(s) for s in event.evidence[:MOST_SIGNALS]]
     if over_time and frame is not None and event.onset_s is not None:
@@ -247,7 +248,7 @@ def _given(series: EvidenceSeries) -> tuple[str, list[Curve]]:
 
 
 def _titles(name: str, unit: str) -> Iterator[str]:
-    """A title, and shorter ones that still differ from panel to panel."""
+    """A title, and shorter ones that are still distinct between panels."""
     short = name
     yield f"{name}, {unit}"
     for word, abbreviated in (("angular acceleration", "ang. acc."), ("specific force", "force")):
@@ -275,7 +276,7 @@ def _around(frame: FlightFrame, start: float, end: float) -> Iterator[tuple[str,
 
 
 def _rule(frame: FlightFrame | None) -> str:
-    """The rule of one line, and what it says of the flight."""
+    """The simple rule, and its result for the flight."""
     read = None if frame is None else parted_outputs(frame)
     if read is None or read.t_s is None:
         return ""
@@ -286,7 +287,7 @@ def _rule(frame: FlightFrame | None) -> str:
 
 
 def _next_steps(record: WhyRecord, frame: FlightFrame | None) -> Iterator[str]:
-    """What to do after reading the page."""
+    """Steps to take after reading the page."""
     if any(e.consequence is False and e.probability >= 0.5 for e in record.events):
         yield "Do not fly again before the checks below are done."
     if record.one_of_causes:

@@ -1,8 +1,8 @@
-"""Series of a result: columns over time of one flight, what they are called and what they mean.
+"""Series of a result: columns over time of one flight, with their names and meanings.
 
-A column is SIDE.CHANNEL: `measured.acc_x`, `twin.acc_x`, `residual.acc_x`. Columns may be sampled
-at times of their own; the table has a row for every time of any of them, NaN where a column has no
-sample there. Times are the same if they are the same in nanoseconds.
+A column is SIDE.CHANNEL: `measured.acc_x`, `twin.acc_x`, `residual.acc_x`. Columns may have
+different sample times; the table has a row for every time of any of them, NaN where a column has no
+sample there. Times are equal if they are equal in nanoseconds.
 """
 
 import json
@@ -36,8 +36,8 @@ from .mcap import (
 
 Array = NDArray[np.float64]
 BLOCK_ROWS = 1 << 16
-"""Rows that are put together at a time."""
-# Sides: who says a quantity.
+"""Rows that are assembled at a time."""
+# Sides: sources of a quantity.
 MEASURED, TWIN, EXPLAINED, CORRECTED = "measured", "twin", "explained", "corrected"
 SPREAD, MODEL = "spread", "model"  # sides of a live flight and of a draw
 SIDES: Mapping[str, tuple[str, str]] = {
@@ -53,7 +53,7 @@ SIDES: Mapping[str, tuple[str, str]] = {
     SPREAD: ("evaluate", "standard deviation that the compensator expects of `residual_corrected`"),
     MODEL: ("evaluate", "`anomaly`: above 1 rarely; `inside` the envelope of the training: 0 or 1"),
 }
-"""What stands before the point in the name of a column: verbs that write it, and its meaning."""
+"""Part of a column's name before the point: verbs that write it, and its meaning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,11 +61,11 @@ class Column:
     """One quantity over time.
 
     Attributes:
-        name: SIDE.CHANNEL.
-        unit: SI unit, as printed; "1" or "" where there is none.
-        t_s: From the start of the record, s, increasing, shape (n,).
-        values: In the unit, shape (n,).
-        about: What a reader has to know besides.
+        name: Name SIDE.CHANNEL.
+        unit: SI unit, as printed; "1" or "" without one.
+        t_s: Times from the start of the record, s, increasing, shape (n,).
+        values: Values in the unit, shape (n,).
+        about: Additional description.
     """
 
     name: str
@@ -82,10 +82,10 @@ class Series:
     """Columns over time of one flight.
 
     Attributes:
-        name: Of the flight.
-        columns: Each name once; those sampled together share the array of their times.
-        facts: What they were made of, as text.
-        origin: From where positions are counted; None: not known.
+        name: Name of the flight.
+        columns: Columns with distinct names; those sampled together share their array of times.
+        facts: Settings and inputs of the result, as text.
+        origin: Origin of positions; None: not known.
     """
 
     name: str
@@ -97,14 +97,14 @@ class Series:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the columns."""
+        """Names of the columns."""
         return tuple(c.name for c in self.columns)
 
     def blocks(self, rows: int = BLOCK_ROWS) -> Iterator[tuple[NDArray[np.int64], list[Array]]]:
-        """The table, some rows at a time, so that a long flight is never there as a whole.
+        """The table in blocks of rows, so that a long flight is never in memory as a whole.
 
         Args:
-            rows: At most so many.
+            rows: Largest number of rows in a block.
 
         Yields:
             Times in ns, increasing, shape (n,), and the values of each column there, (n,) each.
@@ -127,7 +127,7 @@ class Series:
 
 
 def residual_of(side: str) -> str:
-    """What the residual of a side is called."""
+    """Name of a side's residual."""
     return "residual" if side == TWIN else f"residual_{side}"
 
 
@@ -139,15 +139,15 @@ def compared(
     sides: Mapping[str, Array],
     about: str = "",
 ) -> Iterator[Column]:
-    """Columns of one channel: measured, what each side says of it, and the residuals.
+    """Columns of one channel: measured, predicted by each side, and the residuals.
 
     Args:
-        channel: Its name.
-        unit: Of all of them.
-        t_s: Shape (n,).
-        measured: Shape (n,).
-        sides: By name, shape (n,) each.
-        about: As of `Column`.
+        channel: Name of the channel.
+        unit: Unit of all of them.
+        t_s: Times, shape (n,).
+        measured: Measured values, shape (n,).
+        sides: Predicted values by side, shape (n,) each.
+        about: Description, as in `Column`.
     """
     yield Column(f"{MEASURED}.{channel}", unit, t_s, measured, about)
     for side, values in sides.items():
@@ -160,19 +160,19 @@ def compared(
 #
 # Series as MCAP: a topic per side, a field per channel.
 
-_BLOCK_ROWS = 1 << 12  # rows that are in memory at once
+_BLOCK_ROWS = 1 << 12  # rows in memory at once
 PLACED = (MEASURED, TWIN, EXPLAINED, CORRECTED)
-"""Sides that are somewhere; the others are differences and spreads."""
+"""Sides with a position in space; the others are differences and spreads."""
 
 
 def write_series_mcap(series: Series, path: Path, pose: Sequence[str] = ()) -> None:
-    """Write series; what stands before the last point of a column's name is its topic.
+    """Write series as MCAP; the topic is the part of a column's name before its last point.
 
     Args:
-        series: To write.
-        path: An existing one is replaced.
-        pose: Columns of a position, NED, and of an attitude, body to NED, w first, to be shown as a
-            body in space; none: no pose.
+        series: Series to write.
+        path: Path of the file; an existing one is replaced.
+        pose: Columns of a position, NED, and of an attitude, body to NED, w first, that are shown
+            as a body in space; none: no pose.
 
     Raises:
         TwinError: The package `mcap` is not installed, or a time is negative.
@@ -205,7 +205,7 @@ def write_series_mcap(series: Series, path: Path, pose: Sequence[str] = ()) -> N
 
 
 def _positions(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Columns of a position by topic, of every side that has one and is no difference."""
+    """Columns of a position by topic, for every side that has one and is no difference."""
     sides = dict.fromkeys(name.rpartition(".")[0] for name in names)
     found = {side: tuple(f"{side}.{c}" for c in POS) for side in sides if side in PLACED}
     return {f"/{s}{LOCATION}": columns for s, columns in found.items() if {*columns} <= {*names}}
@@ -217,17 +217,17 @@ def _positions(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 Form = Literal["parquet", "csv", "mcap"]
 FOLDER = "series"
-"""Of the files, in the folder of a result."""
+"""Folder of the series, in the folder of a result."""
 METADATA = b"uavtwin"
-"""Key of what Parquet keeps of a series: its name and facts, as JSON."""
+"""Key of the Parquet metadata with name and facts of a series, as JSON."""
 _LONGEST_NAME = 100  # characters of a file name
 
 
 def chosen_forms(csv: bool, mcap: bool) -> tuple[Form, ...]:
-    """Requested forms; Parquet by default.
+    """Requested formats; Parquet by default.
 
     Raises:
-        TwinError: MCAP was, and cannot be written here.
+        TwinError: MCAP is requested and cannot be written here.
     """
     if mcap:
         check_mcap()
@@ -236,12 +236,12 @@ def chosen_forms(csv: bool, mcap: bool) -> tuple[Form, ...]:
 
 
 def write_all_series(every: Iterable[Series], folder: Path, forms: Sequence[Form]) -> list[str]:
-    """Write a file per series and form, named for the flight; where there is none, nothing.
+    """Write a file per series and format, named after the flight; no series, no file.
 
     Args:
-        every: One of each flight.
-        folder: Of the results.
-        forms: Of `chosen_forms`.
+        every: One series per flight.
+        folder: Folder of the results.
+        forms: Formats from `chosen_forms`.
 
     Returns:
         Names of the files relative to the folder.
@@ -258,14 +258,14 @@ def write_all_series(every: Iterable[Series], folder: Path, forms: Sequence[Form
 
 
 def write_series(series: Series, path: Path) -> None:
-    """Write one series; its form is the ending of the name.
+    """Write one series in the format of the file extension.
 
     Args:
-        series: To write; rows in blocks, so that a long one needs no more memory.
-        path: Ends in `.parquet`, `.csv` or `.mcap`; an existing one is replaced.
+        series: Series to write, in blocks of rows, so that memory does not grow with its length.
+        path: Path with extension `.parquet`, `.csv` or `.mcap`; an existing file is replaced.
 
     Raises:
-        TwinError: MCAP cannot be written here, or not of negative times.
+        TwinError: MCAP cannot be written here, or not with negative times.
     """
     {".parquet": _write_parquet, ".csv": _write_csv, ".mcap": write_series_mcap}[path.suffix](
         series, path
@@ -273,12 +273,12 @@ def write_series(series: Series, path: Path) -> None:
 
 
 def write_frame(table: pd.DataFrame, units: Mapping[str, str], path: Path) -> None:
-    """Write a table as Parquet, with its `attrs`, with the unit of a column in its metadata.
+    """Write a table as Parquet, with its `attrs`, and units in the metadata of its columns.
 
     Args:
-        table: Its index is left out.
-        units: By column, "" where there is none.
-        path: An existing one is replaced.
+        table: Table; its index is not written.
+        units: Units by column, "" without one.
+        path: Path of the file; an existing one is replaced.
     """
     arrow = pa.Table.from_pandas(table, preserve_index=False, nthreads=1)
     unit = {"time": "s"} | {k: v for k, v in units.items() if v}
@@ -303,7 +303,7 @@ def _write_parquet(series: Series, path: Path) -> None:
 
 
 def _write_csv(series: Series, path: Path) -> None:
-    """Every bit (shortest repr), an empty field where there is no sample."""
+    """Write CSV with full precision (shortest repr), an empty field where there is no sample."""
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(",".join(["time", *series.names]) + "\n")
         for t_ns, values in series.blocks():
@@ -312,7 +312,7 @@ def _write_csv(series: Series, path: Path) -> None:
 
 
 def _file_stem(name: str, taken: set[str]) -> str:
-    """The name of a flight as one of a file, none of those taken."""
+    """A file name for a flight that is different from those taken."""
     plain = re.sub(r"[^\w.-]", "_", name, flags=re.ASCII).lstrip(".")[:_LONGEST_NAME] or "flight"
     found, k = plain, 1
     while found in taken:

@@ -1,7 +1,7 @@
-"""Layouts of PlotJuggler and Foxglove for a flight in MCAP: what most readers drag together first.
+"""Layouts of PlotJuggler and Foxglove for a flight in MCAP, with the most common plots.
 
-PlotJuggler: *Layout, Load*, with the file already open; it names a series /TOPIC/FIELD. Foxglove:
-*Layouts, Import from file*; it names it /TOPIC.FIELD.
+PlotJuggler: *Layout, Load*, with the file already open; its series are named /TOPIC/FIELD.
+Foxglove: *Layouts, Import from file*; its series are named /TOPIC.FIELD.
 
 Source: PlotJuggler 3, `PlotDocker::xmlLoadState` and `PlotWidget::xmlLoadState`; settings of panels
 of Foxglove as of the module `layouts` of foxglove-sdk 0.30, in the tree by `configById` that the
@@ -23,9 +23,9 @@ from ..output import output_file
 from .mcap import LOCATION, plot_topics
 
 ENDINGS = (".foxglove.json", ".plotjuggler.xml")
-"""Of the layouts next to an MCAP."""
+"""Extensions of the layouts next to an MCAP file."""
 _COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#ff7f0e", "#9467bd", "#8c564b", "#17becf", "#7f7f7f")
-"""Of the curves of a plot, one after the other."""
+"""Colours of the curves of a plot, in order."""
 _PLOTS: Mapping[str, tuple[str, ...]] = {
     "specific force, m/s^2": ACC,
     "body rates, rad/s": GYRO,
@@ -37,7 +37,7 @@ _PLOTS: Mapping[str, tuple[str, ...]] = {
 }
 """Columns by title of a plot; a stem stands for one column per motor."""
 _DISTANCE_M = 12.0
-"""Of the camera from the aircraft, m."""
+"""Distance of the camera from the aircraft, m."""
 
 Curves = Sequence[tuple[str, str]]
 """Topic and field of each curve."""
@@ -62,7 +62,7 @@ def write_layouts(flight: Flight, mcap: Path) -> list[Path]:
 
 
 def plots_of(flight: Flight) -> dict[str, Curves]:
-    """Curves by title, of what a flight has."""
+    """Curves by title, for the columns of a flight."""
     topics = plot_topics([c for c in flight.columns if flight.has(c)])
     where = {column: topic for topic, fields in topics.items() for column in fields}
     found: dict[str, Curves] = {}
@@ -78,7 +78,7 @@ def plots_of(flight: Flight) -> dict[str, Curves]:
 
 
 def plotjuggler(plots: Mapping[str, Curves]) -> str:
-    """A layout of PlotJuggler: one plot below the other."""
+    """A layout of PlotJuggler: plots below each other."""
     root = etree.Element("root")
     window = etree.SubElement(root, "tabbed_widget", name="Main Window", parent="main_window")
     tab = etree.SubElement(window, "Tab", containers="1", tab_name="flight")
@@ -106,7 +106,7 @@ def foxglove(plots: Mapping[str, Curves], in_space: bool, on_map: bool) -> str:
     Args:
         plots: Curves by title.
         in_space: Whether the file has a pose.
-        on_map: Whether it has a location.
+        on_map: Whether the file has a location.
     """
     panels = dict(_panels(plots, in_space, on_map))
     seen = [name for name in panels if not name.startswith("Plot!")]

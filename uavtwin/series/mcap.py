@@ -1,7 +1,7 @@
-"""MCAP files of JSON messages, as Foxglove and PlotJuggler read them.
+"""MCAP files of JSON messages for Foxglove and PlotJuggler.
 
-Needs the package `mcap`, imported where a file is written. Format: https://mcap.dev/spec. The same
-messages give the same bytes with the same versions of `mcap` and `zstandard`.
+Needs the package `mcap`, imported where a file is written. Format: https://mcap.dev/spec. Equal
+messages give equal bytes with the same versions of `mcap` and `zstandard`.
 """
 
 import json
@@ -30,12 +30,12 @@ NS = 1_000_000_000  # in a second
 
 
 def nanoseconds(t_s: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Times in whole nanoseconds."""
+    """Times in integer nanoseconds."""
     return np.rint(np.asarray(t_s, dtype=np.float64) * NS).astype(np.int64)
 
 
 def check_mcap() -> None:
-    """Refuse to write MCAP where it cannot be, before anything long is done.
+    """Refuse to write MCAP where it is not possible, before long computations.
 
     Raises:
         TwinError: The package is not installed; the text says how to install it.
@@ -44,10 +44,10 @@ def check_mcap() -> None:
 
 
 def _writer() -> "type[Writer]":
-    """The class that writes.
+    """The writer class of the package.
 
     Raises:
-        TwinError: It is not installed.
+        TwinError: The package is not installed.
     """
     try:
         from mcap.writer import Writer
@@ -60,10 +60,10 @@ def _writer() -> "type[Writer]":
 
 
 class McapFile:
-    """Topics and messages of one file, written as they come."""
+    """Topics and messages of one file, written as they arrive."""
 
     def __init__(self, file: IO[bytes]) -> None:
-        """Begin a file; `mcap_file` ends it."""
+        """Start a file; `mcap_file` ends it."""
         self._file = _writer()(file)
         self._schemas: dict[str, int] = {}
         self._topics: dict[str, int] = {}
@@ -74,8 +74,8 @@ class McapFile:
         """Declare a topic.
 
         Args:
-            name: Begins with "/".
-            schema: JSON schema of its messages; its `title` is the name by which tools know it.
+            name: Name, beginning with "/".
+            schema: JSON schema of its messages; its `title` is the name in other tools.
         """
         title = schema["title"]
         if title not in self._schemas:
@@ -88,9 +88,9 @@ class McapFile:
         """Write a message.
 
         Args:
-            topic: Declared before.
-            t_ns: Time of the log and of publishing, from the start of the record.
-            message: Fits the schema; every number finite.
+            topic: Name of a declared topic.
+            t_ns: Time of logging and of publishing, from the start of the record.
+            message: Message of the schema; every number must be finite.
         """
         data = _json(message)
         count = self._counts[topic]
@@ -113,10 +113,10 @@ def _json(content: Mapping[str, Any]) -> bytes:
 
 @contextmanager
 def mcap_file(path: Path) -> Iterator[McapFile]:
-    """A file that is whole at the end.
+    """A file that is complete at the end of the context.
 
     Args:
-        path: An existing one is replaced.
+        path: Path of the file; an existing one is replaced.
 
     Raises:
         TwinError: The package `mcap` is not installed.
@@ -129,12 +129,12 @@ def mcap_file(path: Path) -> Iterator[McapFile]:
 
 
 def timestamp(t_ns: int) -> dict[str, int]:
-    """A time as a message has it."""
+    """A time in the form of a message."""
     return {"sec": t_ns // NS, "nsec": t_ns % NS}
 
 
 def check_times(name: str, first_ns: int) -> None:
-    """Refuse times that MCAP has no room for.
+    """Refuse times that MCAP cannot represent.
 
     Raises:
         TwinError: One is negative.
@@ -147,25 +147,25 @@ def check_times(name: str, first_ns: int) -> None:
 
 
 def plot_schema(title: str, units: Mapping[str, str]) -> Schema:
-    """Schema of messages of plain numbers, each left out where it has no sample.
+    """Schema of messages of plain numbers, each omitted where it has no sample.
 
     Args:
-        title: Of the schema.
-        units: By field.
+        title: Title of the schema.
+        units: Units by field.
     """
     fields = {name: {"type": "number", "description": unit} for name, unit in units.items()}
     return {"title": title, "type": "object", "properties": fields, "additionalProperties": False}
 
 
 class PlotTopics:
-    """Topics of plain numbers: columns that go together in one message where they are sampled."""
+    """Topics of plain numbers: columns that are combined in one message where they are sampled."""
 
     def __init__(self, file: McapFile, topics: Mapping[str, Mapping[str, tuple[str, str]]]) -> None:
-        """Declare them.
+        """Declare the topics.
 
         Args:
-            file: To write into.
-            topics: Fields by topic: by column, the name of its field and its unit.
+            file: File to write.
+            topics: Fields by topic: name and unit of the field, by column.
         """
         self._file, self._topics = file, topics
         for topic, fields in topics.items():
@@ -178,10 +178,10 @@ class PlotTopics:
         """Messages of some rows.
 
         Args:
-            columns: Values by column, all of one length.
+            columns: Values by column, all of equal length.
 
         Yields:
-            Of each row, topics and messages; none where nothing is sampled.
+            Topics and messages of each row; none without samples.
         """
         parts = []
         for topic, fields in self._topics.items():
@@ -202,17 +202,17 @@ class PlotTopics:
 
 # -- Foxglove -----------------------------------------------------------------------------------
 #
-# What Foxglove knows by name: schemas, frames, poses, log messages.
+# Names defined by Foxglove: schemas, frames, poses, log messages.
 #
-# Frames, right-handed all: `ned` of navigation and `frd` of the body are those of the flight table.
-# Foxglove takes any, and draws z upwards; `/tf_static` therefore hangs `ned` into `map`, x east, y
-# north, z up, and gives the body a `base_link`, x forward, y left, z up, as ROS has them (REP 103).
-# In the 3D panel, `map` is the frame to display.
+# Frames, all right-handed: `ned` of navigation and `frd` of the body are those of the flight table.
+# Foxglove accepts any, and draws z upwards; `/tf_static` therefore places `ned` in `map`, x east, y
+# north, z up, and gives the body a `base_link`, x forward, y left, z up, as in ROS (REP 103). In
+# the 3D panel, `map` is the frame to display.
 
 TF, TF_STATIC, POSE, LOG = "/tf", "/tf_static", "/pose", "/log"  # topics
 LOCATION = "/location"  # topic
 LONGEST_STEP_S = 1.0
-"""Between two positions; the pose between those farther apart is not interpolated."""
+"""Longest time between two positions over which the pose is interpolated."""
 MEANINGS: Mapping[str, str] = {
     TF: "`ned` to `frd`, where the attitude has a sample and the position samples around it that "
     f"are at most {LONGEST_STEP_S:g} s apart; the position is on a straight line between them",
@@ -222,20 +222,20 @@ MEANINGS: Mapping[str, str] = {
     "flights whose log has the origin of its positions",
     LOG: "phases where they begin; what the reader counted or doubts, at the first instant",
 }
-"""Of the topics that are no plain numbers."""
+"""Description of the topics that are no plain numbers."""
 Array = NDArray[np.float64]
 MAP, NED, FRD, BASE_LINK = "map", "ned", "frd", "base_link"  # frames
 _HALF = float(np.sqrt(0.5))  # sine of 45 degrees
 _STATIC = (
-    (MAP, NED, {"x": _HALF, "y": _HALF, "z": 0.0, "w": 0.0}),  # x <-> y, z turned over
+    (MAP, NED, {"x": _HALF, "y": _HALF, "z": 0.0, "w": 0.0}),  # x <-> y, z reversed
     (FRD, BASE_LINK, {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}),  # half a turn about x
-)  # frames that do not move in their parents
-_ORIGIN = {"x": 0.0, "y": 0.0, "z": 0.0}  # of a frame
+)  # frames that are fixed in their parents
+_ORIGIN = {"x": 0.0, "y": 0.0, "z": 0.0}  # origin of a frame
 _LEVELS = {"info": 2, "warning": 3, "error": 4}  # foxglove.Log
 
 
 def _object(title: str, **fields: Schema) -> Schema:
-    """Schema of an object that has all of these fields."""
+    """Schema of an object with all of these fields."""
     return {"title": title, "type": "object", "properties": fields, "required": list(fields)}
 
 
@@ -283,12 +283,12 @@ FOXGLOVE: Mapping[str, Schema] = {
         line={"type": "integer", "minimum": 0},
     ),
 }
-"""Schemas by topic, with the names and fields by which Foxglove knows them:
+"""Schemas by topic, with the names and fields that Foxglove recognises:
 https://docs.foxglove.dev/docs/sdk/schemas."""
 
 
 class PoseTopics:
-    """The pose of a body as a frame and as a pose, and the frames that hold still."""
+    """The pose of a body as a frame and as a pose, and the fixed frames."""
 
     def __init__(self, file: McapFile) -> None:
         """Declare the topics."""
@@ -297,8 +297,8 @@ class PoseTopics:
             file.topic(topic, FOXGLOVE[topic])
 
     def begin(self, t_ns: int) -> None:
-        """Write the frames that hold still, in one message: a tool that jumps in time keeps the
-        last one of a topic."""
+        """Write the fixed frames, in one message: after a jump in time a tool uses the last message
+        of a topic."""
         still = [_frame(t_ns, a, b, _ORIGIN, q) for a, b, q in _STATIC]
         self._file.write(TF_STATIC, t_ns, {"transforms": still})
 
@@ -307,8 +307,8 @@ class PoseTopics:
 
         Args:
             t_ns: Time.
-            pos: NED, m.
-            q: Body to NED, `[w, x, y, z]`.
+            pos: Position, NED, m.
+            q: Attitude, body to NED, `[w, x, y, z]`.
         """
         place, turn = dict(zip("xyz", pos, strict=True)), dict(zip("wxyz", q, strict=True))
         pose = {"position": place, "orientation": turn}
@@ -318,7 +318,7 @@ class PoseTopics:
 
 
 class LocationTopics:
-    """Positions on the Earth, a topic for each side that has some; Foxglove's map shows them."""
+    """Positions on the Earth, a topic for each side with a position; shown on Foxglove's map."""
 
     def __init__(
         self, file: McapFile, origin: Place | None, topics: Mapping[str, Sequence[str]]
@@ -326,8 +326,8 @@ class LocationTopics:
         """Declare the topics.
 
         Args:
-            file: To write into.
-            origin: From where positions are counted; None: there are no topics.
+            file: File to write.
+            origin: Origin of positions; None: there are no topics.
             topics: Columns north, east and down, m, by topic.
         """
         self._file, self._origin = file, origin
@@ -336,7 +336,7 @@ class LocationTopics:
             file.topic(topic, FOXGLOVE[LOCATION])
 
     def rows(self, columns: Mapping[str, Array], count: int) -> list[list[tuple[str, Array]]]:
-        """Topics and places, degrees and m, by row; none where a position has no sample."""
+        """Topics and positions, degrees and m, by row; none where a position has no sample."""
         found: list[list[tuple[str, Array]]] = [[] for _ in range(count)]
         for topic, names in self._topics.items():
             assert self._origin is not None
@@ -350,7 +350,7 @@ class LocationTopics:
         return found
 
     def write(self, t_ns: int, places: Sequence[tuple[str, Array]]) -> None:
-        """Write what `rows` found at an instant."""
+        """Write the result of `rows` at one time."""
         for topic, place in places:
             where = dict(zip(("latitude", "longitude", "altitude"), place.tolist(), strict=True))
             unknown = {"position_covariance": [0.0] * 9, "position_covariance_type": 0}
@@ -376,9 +376,9 @@ def log_message(t_ns: int, severity: Severity, message: str, name: str) -> dict[
 
     Args:
         t_ns: Time.
-        severity: Of a finding.
+        severity: Severity of a finding.
         message: Text.
-        name: Of what it is about.
+        name: Subject of the message.
     """
     entry = {"level": _LEVELS[severity], "message": message, "name": name, "file": "", "line": 0}
     return {"timestamp": timestamp(t_ns), **entry}
@@ -386,9 +386,9 @@ def log_message(t_ns: int, severity: Severity, message: str, name: str) -> dict[
 
 # -- a flight -----------------------------------------------------------------------------------
 #
-# A flight as MCAP: pose with Foxglove's schemas, every column of the flight table to plot.
+# A flight as MCAP: pose with Foxglove's schemas, every column of the flight table for plots.
 #
-# Times are those of the table, from the start of the record: flights keep no clock of GNSS.
+# Times are those of the table, from the start of the record: flights have no GNSS time.
 
 TOPICS: Mapping[str, tuple[str, ...]] = {
     **{
@@ -402,18 +402,18 @@ TOPICS: Mapping[str, tuple[str, ...]] = {
     "/motors": ("cmd_{i}", "rotor_{i}"),
     "/battery": ("vbat_v", "ibat_a"),
 }
-"""Columns of the flight table by topic; fields of the messages are called as the columns."""
-_BLOCK_ROWS = 1 << 12  # rows that are in memory at once
+"""Columns of the flight table by topic; fields of the messages have the names of the columns."""
+_BLOCK_ROWS = 1 << 12  # rows in memory at once
 
 
 def write_flight_mcap(flight: Flight, path: Path) -> None:
-    """Write a flight; the same flight gives the same bytes.
+    """Write a flight; equal flights give equal bytes.
 
-    Facts of the log go into a record of metadata, phases and findings into `/log`.
+    Facts of the log are written to a metadata record, phases and findings to `/log`.
 
     Args:
-        flight: Its table.
-        path: An existing one is replaced.
+        flight: Flight with the table.
+        path: Path of the file; an existing one is replaced.
 
     Raises:
         TwinError: The package `mcap` is not installed, or a time is negative.
@@ -455,7 +455,7 @@ def write_flight_mcap(flight: Flight, path: Path) -> None:
 
 
 def plot_topics(columns: list[str]) -> dict[str, dict[str, tuple[str, str]]]:
-    """Topics of those columns that a flight has: by column, its field and its unit."""
+    """Topics of the columns of a flight: field and unit by column."""
     units = {c.name: c.unit for c in COLUMNS}
     found: dict[str, dict[str, tuple[str, str]]] = {}
     for topic, names in TOPICS.items():
@@ -470,8 +470,8 @@ def plot_topics(columns: list[str]) -> dict[str, dict[str, tuple[str, str]]]:
 def _poses(
     t_s: Array, block: Mapping[str, Array], pos_t_s: Array, positions: Array
 ) -> dict[int, tuple[list[float], list[float]]]:
-    """Position and attitude by row, where there is a sample of the attitude; the position there is
-    on a straight line between its samples."""
+    """Position and attitude by row, where the attitude has a sample; the position is interpolated
+    linearly between its samples."""
     q = np.column_stack([block[c] for c in QUAT])  # (n, 4)
     after = np.searchsorted(pos_t_s, t_s, side="left").clip(0, len(pos_t_s) - 1)
     before = np.where(pos_t_s[after] == t_s, after, np.maximum(after - 1, 0))
@@ -483,7 +483,7 @@ def _poses(
 
 
 def _write_findings(file: McapFile, t_ns: int, name: str, findings: tuple[Finding, ...]) -> None:
-    """What the reader counted or doubts, at the first instant."""
+    """Write the findings of the reader, at the first time."""
     for f in findings:
         count = f" ({f.count})" if f.count > 1 else ""
         text = f"{f.where}: {f.message}{count}"

@@ -1,1 +1,1 @@
-"""The site that `serve` and `live` are pages of: who may ask, with what limits, and its server."""
+"""Site with the pages of `serve` and `live`: access rules, limits, and its server."""

@@ -1,6 +1,6 @@
-"""Connections of a server of ours, with time limits.
+"""Connections of the server, with time limits.
 
-Without them, who opens connections and sends nothing, or takes nothing, keeps viewers out.
+Without limits, idle connections could block other viewers.
 """
 
 import asyncio
@@ -8,16 +8,16 @@ import asyncio
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 _MOST_IDLE = 64
-"""Connections that may be open without a request; of more, the oldest is closed."""
+"""Largest number of open connections without a request; the oldest of more is closed."""
 _REQUEST_S, _ANSWER_S = 5.0, 60.0
-"""For the head of a request to be complete, and without a byte of its content or of its answer, s.
-A large log over a slow network takes as long as it takes."""
+"""Time limit for the head of a request, and for a pause in its content or its answer, s. A large
+log over a slow network has no total limit."""
 _WATCH_S = 1.0
-"""Between two times that a connection is examined, s."""
+"""Interval of checks of a connection, s."""
 
 
 class LimitedConnection(H11Protocol):
-    """A connection until it is a WebSocket, closed where its viewer does not do its part."""
+    """A connection until it becomes a WebSocket, closed when its viewer is too slow."""
 
     _received = _resumed = _answered = 0
     _state: tuple[int, ...] | None = None
@@ -25,7 +25,7 @@ class LimitedConnection(H11Protocol):
     _timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """As asyncio has it."""
+        """Start of the connection, as in asyncio."""
         super().connection_made(transport)
         self._watch()
         idle = [
@@ -37,28 +37,28 @@ class LimitedConnection(H11Protocol):
             min(idle, key=lambda c: c._since).transport.abort()
 
     def data_received(self, data: bytes) -> None:
-        """As asyncio has it."""
+        """Received data, as in asyncio."""
         self._received += len(data)
         super().data_received(data)
 
     def resume_writing(self) -> None:
-        """As asyncio has it."""
+        """End of a full buffer, as in asyncio."""
         self._resumed += 1
         super().resume_writing()
 
     def on_response_complete(self) -> None:
-        """As uvicorn has it."""
+        """End of an answer, as in uvicorn."""
         self._answered += 1
         super().on_response_complete()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """As asyncio has it."""
+        """End of the connection, as in asyncio."""
         if self._timer is not None:
             self._timer.cancel()
         super().connection_lost(exc)
 
     def _watch(self) -> None:
-        """Close it if its viewer has done nothing for too long, else come back later."""
+        """Close the connection if its viewer was inactive for too long, else check again later."""
         if self not in self.connections:
             return  # it is a WebSocket now
         state, now = self._progress(), self.loop.time()
@@ -73,11 +73,11 @@ class LimitedConnection(H11Protocol):
         return self.cycle is not None and not self.cycle.response_complete
 
     def _is_idle(self) -> bool:
-        """Whether a request is due: all answers are taken."""
+        """Whether a request is expected: all answers are complete."""
         return not self._is_answering() and not self.transport.get_write_buffer_size()
 
     def _progress(self) -> tuple[int, ...] | None:
-        """What changes while the viewer does its part; None: the server is about to do its own."""
+        """State that changes with the viewer's activity; None: the server is active."""
         if self._is_idle():
             return (self._answered,)  # a few bytes of a head are no progress
         unsent = self.transport.get_write_buffer_size()

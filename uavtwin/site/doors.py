@@ -1,8 +1,8 @@
-"""Who may ask a server of ours: hosts, origins, tokens.
+"""Access rules of the server: hosts, origins, tokens.
 
-A browser shows pages of other origins as well, which may try to read ours: a foreign name that
-resolves to this machine (DNS rebinding) is recognised by the host of the request, a foreign script
-by its origin.
+A browser also shows pages of other origins, which may try to read those of this site: a foreign
+name that resolves to this machine (DNS rebinding) is detected by the host of the request, a foreign
+script by its origin.
 """
 
 import ipaddress
@@ -14,14 +14,14 @@ from hmac import compare_digest
 from twin.errors import TwinError
 
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+)(:[0-9]{1,5})?")
-"""Host, and port if it is named."""
+"""Host, and port if it is given."""
 SHORTEST_TOKEN = 8
-"""Characters of a token, at least. Made up."""
+"""Least number of characters of a token. Made up."""
 TOKEN_HEADER = "x-uavtwin-token"  # HTTP header of a viewer's token
 
 
 def is_loopback(host: str) -> bool:
-    """Whether this machine alone can reach an address."""
+    """Whether only this machine can reach an address."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -30,12 +30,12 @@ def is_loopback(host: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class AccessPolicy:
-    """Lets in or refuses.
+    """Rules that accept or refuse requests.
 
     Attributes:
-        host: Name or address that is served at.
-        token: What a viewer must know; None: nothing.
-        cookie: That may hold the token, by its name; "": none.
+        host: Name or address of the server.
+        token: Token of viewers; None: none.
+        cookie: Name of the cookie with the token; "": none.
     """
 
     host: str
@@ -49,7 +49,7 @@ class AccessPolicy:
             )
 
     def fits(self, given: str) -> bool:
-        """Whether this is the token; never where there is none."""
+        """Whether this is the token; False without one."""
         return self.token is not None and compare_digest(given.encode(), self.token.encode())
 
     def refusal(
@@ -58,12 +58,12 @@ class AccessPolicy:
         query: Mapping[str, str],
         cookies: Mapping[str, str] | None = None,
     ) -> str:
-        """Why a request is refused; "": it is not.
+        """Reason why a request is refused; "": it is accepted.
 
         Args:
-            headers: By name in small letters.
-            query: Of its address.
-            cookies: That it brings.
+            headers: Headers by name in lower case.
+            query: Query of its address.
+            cookies: Cookies of the request.
         """
         requested_host = headers.get("host", "")
         match = _HOST.fullmatch(requested_host)
@@ -83,8 +83,8 @@ class AccessPolicy:
         return ""
 
     def _is_ours(self, host: str) -> bool:
-        """A literal address cannot be made to resolve to another; a name of others can, but has no
-        cookie of ours."""
+        """Whether the host is this site's: a literal address cannot be resolved to another one; a
+        foreign name can, but has no cookie of this site."""
         if host in ("localhost", self.host) or self.cookie:
             return True
         try:

@@ -1,4 +1,4 @@
-"""One application of many pages: doors in front, a navigation on top, a server that carries it."""
+"""One application of many pages: access rules, a navigation bar, and the server."""
 
 import secrets
 import socket
@@ -28,42 +28,42 @@ from .doors import AccessPolicy, is_loopback
 FLIGHTS, LIVE = "/", "/live"
 """Addresses of the list of flights, and of the page of a live flight."""
 _COOKIE_S = 365 * 86400
-"""Life of the cookie, s."""
+"""Lifetime of the cookie, s."""
 _MOST_CONNECTIONS = 256
-"""At once; more are refused."""
+"""Largest number of simultaneous connections; more are refused."""
 _GRACE_S = 1
-"""For which answers may end by themselves when the server ends, s."""
+"""Time in which answers may be completed when the server ends, s."""
 _START_S = 20.0
 """Longest start of a server in a thread, s. Made up."""
 _LONGEST_MESSAGE = 1024
-"""Bytes of what a viewer may say through a WebSocket."""
+"""Largest size of a message from a viewer through a WebSocket."""
 
 
 def style() -> str:
-    """Of the navigation."""
+    """Style sheet of the navigation."""
     return (Path(__file__).parent / "site.css").read_text("utf-8")
 
 
 def navigation(*links: tuple[str, str]) -> Markup:
-    """The bar on top of a page.
+    """Navigation bar of a page.
 
     Args:
-        links: Word and address of each page it leads to.
+        links: Text and address of each link.
     """
     listed = "".join(f'<a href="{escape(to)}">{escape(word)}</a>' for word, to in links)
     return Markup(f'<nav class="site" aria-label="Site">{listed}</nav>')
 
 
 def hash_of(script: str) -> str:
-    """SHA-256 of a script, as a policy names it."""
+    """SHA-256 of a script, in the form of a content security policy."""
     return b64encode(sha256(script.encode()).digest()).decode()
 
 
 def headers(hashes: Sequence[str] = ()) -> dict[str, str]:
-    """Of an answer: what a log smuggles into a page does not run, nothing is loaded from elsewhere.
+    """Headers of an answer: injected scripts do not run, nothing is loaded from elsewhere.
 
     Args:
-        hashes: Of the scripts that run.
+        hashes: Hashes of the allowed scripts.
     """
     allowed = " ".join(f"'sha256-{h}'" for h in hashes) or "'none'"
     policy = (
@@ -82,24 +82,24 @@ def headers(hashes: Sequence[str] = ()) -> dict[str, str]:
 
 
 def doors_of(host: str, port: int, token: str | None = None) -> AccessPolicy:
-    """Who may ask a site at an address: anybody on this machine, beyond it who knows the token.
+    """Access rules of a site at an address: anybody on this machine, from others with the token.
 
     Args:
-        host: Name or address that is served at.
-        port: Of it.
-        token: What viewers must know; None: a new one where others can reach the address.
+        host: Name or address of the server.
+        port: Port of the server.
+        token: Token of viewers; None: a new one where other machines can reach the address.
 
     Raises:
         TwinError: The token is too short.
     """
     if token is None and not is_loopback(host):
         token = secrets.token_urlsafe(24)
-    # a browser has one jar of cookies for all ports of a host
+    # a browser shares cookies between all ports of a host
     return AccessPolicy(host, token, "" if token is None else f"uavtwin-{port}")
 
 
 def address_of(host: str, port: int, token: str | None) -> str:
-    """For a browser; by the machine's name where it is served at all its addresses."""
+    """Address for a browser; with the machine's name where the server uses all its addresses."""
     shown = f"[{host}]" if ":" in host else host
     if host in ("0.0.0.0", "::"):
         shown = socket.gethostname()
@@ -107,14 +107,14 @@ def address_of(host: str, port: int, token: str | None) -> str:
 
 
 class Guarded:
-    """An application behind doors; a token that fits is stored in a cookie."""
+    """An application with access rules; a valid token is stored in a cookie."""
 
     def __init__(self, app: ASGIApp, doors: AccessPolicy) -> None:
-        """Keep both."""
+        """Set up an application with its rules."""
         self._app, self._doors = app, doors
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """As ASGI has it."""
+        """Handle a connection, as in ASGI."""
         sent, query = Headers(scope=scope), QueryParams(scope.get("query_string", b""))
         why = self._doors.refusal(sent, query, cookie_parser(sent.get("cookie", "")))
         if why and scope["type"] == "websocket":
@@ -138,14 +138,14 @@ def site_app(routes: Sequence[BaseRoute], doors: AccessPolicy) -> ASGIApp:
     """The application of a site.
 
     Args:
-        routes: Of all its pages.
-        doors: Who may ask.
+        routes: Routes of all its pages.
+        doors: Access rules.
     """
     return Guarded(Starlette(routes=routes), doors)
 
 
 def _made_server(app: ASGIApp) -> uvicorn.Server:
-    """A server that runs until it is told to end."""
+    """A server that runs until a signal to end."""
     return uvicorn.Server(
         uvicorn.Config(
             app,
@@ -167,20 +167,20 @@ def _made_server(app: ASGIApp) -> uvicorn.Server:
 
 
 class SiteServer:
-    """A site and where it is served: by `run` until the process is told to end, or by `start`.
+    """A site and its address: served by `run` until a signal to end, or by `start`.
 
     Attributes:
-        port: That is served at.
-        url: For a browser.
+        port: Port of the server.
+        url: Address for a browser.
     """
 
     def __init__(self, opened: socket.socket, app: ASGIApp, doors: AccessPolicy) -> None:
-        """Serve nothing yet.
+        """Set up without serving.
 
         Args:
-            opened: Takes connections; closed at the end.
-            app: Of `site_app`.
-            doors: In front of it.
+            opened: Socket that accepts connections; closed at the end.
+            app: Application from `site_app`.
+            doors: Access rules of the application.
         """
         self._socket = opened
         self.port = int(opened.getsockname()[1])
@@ -202,7 +202,7 @@ class SiteServer:
         """Serve in a thread, until it is closed.
 
         Raises:
-            TwinError: It has ended at once, or has not started after 20 s.
+            TwinError: It ended immediately, or has not started after 20 s.
         """
         self._thread = thread = threading.Thread(target=self.run, name="site", daemon=True)
         thread.start()

@@ -340,7 +340,7 @@ class YawTrim:
 
     Attributes:
         command: Mean command of the clockwise rotors less that of the others.
-        share: That difference as a share of the mean command of all.
+        share: The difference as a share of the mean command of all.
         n: Number of samples.
     """
 

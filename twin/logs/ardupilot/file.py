@@ -505,7 +505,7 @@ def read_plain(blob: bytes, wanted: Collection[str]) -> Content:
 
 
 def _fields(definition: Definition, rest: str) -> list[str]:
-    """As many fields as there are columns, the last with its commas; [] if the line has fewer."""
+    """Fields of a line, one per column, the last with its commas; [] if the line has fewer."""
     n = len(definition.columns)
     fields = [f.strip() for f in rest.split(",", n - 1)]
     whole = len(fields) == n and (

@@ -431,7 +431,7 @@ def from_px4_commands(log: Px4Log, rebuild: bool | None) -> MotorCommands | None
 
     Args:
         log: The log; findings are added to it.
-        rebuild: As in `formats.ReadOptions`.
+        rebuild: Whether commands are rebuilt, as in `formats.ReadOptions`.
     """
     return _from_motors(log) or _from_outputs(log, rebuild)
 

@@ -47,7 +47,7 @@ _STATES = {
 }
 """Messages with the state of the autopilot, and their fields."""
 _TEXTS = ("mode",)
-"""Those of the state fields that are text."""
+"""State fields that are text."""
 _TEXT_TYPES = ("string", "wstring", "wchar")
 """Base types that are not numeric."""
 

@@ -72,8 +72,8 @@ class Sensor:
 
     Attributes:
         name: Identifier.
-        component: Its component, alone or with other sensors: name of a module of this package, and
-            of the function `(vehicle, effects) -> component` in it.
+        component: Component of the sensor, alone or with others: name of a module of this package,
+            and of the function `(vehicle, effects) -> component` in it.
         signal: Name of its readings in `Effect.needs`, limits and live samples.
         columns: Columns of the flight table, and outputs of the component, of the same names.
         meanings: Meaning of each column, for the definition of the flight table.

@@ -1,1 +1,1 @@
-"""The page of a live flight: what it shows, and the small server that it comes from."""
+"""Web page of a live flight: its content, and its small server."""

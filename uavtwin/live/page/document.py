@@ -1,4 +1,4 @@
-"""The page itself: one document that needs nothing but its WebSocket."""
+"""HTML document of the live page, which needs only its WebSocket."""
 
 import gzip
 import re
@@ -25,13 +25,13 @@ _PANEL_PX, _LOW_PX = 118, 96
 """Heights of panels, px."""
 _MOTOR_COLOURS = ("#1f5fd0", "#e07b1a", "#2f8f5b", "#8a4fbf", "#b58900", "#c23b66", "#3aa0a8")
 _NONE = np.zeros(0)
-"""Of a curve that the stream will fill."""
+"""Data of a curve that the stream fills."""
 MEASURED_LINE = {"color": BLACK, "width": 1.3}
 """Line of the measured flight."""
 TWIN_LINE = {"color": BLUE, "width": 1.3}
 """Line of the twin."""
 BOTH = (("", "measured", MEASURED_LINE), ("twin.", "twin", TWIN_LINE))
-"""Both aircraft: what stands before their columns, name, line."""
+"""The two aircraft: prefix of their columns, name, line style."""
 TABLE: Sequence[tuple[str, str, Sequence[str], int]] = (
     ("acceleration", "m/s²", ACC, 2),
     ("body rates", "rad/s", GYRO, 3),
@@ -39,16 +39,16 @@ TABLE: Sequence[tuple[str, str, Sequence[str], int]] = (
     ("velocity", "m/s", VEL, 2),
     ("position", "m", POS, 2),
 )
-"""Of the numbers on top: name, unit, columns, digits."""
+"""Numbers at the top: name, unit, columns, digits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A page and what a browser must know of it.
+    """A page and its HTTP headers.
 
     Attributes:
-        html: The page.
-        headers: Of its answer: which scripts may run, and that nothing else may.
+        html: HTML text of the page.
+        headers: Headers of the answer: allowed scripts.
     """
 
     html: str
@@ -60,8 +60,8 @@ def document(motors: int, bar: str = "") -> Document:
     """The page for an aircraft.
 
     Args:
-        motors: How many it has.
-        bar: Navigation of the site.
+        motors: Number of motors.
+        bar: Navigation bar of the site.
     """
     html = render(
         "live.html.j2",
@@ -86,7 +86,7 @@ def _headers(html: str) -> dict[str, str]:
 
 
 def _follow(panels: Panels, x: str, y: str) -> None:
-    """The newest curve shows columns of the stream; live.js fills it."""
+    """Connect the newest curve to columns of the stream; live.js fills it."""
     panels.figure["data"][-1]["meta"] = {"x": x, "y": y}
 
 
@@ -109,7 +109,7 @@ def _measured_plots() -> list[Plot]:
 
 
 def _residuals(name: str, columns: Sequence[str], short: bool) -> Plot:
-    """Residuals over time, the band where they are expected behind them."""
+    """Residuals over time, with the expected band in the background."""
     units = {"acc": "m/s²", "gyro_rate": "rad/s²", "vel": "m/s", "att": "rad"}
     panels = Panels([_LOW_PX] * len(columns), "live")
     for k, column in enumerate(columns):
@@ -128,7 +128,7 @@ def _residuals(name: str, columns: Sequence[str], short: bool) -> Plot:
 
 
 def _tracks() -> list[Plot]:
-    """Both aircraft from above, from the south, and in space."""
+    """Tracks of both aircraft from above, from the south, and in space."""
     found = []
     for name, label, up in (("above", "from above", "pos_x"), ("side", "from the south", "up")):
         panels = Panels((264,))

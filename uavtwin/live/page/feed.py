@@ -1,9 +1,9 @@
-"""The messages of the live page: from the session to the queues of its viewers.
+"""Messages of the live page: from the session to the queues of its viewers.
 
-Viewers get new messages at once, and the last minutes when they join. A sender never waits for a
-viewer: each has a queue of its own, and a slow one loses the oldest messages in it. Grey bands show
-where 95 % of the residuals of the first seconds were: what begins in flight is compared with the
-error of the twin before.
+Viewers get new messages at once, and those of the last minutes when they join. A sender never waits
+for a viewer: each has a queue of its own, and a slow one loses its oldest messages. Grey bands
+contain 95 % of the residuals of the first seconds: later residuals are compared with the earlier
+error of the twin.
 """
 
 import contextlib
@@ -32,27 +32,27 @@ from ..following import Following, Reading
 from ..status import LiveStatus, alarm_json
 
 HISTORY_S = 300.0
-"""So much of the flight is there for a viewer that comes later."""
+"""Length of the flight that is stored for later viewers."""
 _MOST_STORED = 20_000
-"""Messages that are stored at most. Made up."""
+"""Largest number of stored messages. Made up."""
 _MOST_KEYS = 500
-"""Keys of which the newest message is stored, at most. Made up."""
+"""Largest number of keys whose newest message is stored. Made up."""
 QUEUE = 64
-"""Messages that wait for one viewer, about three seconds."""
+"""Largest number of messages in a viewer's queue, about three seconds."""
 MOST_VIEWERS = 32
-"""Viewers at once, at most. Made up."""
+"""Largest number of simultaneous viewers. Made up."""
 SILENT_S = 60.0
-"""The page asks for the time every 2 s, in the background once a minute: where there are too many
-viewers, one that has requested nothing for longer gives its place to a new one."""
+"""Silence after which a viewer may be replaced if there are too many: the page asks for the time
+every 2 s, in the background once a minute."""
 
 
 class Viewer:
     """One viewer.
 
     Attributes:
-        dropped: Messages that it lost, because it did not keep up.
+        dropped: Number of messages lost because the viewer was too slow.
         heard_s: Time of its last request, on the clock of the hub.
-        ended: Whether it has to go.
+        ended: Whether its connection must end.
     """
 
     def __init__(
@@ -63,23 +63,23 @@ class Viewer:
         self.dropped, self.heard_s, self.ended = 0, now_s, False
 
     def end(self) -> None:
-        """Make it go; from any thread."""
+        """End its connection; from any thread."""
         self.ended = True
         with contextlib.suppress(RuntimeError):
             self._wake()
 
     def put(self, message: bytes) -> None:
-        """A message for it; from any thread."""
+        """Add a message to its queue; from any thread."""
         if len(self._queue) >= QUEUE:
-            with contextlib.suppress(IndexError):  # it was taken in this moment
+            with contextlib.suppress(IndexError):  # it was just taken
                 self._queue.popleft()
                 self.dropped += 1
         self._queue.append(message)
-        with contextlib.suppress(RuntimeError):  # its loop has ended
+        with contextlib.suppress(RuntimeError):  # its event loop has ended
             self._wake()
 
     def take(self) -> bytes:
-        """All that waits, as one JSON array; empty where nothing does."""
+        """All waiting messages, as one JSON array; empty without any."""
         messages, self._history = self._history, []
         with contextlib.suppress(IndexError):
             while len(messages) < _MOST_STORED:
@@ -88,7 +88,7 @@ class Viewer:
 
 
 class Hub:
-    """Takes messages from any thread and gives them to all viewers."""
+    """Distributor of messages from any thread to all viewers."""
 
     def __init__(
         self, history_s: float = HISTORY_S, clock: Callable[[], float] = time.monotonic
@@ -105,13 +105,13 @@ class Hub:
         return len(self._viewers)
 
     def send(self, kind: str, content: Mapping[str, Any], key: str = "", keep: bool = True) -> None:
-        """A message to all.
+        """Send a message to all viewers.
 
         Args:
-            kind: What it is.
-            content: What it says; what is no finite number becomes null.
-            key: Of those of one key only the newest is stored for later viewers.
-            keep: Whether it is stored for them.
+            kind: Kind of the message.
+            content: Content; numbers that are not finite become null.
+            key: Key; of messages with the same key only the newest is stored for later viewers.
+            keep: Whether it is stored for later viewers.
         """
         message = msgspec.json.encode({"kind": kind, **content})
         with self._lock:
@@ -132,7 +132,7 @@ class Hub:
         """A new viewer; None: there are too many.
 
         Args:
-            wake: Called from any thread when something waits for it.
+            wake: Called from any thread when there is a message for it.
         """
         with self._lock:
             now = self._clock()
@@ -148,30 +148,30 @@ class Hub:
             return viewer
 
     def leave(self, viewer: Viewer) -> None:
-        """The viewer has left."""
+        """Remove a viewer."""
         with self._lock, contextlib.suppress(ValueError):
             self._viewers.remove(viewer)
 
 
 LEARNT_S = 20.0
-"""Of samples in the air, from which the band is learnt; it stays then."""
+"""Length of flight in the air from which the band is computed; it is constant afterwards."""
 COVERED = 0.95
 """Share of the residuals within a band."""
 _FEWEST = 20
-"""Samples of which a band is computed, at least. Made up."""
+"""Fewest samples for a band. Made up."""
 Key = tuple[str, float]
 
 
 @dataclass(slots=True)
 class ExpectedBands:
-    """Bands of the channels of one flight, by name and horizon."""
+    """Expected bands of the channels of one flight, by name and horizon."""
 
     bands: dict[Key, tuple[float, float]] = field(default_factory=dict)
     _parts: dict[Key, list[NDArray[np.float64]]] = field(default_factory=dict)
     _first_s: dict[Key, float] = field(default_factory=dict)
 
     def add(self, channels: Sequence[Channel]) -> None:
-        """Take new residuals, until enough is known."""
+        """Add new residuals, until the bands are fixed."""
         for channel in channels:
             key = channel.name, channel.horizon_s
             if key in self.bands or not len(channel.t_s):
@@ -190,30 +190,30 @@ class ExpectedBands:
 
 
 EVERY_S = 0.05
-"""Between two states of aircraft and twin."""
+"""Interval between two states of aircraft and twin."""
 _STORED_EVERY = 4
-"""Of so many states one is stored for viewers that come later."""
+"""Decimation of states that are stored for later viewers."""
 _LONGEST_TEXT = 200
-"""Characters of a text of the aircraft that are shown. Made up."""
+"""Largest number of characters of a displayed text from the aircraft. Made up."""
 _SHOWN = {"acc", "gyro", "vel", "pos", "vbat_v", "ibat_a", "cmd", "rotor"}
-"""Signals that are shown as they are read."""
+"""Signals that are displayed as received."""
 
 
 class PageFeed:
-    """Turns what is known into messages; a method for each thread.
+    """Conversion of live data into messages; each thread has its own method.
 
-    Messages: `about`, `now` (columns of the flight table, those of the twin behind `twin.`, their
-    differences behind `gap.`), `residuals`, `alarm`, `said`, `health`. Each `at` is a time in ms
-    of the system's clock.
+    Messages: `about`, `now` (columns of the flight table, those of the twin with prefix `twin.`,
+    their differences with prefix `gap.`), `residuals`, `alarm`, `said`, `health`. Each `at` is a
+    time in ms of the system's clock.
     """
 
     def __init__(self, hub: Hub, vehicle: str, following: Following) -> None:
-        """Nothing is known yet.
+        """Set up without data.
 
         Args:
-            hub: Where messages go to.
-            vehicle: Name of the twin.
-            following: How the state of the twin is corrected.
+            hub: Hub that receives the messages.
+            vehicle: Name of the twin's vehicle.
+            following: Correction of the twin's state.
         """
         self._hub = hub
         self._measured: dict[str, tuple[float, ...]] = {}
@@ -224,20 +224,20 @@ class PageFeed:
     # -- of the thread that receives ----------------------------------------------------------
 
     def sample(self, sample: Sample) -> None:
-        """A reading of the aircraft, the newest of its kind."""
+        """Add a reading of the aircraft, the newest of its kind."""
         self._measured[sample.group] = sample.values
 
     def is_due(self, at_s: float) -> bool:
-        """Whether the state is to be sent now, on the monotonic clock."""
+        """Whether the state must be sent now, on the monotonic clock."""
         return at_s >= self._next_s
 
     def state(self, t_s: float, reading: Reading | None, at_s: float) -> None:
         """Send the state of aircraft and twin.
 
         Args:
-            t_s: Of the flight.
-            reading: Of the twin, of the same time; None: it does not fly yet.
-            at_s: When the newest sample came, on the monotonic clock.
+            t_s: Time of the flight.
+            reading: Readings of the twin at that time; None: it has not started.
+            at_s: Arrival of the newest sample, on the monotonic clock.
         """
         self._next_s, self._count = at_s + EVERY_S, self._count + 1
         columns: dict[str, Any] = {"t": round(t_s, 4), "at": _ms(at_s)}
@@ -254,22 +254,22 @@ class PageFeed:
         self._hub.send("now", columns, keep=self._count % _STORED_EVERY == 1)
 
     def said(self, severity: int, text: str) -> None:
-        """What the aircraft says of itself (STATUSTEXT)."""
+        """Send a text of the aircraft (STATUSTEXT)."""
         name = (LEVELS[severity] if 0 <= severity < len(LEVELS) else "") or "unknown"
         text = text.encode("utf-8", "replace").decode()
         self._hub.send("said", {"at": _ms(), "severity": name, "text": text[:_LONGEST_TEXT]})
 
     def known(self, status: LiveStatus) -> None:
-        """Health of the streams and of this program."""
+        """Send the health of the streams and of this program."""
         content = {**plain(status), "at": _ms(), "viewers": self._hub.viewers}
         self._hub.send("health", content, key="health")
 
     # -- of the thread of the twin ------------------------------------------------------------
 
     def block(self, block: ResidualBlock) -> None:
-        """New residuals, as `gap` defines them."""
+        """Send new residuals, as defined by `gap`."""
         channels = (*block.channels, *block.short)
-        if block.end_s < self._until_s:  # a new flight: nothing is expected of it yet
+        if block.end_s < self._until_s:  # a new flight has no expected band yet
             self._bands = ExpectedBands()
         self._until_s = block.end_s
         self._bands.add(channels)
@@ -288,7 +288,7 @@ class PageFeed:
         self._hub.send("residuals", content)
 
     def alarm(self, alarm: Alarm, section: int) -> None:
-        """An alarm that was raised, or has ended."""
+        """Send an alarm that was raised, or has ended."""
         key = f"alarm {section} {alarm.event.cause} {alarm.raised_s:.3f}"
         content = {**alarm_json(alarm, section), "at": _ms(), "id": key}
         self._hub.send("alarm", content, key=key)
@@ -307,7 +307,7 @@ class PageFeed:
 
 
 ANGLES = tuple(name.removesuffix("_rad") for name in EULER)
-"""Roll, pitch, yaw as the page has them, in degrees."""
+"""Names of roll, pitch, yaw on the page, in degrees."""
 
 
 def _attitude(q_nb: Sequence[float]) -> dict[str, float]:
@@ -330,17 +330,17 @@ def _twin_named(reading: Reading) -> dict[str, float]:
 
 
 def _difference(name: str, measured: float, twin: float) -> float:
-    """Measured less simulated; angles the short way round."""
+    """Measured less simulated; angles wrapped."""
     difference = measured - twin
     return (difference + 180) % 360 - 180 if name in ANGLES else difference
 
 
 def _short(value: float) -> float | None:
-    """A number as a page holds it."""
+    """A number rounded for the page."""
     return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
 def _ms(at_s: float | None = None) -> float:
-    """A time of the monotonic clock, or now, on the system's clock, ms."""
+    """A time of the monotonic clock, or the present, on the system's clock, ms."""
     ago_s = 0.0 if at_s is None else time.monotonic() - at_s
     return round(1e3 * (time.time() - ago_s), 1)

@@ -1,4 +1,4 @@
-"""The page of a live flight in a site: one document and one WebSocket."""
+"""Page of a live flight in a site: one document and one WebSocket."""
 
 import asyncio
 import contextlib
@@ -18,29 +18,29 @@ from .document import Document, document
 from .feed import Hub, PageFeed, Viewer
 
 _TOO_MANY = 1013
-"""WebSocket: try again later."""
+"""Close code of a WebSocket: try again later."""
 
 
 class _Question(msgspec.Struct):
-    """What a viewer asks: the time, with its own, ms."""
+    """Request of a viewer for the time, with its own time, ms."""
 
     ping: float
 
 
 class LiveView:
-    """What a live flight shows, and the routes by which a site shows it.
+    """Content of a live flight's page, and its routes in a site.
 
     Attributes:
-        feed: Takes what is shown.
-        routes: Of the page and its WebSocket.
+        feed: Feed of the displayed data.
+        routes: Routes of the page and its WebSocket.
     """
 
     def __init__(self, vehicle: Vehicle, following: Following, with_flights: bool) -> None:
-        """Nothing is heard yet.
+        """Set up without data.
 
         Args:
-            vehicle: The twin.
-            following: How the state of the twin is corrected.
+            vehicle: Vehicle of the twin.
+            following: Correction of the twin's state.
             with_flights: Whether the site has a list of flights.
         """
         hub = Hub()
@@ -54,8 +54,8 @@ def live_routes(hub: Hub, shown: Document) -> tuple[Route, WebSocketRoute]:
     """Routes of a page and of its WebSocket.
 
     Args:
-        hub: What viewers get.
-        shown: The page.
+        hub: Hub of the viewers.
+        shown: Page to serve.
     """
 
     async def page(_: Request) -> Response:
@@ -63,14 +63,14 @@ def live_routes(hub: Hub, shown: Document) -> tuple[Route, WebSocketRoute]:
         return Response(shown.html, media_type="text/html", headers=shown.headers)
 
     async def stream(websocket: WebSocket) -> None:
-        """What is new, as long as the page is open."""
+        """Stream of changes, as long as the page is open."""
         await _seen(hub, websocket)
 
     return Route(LIVE, page), WebSocketRoute(f"{LIVE}/stream", stream)
 
 
 async def _seen(hub: Hub, websocket: WebSocket) -> None:
-    """One viewer."""
+    """Serve one viewer."""
     loop, bell = asyncio.get_running_loop(), asyncio.Event()
     await websocket.accept()
     viewer = hub.join(lambda: loop.call_soon_threadsafe(bell.set))
@@ -92,7 +92,7 @@ async def _seen(hub: Hub, websocket: WebSocket) -> None:
 
 
 async def _send(websocket: WebSocket, viewer: Viewer, bell: asyncio.Event) -> None:
-    """All that waits, whenever something does; as fast as the viewer takes it."""
+    """Send waiting messages as they arrive, as fast as the viewer receives them."""
     reported = 0
     while not viewer.ended:
         bell.clear()
@@ -106,7 +106,7 @@ async def _send(websocket: WebSocket, viewer: Viewer, bell: asyncio.Event) -> No
 
 
 async def _hear(websocket: WebSocket, viewer: Viewer) -> None:
-    """Answer questions for the time, until it leaves or says anything else."""
+    """Answer requests for the time, until the viewer leaves or sends anything else."""
     with contextlib.suppress(WebSocketDisconnect, msgspec.MsgspecError, KeyError):
         while True:
             question = msgspec.json.decode(await websocket.receive_text(), type=_Question)
