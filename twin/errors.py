@@ -1,16 +1,17 @@
-"""Errors a user can mend: each text names the file, the quantity, the value and the way out."""
+"""Errors that a user can correct: each text names the file, the quantity, the value and the
+remedy."""
 
 
 class TwinError(Exception):
-    """Base of everything that is wrong with a user's input rather than with this program."""
+    """Base of all errors in a user's input, as opposed to errors in this program."""
 
 
 class LogError(TwinError):
-    """A flight log or flight table cannot be read or lacks what was asked of it."""
+    """A flight log or flight table cannot be read or lacks required data."""
 
 
 class NoLogError(LogError):
-    """A file is no flight log, whole or damaged."""
+    """A file is no flight log, complete or damaged."""
 
 
 class ModelError(TwinError):
@@ -22,10 +23,10 @@ class FmuError(TwinError):
 
 
 def install_command(extra: str) -> str:
-    """The command that installs what an optional dependency group of this package needs.
+    """Command that installs an optional dependency group of this package.
 
-    It names the packages, with the versions of the group, since they can be had by name from a
-    package index while this package itself may have been installed from its source folder.
+    It names the packages with the versions of the group, which are available from a package index,
+    while this package itself may have been installed from its source folder.
 
     Args:
         extra: Name of the group in pyproject.toml.

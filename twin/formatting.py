@@ -1,4 +1,4 @@
-"""Numbers, units and names as text: the same in tables, sentences and pages."""
+"""Numbers, units and names as text, identical in tables, sentences and pages."""
 
 import math
 from collections.abc import Sequence
@@ -9,20 +9,20 @@ _READ_IN = {
     "rad": ("°", 180 / math.pi),
     "rad/s": ("°/s", 180 / math.pi),
 }
-"""Units in which a pilot reads a quantity, and the factor from SI."""
+"""Display units of quantities, and their factors from SI."""
 _SMALLER = {"m": 0.1, "s": 0.1, "kg": 0.1}
-"""Quantities below which a pilot reads thousandths of the unit; of others, `_TINY`."""
+"""Values below which a quantity is displayed in thousandths of its unit; for others, `_TINY`."""
 _TINY, _PREFIXES = 1e-3, (("m", 1e3), ("µ", 1e6), ("n", 1e9))
-"""Below it a prefix is used; prefix and factor."""
+"""Value below which a prefix is used; prefix and factor."""
 
 
 def pretty_unit(unit: str) -> str:
-    """A unit as printed: `m/s2` is m/s²."""
+    """A unit in printed form: `m/s2` is m/s²."""
     return unit.replace("^", "").replace("s2", "s²").replace("m2", "m²")
 
 
 def number(value: float) -> str:
-    """Three significant figures; a dash where there is no number."""
+    """A number with three significant figures; a dash for NaN."""
     if not math.isfinite(value):
         return "\N{EN DASH}"
     if value != 0 and (abs(value) < 1e-3 or abs(value) >= 1e5):
@@ -33,22 +33,22 @@ def number(value: float) -> str:
 
 
 def percent(share: float) -> str:
-    """Two significant figures below 10 %; a dash where there is no number."""
+    """A percentage, with two significant figures below 10 %; a dash for NaN."""
     if not math.isfinite(share):
         return "\N{EN DASH}"
     return f"{100 * share:.2g} %" if share < 0.1 else f"{100 * share:.0f} %"
 
 
 def readable(unit: str, *values: float) -> tuple[tuple[float, ...], str]:
-    """Values of one quantity in the unit that a pilot reads: degrees, µT, hPa, and milli, micro or
-    nano of a unit where all values are small.
+    """Values of one quantity in display units: degrees, µT, hPa, and milli, micro or nano of a unit
+    where all values are small.
 
     Args:
-        unit: SI, as in an FMU; "1" of a plain number.
-        values: Share the unit.
+        unit: SI unit, as in an FMU; "1" for a plain number.
+        values: Values in that unit.
 
     Returns:
-        The values in that unit, and the unit as it is printed, "" of a plain number.
+        The values in the display unit, and the printed unit, "" for a plain number.
     """
     if unit in ("1", ""):
         return values, ""
@@ -67,13 +67,13 @@ def readable(unit: str, *values: float) -> tuple[tuple[float, ...], str]:
 
 
 def quantity(value: float, unit: str) -> str:
-    """A value with its unit, as a pilot reads it."""
+    """A value with its display unit."""
     (shown,), name = readable(unit, value)
     return f"{number(shown)}{name}" if name == "°" else f"{number(shown)} {name}".rstrip()
 
 
 def joined(parts: list[str], word: str = "and") -> str:
-    """Parts of a sentence in a row."""
+    """Parts of a sentence joined by commas and "and"."""
     if len(parts) < 2:
         return "".join(parts)
     return f"{', '.join(parts[:-1])} {word} {parts[-1]}"
@@ -85,7 +85,7 @@ def title(effect: str) -> str:
 
 
 def certainty(probability: float) -> str:
-    """A probability as people say it: never all, never nothing."""
+    """A probability in words or percent: never 0 or 100 %."""
     if probability > 0.99:
         return "99 %" if probability < 0.995 else "more than 99 %"
     return "less than 1 %" if probability < 0.01 else f"{100 * probability:.0f} %"
@@ -99,11 +99,11 @@ def interval(ci95: tuple[float, float] | None) -> str:
 def number_cells(
     value: float, unit: str, ci95: tuple[float, float] | None = None
 ) -> tuple[str, str, str]:
-    """A number in a table: value, unit and 95 % interval, in the unit that a pilot reads."""
+    """A number in a table: value, unit and 95 % interval, in the display unit."""
     (shown, *ends), name = readable(unit, value, *(ci95 or ()))
     return number(shown), name, interval((ends[0], ends[1]) if ends else None)
 
 
 def counted(things: Sequence[object], one: str) -> str:
-    """How many: "1 flight", "3 flights"."""
+    """A count with its noun: "1 flight", "3 flights"."""
     return f"{len(things)} {one}{'' if len(things) == 1 else 's'}"

@@ -1,7 +1,7 @@
 """Frames and quaternions: NED for navigation, FRD for body, `q = [w, x, y, z]` body to NED.
 
-Every function takes the components in a sequence and uses `+ - * /` alone, so one definition
-serves NumPy arrays (component first, any batch shape after it) and CasADi expressions.
+Every function takes the components in a sequence and uses only `+ - * /`, so one definition serves
+NumPy arrays (component first, any batch shape after it) and CasADi expressions.
 """
 
 from collections.abc import Sequence
@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 AXES = ("x", "y", "z")
 """Letters of the axes, in the order of vectors."""
 FRD = ("forward", "right", "down")
-"""What the axes of the body are called."""
+"""Names of the body axes."""
 NED = ("north", "east", "down")
-"""What those of navigation are called."""
+"""Names of the navigation axes."""
 Scalar = Any
-"""A float, a NumPy array or a CasADi expression: whatever has `+ - * /`."""
+"""A float, a NumPy array or a CasADi expression: any type with `+ - * /`."""
 
 
 def rotation_matrix(q_nb: Sequence[Scalar]) -> list[list[Scalar]]:
@@ -79,8 +79,8 @@ def carried(
     """Specific force at another point of a rigid body, all in body axes.
 
     Args:
-        force: Specific force where it is known, m/s2.
-        arm: From there to the other point, m.
+        force: Specific force at the known point, m/s2.
+        arm: Position of the other point from the known one, m.
         omega: Body rates, rad/s.
         alpha: Angular acceleration, rad/s2.
     """
@@ -89,11 +89,11 @@ def carried(
 
 
 def rotation_vector(q_a: NDArray[np.float64], q_b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation that takes attitude `b` to attitude `a`, in the body axes of `b`, rad.
+    """Rotation from attitude `b` to attitude `a`, in the body axes of `b`, rad.
 
     Args:
         q_a: Unit quaternions body to NED, shape (n, 4).
-        q_b: The same, shape (n, 4).
+        q_b: Unit quaternions body to NED, shape (n, 4).
 
     Returns:
         Rotation vectors, shape (n, 3): about forward, right and down, at most pi long.
@@ -112,7 +112,7 @@ def from_euler(
     pitch_rad: float | NDArray[np.float64],
     yaw_rad: float | NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Quaternion body to NED of the aerospace sequence yaw, pitch, roll; of n angles, (4, n)."""
+    """Quaternion body to NED of the aerospace sequence yaw, pitch, roll; for n angles, (4, n)."""
     cr, sr = np.cos(roll_rad / 2), np.sin(roll_rad / 2)
     cp, sp = np.cos(pitch_rad / 2), np.sin(pitch_rad / 2)
     cy, sy = np.cos(yaw_rad / 2), np.sin(yaw_rad / 2)
@@ -127,7 +127,7 @@ def from_euler(
 
 
 def to_euler(q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Roll, pitch and yaw of unit quaternions body to NED, rad, as of `from_euler`; of (4, n) shape
+    """Roll, pitch and yaw of unit quaternions body to NED, rad, as in `from_euler`; of (4, n) shape
     (3, n)."""
     r = rotation_matrix(list(q))
     pitch = np.arcsin(np.clip(-np.asarray(r[2][0]), -1.0, 1.0))

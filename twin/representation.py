@@ -1,4 +1,4 @@
-"""Short texts of objects: what a console shows of a result that holds megabytes."""
+"""Short texts of objects, for results in a console that contain megabytes."""
 
 from collections.abc import Collection, Mapping, Set
 from dataclasses import fields, is_dataclass
@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 LONGEST = 240
-"""Characters of a text, about three lines of a console."""
+"""Largest number of characters of a text, about three lines of a console."""
 _TEXT, _ITEMS = 40, 4
-"""Characters of a text inside, and items of a collection, that are still written out."""
+"""Largest number of characters of an inner text, and of items of a collection, that are written in
+full."""
 
 
 def short_repr(self: Any) -> str:
@@ -29,7 +30,7 @@ def short_repr(self: Any) -> str:
 
 
 def _short(value: Any) -> str:
-    """A value in a few words."""
+    """A value in short form."""
     if value is None or isinstance(value, bool | int):
         return repr(value)
     if isinstance(value, float):
@@ -52,7 +53,7 @@ def _short(value: Any) -> str:
 
 
 def _collection(value: Collection[Any]) -> str:
-    """The items where they are few and simple, else how many."""
+    """The items if they are few and simple, else their number."""
     simple = all(isinstance(v, str | int | float | None) for v in value)
     if len(value) > _ITEMS or not simple:
         return f"<{len(value)} of {type(value).__name__}>"

@@ -1,26 +1,26 @@
-"""Temporary files and folders whose owner can be proven dead, so that what was left is swept.
+"""Temporary files and folders whose leftovers are removed once their owner is proven dead.
 
-A killed process leaves behind what it was writing; the next writer in the same place removes
-it. Two processes may share a folder without seeing each other: containers with PID namespaces of
-their own, machines on one network file system. So age and process number prove nothing; the
-kernel does. Each scratch folder holds a file `lock` on which its owner keeps an exclusive flock(2)
-until the end, which the kernel releases however the owner ends. The name says where the owner runs:
+A killed process leaves its unfinished files; the next writer in the same place removes them. Two
+processes may share a folder without seeing each other: containers with separate PID namespaces,
+machines on one network file system. So age and process number prove nothing; the kernel does. Each
+scratch folder contains a file `lock` on which its owner has an exclusive flock(2) until the end,
+which the kernel releases however the owner ends. The name identifies the owner:
 
     .uavtwin-HOST-BOOT-NAMESPACE-PID-START-RANDOM
 
-A leftover of this boot is removed when nobody holds its lock: one kernel keeps the locks of all
-namespaces. If its process is of our own PID namespace, that must be gone as well. Everything else
-stays:
+A leftover of this boot is removed when its lock is free: one kernel manages the locks of all
+namespaces. If its process is of this PID namespace, it must have ended as well. Everything else
+remains:
 
-- of another boot, be it of another machine or of this one before it restarted: a lock of another
+- of another boot, of another machine or of this one before a restart: a lock of another
   kernel may be invisible here (NFS with `local_lock`, 9p, virtiofs);
-- without a lock (not taken yet, or not known to this file system), unless its process is of our
-  PID namespace and gone;
+- without a lock (not taken yet, or not supported by this file system), unless its process is of
+  this PID namespace and has ended;
 - a link, a file, a name of another form.
 
-HOST is for the reader alone. BOOT is the start of `/proc/sys/kernel/random/boot_id`, NAMESPACE the
-inode of the PID namespace, START field 22 of `/proc/PID/stat`. The lock is taken before the file
-gets its name: an owner between making its folder and locking it has no file `lock`.
+HOST is for human readers only. BOOT is the start of `/proc/sys/kernel/random/boot_id`, NAMESPACE
+the inode of the PID namespace, START field 22 of `/proc/PID/stat`. The lock is taken before the
+file gets its name: an owner between creating its folder and locking it has no file `lock`.
 """
 
 import fcntl
@@ -35,21 +35,21 @@ from pathlib import Path
 
 PREFIX = ".uavtwin-"  # of all scratch folders
 LOCK = "lock"
-"""File in a scratch folder, locked by its owner."""
+"""Name of the file in a scratch folder that its owner locks."""
 _HOST = re.sub(r"[^A-Za-z0-9.]", "_", platform.node())[:16] or "host"
-"""16 characters of the machine's name."""
+"""First 16 characters of the machine's name."""
 _NAME = re.compile(
     rf"{re.escape(PREFIX)}[\w.]+-([0-9a-f]{{12}})-([0-9]+)-([0-9]+)-([0-9]+)-\w+", re.ASCII
 )  # host, boot, process, its start, number
 _UNKNOWN = "0" * 12
-"""Boot where the system has no such number: nothing is ever swept there."""
+"""Boot identifier where the system has none: nothing is removed there."""
 
 
 @contextmanager
 def scratch_folder(place: Path) -> Iterator[Path]:
-    """A new folder in `place`, removed at the end; leftovers there are swept first.
+    """A new folder in `place`, removed at the end; leftovers there are removed first.
 
-    It holds the file `lock`, which is to be left alone.
+    It contains the file `lock`, which must not be changed.
 
     Raises:
         OSError: `place` cannot be written to.
@@ -68,11 +68,11 @@ def scratch_folder(place: Path) -> Iterator[Path]:
 def scratch_file(path: Path) -> Iterator[Path]:
     """A path of the same name in a scratch folder next to `path`.
 
-    What is written there replaces `path` at the end, at once and whole, with the rights that the
-    umask allows; if something failed, `path` stays as it is.
+    The file written there replaces `path` at the end, atomically, with permissions by the umask; on
+    failure `path` is unchanged.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The path cannot be written.
     """
     with scratch_folder(path.parent) as folder:
         inner = folder / "file"
@@ -84,7 +84,8 @@ def scratch_file(path: Path) -> Iterator[Path]:
 
 
 def leftovers(place: Path) -> Iterator[Path]:
-    """Scratch folders in `place` whose owner is proven dead, each locked while it is handed out."""
+    """Scratch folders in `place` whose owner is proven dead, each locked during its use by the
+    caller."""
     for found in sorted(place.glob(f"{PREFIX}*")):
         lock = _claimed(found)
         if lock is None:
@@ -115,7 +116,7 @@ def started(process: int) -> int | None:
 
 
 def umask() -> int:
-    """Of this process, which cannot be read without being set."""
+    """Umask of this process, which can only be read by setting it."""
     found = os.umask(0o077)
     os.umask(found)
     return found
@@ -146,7 +147,7 @@ def _namespace() -> int:
 def _lock(folder: Path) -> int | None:
     """Take the lock of a new folder; None where the file system has no locks.
 
-    The file gets its name when it is locked.
+    The file gets its name after it is locked.
     """
     handle, name = tempfile.mkstemp(prefix=f"{LOCK}-", dir=folder)
     try:
@@ -159,7 +160,7 @@ def _lock(folder: Path) -> int | None:
 
 
 def _claimed(left: Path) -> int | None:
-    """Lock of a folder whose owner is proven dead, -1 where it has none; None: of any other."""
+    """Lock of a folder whose owner is proven dead, -1 where it has none; None: another folder."""
     match = _NAME.fullmatch(left.name)
     if match is None or match[1] != _boot() or match[1] == _UNKNOWN:
         return None
@@ -183,7 +184,7 @@ def _claimed(left: Path) -> int | None:
 
 
 def _gone(process: int, start: int) -> bool:
-    """Whether a process of our namespace has ended; `/proc` may show another namespace's."""
+    """Whether a process of this namespace has ended; `/proc` may show another namespace's."""
     try:
         shown = os.readlink("/proc/self") == str(os.getpid())
     except OSError:
@@ -192,7 +193,7 @@ def _gone(process: int, start: int) -> bool:
 
 
 def _remove(folder: Path, lock: int | None) -> None:
-    """Remove a folder, its lock held until it is empty; an open file may keep a name on NFS."""
+    """Remove a folder, holding its lock until it is empty; on NFS an open file may keep a name."""
     shutil.rmtree(folder, ignore_errors=True)
     if lock is not None:
         os.close(lock)

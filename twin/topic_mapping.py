@@ -1,7 +1,7 @@
-"""The mapping file of a ROS 2 bag: which of its topics are which signals of a flight.
+"""The mapping file of a ROS 2 bag, which assigns topics to signals of a flight.
 
-What can be told without the bag; `twin.logs.ros.sources` holds it against the topics that are
-there.
+Only checks that do not need the bag; `twin.logs.ros.sources` checks it against the topics of the
+bag.
 """
 
 import tomllib
@@ -12,24 +12,24 @@ import msgspec
 from .errors import LogError
 
 MAPPING_SUFFIX = ".topics.toml"
-"""Ending of the file: `flight.mcap` has `flight.topics.toml`."""
+"""Extension of the file: `flight.mcap` has `flight.topics.toml`."""
 MOST_MAPPING = 64_000
-"""Bytes of it: a thousand signals."""
+"""Largest size of the file, bytes: a thousand signals."""
 BAG_SUFFIXES = (".mcap", ".db3")
-"""Of the bags that it may belong to."""
+"""Extensions of the bags to which it may belong."""
 
 
 class MappedSignal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A signal in a mapping file.
 
     Attributes:
-        topic: Name.
-        fields: Of a message, by path: "linear_acceleration.x", "channels[0]"; of an attitude w, x,
-            y, z in the frame NED-FRD, x, y, z, w in ENU-FLU.
-        frame: Of a vector or an attitude.
-        unit: Of the values; that of the flight table where it is left out.
-        low: Value of command 0, of `cmd`.
-        high: Value of command 1, of `cmd`.
+        topic: Name of the topic.
+        fields: Paths of fields in a message: "linear_acceleration.x", "channels[0]"; for an
+            attitude w, x, y, z in the frame NED-FRD, x, y, z, w in ENU-FLU.
+        frame: Frame of a vector or an attitude.
+        unit: Unit of the values; default: that of the flight table.
+        low: Value of command 0, for `cmd`.
+        high: Value of command 1, for `cmd`.
     """
 
     topic: str
@@ -50,8 +50,8 @@ def read_mapping(file: Path, name: str) -> dict[str, MappedSignal]:
     """Signals of a mapping file, by name.
 
     Args:
-        file: To be read.
-        name: By which its owner knows it, for errors.
+        file: Path of the mapping file.
+        name: Original name, for errors.
 
     Raises:
         LogError: It is no mapping, or too large.

@@ -9,7 +9,7 @@
     ut.export(ut.twin(found.vehicle), "twin.fmu", fmi=(2, 3))
     run = ut.simulate("tour", found.vehicle, wind=(5, 0, 0))
 
-Names are loaded when they are used, so that the import costs next to nothing.
+Names are loaded on first use, so that the import takes almost no time.
 """
 
 import sys
@@ -147,10 +147,10 @@ _HOME = {
     "why": "uavtwin.diagnosis",
     "write_flight": "twin.logs",
 }
-"""Module of each name, and its name there where it is another. A name here is never that of a
-module of this package: importing the module would put it in the place of the name."""
+"""Module of each name, and its name there if different. No name here is that of a module of this
+package: importing the module would replace it."""
 
-if not TYPE_CHECKING:  # so that a type checker refuses a name that is not above
+if not TYPE_CHECKING:  # a type checker then refuses unknown names
 
     def __getattr__(name: str) -> object:
         from importlib import import_module

@@ -1,19 +1,20 @@
-"""How far a driven twin is off on flights that took no part in its fit: 95 % bands by conformal
+"""Error bands of a driven twin on flights that took no part in its fit: 95 % bands by conformal
 prediction.
 
-Each flight is replayed through the FMU itself (`force.open_loop`), which is left alone again and
-again. Windows of one flight resemble each other, those of another day less so: flights are what is
-exchanged. In a cell (quantity, regime, time alone) each flight counts as one, however many windows
-it has, and so does the next one, of which nothing is known: it stands as another of the worst. The
-band is the 95 % quantile of that mixture. It never falls with the time alone: what is left of it is
-that of an earlier time.
+Each flight is replayed through the FMU itself (`force.open_loop`), in windows without given motion.
+Windows of one flight are similar, those of another day less so: flights are exchangeable. In a cell
+(quantity, regime, time without given motion) each flight has the same weight, however many windows
+it has, and so has the next flight, which is unknown: it is represented by another copy of the worst
+one. The band is the 95 % quantile of that mixture. It never decreases with time: where it would,
+the band of the earlier time is used.
 
 Source: Lee, Barber & Willett, Distribution-free inference with hierarchical data, 2023, after Dunn,
 Wasserman & Ramdas, Distribution-free prediction sets for two-layer hierarchical models, J. American
-Statistical Association 118, 2023. There the next flight is infinitely far off, which no band of
-fewer than 19 flights survives; the worst one in its place was chosen among three laws (the largest
-of the flights' own bounds; without the next flight) by 35 real flights of CrazyPAD, none of which
-scores bands: of 2 to 20 flights it holds 93.6 to 95.5 % of the others' windows, with observer.
+Statistical Association 118, 2023. There the error of the next flight is infinite, for which fewer
+than 19 flights give no finite band; the worst one in its place was chosen among three laws (the
+largest of the flights' own bounds; without the next flight) by 35 real flights of CrazyPAD, none of
+which scores bands: with 2 to 20 flights it covers 93.6 to 95.5 % of the others' windows, with
+observer.
 """
 
 import tempfile
@@ -48,28 +49,28 @@ from .output import OptionalSteps, write_json
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 EVERY_S = 0.25
-"""Between two times at which a twin is left alone, s."""
+"""Time between the starts of two windows without given motion, s."""
 LEVEL = 0.95
 FEWEST = ceil(LEVEL / (1 - LEVEL) - 1e-9)
-"""So many windows a flight needs: of fewer the largest is no bound of this level."""
+"""Fewest windows of a flight: with fewer the largest error is no bound of this level."""
 FLIGHTS = 2
-"""So many flights a band needs: one does not say how flights differ."""
+"""Fewest flights for a band: one does not show the variation between flights."""
 HALF = 0.5
-"""Share of its windows in which the twin of a flight has to be inside the envelope. Made up."""
+"""Least share of windows in which the twin of a flight must be inside the envelope. Made up."""
 STARTS = {PLAIN: 0.0, OBSERVED: 1.0}
 """Start value of the observer's switch, by twin."""
 WORDS = {PLAIN: "the twin without an observer", OBSERVED: "the twin with one"}
-"""What these are called."""
+"""Printed names of the twins."""
 
 
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """What a twin was off in one flight, w times left alone, at each of h times.
+    """Errors of a twin in one flight, for w windows without given motion, at each of h times.
 
     Attributes:
         name: Name of the flight.
-        left: `SEEN` when it was left alone: what the aircraft went through, shape (w, 4).
-        seen: `SEEN` at the horizons, what the twin went through, shape (w, h, 4).
+        left: Values of `SEEN` at the start of each window, for the aircraft's motion, shape (w, 4).
+        seen: Values of `SEEN` at the horizons, for the twin's motion, shape (w, h, 4).
         off: Length of the error vector by quantity, NaN without a reading, shape (w, h) each;
             for the sensor `OF_THE_DAY` minus its median over the flight at the start of windows.
     """
@@ -83,7 +84,7 @@ class Windows:
 
 
 def replayed(flight: AnyFlight, vehicle: Vehicle, fmu: Path, twin: str = PLAIN) -> Windows:
-    """A flight through an FMU that shows what it goes through, as `Windows`.
+    """Windows of a flight, replayed through an FMU that outputs its own motion.
 
     Raises:
         TwinError: The flight cannot be replayed.
@@ -107,7 +108,8 @@ def replayed(flight: AnyFlight, vehicle: Vehicle, fmu: Path, twin: str = PLAIN) 
 
 
 def _misread(flight: AnyFlight, sensor: Sensor, times: Array, shown: Array) -> Array:
-    """What a sensor of the twin reads otherwise than that of the aircraft, the shape of `shown`."""
+    """Difference between the readings of a twin's sensor and those of the aircraft, shape as
+    `shown`."""
     read = Signal(*flight.signal(list(sensor.columns))).at(times.ravel())
     return np.asarray(shown - read.reshape(shown.shape))
 
@@ -126,7 +128,7 @@ def bound(flights: Iterable[Array]) -> float | None:
 
 
 def _too_few(flights: Sequence[object]) -> str:
-    """Why flights have no bands; "": there are enough of them."""
+    """Reason why flights have no bands; "": there are enough of them."""
     if len(flights) >= FLIGHTS:
         return ""
     there = f"{counted(flights, 'flight')} held out could be compared"
@@ -135,14 +137,14 @@ def _too_few(flights: Sequence[object]) -> str:
 
 def _envelope(flight: Windows, limits: Array) -> Array:
     """Largest share of a limit that the twin had reached, shape (w, h); infinite at times by which
-    it had left the envelope more often than not: those that are still inside are a choice."""
+    it had left the envelope more often than not: the remaining windows are a selection."""
     used = np.asarray((flight.seen / limits).max(axis=2))
     used[:, (used <= 1).mean(axis=0) < HALF] = np.inf
     return used
 
 
 def bands_of(flights: Sequence[Windows]) -> tuple[Bands, dict[str, str]]:
-    """Bands of a twin, and why quantities, or regimes of them, have none of their own.
+    """Bands of a twin, with the reason where quantities, or their regimes, have no separate one.
 
     Raises:
         TwinError: The flights are too few.
@@ -156,7 +158,7 @@ def bands_of(flights: Sequence[Windows]) -> tuple[Bands, dict[str, str]]:
     regimes = [[u <= calm, (u > calm) & (u <= 1)] for u in used]
 
     def rows(quantity: str) -> tuple[list[list[float]], list[list[bool]]]:
-        """Band by regime and time, as far as there is one; and whether it is of both regimes."""
+        """Band by regime and time, as far as available; and whether it covers both regimes."""
         found: list[list[float]] = [[], []]
         shared: list[list[bool]] = [[], []]
         for h in range(len(HORIZONS_S)):
@@ -200,7 +202,7 @@ def bands_of(flights: Sequence[Windows]) -> tuple[Bands, dict[str, str]]:
 
 
 def _known(flight: Windows, quantity: str, horizon: int, where: NDArray[np.bool_]) -> Array:
-    """What is known of a quantity at a horizon in a regime."""
+    """Errors of a quantity at a horizon in a regime."""
     if quantity not in flight.off:
         return np.zeros(0)
     values = flight.off[quantity][where[:, horizon], horizon]
@@ -246,7 +248,7 @@ def measured_accuracy(
 def _replayed(
     vehicle: Vehicle, drive: Drive, flights: Sequence[AnyFlight], progress: Progress
 ) -> tuple[dict[str, list[Windows]], dict[str, str]]:
-    """Windows of all flights by twin, and flights that could not be replayed, and why."""
+    """Windows of all flights by twin, and flights that could not be replayed, with the reason."""
     windows: dict[str, list[Windows]] = {twin: [] for twin in STARTS}
     missing: dict[str, str] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -272,15 +274,15 @@ def write_accuracy(
     progress: Progress = lambda _: None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> list[str]:
-    """Write the bands of what was explained, by whole flights that were held out; names of files.
+    """Write the bands of the explained vehicle from whole held-out flights; returns names of files.
 
     Args:
         found: Result of `explain`; nothing is written where nothing is named.
         held_out: Flights; nothing is written without.
         folder: Folder of the results.
-        steps: Takes it as one of its own: the compiler may fail, the disk be full.
+        steps: Runs this as an optional step: the compiler may fail, the disk may be full.
         progress: Called with the share done.
-        tell: Called with why twins have no bands, where some have none.
+        tell: Called with the reason where twins have no bands.
     """
     if found.added is None or not held_out:
         return []

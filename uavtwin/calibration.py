@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 DAYS = 3
-"""Flights from which on they teach how much days differ."""
+"""Number of flights from which day-to-day variation is estimated."""
 
 
 class NumberRecord(Record, frozen=True, kw_only=True):
@@ -63,7 +63,7 @@ class NumberRecord(Record, frozen=True, kw_only=True):
 
 
 class DifferenceRecord(Record, frozen=True, kw_only=True):
-    """A number that stands out of the day of a flight.
+    """A number of one flight that differs from that of the others.
 
     Attributes:
         difference: Number of this flight minus the one that all flights share.
@@ -75,7 +75,7 @@ class DifferenceRecord(Record, frozen=True, kw_only=True):
 
 
 class DaysRecord(Record, frozen=True, kw_only=True):
-    """How much days differ.
+    """Day-to-day variation.
 
     Attributes:
         determined: Whether there were flights enough to estimate it.
@@ -89,7 +89,7 @@ class DaysRecord(Record, frozen=True, kw_only=True):
 
 
 class CalibrateRecord(Record, frozen=True, kw_only=True):
-    """What normal flights say of the numbers of an aircraft.
+    """Result of normal flights for the numbers of an aircraft.
 
     Attributes:
         headline: The sentence on top.
@@ -119,11 +119,11 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, repr=False)
 class CalibrateResult(DisplayMixin):
-    """What normal flights say of the numbers of an aircraft.
+    """Result of normal flights for the numbers of an aircraft.
 
     Attributes:
         details: Everything that was fitted.
-        draft: The vehicle as it stood.
+        draft: Vehicle before the calibration.
         warnings: Warnings, the most important first.
         hovers: Diagnosis of the draft in the hover of each flight that hovers.
     """
@@ -141,7 +141,7 @@ class CalibrateResult(DisplayMixin):
 
     @cached_property
     def vehicle(self) -> vehicles.Vehicle:
-        """The vehicle with the numbers of this aircraft and how well they are known together."""
+        """The vehicle with the numbers of this aircraft and their joint uncertainty."""
         return calibrated_vehicle(self.details, self.draft)
 
     @property
@@ -151,7 +151,7 @@ class CalibrateResult(DisplayMixin):
 
     @cached_property
     def headline(self) -> Headline:
-        """How many numbers these flights determine, and the effects that take most."""
+        """Text on how many numbers these flights determine, and the effects with most of them."""
         known = [n for n in self._numbers() if n.full not in self.undetermined]
         lead = (
             f"{counted(self.flights, 'flight')} of {self.draft.name} "
@@ -169,8 +169,8 @@ class CalibrateResult(DisplayMixin):
         return self.details.estimates
 
     def _numbers(self) -> list[Number]:
-        """Numbers in the order of what matters: the aircraft, its sensors, its records; of each
-        what differs most, in what is worth a name, what is not determined last."""
+        """Numbers in order of importance: the aircraft, its sensors, its records; within each the
+        largest relevant differences first, undetermined ones last."""
         fit = self.details.fit
         own = [n for n in fit.numbers if not n.shape]
 
@@ -192,7 +192,7 @@ class CalibrateResult(DisplayMixin):
         return pd.DataFrame(self.json()["numbers"])
 
     def numbers_table(self) -> TextTable:
-        """The numbers of this aircraft, in words; what flights do not determine says so."""
+        """The numbers of this aircraft, in words; undetermined ones are marked."""
         meaning = {n.full: n.about.description for n in self._numbers()}
         rows = (
             (
@@ -206,7 +206,7 @@ class CalibrateResult(DisplayMixin):
         return TextTable(("number", "value", "unit", "95 % interval", "", "meaning"), tuple(rows))
 
     def days_table(self) -> TextTable:
-        """How much each number differs between flights, and what stands out of which flight."""
+        """Variation of each number between flights, and outliers with their flight."""
         known = self.details.vehicle.calibration
         assert known is not None
         units = {n.full: n.about.unit for n in self.details.problem.model.numbers}
@@ -220,7 +220,7 @@ class CalibrateResult(DisplayMixin):
         return TextTable(header, tuple(rows))
 
     def fly_next(self) -> tuple[str, ...]:
-        """Flights that would determine what these do not."""
+        """Flights that would determine the undetermined numbers."""
         needed = [advice_of(name) for name in self.undetermined]
         found = [f"{a.topic}: {a.fly}" for a in ADVICE if a in needed]
         if len(self.flights) < DAYS:
@@ -228,13 +228,13 @@ class CalibrateResult(DisplayMixin):
         return tuple(found)
 
     def undetermined_words(self) -> str:
-        """What these flights do not determine, by effect."""
+        """Undetermined numbers, by effect."""
         effects = dict.fromkeys(name.partition(".")[0] for name in self.undetermined)
         return joined([e.replace("_", " ") for e in effects])
 
     @cached_property
     def record(self) -> CalibrateRecord:
-        """Every number that is printed."""
+        """Record of every number that is printed."""
         known = self.details.vehicle.calibration
         assert known is not None
         return CalibrateRecord(
@@ -270,7 +270,7 @@ class CalibrateResult(DisplayMixin):
         )
 
     def findings(self) -> Iterable[str | TextTable]:
-        """Sentence, hover, numbers, what is not determined, days, what to fly next."""
+        """Sentence, hover, numbers, undetermined numbers, days, flights to fly next."""
         yield self.sentence
         for h in self.hovers:
             yield f"{h.flight}: {hover_sentence(self.draft.name, h)}"
@@ -292,7 +292,7 @@ class CalibrateResult(DisplayMixin):
             yield "Fly next, for\n" + "\n".join(f"  {line}" for line in self.fly_next())
 
     def brief(self) -> str:
-        """Vehicle, flights, how many numbers."""
+        """Vehicle, flights, and the number of fitted numbers."""
         return (
             f"{type(self).__name__}: {self.draft.name}, {counted(self.flights, 'flight')}, "
             f"{counted(self._numbers(), 'number')}"
@@ -308,22 +308,22 @@ def calibrate(
     indoors: bool | None = None,
     progress: Progress = lambda _: None,
 ) -> CalibrateResult:
-    """Fit the numbers of an aircraft to normal flights of it, all of them together.
+    """Fit the numbers of an aircraft to normal flights, all of them jointly.
 
     Args:
-        flights: Nothing is wrong with the aircraft in them. Three or more also teach how much its
-            days differ.
-        vehicle: A draft: each number is believed as far as its `sd`, or the word of its source,
-            goes.
+        flights: Flights without a fault of the aircraft. With three or more, day-to-day variation
+            is estimated too.
+        vehicle: Draft of the vehicle: the prior of each number has its `sd`, or that of its
+            source's wording.
         payloads: Known mass aboard by the name of a flight, kg.
-        settings: The numbers that decide, `docs/reference/settings.md`.
+        settings: Settings of the search, `docs/reference/settings.md`.
         indoors: Whether all flights were within walls; default: as each flight says, outdoors
             where it does not.
-        progress: Called with the share done, 0..1.
+        progress: Called with the completed share, 0..1.
 
     Raises:
-        TwinError: An argument is no flight or no vehicle, a payload is of no flight, or no flight
-            can be used.
+        TwinError: An argument is no flight or no vehicle, a payload belongs to no flight, or no
+            flight can be used.
     """
     several = checked_flights(flights, "calibrate")
     draft = vehicles.checked_vehicle(vehicle, "calibrate")
@@ -354,9 +354,9 @@ def calibrate(
 
 
 def calibrated_vehicle(found: Calibrated, draft: vehicles.Vehicle) -> vehicles.Vehicle:
-    """The draft with the numbers of an aircraft, each with pedigree and sd.
+    """The draft with the numbers of an aircraft, each with source and sd.
 
-    An effect that the draft does not have, and that no flight determines, is left out.
+    An effect that the draft does not have, and that no flight determines, is omitted.
     """
     made, fit = vehicles.Vehicle.of(found.vehicle), found.fit
     flights = made.calibration.flights if made.calibration is not None else ()
@@ -390,7 +390,7 @@ def calibrated_vehicle(found: Calibrated, draft: vehicles.Vehicle) -> vehicles.V
 
 
 def _says(n: Number, found: Calibrated) -> bool:
-    """Whether flights determine a number, or it differs from that of no effect."""
+    """Whether flights determine a number, or it differs from its value without the effect."""
     away = abs(dict(found.fit.values)[n.full] - (n.about.neutral or 0.0))
     determined = found.prior_share.get(n.full, 1.0) <= UNDETERMINED
     return not n.shape and (determined or away > n.about.smallest)

@@ -1,4 +1,4 @@
-"""Why a flight went wrong, as a result to print."""
+"""Diagnosis of a flight, as a result to print."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -24,24 +24,24 @@ from .record import Record
 LEAST_LISTED = 0.01
 """Probability from which on an alternative is listed; the record has all."""
 LARGEST = {"1": 1.0, "rad": pi / 2, "m": 50.0}
-"""Largest useful detection limit by unit; a larger one says nothing: all of the thrust, the mass or
-the field, a quarter of a turn, more than a barometer is ever off."""
+"""Largest useful detection limit by unit: all of the thrust, the mass or the field, a quarter of a
+turn, the largest error of a barometer."""
 MOST_NOISE = 9.0
-"""The same of noise: ten times the usual."""
+"""Largest useful detection limit of noise: ten times the usual."""
 
 
 class WhyRecord(Record, Diagnosis, frozen=True, kw_only=True):
-    """Why a flight went wrong, as `why --json` prints it."""
+    """Diagnosis of a flight, as printed by `why --json`."""
 
     digits: ClassVar[int | None] = 6
 
 
 class UnreadRecord(Record, frozen=True, kw_only=True):
-    """A log of several that cannot be read, as `why --json` prints it.
+    """An unreadable log among several, as printed by `why --json`.
 
     Attributes:
         flight: Name of the flight.
-        error: Why it cannot be read, and the way out.
+        error: Reason why it cannot be read, and the remedy.
     """
 
     flight: str
@@ -50,7 +50,7 @@ class UnreadRecord(Record, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class WhyResult(PageMixin):
-    """Why a flight went wrong.
+    """Diagnosis of a flight.
 
     Attributes:
         record: Every number of it.
@@ -63,11 +63,11 @@ class WhyResult(PageMixin):
     page = "uavtwin.report.why"
 
     def brief(self) -> str:
-        """See `DisplayMixin`."""
+        """Warnings, as in `DisplayMixin`."""
         return f"why {self.record.flight}: {self.record.text}"
 
     def findings(self) -> Iterable[str | TextTable]:
-        """See `DisplayMixin`."""
+        """Findings, as in `DisplayMixin`."""
         yield self.record.text
         if self.record.events:
             yield TextTable(
@@ -86,13 +86,13 @@ class WhyResult(PageMixin):
 
 
 def why(flight: Any, references: Any = (), since: Vehicle | None = None) -> WhyResult:
-    """Say why a flight went wrong, from its log alone.
+    """Diagnose a flight, from its log alone.
 
     Args:
         flight: A flight, or the path of a log.
         references: Normal flights of the same aircraft, or the paths of their logs.
-        since: Vehicle of an earlier time instead, whose calibration says what was usual: sizes are
-            in newtons and kilograms.
+        since: Vehicle of an earlier time, whose calibration is the reference instead: sizes are in
+            newtons and kilograms.
 
     Raises:
         TwinError: A log cannot be read, or is too short; or there are references and a vehicle.
@@ -105,7 +105,8 @@ def why(flight: Any, references: Any = (), since: Vehicle | None = None) -> WhyR
 
 
 def why_table(records: Sequence[WhyRecord | UnreadRecord]) -> TextTable:
-    """Several flights, a row each: the first cause, when, and whether control was lost."""
+    """Table of several flights, a row each: the first cause, its time, and whether control was
+    lost."""
     head = ("flight", "verdict", "first cause", "time", "probability", "control lost")
     return TextTable(head, tuple(map(_summary, records)))
 
@@ -154,7 +155,7 @@ def _row(event: Event) -> tuple[str, ...]:
 
 
 def size_in_words(event: Event) -> str:
-    """How much, with its interval."""
+    """Size with its interval."""
     if event.severity is None:
         return ""
     s = event.severity
@@ -175,12 +176,12 @@ def cause_in_words(given: Event | Candidate | NotVisible) -> str:
 
 
 def listed_alternatives(event: Event) -> list[Candidate]:
-    """What else it could be, with 1 % or more."""
+    """Alternative causes with 1 % or more."""
     return [c for c in event.alternatives if c.probability >= LEAST_LISTED]
 
 
 def least_in_words(hidden: NotVisible) -> str:
-    """Sizes that would not have shown; a size that no aircraft has is none."""
+    """Smallest detectable sizes, without those beyond any aircraft."""
     least = hidden.smallest_detectable
     most = MOST_NOISE if hidden.cause == NOISE else LARGEST.get(least.unit, inf)
     if least.value is None or least.value > most:
@@ -200,7 +201,7 @@ def of_the_body(hidden: NotVisible) -> bool:
 
 
 def _hidden(found: Diagnosis) -> str:
-    """Causes of the body that the log would not have shown, in a line."""
+    """Text on causes of the body that the log would not have shown, in one line."""
     by_size: dict[str, list[str]] = {}
     for hidden in filter(of_the_body, found.not_visible):
         by_size.setdefault(least_in_words(hidden), []).append(_words(hidden.cause))

@@ -1,10 +1,10 @@
 """Events of a flight as the Diagnostic records of PX4's flight-review.
 
 A list of objects with id, summary, severity, timestamp_us, end_timestamp_us and evidence, as
-`crates/converter/src/diagnostics/mod.rs` of PX4/flight-review-rs (commit f87cffba) declares them.
-Evidence is tagged by `type`. A failed rotor has a type there, `MotorFailure`; what has none carries
-the type `Event` with cause, rotors, sensor, size and probability: a reader of theirs needs that
-variant, as each new analyser of theirs brings one.
+declared in `crates/converter/src/diagnostics/mod.rs` of PX4/flight-review-rs (commit f87cffba).
+Evidence is tagged by `type`. A failed rotor has a type there, `MotorFailure`; other events have the
+type `Event` with cause, rotors, sensor, size and probability: a reader of that project needs that
+variant, as for each of its new analysers.
 """
 
 import re
@@ -21,9 +21,9 @@ from .diagnosis import WhyResult
 from .output import json_text, output_file
 
 _CLOCK = re.compile(r"t = 0 is (\d+\.\d+) s after boot")
-"""Fact of a flight that gives the offset between its time and the clock of the autopilot."""
+"""Fact of a flight with the offset between its time and the clock of the autopilot."""
 CRITICAL, WARNING, INFO = "critical", "warning", "info"
-"""Severities: control is lost after it; a cause; a consequence."""
+"""Severities: followed by a loss of control; a cause; a consequence."""
 
 
 def write_diagnostics(found: WhyResult, path: Path) -> None:
@@ -51,7 +51,7 @@ def diagnostics(found: WhyResult) -> list[dict[str, Any]]:
 
 
 def _boot_s(flight: Flight | None) -> float:
-    """Time of the start of the log on the autopilot's clock; 0: the log does not say."""
+    """Time of the start of the log on the autopilot's clock; 0: not in the log."""
     match = _CLOCK.search(flight.facts.get("clock", "")) if flight is not None else None
     return float(match[1]) if match else 0.0
 
@@ -68,7 +68,7 @@ def _severity(event: Event, lost_s: float | None) -> str:
 
 
 def _end_us(event: Event, boot_s: float) -> int | None:
-    """End of what lasted."""
+    """End of an event with a duration."""
     if event.severity is None or event.severity.quantity != "duration" or event.onset_s is None:
         return None
     return round(1e6 * (boot_s + event.onset_s + event.severity.value))

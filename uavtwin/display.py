@@ -1,4 +1,4 @@
-"""Results as a person meets them: text in a console, a table in a notebook, one line as a value."""
+"""Display of results: text in a console, a table in a notebook, one line as a value."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ class TextTable:
     Attributes:
         header: Heading of each column.
         rows: A cell per column.
-        unbroken: Columns of which no cell goes on in the next line.
+        unbroken: Columns whose cells are never wrapped.
     """
 
     header: tuple[str, ...]
@@ -32,7 +32,7 @@ class TextTable:
 
     @property
     def width(self) -> int:
-        """Characters of a line."""
+        """Largest number of characters of a line."""
         widths = self._widths()
         return sum(widths) + 2 * len(widths)
 
@@ -67,16 +67,17 @@ class Recorded(Protocol):
 
     @property
     def record(self) -> Record:
-        """Every number of it."""
+        """Record of every number."""
 
 
 class DisplayMixin:
-    """A result: `print` gives all that matters, a notebook the same, the prompt one line."""
+    """A result with text forms: `print` and notebooks show everything important, the prompt one
+    line."""
 
     __slots__ = ()
 
     def findings(self) -> Iterable[str | TextTable]:
-        """What it says, the claim first."""
+        """Text of the result, the main sentence first."""
         raise NotImplementedError
 
     def sections(self) -> Iterable[str | TextTable]:
@@ -86,11 +87,11 @@ class DisplayMixin:
             yield "\n".join(warnings)
 
     def brief(self) -> str:
-        """What it is, in a few words."""
+        """Short description."""
         raise NotImplementedError
 
     def json(self: Recorded) -> dict[str, Any]:
-        """The record as strict JSON content, as `--json` prints it."""
+        """The record as strict JSON content, as printed by `--json`."""
         return self.record.json()
 
     def __str__(self) -> str:
@@ -111,17 +112,17 @@ class PageMixin(DisplayMixin):
     __slots__ = ()
 
     page: ClassVar[str]
-    """Module whose `page_text` makes HTML of the result. It is named as text, since pages print
-    results and lie above them."""
+    """Module whose `page_text` creates the HTML of the result. It is given as text, since pages
+    print results and are above them in the import order."""
 
     def report(self, path: str | Path) -> Path:
-        """Write the page, one HTML file that opens offline; returns its path."""
+        """Write the page, one self-contained HTML file; returns its path."""
         with output_file(Path(path)) as file:
             self.draw(file)
         return Path(path)
 
     def draw(self, file: Path) -> None:
-        """Write the page into a file of a results folder, whose errors the folder explains."""
+        """Write the page into a file of a results folder, which converts errors."""
         file.write_text(import_module(self.page).page_text(self), encoding="utf-8")
 
 

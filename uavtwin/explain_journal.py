@@ -27,7 +27,7 @@ class _Content(msgspec.Struct, frozen=True):
 
     Attributes:
         key: Key of the run that wrote it.
-        points: State of each search that has begun, as MessagePack.
+        points: State of each search that has started, as MessagePack.
     """
 
     key: str
@@ -35,14 +35,14 @@ class _Content(msgspec.Struct, frozen=True):
 
 
 class ExplainJournal(Checkpoint):
-    """The file of one run, written anew after every move.
+    """The file of one run, rewritten after every move.
 
     Attributes:
-        note: Whether the run goes on or begins anew, and why; "": there was no file.
+        note: Whether the run is resumed or starts again, with the reason; "": there was no file.
     """
 
     def __init__(self, path: Path, key: str) -> None:
-        """Read what a run with the same key has left.
+        """Read the file of an earlier run with the same key.
 
         Args:
             path: The journal file.
@@ -55,7 +55,7 @@ class ExplainJournal(Checkpoint):
             self._read()
 
     def _read(self) -> None:
-        """Take the points of the file, if they are of this run."""
+        """Take the points of the file, if they belong to this run."""
         try:
             content = msgspec.msgpack.decode(self._path.read_bytes(), type=_Content)
             if content.key != self._key:
@@ -70,14 +70,14 @@ class ExplainJournal(Checkpoint):
         self.note = f"{self._path}: the search goes on, moves so far: {moves}."
 
     def resumed(self) -> SearchPoint | None:
-        """See `Checkpoint`."""
+        """State of a search that has started, as in `Checkpoint`."""
         self._search += 1
         known = len(self._points) >= self._search
         return _point(self._points[self._search - 1]) if known else None
 
     def keep(self, point: SearchPoint) -> SearchPoint:
-        """See `Checkpoint`. The point comes back as it was written: a run that is killed and one
-        that is not go on from the same bits."""
+        """Store the state of a search, as in `Checkpoint`. The point is returned as it was written:
+        an interrupted run and an uninterrupted one continue with the same bits."""
         content = msgspec.Raw(msgspec.msgpack.encode(point, enc_hook=_packed))
         self._points[self._search - 1 :] = [content]
         with output_file(self._path) as file:
@@ -85,7 +85,7 @@ class ExplainJournal(Checkpoint):
         return _point(content)
 
     def remove(self) -> None:
-        """The run is over."""
+        """Delete the file at the end of the run."""
         self._path.unlink(missing_ok=True)
 
 
@@ -96,7 +96,7 @@ def run_key(
     options: Sequence[Any],
     settings: SearchSettings = DEFAULT,
 ) -> str:
-    """Hash of all that decides what a run of `explain` finds.
+    """Hash of all inputs of a run of `explain`.
 
     Args:
         flights: Logs to fit on.
@@ -119,8 +119,7 @@ def _files(log: Path) -> list[Path]:
 
 @cache
 def _sources_hash() -> str:
-    """Hash of the program that reads, models and searches: of one version there are many states of
-    a checkout."""
+    """Hash of the program's source: a checkout has many states with one version."""
     found, folder = hashlib.sha256(), Path(twin.__file__).parent
     for file in sorted(folder.rglob("*.py")):
         found.update(f"{file.relative_to(folder).as_posix()} {sha256(file)}\n".encode())
@@ -128,10 +127,10 @@ def _sources_hash() -> str:
 
 
 def _point(content: msgspec.Raw) -> SearchPoint:
-    """A point out of its bytes.
+    """A point from its bytes.
 
     Raises:
-        MsgspecError, ValueError, TypeError: They are none of a point.
+        MsgspecError, ValueError, TypeError: The bytes are no point.
     """
     return msgspec.msgpack.decode(content, type=SearchPoint, dec_hook=_unpacked)
 
@@ -151,6 +150,6 @@ def _packed(value: Any) -> Any:
 
 
 def _unpacked(_: Any, value: Any) -> Any:
-    """An array out of `_packed`."""
+    """An array from the result of `_packed`."""
     dtype, shape, order, content = value
     return np.frombuffer(content, dtype).reshape(shape, order=order).copy(order)

@@ -1,4 +1,4 @@
-"""What flights say about a model, in numbers: the content of `explain.json`."""
+"""Record of an explanation: the content of `explain.json`."""
 
 from collections.abc import Iterable, Sequence
 from math import isfinite

@@ -1,4 +1,5 @@
-"""What a model lacks, as a result to print, report and go on with; and as a folder of files."""
+"""Missing effects of a model, as a result to print, report and continue with; and as a folder of
+files."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -58,14 +59,14 @@ if TYPE_CHECKING:
 
 Progress = Callable[[float], None]
 SET_BY_PRIOR, SET_BY_CALIBRATION = "set by the prior", "set by the calibration"
-"""Remarks on a number that flights do not determine."""
+"""Remarks on an undetermined number."""
 CELLS = ("value", "unit", "95 % interval", "")
-"""Header of all but its first cell."""
+"""Headers of all columns but the first."""
 
 
 @dataclass(frozen=True, repr=False)
 class ExplainResult(PageMixin):
-    """What flights say about a model.
+    """Result of flights for a model.
 
     Attributes:
         details: Everything that was found, with the hypotheses and their fits.
@@ -77,7 +78,7 @@ class ExplainResult(PageMixin):
 
     @cached_property
     def record(self) -> ExplainRecord:
-        """Every number that is printed."""
+        """Record of every number that is printed."""
         return explain_record(self.details)
 
     @property
@@ -87,17 +88,17 @@ class ExplainResult(PageMixin):
 
     @property
     def headline(self) -> Headline:
-        """The answer, and the numbers that it gives."""
+        """The headline with the numbers in it."""
         return self.record.headline
 
     @property
     def sentence(self) -> str:
-        """The answer in words."""
+        """The headline in words."""
         return self.headline.text
 
     @property
     def hover(self) -> tuple[str, ...]:
-        """Diagnosis of the vehicle as it stood in the hover of each flight, a sentence each."""
+        """Diagnosis of the original vehicle in the hover of each flight, a sentence each."""
         name, driven_by = self.details.vehicle.name, self.details.driven_by
         return tuple(
             f"{h.flight}: {hover_sentence(name, h, driven_by.get(h.flight, ''))}"
@@ -106,17 +107,17 @@ class ExplainResult(PageMixin):
 
     @property
     def drive(self) -> str:
-        """What drives the twin, and why, in one sentence; "" where nothing was fitted."""
+        """Input of the twin, with the reason, in one sentence; "" where nothing was fitted."""
         return drive_sentence(self.details.driven_by)
 
     @property
     def got_worse(self) -> str:
-        """The channel of the held-out flights that got worst; "" where none did."""
+        """The channel of the held-out flights with the largest increase; "" for none."""
         return got_worse(self.details)
 
     @property
     def shrinking(self) -> str:
-        """What the held-out flights say, in one sentence; "" where nothing is compared."""
+        """Result of the held-out flights, in one sentence; "" where nothing is compared."""
         if self.details.shown is None or not self.record.gap:
             return ""
         clear = {n: g for n, g in self.record.gap.items() if g.shrink_ci95 and g.shrink_ci95[0] > 0}
@@ -136,24 +137,24 @@ class ExplainResult(PageMixin):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to keep in mind, the worst first."""
+        """Warnings, the most important first."""
         return self.details.warnings
 
     @cached_property
     def vehicle(self) -> vehicles.Vehicle:
-        """The vehicle with the named effects on; as it stood where none is named. Of a single
-        flight, the constants of its day are in it, each marked in its source."""
+        """The vehicle with the named effects on; the original one where none is named. Of a single
+        flight, the constants of its day are included, each marked in its source."""
         return explained_vehicle(self.details)
 
     @cached_property
     def vehicle_today(self) -> vehicles.Vehicle | None:
         """The corrected vehicle with the day's constants of the last of several flights; None where
-        none of them differs from its mean."""
+        none differs from its mean."""
         return vehicle_today(self.details)
 
     @property
     def vehicle_before(self) -> vehicles.Vehicle:
-        """The vehicle as it stood."""
+        """The original vehicle."""
         return vehicles.Vehicle.of(self.details.vehicle)
 
     def candidates(self) -> "pd.DataFrame":
@@ -177,7 +178,7 @@ class ExplainResult(PageMixin):
         return pd.DataFrame(rows, columns=columns)
 
     def candidates_table(self) -> TextTable:
-        """Effects with their numbers and their nearest rival, in words."""
+        """Effects with their numbers and their most probable rival, in words."""
         rows = []
         for effect in self.record.effects:
             first = next(iter(effect.rivals), None)
@@ -200,22 +201,22 @@ class ExplainResult(PageMixin):
         return TextTable((*header, "or instead"), tuple(rows))
 
     def remark(self, prior_share: float | None) -> str:
-        """On a number that the prior rather than the flights sets; "" of others."""
+        """Remark on a number that the prior rather than the flights determines; "" for others."""
         if prior_share is None or prior_share <= UNDETERMINED:
             return ""
         return SET_BY_PRIOR if self.record.since is None else SET_BY_CALIBRATION
 
     def descriptions(self, effect: str) -> dict[str, str]:
-        """What the numbers of a listed effect are, by name."""
+        """Numbers of a listed effect, by name."""
         numbers = (e.number for e in estimates_of(self.details, effect))
         return {n.name: n.about.description for n in numbers}
 
     def calibrated_table(self) -> TextTable:
-        """Numbers that were in doubt, and that lack nothing beyond that."""
+        """Uncertain numbers of the file that the flights have determined."""
         return self._unnamed("calibrated", self.record.calibrated)
 
     def doubtful_table(self) -> TextTable:
-        """Numbers that the new vehicle file has, too doubtful for a name."""
+        """Numbers in the new vehicle file that are too uncertain for a name."""
         return self._unnamed("too doubtful for a name", self.record.doubtful)
 
     def _unnamed(self, first: str, effects: Iterable[CalibratedRecord]) -> TextTable:
@@ -234,7 +235,7 @@ class ExplainResult(PageMixin):
         return TextTable((first, *CELLS), tuple(rows))
 
     def days_table(self) -> TextTable:
-        """What stands out of the day of a flight."""
+        """Outliers of a flight."""
         rows = []
         for flight, own in self.record.per_flight.items():
             for name, day in own.items():
@@ -244,7 +245,7 @@ class ExplainResult(PageMixin):
         return TextTable(header, tuple(rows))
 
     def further_tables(self) -> Iterable[TextTable]:
-        """What comes last: numbers that were in doubt, that are, and those of days."""
+        """Last tables: uncertain numbers of the file, doubtful ones, and those of days."""
         tables = (self.calibrated_table(), self.doubtful_table(), self.days_table())
         return [table for table in tables if table.rows]
 
@@ -284,7 +285,7 @@ class ExplainResult(PageMixin):
 
     def series(self) -> "tuple[Series, ...]":
         """Measured, twin and residual over time of each held-out flight, with and without named
-        effects; none where nothing could be held out."""
+        effects; none without held-out data."""
         compared_with = self.details.comparison
         if compared_with is None:
             return ()
@@ -308,8 +309,8 @@ class ExplainResult(PageMixin):
         return inference_data(self.details, draws, seed)
 
     def findings(self) -> Iterable[str | TextTable]:
-        """The sentence, what got worse, drive, hover, candidates, what to fly next, before and
-        after, what was in doubt."""
+        """Headline, worse channels, input, hover, candidates, next manoeuvre, before and after,
+        uncertain numbers."""
         yield self.sentence
         yield from filter(None, (self.got_worse, self.drive))
         yield from self.hover
@@ -331,7 +332,7 @@ class ExplainResult(PageMixin):
 
 
 def alternatives(effect: EffectRecord) -> str:
-    """What else may stand in the place of an effect, in words; "" where nothing may."""
+    """Alternatives to an effect, in words; "" for none."""
     parts = []
     for cause in effect.one_of:
         other, _, rotor = cause.partition(":")
@@ -340,11 +341,11 @@ def alternatives(effect: EffectRecord) -> str:
 
 
 def why_lost(rival: RivalRecord, least: float) -> str:
-    """Why another explanation was not chosen.
+    """Reason why another explanation was not chosen.
 
     Args:
         rival: The other one.
-        least: Probability from which on it is as good.
+        least: Probability from which it is equally good.
     """
     if isinstance(rival.behind, UnsetType) or isinstance(rival.with_, UnsetType):
         return "does not resemble this residual"
@@ -357,7 +358,7 @@ def why_lost(rival: RivalRecord, least: float) -> str:
 
 
 def shrink_words(gap: ChannelRecord) -> str:
-    """Interval by which a gap shrank; a dash where it is not known, nothing where none is."""
+    """Interval by which a gap shrank; a dash where it is not known, "" without one."""
     if gap.before == gap.after:
         return ""
     return "\N{EN DASH}" if gap.shrink_ci95 is None else " to ".join(map(percent, gap.shrink_ci95))
@@ -367,7 +368,7 @@ def _series(
     found: Explanation, flight: str, before: Sequence[ChannelData], after: Sequence[ChannelData]
 ) -> "Series":
     """Columns of one held-out flight."""
-    from .series.files import EXPLAINED, TWIN, Series, compared  # Parquet is for files alone
+    from .series.files import EXPLAINED, TWIN, Series, compared  # Parquet is needed for files only
 
     columns: list[Column] = []
     for old, new in zip(before, after, strict=True):
@@ -399,22 +400,23 @@ def explain(
     Args:
         flights: Flights to fit.
         holdout: Flights that take no part in the fit and show the gap; none (`[]`): blocks of time
-            of the others stand in, which is weaker.
+            of the others are used instead, which is weaker evidence.
         vehicle: The model to be examined.
-        since: Instead of it, a vehicle that was calibrated, to ask what has changed since then: its
-            numbers are held as well as they are known.
+        since: Calibrated vehicle in place of `vehicle`, to find changes since then: its numbers
+            have their calibrated uncertainty.
         payloads: Known mass aboard by the name of a flight, kg.
         seed: Seed of every bootstrap.
         missions: Missions flown with the new model at the end; default: all.
-        settings: The numbers that decide what is said, `docs/reference/settings.md`.
+        settings: Settings of the search, `docs/reference/settings.md`.
         indoors: Whether all flights were within walls; default: as each flight says, outdoors
             where it does not.
-        progress: Called with the share done, 0..1.
-        checkpoint: Keeps where the search stands, such as `uavtwin.explain_journal.ExplainJournal`.
+        progress: Called with the completed share, 0..1.
+        checkpoint: Stores the state of the search, such as
+            `uavtwin.explain_journal.ExplainJournal`.
 
     Raises:
-        TwinError: An argument is no flight or no vehicle, a flight is fitted on and held out, a
-            payload is of no flight, or `since` holds no calibration.
+        TwinError: An argument is no flight or no vehicle, a flight is both fitted and held out, a
+            payload belongs to no flight, or `since` has no calibration.
     """
     fit, away = opened_flights(flights, "explain"), opened_flights(holdout, "explain")
     if (vehicle is None) == (since is None):
@@ -446,16 +448,16 @@ def explain(
 
 
 def check_calibrated(vehicle: Vehicle) -> None:
-    """Refuse a vehicle that no flights have calibrated.
+    """Refuse a vehicle without calibration.
 
     Raises:
-        TwinError: It is one.
+        TwinError: It has none.
     """
     inner.calibrated_on(vehicle)
 
 
 def _check_apart(fit: Sequence[AnyFlight], away: Sequence[AnyFlight]) -> None:
-    """Refuse a flight on both sides."""
+    """Refuse a flight that is both fitted and held out."""
     if not fit:
         raise TwinError("explain: no flight to fit on.")
     files = {f.source.resolve() for f in fit if f.source is not None}
@@ -470,10 +472,10 @@ def check_payloads(payloads: Mapping[str, float], flights: Sequence[str]) -> Non
 
     Args:
         payloads: Known mass aboard by flight, kg.
-        flights: Names.
+        flights: Names of the flights.
 
     Raises:
-        TwinError: So it is.
+        TwinError: There is one.
     """
     for name, mass_kg in payloads.items():
         if name not in flights:
@@ -483,9 +485,9 @@ def check_payloads(payloads: Mapping[str, float], flights: Sequence[str]) -> Non
 
 
 def explained_vehicle(found: Explanation) -> vehicles.Vehicle:
-    """The vehicle with the named effects, each number with pedigree and sd; else as it stood.
+    """The vehicle with the named effects, each number with source and sd; else the original one.
 
-    The file of a model that does not fly says so on top.
+    The file of a model that cannot fly has a comment on that at the top.
     """
     if found.added is None:
         return vehicles.Vehicle.of(found.vehicle)
@@ -507,7 +509,8 @@ def explained_vehicle(found: Explanation) -> vehicles.Vehicle:
 
 
 def _grounded(found: Explanation) -> str:
-    """What the new model does not fly, and the way out, for the top of its file; "": it flies."""
+    """Missions that the new model cannot fly, and the remedy, for the top of its file; "": it flies
+    all."""
     if not found.lost:
         return ""
     lost = joined([f"{m.name} ({' '.join(m.problem.split())})" for m in found.lost])
@@ -520,15 +523,14 @@ def _grounded(found: Explanation) -> str:
 
 def vehicle_today(found: Explanation) -> vehicles.Vehicle | None:
     """The explained vehicle with the constants of the day of the last of several flights; None
-    where nothing was added, or none stands out."""
+    where nothing was added, or none differs."""
     if found.added is None or len(found.flights) < 2:
         return None
     return _on_day(found, explained_vehicle(found), found.flights[-1])
 
 
 def _on_day(found: Explanation, vehicle: vehicles.Vehicle, flight: str) -> vehicles.Vehicle | None:
-    """A vehicle with what stands out of the day of a flight and an aircraft can have; None where
-    nothing does."""
+    """A vehicle with those outliers of a flight that an aircraft can have; None for none."""
     days = {} if found.naming is None else found.naming.days.get(flight, {})
     effects = dict.fromkeys(n.partition(".")[0] for n in days)
     own = {
@@ -564,7 +566,7 @@ def _certainty(ci95: tuple[float, float] | None) -> str:
 
 
 def write_explanation(found: Explanation, folder: Path) -> list[str]:
-    """Write page, JSON and, where an effect is named, vehicle files; names of the files."""
+    """Write page, JSON and, where an effect is named, vehicle files; returns names of the files."""
     result = ExplainResult(found)
     write_json(folder / "explain.json", result.json())
     result.draw(folder / "report.html")
@@ -583,15 +585,15 @@ def write_fmus(
     steps: OptionalSteps,
     progress: Progress = lambda _: None,
 ) -> list[str]:
-    """Build the components on which the named effects act; names of the files.
+    """Build the components on which the named effects act; returns names of the files.
 
     Args:
         found: Result of `explain`.
         folder: Folder of the results.
-        steps: Takes the build as one of its own: the compiler may fail, the disk be full.
+        steps: Runs the build as an optional step: the compiler may fail, the disk may be full.
         progress: Called with the share done.
     """
-    from .exports.parts import component  # what builds FMUs is not needed to explain
+    from .exports.parts import component  # builders of FMUs are not needed to explain
     from .exports.write import export_parts
 
     if found.added is None:

@@ -1,6 +1,6 @@
-"""What a file holds, what is wrong with it, what it is good for.
+"""Check of a file: content, problems, possible uses.
 
-Of a flight the kind of aircraft, its hover and its battery come first.
+For a flight the kind of aircraft, its hover and its battery come first.
 """
 
 import re
@@ -61,7 +61,7 @@ class FlightHover(Record, frozen=True, kw_only=True):
 
 
 class UnreadFile(Record, frozen=True, kw_only=True):
-    """What `check --json` says of a file that cannot be read.
+    """Result of `check --json` for a file that cannot be read.
 
     Attributes:
         file: Name of the file.
@@ -73,14 +73,14 @@ class UnreadFile(Record, frozen=True, kw_only=True):
 
 
 _URGENT, _FACTS = 8, 8
-"""Findings and facts of the short form: with what the file is good for it fits a terminal of 24
+"""Findings and facts of the short form, which with the possible uses fits a terminal of 24
 lines."""
 _AT_LENGTH = ("motors", "holds", "rows", "site")
-"""Facts that the short form leaves out: lists, and what is not asked first."""
+"""Facts omitted from the short form: lists, and details."""
 
 
 class CheckReport(Record, DisplayMixin, frozen=True, kw_only=False):
-    """What `check` says of one file.
+    """Result of `check` for one file.
 
     Attributes:
         file: Name of the file.
@@ -116,13 +116,13 @@ class CheckReport(Record, DisplayMixin, frozen=True, kw_only=False):
 
     @property
     def reason(self) -> str:
-        """The first line that says why."""
+        """The first line with the reason for the verdict."""
         first = (*self.problems, *self.warnings)[:1]
         uses = f"good for {', '.join(self.good_for)}" if self.good_for else "nothing wrong with it"
         return first[0] if first else uses
 
     def claim(self) -> str:
-        """The verdict in a line."""
+        """The verdict in one line."""
         counts = [
             counted(texts, word)
             for texts, word in ((self.problems, "problem"), (self.warnings, "warning"))
@@ -133,7 +133,7 @@ class CheckReport(Record, DisplayMixin, frozen=True, kw_only=False):
         return f"{self.file}: {', '.join(counts) or 'fine'}{good}"
 
     def short_lines(self) -> list[tuple[str, str]]:
-        """The lines that matter most, on one screen, in the order of `lines`."""
+        """The most important lines, on one screen, in the order of `lines`."""
         every = self.lines()
         urgent = [line for line in every if line[0] in ("problem", "warning", "question")]
         facts = [
@@ -146,7 +146,7 @@ class CheckReport(Record, DisplayMixin, frozen=True, kw_only=False):
         ]
 
     def lines(self) -> list[tuple[str, str]]:
-        """What a person reads, line by line: kind and text."""
+        """All lines of the text form: kind and text."""
         return [("fact", f"{name:16s} {value}") for name, value in self.facts.items()] + [
             (kind, f"{kind}: {text}")
             for kind, texts in (
@@ -167,23 +167,23 @@ class CheckReport(Record, DisplayMixin, frozen=True, kw_only=False):
         yield "\n".join(text for _, text in self.lines())
 
     def brief(self) -> str:
-        """Name of the file, and how many problems it has."""
+        """Name of the file, and number of problems."""
         return f"{type(self).__name__}: {self.file}, {counted(self.problems, 'problem')}"
 
 
 def check_file(
     path: str | Path, vehicle: Vehicle | None = None, key: str | Path | None = None
 ) -> CheckReport:
-    """Look at one file, whatever it is.
+    """Check one file of any kind.
 
     Args:
         path: The file, or the folder of a ROS 2 bag.
         vehicle: Vehicle whose hover is compared with that of a flight.
-        key: Public key of minisign that its detached signature, `FILE.minisig`, has to be of.
+        key: Public key of minisign for its detached signature, `FILE.minisig`.
 
     Raises:
-        TwinError: It cannot be read as anything known, the flight cannot be compared with the
-            vehicle, or the key is none.
+        TwinError: It is of no known kind, the flight cannot be compared with the vehicle, or the
+            key is invalid.
     """
     found = _checked(path, vehicle)
     facts, problems = _signature(Path(path), None if key is None else Path(key))
@@ -191,7 +191,7 @@ def check_file(
 
 
 SIGNATURE = ".minisig"
-"""Ending of a detached signature, https://jedisct1.github.io/minisign."""
+"""Extension of a detached signature, https://jedisct1.github.io/minisign."""
 _MOST_BYTES = 10_000  # of a signature or key, which have 400
 
 
@@ -262,7 +262,7 @@ def _check_fmu(path: Path) -> CheckReport:
 
 
 def _check_system(path: Path) -> CheckReport:
-    from cosim.ssp import inspect_ssp  # what runs systems is not needed for the others
+    from cosim.ssp import inspect_ssp  # systems are imported only when needed
 
     report = inspect_ssp(path)
     uses = []
@@ -295,7 +295,7 @@ def _check_vehicle(path: Path) -> CheckReport:
 
 
 def _defaults(sources: Mapping[str, str]) -> Iterator[str]:
-    """What stands in for keys that a vehicle file leaves out, a line for keys of one default."""
+    """Defaults of keys that a vehicle file omits, a line for all keys with the same default."""
     keys: dict[str, list[str]] = {}
     for key, source in sources.items():
         if source.startswith(DEFAULT):
@@ -317,7 +317,7 @@ def _check_flight(path: Path, vehicle: Vehicle | None) -> CheckReport:
 
 
 def check_flight(flight: AnyFlight, file: str, vehicle: Vehicle | None = None) -> CheckReport:
-    """Look at one flight that is read already.
+    """Check one flight that has been read.
 
     Args:
         flight: A flight from `open_flight`.
@@ -371,7 +371,7 @@ def check_flight(flight: AnyFlight, file: str, vehicle: Vehicle | None = None) -
 
 
 def _uses(flight: AnyFlight, hover: Hover | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """What the flight is good for, and why it is good for nothing."""
+    """Commands that can use the flight, or the reason why none can."""
     if flight.airframe is not None and flight.airframe.no_multirotor:
         return (), (f"good for nothing here: no multirotor, {flight.airframe.no_multirotor}",)
     if not drives(flight):
@@ -385,7 +385,7 @@ def _uses(flight: AnyFlight, hover: Hover | None) -> tuple[tuple[str, ...], tupl
 
 
 def _unfit(flight: AnyFlight) -> tuple[str, ...]:
-    """What the flight does not allow, and why."""
+    """Limitations of the flight, with the reason."""
     if not drives(flight):
         return ()
     missing, autopilot = _missing(flight), flight.autopilot
@@ -401,7 +401,7 @@ def _unfit(flight: AnyFlight) -> tuple[str, ...]:
 
 
 def _missing(flight: AnyFlight) -> list[str]:
-    """Signals that the short horizon lacks."""
+    """Signals missing for the short horizon."""
     return [
         name
         for name, found in (
@@ -413,9 +413,9 @@ def _missing(flight: AnyFlight) -> list[str]:
 
 
 _FLOWN_V = 1.0
-"""Battery voltage above which one is connected, V."""
+"""Voltage above which a battery is connected, V."""
 _LEAST_SPLIT = 1.5
-"""Percent between sides from which on it is said."""
+"""Difference of two sides, in percent, from which it is reported."""
 
 
 def aircraft_facts(flight: AnyFlight, hover: Hover | None) -> dict[str, str]:
@@ -479,7 +479,7 @@ def compare_hover(
 
 
 def _kind(flight: AnyFlight) -> str:
-    """What flew, and what says so."""
+    """Kind of aircraft, and its source."""
     reported, motors = flight.airframe, len(drives(flight))
     if reported is not None and reported.no_multirotor:
         return f"this is no multirotor: {reported.no_multirotor}"
@@ -499,7 +499,7 @@ def _level(hover: Hover) -> str:
 
 
 def _split(hover: Hover, layout: Layout | None) -> str:
-    """How much each motor does over their mean, and pairs of them over the others."""
+    """Output of each motor over their mean, and of pairs over the others."""
     each = np.array(hover.split)
     shares = (f"{k} {round(100 * u):+d} %" for k, u in enumerate(each, start=1))
     text = f"motor {', '.join(shares)} from their mean"
@@ -519,7 +519,7 @@ def _split(hover: Hover, layout: Layout | None) -> str:
 
 
 def _voltage(flight: AnyFlight, hover: Hover | None) -> str:
-    """Range of what was logged with a battery connected, and in hover."""
+    """Range of the logged voltage with a battery connected, and in hover."""
     volts = flight.signal(("vbat_v",))[1][:, 0]
     volts = volts[volts > _FLOWN_V]
     if not len(volts):

@@ -16,9 +16,9 @@ AS_LOGGED = (
     "logged commands, though they could be rebuilt at full rate: those of {} could not, and "
     "flights of one aircraft are treated alike"
 )
-"""Finding of a flight whose commands are not rebuilt since those of another could not be."""
+"""Finding on a flight whose commands are not rebuilt because those of another one cannot be."""
 _SHOWN = 6
-"""Names of a folder that a message lists."""
+"""Largest number of names of a folder in a message."""
 
 
 def read_flights(
@@ -28,16 +28,16 @@ def read_flights(
 
     Args:
         patterns: Files, or patterns such as `logs/fit_*.ulg` and `logs/**/*.parquet`.
-        rebuild_commands: See `read_flight`.
-        trust_vehicle: Whether what the logs state of their rotors is left out, so that no vehicle
-            contradicts it.
+        rebuild_commands: Whether commands are rebuilt, as in `read_flight`.
+        trust_vehicle: Whether the rotors stated in the logs are ignored, so that no vehicle
+            contradicts them.
 
     Returns:
-        Flights in the order of the patterns, those of one pattern by name with numbers counted
-        (`fit_2` before `fit_10`); a file that two patterns match comes once.
+        Flights in the order of the patterns, those of one pattern by name with numbers in numeric
+        order (`fit_2` before `fit_10`); a file that matches two patterns occurs once.
 
     Raises:
-        LogError: Nothing matches a pattern, or a file cannot be used.
+        LogError: A pattern has no match, or a file cannot be used.
     """
     if not patterns:
         raise LogError("read_flights: no file and no pattern given, e.g. 'logs/fit_*.ulg'.")
@@ -52,17 +52,18 @@ def read_alike(
 ) -> list[Flight]:
     """Read flights that are compared with one vehicle.
 
-    Commands of one aircraft are read in the same way; flights of one file name are named by as much
-    of their paths as tells them apart; where another aircraft is among them, a finding says so.
+    Commands of one aircraft are read by the same method; flights with equal file names are named by
+    the shortest distinct ends of their paths; a finding reports flights of another aircraft.
 
     Args:
         paths: Files.
-        rebuild_commands: See `read_flight`. None: where the commands of one flight cannot be
-            rebuilt, or are not those that were flown, no flight of the aircraft is rebuilt.
-        trust_vehicle: See `read_flights`.
+        rebuild_commands: Whether commands are rebuilt, as in `read_flight`. None: where the
+            commands of one flight cannot be rebuilt, or differ from those flown, no flight of the
+            aircraft is rebuilt.
+        trust_vehicle: Whether rotors in logs are ignored, as in `read_flights`.
 
     Raises:
-        LogError: A file cannot be used, or two hold the same flight.
+        LogError: A file cannot be used, or two have the same flight.
     """
     flights = [read_flight(path, rebuild_commands=rebuild_commands) for path in paths]
     return _alike(paths, flights, rebuild_commands, trust_vehicle)
@@ -71,7 +72,7 @@ def read_alike(
 def open_alike(
     paths: Sequence[Path], rebuild_commands: bool | None = None, trust_vehicle: bool = False
 ) -> list[AnyFlight]:
-    """The same, long flight tables left in their files."""
+    """Read flights as `read_alike` does, leaving long flight tables in their files."""
     flights = [open_flight(path, rebuild_commands=rebuild_commands) for path in paths]
     return _alike(paths, flights, rebuild_commands, trust_vehicle)
 
@@ -79,7 +80,7 @@ def open_alike(
 def _alike(
     paths: Sequence[Path], flights: Sequence[_F], rebuild: bool | None, trust_vehicle: bool
 ) -> list[_F]:
-    """Flights that were read one by one, as `read_alike` has them."""
+    """Flights that were read one by one, named and treated as in `read_alike`."""
     _check_distinct(paths, flights)
     several = _commands_alike(paths, flights) if rebuild is None else flights
     names = _distinct_names(paths, several)
@@ -93,14 +94,14 @@ def _alike(
 
 
 def _without_rotors(flight: _F) -> _F:
-    """The flight without what its log states of the rotors."""
+    """The flight without the rotors stated in its log."""
     if flight.airframe is None:
         return flight
     return replace(flight, airframe=replace(flight.airframe, rotors=None, layout=None))
 
 
 def _commands_alike(paths: Sequence[Path], flights: Sequence[_F]) -> Sequence[_F]:
-    """The flights, with the commands as logged where those of another cannot be rebuilt."""
+    """The flights, all with logged commands if those of one cannot be rebuilt."""
     refused = [f for f in flights if "commands_not_rebuilt" in f.facts]
     found = list(flights)
     for k, flight in enumerate(flights):
@@ -115,14 +116,14 @@ def _commands_alike(paths: Sequence[Path], flights: Sequence[_F]) -> Sequence[_F
 
 
 def reported_aircraft(flight: AnyFlight) -> tuple[str, ...]:
-    """Aircraft, airframe and hardware that its log reports."""
+    """Aircraft, airframe and hardware reported in a flight's log."""
     return tuple(flight.facts.get(fact, "") for fact in ("aircraft", "airframe", "hardware"))
 
 
 def _strangers(
     own: tuple[str, ...], reported: Sequence[tuple[str, tuple[str, ...]]]
 ) -> Iterator[Finding]:
-    """A finding where a flight is of another aircraft than the first whose log says which."""
+    """Finding on a flight of another aircraft than the first one with an identifier."""
     known = [(name, aircraft) for name, aircraft in reported if any(aircraft)]
     if not any(own) or own == known[0][1]:
         return
@@ -132,10 +133,10 @@ def _strangers(
 
 
 def _check_distinct(paths: Sequence[Path], flights: Sequence[AnyFlight]) -> None:
-    """Refuse the same flight twice: it would count as two.
+    """Refuse a duplicate flight, which would count twice.
 
     Raises:
-        LogError: It is there.
+        LogError: There is one.
     """
     seen: dict[str, Path] = {}
     for path, flight in zip(paths, flights, strict=True):
@@ -147,7 +148,7 @@ def _check_distinct(paths: Sequence[Path], flights: Sequence[AnyFlight]) -> None
 
 
 def _distinct_names(paths: Sequence[Path], flights: Sequence[AnyFlight]) -> list[str]:
-    """Names of flights; those of one name by the shortest ends of their paths that differ."""
+    """Names of flights; equal ones replaced by the shortest distinct ends of their paths."""
     found = []
     for path, flight in zip(paths, flights, strict=True):
         alike = [p for p, f in zip(paths, flights, strict=True) if f.name == flight.name]
@@ -175,13 +176,13 @@ def _matching(pattern: str | Path) -> list[Path]:
 
 
 def counted_key(path: str | Path) -> list[tuple[int, str]]:
-    """Sort key in which 2 comes before 10."""
+    """Sort key with numbers in numeric order."""
     parts = re.findall(r"\d+|\D+", str(path))
     return [(int(p), "") if p.isdigit() else (-1, p) for p in parts]
 
 
 def what_is_there(path: Path) -> str:
-    """What is there instead of a file or pattern."""
+    """Text on similar files where a file or pattern has no match."""
     folder = path.parent
     while glob.has_magic(str(folder)):
         folder = folder.parent
@@ -199,10 +200,10 @@ def what_is_there(path: Path) -> str:
 
 
 def checked_flights(given: Any, verb: str) -> tuple[Flight, ...]:
-    """One flight or several that were handed to a function that needs them whole.
+    """One or several flights given to a function that needs them in memory.
 
     Raises:
-        TwinError: Something else was handed.
+        TwinError: The argument is something else.
     """
     flights = tuple(f for f in opened_flights(given, verb) if isinstance(f, Flight))
     for flight in (f for f in opened_flights(given, verb) if not isinstance(f, Flight)):
@@ -214,10 +215,10 @@ def checked_flights(given: Any, verb: str) -> tuple[Flight, ...]:
 
 
 def opened_flights(given: Any, verb: str) -> tuple[AnyFlight, ...]:
-    """One flight or several that were handed to a function, whole or left in their files.
+    """One or several flights given to a function, in memory or in their files.
 
     Raises:
-        TwinError: Something else was handed.
+        TwinError: The argument is something else.
     """
     flights = (given,) if isinstance(given, Flight | StoredFlight | str | Path) else given
     if not isinstance(flights, Iterable):
@@ -232,10 +233,10 @@ def opened_flights(given: Any, verb: str) -> tuple[AnyFlight, ...]:
 
 
 def check_names(flights: Iterable[Flight]) -> None:
-    """Refuse two flights of one name, which no table could tell apart.
+    """Refuse two flights of one name, which tables cannot distinguish.
 
     Raises:
-        TwinError: There are.
+        TwinError: There are two.
     """
     seen: set[str] = set()
     for flight in flights:
@@ -248,7 +249,7 @@ def check_names(flights: Iterable[Flight]) -> None:
 
 
 def check_untaught(flights: Iterable[Flight], model: Path, taught: Mapping[str, str]) -> None:
-    """Refuse flights of the training of a model, whatever they are called now.
+    """Refuse flights on which a model was trained, under any name.
 
     Args:
         flights: Flights for the evaluation.
@@ -256,7 +257,7 @@ def check_untaught(flights: Iterable[Flight], model: Path, taught: Mapping[str, 
         taught: Names of its flights by their fingerprints.
 
     Raises:
-        TwinError: One is of the training.
+        TwinError: There is one.
     """
     for flight in flights:
         if (name := taught.get(flight.fingerprint)) is not None:
@@ -267,4 +268,4 @@ def check_untaught(flights: Iterable[Flight], model: Path, taught: Mapping[str, 
 
 
 _HOW = "Read it first: read_flight(FILE), or read_flights(PATTERN) for several."
-"""Way out of an argument that is no flight."""
+"""Remedy for an argument that is no flight."""

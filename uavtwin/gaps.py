@@ -256,8 +256,8 @@ def gap_record(gaps: Sequence[FlightGap]) -> GapRecord:
 
 
 def unfit(gaps: Sequence[FlightGap]) -> str:
-    """That the vehicle file does not fit, by the first flight that shows it, with a blank behind
-    it; "" where none does."""
+    """Text on a vehicle file that does not fit, from the first flight that shows it, with a
+    trailing blank; "" where it fits."""
     texts = (misfit(g.carried, g.vehicle) for g in gaps)
     return next((f"{t} " for t in texts if t), "")
 
@@ -290,11 +290,11 @@ of the worst channel: axes of a vector are ranked by their largest signal. Made 
 
 
 def _steeper(places: Sequence[Ranked]) -> str:
-    """The channel whose residual is the largest share of its own signal, a sentence; "" where that
-    is the worst place, or hardly more of it."""
+    """Sentence on the channel whose residual is the largest share of its own signal; "" where that
+    is the worst channel, or hardly larger."""
 
     def own(place: Ranked) -> float:
-        """Slow part of the residual over the signal of the channel alone."""
+        """Slow part of the residual over the signal of the channel itself."""
         return place.score.slow_rms * place.score.share / place.score.rms if place.score.rms else 0
 
     worst = places[0]
@@ -325,11 +325,11 @@ def _flight(gap: FlightGap) -> GapFlight:
 
 @dataclass(frozen=True, repr=False)
 class GapResult(PageMixin):
-    """How far a vehicle's twin is from flights.
+    """Gap between flights and a vehicle's twin.
 
     Attributes:
         flights: Residuals, one per flight.
-        recorded: The flights as they were read, for the top of the page; none: not known.
+        recorded: Flights as read, for the top of the page; none: not known.
     """
 
     flights: tuple[FlightGap, ...]
@@ -339,12 +339,12 @@ class GapResult(PageMixin):
 
     @cached_property
     def record(self) -> GapRecord:
-        """Every number that is printed."""
+        """Record of every number that is printed."""
         return gap_record(self.flights)
 
     @property
     def headline(self) -> Headline:
-        """The claim, which gives no fitted number."""
+        """The main result, without fitted numbers."""
         return self.record.headline
 
     @property
@@ -354,12 +354,12 @@ class GapResult(PageMixin):
 
     @property
     def drive(self) -> str:
-        """What drives the twin, and why, in one sentence."""
+        """Input of the twin, with the reason, in one sentence."""
         return drive_sentence({g.flight: g.driven_by for g in self.flights})
 
     @property
     def hover(self) -> tuple[str, ...]:
-        """What the hover of each flight says of the twin, a sentence each."""
+        """Sentences on the twin from the hover of each flight."""
         return tuple(
             f"{g.flight}: {hover_sentence(g.vehicle, g.hover, g.driven_by)}"
             for g in self.flights
@@ -368,7 +368,7 @@ class GapResult(PageMixin):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to keep in mind, each with its flight."""
+        """Warnings, each with its flight."""
         return tuple(f"{g.flight}: {w}" for g in self.flights for w in g.warnings)
 
     def table(self) -> TextTable:
@@ -443,11 +443,11 @@ class GapResult(PageMixin):
         )
 
     def series(self) -> "tuple[Series, ...]":
-        """Measured, twin and residual of each flight over time, as the numbers are made of them."""
+        """Measured, twin and residual of each flight over time, as used for the numbers."""
         return tuple(_series(gap) for gap in self.flights)
 
     def findings(self) -> Iterable[str | TextTable]:
-        """Claim, drive, hover, table, and how far rebuilt commands match those of the log."""
+        """Main result, input, hover, table, and agreement of rebuilt commands with logged ones."""
         yield self.claim
         if self.drive:
             yield self.drive
@@ -459,7 +459,7 @@ class GapResult(PageMixin):
                 yield f"{g.flight}: commands {g.facts['commands_match']}"
 
     def brief(self) -> str:
-        """How many flights and channels, against which vehicle."""
+        """Number of flights and channels, and the vehicle."""
         vehicles = ", ".join(dict.fromkeys(g.vehicle for g in self.flights))
         channels = {c.name for g in self.flights for c in g.channels}
         return (
@@ -470,7 +470,7 @@ class GapResult(PageMixin):
 
 def _series(gap: FlightGap) -> "Series":
     """Columns of one flight."""
-    from .series.files import TWIN, Series, compared  # Parquet is for files alone
+    from .series.files import TWIN, Series, compared  # Parquet is needed for files only
 
     columns: list[Column] = []
     for c in gap.channels:
@@ -481,7 +481,7 @@ def _series(gap: FlightGap) -> "Series":
 
 
 LEAST_BEFORE_S = 5.0
-"""Shortest part before a crash that is compared alone, s."""
+"""Shortest part before a crash that is compared, s."""
 LAST_S = 120.0
 """Length of the end of a flight, left in its file, that is searched for a crash: 40 MB at 1 kHz."""
 
@@ -493,14 +493,14 @@ def gap(
     horizon_s: float = DEFAULT_HORIZON_S,
     progress: Progress = lambda _: None,
 ) -> GapResult:
-    """Fly the twin on the commands of real flights and measure where the two disagree.
+    """Simulate the twin with the commands of real flights and measure the differences.
 
     Args:
         flights: One or several.
         vehicle: Vehicle of the twin.
-        horizon_s: Short horizon: the twin restarts from the measured state that often; a multiple
-            of 1 ms, at least 10 ms.
-        progress: Called with the share done, 0..1.
+        horizon_s: Short horizon, the interval at which the twin restarts from the measured state; a
+            multiple of 1 ms, at least 10 ms.
+        progress: Called with the completed share, 0..1.
 
     Raises:
         LogError: A flight cannot be compared with this vehicle.
@@ -520,16 +520,16 @@ def gap(
 
 
 def _until_crash(flight: AnyFlight) -> tuple[AnyFlight, str]:
-    """What is compared of a flight, and what is to be known of a crash: how it tumbles says little
-    of the twin, and would outweigh how it flew. "": it does not crash.
+    """Part of a flight to compare, and a warning on a crash, "" without one: tumbling is
+    uninformative on the twin, and would dominate the rest.
 
-    One that stays in its file is compared to its end, and only its last part is looked at.
+    A flight that stays in its file is compared to its end, and only its last part is searched.
     """
     start_s, end_s = float(flight.time_s[0]), float(flight.time_s[-1])
     try:
         held = flight if isinstance(flight, Flight) else flight.between(end_s - LAST_S, end_s)
         lost_s = FlightFrame.of(held).crash_begins_s
-    except LogError:  # its motion is not known well enough to tell
+    except LogError:  # its motion is not known well enough
         return flight, ""
     if lost_s is None or lost_s - start_s < LEAST_BEFORE_S:
         return flight, ""

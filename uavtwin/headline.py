@@ -1,13 +1,12 @@
-"""The sentence on top of a result: one rule for every verb.
+"""Headline of a result: one rule for every verb.
 
-A headline gives a number only where its 95 % interval excludes "no effect" and the flights say more
-of it than the prior (`Estimate.determined`). That the new model does not fly is said before all
-else. Of the effects that act on the flight, that which surely takes the largest share of a force or
-moment channel leads, even where something only acts like it; sensors and records come after. An
-effect whose numbers are not determined is named without them, and a further sentence says so. A
-sensor that is off by far more than usual follows what leads, with its size.
-`Headline.numbers` lists what the text gives, so that a program can hold the sentence against its
-numbers.
+A headline gives a number only where its 95 % interval excludes "no effect" and the flights
+determine it more than the prior (`Estimate.determined`). A new model that cannot fly is reported
+first. Of the effects that act on the flight, the one with the largest certain share of a force or
+moment channel leads, even where the cause only resembles it; sensors and records follow. An effect
+with undetermined numbers is named without them, and a further sentence reports that. A sensor with
+a far larger error than usual follows the leading effect, with its size. `Headline.numbers` lists
+the numbers in the text, so that a program can compare them.
 """
 
 import math
@@ -43,25 +42,26 @@ if TYPE_CHECKING:
     from twin.explain.calibration import Calibrated
 
 MOST_NUMBERS = 3
-"""Numbers of an effect that a headline gives; of several effects, one each."""
+"""Largest number of an effect's numbers in a headline; of several effects, one each."""
 MOST_EFFECTS = 3
-"""Effects that it gives numbers of."""
+"""Largest number of effects with numbers."""
 STRIKING = 3.0
-"""Prior deviations of a number from which on a sensor is said with its size beside the flight."""
+"""Prior deviations of a number from which a sensor is reported with its size in addition to the
+flight."""
 MOST_VARIED = 2
-"""Effects that differ between flights, and flights of each, that it gives."""
+"""Largest number of effects that differ between flights, and of flights for each."""
 MOST_BLIND = 3
-"""Effects of which it says how small they may be to stay unseen."""
+"""Largest number of effects with a detection limit."""
 
 
 def headline(found: Explanation) -> Headline:
-    """The answer of `explain`, behind what the new model does not fly."""
+    """The result of `explain`, after a report that the new model cannot fly."""
     said = _answer(found)
     return Headline(grounded(found) + said.text, said.numbers)
 
 
 def grounded(found: Explanation) -> str:
-    """What the new model does not fly, a sentence with a blank behind it; "": it flies, or there is
+    """Sentence on a new model that cannot fly, with a trailing blank; "": it flies, or there is
     none."""
     if not found.lost:
         return ""
@@ -99,7 +99,7 @@ def _answer(found: Explanation) -> Headline:
 
 
 def _named(found: Explanation, naming: Naming) -> Headline:
-    """What the model lacks, where something is named."""
+    """Sentence on the named effects."""
     effects = [e for e in listed_effects(found) if e not in undecided(found)]
     lead = _acts_like(found, naming, effects)
     estimates = {e: estimates_of(found, e) for e in effects}
@@ -117,8 +117,8 @@ def _named(found: Explanation, naming: Naming) -> Headline:
 
 
 def _undetectable(found: Explanation, naming: Naming) -> str:
-    """`undetectable` of what vehicle files seldom know and nothing is said of; what this file is
-    unsure of is calibrated instead."""
+    """`undetectable` for numbers that vehicle files seldom have and the text does not mention;
+    uncertain numbers of this file are calibrated instead."""
     priors = naming.problem.priors
     said = {*listed_effects(found), *(r.effect for r in naming.resemblances), *priors.unsure}
     said |= {e for t in naming.standing.values() for e in t.effects}
@@ -128,11 +128,11 @@ def _undetectable(found: Explanation, naming: Naming) -> str:
 
 
 def undetectable(smallest: Mapping[str, Detectable], usual: Mapping[str, float]) -> str:
-    """Effects that flights would not show at a usual size; begins with a blank, "" of none.
+    """Effects that flights would not show at a usual size; with a leading blank, "" for none.
 
     Args:
         smallest: Smallest detectable change, by effect.
-        usual: Standard deviation of what is expected, by "effect.number".
+        usual: Prior standard deviation, by "effect.number".
     """
     parts = [
         f"{title(e)} of any size"
@@ -145,7 +145,7 @@ def undetectable(smallest: Mapping[str, Detectable], usual: Mapping[str, float])
 
 
 def _would_not_show(effects: list[str]) -> str:
-    """A sentence; begins with a blank, "" of none."""
+    """A sentence with a leading blank, "" for none."""
     text = joined(effects, "or")
     return f" {text[0].upper()}{text[1:]} would not show in these flights." if text else ""
 
@@ -155,13 +155,13 @@ def varied(
     usual: Mapping[str, float],
     without: Collection[str],
 ) -> str:
-    """What of an aircraft differs between flights by far more than usual, in those that stand out;
-    begins with a blank, "" where nothing does, and of one flight.
+    """Numbers of an aircraft that differ between flights by far more than usual, for outlying
+    flights; with a leading blank, "" for none, and for one flight.
 
     Args:
         days: Flight -> "effect.number" -> difference from the others, and its deviation.
         usual: Standard deviation between flights, by "effect.number".
-        without: Effects that are left out.
+        without: Effects that are omitted.
     """
     apart: dict[str, dict[str, float]] = {}
     for flight, own in days.items():
@@ -190,13 +190,13 @@ def _of_aircraft(name: str) -> bool:
 
 
 def _varied(naming: Naming) -> str:
-    """`varied`, but for what something only acts like."""
+    """`varied` without effects that the cause only resembles."""
     usual = dict(zip(naming.problem.priors.names, naming.problem.priors.day, strict=True))
     return varied(naming.days, usual, {r.effect for r in naming.resemblances})
 
 
 def _which(naming: Naming) -> str:
-    """What flights do not tell of a family of effects that is sure; begins with a blank."""
+    """Undetermined part of a family of effects whose presence is certain; with a leading blank."""
     parts = [
         (t.family.name, joined([title(e) for e in t.effects if e != effect]))
         for effect, t in naming.standing.items()
@@ -205,8 +205,8 @@ def _which(naming: Naming) -> str:
 
 
 def _shares(naming: Naming) -> dict[str, tuple[float, str]]:
-    """Largest share of a force or moment channel and that channel, by effect; an effect that stands
-    for its family has the share of the family."""
+    """Largest share of a force or moment channel and that channel, by effect; an effect that
+    represents its family has the share of the family."""
     none = (0.0, "")
     whole = {
         e: max(naming.shares.get(m, none) for m in t.effects) for e, t in naming.standing.items()
@@ -220,18 +220,17 @@ def leading(
     determined: Collection[str],
     striking: Collection[str] = (),
 ) -> tuple[list[str], str]:
-    """Effects that a headline leads with, and a sentence about the others, which begins with a
-    blank.
+    """Leading effects of a headline, and a sentence on the others, with a leading blank.
 
-    Those that act on the flight come first, by the share of a force or moment channel that they
-    surely take; the first leads, and the others follow as far as their numbers are determined; then
-    the first striking sensor.
+    Those that act on the flight come first, by their certain share of a force or moment channel;
+    the first leads, and the others follow if their numbers are determined; then the first sensor
+    with an unusually large error.
 
     Args:
-        effects: Named ones.
+        effects: Named effects.
         shares: Largest share and its channel, by effect.
         determined: Effects with a number that a headline may give.
-        striking: Those of them with one that is far from what was expected.
+        striking: Those of them with a number far from its prior.
     """
     share = {e: round(shares.get(e, (0.0, ""))[0], 3) for e in effects}
     in_order = sorted(effects, key=lambda e: (not EFFECTS[e].in_the_air, -share[e]))
@@ -246,8 +245,8 @@ def leading(
 def sure_shares(
     shares: Mapping[str, tuple[float, str]], estimates: Mapping[str, Sequence[Estimate]]
 ) -> dict[str, tuple[float, str]]:
-    """Shares of a force or moment channel that effects take at least: with the clearest number at
-    the end of its interval that is nearest to no effect. One that may be none takes nothing.
+    """Certain shares of a force or moment channel by effect: from the most significant number at
+    the end of its interval nearest to no effect. One that may be zero has no certain share.
 
     Args:
         shares: Largest share and its channel, by effect.
@@ -258,7 +257,7 @@ def sure_shares(
 
 
 def _nearest(estimate: Estimate) -> float:
-    """Nearest end of the interval of a change over the change; 0 where it may be none."""
+    """Nearest end of the interval of a change over the change; 0 where it may be zero."""
     low, high = estimate.ci95 or (0.0, 0.0)
     if not estimate.determined or estimate.no_effect is None:
         return 0.0
@@ -266,12 +265,12 @@ def _nearest(estimate: Estimate) -> float:
 
 
 def _determined(estimates: Mapping[str, Sequence[Estimate]]) -> set[str]:
-    """Effects with a number that a headline may give, and those without any number."""
+    """Effects with a number for a headline, and those without any number."""
     return {e for e, own in estimates.items() if not own or any(t.determined for t in own)}
 
 
 def _striking(estimates: Mapping[str, Sequence[Estimate]]) -> set[str]:
-    """Effects with a number that a headline may give and that was not expected to be so large."""
+    """Effects with a number for a headline that is far larger than expected."""
     return {
         e
         for e, own in estimates.items()
@@ -280,8 +279,8 @@ def _striking(estimates: Mapping[str, Sequence[Estimate]]) -> set[str]:
 
 
 def _acts_like(found: Explanation, naming: Naming, named: Sequence[str]) -> str:
-    """What takes a larger share of a force or moment channel than all that is named, though it only
-    acts like an effect: a sentence with a blank behind it; "" where nothing does."""
+    """Sentence on a cause with a larger share of a force or moment channel than all named effects,
+    although it only resembles an effect; with a trailing blank, "" for none."""
     share = {r.effect: naming.shares.get(r.effect, (0.0, "")) for r in naming.resemblances}
     if not share:
         return ""
@@ -300,7 +299,7 @@ def _acts_like(found: Explanation, naming: Naming, named: Sequence[str]) -> str:
 def _phrase(
     found: Explanation, effect: str, estimates: Sequence[Estimate], most: int, since: bool = False
 ) -> Headline:
-    """An effect with the numbers that a headline may give."""
+    """An effect with its numbers for a headline."""
     stochastic = stochastic_effect(found, effect)
     if stochastic is None:
         size = sizes(effect, estimates, most, since)
@@ -313,14 +312,14 @@ def _phrase(
 
 
 def amount(effect: str, size: str) -> str:
-    """An effect and its size: a number follows the name, a clause stands in brackets."""
+    """An effect and its size: a number follows the name, a clause is in brackets."""
     if not size or not size[0].isalpha():
         return f"{called(effect)} {size}".rstrip()
     return f"{called(effect)} ({size.removeprefix('it is ')})"
 
 
 def called(effect: str) -> str:
-    """An effect by the name of its family, where it has one, and its own."""
+    """An effect by the name of its family, if any, and its own."""
     family = next((f for f in FAMILIES if effect in f.effects), None)
     if family is None or effect == family.first:
         return title(effect)
@@ -328,14 +327,14 @@ def called(effect: str) -> str:
 
 
 def sizes(effect: str, estimates: Sequence[Estimate], most: int, since: bool = False) -> Headline:
-    """What an effect amounts to by its determined numbers: a clause where there is one and the
-    vehicle has nothing of it, else the clearest of the numbers, each with unit and meaning.
+    """Size of an effect by its determined numbers: a clause where there is one and the vehicle
+    lacks the effect, else the most significant numbers, each with unit and meaning.
 
     Args:
         effect: Identifier.
         estimates: Numbers of the effect.
-        most: Numbers to give without a clause.
-        since: Whether the change since a calibration is meant.
+        most: Largest number of numbers without a clause.
+        since: Whether it is a change since a calibration.
     """
     known = {t.number.name: t for t in estimates if t.determined}
     change = said_numbers(effect, {k: t.change for k, t in known.items()})
@@ -354,7 +353,7 @@ def _width(estimate: Estimate) -> float:
 
 
 def _number(estimate: Estimate) -> str:
-    """A number with unit and meaning, and with what the file has in its place."""
+    """A number with unit and meaning, and with the value in the file."""
     about, name = estimate.number.about, estimate.number.name
     index = name.removeprefix(about.name).lstrip("_")
     which = f" of rotor {index}" if about.per_rotor else ""
@@ -365,13 +364,13 @@ def _number(estimate: Estimate) -> str:
 
 
 def _candidates(found: Explanation, without: Collection[str] = ()) -> list[str]:
-    """Listed effects but for some, each with its probability."""
+    """Listed effects without some, each with its probability."""
     listed = [e for e in listed_effects(found) if e not in without]
     return [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed]
 
 
 def _sure(found: Explanation, effects: Sequence[str]) -> str:
-    """Probability of names, with a comma before and a stop behind: of several the smallest one."""
+    """Probability of names, between a comma and a stop: of several the smallest one."""
     least = certainty(min(probability_of(found, e) for e in effects))
     if len(effects) == 1:
         return f", {least} probability."
@@ -379,7 +378,7 @@ def _sure(found: Explanation, effects: Sequence[str]) -> str:
 
 
 def _outside(found: Explanation) -> str:
-    """What is known of a cause without a name."""
+    """Text on a cause without a name."""
     if found.unnamed:
         first = found.unnamed[0]
         return (
@@ -395,7 +394,7 @@ def _outside(found: Explanation) -> str:
 
 
 def _since(found: Explanation, naming: Naming) -> Headline:
-    """What has changed since the calibration, a clause that ends in a stop."""
+    """Change since the calibration, a clause with a final stop."""
     if found.verdict == "nothing":
         sure = certainty(nothing_probability(found) or 0.0)
         text = f"no change is detectable, {sure} probability."
@@ -435,7 +434,7 @@ def _since(found: Explanation, naming: Naming) -> Headline:
 
 
 def _of_balance(balance: Balance) -> str:
-    """What may have changed in the balance, where it is one of several: first the place, then the
+    """Possible changes in the balance, where it is one of several: first the position, then the
     causes."""
     tied = {h.cause for h in balance.one_of}
     each = [f"{_in_words(h)} ({certainty(h.probability)})" for h in balance.one_of]
@@ -472,7 +471,7 @@ def _in_words(hypothesis: Hypothesis) -> str:
 
 
 def _by_number(hypothesis: Hypothesis) -> dict[str, float]:
-    """Changes by the numbers' own names."""
+    """Changes with the numbers' own names."""
     return {n.partition(".")[2]: v for n, v in hypothesis.values.items()}
 
 
@@ -482,7 +481,7 @@ def _fitted(naming: Naming, fit: Fit, effect: str) -> list[Estimate]:
 
 
 def _change(naming: Naming, effect: str, estimates: Sequence[Estimate]) -> Headline:
-    """How an effect has changed since the calibration, and which rotors it may be as well."""
+    """Clause on the change of an effect since the calibration, with alternative rotors."""
     change = {t.number.name: t.change for t in estimates if t.determined}
     if not change:
         return Headline(f"{title(effect)} has changed")
@@ -497,8 +496,8 @@ def _change(naming: Naming, effect: str, estimates: Sequence[Estimate]) -> Headl
 
 
 def _within(estimates: Sequence[Estimate]) -> str:
-    """Half of the 95 % interval of a change that is one number with a unit, or a wind; begins with
-    a blank, "" of any other."""
+    """Half of the 95 % interval of a change that is one number with a unit, or a wind; with a
+    leading blank, "" for any other."""
     units = {t.number.about.unit for t in estimates}
     weather = all(EFFECTS[t.number.effect].of_weather for t in estimates)
     if len(units) != 1 or "1" in units or not (weather or len(estimates) == 1):
@@ -509,7 +508,7 @@ def _within(estimates: Sequence[Estimate]) -> str:
 
 
 def _what_else(found: Explanation, sure: Sequence[str]) -> str:
-    """What else is there besides the sure effects, where something is; begins with a blank."""
+    """Further present causes besides the certain effects; with a leading blank."""
     if not undecided(found):
         return ""
     assert found.naming is not None
@@ -526,7 +525,7 @@ def _what_else(found: Explanation, sure: Sequence[str]) -> str:
 
 
 def _doubts(found: Explanation, estimates: Mapping[str, Sequence[Estimate]]) -> str:
-    """What speaks against the numbers of names all the same; begins with a blank."""
+    """Evidence against the numbers of named effects; with a leading blank."""
     known = _determined(estimates)
     none = [
         e
@@ -537,7 +536,7 @@ def _doubts(found: Explanation, estimates: Mapping[str, Sequence[Estimate]]) -> 
 
 
 def calibrated_headline(found: "Calibrated", lead: str) -> Headline:
-    """What stands on top of a calibration.
+    """Headline of a calibration.
 
     Args:
         found: Result of the fit.
@@ -567,11 +566,11 @@ def _calibrated(effect: str, estimates: Sequence[Estimate]) -> Headline:
 
 
 def undetermined(none: Sequence[str], unsized: Sequence[str]) -> str:
-    """Sentences about effects without a number that a headline may give; begins with a blank.
+    """Sentences on effects without a number for a headline; with a leading blank.
 
     Args:
         none: Effects whose intervals contain "no effect".
-        unsized: Effects whose numbers are determined by the prior more than by the flights.
+        unsized: Effects whose numbers depend more on the prior than on the flights.
     """
     text = ""
     if none:
@@ -585,13 +584,13 @@ def undetermined(none: Sequence[str], unsized: Sequence[str]) -> str:
 
 
 def blind(smallest: Mapping[str, Detectable], since: bool, axes: str = "") -> str:
-    """How large an effect may be and still not show, and what is not told at all; begins with a
-    blank, "" where nothing is known.
+    """Detection limits of effects, and undetermined numbers; with a leading blank, "" where nothing
+    is known.
 
     Args:
         smallest: Smallest detectable change, by effect.
         since: Whether it is a change since a calibration.
-        axes: Axes of "xyz" about which no flight asks the aircraft to turn.
+        axes: Axes of "xyz" about which no flight has rotations.
     """
     known = {e: smallest[e] for e in BLIND_ORDER if e in smallest}
     texts = [
@@ -606,8 +605,7 @@ def blind(smallest: Mapping[str, Detectable], since: bool, axes: str = "") -> st
 
 
 def wind(days: Mapping[str, Mapping[str, tuple[float, float]]]) -> str:
-    """The strongest mean wind that stands out of the day of a flight; begins with a blank, "" where
-    none does.
+    """The strongest outlying mean wind of a flight; with a leading blank, "" for none.
 
     Args:
         days: Flight -> "effect.number" -> difference from the calibration, and its deviation.
@@ -626,7 +624,8 @@ def wind(days: Mapping[str, Mapping[str, tuple[float, float]]]) -> str:
 
 
 def got_worse(found: Explanation) -> str:
-    """The channel of the held-out flights that got worst, in one sentence; "" where none did."""
+    """The channel of the held-out flights with the largest increase, in one sentence; "" for
+    none."""
     worse = [g for g in (found.comparison.gaps if found.comparison else ()) if g.worse]
     if not worse:
         return ""

@@ -1,12 +1,12 @@
-"""The posterior of an explanation as `arviz.InferenceData`, for those who know ArviZ.
+"""The posterior of an explanation as `arviz.InferenceData`, for users of ArviZ.
 
-A draw takes one of the candidate models by its probability, then its numbers from the Laplace
-approximation about the MAP estimate of that model, correlations kept by a Gaussian copula: each
-number has the law of which `credible_interval` of `twin.explain.inference.estimate` gives the 95 %
-interval.
+A draw selects one of the candidate models by its probability, then its numbers from the Laplace
+approximation about the MAP estimate of that model, with correlations by a Gaussian copula: each
+number has the distribution whose 95 % interval is `credible_interval` of
+`twin.explain.inference.estimate`.
 
 ArviZ: Kumar et al., J. Open Source Softw. 4 (2019) 1143. Needs the package `arviz`, which is
-imported where draws are asked for.
+imported on demand.
 """
 
 import math
@@ -53,7 +53,7 @@ def inference_data(found: Explanation, draws: int, seed: int) -> "arviz.Inferenc
     """
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", FutureWarning)  # of its next version
+            warnings.simplefilter("ignore", FutureWarning)  # in its next version
             import arviz
     except ImportError as error:
         raise TwinError(
@@ -96,14 +96,14 @@ def _number(naming: Naming, column: int) -> Number:
 
 
 def _columns(naming: Naming) -> list[int]:
-    """Numbers of the causes that may be there, and those that the file is unsure of."""
+    """Numbers of the possible causes, and uncertain ones of the file."""
     b, least = naming.problem.priors, naming.settings.least
     likely = [c for c, p in naming.posterior.inclusion.items() if p >= least]
     return sorted({*b.of(likely).tolist(), *np.flatnonzero(b.spike > 0).tolist()})
 
 
 def _widening(found: Explanation, naming: Naming) -> float:
-    """Factor on standard deviations, as of the intervals that are reported."""
+    """Factor on standard deviations, as in the reported intervals."""
     return math.sqrt(1 + naming.settings.variance_per_effect * reported_count(found))
 
 
@@ -154,8 +154,8 @@ def _of_set(
 
 
 def _drawn(number: Number, value: float, sd: float, ridge: float, z: Array) -> Array:
-    """Standard normal draws as draws of a number: of a factor log-normal, of what cannot be
-    negative truncated at its physical minimum, else normal, as `credible_interval`."""
+    """Conversion of standard normal draws to draws of a number: log-normal for a factor, truncated
+    at the physical minimum for a non-negative number, else normal, as in `credible_interval`."""
     about = number.about
     if parameter_of(number)[0].bounds[0] < 0:
         return value + sd * z
@@ -171,7 +171,7 @@ def _drawn(number: Number, value: float, sd: float, ridge: float, z: Array) -> A
 def _prior(
     naming: Naming, columns: list[int], draws: int, rng: np.random.Generator
 ) -> dict[str, Array]:
-    """The same before the flights: causes by their odds, numbers independent, within bounds."""
+    """Prior draws: causes by their odds, numbers independent, within bounds."""
     b: Priors = naming.problem.priors
     there = {c: rng.random(draws) < 1 / (1 + math.exp(-b.odds[c])) for c in b.causes}
     values = np.empty((draws, len(columns)))

@@ -1,4 +1,4 @@
-"""Compensators from Python: train one, evaluate one. Needs the extra `learn`, where it is used."""
+"""Compensators from Python: training and evaluation. Needs the extra `learn`, on use."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -35,11 +35,11 @@ _R = TypeVar("_R")
 
 
 class TrainRecord(Record, frozen=True, kw_only=True):
-    """What training made.
+    """Result of a training.
 
     Attributes:
         claim: Purpose and benefit of the model, in one sentence.
-        files: Names of what was written, the page first.
+        files: Names of the written files, the page first.
         seed: Seed of all random numbers.
         options: Options of the training, defaults filled in, by name.
     """
@@ -56,7 +56,7 @@ class TrainResult(DisplayMixin):
 
     Attributes:
         folder: Folder of the model: weights, ONNX, vehicle, learning curve, page.
-        files: Names of what was written, the page first.
+        files: Names of the written files, the page first.
         claim: Purpose and benefit of the model, in one sentence.
         seed: Seed of all random numbers.
         options: Options of the training, defaults filled in.
@@ -78,7 +78,7 @@ class TrainResult(DisplayMixin):
         )
 
     def model(self) -> "TrainedModel | ForceModel":
-        """The model itself."""
+        """Path of the model itself."""
         from learning.force.model import is_force, load_force
 
         if is_force(self.folder):
@@ -88,7 +88,7 @@ class TrainResult(DisplayMixin):
         return load(self.folder)
 
     def findings(self) -> Iterable[str | TextTable]:
-        """The claim, what it does in use, and where the files are."""
+        """Purpose, effect in use, and paths of the files."""
         yield self.claim
         yield from self.tables
         yield f"written to {self.folder}: {', '.join(self.files)}"
@@ -99,7 +99,8 @@ class TrainResult(DisplayMixin):
 
 
 def _in_one_thread(verb: Callable[_P, _R]) -> Callable[_P, _R]:
-    """The same function, with one thread of torch and BLAS: of several, sums end in other bits."""
+    """The function with one thread of torch and BLAS: with several threads sums are rounded
+    differently."""
 
     @wraps(verb)
     def _inside(*args: _P.args, **named: _P.kwargs) -> _R:
@@ -129,20 +130,21 @@ def train(
     force: bool = False,
     progress: Progress = lambda _: None,
 ) -> TrainResult:
-    """Train a compensator on what a vehicle leaves unexplained in flights.
+    """Train a compensator on the residuals of a vehicle in flights.
 
-    A training that was interrupted goes on where it was when it is called again.
+    After an interruption the same call resumes the training.
 
     Args:
         flights: Flights to train on.
         vehicle: Vehicle whose twin is corrected.
         folder: Folder of the model.
-        model: `svq`: ours, taken where nothing is said, but of `free` without epochs; `linear`: no
-            network, taken there.
-        preset: Preset of the model. For `svq`: `best`: ours, `paper`: the paper's text,
-            `published`: its code.
-        protocol: `force`: force and moment inside the equations. Of the sensors: `track`: it sees
-            residuals as old as the horizon; `free`: none; `reconstruct`: the present one.
+        model: `svq`: the project's own model, default except for `free` without epochs; `linear`:
+            no network, the default there.
+        preset: Preset of the model. For `svq`: `best`: the project's own, `paper`: the paper's
+            text, `published`: its code.
+        protocol: `force`: force and moment inside the equations. For the sensors: `track`:
+            residuals of the age of the horizon are inputs; `free`: no residuals; `reconstruct`: the
+            present ones.
         horizon: Samples between the newest residual and the prediction of `track`.
         rate_hz: Samples per second: 1000 over an integer; default: of `free` the IMU's, else 100.
         epochs: Default: the preset's; none for a preset in closed form.
@@ -153,7 +155,7 @@ def train(
         law: Folder of a learned force: `free` corrects the sensors of the twin that has it, and the
             new folder holds both.
         force: Whether the folder may hold other files already.
-        progress: Called with the share done, 0..1.
+        progress: Called with the completed share, 0..1.
 
     Raises:
         TwinError: The extra `learn` is not installed, or an argument or a flight cannot be used.
@@ -167,7 +169,7 @@ def train(
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """Arguments of `train` that decide what is trained."""
+    """Arguments of `train` that determine the trained model."""
 
     model: str | None = None
     preset: str | None = None
@@ -191,15 +193,15 @@ def run_train(
     progress: Progress = lambda _: None,
     alongside: Callable[[TrainResult, Path], None] = lambda *_: None,
 ) -> TrainResult:
-    """Train, and write the folder of the model as a whole.
+    """Train, and write the folder of the model atomically.
 
-    Until then the folder holds a checkpoint alone, with which the same call is resumed.
+    Until then the folder contains a checkpoint only, with which the same call resumes.
 
     Args:
         flights, vehicle, force, progress: See `train`.
         out: Folder of the model.
         wanted: Settings of the training.
-        alongside: Takes the result and the folder to write into what else belongs there.
+        alongside: Takes the result and writes further files into the given folder.
 
     Raises:
         TwinError: As `train`.
@@ -217,7 +219,7 @@ def run_train(
             alongside(made, folder)
     except BaseException:
         if new:
-            with suppress(OSError):  # it holds a checkpoint
+            with suppress(OSError):  # it contains a checkpoint
                 out.rmdir()
         raise
     return made
@@ -235,7 +237,7 @@ def _sensor_training(
     force: bool,
     progress: Progress,
 ) -> _Prepared:
-    """A compensator of the sensors, checked before the work begins."""
+    """A compensator of the sensors, with checks before the training."""
     from learning.data.flights import DEFAULT_RATE_HZ
     from learning.force.model import is_force
     from learning.training.checkpoint import CHECKPOINT
@@ -283,7 +285,7 @@ def _force_training(
     force: bool,
     progress: Progress,
 ) -> _Prepared:
-    """Force and moment inside the equations, checked before the work begins."""
+    """Force and moment inside the equations, with checks before the training."""
     from .force.memory import CHECKPOINT, Memory, training_key
     from .force.train import check_force_options, force_claim, train_force
     from .model_card import write_card
@@ -312,7 +314,7 @@ def write_measured_card(
     flights: Sequence[Flight],
     folder: Path,
 ) -> str:
-    """Write the card of a model with what was measured; returns its name.
+    """Write the card of a model with evaluation results; returns its name.
 
     Args:
         model: Folder of the model, which stays as it is.
@@ -350,8 +352,8 @@ def evaluate(
         model: A result of `train`, the folder that it wrote, or the name of a shipped model.
         flights: Flights that did not train the model.
         explained: Vehicle that `explain` found, drawn with the model's own.
-        physics: Vehicle before it was explained, flown for comparison with a learned force.
-        progress: Called with the share done, 0..1.
+        physics: Original vehicle, simulated for comparison with a learned force.
+        progress: Called with the completed share.
 
     Raises:
         TwinError: The extra `learn` is not installed, the folder holds no model, a flight was
@@ -377,13 +379,13 @@ def evaluate(
 
 
 def _refuse(name: str, given: Vehicle | None, model: str) -> None:
-    """Refuse a vehicle that has no part in an evaluation."""
+    """Refuse a vehicle that does not apply to an evaluation."""
     if given is not None:
         raise TwinError(f"evaluate: {name} does not go with {model}.")
 
 
 def check_extra_learn() -> None:
-    """Refuse what needs torch where it is not, before anything long is done.
+    """Refuse to run without torch, before long computations.
 
     Raises:
         TwinError: It is not installed; the text says how to install it.
@@ -395,10 +397,10 @@ def check_extra_learn() -> None:
 
 @contextmanager
 def extra_learn() -> Iterator[None]:
-    """Around an import that needs torch: a machine that only runs models has none.
+    """Context for an import that needs torch, which a machine that only runs models lacks.
 
     Raises:
-        TwinError: What is imported is not installed; the text says how to install it.
+        TwinError: The package is not installed; the text says how to install it.
     """
     try:
         yield

@@ -1,8 +1,8 @@
-"""The model card of a trained folder: a README.md with Hugging Face's head.
+"""The model card of a trained model's folder: a README.md with Hugging Face's header.
 
-Nothing stands in it that the folder or an evaluation does not record: `model.json` or `force.json`,
-and the content of `evaluation.json`. It is written when a model is trained, and completed with the
-figures of an evaluation.
+It contains only facts recorded in the folder or an evaluation: `model.json` or `force.json`, and
+the content of `evaluation.json`. It is written after training, and completed with the results of an
+evaluation.
 """
 
 import json
@@ -42,7 +42,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 UNSAID = "unknown"
-"""Hugging Face's word for a licence that nobody has named."""
+"""Hugging Face's identifier for an unknown licence."""
 _LICENSE = re.compile(r"[A-Za-z0-9][A-Za-z0-9.-]{0,60}")
 """Identifiers as of Hugging Face's list."""
 _HEAD = re.compile(r"---\n(.*?)\n---\n", re.DOTALL)
@@ -64,7 +64,7 @@ def check_license(name: object) -> str:
 
 
 def written_license(card: Path) -> str:
-    """The licence that the head of a card names; `unknown` where it names none.
+    """The licence in the header of a card; `unknown` without one.
 
     Args:
         card: Markdown with a YAML head; it may not be there, and others may have written it.
@@ -85,18 +85,18 @@ def written_license(card: Path) -> str:
 
 
 CORRECTED, ALONE = "model", "linear part alone"
-"""What a compensator, and it without its network, are called in the rows of an evaluation."""
+"""Names of a compensator, and of it without its network, in the rows of an evaluation."""
 SHIPPED = "corrected"
-"""What the twin with a learned force is called there."""
+"""Name of the twin with a learned force in these rows."""
 CLAIMED_S = 0.5
-"""Horizon of the figures of a learned force."""
+"""Horizon of the results for a learned force."""
 _SHARES = ("within_1", "within_2", "inside")
 """Columns of the calibration of the spread."""
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What `uavtwin evaluate` found.
+    """Result of `uavtwin evaluate`.
 
     Attributes:
         content: Content of `evaluation.json`.
@@ -162,7 +162,7 @@ def result_of(protocol: str, measured: Measured) -> Result:
 
 
 def _force_result(content: Mapping[str, Any]) -> Result:
-    """The same of a learned force: how far twins are off after they were left alone."""
+    """Table of a learned force: errors of twins over the time without given motion."""
     quantities = {"position": "m", "velocity": "m/s", "attitude": "rad", "rates": "rad/s"}
     summed = [r for r in content["summary"] if r["horizon_s"] == CLAIMED_S]
     own = next(r for r in summed if r["model"] == SHIPPED)
@@ -211,7 +211,7 @@ def _known(value: float | None) -> float:
 
 
 def description(folder: Path) -> dict[str, Any]:
-    """What the folder says of its model."""
+    """Content of the model's JSON file."""
     for name in ("model.json", "force.json"):
         if (folder / name).is_file():
             found: dict[str, Any] = json.loads((folder / name).read_text("utf-8"))
@@ -234,7 +234,7 @@ def trained_on(flight: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def facts(about: Mapping[str, Any]) -> list[list[str]]:
-    """What the model is, name and value."""
+    """Facts of the model, name and value."""
     found = {"protocol": about["protocol"], "seed": str(about["seed"])}
     if about["protocol"] == "force":
         laws = {n: o["ridge"] for n, o in about["outputs"].items()}
@@ -280,7 +280,7 @@ def validation_errors(about: Mapping[str, Any]) -> dict[str, Mapping[str, float]
 
 
 def validation_table(about: Mapping[str, Any]) -> Table | None:
-    """The same to show; None where there is none."""
+    """These errors in display form; None where there are none."""
     rows = [
         [channel, number(e["linear"]), number(e["with_network"])]
         for channel, e in validation_errors(about).items()
@@ -332,7 +332,7 @@ _USES = {
     "reconstruct": "repeats the measurement that it is given; for comparison with the paper alone",
     "force": "adds force and moment to the equations of the twin",
 }
-"""What a model of each protocol does."""
+"""Purpose of a model by protocol."""
 
 
 def card_text(
@@ -344,7 +344,7 @@ def card_text(
         folder: Folder that `train` wrote.
         claim: Purpose of the model, in one sentence.
         license: License of the model, as Hugging Face names it.
-        measured: On flights of its own; None: not yet.
+        measured: Evaluation on other flights; None: not yet.
     """
     about = description(folder)
     result = None if measured is None else result_of(about["protocol"], measured)
@@ -394,13 +394,13 @@ def _yaml(content: Mapping[str, Any]) -> str:
 
 
 def _title(about: Mapping[str, Any]) -> str:
-    """What the model is and of what."""
+    """Summary of the model."""
     kind = "Learned force" if about["protocol"] == "force" else "Compensator"
     return f"{kind} for {about['vehicle']}"
 
 
 def _tags(folder: Path, about: Mapping[str, Any]) -> list[str]:
-    """Words to find it by."""
+    """Keywords for search."""
     own = ["digital-twin", "multirotor", about["protocol"]]
     return (
         own
@@ -410,7 +410,7 @@ def _tags(folder: Path, about: Mapping[str, Any]) -> list[str]:
 
 
 def _indexed(about: Mapping[str, Any], measured: Measured, result: Result) -> dict[str, Any]:
-    """The figures as Hugging Face indexes them."""
+    """The results in Hugging Face's index form."""
     names = list(measured.content["flights"])
     return {
         "task": {"type": "time-series-forecasting", "name": about["protocol"]},
@@ -424,7 +424,7 @@ def _indexed(about: Mapping[str, Any], measured: Measured, result: Result) -> di
 
 
 def write_card(folder: Path, claim: str, license: str = UNSAID) -> str:
-    """Write the card of a model that was trained just now; returns its name.
+    """Write the card of a newly trained model; returns its name.
 
     Args:
         folder: Folder that `train` wrote.
@@ -436,7 +436,7 @@ def write_card(folder: Path, claim: str, license: str = UNSAID) -> str:
 
 
 def write_completed_card(model: Path, claim: str, measured: Measured, folder: Path) -> str:
-    """Write the card of a model that was measured; returns its name.
+    """Write the card of an evaluated model; returns its name.
 
     Args:
         model: Folder of the model; the licence is that of its own card.

@@ -1,12 +1,12 @@
-"""Output folders: all results or none, none overwritten unless asked, a `run.json` beside them.
+"""Output folders: all results or none, no overwriting unless forced, with a `run.json`.
 
 Results are written into a scratch folder and moved to their place at the end. A new folder appears
-at once. Into a folder that was there (which may be a mount, or somebody's working directory)
-entries are moved one by one; a list of them lies in the scratch folder meanwhile, so that the next
-run can take back what a killed one had begun to move. Taken back is only what is still the file of
-the list, by device, inode, size and SHA-256, and only if that holds for all of them; else nothing
-is touched. The list is trusted no further: names are relative, no link is followed, and a folder
-goes only when it is empty.
+atomically. Into an existing folder (which may be a mount, or a working directory) entries are moved
+one by one; the scratch folder has a list of them meanwhile, so that the next run can revert the
+moves of a killed one. A file is reverted only if it is still the one in the list, by device, inode,
+size and SHA-256, and only if that is true for all of them; else nothing is changed. The list is not
+trusted further: names are relative, no link is followed, and a folder is removed only when it is
+empty.
 """
 
 import errno
@@ -30,28 +30,28 @@ from .record import Record
 
 T = TypeVar("T")
 _MOVING = "moving"
-"""File in a scratch folder that lists the results being moved to their place."""
+"""File in a scratch folder that lists the results while they are moved."""
 _LONGEST_LIST = 2**26
 """Largest such list that is read, bytes: some 400,000 results."""
 _RECORD_KEYS = {"verb", "options", "inputs", "packages"}
 """Keys of every run.json."""
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Errors of a disk that is full, and of a file that is too large."""
+"""Errors of a full disk, and of a file that is too large."""
 _PACKAGES = ("casadi", "fmpy", "numpy", "pandas", "pyulog", "scipy", "uavtwin")
-"""Whose versions a run.json holds."""
+"""Packages whose versions are in a run.json."""
 
 
 def check_folder(out: Path, force: bool, journal: str = "", alongside: Sequence[str] = ()) -> None:
-    """Refuse an output folder before the work is done; nothing is made yet.
+    """Refuse an output folder before the work is done; nothing is created yet.
 
     Args:
         out: Folder.
         force: Whether files in it may be replaced.
         journal: Name of a file in it that marks an unfinished run, which may be resumed.
-        alongside: Names of what else an unfinished run has there.
+        alongside: Names of further files of an unfinished run.
 
     Raises:
-        TwinError: It is a file, it cannot be written, or it holds files and `force` is not given.
+        TwinError: It is a file, it cannot be written, or it is not empty and `force` is not given.
     """
     if out.exists() and not out.is_dir():
         raise TwinError(f"{out}: is a file; --out names a folder.")
@@ -85,7 +85,7 @@ def check_file(path: Path, force: bool) -> None:
     """Refuse an output file before the work is done.
 
     Raises:
-        TwinError: It is a folder, or it is there and `force` is not given.
+        TwinError: It is a folder, or it exists and `force` is not given.
     """
     if path.is_dir():
         raise TwinError(f"{path}: is a folder; name a file.")
@@ -94,7 +94,7 @@ def check_file(path: Path, force: bool) -> None:
 
 
 def check_record(path: Path, force: bool) -> None:
-    """Refuse a file in the place of a run.json that no run has written; see `check_file`."""
+    """Refuse another file in the place of a run.json; see `check_file`."""
     if not _is_record(path):
         check_file(path, force)
 
@@ -103,16 +103,15 @@ def check_record(path: Path, force: bool) -> None:
 def results_folder(
     out: Path, force: bool, journal: str = "", alongside: Sequence[str] = ()
 ) -> Iterator[Path]:
-    """A temporary folder whose content is moved to `out` at the end; nothing is, if that fails.
+    """A temporary folder whose content is moved to `out` at the end, or not at all on failure.
 
-    Files of `out` that have another name than a result stay. The journal is removed when the
-    results are in their place.
+    Other files of `out` remain. The journal is removed when the results are in place.
 
     Args:
         out, force, journal, alongside: See `check_folder`.
 
     Raises:
-        TwinError: As `check_folder`, or a result cannot be written or moved to its place.
+        TwinError: As in `check_folder`, or a result cannot be written or moved to its place.
     """
     check_folder(out, force, journal, alongside)
     with _explained(out), scratch_folder(_nearest(out)) as folder:
@@ -134,7 +133,7 @@ def results_folder(
 def output_file(path: Path) -> Iterator[Path]:
     """A temporary file of the same kind that takes the place of `path` at the end.
 
-    Nothing happens to `path` if that fails. Folders above it are made.
+    On failure `path` is unchanged. Parent folders are created.
 
     Raises:
         TwinError: It is a folder, or it cannot be written.
@@ -149,14 +148,14 @@ def output_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def recorded_file(path: Path, force: bool) -> Iterator[tuple[Path, Callable[..., None]]]:
-    """An output file and the run.json beside it, `STEM.run.json`: both or none.
+    """An output file and its run.json, `STEM.run.json`: both or none.
 
-    Gives a temporary file of the same name, and a function that takes the arguments of `write_run`
+    Returns a temporary file of the same name, and a function with the arguments of `write_run`
     after the folder. The record is moved first: a run that is killed between the two can be
     repeated, as a record without its file may be replaced.
 
     Raises:
-        TwinError: `path` is there and `force` is not given, or it cannot be written.
+        TwinError: `path` exists and `force` is not given, or it cannot be written.
     """
     record = record_of(path)
     check_file(path, force)
@@ -190,7 +189,7 @@ def record_of(path: Path) -> Path:
 
 
 def _is_record(path: Path) -> bool:
-    """Whether a file is a run.json that a run has written."""
+    """Whether a file is a run.json written by a run."""
     try:
         if path.is_symlink() or path.stat().st_size > _LONGEST_LIST:
             return False
@@ -201,12 +200,12 @@ def _is_record(path: Path) -> bool:
 
 
 class OptionalSteps:
-    """Steps at the end of a run that its results are whole without, such as building FMUs.
+    """Optional steps at the end of a run, such as building FMUs.
 
-    One that fails leaves nothing; the other results go to their place all the same.
+    A failed step leaves no files; the other results are moved to their place nevertheless.
 
     Attributes:
-        failed: Steps that failed, and why.
+        failed: Failed steps, with the reason.
     """
 
     def __init__(self) -> None:
@@ -215,19 +214,19 @@ class OptionalSteps:
 
     @property
     def incomplete(self) -> str:
-        """For run.json: all that failed; "" if nothing did."""
+        """Text on all failures for run.json; "" for none."""
         return "; ".join(self.failed)
 
     def run(self, what: str, folder: Path, write: Callable[[Path], T]) -> T | None:
-        """Write files into a folder of their own, and move them to the results if that succeeds.
+        """Write files into a separate folder, and move them to the results on success.
 
         Args:
             what: The step, for a reader.
             folder: Folder of the results.
-            write: Takes the folder to write into.
+            write: Writes into the given folder.
 
         Returns:
-            What `write` returned; None: it failed, or one before was interrupted.
+            Result of `write`; None: it failed, or an earlier one was interrupted.
         """
         if self._raised is not None:
             self.failed.append(f"{what}: not done")
@@ -249,16 +248,16 @@ class OptionalSteps:
         return None
 
     def finish(self) -> None:
-        """Raise what was no refusal but a mistake of ours or Ctrl-C, the results being in place."""
+        """Raise internal errors and Ctrl-C of the steps, after the results are in place."""
         if self._raised is not None:
             raise self._raised
 
 
 def readable(files: Iterable[Path]) -> None:
-    """Give files the rights that the umask allows: some libraries write theirs for the owner alone.
+    """Set permissions of files by the umask: some libraries allow access to the owner only.
 
     Args:
-        files: Folders among them, and what is not there, are left as they are.
+        files: Paths of the files; folders and missing files are ignored.
     """
     rights = 0o666 & ~umask()
     for file in files:
@@ -268,7 +267,7 @@ def readable(files: Iterable[Path]) -> None:
 
 @contextmanager
 def _explained(out: Path) -> Iterator[None]:
-    """Errors of the system as one of the place that was asked for."""
+    """Context that reports system errors for the requested path."""
     try:
         yield
     except OSError as error:
@@ -298,7 +297,7 @@ def _taken(out: Path) -> TwinError:
 
 
 def _appear(results: Path, out: Path) -> None:
-    """Move results to a place where there was nothing, at once.
+    """Move results atomically to a place where nothing exists.
 
     Raises:
         TwinError: Another run was faster.
@@ -314,10 +313,10 @@ def _appear(results: Path, out: Path) -> None:
 def _move_listed(
     results: Path, out: Path, folder: Path, journal: str, alongside: Sequence[str]
 ) -> None:
-    """Move results into a folder that is there, entry by entry, with a list of them meanwhile.
+    """Move results into an existing folder, entry by entry, with a list of them meanwhile.
 
     Raises:
-        TwinError: Something else is there by now.
+        TwinError: Another entry exists there by now.
     """
     if {entry.name for entry in out.iterdir()} - {folder.name, journal, *alongside}:
         raise _taken(out)
@@ -343,7 +342,7 @@ def _finish(out: Path, journal: str) -> None:
 
 
 def _files(folder: Path) -> list[str]:
-    """Files at any depth, as the list names them."""
+    """Files at any depth, by their names in the list."""
     found = (p for p in folder.rglob("*") if not p.is_dir() or p.is_symlink())
     return sorted(p.relative_to(folder).as_posix() for p in found)
 
@@ -360,7 +359,7 @@ def _identity(path: Path) -> list[int | str] | None:
 
 
 def _listed(folder: Path) -> dict[str, Any]:
-    """The list of a scratch folder; empty where it has none, or one that no run has written."""
+    """The list of a scratch folder; empty without one that a run has written."""
     try:
         path = folder / _MOVING
         if path.is_symlink() or path.stat().st_size > _LONGEST_LIST:
@@ -374,21 +373,20 @@ def _listed(folder: Path) -> dict[str, Any]:
 
 
 def _is_relative(name: str) -> bool:
-    """Whether a name stays within the folder that it is joined to."""
+    """Whether a name stays within the folder to which it is joined."""
     parts = name.split("/")
     return "\0" not in name and not any(p in ("", ".", "..") for p in parts)
 
 
 def _take_back_all(out: Path, own: set[str]) -> set[str]:
-    """Take back what killed runs had begun to move; names of what they left besides.
+    """Revert the moves of killed runs; returns names of their other leftovers.
 
     Args:
         out: Folder.
-        own: Files of an unfinished run that is to be resumed.
+        own: Files of an unfinished run that will be resumed.
 
     Raises:
-        TwinError: Not all that a list names and that is there are the files of the list, or there
-            is something else. Nothing was touched.
+        TwinError: A file differs from that in the list, or there are others. Nothing was changed.
     """
     dead = set()
     for left in leftovers(out):
@@ -396,7 +394,7 @@ def _take_back_all(out: Path, own: set[str]) -> set[str]:
         listed = _listed(left)
         there = [n for n in listed if os.path.lexists(out / n)]
         if not there or (len(there) == len(listed) and not own):
-            continue  # nothing had been moved; or all: that run had finished
+            continue  # nothing had been moved, or everything
         stranger = _stranger(out, listed, there, own)
         if stranger is not None:
             raise TwinError(
@@ -411,7 +409,7 @@ def _take_back_all(out: Path, own: set[str]) -> set[str]:
 def _stranger(
     out: Path, listed: Mapping[str, Any], there: Sequence[str], own: set[str]
 ) -> str | None:
-    """Name of something in an output folder that is not a file of the list; None: all are."""
+    """Name of an entry in an output folder that is not a file of the list; None: there is none."""
     for name in there:
         if not _is_listed(out, name, listed[name]):
             return name
@@ -433,7 +431,7 @@ def _is_listed(out: Path, name: str, identity: Any) -> bool:
 
 
 def _take_back(out: Path, folder: Path) -> None:
-    """Remove the files of a list that are still those of the list, and folders left empty."""
+    """Remove files that are still those of the list, and empty folders."""
     listed = _listed(folder)
     for name, identity in listed.items():
         if _is_listed(out, name, identity):
@@ -445,7 +443,7 @@ def _take_back(out: Path, folder: Path) -> None:
 
 
 def _merge(made: Path, folder: Path) -> None:
-    """Move the entries of one folder into another, which keeps what else it holds."""
+    """Move the entries of one folder into another, which retains its other entries."""
     for entry in sorted(made.iterdir()):
         place = folder / entry.name
         if entry.is_dir() and place.is_dir() and not place.is_symlink():
@@ -461,7 +459,7 @@ def sha256(path: Path) -> str:
 
 
 def json_text(content: Any) -> str:
-    """Strict, readable JSON: a NaN is a mistake of ours and raises.
+    """Strict, readable JSON: a NaN is an internal error and raises.
 
     Half characters, as in the name of a file that is not of UTF-8, are written as escapes.
     """
@@ -470,12 +468,12 @@ def json_text(content: Any) -> str:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """The same as a file."""
+    """Write strict, readable JSON to a file."""
     path.write_text(json_text(content), "utf-8")
 
 
 class InputRecord(Record, frozen=True, kw_only=True):
-    """A file that was read.
+    """An input file.
 
     Attributes:
         name: Name of the file.
@@ -487,19 +485,19 @@ class InputRecord(Record, frozen=True, kw_only=True):
 
 
 class RunRecord(Record, frozen=True, kw_only=True):
-    """Lies beside every result, so that it can be made again; the same run gives the same bytes.
+    """Record of a run next to its results, for repeating it; equal runs give equal bytes.
 
     Attributes:
         verb: Verb of the command line.
-        options: It was called with; of `explain`, `indoors` holds of each flight `indoors`, as
-            taken, and `source`.
+        options: Options of the call; of `explain`, `indoors` has `indoors` and `source` for each
+            flight.
         seed: Seed of the random numbers; null: none are drawn.
-        inputs: Files that were read.
+        inputs: Input files.
         python: Version of Python.
         packages: Versions, by name.
-        fmus: How each FMU of a simulation was run, by its name in the system.
-        incomplete: Optional steps that failed and why, as "FMUs: the C compiler failed ..."; of
-            `simulate`, why the run did not come to its end. Missing where all is there.
+        fmus: Interface of each FMU of a simulation, by its name in the system.
+        incomplete: Failed optional steps with the reason, as "FMUs: the C compiler failed ..."; of
+            `simulate`, the reason why the run is incomplete. Missing where it is complete.
     """
 
     verb: str
@@ -513,7 +511,7 @@ class RunRecord(Record, frozen=True, kw_only=True):
 
 
 def package_versions() -> dict[str, str]:
-    """Versions of what results may depend on, by name."""
+    """Versions of packages that affect results, by name."""
     return {name: version(name) for name in _PACKAGES}
 
 
@@ -527,19 +525,19 @@ def write_run(
     incomplete: str = "",
     fmus: Mapping[str, str] | None = None,
 ) -> None:
-    """Write `run.json`: what made the results beside it. No time and no machine: the same run
-    gives the same bytes.
+    """Write `run.json`, the settings of the results next to it. No time and no machine: equal runs
+    give equal bytes.
 
     Args:
         out: Folder.
         verb: Verb of the command line.
         options: Options of the call.
-        inputs: Files that it read.
+        inputs: Input files.
         seed: Seed of the random numbers.
-        file: Another name, where the folder is not of this run alone.
-        incomplete: Why the results are of a part of the run, or which optional steps failed; "":
-            they are of all of it.
-        fmus: How each FMU of a simulation was run, by its name in the system; None: no FMU.
+        file: Another file name, where the folder is shared with other runs.
+        incomplete: Reason why the results are incomplete, or the failed optional steps; "":
+            complete.
+        fmus: Interface of each FMU of a simulation, by its name in the system; None: no FMU.
     """
     record = RunRecord(
         verb=verb,

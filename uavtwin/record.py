@@ -1,7 +1,8 @@
-"""Finished results: every number of one is a field of a record, computed once.
+"""Records of results: every number is a field, computed once.
 
-JSON, JSON Schema and the reference of JSON keys are made of the fields; tables, sentences and pages
-print them. A field is documented in the `Attributes:` of its class, in the order of the fields.
+JSON, JSON Schema and the reference of JSON keys are generated from the fields; tables, sentences
+and pages print them. A field is documented in the `Attributes:` of its class, in the order of the
+fields.
 """
 
 import math
@@ -18,7 +19,8 @@ from msgspec import inspect
 class Record(msgspec.Struct, frozen=True, kw_only=True):
     """Content of a JSON file or of `--json`: its keys are the fields, in their order.
 
-    A field of type `UnsetType` is left out where it is not set. What is not finite is null.
+    A field of type `UnsetType` is omitted where it is not set. Numbers that are not finite become
+    null.
     """
 
     digits: ClassVar[int | None] = None
@@ -34,7 +36,7 @@ def plain(value: Any, digits: int | None = None) -> Any:
 
     Args:
         value: Records, dataclasses, containers, numbers and texts.
-        digits: Significant ones of numbers that are no integers; None: all.
+        digits: Significant digits of numbers that are no integers; None: all.
 
     Returns:
         Null for a number that is not finite, lists for tuples and arrays.
@@ -50,7 +52,7 @@ def content_of(value: Any) -> Any:
 
 
 def _of_numpy(value: Any) -> Any:
-    """A scalar or an array of numpy as values of Python; others as text."""
+    """A numpy scalar or array as Python values; others as text."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
@@ -67,14 +69,14 @@ def _strict(value: Any, digits: int | None) -> Any:
 
 
 class Section(Record, frozen=True, kw_only=True):
-    """A record that several results hold: its keys have a section of their own in the reference."""
+    """A record that several results contain: its keys have a separate section in the reference."""
 
     section: ClassVar[str] = ""
-    """Heading of it."""
+    """Heading of the section."""
 
 
 class Headline(Record, frozen=True, kw_only=False):
-    """A sentence on top of a result.
+    """Headline of a result.
 
     Attributes:
         text: One or more sentences.
@@ -102,7 +104,7 @@ class Key:
 
 
 def keys(record: type) -> Iterator[Key]:
-    """Every key of a record or dataclass, those of nested ones behind the one that holds them.
+    """Every key of a record or dataclass, those of nested ones after their parent.
 
     Raises:
         TypeError: A field is not documented.
@@ -111,7 +113,7 @@ def keys(record: type) -> Iterator[Key]:
 
 
 def _keys(kind: inspect.Type, path: str) -> Iterator[Key]:
-    """Keys of all records that a type holds.
+    """Keys of all records in a type.
 
     Args:
         kind: Type of the value.
@@ -138,7 +140,7 @@ def _keys(kind: inspect.Type, path: str) -> Iterator[Key]:
 
 
 def sections(record: type) -> dict[str, type]:
-    """Classes that have a section of their own, by its heading, that a record holds."""
+    """Classes in a record that have a separate section, by its heading."""
     every = _classes(inspect.type_info(record))
     return {c.section: c for c in every if c is not record and issubclass(c, Section)}
 
@@ -149,14 +151,14 @@ def summary_of(record: type) -> str:
 
 
 def _own_section(kind: inspect.Type) -> str:
-    """Heading of the section that the keys of a value have; "" where they stand with the others."""
+    """Heading of the section with the keys of a value; "" where they are with the others."""
     if isinstance(kind, inspect.StructType):
         return str(getattr(kind.cls, "section", ""))
     return next((text for text in map(_own_section, _inner(kind)) if text), "")
 
 
 def _inner(kind: inspect.Type) -> tuple[inspect.Type, ...]:
-    """Types that a type is made of: fields, members of a union, items."""
+    """Inner types of a type: fields, members of a union, items."""
     match kind:
         case inspect.StructType() | inspect.DataclassType():
             return tuple(field.type for field in kind.fields)
@@ -170,7 +172,7 @@ def _inner(kind: inspect.Type) -> tuple[inspect.Type, ...]:
 
 
 def documented(record: type) -> dict[str, str]:
-    """Meaning of each field, by the `Attributes:` of the class and of those that it extends."""
+    """Meaning of each field, from the `Attributes:` of the class and of its base classes."""
     found: dict[str, str] = {}
     for cls in reversed(record.__mro__):
         _, _, section = cleandoc(cls.__doc__ or "").partition("Attributes:\n")
@@ -192,7 +194,7 @@ _NAMES: dict[type, str] = {
 
 
 def type_text(kind: inspect.Type) -> str:
-    """A type as the reference prints it."""
+    """A type in the form of the reference."""
     match kind:
         case inspect.StructType() | inspect.DataclassType():
             return _own_section(kind) or "object"
@@ -222,7 +224,7 @@ def schema(record: type) -> dict[str, Any]:
 
 
 def _classes(kind: inspect.Type) -> Iterator[type]:
-    """Classes of all records that a type holds."""
+    """Classes of all records in a type."""
     if isinstance(kind, inspect.StructType | inspect.DataclassType):
         yield kind.cls
     for inner in _inner(kind):

@@ -1,4 +1,4 @@
-"""Simulations: fly a scenario or run an `.ssp`, and a result to print, plot and report."""
+"""Simulations: fly a scenario or run an `.ssp`, with a result to print, plot and report."""
 
 import re
 import tempfile
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[float], None]
 _BUILDING = 0.3
-"""Share of the work that building takes, about."""
+"""Approximate share of building in the total work."""
 _FIGURES = {
     "tracking_rms_m": ("distance from the setpoint, rms", "m"),
     "tracking_worst_m": ("distance from the setpoint, worst", "m"),
@@ -42,16 +42,16 @@ _FIGURES = {
 
 
 class RunRecord(Record, frozen=True, kw_only=True):
-    """Figures of a flight; those of a system in which nothing flies are missing.
+    """Figures of a flight; those of a system without an aircraft are missing.
 
     Attributes:
         tracking_rms_m: Distance from the setpoint in the air, rms.
-        tracking_worst_m: The largest.
+        tracking_worst_m: Largest distance from the setpoint.
         tilt_worst_rad: Largest angle from upright.
         end_pos_m: Last position, NED.
-        incomplete: Why the run did not come to its end; missing where it did.
-        warnings: What was asked for although it changes nothing, as wind on an aircraft without
-            drag; missing where nothing was.
+        incomplete: Reason why the run is incomplete; missing where it is complete.
+        warnings: Requested settings without effect, such as wind on an aircraft without drag;
+            missing without any.
     """
 
     tracking_rms_m: float | UnsetType = UNSET
@@ -64,16 +64,16 @@ class RunRecord(Record, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Run(PageMixin):
-    """A simulation that was run.
+    """Result of a simulation.
 
     Attributes:
         name: Name of the mission or of the `.ssp`.
         recording: Every output over time.
         units: Unit of each column, "" where it has none.
         facts: Settings of the run, for the page.
-        ended: Why it ended early; None where it came to its end.
-        fmus: How each FMU was run, by its name in the system: "FMI 3.0, co-simulation".
-        warnings: What was asked for although it changes nothing.
+        ended: Reason for an early end; None where it is complete.
+        fmus: Interface of each FMU, by its name in the system: "FMI 3.0, co-simulation".
+        warnings: Requested settings without effect.
     """
 
     name: str
@@ -124,7 +124,8 @@ class Run(PageMixin):
     def save(self, path: str | Path) -> Path:
         """Write the recording as `.parquet`, `.csv` or `.mcap`; returns its path.
 
-        Units are in the metadata of Parquet's columns and of MCAP; there the aircraft has a pose.
+        Units are in the metadata of Parquet's columns and of MCAP; MCAP also has the pose of the
+        aircraft.
         """
         with output_file(Path(path)) as file:
             if file.suffix == ".parquet":
@@ -145,7 +146,7 @@ class Run(PageMixin):
         return Series(self.name, columns, {"verb": "simulate", **why})
 
     def findings(self) -> Iterable[str | TextTable]:
-        """The claim and its figures."""
+        """The main result and its figures."""
         yield self.claim
         figures = summary(self.recording)
         if figures:
@@ -161,7 +162,7 @@ class Run(PageMixin):
 
 
 def _pose(names: Sequence[str]) -> tuple[str, ...]:
-    """Outputs that tell where the aircraft is and how it is turned; none where nothing flies."""
+    """Outputs with position and attitude of the aircraft; none without one."""
     for part in ("airframe", "twin.airframe"):
         wanted = [*(f"{part}.pos_{a}" for a in "xyz"), *(f"{part}.q_{a}" for a in "wxyz")]
         if set(wanted) <= {*names}:
@@ -192,30 +193,31 @@ def simulate(
     """Fly a scenario, or run an `.ssp`, and record every output.
 
     Args:
-        scenario: Name of a mission (`mission_names()`), or an `.ssp` file, which brings its own
-            parts: of what shapes a scenario it takes start values alone.
+        scenario: Name of a mission (`mission_names()`), or an `.ssp` file, which has its own parts
+            and accepts only start values.
         vehicle: Vehicle to fly; default: `copter_default`.
         wind: Velocity of the air, NED, m/s.
         gusts: Whether there is Dryden turbulence.
         seed: Seed of every noise.
         controller: `lqr` or `px4`.
-        effects: Effects switched on: names, or numbers by effect:
-            `{"rotor_drag": {"k_xy_1_s": 0.4}}`.
+        effects: Effects to switch on: names, or numbers by effect: `{"rotor_drag": {"k_xy_1_s":
+            0.4}}`.
         starts: Start values, "part.variable" -> value.
         duration: Simulated time, s; default: of the mission, or of the `.ssp`.
         step: Communication step, s; default: 1 ms, or that of the `.ssp`.
         interval: Time between recorded rows, s; default: about 10 ms.
-        algorithm: How the parts exchange values, see `cosim.stepping`.
+        algorithm: Co-simulation algorithm, see `cosim.stepping`.
         fused: Whether the twin runs as one FMU.
         realtime: Simulated seconds per second of the clock; None: as fast as possible.
-        progress: Called with the share done, 0..1.
-        trust: File of `sha256sum` that names the `.ssp` or all its FMUs, which then run in this
-            process; default: those of an `.ssp` run in a process of their own.
+        progress: Called with the completed share, 0..1.
+        trust: File of `sha256sum` with hashes of the `.ssp` or all its FMUs, which then run in this
+            process; default: those of an `.ssp` run in a separate process.
         limits: Limits of that process; default: 60 s a call, an hour in all, 4 GiB.
 
     Raises:
         TwinError: An unknown name, or a value outside its range.
-        RunError: A `TwinError` too: an FMU failed on the way; `recording` holds what was recorded.
+        RunError: A `TwinError` as well: an FMU failed during the run; `recording` has the data up
+            to then.
     """
     if vehicle is not None:
         vehicle = checked_vehicle(vehicle, "simulate")
@@ -252,16 +254,15 @@ def simulate(
 
 
 def with_model(plan: Scenario, folder: Path) -> Scenario:
-    """A scenario whose twin has what was trained in it.
+    """A scenario with trained models in its twin.
 
     Args:
         plan: The scenario.
-        folder: Folder that `train` wrote: a learned force, a compensator without
-            measurements, or both.
+        folder: Folder of `train`: a learned force, a compensator without measurements, or both.
 
     Raises:
-        TwinError: The scenario brings its own parts, or what was trained is of another vehicle or
-            needs the readings of an aircraft.
+        TwinError: The scenario has its own parts, or a trained model is of another vehicle or needs
+            the readings of an aircraft.
     """
     from fmus.compensator import native_model
 
@@ -287,17 +288,17 @@ def run_plan(
     trust: Path | None = None,
     **how: Any,
 ) -> Run:
-    """Build what a scenario needs and run it; `Run.ended` says whether it came to its end.
+    """Build and run a scenario; `Run.ended` is None if it is complete.
 
     Args:
         plan: The scenario.
         duration_s: Time from its start on; None: until `stop_s`, or the system's own.
         progress: Called with the share done, 0..1.
-        trust: See `simulate`.
+        trust: File of hashes, as in `simulate`.
         how: Further arguments of `run_scenario`.
 
     Raises:
-        TwinError: As `scenario_system` and `run_scenario`.
+        TwinError: As in `scenario_system` and `run_scenario`.
     """
     with tempfile.TemporaryDirectory(prefix="uavtwin-") as folder:
         warnings: list[str] = []
@@ -326,7 +327,7 @@ def run_plan(
 
 
 def _facts(plan: Scenario) -> dict[str, Any]:
-    """What differs from a plain scenario, for the page."""
+    """Differences from a plain scenario, for the page."""
     facts = {
         "scenario": plan.name,
         "vehicle": None if plan.vehicle is None else plan.vehicle.name,
@@ -342,14 +343,14 @@ def _facts(plan: Scenario) -> dict[str, Any]:
 
 
 _LINE = re.compile(r"\\?([0-9a-f]{64}) [ *].+")
-"""A line that `sha256sum` writes."""
+"""Pattern of a line of `sha256sum`."""
 
 
 def read_hashes(path: Path) -> frozenset[str]:
-    """Hashes of a file that `sha256sum` wrote.
+    """Hashes in a file of `sha256sum`.
 
     Raises:
-        TwinError: Not readable, a line is of another form, or there is none.
+        TwinError: It is not readable, a line has another form, or there is none.
     """
     try:
         lines = path.read_text("utf-8").splitlines()
@@ -365,7 +366,7 @@ def read_hashes(path: Path) -> frozenset[str]:
 
 
 def trusted(system: System, ssp: Path, hashes: Path) -> System:
-    """The system of an `.ssp` as one of ours: a file of hashes names the `.ssp` or all its FMUs.
+    """The system of an `.ssp` marked as trusted: a file of hashes names the `.ssp` or all its FMUs.
 
     Raises:
         TwinError: The file of hashes is wrong, or an FMU is not in it.

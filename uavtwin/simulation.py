@@ -1,4 +1,4 @@
-"""A named scenario, or somebody's `.ssp`, stepped by the master."""
+"""Simulation of a scenario or an `.ssp` with the co-simulation master."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -32,16 +32,16 @@ Array = NDArray[np.float64]
 _INTERVAL_S = 0.01
 """Time between two rows of a recording, s."""
 MAX_STEPS = 10**8
-"""Most steps of one run: 28 hours in steps of 1 ms."""
+"""Largest number of steps of one run: 28 hours in steps of 1 ms."""
 MAX_VALUES = 2**28
-"""Most values recorded in one run: 2 GiB."""
+"""Largest number of values recorded in one run: 2 GiB."""
 DEFAULT_VEHICLE = "copter_default"
-"""Built-in vehicle that flies where none is named."""
+"""Default vehicle."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """What to simulate.
+    """Settings of a simulation.
 
     Attributes:
         target: Name of a mission, or an `.ssp` file.
@@ -50,8 +50,8 @@ class Scenario:
         wind_m_s: Velocity of the air, NED.
         gusts: Whether the wind gusts.
         seed: Seed of every noise.
-        effects: Effects to switch on: names, at their start values where `starts` says nothing
-            else; or numbers by effect.
+        effects: Effects to switch on: names, at their start values unless `starts` overrides them;
+            or numbers by effect.
         starts: Start values, "part.variable" -> value.
         fused: Whether the whole twin runs as one FMU.
         law: Learned law of force and moment; None: none.
@@ -74,7 +74,7 @@ class Scenario:
 
     @property
     def is_system(self) -> bool:
-        """Whether the target is an `.ssp`, which brings its own parts."""
+        """Whether the target is an `.ssp`, which has its own parts."""
         return Path(self.target).suffix == ".ssp"
 
     @property
@@ -91,14 +91,14 @@ def scenario_system(
 ) -> System:
     """FMUs and connections of a scenario, built into a folder where it is not an `.ssp`.
 
-    What shapes the scenario are start values of the system, so one mission of one vehicle is
+    Wind, gusts, seed and effects are start values of the system, so one mission of one vehicle is
     compiled once.
 
     Args:
         scenario: The scenario.
         folder: For the FMUs.
-        progress: Called with the share built.
-        warn: Called with each sentence of `ineffective`, and on equal entries of an archive.
+        progress: Called with the completed share of building.
+        warn: Called with each sentence from `ineffective`, and on equal entries of an archive.
 
     Raises:
         TwinError: An unknown mission, effect or start value; a broken `.ssp`.
@@ -130,7 +130,7 @@ def scenario_system(
 
 
 def _check_bare(scenario: Scenario) -> None:
-    """Refuse what an `.ssp` cannot be given."""
+    """Refuse settings that do not apply to an `.ssp`."""
     bare = Scenario(scenario.target)
     shaping = ("vehicle", "controller", "wind_m_s", "gusts", "seed", "effects", "fused", "law")
     given = [n for n in shaping if getattr(scenario, n) != getattr(bare, n)]
@@ -142,8 +142,7 @@ def _check_bare(scenario: Scenario) -> None:
 
 
 def shaping_starts(twin: Assembly, scenario: Scenario) -> dict[str, float]:
-    """Start values, "part.variable" -> value, by which a scenario shapes its twin: wind, gusts,
-    seed, effects, and those that it names itself.
+    """Start values of a scenario, "part.variable" -> value, for wind, gusts, seed and effects.
 
     Raises:
         TwinError: An unknown effect, or one that no aircraft has.
@@ -173,7 +172,7 @@ def shaping_starts(twin: Assembly, scenario: Scenario) -> dict[str, float]:
 
 
 def ineffective(twin: Assembly, scenario: Scenario) -> list[str]:
-    """What a scenario asks for although it changes nothing of this twin, with the way out.
+    """Requested settings without effect on this twin, with the remedy.
 
     Args:
         twin: The twin, with the start values of the scenario.
@@ -216,7 +215,7 @@ def _changes(before: Assembly, after: Assembly) -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """When a run begins and ends, and its steps.
+    """Start, end and steps of a run.
 
     Attributes:
         begin_s: Time of the first communication point.
@@ -242,10 +241,10 @@ def times_of(
     step_s: float | None = None,
     interval_s: float | None = None,
 ) -> Times:
-    """Times of a run, see `run_scenario`.
+    """Times of a run, as in `run_scenario`.
 
     Raises:
-        TwinError: No stop time is known, a time is not positive, the interval is not a whole
+        TwinError: No stop time is known, a time is not positive, the interval is not an integer
             number of steps, or there would be too many steps.
     """
     step = step_s if step_s is not None else system.step_s or STEP_S
@@ -288,19 +287,20 @@ def run_scenario(
 
     Args:
         system: FMUs and connections.
-        stop_s: Default: the system's own.
-        step_s: Default: the system's own, else 1 ms.
-        interval_s: Time between two rows of the recording; default: whole steps, some 10 ms.
-        algorithm: See `cosim.stepping`.
+        stop_s: Stop time; default: the system's own.
+        step_s: Communication step; default: the system's own, else 1 ms.
+        interval_s: Time between two rows of the recording; default: an integer number of steps,
+            about 10 ms.
+        algorithm: Co-simulation algorithm, see `cosim.stepping`.
         realtime: Simulated seconds per second of the clock; None: as fast as possible.
-        progress: Called with the share done.
-        limits: Limits of the process that foreign FMUs run in; None: its usual ones.
+        progress: Called with the completed share.
+        limits: Limits of the separate process for foreign FMUs; None: the defaults.
 
     Raises:
-        TwinError: No stop time is known, a time is not positive, the interval is not a whole
+        TwinError: No stop time is known, a time is not positive, the interval is not an integer
             number of steps, or there would be too many steps or rows.
-        RunError: An FMU failed while the system ran; holds the recording.
-        Interrupted: Ctrl-C while it ran; holds the recording.
+        RunError: An FMU failed during the run; has the recording.
+        Interrupted: Ctrl-C during the run; has the recording.
     """
     times = times_of(system, stop_s, step_s, interval_s)
     begin, last, step, every = times.begin_s, times.end_s, times.step_s, times.every
@@ -323,7 +323,7 @@ def run_scenario(
 
 
 def summary(recording: Recording) -> dict[str, Any]:
-    """Figures of a flight: how far from the setpoint, how tilted; empty where nothing flies."""
+    """Figures of a flight: distance from the setpoint, tilt; empty without an aircraft."""
     columns = {name.removeprefix("twin."): i for i, name in enumerate(recording.names)}
 
     def vector(stem: str, letters: str = "xyz") -> Array | None:

@@ -1,4 +1,4 @@
-"""Addresses as options give them, and the sockets that are opened there."""
+"""Addresses in options, and their sockets."""
 
 import contextlib
 import os
@@ -12,9 +12,9 @@ _FORM = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]/]+):([0-9]{1,5})")  # host an
 USUAL_PORTS = {"": 8080, "udpin": 14550, "udpout": 14550, "tcpin": 4560}
 """Default port by prefix of the address: of pages, ground stations and PX4's simulators."""
 _FORCED = getattr(socket, "SO_RCVBUFFORCE", 33)
-"""Socket option of Linux for administrators, which has no name in Python."""
+"""Socket option of Linux for administrators, without a name in Python."""
 _BUFFER = 8 << 20
-"""Bytes that the kernel may keep until they are read: some seconds of a fast aircraft."""
+"""Receive buffer of the kernel, bytes: some seconds of a fast aircraft."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Address:
 
     @property
     def family(self) -> socket.AddressFamily:
-        """IPv6 or IPv4."""
+        """Address family, IPv6 or IPv4."""
         return socket.AF_INET6 if ":" in self.host else socket.AF_INET
 
     @property
@@ -39,15 +39,15 @@ class Address:
 
 
 def address(text: str, direction: str, option: str) -> Address:
-    """The address of an option.
+    """The address in an option.
 
     Args:
         text: Address as the user wrote it.
-        direction: A member of `USUAL_PORTS`, which stands in front of the host.
+        direction: Prefix of the host, a member of `USUAL_PORTS`.
         option: Option that gave the address.
 
     Raises:
-        TwinError: It is not of that form.
+        TwinError: It has another form.
     """
     given, _, place = text.partition(":") if direction else ("", "", text)
     match = _FORM.fullmatch(place)
@@ -59,10 +59,10 @@ def address(text: str, direction: str, option: str) -> Address:
 
 
 def listening(where: Address, connections: bool = False) -> socket.socket:
-    """A socket that gets the datagrams sent to an address, or takes connections (TCP) there.
+    """A socket that receives datagrams for an address, or accepts connections (TCP) there.
 
     Raises:
-        TwinError: Another program listens there, or the address is none of this machine.
+        TwinError: Another program uses it, or the address does not belong to this machine.
     """
     opened = socket.socket(where.family, socket.SOCK_STREAM) if connections else _socket(where)
     try:
@@ -81,7 +81,7 @@ def listening(where: Address, connections: bool = False) -> socket.socket:
 
 
 def sending(where: Address) -> socket.socket:
-    """A socket that sends to an address and gets what is answered.
+    """A socket that sends to an address and receives its answers.
 
     Raises:
         TwinError: There is no such host.
@@ -98,7 +98,7 @@ def sending(where: Address) -> socket.socket:
 def _socket(where: Address) -> socket.socket:
     opened = socket.socket(where.family, socket.SOCK_DGRAM)
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
-    with contextlib.suppress(OSError):  # beyond what the system allows to everybody
+    with contextlib.suppress(OSError):  # beyond the limit for unprivileged users
         opened.setsockopt(socket.SOL_SOCKET, _FORCED, _BUFFER)
     opened.setblocking(False)
     return opened

@@ -1,4 +1,4 @@
-"""A vehicle file drafted from flights of an aircraft, as a result to print and to save."""
+"""Draft of a vehicle file from flights of an aircraft, as a result to print and to save."""
 
 import dataclasses
 import re
@@ -26,11 +26,11 @@ from .vehicles import Vehicle
 INCH_M = 0.0254
 """International inch, exactly."""
 _FROM = {"given": "you", "log": "log", "usual": "usual"}
-"""Who says a number, in the table."""
+"""Words for the source of a number, in the table."""
 _PROPELLER = re.compile(r"(\d+(?:\.\d+)?)[xX](\d+(?:\.\d+)?)(?:[xX]\d)?")
-"""Diameter x pitch, and the number of blades that may follow."""
+"""Pattern of diameter x pitch, and an optional number of blades."""
 _LARGEST_M = 20.0
-"""Longest wheelbase that is taken for one, m."""
+"""Longest plausible wheelbase, m."""
 
 
 class DraftHover(Record, frozen=True, kw_only=True):
@@ -54,12 +54,12 @@ class DraftHover(Record, frozen=True, kw_only=True):
 
 
 class DraftLevel(Record, frozen=True, kw_only=True):
-    """How the draft and the flights hover.
+    """Hover of the draft and of the flights.
 
     Attributes:
         drive: `command`, or `rotor_speed` in rad/s.
         draft: Level at which the draft carries its weight.
-        flights: One of each.
+        flights: Hover of each flight.
     """
 
     drive: str
@@ -95,7 +95,7 @@ class DraftRecord(Record, frozen=True, kw_only=True):
         hover: Hover of the draft and of the flights.
         numbers: Entries of the file.
         warnings: Contradictions between the numbers.
-        file: The file that was written; missing where none was.
+        file: The written file; missing without one.
         next: The command to run next.
     """
 
@@ -123,7 +123,7 @@ class DraftResult(DisplayMixin):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What does not fit together."""
+        """Contradictions between the numbers."""
         return self.details.warnings
 
     @property
@@ -133,7 +133,7 @@ class DraftResult(DisplayMixin):
 
     @property
     def sentence(self) -> str:
-        """What was drafted, and whether it hovers as the flights do."""
+        """Summary of the draft, and whether its hover agrees with the flights."""
         v, flown = self.vehicle, self.details
         what = "command" if v.drive == "command" else "rotor speed, rad/s,"
         several = "flights hover" if len(flown.hovers) > 1 else "flight hovers"
@@ -145,7 +145,7 @@ class DraftResult(DisplayMixin):
         )
 
     def table(self) -> TextTable:
-        """The numbers, who says them, and how."""
+        """The numbers, with their sources."""
         rows = [(_FROM[f.kind], f.what, f.value, f.source) for f in self.details.facts]
         return TextTable(("from", "number", "value", "source"), tuple(rows))
 
@@ -157,7 +157,7 @@ class DraftResult(DisplayMixin):
 
     @cached_property
     def record(self) -> DraftRecord:
-        """Every number that is printed."""
+        """Record of every number that is printed."""
         return DraftRecord(
             vehicle=self.vehicle.name,
             hover=DraftLevel(
@@ -180,11 +180,11 @@ class DraftResult(DisplayMixin):
         )
 
     def written(self, out: Path) -> DraftRecord:
-        """The same once it is saved, with the file and the command to run next."""
+        """Record after saving, with the file and the command to run next."""
         return structs.replace(self.record, file=str(out), next=self.next(str(out)))
 
     def findings(self) -> Iterable[str | TextTable]:
-        """Sentence, and numbers."""
+        """Headline, and numbers."""
         yield self.sentence
         yield self.table()
 
@@ -204,16 +204,16 @@ def draft_vehicle(
     propeller: str | None = None,
     name: str = "draft",
 ) -> DraftResult:
-    """Draft a vehicle from flights and what is known of the aircraft.
+    """Draft a vehicle from flights and the owner's knowledge of the aircraft.
 
     Args:
         flights: Flights of one aircraft, PX4 logs or flight tables.
-        mass_kg: Mass in flight, battery included: no log states it.
-        frame: "x", "+", "h", "wide", "betaflight x"; of six and eight rotors "x" and "+". Default:
-            as the log says, else as it turned.
-        wheelbase_m: Distance of two motors across.
-        arm_m: Distance from the centre to a motor; needed, or `wheelbase_m`, where the log has no
-            coordinates in m.
+        mass_kg: Mass in flight, battery included: no log contains it.
+        frame: "x", "+", "h", "wide", "betaflight x"; for six and eight rotors "x" and "+". Default:
+            by the log, else by how it turned.
+        wheelbase_m: Distance of two opposite motors.
+        arm_m: Distance from the centre to a motor; this or `wheelbase_m` is necessary where the log
+            has no coordinates in m.
         propeller: "10x4.5", diameter and pitch in inches. Default: usual for such an aircraft.
         name: Name of the vehicle.
 
@@ -245,10 +245,10 @@ def draft_vehicle(
 
 
 def parse_propeller(text: str) -> tuple[float, float]:
-    """Diameter and pitch, m, of a propeller as it is sold: inches, "10x4.5" or "5x4.3x3".
+    """Diameter and pitch, m, of a propeller by its trade name: inches, "10x4.5" or "5x4.3x3".
 
     Raises:
-        TwinError: The text is none.
+        TwinError: The text has another form.
     """
     found = _PROPELLER.fullmatch(text.strip())
     if not found or not float(found[1]) > 0:
@@ -259,7 +259,7 @@ def parse_propeller(text: str) -> tuple[float, float]:
 
 
 def _size(what: str, given: float | None, share: float) -> float | None:
-    """Arm by a length that was given."""
+    """Arm from a given length."""
     if given is None:
         return None
     if not 0 < given < _LARGEST_M:
@@ -268,7 +268,7 @@ def _size(what: str, given: float | None, share: float) -> float | None:
 
 
 def hover_drive(vehicle: numbers.Vehicle) -> float:
-    """What drives the rotors when equal ones carry the weight: command, else speed, rad/s."""
+    """Input of the rotors when equal ones carry the weight: command, else speed, rad/s."""
     level, speed = hover_level(vehicle), vehicle.rotors.speed_rad_s
     if not vehicle.rotors.from_speed or speed is None:
         return level

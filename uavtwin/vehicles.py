@@ -1,4 +1,4 @@
-"""Vehicles: the numbers of one aircraft, together with the text of the file that they came from."""
+"""Vehicles: the numbers of one aircraft, with the text of their file."""
 
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -13,27 +13,27 @@ from twin.vehicle_file.write import update_text
 from .output import output_file
 
 GROUNDED = "DOES NOT FLY: "
-"""Stands in front of what a twin does not fly and what to do about it, in a comment on top of its
-vehicle file and in the description of its FMUs."""
+"""Prefix of the text on a twin that cannot fly, in a comment at the top of its vehicle file and in
+the description of its FMUs."""
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Vehicle(numbers.Vehicle):
     """One aircraft, as `twin.vehicle.Vehicle`, that can be saved.
 
-    It is a class of the front door because the numbers themselves know no file format: imports
-    point downwards.
+    This class is part of the user interface because the numbers themselves do not depend on a file
+    format: imports point downwards.
 
     Attributes:
-        text: Text of the vehicle file that it was read from; "" where it was made in Python.
-            Changed copies (`with_mass`, `dataclasses.replace`) keep it, and with it the comments.
+        text: Text of the vehicle file from which it was read; "" where it was created in Python.
+            Changed copies (`with_mass`, `dataclasses.replace`) retain it, and with it the comments.
     """
 
     text: str = field(default="", repr=False, compare=False)
 
     @classmethod
     def of(cls, given: numbers.Vehicle, text: str = "") -> Self:
-        """The same numbers with a text; one that has its own keeps it."""
+        """The vehicle with a text; an existing text is retained."""
         if isinstance(given, cls):
             return given
         values = {f.name: getattr(given, f.name) for f in fields(numbers.Vehicle)}
@@ -41,30 +41,30 @@ class Vehicle(numbers.Vehicle):
 
     @property
     def grounded(self) -> str:
-        """Why its twin does not fly, as its file says; "": it does not say so."""
+        """Reason why its twin cannot fly, from its file; "": none."""
         lines = (line for line in self.text.splitlines() if line.startswith(f"# {GROUNDED}"))
         return next(lines, "").removeprefix(f"# {GROUNDED}")
 
     def marked(self, why: str) -> Self:
-        """The same with a line on top of its file that says why its twin does not fly; "": without
+        """The vehicle with a comment at the top of its file on why its twin cannot fly; "": without
         one."""
         lines = self.toml().splitlines(keepends=True)
         plain = "".join(x for x in lines if not x.startswith(f"# {GROUNDED}"))
         return replace(self, text=f"# {GROUNDED}{why}\n{plain}" if why else plain)
 
     def toml(self) -> str:
-        """Text of a vehicle file of this vehicle: that it was read from, brought up to date.
+        """Text of a vehicle file of this vehicle: the original one with updated numbers.
 
         Raises:
-            ModelError: The format cannot hold the vehicle.
+            ModelError: The format cannot represent the vehicle.
         """
         return update_text(self, self.text, f"{self.name}.toml")
 
     def save(self, path: str | Path) -> Path:
-        """Write a vehicle file; one of this name is replaced, at once and as a whole.
+        """Write a vehicle file; an existing one is replaced atomically.
 
         Raises:
-            TwinError: The file cannot be written, or cannot hold the vehicle.
+            TwinError: The file cannot be written, or cannot represent the vehicle.
         """
         path, text = Path(path), self.toml()
         with output_file(path) as file:
@@ -76,7 +76,7 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
     """Read a vehicle file, or a built-in vehicle by its name.
 
     Raises:
-        ModelError: No such vehicle, or the file is wrong; the text names file, key and value.
+        ModelError: No such vehicle, or an invalid file; the text names file, key and value.
     """
     text, file = vehicle_text(name_or_path)
     return Vehicle.of(parse_vehicle(text, file), text)
@@ -95,27 +95,27 @@ def vehicle(name: str) -> Vehicle:
 
 
 def convert_vehicle(path: str | Path, name: str | None = None) -> Vehicle:
-    """The vehicle that a file of another simulator describes: Gazebo, drone-models, PyFlyt, JSBSim.
+    """The vehicle in a file of another simulator: Gazebo, drone-models, PyFlyt, JSBSim.
 
-    `docs/reference/simulators.md` says which of their numbers goes where. `text` begins
-    with what was left out.
+    `docs/reference/simulators.md` lists the key of each of their numbers. `text` begins with the
+    omitted numbers.
 
     Args:
-        path: The file; its format is recognised by what it holds.
-        name: Name of the aircraft, where the file holds several.
+        path: Path of the file; its format is recognised by content.
+        name: Name of the aircraft, where the file contains several.
 
     Raises:
-        ModelError: No such file, a format that is not known, or a vehicle that a vehicle file
-            cannot describe; the text says what to do.
+        ModelError: No such file, an unknown format, or a vehicle that a vehicle file cannot
+            describe; the text says what to do.
     """
-    from twin.vehicle_file import convert  # readers of other simulators, for this alone
+    from twin.vehicle_file import convert  # converters are imported only here
 
     text = convert.convert_vehicle(path, name)
     return Vehicle.of(parse_vehicle(text, Path(path).name), text)
 
 
 def checked_vehicle(given: Any, verb: str) -> Vehicle:
-    """A vehicle that was handed to a function, with a text that says what else it should be.
+    """A vehicle given to a function; `text` describes the valid arguments.
 
     Raises:
         TwinError: It is no vehicle.

@@ -1,4 +1,4 @@
-"""Effects, hover and channels in words: the same sentences in every verb."""
+"""Wording of effects, hover and channels: the same sentences in every verb."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,31 +13,31 @@ from twin.residuals.gap import Channel
 from twin.residuals.teacher_forced import COMMANDS, SPEEDS
 
 SMALL = 0.25
-"""Share of the largest change of its kind below which one is not spoken of."""
+"""Share of the largest change of its kind below which a change is not mentioned."""
 
 
 def said(effect: str, change: Changes, since: bool) -> str:
-    """What an effect amounts to, a clause with its own subject.
+    """Size of an effect, a clause with its own subject.
 
     Args:
         effect: Identifier.
         change: Change of each of its numbers, from no effect or from a calibration.
-        since: Whether something has changed; else that is how the aircraft is, compared with its
-            file.
+        since: Whether it is a change since a calibration; else a difference of the aircraft from
+            its file.
     """
     return clause(effect, change, since) or _plain(effect, change)
 
 
 def clause(effect: str, change: Changes, since: bool) -> str:
-    """The same; "" where there are no words for it, but numbers alone. Arguments as of `said`."""
+    """The clause of an effect; "" where there are only numbers. Arguments as in `said`."""
     wording = EFFECTS[effect].wording
     large = said_numbers(effect, change)
     return wording.clause(large, since) if wording and large else ""
 
 
 def said_numbers(effect: str, change: Changes) -> dict[str, float]:
-    """The changes that a clause gives as numbers: in each unit none that is small compared with
-    the largest, and for an effect with one headline number only the largest."""
+    """The changes that a clause gives as numbers: in each unit none that is small relative to the
+    largest, and for an effect with one headline number only the largest."""
     wording = EFFECTS[effect].wording
     secondary = wording.secondary if wording else ()
     change = {n: v for n, v in change.items() if n not in secondary} or change
@@ -76,17 +76,17 @@ _UNDETECTED = dict(
         key=lambda item: item[1].place,
     )
 )
-"""Clauses of effects that would not show, by effect."""
+"""Clauses on undetected effects, by effect."""
 BLIND_ORDER = tuple(_UNDETECTED)
-"""Effects of which it is said what would not show, in that order."""
+"""Effects with such a clause, in order."""
 
 
 def blind_clause(effect: str, value: float, unit: str, since: bool) -> str:
-    """A clause about the largest effect that would not show.
+    """Clause on the largest effect that would not be detected.
 
     Args:
         effect: One of `BLIND_ORDER`.
-        value: The smallest one that would show, a change from no effect.
+        value: Smallest detectable value, a change from no effect.
         unit: SI unit.
         since: Whether it is a change since a calibration.
     """
@@ -96,10 +96,10 @@ def blind_clause(effect: str, value: float, unit: str, since: bool) -> str:
 
 
 def drive_sentence(driven_by: Mapping[str, str]) -> str:
-    """What drives the twins of some flights; "" of none, and where there was no choice.
+    """Text on the input of the twins of flights; "" without flights, or without a choice.
 
     Args:
-        driven_by: What drives the twin, by flight; see `twin.residuals.teacher_forced.driven_by`.
+        driven_by: Input of the twin, by flight; see `twin.residuals.teacher_forced.driven_by`.
     """
     flights = {w: [f for f, own in driven_by.items() if own == w] for w in driven_by.values() if w}
     if {*flights} == {COMMANDS}:
@@ -111,18 +111,18 @@ def drive_sentence(driven_by: Mapping[str, str]) -> str:
 
 
 LEAST_M, LEAST_RAD, LEAST_LOSS = 5e-4, math.radians(0.5), 0.02
-"""A centre of mass, an angle, a loss below these is not said."""
+"""Smallest shift of the centre of mass, angle and loss that are mentioned."""
 
 
 BY_BATTERY = ((3.5 / 3.85) ** 2, (4.2 / 3.85) ** 2)
-"""Thrust at a command over that at half charge, 0.83 to 1.19: it goes with the square of the speed
-(Leishman, Principles of Helicopter Aerodynamics, 2006, ch. 2.2), the speed with the voltage: 3.5 V
-of an empty, 4.2 V of a full cell. A twin that carries less or more of its weight has another mass
-or thrust than the aircraft."""
+"""Range of thrust at a command over that at half charge, 0.83 to 1.19: it is proportional to the
+square of the speed (Leishman, Principles of Helicopter Aerodynamics, 2006, ch. 2.2), the speed to
+the voltage: 3.5 V of an empty, 4.2 V of a full cell. A twin that carries a smaller or larger share
+of its weight has another mass or thrust than the aircraft."""
 
 
 def misfit(carried: float | None, vehicle: str) -> str:
-    """Why a vehicle file does not fit an aircraft; "" where it does, or is unknown.
+    """Reason why a vehicle file does not fit an aircraft; "" where it does, or is unknown.
 
     Args:
         carried: Thrust of the twin over its weight, at the commands of a flight.
@@ -138,8 +138,8 @@ def misfit(carried: float | None, vehicle: str) -> str:
 
 
 def hover_sentence(vehicle: str, hover: HoverDiagnosis, driven_by: str = COMMANDS) -> str:
-    """The weight that a twin carries at the logged commands, where its centre of mass seems to be,
-    and how its thrust leans; what is within two standard errors of zero is left out."""
+    """Text on the weight that a twin carries at the logged commands, the apparent centre of mass,
+    and the tilt of the thrust; values within two standard errors of zero are omitted."""
     text = (
         f"At the {SPEEDS if driven_by == SPEEDS else 'logged commands'} {vehicle} "
         f"carries {100 * hover.carried.value:.0f} % of its weight"
@@ -223,13 +223,13 @@ def _of_sensor(sensor: Sensor) -> list[Kind]:
 
 _BODY = {"x": "forward axis", "y": "right axis", "z": "down axis"}  # words for axes
 TURNS = {"x": "roll", "y": "pitch", "z": "yaw"}
-"""Rotations in words, by axis."""
+"""Words for rotations, by axis."""
 _EARTH = {"x": "north", "y": "east", "z": "down"}
-"""Axes in words, by letter: of the body, of turns, of the earth."""
+"""Words for axes, by letter: body, rotations, NED."""
 _FRD, _ROLL = "body axes: x forward, y right, z down", "body axes: x roll, y pitch, z yaw"
-"""Axes of figures in body axes."""
+"""Titles of the axes of figures in body axes."""
 _NED = "x north, y east, z down"
-"""Axes of figures in NED."""
+"""Titles of the axes of figures in NED."""
 KINDS = (
     *(kind for s in SENSORS if s.group == BODY for kind in _of_sensor(s)),
     Kind("vel_", "Velocity", _NED, "velocity", _EARTH),
@@ -239,7 +239,7 @@ KINDS = (
     *(kind for s in SENSORS if s.group != BODY for kind in _of_sensor(s)),
     Kind("", "Other channels"),
 )
-"""Kinds in the order of the pages; the first whose prefix fits counts."""
+"""Kinds in the order of the pages; the first one with a matching prefix is used."""
 
 
 def describe(channel: str) -> str:
@@ -251,7 +251,7 @@ def describe(channel: str) -> str:
 
 
 def kind_of(channel: str) -> Kind:
-    """The quantity that a channel is of."""
+    """The quantity of a channel."""
     return next(kind for kind in KINDS if channel.startswith(kind.prefix))
 
 
@@ -265,5 +265,5 @@ def grouped(channels: Sequence[Channel]) -> list[tuple[Kind, list[Channel]]]:
 
 
 def mode(horizon_s: float) -> str:
-    """How the twin was held against the flight, in words; 0: at each instant."""
+    """Kind of comparison between twin and flight, in words; 0: at each instant."""
     return "teacher-forced" if horizon_s == 0 else f"short horizon, {horizon_s:g} s"
