@@ -376,10 +376,16 @@ def test_the_python_of_the_readme_works(tmp_path: Path) -> None:
     assert (tmp_path / "twin.fmu").is_file()
 
 
-SHORT = {"fly_tour_in_wind.py": ["3"], "ab_effect.py": ["8"], "swap_controller.py": ["3"]}
+SHORT = {
+    "fly_tour_in_wind.py": ["3"],
+    "fly_many.py": ["3"],
+    "ab_effect.py": ["8"],
+    "swap_controller.py": ["3"],
+}
 """Arguments that make an example fly less than its reader wants."""
 SAYS = {
     "five_minutes.py": r"disagree most in acc_(.|\n)*rotor drag 0\.(49|50)(.|\n)*twin\.fmu",
+    "fly_many.py": r"0 m/s: 0\.\d+ m off(.|\n)*9 m/s: 0\.\d+ m off in the median flight, \d\.\d+ m",
     "fly_tour_in_wind.py": r"still air .* rms(.|\n)*5 m/s, gusts .* rms",
     "ab_effect.py": r"False: nose 0\.\d+ degrees up(.|\n)*True : nose [89]\.\d+ degrees up",
     "swap_controller.py": r"lqr  0\.\d+ m rms(.|\n)*px4  0\.\d+ m rms",

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from .gaps import GapResult, gap
     from .learned import evaluate, train
     from .run import Run, simulate
+    from .sweeps.many import Runs, simulate_many
     from .sweeps.result import SweepResult
     from .sweeps.sweep import sweep
     from .vehicle_draft import DraftResult, draft_vehicle
@@ -60,6 +61,7 @@ __all__ = [
     "Flight",
     "GapResult",
     "Run",
+    "Runs",
     "SearchSettings",
     "Site",
     "SweepResult",
@@ -91,6 +93,7 @@ __all__ = [
     "read_flights",
     "replay",
     "simulate",
+    "simulate_many",
     "sweep",
     "train",
     "twin",
@@ -110,6 +113,7 @@ _HOME = {
     "Flight": "twin.logs",
     "GapResult": "uavtwin.gaps",
     "Run": "uavtwin.run",
+    "Runs": "uavtwin.sweeps.many",
     "SearchSettings": "twin.explain.settings",
     "Site": "twin.logs",
     "SweepResult": "uavtwin.sweeps.result",
@@ -139,6 +143,7 @@ _HOME = {
     "read_flights": "uavtwin.flights",
     "replay": "uavtwin.exports.parts",
     "simulate": "uavtwin.run",
+    "simulate_many": "uavtwin.sweeps.many",
     "sweep": "uavtwin.sweeps.sweep",
     "train": "uavtwin.learned",
     "twin": "uavtwin.exports.parts",

@@ -24,8 +24,15 @@ from .display import PageMixin, TextTable
 from .output import output_file, sha256
 from .record import Record
 from .series.files import Column, Series, write_frame, write_series_mcap
-from .simulation import DEFAULT_VEHICLE, Scenario, run_scenario, scenario_system, summary
-from .vehicles import checked_vehicle, load_vehicle
+from .simulation import (
+    DEFAULT_VEHICLE,
+    Scenario,
+    asked_scenario,
+    run_scenario,
+    scenario_system,
+    summary,
+)
+from .vehicles import load_vehicle
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -89,7 +96,7 @@ class Run(PageMixin):
     @property
     def claim(self) -> str:
         """Outcome in one sentence."""
-        duration_s, figures = self.recording.time_s[-1], summary(self.recording)
+        duration_s, figures = self.duration_s, summary(self.recording)
         start = "INCOMPLETE, " if self.ended else ""
         if not figures:
             return f"{self.name}: {start}{duration_s:g} s simulated"
@@ -97,6 +104,11 @@ class Run(PageMixin):
             f"{self.name}: {start}{duration_s:g} s flown, {figures['tracking_rms_m']:.2f} m rms "
             f"from the setpoint, {figures['tracking_worst_m']:.2f} m at worst"
         )
+
+    @property
+    def duration_s(self) -> float:
+        """Time that it reached."""
+        return float(self.recording.time_s[-1]) if len(self.recording.time_s) else 0.0
 
     def __getitem__(self, column: str) -> NDArray[np.float64]:
         """One output over `recording.time_s`, by its name "part.variable".
@@ -158,7 +170,7 @@ class Run(PageMixin):
     def brief(self) -> str:
         """Duration and number of outputs."""
         outputs = counted(self.recording.names, "output")
-        return f"{type(self).__name__}: {self.name}, {self.recording.time_s[-1]:g} s, {outputs}"
+        return f"{type(self).__name__}: {self.name}, {self.duration_s:g} s, {outputs}"
 
 
 def _pose(names: Sequence[str]) -> tuple[str, ...]:
@@ -219,23 +231,8 @@ def simulate(
         RunError: A `TwinError` as well: an FMU failed during the run; `recording` has the data up
             to then.
     """
-    if vehicle is not None:
-        vehicle = checked_vehicle(vehicle, "simulate")
-    if isinstance(effects, str):
-        effects = (effects,)
-    air = np.asarray(wind, dtype=np.float64)
-    if air.shape != (3,):
-        raise TwinError(f"wind = {wind}: give three numbers, north, east, down, in m/s.")
-    plan = Scenario(
-        scenario,
-        vehicle,
-        controller,
-        (float(air[0]), float(air[1]), float(air[2])),
-        gusts,
-        seed,
-        effects if isinstance(effects, Mapping) else tuple(effects),
-        dict(starts or {}),
-        fused,
+    plan = asked_scenario(
+        "simulate", scenario, vehicle, wind, gusts, seed, controller, effects, starts, fused
     )
     run = run_plan(
         plan,
@@ -320,13 +317,19 @@ def run_plan(
             if not len(error.recording.time_s):
                 raise
             recording, ended = error.recording, error
-        interfaces = {k: read_interface(path) for k, path in system.fmus.items()}
+        units, ways = described(system)
+    return Run(plan.name, recording, units, facts_of(plan), ended, ways, tuple(warnings))
+
+
+def described(system: System) -> tuple[dict[str, str], dict[str, str]]:
+    """Units, by "slave.variable", and how each FMU is run, by its name."""
+    interfaces = {k: read_interface(path) for k, path in system.fmus.items()}
     units = {f"{k}.{p.name}": p.unit or "" for k, i in interfaces.items() for p in i.ports.values()}
     ways = {k: f"FMI {i.description.fmiVersion}, co-simulation" for k, i in interfaces.items()}
-    return Run(plan.name, recording, units, _facts(plan), ended, ways, tuple(warnings))
+    return units, ways
 
 
-def _facts(plan: Scenario) -> dict[str, Any]:
+def facts_of(plan: Scenario) -> dict[str, Any]:
     """Differences from a plain scenario, for the page."""
     facts = {
         "scenario": plan.name,

@@ -26,7 +26,7 @@ from twin.physics.residual_force import ForceLaw
 from twin.representation import short_repr
 from twin.vehicle import Vehicle
 
-from .vehicles import load_vehicle
+from .vehicles import checked_vehicle, load_vehicle
 
 Array = NDArray[np.float64]
 _INTERVAL_S = 0.01
@@ -81,6 +81,47 @@ class Scenario:
     def name(self) -> str:
         """Name of the mission, or of the file."""
         return Path(self.target).name
+
+
+def asked_scenario(
+    verb: str,
+    scenario: str | Path,
+    vehicle: Vehicle | None = None,
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    gusts: bool = False,
+    seed: int = 0,
+    controller: str = "lqr",
+    effects: Iterable[str] | Mapping[str, Mapping[str, float]] = (),
+    starts: Mapping[str, float] | None = None,
+    fused: bool = False,
+) -> Scenario:
+    """A scenario as a person asks for it in Python.
+
+    Args:
+        verb: Function that was asked, for messages.
+        scenario: And all others: as of `uavtwin.run.simulate`.
+
+    Raises:
+        TwinError: The vehicle is none, or the wind no three numbers.
+    """
+    if vehicle is not None:
+        vehicle = checked_vehicle(vehicle, verb)
+    if isinstance(effects, str):
+        effects = (effects,)
+    air = np.asarray(wind, dtype=np.float64)
+    if air.shape != (3,):
+        raise TwinError(f"wind = {wind}: give three numbers, north, east, down, in m/s.")
+    return Scenario(
+        scenario,
+        vehicle,
+        controller,
+        (float(air[0]), float(air[1]), float(air[2])),
+        gusts,
+        seed,
+        effects if isinstance(effects, Mapping) else tuple(effects),
+        dict(starts or {}),
+        fused,
+    )
 
 
 def scenario_system(

@@ -4,7 +4,7 @@ Systems are built once each; a run differs by start values.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -29,11 +29,9 @@ from ..simulation import (
     times_of,
 )
 from ..vehicles import Vehicle, load_vehicle
-from .design import Design, Value
+from .design import Value
 from .outcome import WATCHED
 
-STEP_S = 0.01
-"""Communication step of the twin in one FMU, which inside steps by 1 ms all the same."""
 MOST_SYSTEMS = 100
 """That a sweep may build: vehicles times controllers times missions."""
 TWIN = "twin."
@@ -81,61 +79,77 @@ class Plan:
     Attributes:
         stands: Systems.
         jobs: Runs, in order.
-        points: Factors of each run.
         scenarios: Of each run.
-        periods: Of factors that are angles: what a whole turn is.
+        units: Of start values, "part.variable" -> unit.
         warnings: What the windiest run of a system asks for although it changes nothing.
     """
 
     stands: tuple[SharedSystem, ...]
     jobs: tuple[Job, ...]
-    points: Sequence[Mapping[str, Value]]
     scenarios: Sequence[Scenario]
-    periods: Mapping[str, float]
+    units: Mapping[str, str]
     warnings: tuple[str, ...]
 
     __repr__ = short_repr
 
+    def periods(self, factors: Iterable[str]) -> dict[str, float]:
+        """Of factors that are angles: what a whole turn is."""
+        return {n: p for n in factors if (p := period_of(n, self.units)) is not None}
+
+
+def scenarios_of(
+    base: Scenario, points: Sequence[Mapping[str, Value]], seed: int
+) -> list[Scenario]:
+    """The scenario of each run.
+
+    Args:
+        base: What all share; an aircraft flies as one FMU.
+        points: Factors of each.
+        seed: Of the noise of the first one; each has the next one.
+
+    Raises:
+        TwinError: A factor has no such name, or a value of another kind.
+    """
+    base = base if base.is_system else replace(base, fused=True)
+    vehicles: dict[str, Vehicle] = {}
+    found = []
+    for run, factors in enumerate(points):
+        scenario = scenario_of(base, factors, seed + run)
+        if "vehicle" in factors:
+            name = str(factors["vehicle"])
+            if name not in vehicles:
+                vehicles[name] = load_vehicle(name)
+            scenario = replace(scenario, vehicle=vehicles[name])
+        found.append(scenario)
+    return found
+
 
 def plan_of(
-    base: Scenario,
-    design: Design,
+    scenarios: Sequence[Scenario],
     folder: Path,
     duration_s: float | None = None,
     step_s: float | None = None,
+    interval_s: float | None = None,
     whole: bool = False,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Plan:
     """Build what is needed; every name and value of every run is looked at.
 
     Args:
-        base: What all runs share; an aircraft flies as one FMU.
-        design: What they differ in.
+        scenarios: Of each run.
         folder: For the FMUs.
         duration_s: Of each run; None: the mission's, or the system's own.
         step_s: Communication step; None: 10 ms, which inside are 1 ms, or the system's own.
+        interval_s: Time between two rows; None: about 10 ms.
         whole: Whether recordings are stored, with every output.
         progress: Called with the share built, 0..1.
 
     Raises:
         TwinError: An unknown name, a value outside its range, or too many systems.
     """
-    base = base if base.is_system else replace(base, fused=True)
-    points = design.points()
-    vehicles: dict[str, Vehicle] = {}
-    scenarios: list[Scenario] = []
-    places: dict[tuple[str, str, str], int] = {}
-    where: list[int] = []
-    for run, factors in enumerate(points):
-        scenario = scenario_of(base, factors, design.seed + run)
-        if "vehicle" in factors:
-            name = str(factors["vehicle"])
-            if name not in vehicles:
-                vehicles[name] = load_vehicle(name)
-            scenario = replace(scenario, vehicle=vehicles[name])
-        scenarios.append(scenario)
-        key = (str(scenario.target), str(factors.get("vehicle", "")), scenario.controller)
-        where.append(places.setdefault(key, len(places)))
+    places: dict[tuple[str, int, str], int] = {}
+    keys = [(str(s.target), id(s.vehicle), s.controller) for s in scenarios]
+    where = [places.setdefault(key, len(places)) for key in keys]
     if len(places) > MOST_SYSTEMS:
         raise TwinError(
             f"sweep: {len(places)} combinations of mission, vehicle and controller, at most "
@@ -155,9 +169,8 @@ def plan_of(
     for number, first in enumerate(firsts):
         own = folder / str(number)
         own.mkdir(parents=True, exist_ok=True)
-        stands.append(_stand(first, own, duration_s, step_s, whole))
+        stands.append(_stand(first, own, duration_s, step_s, interval_s, whole))
         progress((number + 1) / len(firsts))
-    periods = {n: p for n in design.vary if (p := period_of(n, units)) is not None}
     windiest = [
         max((s for k, s in zip(where, scenarios, strict=True) if k == n), key=_wind)
         for n in range(len(places))
@@ -168,7 +181,7 @@ def plan_of(
         if twin is not None
         for text in ineffective(twin.with_starts(shaping_starts(twin, scenario)), scenario)
     }
-    return Plan(tuple(stands), tuple(jobs), points, scenarios, periods, tuple(idle))
+    return Plan(tuple(stands), tuple(jobs), scenarios, units, tuple(idle))
 
 
 Check = Callable[[int, Scenario], Mapping[str, float]]
@@ -189,22 +202,30 @@ def _twin(scenario: Scenario) -> Assembly:
 
 
 def _stand(
-    first: Scenario, folder: Path, duration_s: float | None, step_s: float | None, whole: bool
+    first: Scenario,
+    folder: Path,
+    duration_s: float | None,
+    step_s: float | None,
+    interval_s: float | None,
+    whole: bool,
 ) -> SharedSystem:
     """The system of a scenario, without what its runs differ in."""
+
+    def times(step_s: float | None) -> Times:
+        """Of each run."""
+        stop = None if duration_s is None else system.start_time_s + duration_s
+        return times_of(system, stop, step_s, interval_s)
+
     if first.is_system:
         system = scenario_system(replace(first, starts={}), folder)
-        return SharedSystem(system, _times(system, duration_s, step_s), None, None)
+        return SharedSystem(system, times(step_s), None, None)
     bare = replace(first, starts={}, effects=(), wind_m_s=(0.0, 0.0, 0.0), gusts=False, seed=0)
     system = scenario_system(bare, folder)
-    times = _times(system, duration_s, STEP_S if step_s is None else step_s)
     record = None if whole else tuple(n for n in _named(system) if n.removeprefix(TWIN) in WATCHED)
-    return SharedSystem(system, times, record, _vehicle(first).arm_m)
-
-
-def _times(system: System, duration_s: float | None, step_s: float | None) -> Times:
-    stop = None if duration_s is None else system.start_time_s + duration_s
-    return times_of(system, stop, step_s)
+    own = times(step_s)
+    if step_s is None and interval_s is None:
+        own = replace(own, step_s=own.step_s * own.every, every=1)
+    return SharedSystem(system, own, record, _vehicle(first).arm_m)
 
 
 def _named(system: System) -> list[str]:

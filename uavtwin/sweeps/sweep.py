@@ -5,7 +5,7 @@ import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from itertools import chain, groupby
@@ -24,11 +24,11 @@ from twin.vehicle import Vehicle
 
 from ..jobs.engine import Engine, EngineName, Workers
 from ..output import check_folder, results_folder, sha256, write_json
-from ..simulation import Scenario
-from ..vehicles import checked_vehicle, load_vehicle
-from .design import Design, distribution_of, read_design
+from ..simulation import Scenario, asked_scenario
+from ..vehicles import load_vehicle
+from .design import Design, Value, distribution_of, read_design
 from .outcome import JOURNAL, Journal, Outcome, outcome_of
-from .plan import Job, Plan, SharedSystem, plan_of
+from .plan import Job, Plan, SharedSystem, plan_of, scenarios_of
 from .result import SweepResult, table_of
 
 
@@ -200,7 +200,7 @@ RECORDINGS = "recordings"
 """Folder of the recordings of runs."""
 SWITCH = ".enabled"
 """End of the name of a parameter that switches an effect."""
-_BUILDING = 0.05
+BUILDING = 0.05
 """Share of the work that building takes, about."""
 
 
@@ -280,18 +280,7 @@ def sweep(
     named = vehicle if isinstance(vehicle, str) else ""
     if isinstance(vehicle, str):
         vehicle = load_vehicle(vehicle)
-    elif vehicle is not None:
-        vehicle = checked_vehicle(vehicle, "sweep")
-    base = Scenario(
-        scenario,
-        vehicle,
-        controller,
-        wind,
-        gusts,
-        0,
-        effects if isinstance(effects, Mapping) else tuple(effects),
-        dict(starts or {}),
-    )
+    base = asked_scenario("sweep", scenario, vehicle, wind, gusts, 0, controller, effects, starts)
     return run_sweep(
         base,
         chosen_design(design, vary, runs, method, seed),
@@ -337,23 +326,25 @@ def run_sweep(
         TwinError: As `sweep`.
     """
     check_folder(out, force, JOURNAL, [RECORDINGS])
+    points = design.points()
     with tempfile.TemporaryDirectory(prefix="uavtwin-") as scratch:
         plan = plan_of(
-            base,
-            design,
+            scenarios_of(base, points, design.seed),
             Path(scratch),
             duration_s,
             step_s,
-            work.recordings,
-            lambda done: progress(_BUILDING * done),
+            whole=work.recordings,
+            progress=lambda done: progress(BUILDING * done),
         )
-        key = sweep_key(plan, work.recordings)
+        key = sweep_key(plan, points, work.recordings)
         with closing(Journal(out / JOURNAL, key)) as journal:
             flying = SweepTask(key, plan.stands, work.limits, work.recordings)
             with work.opened() as engine:
                 _fly(plan, flying, engine, journal, out, progress)
-            table = table_of(plan.points, journal.outcomes())
-            result = SweepResult(base.name, table, design, plan.scenarios, vehicle, plan.periods)
+            table = table_of(points, journal.outcomes())
+            periods = plan.periods(design.vary)
+            given = design, plan.scenarios, vehicle, periods, plan.warnings
+            result = SweepResult(base.name, table, *given)
             found(result)
             with results_folder(out, force, JOURNAL, [RECORDINGS]) as folder:
                 result.save(folder / "runs.parquet")
@@ -391,7 +382,7 @@ def chosen_design(
     )
 
 
-def sweep_key(plan: Plan, recordings: bool) -> str:
+def sweep_key(plan: Plan, points: Sequence[Mapping[str, Value]], recordings: bool) -> str:
     """Hash of all that decides the outcomes."""
     import uavtwin
 
@@ -407,7 +398,7 @@ def sweep_key(plan: Plan, recordings: bool) -> str:
         for s in plan.stands
     ]
     jobs = [[j.run, j.stand, dict(j.starts)] for j in plan.jobs]
-    content = [uavtwin.__version__, stands, jobs, [dict(p) for p in plan.points], recordings]
+    content = [uavtwin.__version__, stands, jobs, [dict(p) for p in points], recordings]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -426,7 +417,7 @@ def _fly(
         _keep(flown, folder)
         journal.add(flown.outcome)
         done += 1
-        progress(_BUILDING + (1 - _BUILDING) * done / len(plan.jobs))
+        progress(BUILDING + (1 - BUILDING) * done / len(plan.jobs))
 
 
 def blocks(jobs: Iterable[Job]) -> Iterator[Block]:
@@ -443,10 +434,15 @@ def blocks(jobs: Iterable[Job]) -> Iterator[Block]:
         yield from (runs[i : i + size] for i in range(0, len(runs), size))
 
 
+def recording_file(folder: Path, run: int) -> Path:
+    """Of one run."""
+    return folder / RECORDINGS / f"run_{run:06d}.parquet"
+
+
 def _keep(flown: RunResult, folder: Path) -> None:
     """Write a recording, before its run counts as done."""
     if flown.recording is not None and len(flown.recording.time_s):
-        path = folder / RECORDINGS / f"run_{flown.outcome.run:06d}.parquet"
+        path = recording_file(folder, flown.outcome.run)
         path.parent.mkdir(exist_ok=True)
         part = path.with_suffix(".part.parquet")
         flown.recording.write(part)
