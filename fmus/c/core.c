@@ -134,19 +134,13 @@ static void prepare(Part* p) {
 /* Whether none of n numbers is infinite or NaN: the exponent of those is all ones, so that one more
  * carries into the place of the sign. */
 static int all_finite(const double* values, unsigned n) {
-    enum { AT_ONCE = LANES > 1 ? LANES : 2 }; /* as compilers put them into one register */
     const uint64_t rest = 0x7fffffffffffffffu, one = 0x0010000000000000u;
-    uint64_t carry[AT_ONCE] = {0}, bits[AT_ONCE];
-    for (; n >= AT_ONCE; n -= AT_ONCE, values += AT_ONCE) {
-        memcpy(bits, values, sizeof bits);
-        for (int i = 0; i < AT_ONCE; i++) carry[i] |= (bits[i] & rest) + one;
+    uint64_t carry = 0, bits;
+    for (unsigned i = 0; i < n; i++) {
+        memcpy(&bits, values + i, sizeof bits);
+        carry |= (bits & rest) + one;
     }
-    for (; n; n--, values++) {
-        memcpy(bits, values, sizeof bits[0]);
-        carry[0] |= (bits[0] & rest) + one;
-    }
-    for (int i = 1; i < AT_ONCE; i++) carry[0] |= carry[i];
-    return !(carry[0] >> 63);
+    return !(carry >> 63);
 }
 
 static int check_states(Instance* c, const Part* p) {
@@ -191,8 +185,9 @@ static int look_back(Instance* c, Part* p) {
     for (unsigned i = 0; i < s->n_lines; line += n * LANES, i++) {
         const int other = s->lines[i].capacity != n;
         if (other) n = s->lines[i].capacity, at = (unsigned)(k % n);
-        FOR_LANES {
-            if (!other && p->delayed[AT(i)] == delay[lane]) continue;
+        int same = !other;
+        EACH_LANE same &= p->delayed[AT(i)] == delay[lane];
+        if (!same) FOR_LANES {
             delay[lane] = p->delayed[AT(i)];
             double periods = delay[lane] / period;
             if (!(periods >= 0 && periods <= n - 1 + SAMPLE_TOLERANCE))
@@ -205,7 +200,7 @@ static int look_back(Instance* c, Part* p) {
             late[lane] = place_of(back, k, at, n);
             later[lane] = place_of(back + 1, k, at, n);
         }
-        FOR_LANES {
+        EACH_LANE {
             line[AT(at)] = p->signal[AT(i)];
             const double after = line[AT(late[lane])], before = line[AT(later[lane])];
             p->delayed[AT(i)] = after + share[lane] * (before - after);
