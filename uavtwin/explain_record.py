@@ -149,7 +149,7 @@ class NotVisibleRecord(Record, frozen=True, kw_only=True):
 
 
 class DayRecord(Record, frozen=True, kw_only=True):
-    """A number that stands out of the day of a flight.
+    """Difference of one flight's number from that of the others.
 
     Attributes:
         difference: Number of this flight minus the one that all flights share.
@@ -528,7 +528,7 @@ def _not_visible(found: Explanation) -> list[NotVisibleRecord]:
 
 
 def _per_flight(naming: Naming) -> dict[str, dict[str, DayRecord]]:
-    """What stands out of the day of each flight."""
+    """Outliers of each flight."""
     units = {n.full: n.about.unit for n in naming.problem.model.numbers}
     return {
         flight: {

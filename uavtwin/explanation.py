@@ -556,7 +556,7 @@ def _on_day(found: Explanation, vehicle: vehicles.Vehicle, flight: str) -> vehic
 
 
 def _deviation(ci95: tuple[float, float] | None) -> float:
-    """Standard deviation of a 95 % interval; 0 where there is none."""
+    """Standard deviation of a 95 % interval; 0 without one."""
     half = 0.0 if ci95 is None else (ci95[1] - ci95[0]) / 2
     return half / SURE if isfinite(half) else 0.0
 

@@ -111,7 +111,7 @@ class CheckReport(Record, DisplayMixin, frozen=True, kw_only=False):
 
     @property
     def verdict(self) -> str:
-        """`problems`, `warnings` or `fine`: what it is in a word."""
+        """The verdict in one word: `problems`, `warnings` or `fine`."""
         return "problems" if self.problems else "warnings" if self.warnings else "fine"
 
     @property

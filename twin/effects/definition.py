@@ -1,4 +1,4 @@
-"""What an effect is: a named physical cause with a term in the equations of one component.
+"""Definition of an effect: a named physical cause with a term in the equations of one component.
 
 A term is a pure function of a stage, the quantities that the component has computed so far, and
 returns the stage with some of them changed. `Blocks` puts terms into a component as blocks of

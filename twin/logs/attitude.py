@@ -46,7 +46,7 @@ _LOST = {
     "pitch_rad": "force along x and the answer of pitch above 1 Hz (inertia, lag)",
     "yaw_rad": "forces along x and y and the torque about z (drag, wind, yaw torque)",
 }
-"""What the flights do not determine without an angle."""
+"""Quantities that the flights do not determine without an angle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +170,7 @@ def _by_force(time_s: Array, angles: Array, t_s: Array, acceleration_n: Array) -
 
 
 def _what_is_lost(missing: tuple[str, ...], signal: str) -> str:
-    """Text on the derived angles and on what the flight no longer determines.
+    """Text on the derived angles and on the quantities that the flight no longer determines.
 
     Args:
         missing: Missing angles.

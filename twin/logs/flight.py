@@ -65,7 +65,7 @@ class Site:
     """Place of a flight, as far as it affects the air around the aircraft.
 
     Attributes:
-        indoors: Within walls: no wind, and a compass near metal.
+        indoors: Whether within walls: no wind, and a compass near metal.
         source: Source of this information.
     """
 

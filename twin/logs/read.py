@@ -35,8 +35,8 @@ from .table import open_parquet
 
 # -- containers ---------------------------------------------------------------------------------
 #
-# Files around a log: archives, compression, bytes of another program before its head; and files
-# that are no log, by name. What counts is the log inside, not what it is wrapped in.
+# Containers of a log: archives, compression, bytes of another program before its head; and files
+# that are no log, by name. The log inside counts, not its container.
 
 _MOST_RATIO = 100
 """Largest ratio of unpacked size to archive size: text logs compress by up to 20."""

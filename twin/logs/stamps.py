@@ -245,10 +245,9 @@ def note_cut(log: FindingCollector, tail: int) -> None:
 
 # -- stamps and the order in the file -----------------------------------------------------------
 #
-# Time stamps of a ULog held against the order of its messages in the file.
+# Time stamps of a ULog compared with the order of its messages in the file.
 #
-# The logger writes what it receives as it comes, so that the stamps of neighbours are of about the
-# same moment whatever their topic.
+# The logger writes messages as they arrive, so neighbours have similar stamps whatever their topic.
 
 _NEIGHBOURS = 101
 """Number of samples of which the median stamp is computed."""

@@ -30,7 +30,7 @@ from .validate import check_columns, validate
 
 # -- metadata -----------------------------------------------------------------------------------
 #
-# What a flight table in Parquet says besides its columns, as JSON in the metadata of the file.
+# Metadata of a flight table in Parquet, as JSON.
 
 _KEY = b"uavtwin"  # key in the metadata
 _MOST_ROTORS = 64  # rotors of a layout; more are damage

@@ -24,8 +24,8 @@ def convert(
 ) -> None:
     """Write a log as a flight table: SI, NED, FRD, one clock.
 
-    Parquet keeps what the log says of itself and what was found in it, CSV the table alone. MCAP
-    is for Foxglove and PlotJuggler, with a layout for each next to it; nothing here reads it back.
+    Parquet includes facts and findings of the log, CSV only the table. MCAP is for Foxglove and
+    PlotJuggler, with a layout for each next to it; no command reads it.
     """
     from twin.logs import read_flight, write_flight
 

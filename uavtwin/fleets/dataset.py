@@ -102,7 +102,7 @@ VITALS = (
 """Numbers of a flight on the state of the aircraft, from `check` and `gap` only."""
 
 NO_LOG = "no log"
-"""Status of a file with the extension of logs that is none, such as a list in CSV."""
+"""Status of a file with the extension of logs that is no log, such as a list in CSV."""
 
 TABLES: Mapping[str, Sequence[Column]] = {
     "flights": (

@@ -197,7 +197,7 @@ class LogAnalysis:
         """The vehicle for the comparison with an aircraft.
 
         Raises:
-            TwinError: There is none for it.
+            TwinError: The aircraft has none.
         """
         if self.vehicle:
             return Vehicle.of(parse_vehicle(self.vehicle, self.file), self.vehicle)

@@ -466,7 +466,7 @@ class FleetResult(PageMixin):
         return tuple(found)
 
     def bad_logs(self, most: int) -> pd.DataFrame:
-        """Damaged or unusable logs, and files that are none: log, status, error or its first
+        """Damaged or unusable logs, and files that are no logs: log, status, error or its first
         problem."""
         about = read_table(self.folder, "flights", ["log", "status", "error"])
         rows = about[about["status"].isin([*BAD, "copy", NO_LOG])].head(most).copy()

@@ -23,7 +23,7 @@ _MOST_GARBAGE = 65536
 
 
 class ConnectionEndedError(TwinError):
-    """The autopilot has disconnected, or is none."""
+    """The autopilot has disconnected, or is no MAVLink autopilot."""
 
 
 @dataclass(slots=True)

@@ -118,8 +118,8 @@ def _unpack(archive: Path, members: list[str], folder: Path, most: int) -> list[
     Args:
         archive: Path of a ZIP archive.
         members: Names of its logs.
-        folder: For what is unpacked; made. Who gave it clears it.
-        most: Folder for unpacked files; it is created. The caller removes it.
+        folder: Folder for unpacked files; it is created. The caller removes it.
+        most: Largest size of one log, bytes.
 
     Raises:
         LogError: There are too many, one or all of them are too large, or one cannot be unpacked.
