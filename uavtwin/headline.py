@@ -91,6 +91,12 @@ def _answer(found: Explanation) -> Headline:
     if found.verdict == "unnamed":
         return Headline(f"The cause of the residual is {_outside(found)}.")
     tied = _candidates(found)
+    if not tied and naming.unexplained:
+        where = joined(list(naming.unexplained))
+        return Headline(
+            f"No effect is detectable, but something is missing from the model: it leaves more in "
+            f"{where} than sensor and pose do of each other."
+        )
     if (none := nothing_probability(found) or 0.0) > 0.01:
         tied.append(f"none ({certainty(none)})")
     if naming.outside > naming.settings.least:

@@ -396,6 +396,8 @@ def _as_named(found: Explanation, naming: Naming, alike: Sequence[Resemblance] =
     new = alike or naming.resemblances
     naming = replace(naming, resemblances=(*naming.resemblances, *alike))
     verdict = _verdict(naming, found.balance, found.stochastic)
+    if verdict == "nothing" and found.since is None and naming.unexplained:
+        verdict = "cannot_tell"  # something moves the aircraft, whatever it is
     shown, gone = found.shown, {r.effect for r in naming.resemblances if verdict == "named"}
     if shown is not None and gone:
         shown = replace(shown, effects=tuple(e for e in shown.effects if e not in gone))

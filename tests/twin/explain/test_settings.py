@@ -82,6 +82,10 @@ LOCAL = {
         "inference.search.TRIED",
         "inference.search.MIN_GAIN",
         "inference.search.CLEAR",
+        *(
+            f"inference.valley.{n}"
+            for n in ("SIZES", "PIVOT", "SHAPES", "PARTNERS", "BALANCING", "STARTS", "LEAST")
+        ),
         "inference.posterior.PRUNE_BELOW",
         "inference.posterior.PRUNE_ABOVE",
         "inference.posterior.PRUNE_AFTER",
@@ -113,6 +117,7 @@ LOCAL = {
         "inference.fit.COVERED",
         "inference.posterior.EXCHANGED",
         "calibration.CLEARLY",
+        "inference.valley.MORE",
         "estimates.UNDETERMINED",
         "inference.estimate.MOST_OF_PRIOR",
         "stochastic.search.LAG_S",

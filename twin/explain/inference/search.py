@@ -27,6 +27,7 @@ from .posterior import (
     met_sets,
 )
 from .priors import Priors, effect_of
+from .valley import hidden_starts
 
 Array = NDArray[np.float64]
 
@@ -64,6 +65,7 @@ class SearchPoint:
         begun: Sets that were fitted from their expected numbers on.
         again: Sets that were fitted twice.
         short: By how much exchanges fell short of what they promised, nats.
+        sought: Sets about which hidden effects were sought.
         moves: That were accepted.
         ended: Whether no other set is better.
     """
@@ -73,6 +75,7 @@ class SearchPoint:
     begun: set[tuple[str, ...]] = field(default_factory=set)
     again: set[tuple[tuple[str, ...], float]] = field(default_factory=set)
     short: dict[Exchange, float] = field(default_factory=dict)
+    sought: set[tuple[str, ...]] = field(default_factory=set)
     moves: int = 0
     ended: bool = False
 
@@ -147,7 +150,8 @@ def _move(problem: Problem, laplace: LaplaceEvidence, at: SearchPoint, last: boo
     if better is not None or not last:
         return better
     return (
-        _verified(problem, laplace, state, tried, _weak(laplace, state))
+        _uncovered(problem, laplace, state, at.sought)
+        or _verified(problem, laplace, state, tried, _weak(laplace, state))
         or _verified(problem, laplace, state, tried, _alone(state))
         or _verified(problem, laplace, state, tried, _mistaken(problem, state))
         or _verified(problem, laplace, state, {}, _mounted(problem, laplace, state))
@@ -360,6 +364,19 @@ def _followed(
             tried[key] = max(log_posterior(there), tried.get(key, -np.inf))
             best = there if log_posterior(there) > log_posterior(best) + MIN_GAIN else best
     return None if best is state else best
+
+
+def _uncovered(
+    problem: Problem, laplace: LaplaceEvidence, state: State, sought: set[tuple[str, ...]]
+) -> State | None:
+    """The set with an effect that another hides, see `valley`: sought once while it is not there,
+    and once about each set with it, which may stand elsewhere in its valley."""
+    observed = {c for c in problem.priors.causes if EFFECTS[effect_of(c)].observer is not None}
+    key = state.effects if observed & {*state.effects} else ()
+    if key in sought:
+        return None
+    sought.add(key)
+    return _verified(problem, laplace, state, {}, [*hidden_starts(problem, laplace, state)])
 
 
 def _mounted(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Trial]:

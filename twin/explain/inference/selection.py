@@ -40,6 +40,7 @@ from .search import (
     with_instruments_of_end,
 )
 from .spectrum import force_shares
+from .valley import leaves_motion
 from .whitening import WhitenedFlights
 
 Array = NDArray[np.float64]
@@ -102,6 +103,7 @@ class Naming:
         detectable: By effect that is not in the final set, the smallest one that would show.
         settings: From when on a name is given.
         further: Effects without a mean that are reported with these: they widen the intervals.
+        unexplained: Channels of which the final set leaves more than sensor and pose do.
     """
 
     fitted: tuple[Fit, ...]
@@ -120,6 +122,7 @@ class Naming:
     detectable: Mapping[str, Detectable] = field(default_factory=dict)
     settings: SelectionSettings = DEFAULT.inference.selection
     further: int = 0
+    unexplained: tuple[str, ...] = ()
 
     __repr__ = short_repr
 
@@ -387,6 +390,7 @@ def _named(
         shares_of(problem, found.state),
         smallest_detectable(problem.model, laplace, found.state, rules.sure),
         rules,
+        unexplained=tuple(n for n, more in leaves_motion(laplace.spectrum).items() if more),
     )
 
 

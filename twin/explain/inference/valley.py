@@ -1,0 +1,154 @@
+"""Where to begin with an effect that another one hides: along the valley between the two.
+
+An effect whose states an observer follows is far from linear in its size and shapes: what is
+followed depends on the constants as well. Where the constants of two effects cancel, each alone is
+ruled out by them, and no slope leads from none to both. The valley in which the constants stay as
+they are has one dimension more than the shapes; it is laid out on a grid, with the exact model.
+
+    r0 - r(s) = B y,    x(s) = x0 + s e + s / s0 y
+
+r: constants of the channels over their deviations between days; s e: sizes and shapes of the
+effect; B: slopes of the constants by the numbers of the partner; y: what takes back r(s0) - r0.
+The partner is the effect that does so with the highest prior density.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...effects import EFFECTS
+from .evidence import LaplaceEvidence
+from .fit import Problem, State
+from .priors import effect_of
+from .spectrum import OF_POSE, Spectrum
+
+Array = NDArray[np.float64]
+Start = tuple[tuple[str, ...], Array]
+"""A set of effects, and the numbers to begin with, as `MapEstimate.x`."""
+SIZES, PIVOT = np.geomspace(0.18, 1.4, 7), 0.5
+"""Of the effect over its prior deviation; that at which partners are compared."""
+SHAPES = np.geomspace(0.5, 1.9, 6)
+"""Its shapes over what is expected of them."""
+PARTNERS, BALANCING, STARTS = 2, 2, 2
+"""Partners whose valleys are laid out; steps to one; the best places of each, where fits begin."""
+MORE = 3.0
+"""What a model leaves in a band, over what sensor and pose leave of each other, from which on there
+is something to follow."""
+LEAST = 1e-6
+"""Prior precision of the numbers of a partner, where they are to take back all: of a solver."""
+
+
+def hidden_starts(problem: Problem, laplace: LaplaceEvidence, state: State) -> Iterator[Start]:
+    """Starts for each effect with an observer that the channels leave room for; `laplace`: about
+    the state."""
+    room = leaves_motion(laplace.spectrum)
+    for cause in problem.priors.causes:
+        observer = EFFECTS[effect_of(cause)].observer
+        if observer is not None and any(room.get(n, False) for n in observer.channels):
+            yield from _along(problem, laplace.spectrum, state, cause)
+
+
+def leaves_motion(spectrum: Spectrum) -> dict[str, bool]:
+    """By channel that sensor and pose both tell, whether a model leaves more of it in a band than
+    they do of each other, so that it is no noise of either."""
+    power, place = spectrum.power(), {n: i for i, n in enumerate(spectrum.channels)}
+    mean = {k: p / n for k, (p, n) in power.items()}
+    both = {n: (i, place[OF_POSE + n]) for n, i in place.items() if OF_POSE + n in place}
+    return {
+        name: any(
+            left > MORE**2 * mean.get((of_pose, band), np.inf)
+            for (c, band), left in mean.items()
+            if c == own and band
+        )
+        for name, (own, of_pose) in both.items()
+    }
+
+
+def _along(problem: Problem, spectrum: Spectrum, state: State, cause: str) -> list[Start]:
+    """The places of the valleys of an effect where all other numbers, at their best with its own
+    held, are worth most."""
+    b = problem.priors
+    own = np.array([i for i in b.of([cause]) if not b.shape[i]])
+    shapes = np.array([i for i in b.of([cause]) if b.shape[i]], dtype=np.intp)
+    others = [e for e in state.effects if e != cause]
+    base = state.best.x.copy()
+    base[b.of([cause])] = 0.0
+
+    def at(size: float, shape: float, partner: Array) -> Array:
+        """Numbers at a place of a valley."""
+        x = base.copy()
+        x[own] = size * b.slab[own]
+        x[shapes] = np.clip(shape * b.mean[shapes], b.low[shapes], b.high[shapes]) - b.now[shapes]
+        k = len(partner)
+        x[:k] = np.clip(x[:k] + size / PIVOT * partner, b.low - b.now, b.high - b.now)
+        return x
+
+    def there(x: Array) -> Spectrum:
+        """Residuals at some numbers, with the slopes of the state."""
+        return spectrum.moved(problem.channels(x), *problem.split(x))
+
+    deviation = _deviations(problem, spectrum)
+    slopes = _constants(spectrum)[1] / deviation[:, None] * b.slab
+    none = np.zeros(len(b.now))
+    before = _constants(there(base))[0]
+
+    def taken_back(partner: Array) -> Array:
+        """What the effect and its partner do to the constants."""
+        return (_constants(there(at(PIVOT, 1.0, partner)))[0] - before) / deviation
+
+    found: list[tuple[float, Start]] = []
+    alone = taken_back(none)
+    for partner in _partners(problem, slopes, alone, cause, others):
+        columns = [i for i in b.of([partner]) if not b.shape[i]]
+        numbers, left = none.copy(), alone
+        for _ in range(BALANCING):
+            numbers[columns] += b.slab[columns] * _taking(slopes[:, columns], left, LEAST)
+            left = taken_back(numbers)
+        rest = tuple(sorted({*others, partner}))
+        on = tuple(sorted({*rest, cause}))
+        places = []
+        for size, shape in product(SIZES, SHAPES if len(shapes) else (1.0,)):
+            x = at(size, shape, numbers)
+            held = problem.laplace(there(x).only(problem.moving(rest)))
+            places.append((held.best(rest, state.kappa).evidence, (on, x)))
+        found += sorted(places, key=lambda p: -p[0])[:STARTS]
+    return [start for _, start in sorted(found, key=lambda f: -f[0])]
+
+
+def _partners(
+    problem: Problem, slopes: Array, alone: Array, cause: str, on: Sequence[str]
+) -> list[str]:
+    """Effects that take back what one does to the constants, the most probable first."""
+    b, costs = problem.priors, {}
+    for other in (c for c in b.causes if effect_of(c) != effect_of(cause)):
+        own = slopes[:, [i for i in b.of([other]) if not b.shape[i]]]
+        y = _taking(own, alone, 1.0)
+        left = alone - own @ y
+        costs[other] = 0.5 * float(left @ left + y @ y) - (0.0 if other in on else b.odds[other])
+    return sorted(costs, key=lambda c: costs[c])[:PARTNERS]
+
+
+def _taking(slopes: Array, left: Array, precision: float) -> Array:
+    """Numbers that take something back, in prior deviations."""
+    normal = slopes.T @ slopes + precision * np.eye(slopes.shape[1])
+    return np.asarray(np.linalg.solve(normal, slopes.T @ left))
+
+
+def _constants(spectrum: Spectrum) -> tuple[Array, Array]:
+    """Of every channel and flight, shape (n,), and their slopes by all numbers, shape (n, k)."""
+    values, slopes = [], []
+    for r in (r for own in spectrum.rows for r in own):
+        constant = r.band == 0
+        values.append(float(r.residual[constant].sum()))
+        row = np.zeros(len(spectrum.theta))
+        row[r.active] = r.slopes[constant].sum(axis=0)
+        slopes.append(row)
+    return np.array(values), np.array(slopes)
+
+
+def _deviations(problem: Problem, spectrum: Spectrum) -> Array:
+    """Of each constant between days."""
+    floor = [problem.noise.bands.floor[c, 0] for c in range(len(spectrum.channels))]
+    return np.asarray(np.sqrt(np.repeat(floor, len(problem.model.flights))))
