@@ -132,7 +132,7 @@ def _too_few(flights: Sequence[object]) -> str:
     if len(flights) >= FLIGHTS:
         return ""
     there = f"{counted(flights, 'flight')} held out could be compared"
-    return f"{there}, {FLIGHTS} are needed: give --holdout for each"
+    return f"{there}, {FLIGHTS} are needed: give --holdout for each; the demo has one"
 
 
 def _envelope(flight: Windows, limits: Array) -> Array:

@@ -91,4 +91,6 @@ def why(
         found[0].report(out)
     if diagnostic is not None:
         write_diagnostics(found[0], diagnostic)
+    if not as_json and (written := [str(f) for f in (out, diagnostic) if f is not None]):
+        STDOUT.print(f"written: {', '.join(written)}")
     raise typer.Exit(worst)
