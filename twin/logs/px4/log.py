@@ -4,7 +4,8 @@ import contextlib
 import io
 import re
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from array import array
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from ..stamps import (
 # Message definitions of a ULog, checked before pyulog expands them.
 
 _FIRST_DATA = b"AL"  # the first of these ends the definitions
+_DEFINED = b"FA"  # formats and subscriptions
 _LONGEST = 10000  # bytes of a message; longer ones are damage
 _MOST_FIELDS = 65535  # the length of a message has 16 bits, a field at least 8
 _MOST_UNFOLDED = 2_000_000  # fields of all subscriptions together; a PX4 log has some 5000
@@ -41,66 +43,77 @@ _BASIC = re.compile(r"u?int(8|16|32|64)_t|float|double|bool|char")
 _ADDED = 3  # bytes before the name of the topic in a subscription
 
 
-def messages(blob: bytes) -> Iterator[tuple[int, int, int]]:
-    """Kind, start and end of the content of each message that is complete in the file."""
+def messages(blob: bytes) -> NDArray[np.int64]:
+    """Kind, start and end of the content of each complete message of the file; shape (n, 3)."""
+    found = array("q")
     at, end = 16, len(blob)
     header = struct.Struct("<HB").unpack_from
     while at + 3 <= end:
         size, kind = header(blob, at)
-        if at + 3 + size > end:
-            return
-        yield kind, at + 3, at + 3 + size
-        at += 3 + size
+        after = at + 3 + size
+        if after > end:
+            break
+        found.extend((kind, at + 3, after))
+        at = after
+    return np.frombuffer(found, np.int64).reshape(-1, 3)
 
 
-def data_places(blob: bytes) -> dict[int, NDArray[np.int64]]:
-    """Positions of each subscription's samples among all samples of the file, by message id."""
-    number = struct.Struct("<H").unpack_from
-    ids = [
-        number(blob, start)[0]
-        for kind, start, end in messages(blob)
-        if kind == ord("D") and end - start >= 2
-    ]
-    each = np.array(ids, dtype=np.int64)
-    return {int(k): np.flatnonzero(each == k) for k in np.unique(each)}
+def data_places(blob: bytes, found: NDArray[np.int64]) -> dict[int, NDArray[np.int64]]:
+    """Positions of each subscription's samples among all samples of the file, by message id.
+
+    Args:
+        blob: Content of the file.
+        found: Its messages.
+    """
+    kind, start, end = found.T
+    first = start[(kind == ord("D")) & (end - start >= 2)]
+    content = np.frombuffer(blob, np.uint8)
+    ids = content[first] + 256 * content[first + 1].astype(np.int64)
+    return {int(k): np.flatnonzero(ids == k) for k in np.unique(ids)}
 
 
-def check_definitions(path: Path, blob: bytes) -> None:
+def check_definitions(path: Path, blob: bytes, found: NDArray[np.int64]) -> None:
     """Refuse a log whose definitions are incomplete, damaged or infinite.
 
     pyulog 1.3 never returns from some damaged definitions, and expands nested formats of any depth.
 
+    Args:
+        path: File name, for messages.
+        blob: Content of the file.
+        found: Its messages.
+
     Raises:
         LogError: The definitions are of this kind.
     """
-    end = 16
-    for kind, start, end in messages(blob):
-        if kind in _FIRST_DATA:
-            break
-        if kind == 0 or not 0 < end - start <= _LONGEST:
-            raise LogError(
-                f"{path.name}: damaged ULog: byte {start - 3} of {len(blob)}, within its "
-                "definitions, makes no sense. Copy the log from the vehicle again."
-            )
-    else:
+    kind, start, end = found.T
+    data = np.flatnonzero(np.isin(kind, list(_FIRST_DATA)))
+    definitions = slice(data[0] if len(data) else None)
+    length = (end - start)[definitions]
+    senseless = (kind[definitions] == 0) | (length <= 0) | (length > _LONGEST)
+    if senseless.any():
+        raise LogError(
+            f"{path.name}: damaged ULog: byte {start[senseless.argmax()] - 3} of {len(blob)}, "
+            "within its definitions, makes no sense. Copy the log from the vehicle again."
+        )
+    if not len(data):
         raise LogError(
             f"{path.name}: ULog cut short within its definitions after {len(blob)} bytes, before "
             "any sample. Copy the log from the vehicle again."
         )
-    _check_formats(path, blob)
+    _check_formats(path, blob, found[np.isin(kind, list(_DEFINED))])
 
 
-def _check_formats(path: Path, blob: bytes) -> None:
+def _check_formats(path: Path, blob: bytes, found: NDArray[np.int64]) -> None:
     """Refuse formats with more fields than a message can have, and too many subscriptions."""
     inner: dict[str, list[tuple[str, int]]] = {}
     unfolded = 0
     sizes: dict[str, int] = {}
-    for kind, start, end in messages(blob):
+    for kind, start, end in found.tolist():
         if kind == ord("F"):
             name, _, fields = blob[start:end].decode("utf-8", "ignore").partition(":")
             inner[name] = [_kind(f) for f in fields.split(";") if f]
             sizes.clear()
-        elif kind == ord("A"):
+        else:
             name = blob[start + _ADDED : end].decode("utf-8", "ignore")
             if name not in sizes:
                 sizes[name] = _unfolded(path, name, inner, sizes)
@@ -368,14 +381,12 @@ def _finite(value: object) -> bool:
     return isinstance(value, int | float) and bool(np.isfinite(value))
 
 
-def _left_over(blob: bytes) -> tuple[int, int]:
+def _left_over(blob: bytes, found: NDArray[np.int64]) -> tuple[int, int]:
     """Bytes of an incomplete message at the end, and bytes that could not be decoded."""
-    whole = 16
-    for kind, start, end in messages(blob):
-        if kind not in _MESSAGES:
-            return 0, len(blob) - start + 3
-        whole = end
-    rest = blob[whole:]
+    strange = np.flatnonzero(~np.isin(found[:, 0], list(_MESSAGES)))
+    if len(strange):
+        return 0, len(blob) - int(found[strange[0], 1]) + 3
+    rest = blob[int(found[-1, 2]) if len(found) else 16 :]
     return (0, len(rest)) if len(rest) > 2 and rest[2] not in _MESSAGES else (len(rest), 0)
 
 
@@ -389,7 +400,8 @@ def open_px4(path: Path, blob: bytes) -> Px4Log:
     Raises:
         LogError: Nothing in the file can be used.
     """
-    check_definitions(path, blob)
+    found = messages(blob)
+    check_definitions(path, blob, found)
     said = io.StringIO()
     try:
         with contextlib.redirect_stdout(said):
@@ -435,8 +447,9 @@ def open_px4(path: Path, blob: bytes) -> Px4Log:
             f"the header's time stamp, {start} us, is over a year from those of the samples; t = 0 "
             "is the first of these",
         )
-    _note_damage(opened, blob, log)
-    _drop_misplaced(opened, blob, {(d.name, int(d.multi_id)): d.msg_id for d in log.data_list})
+    _note_damage(opened, len(blob), _left_over(blob, found), log)
+    places = data_places(blob, found)
+    _drop_misplaced(opened, places, {(d.name, int(d.multi_id)): d.msg_id for d in log.data_list})
     opened.span_us = _span_us(opened)
     return opened
 
@@ -470,13 +483,14 @@ def _span_us(opened: Px4Log) -> tuple[int, int]:
     return (begins[:2][-1], ends[-2:][0]) if times else (0, 0)
 
 
-def _drop_misplaced(opened: Px4Log, blob: bytes, ids: Mapping[tuple[str, int], int]) -> None:
+def _drop_misplaced(
+    opened: Px4Log, places: Mapping[int, NDArray[np.int64]], ids: Mapping[tuple[str, int], int]
+) -> None:
     """Drop samples stamped far from their neighbours in the file; findings on topics with many.
 
     A damaged log, with messages that could not be decoded, is not changed.
     """
     raw = opened._raw
-    places = data_places(blob)
     steady = [k for k in raw if k[0] not in _ON_CHANGE]
     whole = [k for k in steady if len(places.get(ids[k], ())) == len(raw[k]["timestamp"])]
     stamps = [_from_px4_us(raw[k]["timestamp"], opened.start_us) for k in whole]
@@ -493,14 +507,14 @@ def _drop_misplaced(opened: Px4Log, blob: bytes, ids: Mapping[tuple[str, int], i
             opened.note("warning", key[0], f"{message} in the file", np.abs(off) > _STRAY_US)
 
 
-def _note_damage(opened: Px4Log, blob: bytes, log: Any) -> None:
+def _note_damage(opened: Px4Log, size: int, left: tuple[int, int], log: Any) -> None:
     """Findings on a truncated or damaged log, or one with drop-outs."""
-    tail, lost = _left_over(blob)
+    tail, lost = left
     if lost or log.file_corruption:
         opened.note(
             "error",
             "log",
-            f"damaged: {lost} of {len(blob)} bytes follow the first message that makes no "
+            f"damaged: {lost} of {size} bytes follow the first message that makes no "
             "sense; the messages found after it are used, the rest is lost",
             max(lost, 1),
         )
