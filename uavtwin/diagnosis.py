@@ -122,13 +122,13 @@ def _summary(record: WhyRecord | UnreadRecord) -> tuple[str, ...]:
         cause = cause_in_words(first)
         when = "all the time" if first.onset_s is None else f"{first.onset_s:.2f} s"
     lost = record.loss_of_control_s
-    told = record.verdict != "cannot_tell"
+    decided = record.verdict != "cannot_tell"
     return (
         record.flight,
         _words(record.verdict),
         cause,
         when,
-        certainty(record.probability if first is None else first.probability) if told else "",
+        certainty(record.probability if first is None else first.probability) if decided else "",
         "" if lost is None else f"{lost:.2f} s",
     )
 
