@@ -134,7 +134,7 @@ class ChangeRecord(Record, frozen=True, kw_only=True):
 
 
 class NotVisibleRecord(Record, frozen=True, kw_only=True):
-    """An effect that was looked for and is not in the final set.
+    """An effect that was looked for and has no name.
 
     Attributes:
         cause: The effect.
@@ -381,7 +381,7 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
             number is its mean over all sets of effects.
         driven_by: What drives the twin, and why, by flight.
         hover: Hover of each flight that hovers.
-        not_visible: Effects that are not in the final set.
+        not_visible: Effects without a name.
         per_flight: Numbers that differ from their mean in one flight: flight, then "effect.number".
         unnamed: Equations for what no effect explains.
         where: Channels and phases in which model and flights disagree, the largest first.

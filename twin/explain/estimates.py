@@ -91,8 +91,8 @@ def _of_one_effect(found: Explanation, total: Total) -> Total:
 
 
 def detectable(found: Explanation) -> Mapping[str, Detectable]:
-    """By effect that is not in the final set the smallest change that these flights would show,
-    that of the balance of forces and moments by the balance."""
+    """By effect without a name the smallest change that these flights would show, that of the
+    balance of forces and moments by the balance."""
     shown = {} if found.naming is None else found.naming.detectable
     return {**shown, **({} if found.balance is None else found.balance.detectable)}
 

@@ -15,7 +15,7 @@ Source: Currie, Anal. Chem. 40 (1968) 586-593.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,19 +68,25 @@ def critical_size(
 
 
 def smallest_detectable(
-    model: Model, laplace: LaplaceEvidence, state: State, sure: float
+    model: Model, laplace: LaplaceEvidence, state: State, named: Collection[str], sure: float
 ) -> Mapping[str, Detectable]:
-    """By effect that is not in the final set, the smallest one that flights would show.
+    """By effect without a name, the smallest one that flights would show.
 
     Of an effect with several numbers, or several rotors, that of the number that shows least,
     relative to what is worth a name. An effect to which no channel answers is not in it.
+
+    Args:
+        model: Flights.
+        laplace: All sets about the final one.
+        state: The final set. What is in it without a name is covered by what the file leaves open.
+        named: Effects of it that have one.
+        sure: Probability from which on a name is given.
     """
     b = laplace.priors
-    present = {effect_of(c) for c in state.effects}
     found: dict[str, tuple[float, Detectable]] = {}
-    for cause in (c for c in b.causes if effect_of(c) not in present and not laplace.silent(c)):
+    for cause in (c for c in b.causes if effect_of(c) not in named and not laplace.silent(c)):
         own = [int(i) for i in b.of([cause]) if b.cause[i] == cause and not b.shape[i]]
-        sd = laplace.best((*state.effects, cause), state.kappa).deviations()
+        sd = laplace.best(sorted({*state.effects, cause}), state.kappa).deviations()
         informed = np.array([sd[i] < (1 - 1e-6) * b.slab[i] for i in own])
         noise = {i: 1 / (sd[i] ** -2.0 - b.slab[i] ** -2.0) for i in np.array(own)[informed]}
         penalty = {

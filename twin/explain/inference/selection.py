@@ -100,7 +100,7 @@ class Naming:
             what all flights share, and its standard deviation.
         shares: By effect, the largest share of the power of a force or moment channel that it
             takes, and the channel.
-        detectable: By effect that is not in the final set, the smallest one that would show.
+        detectable: By effect without a name in the most probable set, the smallest that would show.
         settings: From when on a name is given.
         further: Effects without a mean that are reported with these: they widen the intervals.
         unexplained: Channels of which the final set leaves more than sensor and pose do.
@@ -388,7 +388,7 @@ def _named(
         kappa,
         days_of(problem, found.state.best),
         shares_of(problem, found.state),
-        smallest_detectable(problem.model, laplace, found.state, rules.sure),
+        smallest_detectable(problem.model, laplace, found.state, fitted[0].effects, rules.sure),
         rules,
         unexplained=tuple(n for n, more in leaves_motion(laplace.spectrum).items() if more),
     )

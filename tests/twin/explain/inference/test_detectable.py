@@ -10,7 +10,8 @@ from scipy.stats import norm
 from search_rigs.hypotheses import against, nothing_of
 
 from twin.explain.inference.detection import POWER_95, critical_size, smallest_detectable
-from twin.vehicle_file import load_vehicle
+from twin.explain.inference.fit import COVERED
+from twin.vehicle_file import load_vehicle, parse_vehicle, vehicle_text
 from uavtwin.demo.flights import Waypoints, fly
 
 COPTER = load_vehicle("copter_default")
@@ -64,7 +65,7 @@ def test_the_evidence_of_flights_agrees() -> None:
     quiet = against(fly(COPTER, COPTER, seed=4, waypoints=ROUND), COPTER, *names)
     nothing = nothing_of(quiet)
     laplace = quiet.linearised(nothing)
-    found = smallest_detectable(quiet.model, laplace, nothing, SURE)
+    found = smallest_detectable(quiet.model, laplace, nothing, (), SURE)
     assert {*found} == {*names}
     assert found["mass_offset"].unit == "kg"
     size = found["mass_offset"].value
@@ -78,3 +79,21 @@ def test_the_evidence_of_flights_agrees() -> None:
         around = problem.linearised(nothing_of(problem))
         gain = around.best(("mass_offset",), 1.0).evidence - around.best((), 1.0).evidence
         assert (gain > math.log(SURE / (1 - SURE))) == named, factor
+
+
+def test_what_the_file_covers_shows_no_sooner_than_the_file_allows() -> None:
+    """A mass within the deviation of the file: in the final set, and without a name."""
+    text, name = vehicle_text("copter_default")
+    mass = 'mass = { value = 1.4, unit = "kg", '
+    assert mass in text
+    unsure = parse_vehicle(text.replace(mass, f'{mass}sd = "5 %", '), name)
+    plant = COPTER.with_effects({"mass_offset": {"mass_kg": 0.1}})
+    flight = fly(COPTER, plant, seed=4, waypoints=ROUND)
+    problem = against(flight, unsure, "mass_offset", "cog_offset")
+    state = problem.start(("mass_offset",), 1.0)
+    laplace = problem.linearised(state)
+    said = smallest_detectable(problem.model, laplace, state, (), SURE)["mass_offset"].value
+    assert said is not None and said > COVERED * 0.05 * COPTER.mass_kg
+    assert {*smallest_detectable(problem.model, laplace, state, ("mass_offset",), SURE)} == {
+        "cog_offset"
+    }
