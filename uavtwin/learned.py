@@ -248,16 +248,16 @@ def _sensor_training(
     if is_force(out):
         raise TwinError(f"{out}: holds a learned force. Choose another folder, and give it as law.")
     plan = training.plan_training(wanted, out, force)
-    usual_hz = training.imu_rate_hz(flights) if plan.protocol == "free" else DEFAULT_RATE_HZ
+    usual_hz = training.imu_rate_hz(flights) if plan.task.protocol == "free" else DEFAULT_RATE_HZ
     rate_hz = wanted.rate_hz or usual_hz
     options = {
         "model": plan.family.name,
         "preset": plan.preset.name,
-        "protocol": plan.protocol,
-        "horizon": plan.horizon,
+        "protocol": plan.task.protocol,
+        "horizon": plan.task.horizon,
         "rate": rate_hz,
         "epochs": plan.epochs,
-        "device": plan.device,
+        "device": plan.task.device,
     }
 
     def write(folder: Path) -> TrainResult:
@@ -272,7 +272,7 @@ def _sensor_training(
         written.append(write_card(folder, claim, wanted.license))
         in_use = training.in_use_of(folder)
         tables = () if in_use is None else (in_use.table(),)
-        return TrainResult(folder, tuple(written), claim, plan.seed, options, tables)
+        return TrainResult(folder, tuple(written), claim, plan.task.seed, options, tables)
 
     return CHECKPOINT, write
 

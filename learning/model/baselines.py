@@ -99,8 +99,7 @@ def fit_baselines(
         protocol: `reconstruct`, `track` or `free`.
         horizon: Samples ahead in `track`.
     """
-    possible = [name for name, rule in RULES.items() if protocol in rule.protocols]
-    return {name: fit_baseline(name, train, horizon) for name in possible}
+    return {n: fit_baseline(n, train, horizon) for n, r in RULES.items() if protocol in r.protocols}
 
 
 def fit_baseline(name: str, train: Sequence[ResidualFlight], horizon: int = 0) -> Baseline:
@@ -122,15 +121,10 @@ def by_phase(train: Sequence[ResidualFlight], values: Sequence[Array]) -> Array:
     fresh = np.concatenate([f.fresh for f in train])
     pooled = np.concatenate(values)
     found = np.zeros((N_PHASES, len(CHANNELS)))
-    for c in range(len(CHANNELS)):
-        sample = fresh[:, c]
-        if not sample.any():
-            continue
-        found[:, c] = pooled[sample, c].mean()
-        for p in range(N_PHASES):
+    for c, sample in enumerate(fresh.T):
+        for p in range(N_PHASES) if sample.any() else ():
             here = sample & (phase == p)
-            if here.sum() >= MIN_SAMPLES:
-                found[p, c] = pooled[here, c].mean()
+            found[p, c] = pooled[here if here.sum() >= MIN_SAMPLES else sample, c].mean()
     return found
 
 
@@ -212,7 +206,7 @@ def _fit_autoregression(train: Sequence[ResidualFlight], horizon: int) -> Number
     past = [lags(f, _about(f, mean), horizon, ORDER) for f in train]
     for c in range(len(CHANNELS)):
         x = np.concatenate([p[f.fresh[:, c], c] for p, f in zip(past, train, strict=True)])
-        y = _targets(train, mean, c)
+        y = np.concatenate([_about(f, mean)[f.fresh[:, c], c] for f in train])
         if len(y) and np.any(x):
             weights[c] = Ridge(TINY * np.sum(x**2), fit_intercept=False).fit(x, y).coef_
     return {"mean": mean, "weights": weights}
@@ -233,16 +227,11 @@ def _fit_linear_in_inputs(train: Sequence[ResidualFlight], horizon: int) -> Numb
     spread = np.sqrt(np.where(finite, (inside - centre) ** 2, 0.0).sum(axis=0) / n)
     spread[spread <= 1e-9 * np.abs(centre) + 1e-15] = np.inf  # one that never varies says nothing
     x = [slow_features(f, centre, spread) for f in train]
-    weights = np.stack(
-        [
-            _ridge(
-                [a[f.fresh[:, c]] for a, f in zip(x, train, strict=True)],
-                [_targets([f], mean, c) for f in train],
-            )
-            for c in range(len(CHANNELS))
-        ]
-    )
-    return {"mean": mean, "centre": centre, "spread": spread, "weights": weights}
+    weights = []
+    for c in range(len(CHANNELS)):
+        seen = [a[f.fresh[:, c]] for a, f in zip(x, train, strict=True)]
+        weights.append(_ridge(seen, [_about(f, mean)[f.fresh[:, c], c] for f in train]))
+    return {"mean": mean, "centre": centre, "spread": spread, "weights": np.stack(weights)}
 
 
 def _linear_in_inputs(flight: ResidualFlight, numbers: Numbers, horizon: int) -> Array:
@@ -251,16 +240,6 @@ def _linear_in_inputs(flight: ResidualFlight, numbers: Numbers, horizon: int) ->
 
 
 # -- least squares --------------------------------------------------------------------------
-
-
-def _targets(train: Sequence[ResidualFlight], mean: Array, channel: int) -> Array:
-    """Fresh residuals of a channel about the mean of their phase."""
-    return np.concatenate(
-        [
-            f.residual[f.fresh[:, channel], channel] - mean[f.phase[f.fresh[:, channel]], channel]
-            for f in train
-        ]
-    )
 
 
 def _ridge(x: Sequence[Array], y: Sequence[Array]) -> Array:

@@ -57,19 +57,13 @@ class Plan:
     Attributes:
         family: To which the preset belongs.
         preset: Of the family's own dataclass.
-        protocol: What the model sees.
-        horizon: Samples, in `track`; else 0.
-        seed: Of everything that is drawn.
-        device: Name of that on which a network is trained.
+        task: But for the vehicle.
         law: Folder of a learned force that the twin has, in `free`; None: it has none.
     """
 
     family: Family[Any, Any]
     preset: Any
-    protocol: Protocol
-    horizon: int
-    seed: int
-    device: str
+    task: TrainingTask
     law: Path | None = None
 
     @property
@@ -102,11 +96,11 @@ def plan_training(wanted: "Wanted", out: Path, force: bool) -> Plan:
     law = wanted.law
     if law is not None and (protocol != "free" or not family.onnx):
         raise TwinError(f"law {law}: acts in the exported twin, which protocol free corrects alone")
-    found = device_named(wanted.device)
+    device = device_named(wanted.device).type
     check_folder(out, force, CHECKPOINT)
     drawn = SEEDS.get(made.name, 0) if wanted.seed is None else wanted.seed
     ahead = wanted.horizon if protocol == "track" else 0
-    return Plan(family, made, protocol, ahead, drawn, found.type, law)
+    return Plan(family, made, TrainingTask(protocol, ahead, drawn, device=device), law)
 
 
 IMU_RATES_HZ = (50.0, 1000.0)
@@ -159,7 +153,7 @@ def prepare(
         TwinError: A flight cannot be compared with the vehicle, or two flights have one name.
     """
     check_names(flights)
-    before_s = restart_before_s(plan.protocol, plan.horizon, rate_hz)
+    before_s = restart_before_s(plan.task.protocol, plan.task.horizon, rate_hz)
     residuals = []
     for i, flight in enumerate(flights):
 
@@ -168,7 +162,7 @@ def prepare(
 
         residuals.append(residual_flight(flight, vehicle, rate_hz, before_s, share))
     compared, drive = tuple(residuals), choose_drive(flights[0], vehicle)
-    if plan.protocol != "free" or not plan.family.onnx:
+    if plan.task.protocol != "free" or not plan.family.onnx:
         return Prepared(compared, compared, (), vehicle, drive)
     used = tuple(UsedFlight(flight, vehicle) for flight in flights)
     law = None if plan.law is None else learned_force(plan.law)
@@ -197,13 +191,10 @@ def run_training(
         Names of the files, the page first.
     """
     vehicle, text = prepared.vehicle, prepared.vehicle.toml()
-    task = TrainingTask(
-        protocol=plan.protocol,
-        horizon=plan.horizon,
-        seed=plan.seed,
+    task = replace(
+        plan.task,
         vehicle=vehicle.name,
         vehicle_sha256=hashlib.sha256(text.encode()).hexdigest(),
-        device=plan.device,
         checkpoints=checkpoints,
     )
     model = fit_model(

@@ -14,11 +14,10 @@ from learning.force.model import VEHICLE_FILE, ForceModel
 from twin.formatting import counted, number, percent
 from twin.frames import AXES
 from twin.logs import Flight
-from twin.physics.rotors import Drive
 from twin.residuals.teacher_forced import choose_drive
 
 from ..display import PageMixin, TextTable
-from ..exports.parts import LearnedForce, learned_force, twin
+from ..exports.parts import learned_force, twin
 from ..exports.write import export
 from ..flights import check_names, check_untaught
 from ..record import Record
@@ -195,18 +194,26 @@ def evaluate_force(
     check_names(flights)
     check_untaught(flights, folder, {f.sha256: f.name for f in model.flights})
     rows, inside, windows, by_flight = [], {}, {}, {}
+    twins = {
+        PHYSICS: (physics, None),
+        EXPLAINED: (vehicle, None),
+        UNTRAINED: (vehicle, None),
+        SHIPPED: (vehicle, force),
+    }
+    compared = {name: (own, law) for name, (own, law) in twins.items() if own is not None}
     with tempfile.TemporaryDirectory() as place:
-        fleet = _Fleet(force, vehicle, physics, Path(place))
-        total, done = len(flights) * len(fleet.names) + 1, 0  # the last one hovers
+        total, done = len(flights) * len(compared) + 1, 0  # the last one hovers
         for flight in flights:
             replay = Replay(flight, vehicle)
             flown = {LAST_READING: replay.last_reading(), LAST_MOTION: replay.last_motion()}
-            for name in fleet.names:
-                own = fleet.vehicle(name)
-                path = fleet.twin(name, choose_drive(flight, own))
+            for name, (own, law) in compared.items():
+                drive = choose_drive(flight, own)
+                fmu = Path(place, f"{name.replace(' ', '_')}_{drive}.fmu")
+                if not fmu.exists():
+                    export(twin(own, drive=drive, force=law, observer=name == UNTRAINED), fmu)
                 watch = (DISTANCE,) if name == SHIPPED else ()
                 driven = replay if own is vehicle else replay.driven_as(flight, own)
-                flown[name] = driven.through(path, watch=watch)
+                flown[name] = driven.through(fmu, watch=watch)
                 done += 1
                 progress(done / total)
             rows += [row for name, off in flown.items() for row in _rows(name, flight.name, off)]
@@ -217,38 +224,6 @@ def evaluate_force(
     noise = hover_levels(flights, vehicle, force)
     progress(1.0)
     return ForceEvaluation(model, pd.DataFrame(rows), inside, windows, noise, by_flight)
-
-
-class _Fleet:
-    """The twins that are compared, exported when they are asked for."""
-
-    def __init__(
-        self, force: LearnedForce, vehicle: Vehicle, physics: Vehicle | None, place: Path
-    ) -> None:
-        self._forces: dict[str, LearnedForce | None] = {EXPLAINED: None, UNTRAINED: None}
-        self._forces[SHIPPED] = force
-        self._vehicles = dict.fromkeys(self._forces, vehicle)
-        if physics is not None:
-            self._forces = {PHYSICS: None, **self._forces}
-            self._vehicles[PHYSICS] = physics
-        self._place = place
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the twins, from the plainest to that which is shipped."""
-        return tuple(self._forces)
-
-    def vehicle(self, name: str) -> Vehicle:
-        """Whose twin it is."""
-        return self._vehicles[name]
-
-    def twin(self, name: str, drive: Drive) -> Path:
-        """Its FMU."""
-        path = self._place / f"{name.replace(' ', '_')}_{drive}.fmu"
-        if not path.exists():
-            own, force = self._vehicles[name], self._forces[name]
-            export(twin(own, drive=drive, force=force, observer=name == UNTRAINED), path)
-        return path
 
 
 def _rows(model: str, flight: str, flown: OpenLoop) -> list[dict[str, Any]]:
