@@ -29,7 +29,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.signal import welch
 from scipy.special import logsumexp
@@ -38,7 +37,7 @@ from scipy.stats import norm
 from ..effects import EFFECTS
 from ..logs.columns import ACC, ACC_NED
 from ..representation import short_repr
-from ..residuals.channels import ChannelData
+from ..residuals.channels import Array, ChannelData
 from ..vehicle import Vehicle
 from .inference.detection import POWER_95, Detectable
 from .inference.fit import INTERVAL
@@ -46,7 +45,6 @@ from .model.model import FlightModel, Model
 from .model.numbers import numbers_of
 from .stochastic.spectral import StochasticEffect, pieces_of, rate_of
 
-Array = NDArray[np.float64]
 NOTHING, ROTORS, LOAD, VIBRATION = "nothing", "rotor_efficiency_loss", "payload_cg", "vibration"
 CAUSES = (ROTORS, LOAD, "mass_offset", "cog_offset", "inertia_error")
 """Effects that change the balance; the search for all other changes leaves them out."""

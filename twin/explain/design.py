@@ -20,7 +20,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..effects import EFFECTS
 from ..errors import TwinError
@@ -30,7 +29,7 @@ from ..flight.mission import FASTEST, HARDEST, SMALL_ARM_M, minimum_jerk, ramped
 from ..flight.simulate_flight import Recorder, Stream, simulate_flight
 from ..logs import Flight
 from ..representation import short_repr
-from ..residuals.channels import GRID_HZ
+from ..residuals.channels import GRID_HZ, Array
 from ..vehicle import GRAVITY_M_S2, Vehicle
 from .inference.evidence import Factored, best_inside
 from .inference.fit import Fit
@@ -40,7 +39,6 @@ from .model.model import Model, model_of
 from .model.numbers import carrying, with_effects
 from .settings import DEFAULT
 
-Array = NDArray[np.float64]
 HOVER_M = 1.5
 """Height of the hover over the resting place, and unit of the ways, m, made up; vehicles with short
 arms fly everything at half the size, as in missions."""

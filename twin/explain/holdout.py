@@ -24,18 +24,16 @@ from ..logs import Flight
 from ..logs.columns import ACC_NED, POS, QUAT, VEL
 from ..physics.sensors.table import SENSORS
 from ..representation import short_repr
-from ..residuals.channels import GRID_HZ, ChannelData
+from ..residuals.channels import GRID_HZ, Array, ChannelData
 from ..residuals.gap import spectrum
 from ..vehicle import Vehicle
 from .inference.fit import Problem
 from .inference.priors import priors_of
 from .inference.sparse_regression import quantities
-from .inference.spectrum import FORCE_CHANNELS, Spectrum
+from .inference.spectrum import FORCE_CHANNELS, Flights, Spectrum
 from .model.model import FlightModel, Model, candidates, missing_imu_signals, model_of
 from .model.numbers import Payloads
 from .settings import DEFAULT, EvidenceSettings, HoldoutSettings
-
-Array = NDArray[np.float64]
 
 READINGS = tuple(c for s in SENSORS for c in s.columns)
 """What is hidden. Pose and commands stay: they are inputs of the twin."""
@@ -69,7 +67,6 @@ def hidden(flight: Flight, spans: Sequence[Span], inside: bool) -> Flight:
     return replace(flight, table=table)
 
 
-Flights = Sequence[Sequence[ChannelData]]
 # -- gap before and after ------------------------------------------------------------------
 
 

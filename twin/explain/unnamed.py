@@ -10,10 +10,9 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..physics.sensors.table import BODY, SENSORS, sensor_of
-from ..residuals.channels import CHANNEL_HZ, ChannelData
+from ..residuals.channels import CHANNEL_HZ, Array, ChannelData
 from .inference.fit import Fit
 from .inference.sparse_regression import (
     Quantity,
@@ -36,8 +35,6 @@ from .inference.whitening import (
     blocks_of,
 )
 from .settings import DEFAULT, LikelihoodSettings, UnnamedSettings
-
-Array = NDArray[np.float64]
 
 DIGITS = 3
 """Significant ones of a coefficient."""

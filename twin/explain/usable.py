@@ -16,7 +16,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..effects import EFFECTS, Effect
 from ..errors import LogError
@@ -25,7 +24,7 @@ from ..logs.columns import ACC, MIN_MOTORS, POS, QUAT, VEL, motor_columns
 from ..logs.samples import stretches_where
 from ..physics.sensors.table import sensor_of
 from ..residuals.aligned import AlignedFlight, align_flight
-from ..residuals.channels import GRID_HZ
+from ..residuals.channels import GRID_HZ, Array
 from ..residuals.measured import Signal, agreement, differentiate, zero_phase
 from ..vehicle import GRAVITY_M_S2, Vehicle
 from .model.factors import FORCE, TORQUE
@@ -41,7 +40,6 @@ from .model.numbers import (
 )
 from .settings import DEFAULT, UsableSettings
 
-Array = NDArray[np.float64]
 READ = "{}: {:.0f} to {:.0f} s of {:.0f} s are read, where it moves most; cut the log for others"
 """Note: flight, first and last second that is read, its length, s."""
 BLOCK_S = 10.0

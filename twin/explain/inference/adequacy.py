@@ -14,18 +14,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
 from ...physics.sensors.table import BODY, sensor_of
-from ...residuals.channels import BAND_HZ, CHANNEL_HZ, POSE_BAND_HZ, ChannelData
+from ...residuals.channels import BAND_HZ, CHANNEL_HZ, POSE_BAND_HZ, Array, ChannelData
 from ..model.model import Model
 from ..settings import DEFAULT, AdequacySettings
 from .evidence import LaplaceEvidence
 from .fit import Fit, Problem, State
 from .priors import effect_of
 
-Array = NDArray[np.float64]
 LEAST = 1e-3
 """Size of what an effect does over its rms below which its logarithm does not fall further."""
 UNKNOWN_POWER = 0.0, 1e6

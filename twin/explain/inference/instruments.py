@@ -45,13 +45,12 @@ from scipy.stats import chi2
 
 from ...logs import Flight
 from ...representation import short_repr
-from ...residuals.channels import CHANNEL_HZ, ChannelData
+from ...residuals.channels import CHANNEL_HZ, Array, ChannelData
 from ...residuals.measured import signal_of
 from .noise import BandLikelihood, BandNoise, Term
 from .setpoints import SOURCES, flown_across, lifts, turns
 from .spectrum import BANDS_HZ, Flights, transformed
 
-Array = NDArray[np.float64]
 F_LEAST = {"mission": 3.0, "attitude setpoint": 15.0, "other flights": 10.0, "flown speed": 0.0}
 """Of the first stage. Staiger & Stock, Econometrica 65 (1997), ask for 10, where intervals are
 those of a normal distribution; these are not. Simulated hover of 36 s has 7 to 11."""

@@ -22,12 +22,10 @@ from numpy.typing import NDArray
 
 from ...physics.sensors.table import BODY, Sensor, sensor_of
 from ...representation import short_repr
-from ...residuals.channels import CHANNEL_HZ, GRID_HZ
+from ...residuals.channels import CHANNEL_HZ, GRID_HZ, Array
 from ...vehicle import GRAVITY_M_S2, Vehicle
 from ..settings import DEFAULT, EvidenceSettings
 from .spectrum import BANDS_HZ, Spectrum
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,16 +5,14 @@ controller, of other flights of the same mission; and the speed that was flown.
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, correlate, sosfiltfilt
 
 from ...frames import to_euler
 from ...logs import Flight
 from ...logs.columns import POS, QUAT, VEL
-from ...residuals.channels import CHANNEL_HZ, ChannelData
+from ...residuals.channels import CHANNEL_HZ, Array, ChannelData
 from ...residuals.measured import signal_of
 
-Array = NDArray[np.float64]
 FEWEST = 50
 """Samples of a setpoint at least."""
 ALIKE = 0.8

@@ -23,14 +23,13 @@ from numpy.typing import NDArray
 
 from ...frames import to_body
 from ...physics.sensors.table import BODY, sensor_of
-from ...residuals.channels import GRID_HZ
+from ...residuals.channels import GRID_HZ, Array
 from ...vehicle import GRAVITY_M_S2
 from ...vehicle.vehicle import hover_level
 from ..model.model import FlightModel
 from ..settings import DEFAULT, UnnamedSettings
 from .whitening import Block, Key
 
-Array = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 Unit = Mapping[str, int]
 """Powers of base units."""

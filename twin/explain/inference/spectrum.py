@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from scipy.fft import dct
 
 from ...representation import short_repr
-from ...residuals.channels import CHANNEL_HZ, ChannelData
+from ...residuals.channels import CHANNEL_HZ, Array, ChannelData
 
-Array = NDArray[np.float64]
 Flights = Sequence[Sequence[ChannelData]]
 BANDS_HZ = np.array([0.0, 0.3, 0.8, 2.0, 4.5, 7.0, 10.0, 13.0, 16.0, 20.0, CHANNEL_HZ / 2 + 0.1])
 """Edges of the bands; the constant is apart."""

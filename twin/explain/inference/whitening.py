@@ -10,15 +10,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...representation import short_repr
-from ...residuals.channels import ChannelData
+from ...residuals.channels import Array, ChannelData
 from ..model.model import Model
 from ..settings import DEFAULT, LikelihoodSettings
 from .noise import rounding_variance
 
-Array = NDArray[np.float64]
 Flights = Sequence[Sequence[ChannelData]]
 Key = tuple[int, int]
 """Flight and number of the time block in it."""

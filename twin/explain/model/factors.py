@@ -32,6 +32,7 @@ from ...residuals.channels import (
     OF_IMU,
     OF_POSE,
     POSE_BAND_HZ,
+    Array,
     GridSpline,
     Measured,
     imu_readings,
@@ -49,8 +50,6 @@ from ...residuals.measured import AnySignal, Signal, rates_of, resample_like, sm
 from ...vehicle import Vehicle
 from .numbers import ACCELEROMETER, DRIVES, GYROSCOPE, PLACE, TURN, Number, age_of, values_of
 from .prediction import SensorBatch
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

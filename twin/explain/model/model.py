@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...component import Component
 from ...effects import EFFECTS, Average, Effect, Equation, Shift, acting_late
@@ -32,6 +31,7 @@ from ...residuals.aligned import AlignedFlight, align_flight
 from ...residuals.channels import (
     GRID_HZ,
     OF_IMU,
+    Array,
     ChannelData,
     GridSpline,
     mean_over_step,
@@ -59,7 +59,6 @@ from .numbers import (
 )
 from .prediction import Batch, Physics, Trajectory, remembered
 
-Array = NDArray[np.float64]
 AGE_STEP_S = 0.002
 """By which the age or the heading of what a prediction is made from is moved where its answer is a
 difference."""

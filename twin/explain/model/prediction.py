@@ -33,7 +33,15 @@ from ...frames import to_ned
 from ...logs import Flight
 from ...logs.columns import ACC
 from ...residuals.aligned import align_flight
-from ...residuals.channels import GRID_HZ, GridSpline, gyro_rate, on_grid, prompt_imu, shifted
+from ...residuals.channels import (
+    GRID_HZ,
+    Array,
+    GridSpline,
+    gyro_rate,
+    on_grid,
+    prompt_imu,
+    shifted,
+)
 from ...residuals.measured import Signal
 from ...residuals.teacher_forced import (
     RIGID,
@@ -45,8 +53,6 @@ from ...residuals.teacher_forced import (
 )
 from ...vehicle import Vehicle
 from .numbers import DRIVES, PLACE, TURN, Number, age_of, lateness_of, values_of, with_effects
-
-Array = NDArray[np.float64]
 
 Mask = NDArray[np.bool_]
 Values = tuple[tuple[str, float], ...]

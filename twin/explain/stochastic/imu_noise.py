@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...effects import Effect, Lines, NoiseFloor
 from ...physics.sensors.table import SENSORS, Sensor
-from ...residuals.channels import GRID_HZ
+from ...residuals.channels import GRID_HZ, Array
 from ...residuals.measured import Signal
 from ..model.model import Model
 from ..settings import DEFAULT, StochasticSettings, VibrationSettings
@@ -28,7 +28,6 @@ from .spectral import (
     rate_of,
 )
 
-Array = NDArray[np.float64]
 LOG_MEAN, LOG_SD = -0.5772156649 - np.log(np.log(2.0)), np.pi / np.sqrt(6.0)
 """Of the logarithm of an exponential variate over its median."""
 

@@ -34,15 +34,13 @@ from ...logs import Flight
 from ...logs.columns import ACC
 from ...physics.sensors.table import BODY, SENSORS
 from ...residuals.aligned import AlignedFlight
-from ...residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
+from ...residuals.channels import CHANNEL_HZ, GRID_HZ, Array, ChannelData
 from ...vehicle import GRAVITY_M_S2
 from ..model.model import Model
 from ..model.numbers import columns_of
 from ..settings import DEFAULT, SlowForceSettings, StochasticSettings, StuckSettings
 from .imu_noise import find_noise_level, find_vibration
 from .spectral import Piece, StochasticEffect, cells_of, level, prior_log_odds
-
-Array = NDArray[np.float64]
 
 PLACEHOLDERS = (0.0, GRAVITY_M_S2, 9.81, 9.8)
 """Magnitudes that fill columns of what was never measured."""

@@ -8,10 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import spectrogram
 
-from ...residuals.channels import GRID_HZ
+from ...residuals.channels import GRID_HZ, Array
 from ..model.model import FlightModel
 from ..settings import DEFAULT, StochasticSettings
 
@@ -50,9 +49,6 @@ class StochasticEffect:
     def probability(self) -> float:
         """That it acts."""
         return float(1 / (1 + np.exp(-self.log_odds)))
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
