@@ -22,6 +22,7 @@ from .options import (
     Tables,
     TrustVehicle,
     named_numbers,
+    needed_vehicle,
     vehicle_named,
 )
 from .printing import STDERR, progress
@@ -178,13 +179,11 @@ def _one_vehicle(vehicle: str | None, since: str | None) -> str:
     Raises:
         TwinError: None was named, or two.
     """
-    if (given := vehicle or since) and not (vehicle and since):
-        return given
+    if not (vehicle and since):
+        return needed_vehicle(vehicle or since, "explain")
     raise TwinError(
-        f"explain: {'both' if vehicle else 'neither'} --vehicle {'and' if vehicle else 'nor'} "
-        f"--since {'are' if vehicle else 'is'} given. Give --vehicle FILE to ask what its model "
-        f"lacks, or --since FILE, a file of `uavtwin calibrate`, to ask what has changed since "
-        f"then."
+        "explain: both --vehicle and --since are given. Give --vehicle FILE to ask what its model "
+        "lacks, or --since FILE, a file of `uavtwin calibrate`, to ask what has changed since then."
     )
 
 
