@@ -133,7 +133,8 @@ def strongest_line(t: Array, hz: Array, power: Array, flight: FlightFrame) -> Li
     stays = over.mean(axis=1)
     middle = int(np.argmax(stays + MIDDLE * np.log(power.mean(axis=1) + 1e-30)))
     followed = list(_tracks(t, hz, flight))
-    words = STRUCTURE if any(np.log(x[2]).std() > MOVED for x in followed) else EVEN
+    moves = (np.log(np.maximum(x[2], step)).std() > MOVED for x in followed)
+    words = STRUCTURE if any(moves) else EVEN
     tracks: list[tuple[float, str, int | None, Array]] = [
         (float(stays.max()), words, None, np.full(len(t), hz[middle]))
     ]
