@@ -455,7 +455,7 @@ def test_the_fmu_document_works(tmp_path: Path) -> None:
     assert 0.05 < float(drift.split()[0]) < 0.5  # the wind is felt, and held against
     assert drift.endswith("m from the setpoint at worst")
     assert re.fullmatch(r"1\.[0-9]{3} m above the ground", height), height
-    assert (tmp_path / "twin" / "flight.csv").read_text().startswith('"time"')
+    assert (tmp_path / "fmus_out" / "flight.csv").read_text().startswith('"time"')
 
 
 @pytest.mark.slow
