@@ -164,10 +164,24 @@ def scenario_system(
     if not scenario.fused:
         parts = system_of(twin, folder, progress=progress, compensator=network)
         return replace(parts, starts=starts)
-    model = fused_model(twin, vehicle.name, network)
+    whole = fused_system(twin, vehicle.name, folder, network)
+    return replace(whole, starts={f"twin.{name}": value for name, value in starts.items()})
+
+
+def fused_system(
+    twin: Assembly, vehicle: str, folder: Path, compensator: FmuModel | None = None
+) -> System:
+    """The whole twin as one FMU, which is built into a folder.
+
+    Args:
+        twin: Its parts.
+        vehicle: Name of the vehicle, after which the FMU is named.
+        folder: For the FMU.
+        compensator: Of the sensors.
+    """
+    model = fused_model(twin, vehicle, compensator)
     fmu = build(model, folder / f"{model.name}.fmu")
-    starts = {f"twin.{name}": value for name, value in starts.items()}
-    return System({"twin": fmu}, starts=starts, stop_time_s=twin.duration_s, step_s=STEP_S)
+    return System({"twin": fmu}, stop_time_s=twin.duration_s, step_s=STEP_S)
 
 
 def _check_bare(scenario: Scenario) -> None:

@@ -23,6 +23,7 @@ from ..simulation import (
     DEFAULT_VEHICLE,
     Scenario,
     Times,
+    fused_system,
     ineffective,
     scenario_system,
     shaping_starts,
@@ -166,10 +167,10 @@ def plan_of(
         for run, (k, s) in enumerate(zip(where, scenarios, strict=True))
     ]
     stands = []
-    for number, first in enumerate(firsts):
+    for number, (first, twin) in enumerate(zip(firsts, twins, strict=True)):
         own = folder / str(number)
         own.mkdir(parents=True, exist_ok=True)
-        stands.append(_stand(first, own, duration_s, step_s, interval_s, whole))
+        stands.append(_stand(first, twin, own, duration_s, step_s, interval_s, whole))
         progress((number + 1) / len(firsts))
     windiest = [
         max((s for k, s in zip(where, scenarios, strict=True) if k == n), key=_wind)
@@ -203,6 +204,7 @@ def _twin(scenario: Scenario) -> Assembly:
 
 def _stand(
     first: Scenario,
+    twin: Assembly | None,
     folder: Path,
     duration_s: float | None,
     step_s: float | None,
@@ -216,16 +218,16 @@ def _stand(
         stop = None if duration_s is None else system.start_time_s + duration_s
         return times_of(system, stop, step_s, interval_s)
 
-    if first.is_system:
+    if twin is None:
         system = scenario_system(replace(first, starts={}), folder)
         return SharedSystem(system, times(step_s), None, None)
-    bare = replace(first, starts={}, effects=(), wind_m_s=(0.0, 0.0, 0.0), gusts=False, seed=0)
-    system = scenario_system(bare, folder)
+    vehicle = _vehicle(first)
+    system = fused_system(twin, vehicle.name, folder)
     record = None if whole else tuple(n for n in _named(system) if n.removeprefix(TWIN) in WATCHED)
     own = times(step_s)
     if step_s is None and interval_s is None:
         own = replace(own, step_s=own.step_s * own.every, every=1)
-    return SharedSystem(system, own, record, _vehicle(first).arm_m)
+    return SharedSystem(system, own, record, vehicle.arm_m)
 
 
 def _named(system: System) -> list[str]:
