@@ -26,7 +26,7 @@ from uavtwin.simulation import Scenario, scenario_system, shaping_starts
 
 VEHICLE = load_vehicle("copter_default")
 SHARES = (0.0, 0.1, 0.5, 0.9)
-"""Of the effects that are on, block after block."""
+"""Shares of the effects that are on, block after block."""
 STEP_S = 0.01
 """Communication step."""
 

@@ -177,7 +177,7 @@ def fused_system(
         twin: Its parts.
         vehicle: Name of the vehicle, after which the FMU is named.
         folder: For the FMU.
-        compensator: Of the sensors.
+        compensator: Compensator of the sensors; None: without.
     """
     model = fused_model(twin, vehicle, compensator)
     fmu = build(model, folder / f"{model.name}.fmu")

@@ -29,7 +29,7 @@ VERB = "simulate_many"
 
 
 class Arguments(TypedDict, total=False):
-    """Of `uavtwin.simulate`, which says what each means."""
+    """Arguments of one run, as `uavtwin.simulate` describes them."""
 
     scenario: str | Path
     vehicle: Vehicle
@@ -118,7 +118,7 @@ def simulate_many(
         duration: Simulated time of each, s; default: of the mission, or of the `.ssp`.
         interval: Time between recorded rows, s; default: about 10 ms.
         workers: Processes; default: one per core.
-        limits: Of the processes that FMUs run in, where these are not this one (lanes).
+        limits: Limits of the processes in which FMUs run that do not fly in lanes.
         progress: Called with the share done, 0..1.
         shared: Arguments of all that do not say otherwise.
 
@@ -158,7 +158,7 @@ def simulate_many(
 
 
 def _scenario(number: int, given: Mapping[str, Any]) -> Scenario:
-    """Of one run.
+    """Scenario of one run.
 
     Raises:
         TwinError: An argument is unknown or wrong, or no scenario is named.
