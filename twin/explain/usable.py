@@ -1,4 +1,4 @@
-"""Which part of a flight a search uses, and which effects it can show.
+"""Which part of a flight a search uses.
 
 *Longest part*: time and memory of a search grow with the flight, what it learns hardly: a repeated
 manoeuvre adds little. Of a long flight the part in one piece that moves most is read; in one piece,
@@ -8,19 +8,15 @@ as cells discharge and motors warm from its start on.
 cut in two, and the longer part is used; while a motor is at a limit, torque and thrust are not
 compared, but lateral specific force is. A flight is refused where too little is left, or where its
 signals contradict each other.
-
-*Observable effects*: those that the columns of a flight can show.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from ..effects import EFFECTS, Effect
 from ..errors import LogError
 from ..logs import AnyFlight, Flight
-from ..logs.columns import ACC, MIN_MOTORS, POS, QUAT, VEL, motor_columns
+from ..logs.columns import ACC, POS, QUAT, VEL, motor_columns
 from ..logs.samples import stretches_where
 from ..physics.sensors.table import sensor_of
 from ..residuals.aligned import AlignedFlight, align_flight
@@ -30,13 +26,8 @@ from ..vehicle import GRAVITY_M_S2, Vehicle
 from .model.factors import FORCE, TORQUE
 from .model.model import channel_names
 from .model.numbers import (
-    ACCELEROMETER,
-    GYROSCOPE,
-    SIGNALS,
     Payloads,
     carrying,
-    lacking,
-    on_the_body,
 )
 from .settings import DEFAULT, UsableSettings
 
@@ -307,56 +298,3 @@ def _upward(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) ->
             f"acc_z is {mean:+.1f} m/s² on average in the air, forward-right-down axes read about "
             f"{-GRAVITY_M_S2:.1f}: check the axes"
         )
-
-
-# -- observable effects --------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class ObservableEffects:
-    """What a search can look for in a flight: effects by the component that they act on; those
-    that it cannot show by what is missing, in words."""
-
-    effects: dict[str, tuple[str, ...]]
-    unknown: dict[str, tuple[str, ...]]
-
-
-def observable_effects(flight: AnyFlight) -> ObservableEffects:
-    """Effects that the columns of a flight can show, by the rule of the search itself.
-
-    Whether it flew long enough, and moved in a way that shows them, is not asked.
-    """
-    drive = _no_drive(flight)
-    observable: dict[str, list[str]] = {}
-    unknown: dict[str, list[str]] = {}
-    for effect in EFFECTS.values():
-        missing = drive or "; ".join(_missing(effect, flight))
-        if missing:
-            unknown.setdefault(missing, []).append(effect.name)
-        else:
-            observable.setdefault(effect.component, []).append(effect.name)
-    return ObservableEffects(
-        {k: tuple(v) for k, v in observable.items()}, {k: tuple(v) for k, v in unknown.items()}
-    )
-
-
-def _no_drive(flight: AnyFlight) -> str:
-    """What is missing to drive a model, "" where nothing is."""
-    for stem in ("cmd", "rotor"):
-        count = sum(c.startswith(f"{stem}_") for c in flight.columns)
-        if count >= MIN_MOTORS and flight.has(*motor_columns(stem, count)):
-            return ""
-    return "neither commands cmd_1..n nor speeds rotor_1..n of all motors"
-
-
-def _missing(effect: Effect, flight: AnyFlight) -> Iterator[str]:
-    """Each signal that an effect lacks, in words."""
-    for signal in lacking(effect, flight):
-        text = f"no {', '.join(SIGNALS[signal])}"
-        if signal == "vel":
-            text += " (or pos)"
-        if on_the_body(effect) and signal == ACCELEROMETER:
-            text += " (or q with vel, pos or acc_ned)"
-        if on_the_body(effect) and signal == GYROSCOPE:
-            text += " (or q)"
-        yield text
