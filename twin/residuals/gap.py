@@ -200,7 +200,8 @@ class FlightGap:
         lift = next((c for c in self.channels if c.name == ACC[2] and not c.horizon_s), None)
         if lift is None or not len(lift.t_s):
             return None
-        return float(np.nanmean(lift.simulated) / np.nanmean(lift.measured))
+        measured = float(np.nanmean(lift.measured))
+        return float(np.nanmean(lift.simulated)) / measured if measured else None
 
     @property
     def duration_s(self) -> float:
