@@ -20,7 +20,7 @@ from twin.vehicle_file import load_vehicle
 from uavtwin.cli import main
 from uavtwin.demo.flights import fly
 from uavtwin.force import closed_loop, open_loop
-from uavtwin.force.evaluate import EXPLAINED, LAST_READING, SHIPPED, UNTRAINED, over
+from uavtwin.force.evaluate import EXPLAINED, LAST_READING, SHIPPED, SHOWN, UNTRAINED, over
 from uavtwin.force.memory import CHECKPOINT, Memory
 
 COPTER = load_vehicle("copter_default")
@@ -146,7 +146,7 @@ def test_the_exported_twin_is_less_far_off_on_a_flight_it_has_not_seen(
     assert rows[SHIPPED]["velocity"] < rows[LAST_READING]["velocity"]
     assert rows["physics"]["position"] == pytest.approx(rows[EXPLAINED]["position"], rel=1e-9)
     assert min(told["inside"]["three"][:3]) > 0.8  # type: ignore[index]
-    assert UNTRAINED in (out / "report.html").read_text("utf-8")
+    assert SHOWN[UNTRAINED] in (out / "report.html").read_text("utf-8")
     series = pd.read_parquet(out / "series" / "three.parquet")
     for side, twin in (("", "physics"), ("_explained", EXPLAINED), ("_corrected", SHIPPED)):
         off = series[[f"residual{side}.velocity_{a}" for a in "xyz"]]
