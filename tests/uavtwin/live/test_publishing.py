@@ -63,10 +63,10 @@ class Listener:
 
 def test_an_alarm_says_what_has_happened_and_what_else_it_could_be() -> None:
     assert sentence(WEAK) == (
-        "Rotor 3 loses 20 % of its thrust at 1.50 s (thrust lost 20 % (16 to 24), 93%); "
-        "or mass change (6%)"
+        "Rotor 3 loses 20 % of its thrust at 1.50 s (thrust lost 20 % (16 to 24), 93 %); "
+        "or mass change (6 %)"
     )
-    assert sentence(structs.replace(WEAK, closed_s=25.0)).endswith("(6%); over since 25.0 s")
+    assert sentence(structs.replace(WEAK, closed_s=25.0)).endswith("(6 %); over since 25.0 s")
 
 
 def test_it_follows_in_the_steps_of_the_fmus(copter: Vehicle) -> None:
