@@ -1,6 +1,7 @@
-"""Several runs of one FMU at once, each in a lane; every number is that of the master, bit by bit.
+"""Several runs of one FMU at once, one in each SIMD lane; every number equals that of the master to
+the last bit.
 
-For FMUs of ours alone: their code runs in this process.
+Only for FMUs of this program: their code runs in this process.
 """
 
 import ctypes
@@ -23,10 +24,10 @@ _References = np.ctypeslib.ndpointer(np.uint32, flags="C_CONTIGUOUS")
 
 
 class LaneMaster:
-    """A system of one FMU without connections, flown in lanes.
+    """Master for a system of one FMU without connections, flown in lanes.
 
     Attributes:
-        lanes: Runs at once.
+        lanes: Number of runs at once.
         record_names: "slave.variable" of each recorded column.
     """
 
@@ -36,12 +37,12 @@ class LaneMaster:
         """Compile and load the library.
 
         Args:
-            system: What to run.
-            record: As of `Master`.
-            lanes: Runs at once.
+            system: System to run.
+            record: Recorded outputs, as for `Master`.
+            lanes: Number of runs at once.
 
         Raises:
-            FmuError: It is no such system, or there is no compiler for it.
+            FmuError: The system has several FMUs or connections, or there is no compiler for it.
         """
         if len(system.fmus) != 1 or system.connections or system.foreign:
             raise FmuError("lanes: for one FMU of ours, without connections.")
@@ -69,18 +70,18 @@ class LaneMaster:
         step_s: float,
         every: int = 1,
     ) -> list[Recording]:
-        """Recordings of `Master.initialize` and `Master.run` with the same arguments.
+        """Recordings equal to those of `Master.initialize` and `Master.run` with the same
+        arguments.
 
         Args:
-            starts: Start values on top of the system's, of each run; at most `lanes` runs.
+            starts: Start values of each run, added to those of the system; at most `lanes` runs.
             start_time_s: Time of the first communication point.
             stop_time_s: Time of the last one.
             step_s: Communication step.
-            every: Record every so many steps.
+            every: Number of steps between recorded rows.
 
         Raises:
-            FmuError: A run does not come to its end, whichever; the master says of each what
-                becomes of it.
+            FmuError: At least one run failed; the master reports the outcome of each.
         """
         given = [{**self._system.starts, **own} for own in starts]
         given += [given[-1]] * (self.lanes - len(given))
@@ -105,6 +106,6 @@ class LaneMaster:
         ]
 
     def _references(self, names: Sequence[str]) -> np.ndarray:
-        """Value references of "slave.variable" each."""
+        """Value reference of each "slave.variable", shape (n,)."""
         ports = [self._interface.scalar(self._system.split(name)[1]) for name in names]
         return np.array([port.reference for port in ports], dtype=np.uint32)

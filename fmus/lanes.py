@@ -1,8 +1,8 @@
-"""Lanes: the sources of an FMU compiled to fly several aircraft at once, each in a lane.
+"""Lanes: the sources of an FMU compiled to fly several aircraft at once, one in each SIMD lane.
 
-A lane computes what the FMU does, operation by operation, so its numbers are those of the FMU to
-the last bit. The library is of the processor that it is compiled on, whose registers hold as many
-numbers as it says.
+A lane performs the operations of the FMU in the same order, so its numbers are equal to the last
+bit. The library is compiled for the processor of this machine, with the longest vectors that it
+has.
 """
 
 import hashlib
@@ -19,30 +19,31 @@ from .builder import compile_library
 from .platforms import DEFAULT, PLATFORMS, Compiler, machine_compiler
 
 LANES = 8
-"""Aircraft at once: as many numbers as the longest registers hold, those of AVX-512."""
+"""Number of aircraft at once: doubles in an AVX-512 register, the longest."""
 _NATIVE = {
     "x86_64": ("-march=native", "-mprefer-vector-width=512"),
     "aarch64": ("-mcpu=native",),
     "arm64": ("-mcpu=native",),
 }
-"""Options by which a compiler uses all that this processor has."""
+"""Compiler options that enable all instructions of this processor."""
 _STRAIGHT = ("-fno-trapping-math", "-fno-tree-sink", "-fno-thread-jumps")
-"""Options of gcc by which no operation of a kernel is moved behind a branch, which would keep it
-from being that of all lanes; none changes a number."""
+"""Options of gcc that forbid moving an operation of a kernel behind a branch, which would prevent
+its vectorisation over lanes; no option changes a number."""
 _KNOWN = {"core.h", "kernel.h", "noise.h", "casadi.h"}
-"""Headers of FMUs whose parts are kernels alone; what else there is knows one aircraft."""
+"""Headers of FMUs that consist of CasADi kernels only; code with other headers holds the state of
+one aircraft."""
 
 
 def lanes_library(fmu: Path, lanes: int = LANES) -> bytes:
-    """Shared library with the function `lanes_fly` of `fmus/c/lanes.c`.
+    """Compile a shared library with the function `lanes_fly` of `fmus/c/lanes.c`; returns its
+    content.
 
     Args:
-        fmu: One of ours, with its sources inside.
-        lanes: Aircraft at once.
+        fmu: FMU of this program, with its sources inside.
+        lanes: Number of aircraft at once.
 
     Raises:
-        FmuError: A part of it is no CasADi component, or there is no compiler that knows this
-            processor.
+        FmuError: A part of the FMU is no CasADi component, or no compiler supports this processor.
     """
     with zipfile.ZipFile(fmu) as archive:
         inside = {
@@ -60,7 +61,7 @@ def lanes_library(fmu: Path, lanes: int = LANES) -> bytes:
 
 
 def native_options() -> tuple[str, ...]:
-    """Of the compiler of this machine, by which it uses all that the processor has.
+    """Options by which the compiler of this machine uses all instructions of its processor.
 
     Raises:
         FmuError: There is no such compiler, or it does not know the processor.
@@ -74,10 +75,10 @@ def native_options() -> tuple[str, ...]:
 
 @lru_cache
 def _native_compiler(lanes: int) -> Compiler:
-    """For this processor.
+    """Compiler for this processor.
 
     Raises:
-        FmuError: There is none.
+        FmuError: No such compiler exists.
     """
     options, own = native_options(), machine_compiler()
     assert own is not None

@@ -1,4 +1,4 @@
-"""The design of a sweep: which factors are varied, by which distributions, and their values.
+"""The design of a sweep: the varied factors, their distributions and the values in each run.
 
     method = "latin_hypercube"
     runs = 1000
@@ -8,7 +8,8 @@
     controller = ["lqr", "px4"]
 
 Sources: McKay, Beckman, Conover, Technometrics 21 (1979) for Latin hypercubes; Saltelli et al.,
-Computer Physics Communications 181 (2010) 259-270 for the design that Sobol' indices are read from.
+Computer Physics Communications 181 (2010) 259-270 for the design from which Sobol' indices are
+estimated.
 """
 
 import math
@@ -28,37 +29,37 @@ from twin.vehicle_file.read import toml_tree
 
 Array = NDArray[np.float64]
 Value = float | bool | str
-"""Of a factor in one run."""
+"""Value of a factor in one run."""
 _FORMS = (
     "{ low = 1.2, high = 1.6 }, with scale = 'log' or steps = 5 where wanted; "
     "{ mean = 1.4, sd = 0.1 }, with low and high where it ends; a list of values; or one value"
 )
-"""How to write a factor, for messages."""
+"""Forms in which a factor may be written, for messages."""
 
 
 class Distribution(Protocol):
-    """How a factor is drawn."""
+    """Probability distribution of a factor."""
 
     @property
     def levels(self) -> tuple[Value, ...]:
-        """All of its values, where they can be counted; else none."""
+        """All possible values of a discrete distribution; () for a continuous one."""
 
     def at(self, share: Array) -> list[Value]:
-        """Values at shares of probability, shape (n,), each within 0..1."""
+        """Quantiles: values at cumulative probabilities `share`, shape (n,), each within 0..1."""
 
 
 _LARGEST, _SHOWN = 1e100, 60
-"""Largest number of a distribution, and characters of a text that a message shows."""
+"""Largest magnitude of a number in a distribution, and most characters of a text in a message."""
 
 
 @dataclass(frozen=True, slots=True)
 class Uniform:
-    """Between two numbers, all alike; or their logarithms.
+    """Uniform distribution between two numbers, or log-uniform.
 
     Attributes:
-        low: Smallest.
-        high: Largest.
-        log: Whether all magnitudes are alike.
+        low: Lower bound.
+        high: Upper bound.
+        log: Whether the logarithm is uniform (log-uniform distribution).
     """
 
     low: float
@@ -67,11 +68,11 @@ class Uniform:
 
     @property
     def levels(self) -> tuple[Value, ...]:
-        """None that can be counted."""
+        """Empty: the distribution is continuous."""
         return ()
 
     def at(self, share: Array) -> list[Value]:
-        """Values at shares of probability."""
+        """Quantiles at cumulative probabilities, shape (n,)."""
         if self.log:
             ratio = math.log(self.high / self.low)
             return list((self.low * np.exp(share * ratio)).tolist())
@@ -80,13 +81,13 @@ class Uniform:
 
 @dataclass(frozen=True, slots=True)
 class Normal:
-    """Around a mean, cut off where it ends.
+    """Normal distribution, truncated to [low, high].
 
     Attributes:
-        mean: Of the whole distribution.
-        sd: Of the whole distribution.
-        low: Nothing is below.
-        high: Nothing is above.
+        mean: Mean before truncation.
+        sd: Standard deviation before truncation.
+        low: Lower bound.
+        high: Upper bound.
     """
 
     mean: float
@@ -96,12 +97,12 @@ class Normal:
 
     @property
     def levels(self) -> tuple[Value, ...]:
-        """None that can be counted."""
+        """Empty: the distribution is continuous."""
         return ()
 
     def at(self, share: Array) -> list[Value]:
-        """Values at shares of probability."""
-        inside = np.clip(share, 2.0**-53, 1 - 2.0**-53)  # the ends of a whole one are infinite
+        """Quantiles at cumulative probabilities, shape (n,)."""
+        inside = np.clip(share, 2.0**-53, 1 - 2.0**-53)  # finite without truncation, too
         if math.isinf(self.low) and math.isinf(self.high):
             drawn = norm.ppf(inside, self.mean, self.sd)
         else:
@@ -112,31 +113,31 @@ class Normal:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """One of some values, all alike.
+    """Discrete uniform distribution over a list of values.
 
     Attributes:
-        levels: The values, of one kind.
+        levels: The values, all of one type.
     """
 
     levels: tuple[Value, ...]
 
     def at(self, share: Array) -> list[Value]:
-        """Values at shares of probability."""
+        """Quantiles at cumulative probabilities, shape (n,)."""
         count = len(self.levels)
         picked = np.minimum((share * count).astype(np.intp), count - 1)
         return [self.levels[i] for i in picked.tolist()]
 
 
 def distribution_of(name: str, given: Any, file: str) -> Distribution:
-    """A distribution as a design says it.
+    """Distribution of a factor from its entry in a design.
 
     Args:
-        name: Of the factor, for messages.
-        given: A table, a list, or a value.
-        file: Where it stands, for messages.
+        name: Name of the factor, for messages.
+        given: Entry in the design: a table, a list, or a value.
+        file: Name of the design file or option, for messages.
 
     Raises:
-        TwinError: It is none, or not a possible one.
+        TwinError: The entry is no distribution, or its numbers are invalid.
     """
     where = f"{file}: {name}"
     if isinstance(given, Mapping):
@@ -155,7 +156,7 @@ def distribution_of(name: str, given: Any, file: str) -> Distribution:
 
 
 def _of_table(where: str, given: Mapping[str, Any]) -> Distribution:
-    """`{ low, high }` or `{ mean, sd }`."""
+    """Distribution from a table `{ low, high }` or `{ mean, sd }`."""
     ends = {"low", "high"} <= given.keys()
     known = {"mean", "sd", "low", "high"} if "mean" in given else {"low", "high", "scale", "steps"}
     if given.keys() - known or not (ends or {"mean", "sd"} <= given.keys()):
@@ -183,10 +184,10 @@ def _of_table(where: str, given: Mapping[str, Any]) -> Distribution:
 
 
 def _number(where: str, key: str, value: Any) -> float:
-    """A finite number.
+    """The value as a finite number.
 
     Raises:
-        TwinError: It is none.
+        TwinError: The value is no finite number.
     """
     if isinstance(value, bool) or not isinstance(value, int | float) or not _is_finite(value):
         raise TwinError(f"{where}: {key} = {_said(value)}: needs a finite number below 1e100.")
@@ -194,39 +195,39 @@ def _number(where: str, key: str, value: Any) -> float:
 
 
 def _is_finite(value: float) -> bool:
-    """Whether a number, however long it is written, leaves sums finite."""
+    """Whether a number is small enough that sums of it stay finite."""
     return -_LARGEST < value < _LARGEST
 
 
 def _said(value: Any) -> str:
-    """A value for a message, cut short."""
+    """A value as text for a message, shortened."""
     text = repr(value)
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 METHODS = ("latin_hypercube", "sobol", "random", "grid", "saltelli")
-"""How points are chosen."""
+"""Sampling methods."""
 MOST_RUNS = 1_000_000
-"""Of a sweep."""
+"""Maximum number of runs of a sweep."""
 MOST_VALUES = 10_000_000
-"""Runs times factors: some 0.5 GB."""
+"""Maximum of runs times factors: about 0.5 GB."""
 _MOST_BYTES = 1 << 20
-"""Of a design file."""
+"""Maximum size of a design file."""
 DEFAULT_RUNS = 100
-"""Where a design names no number."""
+"""Number of runs where the design gives none."""
 _KEYS = ("method", "runs", "seed", "vary")
-"""Of a design file."""
+"""Keys of a design file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What is varied, and how.
+    """Varied factors and the sampling method.
 
     Attributes:
-        vary: Distribution of each factor.
-        method: Of `METHODS`.
-        runs: How many; None: as many as a grid has points, else `DEFAULT_RUNS`.
-        seed: Of the points, and of the noise of run 0; each run has the next one.
+        vary: Distribution of each factor, by name.
+        method: Sampling method, one of `METHODS`.
+        runs: Number of runs; None: the number of grid points for a grid, else `DEFAULT_RUNS`.
+        seed: Random seed of the points, and of the noise in run 0; run k uses seed + k.
     """
 
     vary: Mapping[str, Distribution] = field(default_factory=dict)
@@ -241,10 +242,10 @@ class Design:
             raise TwinError(f"runs = {self.runs}: needs an integer of 1 to {MOST_RUNS}.")
 
     def points(self) -> list[dict[str, Value]]:
-        """The factors of each run, in order.
+        """Values of the factors in each run, in order of runs.
 
         Raises:
-            TwinError: The method cannot have so many runs, or a factor of this kind.
+            TwinError: The method does not allow this number of runs, or a continuous factor.
         """
         if self.method == "grid":
             return self._grid()
@@ -257,10 +258,10 @@ class Design:
         return [dict(zip(self.vary, row, strict=True)) for row in zip(*columns, strict=True)]
 
     def _check_values(self, runs: int) -> None:
-        """Refuse what would not fit in memory.
+        """Refuse a design that would not fit in memory.
 
         Raises:
-            TwinError: It would not.
+            TwinError: The design has more than `MOST_VALUES` values.
         """
         if runs * len(self.vary) > MOST_VALUES:
             raise TwinError(
@@ -269,7 +270,7 @@ class Design:
             )
 
     def _shares(self, runs: int, width: int) -> Array:
-        """Shares of probability, shape (runs, width)."""
+        """Sample of the unit hypercube (cumulative probabilities), shape (runs, width)."""
         rng = np.random.default_rng(self.seed)
         if self.method == "random":
             return rng.random((runs, width))
@@ -286,7 +287,8 @@ class Design:
         return self._saltelli(runs, width, rng)
 
     def _saltelli(self, runs: int, width: int, rng: np.random.Generator) -> Array:
-        """A, B, then A with each column of B in turn: (2 + width) n rows."""
+        """Saltelli's design: A, B, then A with each column replaced by that of B in turn, shape ((2
+        + width) n, width)."""
         n, rest = divmod(runs, width + 2)
         if rest or n < 2 or n & (n - 1):
             near = 2 ** max(1, round(math.log2(max(2.0, runs / (width + 2)))))
@@ -300,7 +302,7 @@ class Design:
         return np.vstack([a, b, *mixed])
 
     def _grid(self) -> list[dict[str, Value]]:
-        """All combinations, the last factor fastest."""
+        """All combinations of levels; the last factor varies fastest."""
         for name, d in self.vary.items():
             if not d.levels:
                 raise TwinError(
@@ -331,10 +333,10 @@ def _sobol(width: int, rng: np.random.Generator, count: int) -> Array:
 
 
 def read_design(path: Path) -> Design:
-    """A design from a TOML file.
+    """Read a design from a TOML file.
 
     Raises:
-        TwinError: Not readable, or wrong; the text names file, key and value.
+        TwinError: The file cannot be read or is invalid; the text names file, key and value.
     """
     try:
         with path.open("rb") as file:
@@ -362,11 +364,11 @@ def read_design(path: Path) -> Design:
 
 
 _OF_DISTRIBUTION = {"low", "high", "mean", "sd", "scale", "steps"}
-"""Keys of a distribution."""
+"""Keys of a table that describes a distribution."""
 
 
 def _flat(table: Mapping[str, Any], above: str = "") -> dict[str, Any]:
-    """Names with dots, written in quotation marks or as tables within tables."""
+    """Flatten nested tables to dotted factor names, `{airframe: {mass: ..}}` to `airframe.mass`."""
     flat: dict[str, Any] = {}
     for key, value in table.items():
         deeper = isinstance(value, Mapping) and not value.keys() & _OF_DISTRIBUTION
@@ -375,10 +377,10 @@ def _flat(table: Mapping[str, Any], above: str = "") -> dict[str, Any]:
 
 
 def factor_of(text: str) -> tuple[str, Distribution]:
-    """A factor of the command line: NAME=LOW:HIGH, NAME=LOW:HIGH:STEPS or NAME=A,B,C.
+    """A factor from the command line: NAME=LOW:HIGH, NAME=LOW:HIGH:STEPS or NAME=A,B,C.
 
     Raises:
-        TwinError: It is none.
+        TwinError: The text has none of these forms.
     """
     name, equals, values = text.partition("=")
     form = "write NAME=LOW:HIGH, NAME=LOW:HIGH:STEPS or NAME=A,B,C."
@@ -398,7 +400,7 @@ def factor_of(text: str) -> tuple[str, Distribution]:
 
 
 def _value(text: str) -> Value:
-    """A number, true, false, or a word."""
+    """A number, true, false, or a word, from the command line."""
     if text in ("true", "false"):
         return text == "true"
     try:

@@ -1,4 +1,4 @@
-"""Many simulations in one call, flown as a sweep flies its runs."""
+"""Many simulations in one call, flown by the engine of the sweep."""
 
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
@@ -29,7 +29,7 @@ VERB = "simulate_many"
 
 
 class Arguments(TypedDict, total=False):
-    """Arguments of one run, as `uavtwin.simulate` describes them."""
+    """Arguments of one run; `uavtwin.simulate` describes them."""
 
     scenario: str | Path
     vehicle: Vehicle
@@ -42,20 +42,20 @@ class Arguments(TypedDict, total=False):
 
 
 class Listed(Design):
-    """Points that are given one by one."""
+    """Design with an explicit list of points."""
 
     def __post_init__(self) -> None:
-        """Nothing is drawn, so there is nothing to refuse."""
+        """Skip the checks of a sampled design."""
 
 
 @dataclass(frozen=True, repr=False)
 class Runs(SweepResult, Sequence[Run]):
-    """Simulations in the order in which they were asked for: a sequence of `Run`.
+    """Simulations in the order of the request: a sequence of `Run`.
 
-    Its table and its page are those of a sweep whose factors are the arguments that were given.
+    Its table and page are those of a sweep whose factors are the arguments of the runs.
 
     Attributes:
-        runs: What each left.
+        runs: The single runs, in order.
     """
 
     runs: tuple[Run, ...] = ()
@@ -67,22 +67,23 @@ class Runs(SweepResult, Sequence[Run]):
     def __getitem__(self, which: slice) -> tuple[Run, ...]: ...
 
     def __getitem__(self, which: int | slice) -> Run | tuple[Run, ...]:
-        """One of them, or several."""
+        """One run, or a tuple of runs."""
         return self.runs[which]
 
     def __len__(self) -> int:
-        """How many."""
+        """Number of runs."""
         return len(self.runs)
 
     def frame(self) -> pd.DataFrame:
-        """Every output of every run, a column each, over the number of the run and the time, s."""
+        """All outputs of all runs, one column each, indexed by number of the run and time, s."""
         return pd.concat([run.frame() for run in self.runs], keys=range(len(self)), names=["run"])
 
     def save(self, path: str | Path) -> Path:
-        """Write a folder as `sweep --recordings` does: the table, and each run; returns its path.
+        """Write a folder as `sweep --recordings` does: the table, and each recording; returns its
+        path.
 
         Raises:
-            TwinError: The folder is not free.
+            TwinError: The folder exists and is not empty.
         """
         with results_folder(Path(path), force=False) as folder:
             super().save(folder / "runs.parquet")
@@ -103,24 +104,25 @@ def simulate_many(
     progress: Progress = lambda _: None,
     **shared: Unpack[Arguments],
 ) -> Runs:
-    """Fly many scenarios, each to the last bit as `simulate` flies it alone, eight at a time.
+    """Fly many scenarios, eight at a time; each is equal to the last bit to `simulate` of it alone.
 
         winds = [{"wind": (w, 0.0, 0.0), "seed": k} for w in (0.0, 4.0, 8.0) for k in range(100)]
         flown = ut.simulate_many(winds, scenario="tour", vehicle=mine, gusts=True)
 
     From 64 runs of one mission, vehicle and controller on, their FMU is compiled to fly eight of
-    them at once; a twin is built for each mission, vehicle and controller. All recordings are held
-    in memory. A run that an FMU ends is there as far as it came, and `Run.ended` says why.
+    them at once; one twin is built for each mission, vehicle and controller. All recordings are
+    held in memory. A run that an FMU ends is recorded up to there, and `Run.ended` gives the
+    reason.
 
     Args:
-        runs: Arguments of `simulate` of each: `scenario`, `vehicle`, `wind`, `gusts`, `seed`,
+        runs: Arguments of `simulate` for each run: `scenario`, `vehicle`, `wind`, `gusts`, `seed`,
             `controller`, `effects`, `starts`.
-        duration: Simulated time of each, s; default: of the mission, or of the `.ssp`.
+        duration: Simulated time of each run, s; default: that of the mission or of the `.ssp`.
         interval: Time between recorded rows, s; default: about 10 ms.
-        workers: Processes; default: one per core.
-        limits: Limits of the processes in which FMUs run that do not fly in lanes.
+        workers: Number of processes; default: one per core.
+        limits: Limits of the processes of FMUs that do not fly in lanes.
         progress: Called with the share done, 0..1.
-        shared: Arguments of all that do not say otherwise.
+        shared: Arguments of all runs that do not set their own.
 
     Raises:
         TwinError: An unknown name, a value outside its range, or too many rows for the memory.
@@ -176,10 +178,10 @@ def _scenario(number: int, given: Mapping[str, Any]) -> Scenario:
 
 
 def _check_memory(plan: Plan) -> None:
-    """Refuse more rows than are held.
+    """Refuse more values than fit in memory.
 
     Raises:
-        TwinError: There would be more.
+        TwinError: There are more than `MAX_VALUES` values.
     """
     columns = [len(described(stand.system)[0]) for stand in plan.stands]
     values = sum(plan.stands[job.stand].times.rows * columns[job.stand] for job in plan.jobs)
@@ -192,7 +194,7 @@ def _check_memory(plan: Plan) -> None:
 
 
 def _flown(plan: Plan, workers: int | None, limits: Limits, progress: Progress) -> list[RunResult]:
-    """Every run, in order."""
+    """Fly every run; results in order of the runs."""
     task, found = SweepTask("", plan.stands, limits, keep=True), dict[int, RunResult]()
     with Workers(workers=workers).opened() as engine:
         for one in chain.from_iterable(engine.run(task, blocks(plan.jobs))):
@@ -202,7 +204,7 @@ def _flown(plan: Plan, workers: int | None, limits: Limits, progress: Progress) 
 
 
 def _described(stand: SharedSystem) -> tuple[dict[str, str], dict[str, str]]:
-    """Units and ways of `described`, without the name of the whole twin."""
+    """Units of the outputs, and how each FMU is run; without the prefix of the fused twin."""
     units, ways = described(stand.system)
     return {name.removeprefix(TWIN): unit for name, unit in units.items()}, ways
 
@@ -210,7 +212,8 @@ def _described(stand: SharedSystem) -> tuple[dict[str, str], dict[str, str]]:
 def _run(
     scenario: Scenario, flown: RunResult, units: Mapping[str, str], ways: Mapping[str, str]
 ) -> Run:
-    """A run with the names of `simulate`, which has a part's outputs by the part."""
+    """A run with the names of `simulate`: outputs named "part.output", without the prefix of the
+    twin."""
     recording, outcome = flown.recording, flown.outcome
     assert recording is not None
     recording = replace(recording, names=tuple(n.removeprefix(TWIN) for n in recording.names))
@@ -219,7 +222,8 @@ def _run(
 
 
 def _points(given: Sequence[Mapping[str, Any]]) -> list[dict[str, Value]]:
-    """Arguments as factors of a sweep, the same of each run; NaN where a run has no such number."""
+    """Arguments as factors of a sweep, equal names for each run; NaN, "" or false where a run lacks
+    one."""
     each = [dict(_factors(own)) for own in given]
     names = dict.fromkeys(name for own in each for name in own)
     kinds = {name: next(type(own[name]) for own in each if name in own) for name in names}

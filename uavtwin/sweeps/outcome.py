@@ -1,4 +1,4 @@
-"""What came of a run, in figures."""
+"""Outcome of a run and its figures."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from ..simulation import summary
 
 Array = NDArray[np.float64]
 MOTORS = 12
-"""Of the largest aircraft that is known."""
+"""Number of rotors of the largest known aircraft."""
 WATCHED = {
     *(f"airframe.pos_{a}" for a in "xyz"),
     *(f"mission.setpoint_pos_{a}" for a in "xyz"),
@@ -24,7 +24,7 @@ WATCHED = {
     "mission.phase",
     *(f"controller.cmd_{i}" for i in range(1, MOTORS + 1)),
 }
-"""Outputs that the figures of a flight are made of."""
+"""Outputs from which the figures of a flight are computed."""
 FIGURES = {
     "tracking_rms_m": "m",
     "tracking_worst_m": "m",
@@ -34,28 +34,28 @@ FIGURES = {
     "end_pos_y_m": "m",
     "end_pos_z_m": "m",
 }
-"""Of a flight, and their units."""
+"""Units of the figures of a flight."""
 POSITION, SETPOINT = "airframe.pos", "mission.setpoint_pos"
-"""Outputs of the twin, without their axes."""
+"""Outputs of the twin, without the suffix of the axis."""
 RISEN = 0.5
-"""Share of the height that was wanted, from which on an aircraft has taken off."""
+"""Share of the commanded height from which on an aircraft counts as airborne."""
 AT_LIMIT = 1e-3
-"""A command as close as that to 0 or 1 is at its limit."""
+"""Distance from 0 or 1 within which a motor command counts as saturated."""
 How = Literal["flown", "lost", "run", "failed"]
-"""flown: to its end, upright and near its setpoints; run: to its end, and nothing is known to fly;
-failed: an FMU ended it."""
+"""flown: completed, upright and near its setpoints; lost: completed, but not so; run: completed,
+with no known aircraft; failed: ended by an FMU."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Of one run.
+    """Outcome of one run.
 
     Attributes:
-        run: Its number.
-        outcome: How it ended.
-        why: It was lost or failed; else "".
-        time_s: That it reached.
-        figures: By name.
+        run: Number of the run.
+        outcome: Kind of outcome.
+        why: Reason why it was lost or failed; else "".
+        time_s: Simulated time reached, s.
+        figures: Figures by name, units in `FIGURES`.
     """
 
     run: int
@@ -67,7 +67,7 @@ class Outcome:
     __repr__ = short_repr
 
     def json(self) -> dict[str, Any]:
-        """On one line of the journal; what is no finite number is left out."""
+        """Content of its line in the journal, without values that are not finite."""
         finite = {k: v for k, v in self.figures.items() if np.isfinite(v)}
         return {
             "run": self.run,
@@ -79,13 +79,13 @@ class Outcome:
 
 
 def outcome_of(run: int, recording: Recording, arm_m: float | None, why: str = "") -> Outcome:
-    """Figures of a recording.
+    """Outcome and figures of a recording.
 
     Args:
-        run: Its number.
-        recording: Of it, as far as it came.
-        arm_m: Of the aircraft; None: nothing is known to fly.
-        why: It did not come to its end; "" where it did.
+        run: Number of the run.
+        recording: Recording up to the end of the run.
+        arm_m: Arm length of the aircraft, m; None: the system may not be an aircraft.
+        why: Reason why the run was not completed; "" where it was.
     """
     time_s = float(recording.time_s[-1]) if len(recording.time_s) else 0.0
     if not len(recording.time_s):
@@ -110,7 +110,7 @@ def outcome_of(run: int, recording: Recording, arm_m: float | None, why: str = "
 
 
 def _stayed_down(recording: Recording) -> str:
-    """That it did not rise by half of what was wanted; "" where it did."""
+    """Message that the aircraft rose by less than half of the commanded height; else ""."""
     names = [n.removeprefix("twin.") for n in recording.names]
     down = {n: recording.values[:, names.index(f"{n}_z")] for n in (POSITION, SETPOINT)}
     rose, wanted = (float(z[0] - z.min()) for z in down.values())
@@ -120,7 +120,7 @@ def _stayed_down(recording: Recording) -> str:
 
 
 def _saturated(recording: Recording) -> float:
-    """Share of the rows in the air in which a motor command is at a limit; NaN without commands."""
+    """Share of the rows in the air in which a motor command is saturated; NaN without commands."""
     names = [n.removeprefix("twin.") for n in recording.names]
     motors = [i for i, n in enumerate(names) if n.startswith("controller.cmd_")]
     if not motors or "mission.phase" not in names:
@@ -132,11 +132,11 @@ def _saturated(recording: Recording) -> float:
 
 
 JOURNAL = "sweep.jsonl"
-"""File that marks an unfinished sweep."""
+"""Name of the journal file, which marks an unfinished sweep."""
 
 
 class Journal(journal.Journal[int]):
-    """Of the runs of a sweep, by their numbers."""
+    """Journal of the completed runs of a sweep, by number."""
 
     kind = "sweep"
     differs = "other scenario, design, seed, files or version"
@@ -146,9 +146,9 @@ class Journal(journal.Journal[int]):
         return Outcome(**content).run
 
     def add(self, outcome: Outcome) -> None:
-        """Write a run down."""
+        """Append the outcome of a run."""
         self.write(outcome.json())
 
     def outcomes(self) -> Iterator[Outcome]:
-        """All that is written, in the order in which it was."""
+        """All outcomes in the order in which they were written."""
         return (Outcome(**content) for _, content in self.contents())

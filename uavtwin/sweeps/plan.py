@@ -1,6 +1,6 @@
-"""What a sweep will run: what each factor shapes in a scenario, systems, start values.
+"""Plan of a sweep: the scenario, system and start values of each run.
 
-Systems are built once each; a run differs by start values.
+Each system is built once; its runs differ by start values.
 """
 
 import math
@@ -34,9 +34,9 @@ from .design import Value
 from .outcome import WATCHED
 
 MOST_SYSTEMS = 100
-"""That a sweep may build: vehicles times controllers times missions."""
+"""Maximum number of systems in a sweep: vehicles times controllers times missions."""
 TWIN = "twin."
-"""Before the names of the twin in one FMU."""
+"""Prefix of the twin's variables in the fused FMU."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +45,9 @@ class SharedSystem:
 
     Attributes:
         system: FMUs and connections.
-        times: Of each run.
-        record: Outputs that are recorded; None: all.
-        arm_m: Of the aircraft; None: nothing is known to fly.
+        times: Start, stop and step times of each run.
+        record: Recorded outputs, "slave.output"; None: all.
+        arm_m: Arm length of the aircraft, m; None: the system may not be an aircraft.
     """
 
     system: System
@@ -63,8 +63,8 @@ class Job:
     """One run.
 
     Attributes:
-        run: Number, from 0 on.
-        stand: Of `Plan.stands`.
+        run: Number of the run, from 0.
+        stand: Index of its system in `Plan.stands`.
         starts: Start values on top of the system's.
     """
 
@@ -75,14 +75,14 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """All of a sweep.
+    """All systems and runs of a sweep.
 
     Attributes:
         stands: Systems.
         jobs: Runs, in order.
-        scenarios: Of each run.
-        units: Of start values, "part.variable" -> unit.
-        warnings: What the windiest run of a system asks for although it changes nothing.
+        scenarios: Scenario of each run.
+        units: Unit of each start value, "part.variable" -> unit.
+        warnings: Requests without effect in the windiest run of each system.
     """
 
     stands: tuple[SharedSystem, ...]
@@ -94,7 +94,7 @@ class Plan:
     __repr__ = short_repr
 
     def periods(self, factors: Iterable[str]) -> dict[str, float]:
-        """Of factors that are angles: what a whole turn is."""
+        """Period of each factor that is an angle, by name: 360 or 2 pi."""
         return {n: p for n in factors if (p := period_of(n, self.units)) is not None}
 
 
@@ -104,12 +104,12 @@ def scenarios_of(
     """The scenario of each run.
 
     Args:
-        base: What all share; an aircraft flies as one FMU.
-        points: Factors of each.
-        seed: Of the noise of the first one; each has the next one.
+        base: Scenario that all runs share; an aircraft flies as one FMU.
+        points: Values of the factors in each run.
+        seed: Random seed of the noise in run 0; run k uses seed + k.
 
     Raises:
-        TwinError: A factor has no such name, or a value of another kind.
+        TwinError: A factor does not exist, or its value has the wrong type.
     """
     base = base if base.is_system else replace(base, fused=True)
     vehicles: dict[str, Vehicle] = {}
@@ -134,16 +134,17 @@ def plan_of(
     whole: bool = False,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Plan:
-    """Build what is needed; every name and value of every run is looked at.
+    """Build the systems and check every name and value of every run.
 
     Args:
-        scenarios: Of each run.
-        folder: For the FMUs.
-        duration_s: Of each run; None: the mission's, or the system's own.
-        step_s: Communication step; None: 10 ms, which inside are 1 ms, or the system's own.
-        interval_s: Time between two rows; None: about 10 ms.
-        whole: Whether recordings are stored, with every output.
-        progress: Called with the share built, 0..1.
+        scenarios: Scenario of each run.
+        folder: Folder for the FMUs.
+        duration_s: Simulated time of each run, s; None: that of the mission or system.
+        step_s: Communication step, s; None: 10 ms with internal steps of 1 ms, or that of the
+            system.
+        interval_s: Time between recorded rows, s; None: about 10 ms.
+        whole: Whether full recordings with every output are stored.
+        progress: Called with the share of systems built, 0..1.
 
     Raises:
         TwinError: An unknown name, a value outside its range, or too many systems.
@@ -186,11 +187,11 @@ def plan_of(
 
 
 Check = Callable[[int, Scenario], Mapping[str, float]]
-"""From a run and its scenario to its start values, each within its range."""
+"""Function of a run number and its scenario that returns its start values, each within range."""
 
 
 def _wind(scenario: Scenario) -> tuple[float, bool]:
-    """By which the windiest of several scenarios is found."""
+    """Sort key for the windiest scenario."""
     return math.hypot(*scenario.wind_m_s), scenario.gusts
 
 
@@ -211,10 +212,10 @@ def _stand(
     interval_s: float | None,
     whole: bool,
 ) -> SharedSystem:
-    """The system of a scenario, without what its runs differ in."""
+    """System of a scenario, without the start values in which its runs differ."""
 
     def times(step_s: float | None) -> Times:
-        """Of each run."""
+        """Times of each run."""
         stop = None if duration_s is None else system.start_time_s + duration_s
         return times_of(system, stop, step_s, interval_s)
 
@@ -231,7 +232,7 @@ def _stand(
 
 
 def _named(system: System) -> list[str]:
-    """All outputs, "slave.output"."""
+    """Names of all outputs, "slave.output"."""
     return [
         f"{slave}.{port.name}"
         for slave, path in system.fmus.items()
@@ -241,13 +242,13 @@ def _named(system: System) -> list[str]:
 
 
 def _units_of_twin(twin: Assembly) -> dict[str, str]:
-    """Units of its start values, "part.variable" -> unit."""
+    """Unit of each start value of a twin, "part.variable" -> unit."""
     return {f"{k}.{v.name}": v.unit for k, part in twin.parts.items() for v in part.variables}
 
 
 def _units_of_system(first: Scenario) -> dict[str, str]:
-    """Units of the variables of an `.ssp`, "slave.variable" -> unit."""
-    system = read_ssp(Path(first.target))  # holds the unpacked FMUs
+    """Unit of each variable of an `.ssp`, "slave.variable" -> unit."""
+    system = read_ssp(Path(first.target))  # keeps the unpacked FMUs
     return {
         f"{slave}.{port.name}": port.unit or ""
         for slave, path in system.fmus.items()
@@ -260,11 +261,11 @@ def _of_twin(twin: Assembly) -> Check:
     plain = {name: v.start for name, (_, v) in known.items()}
 
     def check(run: int, scenario: Scenario) -> dict[str, float]:
-        """Start values that differ from those of the twin."""
+        """Start values that differ from the defaults of the twin."""
         starts = shaping_starts(twin, scenario)
         for name, value in starts.items():
             if name not in known:
-                twin.with_starts({name: value})  # says what is wrong
+                twin.with_starts({name: value})  # raises the error
             part, variable = known[name]
             check_range(f"run {run}: {part}", variable, value)
         return {f"{TWIN}{n}": v for n, v in starts.items() if v != plain[n]}
@@ -277,8 +278,8 @@ def _of_system(first: Scenario) -> Check:
     interfaces = {name: read_interface(path) for name, path in system.fmus.items()}
 
     def check(run: int, scenario: Scenario) -> Mapping[str, float]:
-        """Start values of slaves."""
-        del run  # the FMU says at its start what it does not take
+        """Start values of the slaves."""
+        del run  # the FMU itself refuses invalid values at its start
         for name in scenario.starts:
             slave, variable = system.split(name)
             interfaces[slave].scalar(variable)
@@ -288,24 +289,25 @@ def _of_system(first: Scenario) -> Check:
 
 
 WORDS = ("mission", "vehicle", "controller")
-"""Factors that are words, and choose other FMUs."""
+"""Factors with text values, which select other FMUs."""
 WIND = ("wind.speed", "wind.from", "wind.north", "wind.east", "wind.down")
-"""Speed in m/s and where the wind comes from, in degrees from north over east; or the velocity of
-the air NED in m/s."""
+"""Wind speed in m/s and direction from which the wind blows, in degrees clockwise from north; or
+components of the air velocity NED in m/s."""
 EFFECT = "effect."
-"""`effect.NAME`, true or false, or `effect.NAME.NUMBER`, which switches it on."""
+"""Prefix of effects: `effect.NAME` is true or false, `effect.NAME.NUMBER` a number and switches the
+effect on."""
 
 
 def scenario_of(base: Scenario, factors: Mapping[str, Value], seed: int) -> Scenario:
-    """The scenario of one run; its vehicle is that of the base, whatever `vehicle` says.
+    """Scenario of one run; its vehicle is that of `base`, whatever the factor `vehicle` is.
 
     Args:
-        base: What all runs share.
-        factors: Values by name.
-        seed: Of its noise, where no factor says another.
+        base: Scenario that all runs share.
+        factors: Value of each factor, by name.
+        seed: Random seed of its noise, where no factor sets one.
 
     Raises:
-        TwinError: A factor has no such name, or a value of another kind.
+        TwinError: A factor does not exist, or its value has the wrong type.
     """
     changes: dict[str, Any] = {} if base.is_system else {"seed": seed}
     starts, wind = dict(base.starts), {}
@@ -336,11 +338,11 @@ def scenario_of(base: Scenario, factors: Mapping[str, Value], seed: int) -> Scen
 
 
 def period_of(name: str, units: Mapping[str, str]) -> float | None:
-    """What a whole turn is of a factor that is an angle; None of any other.
+    """Period of a factor that is an angle, 360 or 2 pi; None for other factors.
 
     Args:
-        name: Of the factor.
-        units: Of start values, "part.variable" -> unit.
+        name: Name of the factor.
+        units: Unit of each start value, "part.variable" -> unit.
     """
     if name == "wind.from":
         return 360.0
@@ -352,14 +354,14 @@ def period_of(name: str, units: Mapping[str, str]) -> float | None:
 
 
 def _effects(base: Scenario) -> Mapping[str, Mapping[str, float]]:
-    """Numbers of the effects of the base; none where its start values hold."""
+    """Parameters of the base scenario's effects, by effect; empty where the start values apply."""
     if isinstance(base.effects, Mapping):
         return base.effects
     return {name: {} for name in base.effects}
 
 
 def _add_effect(effects: dict[str, dict[str, float]], name: str, value: Value) -> None:
-    """Switch an effect on or off, or set one of its numbers."""
+    """Switch an effect on or off, or set one of its parameters."""
     effect, _, number = name.removeprefix(EFFECT).partition(".")
     if effect not in EFFECTS:
         raise TwinError(unknown_name("sweep", "effect", effect, EFFECTS))
@@ -375,7 +377,7 @@ def _add_effect(effects: dict[str, dict[str, float]], name: str, value: Value) -
 
 
 def _air(base: Scenario, wind: Mapping[str, float]) -> tuple[float, float, float]:
-    """Velocity of the air, NED."""
+    """Velocity of the air, NED, m/s."""
     polar, plain = {"wind.speed", "wind.from"} & wind.keys(), {"wind.north", "wind.east"}
     north, east, down = base.wind_m_s
     if polar and plain & wind.keys():

@@ -1,8 +1,8 @@
-"""A sweep that was flown: how its runs ended, and which factor matters how much for a figure.
+"""Result of a sweep: how its runs ended, and the sensitivity of each figure to each factor.
 
-A word, an angle and a number differ only in the functions that the figure is regressed on: one
-indicator per word, sines and cosines of an angle, Legendre polynomials of the rank of a number. The
-share is the adjusted R² (Ezekiel's, the epsilon² of an analysis of variance), its interval a
+For words, angles and numbers the figure is regressed on different functions: one indicator per
+word, sines and cosines of an angle, Legendre polynomials of the rank of a number. The share of
+variance is the adjusted R² (Ezekiel's, the epsilon² of an analysis of variance), its interval a
 percentile bootstrap over runs. A Saltelli design gives Sobol' indices instead.
 
 Sources: Kelley, Proc. Nat. Acad. Sci. 21 (1935) 554-559 for epsilon²; Saltelli et al., Computer
@@ -39,33 +39,34 @@ from .outcome import FIGURES, Outcome
 
 Array = NDArray[np.float64]
 FEWEST = 8
-"""Runs from which an influence is computed."""
+"""Least number of runs for which an influence is computed."""
 RESAMPLES = 1000
-"""Of a bootstrap."""
+"""Number of bootstrap resamples."""
 CONFIDENCE = 0.95
-"""That the intervals of all factors hold together (Bonferroni)."""
+"""Joint confidence of the intervals of all factors (Bonferroni)."""
 _DEGREE, _RUNS_PER_DEGREE = 6, 15
-"""Largest degree of the polynomial of a number, and runs for each degree."""
+"""Largest degree of the polynomial of a numeric factor, and runs required per degree."""
 _HARMONICS = 2
-"""Of an angle in the regression."""
+"""Number of harmonics of an angle in the regression."""
 _CHUNK = 2**22
-"""Weights of a bootstrap that are held at once."""
+"""Number of bootstrap weights held in memory at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class Influence:
-    """Of one factor on one figure.
+    """Influence of one factor on one figure (sensitivity).
 
     Attributes:
-        factor: Its name.
+        factor: Name of the factor.
         figure: Name of the figure.
         share: Share of the variance that the factor explains alone, at most 1; an estimate near 0
-            may be negative; NaN: too few runs. Of a Saltelli design the first-order index.
-        low, high: Its interval; those of all factors hold together with `CONFIDENCE`.
-        rank: Spearman's correlation of the ranks, -1..1, which says whether the figure goes up or
-            down; NaN of words and angles.
-        total: Share of the variance that is left when all other factors are known; NaN without a
-            Saltelli design.
+            may be negative; NaN: too few runs. For a Saltelli design, the first-order Sobol' index.
+        low, high: Confidence interval of the share; the intervals of all factors hold jointly with
+            `CONFIDENCE`.
+        rank: Spearman's rank correlation, -1..1: whether the figure increases or decreases with the
+            factor; NaN for words and angles.
+        total: Total-order Sobol' index: share of the variance that remains when all other factors
+            are fixed; NaN without a Saltelli design.
     """
 
     factor: str
@@ -78,12 +79,12 @@ class Influence:
 
     @property
     def determined(self) -> bool:
-        """Whether the interval of the share lies above 0."""
+        """Whether the confidence interval of the share lies above 0."""
         return self.low > 0
 
     @property
     def words(self) -> tuple[str, str]:
-        """The share, without a number where its interval holds 0, and the interval."""
+        """Texts of the share, "" where its interval contains 0, and of the interval."""
         if np.isnan(self.share):
             return "too few runs", ""
         share = f"{self.share:.2f}" if self.determined else "not distinguishable from 0"
@@ -91,7 +92,7 @@ class Influence:
 
     @property
     def size(self) -> float:
-        """By which factors are ordered."""
+        """Sort key of the factors: total-order index, else share; -1 where neither is known."""
         known = self.total if np.isfinite(self.total) else self.share
         return known if np.isfinite(known) else -1.0
 
@@ -99,13 +100,13 @@ class Influence:
 def influences(
     table: pd.DataFrame, design: Design, figure: str, periods: Mapping[str, float] | None = None
 ) -> list[Influence]:
-    """Influence of every factor that varies, the largest first.
+    """Influence of every varied factor on a figure, the largest first.
 
     Args:
-        table: A row per run, in order.
-        design: Of the sweep.
-        figure: Column.
-        periods: Of factors that are angles, by name: what a whole turn is.
+        table: Table with one row per run, in order.
+        design: Design of the sweep.
+        figure: Column of the figure.
+        periods: Period of each factor that is an angle, by name: 360 or 2 pi.
     """
     periods = periods or {}
     factors = [name for name in design.vary if table[name].nunique() > 1]
@@ -129,7 +130,7 @@ def influences(
 def _share(
     values: pd.Series, y: Array, period: float | None, level: float, seed: int
 ) -> tuple[float, float, float]:
-    """Adjusted R² of a figure on functions of one factor, and its interval; NaN of too few runs."""
+    """Adjusted R² of a figure regressed on one factor, and its interval; NaN for too few runs."""
     there = np.isfinite(y)
     count = int(there.sum())
     if count < FEWEST or np.ptp(y[there]) == 0 or values[there].nunique() < 2:
@@ -152,7 +153,7 @@ def _share(
 
 
 def _functions(values: pd.Series, period: float | None) -> Array:
-    """Functions of a factor on which a figure is regressed, shape (runs, functions)."""
+    """Basis functions of a factor for the regression, shape (runs, functions)."""
     if pd.api.types.is_bool_dtype(values) or not pd.api.types.is_numeric_dtype(values):
         indicators = pd.get_dummies(values.astype(str), drop_first=True)
         return np.asarray(indicators, dtype=np.float64)
@@ -170,27 +171,27 @@ def _adjusted_r2(functions: Array, y: Array, weights: NDArray[Any]) -> Array:
     """Adjusted R² of weighted regressions, shape (b,).
 
     Args:
-        functions: Shape (n, p).
-        y: Shape (n,).
-        weights: How often each run counts, shape (b, n); each row has the sum n.
+        functions: Basis functions, shape (n, p).
+        y: Figure, shape (n,).
+        weights: Count of each run in each resample, shape (b, n); each row has the sum n.
     """
     n, p = functions.shape
     x = np.column_stack([np.ones(n), functions])
     products = (x[:, :, None] * x[:, None, :]).reshape(n, -1)
     gram = (weights @ products).reshape(-1, p + 1, p + 1)
     moments = weights @ (x * y[:, None])
-    jitter = 1e-10 * np.trace(gram, axis1=1, axis2=2) / (p + 1)  # a level may not be drawn
+    jitter = 1e-10 * np.trace(gram, axis1=1, axis2=2) / (p + 1)  # a resample may lack a level
     gram += jitter[:, None, None] * np.eye(p + 1)
     slopes = np.linalg.solve(gram, moments[..., None])[..., 0]
     around_mean = weights @ y**2 - n * (weights @ y / n) ** 2
     left = weights @ y**2 - np.sum(slopes * moments, axis=1)
-    varies = around_mean > 1e-12 * n  # in this resample
+    varies = around_mean > 1e-12 * n  # the figure varies in this resample
     ratio = (left / (n - p - 1)) / (np.where(varies, around_mean, 1.0) / (n - 1))
     return np.asarray(np.where(varies, 1 - ratio, 0.0))
 
 
 def _rank(values: pd.Series, y: Array) -> float:
-    """Spearman's correlation over the runs that have the figure; NaN for words."""
+    """Spearman's correlation over the runs with a value of the figure; NaN for words."""
     if not pd.api.types.is_numeric_dtype(values):
         return float("nan")
     x, there = values.to_numpy(dtype=np.float64), np.isfinite(y)
@@ -200,8 +201,8 @@ def _rank(values: pd.Series, y: Array) -> float:
 
 
 def _sobol(y: Array, design: Design, level: float) -> tuple[Array, Array] | None:
-    """Indices of first and total order, each shape (factors, 3): value and interval; None where
-    the design or the figure gives none."""
+    """Sobol' indices of first and total order, each shape (factors, 3): value and interval; None
+    where the design is no Saltelli design or the figure is missing or constant."""
     d = len(design.vary)
     if design.method != "saltelli" or not np.isfinite(y).all() or np.ptp(y) == 0:
         return None
@@ -209,7 +210,8 @@ def _sobol(y: Array, design: Design, level: float) -> tuple[Array, Array] | None
     mixed = y[2 * n :].reshape(d, n)
 
     def indices(rows: NDArray[np.intp]) -> Array:
-        """First and total order of these rows of the base sample, shape (2, factors)."""
+        """Sobol' indices of first and total order from these rows of the base sample, shape (2,
+        factors)."""
         parts = {
             "f_A": y[None, :n][:, rows],
             "f_B": y[None, n : 2 * n][:, rows],
@@ -220,7 +222,7 @@ def _sobol(y: Array, design: Design, level: float) -> tuple[Array, Array] | None
 
     rng = np.random.default_rng(design.seed)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of constant outputs, looked for above
+        warnings.simplefilter("ignore")  # constant outputs, excluded above
         value = indices(np.arange(n))
         drawn = np.array([indices(rng.integers(n, size=n)) for _ in range(RESAMPLES)])
     ends = np.nanquantile(drawn, [level / 2, 1 - level / 2], axis=0)
@@ -229,18 +231,18 @@ def _sobol(y: Array, design: Design, level: float) -> tuple[Array, Array] | None
 
 
 LED_BY = "tracking_worst_m"
-"""Figure by which runs are the worst, and which factors are held against."""
+"""Main figure: ranks the runs and is the one whose sensitivities are computed by default."""
 WORST = 10
-"""Runs that are listed."""
+"""Number of worst runs that are listed."""
 
 
 class Quantiles(Record, frozen=True, kw_only=True):
-    """A figure over the runs that have it.
+    """Quantiles of a figure over the runs that have it.
 
     Attributes:
-        p5: 5 % of the runs are below.
+        p5: 5 % quantile.
         p50: Median.
-        p95: 95 % of the runs are below.
+        p95: 95 % quantile.
     """
 
     p5: float
@@ -249,19 +251,18 @@ class Quantiles(Record, frozen=True, kw_only=True):
 
 
 class SweepRecord(Record, frozen=True, kw_only=True):
-    """Many runs of one scenario.
+    """Statistics of many runs of one scenario.
 
     Attributes:
-        scenario: Its name.
-        method: How points were chosen.
-        runs: How many.
-        outcomes: How many ended `flown`, `lost`, `run`, `failed`.
-        figures: By column of `runs.parquet`.
-        influences: Of each factor that varies, the largest first; none where there are too few
-            runs.
+        scenario: Name of the scenario.
+        method: Sampling method of the points.
+        runs: Number of runs.
+        outcomes: Number of runs that ended `flown`, `lost`, `run`, `failed`.
+        figures: Quantiles of each figure, by column of `runs.parquet`.
+        influences: Influence of each varied factor, the largest first; empty where there are too
+            few runs.
         worst: Numbers of the worst runs.
-        warnings: What was asked for although it changes nothing, as wind on an aircraft without
-            drag.
+        warnings: Requests without effect, such as wind on an aircraft without drag.
     """
 
     scenario: str
@@ -276,16 +277,17 @@ class SweepRecord(Record, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, repr=False)
 class SweepResult(PageMixin):
-    """What came of a sweep.
+    """Result of a sweep.
 
     Attributes:
-        name: Of the scenario.
-        table: A row per run, in order: `run`, the factors, `outcome`, `why`, `time_s`, figures.
-        design: What was varied.
-        scenarios: Of each run.
-        vehicle: Name or file of what flies where no factor says another, "" for the usual one.
-        periods: Of factors that are angles: what a whole turn is.
-        warnings: What was asked for although it changes nothing.
+        name: Name of the scenario.
+        table: Table with one row per run, in order: `run`, the factors, `outcome`, `why`, `time_s`,
+            figures.
+        design: Design of the sweep.
+        scenarios: Scenario of each run.
+        vehicle: Name or file of the vehicle where it is no factor, "" for the default one.
+        periods: Period of each factor that is an angle, by name: 360 or 2 pi.
+        warnings: Requests without effect, such as wind on an aircraft without drag.
     """
 
     name: str
@@ -306,12 +308,12 @@ class SweepResult(PageMixin):
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many runs ended how."""
+        """Number of runs by outcome."""
         return {str(k): int(v) for k, v in self.table["outcome"].value_counts().items()}
 
     @property
     def claim(self) -> str:
-        """How it went, in one sentence."""
+        """Summary of the outcomes in one sentence."""
         counts = self.counts
         kinds = [k for k in ("flown", "run", "lost", "failed") if k in counts]
         if len(kinds) == 1:
@@ -329,13 +331,13 @@ class SweepResult(PageMixin):
 
     @property
     def units(self) -> dict[str, str]:
-        """Of the figures, "" where it is not known."""
+        """Unit of each figure, "" where it is unknown."""
         return {name: FIGURES.get(name, "") for name in self.figures}
 
     @property
     def led_by(self) -> str:
         """Figure by which runs are compared: the distance from the setpoint where something flies,
-        else the first that there is; "" without any."""
+        else the first figure that has values; "" if there is none."""
         known = [n for n in (LED_BY, *self.figures) if n in self.table]
         return next((n for n in known if self.table[n].notna().sum() > 1), "")
 
@@ -343,7 +345,7 @@ class SweepResult(PageMixin):
         """Influence of every factor on a figure, the largest first.
 
         Args:
-            figure: Column; default: `led_by`.
+            figure: Column of the figure; default: `led_by`.
         """
         figure = figure or self.led_by
         if figure not in self.table:
@@ -353,7 +355,7 @@ class SweepResult(PageMixin):
         return self._influences[figure]
 
     def worst(self, count: int = WORST) -> pd.DataFrame:
-        """Rows of the runs that failed, were lost, or were farthest from the setpoint."""
+        """Rows of the worst runs: failed ones, lost ones, then those farthest from the setpoint."""
         order = self.table["outcome"].map({"failed": 0, "lost": 1}).fillna(2)
         by = [order]
         if LED_BY in self.table:
@@ -362,13 +364,13 @@ class SweepResult(PageMixin):
         return self.table.iloc[places[:count]]
 
     def again(self, run: int) -> str:
-        """The command that flies a run once more, with everything recorded."""
+        """Command that repeats a run and records all outputs."""
         named = str(self.table["vehicle"][run]) if "vehicle" in self.table else self.vehicle
         return command_of(self.scenarios[run], named)
 
     @cached_property
     def record(self) -> SweepRecord:
-        """Every number that is printed."""
+        """All numbers that are printed, as a record."""
         quantiles = {}
         for name in self.figures:
             known = self.table[name].dropna()
@@ -393,7 +395,7 @@ class SweepResult(PageMixin):
         return Path(path)
 
     def findings(self) -> Iterable[str | TextTable]:
-        """The claim, figures and what matters."""
+        """Summary sentence, table of figures and table of sensitivities."""
         yield self.claim
         quantiles = self.json()["figures"]
         rows = [
@@ -413,21 +415,21 @@ class SweepResult(PageMixin):
             yield TextTable((*head, "with the others") if total else head, tuple(rows))
 
     def brief(self) -> str:
-        """How many runs of what."""
+        """Number of runs and name of the scenario."""
         return f"{type(self).__name__}: {self.name}, {counted(self.table, 'run')}"
 
 
 def _short(value: float) -> str:
-    """Two digits, nothing where it is not known."""
+    """The value with two decimals, "" where it is unknown."""
     return f"{value:.2f}" if np.isfinite(value) else ""
 
 
 def table_of(points: Sequence[Mapping[str, Value]], outcomes: Iterable[Outcome]) -> pd.DataFrame:
-    """A row per run, in order, whatever order the outcomes come in.
+    """Table with one row per run, in order of runs, whatever the order of the outcomes.
 
     Args:
-        points: Factors of each run.
-        outcomes: One of each run.
+        points: Values of the factors in each run.
+        outcomes: Outcome of each run, in any order.
     """
     count = len(points)
     texts: dict[str, list[str]] = {"outcome": [""] * count, "why": [""] * count}
@@ -452,11 +454,11 @@ def table_of(points: Sequence[Mapping[str, Value]], outcomes: Iterable[Outcome])
 
 
 def command_of(scenario: Scenario, vehicle: str = "") -> str:
-    """`uavtwin simulate` of a scenario.
+    """Command `uavtwin simulate` that flies a scenario.
 
     Args:
-        scenario: Of a run.
-        vehicle: Name or file of its vehicle, where it is not the usual one.
+        scenario: Scenario of a run.
+        vehicle: Name or file of its vehicle, "" for the default one.
     """
     parts = ["uavtwin", "simulate", str(scenario.target)]
     if not scenario.is_system:

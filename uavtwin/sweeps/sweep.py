@@ -1,4 +1,4 @@
-"""A sweep from start to end: planned, flown on an engine, resumed where one was killed."""
+"""A sweep from start to end: planned, flown on an engine, resumed after an interruption."""
 
 import contextlib
 import hashlib
@@ -34,11 +34,11 @@ from .result import SweepResult, table_of
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """A run and what it left.
+    """Result of one run.
 
     Attributes:
-        outcome: In figures.
-        recording: Where recordings are stored.
+        outcome: Outcome with its figures.
+        recording: Recording of the run; None where recordings are not stored.
     """
 
     outcome: Outcome
@@ -48,20 +48,21 @@ class RunResult:
 Block = tuple[Job, ...]
 """Runs of one system that a worker flies together."""
 WORTH = 64
-"""Runs of one system from which on it is compiled for lanes, which takes as long as some 100 runs.
+"""Number of runs of one system from which on it is compiled for lanes; compiling takes as long as
+some 100 runs.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class SweepTask:
-    """What is done with each block of runs, for `uavtwin.jobs`.
+    """Task of flying one block of runs, for `uavtwin.jobs`.
 
     Attributes:
         key: Hash of the sweep.
-        stands: Systems.
-        limits: Of the process that the FMUs run in, where it is not that of the sweep (lanes); the
-            time as a whole is that of one run.
-        keep: Whether recordings are wanted.
+        stands: Systems that the runs share.
+        limits: Limits of the process in which FMUs run, where that is not the process of the sweep
+            (lanes); the limit on total time applies to one run.
+        keep: Whether recordings are returned.
     """
 
     key: str
@@ -70,15 +71,15 @@ class SweepTask:
     keep: bool = False
 
     def name(self, block: Block) -> str:
-        """Number of the first run."""
+        """Name of a block: number of its first run."""
         return str(block[0].run)
 
     def worker(self) -> "RunWorker":
-        """One more that flies runs."""
+        """A new worker that flies runs."""
         return RunWorker(self)
 
     def packed(self) -> "PackedSweep":
-        """With the content of the FMUs, which lie elsewhere."""
+        """The task with the content of its FMUs, for a worker that cannot read their files."""
         bare = tuple(replace(s, system=replace(s.system, folder=None)) for s in self.stands)
         fmus = tuple(
             {name: path.read_bytes() for name, path in s.system.fmus.items()} for s in self.stands
@@ -86,17 +87,17 @@ class SweepTask:
         return PackedSweep(replace(self, stands=bare), fmus)
 
     def lost(self, block: Block, why: str) -> list[RunResult]:
-        """Runs that nobody could fly."""
+        """Failed outcomes for runs that no worker could fly."""
         return [RunResult(Outcome(job.run, "failed", why, 0.0, {})) for job in block]
 
 
 @dataclass(frozen=True, slots=True)
 class PackedSweep:
-    """Systems with the content of their files.
+    """A sweep task with the content of its files.
 
     Attributes:
-        flying: Whose FMUs lie elsewhere.
-        fmus: Content of each, by stand and name.
+        flying: Task; the paths of its FMUs are not valid on the worker.
+        fmus: Content of each FMU, by system and name.
     """
 
     flying: SweepTask
@@ -108,7 +109,7 @@ class PackedSweep:
         return self.flying.key
 
     def unpacked(self, folder: Path) -> SweepTask:
-        """The systems, their FMUs written into a folder."""
+        """The task with its FMUs written into a folder."""
         stands = []
         for number, (stand, files) in enumerate(zip(self.flying.stands, self.fmus, strict=True)):
             paths = {name: folder / f"{number}_{name}.fmu" for name in files}
@@ -119,21 +120,22 @@ class PackedSweep:
 
 
 class RunWorker:
-    """Flies blocks of runs; a crash of an FMU costs the run in which it happens."""
+    """Worker that flies blocks of runs; a crash of an FMU fails only the run in which it
+    happens."""
 
     def __init__(self, flying: SweepTask) -> None:
-        """Start nothing yet."""
+        """Set the task; no process is started yet."""
         self._flying = flying
         self._master: WorkerMaster | None = None
         self._stand: SharedSystem | None = None
         self._lanes: tuple[SharedSystem, LaneMaster | None] | None = None
 
     def do(self, block: Block) -> list[RunResult]:
-        """Fly a block; whatever an FMU does, there are outcomes."""
+        """Fly a block; returns an outcome of each run, whatever an FMU does."""
         stand = self._flying.stands[block[0].stand]
         if len(block) > 1 and (lanes := self._in_lanes(stand)) is not None:
             times = stand.times
-            with contextlib.suppress(FmuError):  # then each by itself, which says what it does
+            with contextlib.suppress(FmuError):  # else one run at a time, with its error
                 recordings = lanes.run(
                     [job.starts for job in block],
                     *(times.begin_s, times.end_s, times.step_s, times.every),
@@ -145,7 +147,7 @@ class RunWorker:
         return [self._alone(job, stand) for job in block]
 
     def _in_lanes(self, stand: SharedSystem) -> LaneMaster | None:
-        """Of a stand; None: it cannot be flown in lanes here."""
+        """Lanes of a system; None: it cannot be flown in lanes on this machine."""
         if self._lanes is None or self._lanes[0] is not stand:
             self._lanes = stand, None
             with contextlib.suppress(FmuError):
@@ -153,7 +155,7 @@ class RunWorker:
         return self._lanes[1]
 
     def _alone(self, job: Job, stand: SharedSystem) -> RunResult:
-        """Fly one run by its FMUs."""
+        """Fly one run by its FMUs in the co-simulation master."""
         times = stand.times
         try:
             master = self._ready(stand)
@@ -171,12 +173,12 @@ class RunWorker:
     def _result(
         self, job: Job, stand: SharedSystem, recording: Recording, why: str = ""
     ) -> RunResult:
-        """What a run left."""
+        """Result of a run from its recording."""
         outcome = outcome_of(job.run, recording, stand.arm_m, why)
         return RunResult(outcome, recording if self._flying.keep else None)
 
     def _ready(self, stand: SharedSystem) -> WorkerMaster:
-        """A master with the system of a stand loaded."""
+        """A master with the system of a run loaded."""
         if self._master is None or self._stand is not stand:
             self.close()
             self._master = WorkerMaster(stand.system, stand.record, self._flying.limits)
@@ -184,7 +186,7 @@ class RunWorker:
         return self._master
 
     def close(self) -> None:
-        """End the process."""
+        """End the FMU process."""
         master, self._master, self._stand = self._master, None, None
         if master is not None:
             with contextlib.suppress(FmuError):  # the outcome is known already
@@ -197,21 +199,21 @@ def _nothing() -> Recording:
 
 Progress = Callable[[float], None]
 RECORDINGS = "recordings"
-"""Folder of the recordings of runs."""
+"""Folder of the recordings."""
 SWITCH = ".enabled"
-"""End of the name of a parameter that switches an effect."""
+"""Suffix of a parameter that switches an effect on."""
 BUILDING = 0.05
-"""Share of the work that building takes, about."""
+"""Approximate share of the whole work that building takes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Work(Workers):
-    """How runs are flown; the outcomes do not depend on it.
+    """Options of how runs are flown; outcomes do not depend on them, except for failures by limits.
 
     Attributes:
         recordings: Whether every output of every run is stored.
-        limits: Of the processes that FMUs run in, where these are not the sweep's (lanes); the time
-            as a whole is that of one run.
+        limits: Limits of the processes in which FMUs run, where these are not those of the sweep
+            (lanes); the limit on total time applies to one run.
     """
 
     recordings: bool = False
@@ -243,34 +245,35 @@ def sweep(
     force: bool = False,
     progress: Progress = lambda _: None,
 ) -> SweepResult:
-    """Fly a scenario many times, each time with other numbers.
+    """Fly a scenario many times, each time with other values of the factors.
 
-    A sweep that was interrupted or killed goes on where it was when the same call is made again.
-    The results are the same to the last bit with any engine and any number of workers.
+    An interrupted sweep continues when the same call is made again. The results are equal to the
+    last bit with any engine and any number of workers.
 
     Args:
         scenario: Name of a mission, or an `.ssp` file.
-        vehicle: That flies, or its file or built-in name, which the page's commands then name;
-            default: `copter_default`.
-        out: Folder for `runs.parquet` and what else comes of it.
-        vary: Factors: `{"airframe.mass": {"low": 1.2, "high": 1.6}, "controller": ["lqr", "px4"]}`;
-            on top of those of the design.
-        design: Or a file that describes one, see `uavtwin.sweeps.design`.
-        runs: How many; default: as the design says, else 100.
-        method: `latin_hypercube`, `sobol`, `random`, `grid` or `saltelli`.
-        seed: Of the points; run k has noise of the seed after k more.
-        wind: Of all runs, velocity of the air NED, m/s.
-        gusts: Of all runs, whether there is Dryden turbulence.
-        controller: Of all runs, `lqr` or `px4`.
-        effects: Of all runs, as for `simulate`.
-        starts: Of all runs, start values, "part.variable" -> value.
-        duration: Of each run, s.
+        vehicle: Vehicle that flies, or its file or built-in name, which the commands on the page
+            then use; default: `copter_default`.
+        out: Folder for `runs.parquet` and the other results.
+        vary: Varied factors: `{"airframe.mass": {"low": 1.2, "high": 1.6}, "controller": ["lqr",
+            "px4"]}`; added to those of the design.
+        design: Design or a file that describes one, see `uavtwin.sweeps.design`.
+        runs: Number of runs; default: that of the design, else 100.
+        method: Sampling method: `latin_hypercube`, `sobol`, `random`, `grid` or `saltelli`.
+        seed: Random seed of the points; the noise of run k has seed + k.
+        wind: Velocity of the air in all runs, NED, m/s.
+        gusts: Whether there is Dryden turbulence in all runs.
+        controller: Controller in all runs, `lqr` or `px4`.
+        effects: Effects in all runs, as for `simulate`.
+        starts: Start values in all runs, "part.variable" -> value.
+        duration: Simulated time of each run, s.
         step: Communication step, s.
-        engine: `local`, or `dask` with a scheduler.
-        workers: Processes of the local engine; default: one per core.
+        engine: Engine: `local`, or `dask` with a scheduler.
+        workers: Number of processes of the local engine; default: one per core.
         scheduler: Address of a Dask scheduler.
         recordings: Whether every output of every run is stored.
-        limits: Of the processes that FMUs run in, where these are not the sweep's (lanes).
+        limits: Limits of the processes in which FMUs run, where these are not those of the sweep
+            (lanes).
         force: Whether files in the folder may be replaced.
         progress: Called with the share done, 0..1.
 
@@ -307,23 +310,23 @@ def run_sweep(
     found: Callable[[SweepResult], None] = lambda _: None,
     alongside: Callable[[SweepResult, Path], None] = lambda *_: None,
 ) -> SweepResult:
-    """Plan a sweep, fly what is not done of it, and write what came of it.
+    """Plan a sweep, fly the runs that are not done yet, and write the results.
 
     Args:
-        base: What all runs share.
-        design: What they differ in.
-        out: Folder.
-        work: How runs are flown.
-        duration_s: Of each run.
-        step_s: Communication step.
-        vehicle: Name or file of what flies, for commands; "" for the usual one.
+        base: Scenario that all runs share.
+        design: Design: the factors in which runs differ.
+        out: Folder of the results.
+        work: Options of how runs are flown.
+        duration_s: Simulated time of each run, s; None: that of the mission or system.
+        step_s: Communication step, s; None: the default.
+        vehicle: Name or file of the vehicle, for commands; "" for the default one.
         force: Whether files in the folder may be replaced.
         progress: Called with the share done, 0..1.
-        found: Takes the result before it is written: a full disk does not keep it from a reader.
-        alongside: Writes what else belongs into the folder, which it is given.
+        found: Called with the result before it is written, so that a full disk does not hide it.
+        alongside: Called with the result and the folder, to write further files into it.
 
     Raises:
-        TwinError: As `sweep`.
+        TwinError: As for `sweep`.
     """
     check_folder(out, force, JOURNAL, [RECORDINGS])
     points = design.points()
@@ -361,10 +364,10 @@ def chosen_design(
     method: str | None = None,
     seed: int | None = None,
 ) -> Design:
-    """A design, with what is given besides on top.
+    """A design, with the other arguments replacing or adding to its entries.
 
     Raises:
-        TwinError: It is wrong.
+        TwinError: The design is invalid.
     """
     if design is None:
         given = Design()
@@ -383,7 +386,7 @@ def chosen_design(
 
 
 def sweep_key(plan: Plan, points: Sequence[Mapping[str, Value]], recordings: bool) -> str:
-    """Hash of all that decides the outcomes."""
+    """Hash of all inputs that determine the outcomes."""
     import uavtwin
 
     stands = [
@@ -410,7 +413,7 @@ def _fly(
     folder: Path,
     progress: Progress,
 ) -> None:
-    """Fly what is not done, those of one system after those of another."""
+    """Fly the runs that are not done yet, one system after the other."""
     left = [j for j in plan.jobs if j.run not in journal.done]
     done = len(plan.jobs) - len(left)
     for flown in chain.from_iterable(engine.run(flying, blocks(left))):
@@ -421,11 +424,11 @@ def _fly(
 
 
 def blocks(jobs: Iterable[Job]) -> Iterator[Block]:
-    """What is flown together: of one system, with the same switches as far as may be, since lanes
-    that are alike take the same shortcuts."""
+    """Blocks of runs that are flown together: of one system and, as far as possible, with the same
+    switches, since equal lanes take the same branches."""
 
     def alike(job: Job) -> tuple[int, list[str]]:
-        """System and switches."""
+        """Sort key of a run: its system and switches."""
         return job.stand, sorted(n for n, v in job.starts.items() if n.endswith(SWITCH) and v)
 
     for _, of_stand in groupby(sorted(jobs, key=alike), key=lambda job: job.stand):
@@ -435,12 +438,12 @@ def blocks(jobs: Iterable[Job]) -> Iterator[Block]:
 
 
 def recording_file(folder: Path, run: int) -> Path:
-    """Of one run."""
+    """Path of the recording of a run."""
     return folder / RECORDINGS / f"run_{run:06d}.parquet"
 
 
 def _keep(flown: RunResult, folder: Path) -> None:
-    """Write a recording, before its run counts as done."""
+    """Write the recording before the run counts as done."""
     if flown.recording is not None and len(flown.recording.time_s):
         path = recording_file(folder, flown.outcome.run)
         path.parent.mkdir(exist_ok=True)
