@@ -54,7 +54,7 @@ FINISHED = (
     *("twin/residuals", "twin/vehicle", "twin/vehicle_file", "twin/why", "fmus", "cosim"),
     *("uavtwin/cli", "uavtwin/demo", "uavtwin/exports", "uavtwin/fleets", "uavtwin/hil"),
     *("uavtwin/jobs", "uavtwin/live", "uavtwin/report", "uavtwin/series", "uavtwin/serve"),
-    *("uavtwin/site", "uavtwin/sweeps"),
+    *("uavtwin/compensators", "uavtwin/force", "uavtwin/site", "uavtwin/sweeps"),
 )
 """Modules and folders in which each line of a docstring can be read without the line above."""
 

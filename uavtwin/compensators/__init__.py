@@ -1,1 +1,1 @@
-"""Compensators of the sensors: trained, flown as FMUs, measured, drawn from."""
+"""Sensor compensators: training, simulation as FMUs, evaluation and figures."""

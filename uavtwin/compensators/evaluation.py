@@ -1,4 +1,4 @@
-"""Evaluation: a compensator and trivial baselines on flights of their own."""
+"""Evaluation: a compensator and trivial baselines on new flights."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -38,18 +38,18 @@ from .running import compiled_compensator
 from .training import RESIDUALS, VEHICLE_FILE, in_use_of, task_text
 
 MODEL = "model"
-"""What the compensator is called alongside the baselines."""
+"""Name of the compensator in tables with the baselines."""
 Progress = Callable[[float], None]
 
 
 class AnomalyRecord(Record, frozen=True, kw_only=True):
-    """The anomaly score on a flight; null of a model that gives none.
+    """Anomaly score on a flight; null for a model without one.
 
     Attributes:
-        flight: Its name.
-        share_above_1: How often it is an alarm.
-        largest: Score.
-        at_s: When that was.
+        flight: Name of the flight.
+        share_above_1: Share of samples with a score above 1, the alarm threshold.
+        largest: Largest score.
+        at_s: Time of the largest score, s.
     """
 
     flight: str
@@ -59,25 +59,26 @@ class AnomalyRecord(Record, frozen=True, kw_only=True):
 
 
 class EvaluationRecord(Record, frozen=True, kw_only=True):
-    """What a compensator of sensors does on other flights.
+    """Evaluation of a sensor compensator on other flights.
 
     Attributes:
-        family: Of the model.
-        runs: What corrected: `fmu`, the exported one, or `python` of a family that has none.
-        protocol: What the compensator saw.
+        family: Model family.
+        runs: Implementation that was evaluated: `fmu`, the exported one, or `python` for a family
+            without FMU.
+        protocol: Protocol: the data that the compensator saw.
         horizon: Age of the newest residual that it saw, samples.
-        horizon_s: The same in s.
-        rate_hz: Of the samples.
-        vehicle: That was compensated.
-        flights: Names.
-        claim: The sentence of the report.
-        groups: Rows of the table per sensor: the compensator against its linear part alone and the
-            trivial baselines.
-        channels: The same per channel.
-        anomaly: Of each flight.
-        in_use: What the correction does in the exported FMU of the driven twin, at every reading,
-            beside the last and the mean reading; null but of `free`. `groups` and `channels` are of
-            prepared rows, along which the twin follows.
+        horizon_s: Age of the newest residual that it saw, s.
+        rate_hz: Sample rate, Hz.
+        vehicle: Vehicle that was compensated.
+        flights: Names of the flights.
+        claim: Summary sentence of the report.
+        groups: Errors per sensor: the compensator against its linear part alone and the trivial
+            baselines.
+        channels: Errors per channel, with the same columns.
+        anomaly: Anomaly score of each flight.
+        in_use: Errors in the exported FMU of the driven twin at every reading, with those of the
+            last and the mean reading; null except for `free`. `groups` and `channels` refer to
+            prepared rows, along which the twin follows the measured motion.
     """
 
     family: str
@@ -97,17 +98,17 @@ class EvaluationRecord(Record, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(PageMixin):
-    """A model and what it makes of flights.
+    """A model and its results on flights.
 
     Attributes:
         model: The compensator.
-        table: As `learning.evaluation.evaluate` gives it: a row per model, flight, phase,
+        table: Table of `learning.evaluation.evaluate`: one row per model, flight, phase and
             channel.
         flights: Residuals against the model's own vehicle.
-        explained: What another vehicle's sensors read on the same grid, by flight; or None.
-        corrected: By flight.
-        runs: What was run: "fmu", or "python" of a family that has none.
-        in_use: What the correction does in the exported twin; None but of `free`.
+        explained: Sensor readings of another vehicle's twin on the same grid, by flight; or None.
+        corrected: Corrections, by flight.
+        runs: Implementation that was run: "fmu", or "python" for a family without FMU.
+        in_use: Errors in the exported twin; None except for `free`.
     """
 
     model: TrainedModel
@@ -121,21 +122,22 @@ class Evaluation(PageMixin):
 
     @property
     def claim(self) -> str:
-        """Where the model beats the best trivial baseline, and where it does not."""
+        """Where the model beats the best trivial baseline, and where it does not, in one
+        sentence."""
         return evaluation_claim(self)
 
     def frame(self) -> pd.DataFrame:
-        """A row per model, flight, phase and channel."""
+        """Table with one row per model, flight, phase and channel."""
         return self.table.copy()
 
     def series(self) -> tuple[Series, ...]:
-        """Of each flight measured, twin, corrected twin and residuals at every new reading, and
-        what the model says of itself."""
+        """Time series of each flight: measured, twin, corrected twin and residual at every new
+        reading, with the model's own spread, anomaly score and envelope."""
         return tuple(_series(self, i) for i in range(len(self.flights)))
 
     @cached_property
     def record(self) -> EvaluationRecord:
-        """Every number that is printed."""
+        """All numbers that are printed, as a record."""
         info = self.model.info
         return EvaluationRecord(
             family=self.model.family,
@@ -157,18 +159,18 @@ class Evaluation(PageMixin):
         )
 
     def findings(self) -> Iterable[str | TextTable]:
-        """The claim, and what is left in use, or by each model of prepared rows."""
+        """Summary sentence, and table of errors in use, or of each model on prepared rows."""
         yield self.claim
         yield evaluation_table(self) if self.in_use is None else self.in_use.table()
 
     def brief(self) -> str:
-        """Protocol and flights."""
+        """Protocol and flights, as one line."""
         flights = counted(self.flights, "flight")
         return f"{type(self).__name__}: {self.model.info.protocol}, {flights}"
 
 
 def _series(found: Evaluation, i: int) -> Series:
-    """Columns of one flight; readings are those carried to the grid, as they are scored."""
+    """Time series of one flight; readings are those resampled to the grid, as they are scored."""
     flight, corrected = found.flights[i], found.corrected[i]
     columns: list[Column] = []
     for c, (channel, unit) in enumerate(zip(CHANNELS, UNITS, strict=True)):
@@ -193,16 +195,17 @@ def _series(found: Evaluation, i: int) -> Series:
 def evaluate_model(
     folder: Path, given: Sequence[Flight], explained: TwinVehicle | None, progress: Progress
 ) -> Evaluation:
-    """Compare, correct and score; what corrects is the exported FMU, where the family has one.
+    """Compare, correct and score flights; the correction runs in the exported FMU, where the family
+    has one.
 
     Args:
-        folder: That `train` wrote.
-        given: Flights; none of the training.
-        explained: Vehicle whose twin is drawn alongside the model's.
-        progress: Called with the share done.
+        folder: Folder that `train` wrote.
+        given: Flights, none of which is a training flight.
+        explained: Vehicle whose twin is drawn with the model's.
+        progress: Called with the share done, 0..1.
 
     Raises:
-        TwinError: The folder is no model, a flight was trained on or cannot be compared.
+        TwinError: The folder is no model, a flight was used in its training or cannot be compared.
     """
     model = load(folder)
     train = read_residuals(folder / RESIDUALS)
@@ -243,7 +246,7 @@ def evaluate_model(
 
 
 def _in_use(folder: Path, vehicle: Vehicle, given: Sequence[Flight]) -> InUseRecord:
-    """Flights through the exported twin."""
+    """Errors of flights in the exported twin."""
     trained, (network, law) = in_use_of(folder), learned(folder)
     found = []
     for drive, flights in groupby(given, lambda f: choose_drive(f, vehicle)):
@@ -253,30 +256,30 @@ def _in_use(folder: Path, vehicle: Vehicle, given: Sequence[Flight]) -> InUseRec
 
 
 def _own(model: TrainedModel) -> dict[str, Model]:
-    """What a model is without its network, where there is a network over something."""
+    """Parts of the model without its network, such as its linear predictor, where it has one."""
     alone = model.without_network() if isinstance(model, Compensator) else None
     return {} if alone is None else {LINEAR_PART: alone}
 
 
 @dataclass(frozen=True, slots=True)
 class _StoredCorrections:
-    """What a model has said of flights, by their names."""
+    """Stored corrections of flights, by name, with the interface of a model."""
 
     corrected: Mapping[str, Corrected]
 
     def run(self, flight: ResidualFlight) -> Corrected:
-        """Of a flight."""
+        """Corrections of a flight."""
         return self.corrected[flight.name]
 
 
 def by_group(found: Evaluation) -> pd.DataFrame:
-    """All flights together, whole: one row per sensor and model."""
+    """Table with one row per sensor and model, over all flights and phases."""
     whole = found.table[found.table["phase"] == WHOLE]
     return pooled(whole, ("group", "unit", "model"))
 
 
 def evaluation_claim(found: Evaluation) -> str:
-    """One sentence: where the model beats the best baseline, and where it does not."""
+    """Where the model beats the best baseline, and where it does not, in one sentence."""
     what = _task(found.model)
     if found.in_use is not None:
         return f"{what}: {found.in_use.claim}."
@@ -306,7 +309,7 @@ def _task(model: TrainedModel) -> str:
 
 
 def evaluation_table(found: Evaluation) -> TextTable:
-    """Rms left by each model, a row per sensor, and how far the model's own spread holds."""
+    """Rms error of each model, one row per sensor, and coverage of the model's own spread."""
     table = by_group(found)
     names = list(dict.fromkeys(table["model"]))
     rows = []
@@ -325,9 +328,9 @@ def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _anomaly(flight: ResidualFlight, corrected: Corrected) -> dict[str, Any]:
-    """How often the score is an alarm, and where most.
+    """How often the anomaly score is an alarm, and where it is largest.
 
-    None of it from a model that gives no alarm.
+    Empty for a model without alarms.
     """
     if np.isnan(corrected.anomaly).any():
         return {"share_above_1": None, "largest": None, "at_s": None}
@@ -342,12 +345,12 @@ def _anomaly(flight: ResidualFlight, corrected: Corrected) -> dict[str, Any]:
 
 
 def page_text(found: Evaluation) -> str:
-    """The page of an evaluation."""
+    """Report of an evaluation as HTML."""
     return fitted(lambda budget: _page(found, budget), len(found.flights))
 
 
 def _page(found: Evaluation, budget: Budget) -> str:
-    """Text of the page."""
+    """Text of the report within a size budget."""
     rows = by_group(found)
     return render(
         "evaluation.html.j2",
@@ -372,7 +375,7 @@ def _page(found: Evaluation, budget: Budget) -> str:
 
 
 def _flight(found: Evaluation, i: int, budget: Budget) -> dict[str, Any]:
-    """One flight as the template reads it."""
+    """One flight as variables of the template."""
     flight, corrected = found.flights[i], found.corrected[i]
     figures: list[Plot] = []
     for c, channel in enumerate(CHANNELS):
@@ -402,7 +405,7 @@ def _flight(found: Evaluation, i: int, budget: Budget) -> dict[str, Any]:
 
 
 def _score(i: int, flight: ResidualFlight, corrected: Corrected, budget: Budget) -> Plot | None:
-    """Figure of the anomaly score, None of a model that gives none."""
+    """Figure of the anomaly score; None for a model without one."""
     if np.isnan(corrected.anomaly).any():
         return None
     figure = anomaly_figure(flight.t_s, corrected.anomaly, f"flight-{i}", budget)

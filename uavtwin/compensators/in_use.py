@@ -1,9 +1,10 @@
-"""A driven twin as it is used: its FMU follows a flight for a while and flies alone for a while.
+"""Evaluation of a driven twin as it is used: its FMU alternately follows a flight and runs open
+loop.
 
-Every `CYCLE_S` the exported FMU is left alone for `ALONE_S`, then follows the measured motion
-again. Three passes, each begun later, leave it alone everywhere once. What it reads over the passes
-is what a compensator of `free` is trained on; what it reads and what it corrects, at every reading
-of the flight, is what a compensator is worth.
+Every `CYCLE_S` the exported FMU runs open loop for `ALONE_S`, then follows the measured motion
+again. Three passes with shifted start together cover the whole flight in open loop. Its readings in
+these passes are the training data of a compensator of `free`; its readings and corrections, at
+every reading of the flight, give the error reduction by a compensator.
 """
 
 import tempfile
@@ -42,40 +43,43 @@ from ..vehicles import Vehicle
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 ALONE_S, CYCLE_S = 0.5, 1.5
-"""For how long a twin flies alone, and how often; 0.5 s is the horizon of the gap."""
+"""Duration of each open-loop run, and period of its repetition, s; 0.5 s is the horizon of the
+gap."""
 KNOWN_S = 0.5
-"""So long the motion has been known before a reading counts."""
+"""Time for which the motion must have been known before a reading counts, s."""
 SETTLED_S = 0.2
-"""So long a twin has followed again before a reading counts."""
+"""Time for which a twin must have followed again before a reading counts, s."""
 BETTER = 0.01
-"""Share by which a correction must lower the rms of readings; as of the learned force."""
+"""Least relative reduction of the rms of readings by a correction; equal to that of the learned
+force."""
 WORST = 1.05
-"""No flight left out may have a larger ratio: a mean over flights hides one that is harmed. Made
-up; it allows for folds that were taught by fewer flights than the model."""
+"""Largest allowed error ratio in any flight left out: a mean over flights could hide one with a
+larger error. Made up; it allows for folds with fewer training flights than the model."""
 TINY = 1e-9
-"""Ratio below which there is none, so that its logarithm is finite."""
+"""Lower bound of a ratio, so that its logarithm is finite."""
 FOLLOWING, ALONE = "following", "alone"
 """Modes."""
 _COMPONENTS = {s.signal: s.component for s in SENSORS}
-_COMPENSATOR = "compensator."  # in front of a name of the fused FMU
+_COMPENSATOR = "compensator."  # prefix in the fused FMU
 SOURCES = tuple(
     f"{_COMPONENTS[stem]}.{c}" if (stem := c.rpartition("_")[0]) in _COMPONENTS else PREFIX + c
     for c in CHANNELS
 )
-"""Outputs of the fused FMU that are `CHANNELS`."""
+"""Outputs of the fused FMU that correspond to `CHANNELS`."""
 
 
 class ChannelInUse(Record, frozen=True, kw_only=True):
-    """Readings of one channel over flights, rms of measured minus shown, unit of the channel.
+    """Errors of one channel over flights, rms of measured minus predicted, unit of the channel.
 
     Attributes:
         channel: Column of the flight table.
         mode: `following` the measured motion, or `alone` for up to 0.5 s.
-        n: Readings.
-        uncorrected: The twin, its untrained disturbance observer on.
-        corrected: The same with its correction.
-        last_reading: The reading before; alone: the last one before the twin was left alone.
-        mean_reading: Mean of the flight.
+        n: Number of readings.
+        uncorrected: Rms error of the twin with its untrained disturbance observer.
+        corrected: Rms error of the same twin with the correction.
+        last_reading: Rms error of predicting the previous reading; for `alone`, the last reading
+            before the open-loop run.
+        mean_reading: Rms error of predicting the mean of the flight.
     """
 
     channel: str
@@ -88,20 +92,20 @@ class ChannelInUse(Record, frozen=True, kw_only=True):
 
     @property
     def ratio(self) -> float:
-        """Corrected over uncorrected."""
+        """Corrected over uncorrected rms."""
         return self.corrected / self.uncorrected if self.uncorrected > 0 else 1.0
 
 
 class InUseRecord(Record, frozen=True, kw_only=True):
-    """What a compensator does in the exported FMU.
+    """Error reduction by a compensator in the exported FMU.
 
     Attributes:
-        flights: Names.
-        taught: How they were taken part in: `left out`, each corrected by what the others taught;
-            `other`, none of the training; or `same`, those of the training.
-        shut: Channels whose correction is off.
-        inside: Share of the time inside the envelope of the training.
-        channels: Of each mode.
+        flights: Names of the flights.
+        taught: Relation to the training: `left out`, cross-validated, each flight corrected by a
+            model of the others; `other`, no training flights; or `same`, the training flights.
+        shut: Channels whose correction is disabled.
+        inside: Share of the time inside the training envelope.
+        channels: Errors of each channel and mode.
     """
 
     flights: tuple[str, ...]
@@ -112,7 +116,7 @@ class InUseRecord(Record, frozen=True, kw_only=True):
 
     @property
     def claim(self) -> str:
-        """What the correction brings, where it is on; one sentence."""
+        """Error reduction by the enabled corrections, in one sentence."""
         flights = {
             "left out": "flights left out",
             "other": "other flights",
@@ -139,7 +143,7 @@ class InUseRecord(Record, frozen=True, kw_only=True):
         )
 
     def table(self) -> TextTable:
-        """A row per mode and channel."""
+        """Table with one row per mode and channel."""
         header = ("in use", "channel", "n", "twin", "corrected", "over", "last reading", "mean")
         rows = [
             (
@@ -158,13 +162,13 @@ class InUseRecord(Record, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class Passes:
-    """What was read over a flight, a pass after the other.
+    """Outputs over a flight in several passes.
 
     Attributes:
-        shown: Of each name that was asked for, shape (n_grid, k) each.
-        flown: Where the motion is known and the twin is used so, shape (n_grid,) each.
-        counts: Where a reading counts, shape (n_grid,) each.
-        alone: Where the twin flew by itself, shape (n_grid,) each.
+        shown: Requested outputs in each pass, shape (n_grid, k) each.
+        flown: Where the motion is known and the twin is in use, in each pass, shape (n_grid,) each.
+        counts: Where a reading counts, in each pass, shape (n_grid,) each.
+        alone: Where the twin ran open loop, in each pass, shape (n_grid,) each.
     """
 
     shown: tuple[Array, ...]
@@ -175,15 +179,15 @@ class Passes:
     __repr__ = short_repr
 
     def each(self) -> Iterator[tuple[Array, BoolArray, BoolArray]]:
-        """Of each pass what was shown, where it counts, and where the twin was alone."""
+        """For each pass the outputs, where they count, and where the twin ran open loop."""
         yield from zip(self.shown, self.counts, self.alone, strict=True)
 
 
 class UsedFlight:
-    """A flight that driven twins are used along."""
+    """A flight along which driven twins are evaluated."""
 
     def __init__(self, flight: Flight, vehicle: TwinVehicle) -> None:
-        """Put it on the grid of its twin."""
+        """Resample the flight to the grid of its twin."""
         self.flight, self._vehicle = flight, vehicle
         self.aligned = align_flight(flight, vehicle)
         known = clear(self.aligned) & np.isfinite(true_motion(vehicle, self.aligned)).all(axis=1)
@@ -192,12 +196,12 @@ class UsedFlight:
         self._known, self._counts = known, since > round(KNOWN_S / GRID_S)
 
     def through(self, fmu: Path, names: Sequence[str], compensated: bool = False) -> Passes:
-        """Use a driven twin along it.
+        """Run a driven twin along the flight.
 
         Args:
-            fmu: Of a twin that is driven as `driving_inputs` says.
-            names: Outputs that are read.
-            compensated: Whether it has a compensator.
+            fmu: FMU of a twin with the inputs of `driving_inputs`.
+            names: Outputs that are recorded.
+            compensated: Whether the twin has a compensator.
         """
         shown, flown, counts, alone = [], [], [], []
         slave = Slave("used", fmu)
@@ -239,11 +243,11 @@ class UsedFlight:
         return found
 
     def residuals(self, fmu: Path, rate_hz: float) -> ResidualFlight:
-        """What an uncorrected twin leaves of the readings.
+        """Residuals of the readings against an uncorrected twin.
 
         Args:
-            fmu: As of `through`.
-            rate_hz: 1000 Hz over a whole number.
+            fmu: FMU, as of `through`.
+            rate_hz: Rate of the residuals, 1000 Hz over an integer.
         """
         names = [n for n in self.aligned.airframe.input_names if n.startswith(("cmd_", "rotor_"))]
         drives = [f"{PREFIX}{REPORTED}{n}" for n in names]
@@ -261,7 +265,7 @@ class UsedFlight:
         )
 
     def corrections(self, fmu: Path) -> "Corrections":
-        """Every reading against what a corrected twin shows at its time."""
+        """Errors of a corrected twin at each reading of the flight."""
         corrected = [f"{_COMPENSATOR}corrected.{c}" for c in CHANNELS]
         passes = self.through(fmu, [*SOURCES, *corrected, f"{_COMPENSATOR}inside"], True)
         rows: dict[tuple[str, str], Array] = {}
@@ -274,7 +278,7 @@ class UsedFlight:
             k, y = k[sampled], values[sampled, 0]
             for mode in (FOLLOWING, ALONE):
                 if mode == FOLLOWING and channel.startswith(("pos", "vel")):
-                    continue  # it is put there
+                    continue  # the following twin is set to these readings
                 parts = []
                 for seen, use, alone in passes.each():
                     here = use[k] & (alone[k] == (mode == ALONE))
@@ -294,7 +298,8 @@ class UsedFlight:
 
 
 def _before(k: NDArray[np.intp], y: Array, alone: BoolArray | None) -> Array:
-    """The reading before each; where the twin is alone, the last before that, shape (n,)."""
+    """The previous reading of each; where the twin runs open loop, the last one before that, shape
+    (n,)."""
     row = np.arange(len(k)) - 1
     if alone is not None:
         follows = np.where(~alone, np.arange(len(alone)), -1)
@@ -304,12 +309,12 @@ def _before(k: NDArray[np.intp], y: Array, alone: BoolArray | None) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Corrections:
-    """Of one flight.
+    """Errors of one flight.
 
     Attributes:
-        flight: Its name.
-        rows: By channel and mode: twin, corrected twin and last reading less the reading, and the
-            reading itself, shape (n, 4).
+        flight: Name of the flight.
+        rows: Errors by channel and mode: twin, corrected twin and last reading minus the reading,
+            and the reading itself, shape (n, 4).
         inside: Whether the twin was inside the envelope, shape (m,).
     """
 
@@ -320,8 +325,8 @@ class Corrections:
     __repr__ = short_repr
 
     def beyond_offsets(self) -> "Corrections":
-        """The same without the mean error of each sensor of `OF_THE_DAY`: where that is large,
-        whether a correction seems to help is decided by its sign, which is that of the day."""
+        """The same without the mean error of each sensor of `OF_THE_DAY`: where such an offset is
+        large, its sign, which changes between days, would decide whether a correction helps."""
         rows = {}
         for (channel, mode), found in self.rows.items():
             away = found[:, :1].mean(axis=0) if OF_THE_DAY[CHANNELS.index(channel)] else 0.0
@@ -330,7 +335,7 @@ class Corrections:
 
 
 def record_of(flights: Sequence[Corrections], taught: str, shut: Sequence[str] = ()) -> InUseRecord:
-    """Several flights together; `taught` and `shut` as of the record."""
+    """Record of several flights together; `taught` and `shut` as of the record."""
     channels = []
     keys = dict.fromkeys(key for f in flights for key in f.rows)
     for channel, mode in keys:
@@ -362,11 +367,11 @@ def record_of(flights: Sequence[Corrections], taught: str, shut: Sequence[str] =
 
 
 def harmful(flights: Sequence[InUseRecord]) -> tuple[str, ...]:
-    """Which of `CHANNELS` a correction does not bring closer by `BETTER`, following and alone, in
-    the geometric mean over flights, or harms in one of them (`WORST`).
+    """Channels of `CHANNELS` in which a correction does not reduce the error by `BETTER`, following
+    and alone, in the geometric mean over flights, or increases it in one of them (`WORST`).
 
     Args:
-        flights: None of which taught the compensator that corrected it.
+        flights: Flights, none of which was used to train the compensator that corrected it.
     """
     found = []
     for channel in CHANNELS:
@@ -387,13 +392,13 @@ def driven_fmu(
     network: NetworkFile | None = None,
     law: LearnedForce | None = None,
 ) -> Iterator[Path]:
-    """The FMU of a driven twin, for as long as it is needed.
+    """The FMU of a driven twin, as a context manager.
 
     Args:
-        vehicle: Whose twin.
-        drive: As of `twin.residuals.teacher_forced.choose_drive`.
-        network: Its compensator; None: without.
-        law: Of what its equations lack; None: without.
+        vehicle: Vehicle of the twin.
+        drive: Drive, as of `twin.residuals.teacher_forced.choose_drive`.
+        network: Network of its compensator; None: without.
+        law: Learned force law; None: without.
     """
     with tempfile.TemporaryDirectory() as place:
         path = Path(place, "twin.fmu")

@@ -1,8 +1,8 @@
-"""A trained compensator as it ships, in the C of its FMU: stepped over a flight, and in flight.
+"""A trained compensator in its shipped form, the C code of its FMU: run over a recording, or live.
 
-In flight its inputs are computed by the functions of its training, on the last seconds of the
+In flight its inputs are computed by the functions used in training, from the last seconds of the
 stream, so that a recording gives the same numbers (`CompiledCompensator`). That takes 0.2 s of
-processor, whence the long `EVERY_S`.
+processor time, hence the long `EVERY_S`.
 """
 
 import tempfile
@@ -28,23 +28,23 @@ from ..live.status import ModelStatus
 
 Array = NDArray[np.float64]
 _KINDS = ("correction", "spread")
-"""Outputs per channel that are read."""
+"""Suffixes of the outputs per channel that are read."""
 
 
 @dataclass(frozen=True, slots=True)
 class CompiledCompensator:
-    """A compensator in C; it says what the model itself says, in the arithmetic of the FMU.
+    """A compensator in C; its results are those of the model in the arithmetic of the FMU.
 
     Attributes:
-        fmu: FMU.
-        network: That it was made from.
+        fmu: Path of the FMU.
+        network: Network from which it was made.
     """
 
     fmu: Path
     network: NetworkFile
 
     def run(self, flight: ResidualFlight) -> Corrected:
-        """The whole flight; each span starts from zero."""
+        """Corrections of the whole flight; each span starts from zero state."""
         network, n = self.network, flight.virtual.shape[1]
         correction = np.zeros((len(flight.t_s), n))
         spread = np.tile(np.array(network.uncorrected_rms), (len(flight.t_s), 1))
@@ -65,24 +65,24 @@ class CompiledCompensator:
 
 
 class Stepping:
-    """A compensator's FMU, a sample after the other; `close` frees it."""
+    """A compensator's FMU, stepped sample by sample; `close` frees it."""
 
     def __init__(self, fmu: Path, network: NetworkFile) -> None:
-        """Load it; `begin` comes next."""
+        """Load the FMU; call `begin` next."""
         names, reads = inputs_of(network), outputs_of(network)
         self._period_s, self._row = 1 / network.rate_hz, 0
         self._slave = Slave("compensator", fmu)
         self._slave.bind(names, reads, np.zeros(len(names)), np.zeros(len(reads)))
 
     def begin(self) -> None:
-        """From the state zero."""
+        """Reset to zero state."""
         self._slave.reset()
         self._slave.initialize(0.0, {})
         self._slave.finish_initialization()
         self._row = 0
 
     def step(self, given: Array) -> Array:
-        """Outputs, as `outputs_of`, after a sample of inputs, as `inputs_of`."""
+        """Outputs, as `outputs_of`, after one sample of inputs, as `inputs_of`."""
         self._slave.inputs[:] = given
         self._slave.write_inputs()
         self._slave.step(self._row * self._period_s, self._period_s)
@@ -96,7 +96,7 @@ class Stepping:
 
 
 def inputs_of(network: NetworkFile) -> list[str]:
-    """Inputs of a compensator's FMU."""
+    """Names of the inputs of a compensator's FMU."""
     names = [*network.channels, *network.commands, "phase"]
     if network.sees_measurements:
         names += [f"measured.{c}" for c in network.channels]
@@ -105,8 +105,8 @@ def inputs_of(network: NetworkFile) -> list[str]:
 
 
 def fed(network: NetworkFile, flight: ResidualFlight) -> Array:
-    """`inputs_of` a compensator along a flight, shape (n, inputs)."""
-    known = np.isfinite(flight.virtual).any(axis=0)  # a twin reads the others, too
+    """Values of `inputs_of` a compensator along a flight, shape (n, inputs)."""
+    known = np.isfinite(flight.virtual).any(axis=0)  # a twin predicts the others, too
     given = [np.where(known, flight.virtual, 0.0), flight.commands, flight.phase[:, None]]
     if network.sees_measurements:
         first = [network.group_of_channel.index(g) for g in range(len(network.groups))]
@@ -115,19 +115,19 @@ def fed(network: NetworkFile, flight: ResidualFlight) -> Array:
 
 
 def outputs_of(network: NetworkFile) -> list[str]:
-    """Outputs that are read: corrections, spreads, `anomaly`, `inside`."""
+    """Names of the outputs that are read: corrections, spreads, `anomaly`, `inside`."""
     return [*(f"{kind}.{c}" for kind in _KINDS for c in network.channels), "anomaly", "inside"]
 
 
 @contextmanager
 def compiled_compensator(folder: Path) -> Iterator[CompiledCompensator]:
-    """The compensator of a folder, built for as long as it is needed.
+    """The compensator of a folder, compiled, as a context manager.
 
     Args:
-        folder: Of a trained model that has a `model.onnx`.
+        folder: Folder of a trained model with a `model.onnx`.
 
     Raises:
-        FmuError: The folder holds none, or the C generator refuses it.
+        FmuError: The folder has no such file, or the C generator refuses it.
     """
     network = read_network(folder)
     with tempfile.TemporaryDirectory() as place:
@@ -136,19 +136,19 @@ def compiled_compensator(folder: Path) -> Iterator[CompiledCompensator]:
 
 
 EVERY_S = 2.0
-"""Of flight, between two evaluations, s."""
+"""Time of flight between two evaluations, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """What a compensator says of a part of a flight, a row per sample of its own rate.
+    """Corrections for a part of a flight, one row per sample at the compensator's rate.
 
     Attributes:
-        t_s: Of the flight, shape (n,).
-        residual: Measured less twin, NaN where nothing was measured again, shape (n, channels).
-        correction: To be added to what the twin reads, the same shape.
-        anomaly: How strange the newest residuals are that it sees, above 1 rarely, shape (n,).
-        inside: Whether the flight is where training has been, shape (n,).
+        t_s: Time of flight, s, shape (n,).
+        residual: Measured minus twin, shape (n, channels); NaN where there is no new measurement.
+        correction: Correction to be added to the twin's readings, shape (n, channels).
+        anomaly: Anomaly score of the newest residuals, rarely above 1, shape (n,).
+        inside: Whether the flight is inside the training envelope, shape (n,).
     """
 
     t_s: Array
@@ -159,21 +159,21 @@ class Correction:
 
 
 class RunningCompensator:
-    """One flight; `close` frees the FMU.
+    """A compensator along one live flight; `close` frees the FMU.
 
     Attributes:
-        network: The compensator.
-        horizon_s: How old the newest residual is that it sees, s; infinite: it sees none.
-        status: What it said of the flight so far.
+        network: Network of the compensator.
+        horizon_s: Age of the newest residual that it sees, s; infinite: it sees none.
+        status: Summary of the corrections in the flight so far.
     """
 
     def __init__(self, fmu: Path, network: NetworkFile, vehicle: Vehicle) -> None:
-        """Nothing was flown yet.
+        """Load the FMU; no sample is processed yet.
 
         Args:
-            fmu: Of the compensator.
-            network: That it was made from.
-            vehicle: The twin.
+            fmu: FMU of the compensator.
+            network: Network from which it was made.
+            vehicle: Vehicle of the twin.
         """
         self.network, self._vehicle = network, vehicle
         old_s = network.horizon / network.rate_hz
@@ -187,7 +187,7 @@ class RunningCompensator:
         self.begin()
 
     def begin(self) -> None:
-        """A new flight."""
+        """Begin a new flight."""
         self._until_s = self._last_s = -np.inf
         self._rows = self._unusual = self._inside = 0
         n = len(self.network.channels)
@@ -197,12 +197,12 @@ class RunningCompensator:
     def update(
         self, flight: Flight, until_s: float, aligned: AlignedFlight | None = None
     ) -> Correction | None:
-        """What it says of what is new; None: it is not time yet, or nothing was in the air.
+        """Corrections for new samples; None: not due yet, or nothing was in the air.
 
         Args:
-            flight: The last seconds, from at least two before what is new.
-            until_s: Up to where the flight is told.
-            aligned: The flight on the grid of the twin; None: it is put there.
+            flight: Last seconds of the flight, from at least two before the first new sample.
+            until_s: Time up to which the flight is complete, s.
+            aligned: The flight on the grid of the twin; None: it is resampled here.
         """
         if until_s - self._until_s < EVERY_S:
             return None
@@ -215,7 +215,7 @@ class RunningCompensator:
                 self._restart_s,
                 aligned=aligned,
             )
-        except LogError:  # nothing in the air to compare
+        except LogError:  # no samples in the air to compare
             return None
         rows = [
             k
@@ -230,7 +230,7 @@ class RunningCompensator:
         return found
 
     def _count(self, new: Correction) -> None:
-        """Take a part into what is told of the flight."""
+        """Add a part to the summary of the flight."""
         known = np.isfinite(new.residual)
         left = new.residual - new.correction
         self._samples += known.sum(axis=0)
@@ -256,7 +256,7 @@ class RunningCompensator:
         )
 
     def _stepped(self, seen: ResidualFlight, rows: NDArray[np.intp]) -> Correction:
-        """Step it over rows, from zero where they do not follow on the row before."""
+        """Step it over rows; starts from zero state where they do not follow the row before."""
         period_s, n = 1 / self.network.rate_hz, len(self.network.channels)
         table, said = fed(self.network, seen), []
         for k in rows:

@@ -1,4 +1,4 @@
-"""Training: flights to residuals, residuals to a model folder with its page."""
+"""Training: from flights to residuals, from residuals to a model folder with its report."""
 
 import hashlib
 import json
@@ -44,20 +44,20 @@ if TYPE_CHECKING:
 
 RESIDUALS, REPORT = "training.parquet", "report.html"  # files in the folder of a training
 IN_USE = "in_use.json"
-"""In the same folder: what the corrections do in the exported twin."""
+"""File in that folder: errors with the corrections in the exported twin."""
 VEHICLE_FILE = "vehicle.toml"
-"""In the folder of a trained model: the vehicle whose twin it corrects."""
+"""File in the folder of a trained model: the vehicle whose twin it corrects."""
 Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is to be trained.
+    """Settings of a training.
 
     Attributes:
-        family: To which the preset belongs.
-        preset: Of the family's own dataclass.
-        task: But for the vehicle.
+        family: Model family.
+        preset: Preset, a dataclass of the family.
+        task: Training task, still without its vehicle.
         law: Folder of a learned force that the twin has, in `free`; None: it has none.
     """
 
@@ -68,26 +68,26 @@ class Plan:
 
     @property
     def epochs(self) -> int | None:
-        """Of the training; None where it is in closed form."""
+        """Number of training epochs; None for a closed-form solution."""
         return _epochs(self.preset)
 
 
 def _epochs(preset: Any) -> int | None:
-    """Of a preset that has a network."""
+    """Number of epochs of a preset with a network; None for other presets."""
     return getattr(preset, "epochs", None) if getattr(preset, "network", True) else None
 
 
 def plan_training(wanted: "Wanted", out: Path, force: bool) -> Plan:
-    """Check everything that can be wrong before the work begins.
+    """Check all options before the work begins.
 
     Raises:
-        TwinError: An unknown model, preset or device, one that does not go with the protocol or
-            has no epochs, a law that does not, or a folder that holds something else than an
-            interrupted training.
+        TwinError: The model, preset or device is unknown, is not allowed with the protocol or has
+            no epochs, the law cannot be used, or the folder holds other files than an interrupted
+            training.
     """
     model, protocol, epochs = wanted.model, cast("Protocol", wanted.protocol), wanted.epochs
     if model is None and wanted.preset is None and epochs is None and protocol == "free":
-        model = "linear"  # no network has said more of a flight that was not its own
+        model = "linear"  # no network was better on flights left out
     family, made = chosen(model, wanted.preset, protocol)
     if epochs is not None:
         if _epochs(made) is None:
@@ -104,14 +104,14 @@ def plan_training(wanted: "Wanted", out: Path, force: bool) -> Plan:
 
 
 IMU_RATES_HZ = (50.0, 1000.0)
-"""Lowest and highest rate of an IMU that a compensator is called with where nobody says a rate."""
+"""Lowest and highest IMU rate, Hz, of a compensator where no rate is given."""
 MOST_FOLDS = 3
-"""Groups of flights that are left out in turn."""
+"""Maximum number of cross-validation folds (groups of flights)."""
 
 
 def imu_rate_hz(flights: Sequence[Flight]) -> float:
-    """Rate of a compensator where nobody says: that of the slowest gyroscope, 1000 Hz over a whole
-    number; 100 Hz where none was logged."""
+    """Default rate of a compensator, Hz: that of the slowest gyroscope, rounded to 1000 Hz over an
+    integer; 100 Hz where none was logged."""
     times = [f.signal(["gyro_x"])[0] for f in flights if f.has("gyro_x")]
     slowest = min((1 / float(np.median(np.diff(t))) for t in times if len(t) > 1), default=100.0)
     return 1000 / round(1000 / float(np.clip(slowest, *IMU_RATES_HZ)))
@@ -119,15 +119,17 @@ def imu_rate_hz(flights: Sequence[Flight]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """Flights ready for a training.
+    """Flights prepared for a training.
 
     Attributes:
-        residuals: What is trained on.
-        compared: What baselines are made of; of `free`, the twin follows there.
-        used: Along which the exported twin is used; () but of `free`, and of what makes no FMU.
-        vehicle: Whose twin is corrected.
-        drive: Of the exported twin.
-        law: Of what its equations lack; None: without.
+        residuals: Residuals for the training.
+        compared: Residuals for the baselines; in `free`, of a twin that follows the measured
+            motion.
+        used: Flights along which the exported twin is evaluated; () except for `free`, and for
+            families without FMU.
+        vehicle: Vehicle whose twin is corrected.
+        drive: Drive of the exported twin.
+        law: Learned force law of the twin; None: without.
     """
 
     residuals: tuple[ResidualFlight, ...]
@@ -147,7 +149,7 @@ def prepare(
     rate_hz: float,
     progress: Progress,
 ) -> Prepared:
-    """Residuals of flights against the vehicle, its twin run as the protocol says.
+    """Residuals of flights against the vehicle's twin, which is run according to the protocol.
 
     Raises:
         TwinError: A flight cannot be compared with the vehicle, or two flights have one name.
@@ -178,17 +180,17 @@ def run_training(
     checkpoints: Path,
     progress: Progress,
 ) -> list[str]:
-    """Train, export, use the exported twin and write the page.
+    """Train, export, evaluate the exported twin and write the report.
 
     Args:
-        plan: What is trained.
-        prepared: The flights.
+        plan: Settings of the training.
+        prepared: Prepared flights.
         out: Folder of the results.
-        checkpoints: Folder of the checkpoint, from which the training is resumed.
-        progress: Called with the share done.
+        checkpoints: Folder of the checkpoint, from which the training resumes.
+        progress: Called with the share done, 0..1.
 
     Returns:
-        Names of the files, the page first.
+        Names of the files, the report first.
     """
     vehicle, text = prepared.vehicle, prepared.vehicle.toml()
     task = replace(
@@ -215,19 +217,19 @@ def run_training(
 
 
 def _gated(model: Compensator, prepared: Prepared, task: TrainingTask, out: Path) -> InUseRecord:
-    """Shut the channels that a correction does not help in the exported twin.
+    """Disable the channels in which the correction does not reduce the error of the exported twin.
 
-    Flights are left out in turn, and corrected by the linear prediction of the others; a single
-    flight by the model itself.
+    Cross-validation over flights with the linear prediction; a single flight is corrected by the
+    model itself.
 
     Args:
-        model: Trained; it is changed.
-        prepared: The flights.
-        task: Of the training.
-        out: For files in between.
+        model: Trained model; it is changed.
+        prepared: Prepared flights.
+        task: Task of the training.
+        out: Folder for temporary files.
 
     Returns:
-        What the corrections that are on do.
+        Errors with the corrections that remain enabled.
     """
     flights, n = prepared.used, len(prepared.used)
     found = []
@@ -250,7 +252,7 @@ def _gated(model: Compensator, prepared: Prepared, task: TrainingTask, out: Path
 def _used(
     model: TrainedModel, flights: Sequence[UsedFlight], prepared: Prepared, folder: Path
 ) -> list[Corrections]:
-    """Flights through the exported twin that a model corrects."""
+    """Readings of flights in the exported twin with the compensator."""
     family_named(model.family).export(model, folder)
     network = read_network(folder)
     with driven_fmu(prepared.vehicle, prepared.drive, network, prepared.law) as fmu:
@@ -258,14 +260,14 @@ def _used(
 
 
 def in_use_of(out: Path) -> InUseRecord | None:
-    """What the corrections of a trained model do in use; None where it was not used."""
+    """Errors with the corrections of a trained model in use; None where that was not evaluated."""
     if not (out / IN_USE).is_file():
         return None
     return msgspec.json.decode((out / IN_USE).read_bytes(), type=InUseRecord)
 
 
 def training_claim(out: Path) -> str:
-    """One sentence on a trained model, from its description."""
+    """Summary sentence of a trained model, from its description."""
     about = json.loads((out / MODEL).read_text("utf-8"))
     if in_use := in_use_of(out):
         return f"{_task(about)}: {in_use.claim}."
@@ -299,7 +301,7 @@ def training_claim(out: Path) -> str:
 
 
 def task_text(protocol: str, horizon: int, rate_hz: float) -> str:
-    """Protocol and horizon in words."""
+    """Protocol and horizon as text."""
     if protocol != "track":
         return protocol
     return f"track, {horizon} samples ({1e3 * horizon / rate_hz:g} ms) ahead"
@@ -310,7 +312,7 @@ def _task(about: dict[str, Any]) -> str:
 
 
 def _validation(about: dict[str, Any]) -> list[dict[str, Any]]:
-    """Channels with validation samples: error of the linear prediction and with the network."""
+    """Channels with validation samples: error of the linear prediction, and with the network."""
     units = dict(zip(CHANNELS, UNITS, strict=True))
     return [
         {
@@ -348,7 +350,7 @@ def _write_page(out: Path, residuals: Sequence[ResidualFlight]) -> None:
 
 
 def _curve(out: Path, about: dict[str, Any]) -> Plot | None:
-    """Figure of the learning curve, None of a model in closed form."""
+    """Figure of the learning curve; None for a closed-form solution."""
     if not (out / CURVE).is_file():
         return None
     curve = json.loads((out / CURVE).read_text("utf-8"))

@@ -1,1 +1,2 @@
-"""Learned force and moment: laws that flights teach, chosen and judged by FMUs that fly them."""
+"""Learned force and moment: laws fitted to flights, selected and evaluated through exported
+FMUs."""

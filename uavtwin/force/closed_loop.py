@@ -1,7 +1,7 @@
-"""Twins that fly by themselves, exported: missions in random air.
+"""Closed-loop tests of a learned force: exported twins fly missions in random wind.
 
-A law that follows recorded flights may still make a controller lose a vehicle: in air and at speeds
-that no flight of the training had. So what is to be shipped flies missions first.
+A law that fits recorded flights may still make a controller lose the vehicle, in wind and at speeds
+that no training flight had. A law is therefore tested on missions before it is released.
 """
 
 import tempfile
@@ -30,43 +30,43 @@ from .open_loop import DISTANCE
 
 Array = NDArray[np.float64]
 MISSIONS = ("hover", "forward", "tour")
-"""That a law has to fly."""
+"""Missions that a law must fly."""
 FLIGHTS = 36
-"""Of all missions together, in turn."""
+"""Number of flights of all missions together, which take turns."""
 STEP_S = 0.01
 """Communication step, s."""
 WIND_M_S = 2.0
-"""Spread of the steady wind, north and east."""
+"""Standard deviation of the steady wind, north and east, m/s."""
 START_M = 0.5
-"""Spread of where a flight begins, north and east."""
+"""Standard deviation of the start position, north and east, m."""
 LOST_M = 10.0
-"""So far from where it should be, a vehicle is not flying its mission any more."""
+"""Distance from the setpoint, m, beyond which the mission counts as lost."""
 REST, REST_S = 0.25, 10.0
-"""Distance from the training up to which a twin may come at the end of a hover in still air, and
-how long that is, s. What swings freely does so up to where its law fades, 1.01 to 2.8; with 0.5 one
-was let through that turned by more than the aircraft; others stay below 0.2 (RflySimDT)."""
+"""Largest allowed distance from the training envelope at the end of a hover in still air, and
+duration of that end, s. A twin that oscillates reaches the distance at which its law fades, 1.01 to
+2.8; a limit of 0.5 accepted a twin that rotated more than the aircraft; stable twins stay below 0.2
+(RflySimDT)."""
 TRIED = 4
-"""Laws that may fly missions at most: each takes a minute. Not chosen on flights."""
+"""Maximum number of laws that fly missions; each takes a minute. Not chosen on flights."""
 HOVER = "hover"
-"""Phase and mission."""
+"""Name of the phase and of the mission."""
 ENABLED = "residual_force.enabled"
-"""Parameter that switches the law of a fused FMU."""
+"""Parameter of the fused FMU that enables the law."""
 _SEEDED = ("environment", *SENSED)
-"""Components that draw noise."""
+"""Components with random noise."""
 _TRACKED = tuple(f"airframe.pos_{a}" for a in AXES) + tuple(
     f"mission.setpoint_pos_{a}" for a in AXES
-)  # flown and wanted place, NED, m
+)  # actual position and setpoint, NED, m
 
 
 @dataclass(frozen=True, slots=True)
 class MissionTrack:
-    """How a mission was flown.
+    """Tracking of one mission.
 
     Attributes:
-        off_m: Rms of the distance to where the mission wants the vehicle; infinite where the twin
-            stopped.
-        farthest_m: The largest.
-        inside: Share of the time inside the envelope of the training.
+        off_m: Rms distance from the setpoint, m; infinite where the twin stopped.
+        farthest_m: Largest distance from the setpoint, m.
+        inside: Share of the time inside the training envelope.
     """
 
     off_m: float
@@ -75,17 +75,17 @@ class MissionTrack:
 
     @property
     def lost(self) -> bool:
-        """Whether the vehicle was ever far from its mission."""
+        """Whether the vehicle was ever farther than `LOST_M` from its setpoint."""
         return not self.farthest_m < LOST_M
 
 
 @dataclass(frozen=True, slots=True)
 class MissionPair:
-    """The same mission in the same air.
+    """The same mission in the same wind with and without the learned force.
 
     Attributes:
-        learned: With the learned force.
-        alone: Without it.
+        learned: Tracking with the learned force.
+        alone: Tracking without it.
     """
 
     learned: MissionTrack
@@ -93,21 +93,23 @@ class MissionPair:
 
     @property
     def lost(self) -> bool:
-        """Whether the learned force lost it: without, it is flown, and nearer by `LOST_M`.
+        """Whether the learned force lost the vehicle: without it the mission is flown, and closer
+        by `LOST_M`.
 
-        What is all but lost without a law tells nothing of one.
+        A mission that is almost lost without the law is no evidence against the law.
         """
         farther = self.learned.farthest_m - self.alone.farthest_m
         return not self.alone.lost and farther >= LOST_M
 
 
 def random_air(count: int, seed: int, wind_m_s: float = WIND_M_S) -> list[dict[str, float]]:
-    """Start values of a fused FMU: steady wind, gusts, noise, place and heading.
+    """Random start values of a fused FMU: steady wind, gusts, noise, position and heading.
 
     Args:
-        count: How many.
-        seed: Of all of them.
-        wind_m_s: Spread of the steady wind, north and east; 0: still air, and no gusts.
+        count: Number of flights.
+        seed: Random seed of all of them.
+        wind_m_s: Standard deviation of the steady wind, north and east, m/s; 0: still air without
+            gusts.
     """
     rng = np.random.default_rng(seed)
     return [_air(rng, wind_m_s) for _ in range(count)]
@@ -131,13 +133,13 @@ def _air(rng: np.random.Generator, wind_m_s: float) -> dict[str, float]:
 def fly_both(
     vehicle: Vehicle, force: LearnedForce, mission: str, airs: Sequence[Mapping[str, float]]
 ) -> list[MissionPair]:
-    """Fly a mission in every air, with a learned force and without it, by one exported FMU.
+    """Fly a mission in every wind, with a learned force and without it, by one exported FMU.
 
     Args:
-        vehicle: Whose twin.
-        force: Learned for it.
+        vehicle: Vehicle of the twin.
+        force: Force law learned for it.
         mission: Name of the mission.
-        airs: Start values of each flight.
+        airs: Start values of each flight, as of `random_air`.
     """
     with _exported(vehicle, force, mission) as tracked:
         return [MissionPair(tracked(air), tracked({**air, ENABLED: 0.0})) for air in airs]
@@ -150,18 +152,17 @@ def flown(
     reads: Sequence[str],
     step_s: float = STEP_S,
 ) -> Array:
-    """Fly a mission.
+    """Simulate a mission.
 
     Args:
-        fmu: Of a twin that flies by itself.
-        duration_s: How long.
-        starts: Start values.
-        reads: Outputs that are kept.
-        step_s: Communication step.
+        fmu: FMU of a twin with its controller and mission.
+        duration_s: Simulated time, s.
+        starts: Start values, by name of the parameter.
+        reads: Names of the outputs that are returned.
+        step_s: Communication step, s.
 
     Returns:
-        Outputs at the end of each step, infinite after the twin has stopped, shape
-        (n, len(reads)).
+        Outputs at the end of each step, shape (n, len(reads)); infinite after the twin has stopped.
     """
     found = np.full((round(duration_s / step_s), len(reads)), np.inf)
     slave = Slave("twin", fmu)
@@ -173,7 +174,7 @@ def flown(
             slave.step(k * step_s, step_s)
             slave.read_outputs()
             found[k] = slave.outputs
-    except FmuError:  # it stopped: what is left of the flight stays infinitely far
+    except FmuError:  # the twin stopped: the remaining rows stay infinite
         pass
     finally:
         slave.close()
@@ -184,7 +185,7 @@ def flown(
 def _exported(
     vehicle: Vehicle, force: LearnedForce, mission: str
 ) -> Iterator[Callable[[Mapping[str, float]], MissionTrack]]:
-    """How an exported mission with a law goes under some start values."""
+    """Function from start values to the tracking of an exported mission with a law."""
     with tempfile.TemporaryDirectory() as place:
         fmu = Path(place, "twin.fmu")
         export(twin(vehicle, mission, force=force), fmu)
@@ -203,26 +204,26 @@ def _tracked(fmu: Path, duration_s: float, starts: Mapping[str, float]) -> Missi
 def lost_by(
     vehicle: Vehicle, force: LearnedForce, mission: str, airs: Sequence[Mapping[str, float]]
 ) -> Array:
-    """Whether a law loses a mission that is flown without it, in every air, shape (airs,).
+    """Whether a law loses a mission that is flown without it, in each wind, shape (airs,).
 
     Args:
-        vehicle: Whose twin.
-        force: Learned for it.
+        vehicle: Vehicle of the twin.
+        force: Force law learned for it.
         mission: Name of the mission.
-        airs: Start values of each flight.
+        airs: Start values of each flight, as of `random_air`.
     """
     lost = [pair.lost for pair in fly_both(vehicle, force, mission, airs)]
     return np.array(lost, dtype=np.float64)
 
 
 def at_rest(vehicle: Vehicle, laws: Sequence[ForceModel]) -> Array:
-    """Whether a twin comes to rest in a hover in still air, with each law, shape (laws,).
+    """Whether the twin settles in a hover in still air, with each law, shape (laws,).
 
-    Of one that does not without a law nothing can be said.
+    True for all laws where the twin does not settle without a law.
 
     Args:
-        vehicle: Whose twin.
-        laws: Of one envelope.
+        vehicle: Vehicle of the twin.
+        laws: Laws with the same envelope.
     """
     empty = {name: 0.0 for name in parameter_values(laws[0].law)}
     with tempfile.TemporaryDirectory() as place:
@@ -230,7 +231,7 @@ def at_rest(vehicle: Vehicle, laws: Sequence[ForceModel]) -> Array:
         export(twin(vehicle, HOVER, force=LearnedForce(laws[0])), fmu)
 
         def rests(values: Mapping[str, float]) -> bool:
-            """With these numbers of the law."""
+            """Whether the twin settles with these parameters of the law."""
             starts = {f"residual_force.{name}": value for name, value in values.items()}
             found = flown(fmu, mission_duration_s(HOVER), starts, (DISTANCE,))
             return bool((found[-round(REST_S / STEP_S) :] < REST).all())
@@ -247,14 +248,14 @@ def flyable(
     memory: Memory,
     progress: Callable[[float], None],
 ) -> ForceModel:
-    """The first law that rests in a hover and loses no mission that is flown without it.
+    """The first law that settles in a hover and loses no mission that is flown without it.
 
     Args:
-        laws: The one that flights have chosen first, then the next best; of one envelope.
-        nothing: What is left where each of them loses some.
-        vehicle: Whose twin.
-        memory: Of the steps that were taken before.
-        progress: Called with the share done.
+        laws: Laws with the same envelope, the best on the flights first.
+        nothing: Law without effect, returned where each of them loses a mission.
+        vehicle: Vehicle of the twin.
+        memory: Results of steps that were done before.
+        progress: Called with the share done, 0..1.
     """
     airs = random_air(FLIGHTS, nothing.seed)
     missions = [(m, airs[i :: len(MISSIONS)]) for i, m in enumerate(MISSIONS)]

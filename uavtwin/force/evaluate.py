@@ -1,4 +1,4 @@
-"""Evaluation of a learned force: exported FMUs, alongside others, over flights of their own."""
+"""Evaluation of a learned force on new flights, through exported FMUs of several twins."""
 
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -31,39 +31,42 @@ from .open_loop import DISTANCE, HORIZONS_S, QUANTITIES, OpenLoop, Replay
 
 PHYSICS, EXPLAINED, SHIPPED = "physics", "explained", "corrected"
 UNTRAINED = "explained + untrained observer"
-"""Names of twins."""
+"""Name of the twin with an observer but no learned law."""
 SHOWN = {
     PHYSICS: "file before it was explained",
     EXPLAINED: "vehicle file",
     UNTRAINED: "vehicle file + untrained observer",
     SHIPPED: "vehicle file + observer + law",
 }
-"""How tables call these twins."""
+"""Labels of these twins in tables."""
 LAST_MOTION, LAST_READING = "last motion", "last reading"
-"""Names of the twins, and of what needs no twin, in tables and JSON."""
+"""Names of the two predictions without a twin, in tables and JSON: constant velocity, and
+persistence."""
 CLAIMED_S = 0.5
-"""Horizon of the claim and of the printed table."""
+"""Horizon of the summary sentence and of the printed table, s."""
 Progress = Callable[[float], None]
 
 
 class ForceRecord(Record, frozen=True, kw_only=True):
-    """What a learned force does on other flights.
+    """Evaluation of a learned force on other flights.
 
     Attributes:
         protocol: `force`.
-        vehicle: That it was learned for.
-        flights: Names.
-        claim: The sentence of the report.
-        horizons_s: How long after it was left alone a twin was compared.
-        inside: At each of `horizons_s`, how often the corrected twin was inside the envelope then,
-            by flight.
-        windows: How often twins were left alone, by flight.
-        noise: Readings of hovers by third-octave, of each flight and of `corrected` hovering by
-            itself, its noise drawn and not; empty where it has none.
-        summary: Of each `model` and `horizon_s` the rms of `position` (m), `velocity` (m/s),
-            `attitude` (rad) and `rates` (rad/s), three axes and all flights together, and
-            `over_explained_median`, `over_explained_largest` of its cells.
-        cells: `rms` and `unit` of each `model`, `flight`, `horizon_s`, `quantity` and `axis`.
+        vehicle: Vehicle for which it was learned.
+        flights: Names of the flights.
+        claim: Summary sentence of the report.
+        horizons_s: Open-loop prediction horizons, s.
+        inside: Share of the runs in which the corrected twin was inside the envelope at each of
+            `horizons_s`, by flight.
+        windows: Number of open-loop runs, by flight.
+        noise: Hover spectra by third-octave, of each flight and of `corrected` in hover, with its
+            noise and without; empty where it has no noise.
+        summary: Rms of `position` (m), `velocity` (m/s), `attitude` (rad) and `rates` (rad/s) over
+            three axes and all flights for each `model` and `horizon_s`, and
+            `over_explained_median`, `over_explained_largest`, ratios over its cells to the
+            explained twin.
+        cells: Values of `rms` and `unit` for each `model`, `flight`, `horizon_s`, `quantity` and
+            `axis`.
     """
 
     protocol: str
@@ -80,17 +83,17 @@ class ForceRecord(Record, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, repr=False)
 class ForceEvaluation(PageMixin):
-    """What exported twins made of flights.
+    """Open-loop errors of exported twins on flights.
 
     Attributes:
-        model: The learned force.
-        table: A row per twin (`model`), `flight`, `horizon_s`, `quantity` and `axis`: `unit`, `rms`
-            of what the twin is off after it was left alone so long.
-        inside: By flight: at each of `HORIZONS_S` after it was left alone, how often the corrected
-            twin was inside the envelope of the training, shares.
-        windows: By flight: how often the twins were left alone.
-        noise: Of hovers, by third-octave.
-        flown: By flight and twin: what the twin was off, each time that it was left alone.
+        model: Learned force.
+        table: Table with one row per twin (`model`), `flight`, `horizon_s`, `quantity` and `axis`;
+            columns `unit` and `rms`, the rms error after that time of open-loop prediction.
+        inside: Share of the runs in which the corrected twin was inside the training envelope at
+            each of `HORIZONS_S`, by flight.
+        windows: Number of open-loop runs, by flight.
+        noise: Hover spectra by third-octave.
+        flown: Errors in each open-loop run, by flight and twin.
     """
 
     model: ForceModel
@@ -103,7 +106,8 @@ class ForceEvaluation(PageMixin):
 
     @property
     def claim(self) -> str:
-        """What physics, observer and law bring, and where the last motion is better."""
+        """Error reductions by physics, observer and law, and where constant velocity predicts
+        better."""
         ratios = over(self.table, SHIPPED, UNTRAINED)
         flight, quantity, axis = ratios.idxmax()
         observer = float(over(self.table, UNTRAINED).median())
@@ -123,17 +127,17 @@ class ForceEvaluation(PageMixin):
         )
 
     def frame(self) -> pd.DataFrame:
-        """A row per twin, flight, horizon, quantity and axis."""
+        """Table with one row per twin, flight, horizon, quantity and axis."""
         return self.table.copy()
 
     def series(self) -> tuple[Series, ...]:
-        """Of each flight what the twins were off over time, measured minus twin, at the horizon of
-        the claim."""
+        """Time series of each flight: measured minus predicted, for each twin at the horizon of the
+        summary."""
         return tuple(self._series(name, flown) for name, flown in self.flown.items())
 
     @cached_property
     def record(self) -> ForceRecord:
-        """Every number that is printed."""
+        """All numbers that are printed, as a record."""
         return ForceRecord(
             protocol="force",
             vehicle=self.model.vehicle,
@@ -148,21 +152,21 @@ class ForceEvaluation(PageMixin):
         )
 
     def findings(self) -> Iterable[str | TextTable]:
-        """The claim, and how far each twin is off."""
+        """Summary sentence and table of errors by twin."""
         yield self.claim
         if self.noise:
             yield noise_claim(self.noise)
         yield shown_table(self.table)
 
     def _series(self, flight: str, flown: Mapping[str, OpenLoop]) -> Series:
-        """Columns of one flight."""
+        """Time series of one flight."""
         at, columns = HORIZONS_S.index(CLAIMED_S), []
         about = f"{CLAIMED_S:g} s after the twin was left alone"
         sides = {PHYSICS: TWIN, EXPLAINED: EXPLAINED_SIDE, SHIPPED: CORRECTED}
         for name, side in sides.items():
             if name not in flown:
                 continue
-            t_s, off = flown[name].t_s + CLAIMED_S, flown[name].off[:, at]  # (w, 4, 3)
+            t_s, off = flown[name].t_s + CLAIMED_S, flown[name].off[:, at]  # errors (w, 4, 3)
             for q, (quantity, unit) in enumerate(QUANTITIES):
                 for k, a in enumerate(AXES):
                     column = f"{residual_of(side)}.{quantity}_{a}"
@@ -171,7 +175,7 @@ class ForceEvaluation(PageMixin):
         return Series(flight, tuple(columns), facts)
 
     def brief(self) -> str:
-        """Protocol and flights."""
+        """Protocol and flights, as one line."""
         return f"{type(self).__name__}: {counted(list(self.inside), 'flight')}"
 
 
@@ -181,13 +185,14 @@ def evaluate_force(
     """Replay flights through exported twins.
 
     Args:
-        folder: That `train --protocol force` wrote.
-        flights: None of the training.
-        physics: Vehicle before it was explained, alongside the others; None: without.
-        progress: Called with the share done.
+        folder: Folder that `train --protocol force` wrote.
+        flights: Flights, none of which is a training flight.
+        physics: Vehicle before it was explained, for comparison; None: without.
+        progress: Called with the share done, 0..1.
 
     Raises:
-        TwinError: The folder holds no learned force, or a flight taught it or cannot be replayed.
+        TwinError: The folder holds no learned force, or a flight was used in its training or cannot
+            be replayed.
     """
     force, vehicle = learned_force(folder), load_vehicle(folder / VEHICLE_FILE)
     model = force.model
@@ -202,7 +207,7 @@ def evaluate_force(
     }
     compared = {name: (own, law) for name, (own, law) in twins.items() if own is not None}
     with tempfile.TemporaryDirectory() as place:
-        total, done = len(flights) * len(compared) + 1, 0  # the last one hovers
+        total, done = len(flights) * len(compared) + 1, 0  # the last one is the hover
         for flight in flights:
             replay = Replay(flight, vehicle)
             flown = {LAST_READING: replay.last_reading(), LAST_MOTION: replay.last_motion()}
@@ -227,7 +232,7 @@ def evaluate_force(
 
 
 def _rows(model: str, flight: str, flown: OpenLoop) -> list[dict[str, Any]]:
-    """A row per horizon, quantity and axis."""
+    """Table rows, one per horizon, quantity and axis."""
     rms = flown.rms
     return [
         {
@@ -248,16 +253,16 @@ def _rows(model: str, flight: str, flown: OpenLoop) -> list[dict[str, Any]]:
 def over(
     table: pd.DataFrame, model: str, other: str = EXPLAINED, horizon_s: float = CLAIMED_S
 ) -> "pd.Series":
-    """Rms of a twin over that of another, by flight, quantity and axis; none where that is
-    exact."""
+    """Ratio of a twin's rms to that of another, by flight, quantity and axis; without cells where
+    the other's is zero."""
     at = table[table["horizon_s"] == horizon_s]
     rms = at.pivot(index=["flight", "quantity", "axis"], columns="model", values="rms")
     return rms[model] / rms[other].where(rms[other] > 0)
 
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:
-    """A row per twin and horizon: rms per quantity, three axes and all flights together, and
-    median and largest of its cells over those of the explained twin."""
+    """Table with one row per twin and horizon: rms per quantity over three axes and all flights,
+    and median and largest ratio over its cells to the explained twin."""
     rows = []
     for (model, horizon_s), part in table.groupby(["model", "horizon_s"], sort=False):
         square = (part["rms"] ** 2).groupby(part["quantity"]).mean()
@@ -275,7 +280,7 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def shown_table(table: pd.DataFrame) -> TextTable:
-    """`summary` at the claimed horizon."""
+    """`summary` at the horizon `CLAIMED_S`."""
     rows = summary(table)
     header = (f"off after {CLAIMED_S:g} s", *(f"{q} {unit}" for q, unit in QUANTITIES))
     return TextTable(
@@ -294,7 +299,7 @@ def shown_table(table: pd.DataFrame) -> TextTable:
 
 
 def page_text(found: ForceEvaluation) -> str:
-    """The page of an evaluation."""
+    """Report of an evaluation as HTML."""
     rows = summary(found.table)
     figure = horizons_figure(rows, QUANTITIES)
     return render(

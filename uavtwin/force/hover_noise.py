@@ -1,11 +1,11 @@
-"""How unrestful a hover is, by third-octave, and the noise with which a twin hovers alike.
+"""Disturbance spectrum of a hover by third-octave, and the noise that gives the twin the same one.
 
-A twin that flies by itself in still air is calmer than any aircraft. What shakes the aircraft is
-drawn inside the equations (`twin.physics.residual_force`), a level of force and of moment for each
-third-octave. Its controller answers, so levels are found as a shaker is equalised: the exported
-twin hovers, and each level is raised or lowered by what its reading lacks there of that of the
-flights. A force sideways is answered by a tilt: where that turns the twin more than the flights
-turn, both are off by the same factor, the one quieter and the other louder.
+A twin in still air is calmer than any real aircraft. The missing disturbance is drawn inside the
+equations (`twin.physics.residual_force`), with one level of force and of moment for each
+third-octave. Because the controller responds to it, levels are found by equalisation as on a
+shaker: the exported twin hovers, and each level is scaled by the ratio of the flights' spectrum to
+the twin's. A lateral force causes a tilt: where that rotates the twin more than the flights rotate,
+the errors of both readings are balanced by the same factor, one too low and the other too high.
 
 Source: equalisation of random vibration, Piersol & Paez, Harris' Shock and Vibration Handbook;
 power density, Welch, IEEE Trans. Audio Electroacoust. 15, 1967.
@@ -36,40 +36,44 @@ from .closed_loop import HOVER, flown
 
 Array = NDArray[np.float64]
 READINGS = tuple(f"{stem}_{a}" for stem in ("acc", "gyro") for a in AXES)
-"""Of which the spectrum is taken, in the order of the six outputs that shake them."""
+"""Readings whose spectra are matched, in the order of the six noise outputs that excite them."""
 WINDOW_S = 10.0
-"""Of a spectrum: two periods of the lowest third-octave; a shorter hover is one window."""
+"""Length of the window of a spectrum, s: two periods of the lowest third-octave; a shorter hover is
+one window."""
 NEIGHBOURS = 5
-"""Third-octaves over which a spectrum is smoothed: the fewest that leave out a line at the edge of
-two of them."""
+"""Number of third-octaves over which a spectrum is smoothed by its median: the fewest that reject a
+line at the edge of two of them."""
 ROUNDS, MOST = 4, 100.0
-"""Of the equalisation, and the largest change of a power in one. Not chosen on flights."""
+"""Number of iterations of the equalisation, and largest change of a power in one. Not chosen on
+flights."""
 SEEDS = (1, 2)
-"""Of the hovers of a round."""
+"""Random seeds of the simulated hovers in each iteration."""
 READ_S = 5e-3
-"""Between two readings of a hover that is flown: a fifth of the shortest period of `NOISE_HZ`."""
+"""Time between two readings of a simulated hover, s: a fifth of the shortest period of
+`NOISE_HZ`."""
 FLOWN_S, MEASURED_S = 45.0, 30.0
-"""Of a hover, and its end of which the spectrum is taken: the take-off has settled by then."""
+"""Duration of a simulated hover, s, and of its end, from which the spectrum is taken; the transient
+of the take-off has decayed by then."""
 SETTLED_S = 1.0
-"""At either end of a hover that is not looked at. Not chosen on flights."""
+"""Time at either end of a hover that is ignored, s. Not chosen on flights."""
 SHORTEST_S = 3.0
-"""A hover that is left by it, to be told of."""
+"""Shortest hover, after the ends are removed, that is used, s."""
 _GYRO_X, _GYRO_Y = READINGS.index("gyro_x"), READINGS.index("gyro_y")
-_EDGE = 2 ** (1 / 6)  # a third-octave ends so far from its middle
-_PART = "residual_force."  # in front of a parameter's name
+_EDGE = 2 ** (1 / 6)  # ratio of a third-octave's edge to its centre frequency
+_PART = "residual_force."  # prefix of the parameters
 
 
 @dataclass(frozen=True, slots=True)
 class HoverLevel:
-    """Power density in one third-octave of a hover, (unit of the reading)^2/Hz.
+    """Power spectral density in one third-octave of a hover, (unit of the reading)^2/Hz.
 
     Attributes:
-        flight: Its name.
+        flight: Name of the flight.
         reading: Column of the flight table.
-        hz: Middle of the third-octave.
-        aircraft: Of the flight; missing where its log is too slow.
-        calm: Of the twin that hovers by itself in still air.
-        drawn: Of the same with its noise.
+        hz: Centre frequency of the third-octave, Hz.
+        aircraft: Density of the flight; missing where its log is too slow.
+        calm: Density of the twin in hover in still air, without its noise.
+        drawn: Density of the twin in hover with its noise.
     """
 
     flight: str
@@ -81,14 +85,14 @@ class HoverLevel:
 
 
 def levels(x: Array, rate_hz: float) -> Array:
-    """Power density by third-octave, NaN above half of the rate.
+    """Power spectral density by third-octave; NaN above the Nyquist frequency.
 
     Args:
         x: Readings, shape (n, k).
-        rate_hz: Of them.
+        rate_hz: Sample rate of the readings, Hz.
 
     Returns:
-        Of each of `NOISE_HZ`, shape (k, len(NOISE_HZ)).
+        Densities at each of `NOISE_HZ`, shape (k, len(NOISE_HZ)).
     """
     window = min(len(x), round(WINDOW_S * rate_hz))
     f, power = welch(x, rate_hz, nperseg=window, detrend="linear", axis=0)
@@ -102,7 +106,7 @@ def levels(x: Array, rate_hz: float) -> Array:
 
 
 def hover_rows(aligned: AlignedFlight) -> list[NDArray[np.intp]]:
-    """Rows of each hover in the air, its ends left out."""
+    """Rows of each hover in the air, without its ends."""
     there = (aligned.phases == HOVER) & aligned.airborne
     pieces = np.split(np.arange(len(there)), np.flatnonzero(np.diff(there)) + 1)
     settled = round(SETTLED_S / GRID_S)
@@ -111,7 +115,8 @@ def hover_rows(aligned: AlignedFlight) -> list[NDArray[np.intp]]:
 
 
 def flight_levels(flight: Flight, vehicle: Vehicle) -> Array | None:
-    """Those of a flight's hovers, on an even grid at the rate of its log; None: it has none."""
+    """Densities of a flight's hovers, resampled evenly at the rate of its log, shape (k,
+    len(NOISE_HZ)); None: it has no hover."""
     if not flight.has(*READINGS):
         return None
     aligned = align_flight(flight, vehicle)
@@ -127,13 +132,15 @@ def flight_levels(flight: Flight, vehicle: Vehicle) -> Array | None:
 
 
 def wanted_levels(found: Sequence[Array]) -> Array:
-    """Mean over flights without lines, which are of rotors and no noise; 0 where no log tells.
+    """Mean density over flights without spectral lines, which come from rotors and are no noise; 0
+    where no log has the frequency.
 
     Args:
-        found: As of `flight_levels`.
+        found: Densities of each flight, as of `flight_levels`.
 
     Returns:
-        A median over `NEIGHBOURS` third-octaves: of some seconds each is known to a factor of two.
+        The median over `NEIGHBOURS` third-octaves is used: with some seconds of data each density
+        is uncertain by a factor of two.
     """
     known = np.isfinite(found).any(axis=0)
     mean = np.where(
@@ -148,14 +155,15 @@ def wanted_levels(found: Sequence[Array]) -> Array:
 def _hovering(
     vehicle: Vehicle, force: LearnedForce
 ) -> Iterator[Callable[[Mapping[str, float]], Array | None]]:
-    """Levels of the exported twin that hovers with some start values; None: it does not stay."""
+    """Function from start values to the densities of the exported twin in hover, or to None where
+    it does not stay there."""
     reads = [f"imu.{r}" for r in READINGS]
     with tempfile.TemporaryDirectory() as place:
         fmu = Path(place, "twin.fmu")
         export(twin(vehicle, HOVER, force=force, noise=True), fmu)
 
         def hovered(starts: Mapping[str, float]) -> Array | None:
-            """Mean over `SEEDS`."""
+            """Mean density over `SEEDS`."""
             found = []
             for seed in SEEDS:
                 seeds = {f"{_PART}seed": float(seed), "imu.seed": float(seed)}
@@ -169,15 +177,15 @@ def _hovering(
 
 
 def hover_noise(flights: Sequence[Flight], vehicle: Vehicle, force: LearnedForce) -> Array:
-    """Levels of `ForceLaw.noise` with which a twin hovers as flights do.
+    """Noise levels, `ForceLaw.noise`, with which the twin hovers as the flights do.
 
     Args:
-        flights: Those that hover count.
-        vehicle: Whose twin.
-        force: Learned for it.
+        flights: Flights; only those with a hover count.
+        vehicle: Vehicle of the twin.
+        force: Force law learned for it.
 
     Returns:
-        Shape (6, len(NOISE_HZ)); zero where no flight hovers, or the twin does not.
+        Levels, shape (6, len(NOISE_HZ)); zero where no flight hovers, or the twin does not.
     """
     found = [own for f in flights if (own := flight_levels(f, vehicle)) is not None]
     nothing = np.zeros((len(OUTPUTS), len(NOISE_HZ)))
@@ -185,7 +193,7 @@ def hover_noise(flights: Sequence[Flight], vehicle: Vehicle, force: LearnedForce
         return nothing
     wanted, middle = wanted_levels(found), np.array(NOISE_HZ)
     noise = np.sqrt(wanted * middle * (_EDGE - 1 / _EDGE))
-    noise[len(AXES) :] *= 2 * np.pi * middle  # a moment turns the rates
+    noise[len(AXES) :] *= 2 * np.pi * middle  # a moment acts on the rates through an integrator
     with _hovering(vehicle, _with(force, noise + _LEAST)) as hovered:
         for _ in range(ROUNDS):
             own = hovered(_starts(noise))
@@ -201,12 +209,12 @@ def hover_noise(flights: Sequence[Flight], vehicle: Vehicle, force: LearnedForce
 def hover_levels(
     flights: Sequence[Flight], vehicle: Vehicle, force: LearnedForce
 ) -> tuple[HoverLevel, ...]:
-    """How flights hover and how the twin does; none where its law has no noise.
+    """Densities of the flights' and of the twin's hovers; empty where its law has no noise.
 
     Args:
-        flights: Those that hover count.
-        vehicle: Whose twin.
-        force: Learned for it.
+        flights: Flights; only those with a hover count.
+        vehicle: Vehicle of the twin.
+        force: Force law learned for it.
     """
     if not force.model.law.noise.any():
         return ()
@@ -226,15 +234,17 @@ def hover_levels(
 
 
 TWICE = 2.0
-"""Ratio of rms up to which two hovers are alike."""
+"""Ratio of rms values up to which two hovers count as alike."""
 
 
 def noise_claim(rows: Sequence[HoverLevel]) -> str:
-    """How often the twin's hover is alike, with its noise and without; one sentence."""
+    """How often the twin's hover is alike to the aircraft's, with its noise and without, in one
+    sentence."""
     known = [row for row in rows if row.aircraft]
 
     def share(powers: Sequence[float]) -> str:
-        """How often a power is that of the aircraft within the square of `TWICE`."""
+        """Share of the densities that are within the square of `TWICE` of the aircraft's, as
+        text."""
         over = np.array(powers) / [r.aircraft for r in known]
         return percent(float(np.mean(np.abs(np.log(over)) < 2 * np.log(TWICE))))
 
@@ -247,14 +257,14 @@ def noise_claim(rows: Sequence[HoverLevel]) -> str:
 
 
 _LEAST = 1e-12
-"""Added to a level, so that the exported twin has a parameter for each."""
+"""Smallest level, so that the exported twin has a parameter for each third-octave."""
 
 
 def _with(force: LearnedForce, noise: Array) -> LearnedForce:
-    """The same law with another noise."""
+    """The same law with other noise levels."""
     return replace(force, model=replace(force.model, law=replace(force.model.law, noise=noise)))
 
 
 def _starts(noise: Array) -> dict[str, float]:
-    """Start values of the exported twin."""
+    """Start values of the exported twin for these noise levels."""
     return {_PART + name: level for name, level in noise_values(noise).items()}

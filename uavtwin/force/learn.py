@@ -1,12 +1,13 @@
-"""The law of what a vehicle's equations leave, chosen by the twin that flies it.
+"""Selection of the law for a vehicle's residual force, by cross-validation in the driven twin.
 
-Each flight in turn is left out. The others teach a law through the rollout, under each of
-`learning.force.laws.RIDGES`; all of them are put into the FMU of the driven twin, and the flight
-that was left out is replayed through it, as long as the twin without a law does not tumble. The
-strongest ridge that is as good as the best is taken, of the whole law or of one part of it alone,
-where the twin is less far off than without, and in no quantity farther. That law is held against
-what needs none (`accepted`). Last, the twin has to rest in a hover and to fly missions in random
-air (`closed_loop`). These flights choose; what the law is worth, others say.
+Leave-one-out over flights: the other flights teach a law through the rollout, under each of
+`learning.force.laws.RIDGES`; all of these laws are parameters of one FMU of the driven twin, and
+the flight left out is replayed through it up to the horizon at which the twin without a law
+tumbles. The strongest ridge that is as good as the best is taken, of the whole law or of one part
+of it alone, if it reduces the error overall and increases it in no quantity. That law is compared
+with predictions that need no law (`accepted`). Finally, the twin must settle in a hover and fly
+missions in random wind (`closed_loop`). These flights select the law; its accuracy must be measured
+on others.
 """
 
 import hashlib
@@ -46,47 +47,49 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Progress = Callable[[float], None]
 TUMBLED_RAD = 1.0
-"""Attitude that the twin without a law is off (rms), from which on no law is worse than that: how a
-twin tumbles is no forecast. Not chosen on flights."""
+"""Rms attitude error of the twin without a law, rad, from which on a horizon is not scored: how a
+twin tumbles is no prediction. Not chosen on flights."""
 ALONE_S = 0.5
-"""That of the comparison with the last motion, s."""
+"""Horizon of the comparison with constant velocity, s."""
 BETTER = 0.01
-"""Share by which a law must lower the error, in the geometric mean over flights, quantities and
-horizons."""
+"""Least relative reduction of the error by a law, in the geometric mean over flights, quantities
+and horizons."""
 WORSE = 1.02
-"""No quantity may grow by more, in the geometric mean over flights and horizons."""
+"""Largest allowed error ratio of any quantity, in the geometric mean over flights and horizons."""
 ACCEPTED = 0.9
-"""Share of the error of the explained twin with the untrained observer that a law may leave, in the
-median of cells: what an observer does is none of its own."""
+"""Largest allowed median ratio of the error to that of the explained twin with the untrained
+observer, so that the observer's effect is not credited to the law."""
 FAST_M_S = 0.5
-"""Median speed of a flight from which on it has to be flown better than by the last motion: an
-aircraft that hardly moves is foretold best by that, whatever the twin."""
+"""Median speed of a flight, m/s, from which on the law must predict better than constant velocity:
+for an aircraft that hardly moves, constant velocity is the best prediction."""
 ATTITUDE = [q for q, _ in QUANTITIES].index("attitude")
-"""Place among the quantities."""
-_PART = "residual_force."  # in front of a parameter's name
+"""Index among the quantities."""
+_PART = "residual_force."  # prefix of the parameters
 _TINY = 1e-30
-"""Added to mean squares, so that the ratio of two that are zero is one."""
+"""Added to mean squares, so that the ratio of two zeros is one."""
 _UNTOUCHED = 1e-3
-"""Share of its error by which a cell that a law leaves alone differs, as a force does rates."""
+"""Relative change of the error below which a cell counts as unaffected by a law, such as rates by a
+force."""
 _TAUGHT, _CHOSEN = 0.4, 0.8
-"""Shares of the work that are done after the fits and after the choice, about."""
+"""Approximate shares of the work done after the fits and after the selection."""
 
 
 def in_force(law: ForceLaw) -> dict[str, float]:
-    """Start values by which a fused FMU of the same envelope flies a law, its observer on."""
+    """Start values with which a fused FMU of the same envelope flies a law, with its observer
+    enabled."""
     return {OBSERVER: 1.0} | {_PART + n: v for n, v in parameter_values(law).items()}
 
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """A flight that is left out.
+    """Cross-validation fold: one flight that is left out.
 
     Attributes:
-        replay: Of the flight.
-        taught: By the others.
-        path: What they teach, as of `Taught.path`.
-        fmu: Driven twin that flies any of these laws: they are a matter of start values.
-        memory: Of the steps that were taken before.
+        replay: Replay of the flight.
+        taught: Training data of the other flights.
+        path: Laws that they teach over ridge parameters, as of `Taught.path`.
+        fmu: Driven twin that flies any of these laws, given as start values.
+        memory: Results of steps that were done before.
     """
 
     replay: Replay
@@ -99,20 +102,21 @@ class Fold:
 
     @property
     def fast(self) -> bool:
-        """Whether it flies at `FAST_M_S` or more, in the median."""
+        """Whether the median speed of the flight is at least `FAST_M_S`."""
         return self.replay.speed_m_s >= FAST_M_S
 
     @property
     def last_motion(self) -> Array:
-        """Mean squares of what the last motion is off, shape (horizons, 4, 3)."""
+        """Mean square errors of constant velocity, shape (horizons, 4, 3)."""
         return np.asarray(np.mean(self.replay.last_motion().off ** 2, axis=0))
 
     def squares(self, choice: Choice | None) -> Array:
-        """Those of what the driven twin is off with a law; None: without one."""
+        """Mean square errors of the driven twin with a law, shape (horizons, 4, 3); `choice` None:
+        without one."""
         starts = in_force(self.taught.law(self.path, choice))
 
         def flown() -> Array:
-            """By the FMU."""
+            """The same by simulation of the FMU."""
             return np.asarray(np.mean(self.replay.through(self.fmu, starts).off ** 2, axis=0))
 
         return self.memory.array(f"flown {self.fmu.stem} {choice}", flown)
@@ -127,15 +131,15 @@ def left_out(
     memory: Memory,
     progress: Progress,
 ) -> Iterator[list[Fold]]:
-    """Every flight as one that is left out.
+    """Yield the folds of the leave-one-out cross-validation.
 
     Args:
-        flights: Two or more.
-        windows: Of each.
-        vehicle: Whose twin.
-        drive: Of the twin.
-        memory: Of the steps that were taken before.
-        progress: Called with the share done.
+        flights: Two or more flights.
+        windows: Training data of each flight.
+        vehicle: Vehicle of the twin.
+        drive: Drive of the twin.
+        memory: Results of steps that were done before.
+        progress: Called with the share done, 0..1.
     """
     equations, folds = Equations(vehicle, components_of(vehicle, drive)[0]), []
     with tempfile.TemporaryDirectory() as place:
@@ -150,17 +154,18 @@ def left_out(
 
 
 def mean_squares(folds: Sequence[Fold], choice: Choice | None) -> Array:
-    """Of what the twin with a law is off in each flight left out, (flights, horizons, 4)."""
+    """Mean square errors of the twin with a law in each flight left out, shape (flights, horizons,
+    4)."""
     return np.stack([f.squares(choice).sum(-1) for f in folds])
 
 
 def score(choice: Choice, squares: Array, without: Array) -> RidgeScore:
-    """What a law does.
+    """Score of a law.
 
     Args:
-        choice: Which.
-        squares: As of `mean_squares`.
-        without: The same without it.
+        choice: The law: ridge and part.
+        squares: Mean square errors with the law, as of `mean_squares`.
+        without: Mean square errors without it.
     """
     logs = np.log((squares + _TINY) / (without + _TINY)) / 2
     worst = logs[upright(without)].mean(axis=0).max()
@@ -168,33 +173,33 @@ def score(choice: Choice, squares: Array, without: Array) -> RidgeScore:
 
 
 def upright(without: Array) -> BoolArray:
-    """Horizons of flights at which a law may be worse, shape (flights, horizons); all where it
-    could nowhere.
+    """Horizons of flights that are scored, where the twin does not tumble without a law, shape
+    (flights, horizons); all, where it tumbles everywhere.
 
     Args:
-        without: Mean squares of the twin without a law, as of `mean_squares`.
+        without: Mean square errors of the twin without a law, as of `mean_squares`.
     """
     stands = without[..., ATTITUDE] < TUMBLED_RAD**2
     return np.asarray(stands if stands.any() else ~stands)
 
 
 def best(tried: Sequence[RidgeScore]) -> Choice | None:
-    """The first, of the strongest ridge, within `BETTER` of the best of those that help and do no
-    harm; None: none."""
+    """The strongest ridge within `BETTER` of the best score, among laws that help and do no harm;
+    None: there is none."""
     good = [t for t in tried if t.ratio < 1 - BETTER and t.worst <= WORSE]
     least = min((t.ratio for t in good), default=0.0)
     return next(((t.part, t.ridge) for t in good if t.ratio <= least + BETTER), None)
 
 
 def accepted(folds: Sequence[Fold], own: Array, without: Array) -> Acceptance:
-    """What a law does that twins without one do not: flights left out have to be flown better than
-    by the explained twin with the untrained observer, and fast ones better than by the last motion
-    in position and velocity.
+    """Acceptance test of a law: flights left out must be predicted better than by the explained
+    twin with the untrained observer, and fast ones better than by constant velocity in position and
+    velocity.
 
     Args:
-        folds: Flights left out.
-        own: As of `mean_squares`, with the law.
-        without: The same without it.
+        folds: Folds of the cross-validation.
+        own: Mean square errors with the law, as of `mean_squares`.
+        without: Mean square errors without it.
     """
     over = np.sqrt((own + _TINY) / (without + _TINY))[upright(without)]
     touched = over[np.abs(over - 1) > _UNTOUCHED]
@@ -209,7 +214,7 @@ def accepted(folds: Sequence[Fold], own: Array, without: Array) -> Acceptance:
 
 
 def ranked(tried: Sequence[RidgeScore]) -> list[Choice]:
-    """The best, and those that follow where it does not fly."""
+    """The best choice, then those to try if it does not fly."""
     left, found = list(tried), []
     while (choice := best(left)) is not None:
         found.append(choice)
@@ -224,17 +229,19 @@ def learn_force(
     memory: Memory,
     progress: Progress,
 ) -> ForceModel:
-    """Learn what a vehicle's equations leave.
+    """Learn the residual force and moment of a vehicle's equations.
 
     Args:
-        flights: One or more. One tells no law from an accident: nothing is learned then.
-        vehicle: Explained or calibrated, so that nothing is learned that has a name.
-        seed: Of the air of the missions.
-        memory: Of the steps that were taken before.
-        progress: Called with the share done.
+        flights: One or more flights. A single flight cannot separate a law from chance: nothing is
+            learned then.
+        vehicle: Vehicle, explained or calibrated, so that no known effect is learned.
+        seed: Random seed of the wind in the missions.
+        memory: Results of steps that were done before.
+        progress: Called with the share done, 0..1.
 
     Raises:
-        TwinError: A flight lacks the motion, is too short, or has another drive than the others.
+        TwinError: A flight lacks the motion, is too short, or has a different drive from the
+            others.
     """
     drive = drive_of(flights, vehicle)
     equations = Equations(vehicle, components_of(vehicle, drive)[0])
@@ -271,12 +278,12 @@ def learn_force(
 
 
 def _part(progress: Progress, begins: float, ends: float) -> Progress:
-    """Progress of a part of the work."""
+    """Progress callback of a part of the work, scaled to [begins, ends]."""
     return lambda done: progress(begins + (ends - begins) * done)
 
 
 def drive_of(flights: Sequence[Flight], vehicle: Vehicle) -> Drive:
-    """What drives the rotors, the same in all flights."""
+    """Drive of the rotors, the same in all flights."""
     drives = [choose_drive(flight, vehicle) for flight in flights]
     for flight, drive in zip(flights, drives, strict=True):
         if drive != drives[0]:

@@ -1,8 +1,8 @@
-"""What a training of a learned force has found so far, so that it is resumed after a kill.
+"""Journal of a training of a learned force, so that it resumes after an interruption.
 
-The training is a fixed sequence of steps, each decided by the flights, the vehicle, the seed and
-the steps before. The results of those that take long are lines of a journal; a training that is
-resumed reads them in the same order instead of flying again, and ends with the same bytes.
+The training is a deterministic sequence of steps that depend on the flights, the vehicle, the seed
+and the earlier steps. Results of the slow steps are lines of a journal; a resumed training reads
+them in the same order instead of simulating again, and gives byte-identical results.
 """
 
 import base64
@@ -24,7 +24,7 @@ CHECKPOINT = "checkpoint.jsonl"  # in the folder of a law
 
 
 class Memory(journal.Journal[str]):
-    """Results of the steps of one training, in order."""
+    """Journal of the step results of one training, in order."""
 
     kind = "training of a learned force"
     differs = "other flights, vehicle, seed or version"
@@ -36,16 +36,16 @@ class Memory(journal.Journal[str]):
         self._step = 0
 
     def named(self, content: journal.Content) -> str:
-        """The step."""
+        """Name of the step."""
         _array(content)
         return str(content["what"])
 
     def array(self, what: str, make: Callable[[], Array]) -> Array:
-        """Result of the next step, from the journal where it is there.
+        """Result of the next step, from the journal if it is there.
 
         Args:
-            what: The step, which is held against the journal's.
-            make: Takes the step.
+            what: Name of the step, which must equal that in the journal.
+            make: Function that computes the step.
         """
         self._step += 1
         if self._step > len(self._stored):
@@ -63,13 +63,13 @@ class Memory(journal.Journal[str]):
 
 
 def _array(content: journal.Content) -> Array:
-    """That of a line."""
+    """Array from a line of the journal."""
     flat = np.frombuffer(base64.b64decode(content["array"], validate=True), dtype=np.float64)
     return flat.reshape(content["shape"]).copy()
 
 
 def training_key(flights: Sequence[Flight], vehicle: Vehicle, seed: int) -> str:
-    """Hash of all that decides what is learned."""
+    """Hash of all inputs that determine the law."""
     import uavtwin
 
     names = [[f.name, f.fingerprint] for f in flights]

@@ -1,9 +1,9 @@
-"""Flights as inputs of a driven twin, and how far it is off some time after it was left alone.
+"""Open-loop replay of flights through a driven twin: its error some time after its last correction.
 
-`driving_inputs` makes a flight the inputs of the twin that a log drives, `export corrected-twin
---drive`. The exported FMU follows the measured motion once the aircraft is clear of the ground:
-what carries it there would be taken for a disturbance. Again and again its state is saved, it flies
-on the recorded commands alone for the longest horizon, and is taken back.
+`driving_inputs` turns a flight into the inputs of the twin that a log drives, `export
+corrected-twin --drive`. The exported FMU follows the measured motion once the aircraft is clear of
+the ground, since ground contact would be estimated as a disturbance. Repeatedly its state is saved,
+it runs open loop on the recorded commands for the longest horizon, and the state is restored.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,25 +32,26 @@ BoolArray = NDArray[np.bool_]
 VOLTAGE = "vbat_v"
 """Column of the battery voltage, V."""
 PREFIX = "airframe."
-"""Of inputs and outputs of the airframe in the fused FMU."""
+"""Prefix of the airframe's inputs and outputs in the fused FMU."""
 HORIZONS_S = (0.05, 0.2, 0.5, 1.0, 2.0)
-"""For how long a twin flies alone, s."""
+"""Durations of open-loop prediction, s."""
 DISTANCE = "residual_force.distance"
-"""Output of a twin with a learned force: 1 where the training ends."""
+"""Output of a twin with a learned force: distance from the training data, 1 at the envelope's
+edge."""
 QUANTITIES = (("position", "m"), ("velocity", "m/s"), ("attitude", "rad"), ("rates", "rad/s"))
-"""What is compared, and its unit."""
+"""Compared quantities and their units."""
 
 
 @dataclass(frozen=True, slots=True)
 class OpenLoop:
-    """What an FMU made of one flight.
+    """Open-loop errors of an FMU on one flight.
 
     Attributes:
-        t_s: When it was left alone, shape (w,).
-        off: Twin less aircraft per horizon and quantity of `QUANTITIES`, x, y and z each: position
-            and velocity NED, attitude and rates in body axes; shape (w, horizons, 4, 3).
-        watched: Other outputs at the horizons, shape (w, horizons, k).
-        begin: The same when it was left alone, shape (w, k).
+        t_s: Start times of the open-loop runs, s, shape (w,).
+        off: Twin minus aircraft per horizon and quantity of `QUANTITIES`, along x, y and z:
+            position and velocity NED, attitude and rates in body axes; shape (w, horizons, 4, 3).
+        watched: Watched outputs at the horizons, shape (w, horizons, k).
+        begin: Watched outputs at the start of each run, shape (w, k).
     """
 
     t_s: Array
@@ -62,15 +63,15 @@ class OpenLoop:
 
     @property
     def rms(self) -> Array:
-        """Root mean square over the flight, shape (horizons, 4, 3)."""
+        """Root mean square over the runs of the flight, shape (horizons, 4, 3)."""
         return np.asarray(np.sqrt(np.mean(self.off**2, axis=0)))
 
 
 class Replay:
-    """A flight, ready to be replayed through driven twins.
+    """A flight, prepared for replay through driven twins.
 
     Attributes:
-        speed_m_s: Median of it in the air, m/s.
+        speed_m_s: Median speed in the air, m/s.
         start_s: Time of the flight at which the twin starts, s.
     """
 
@@ -81,16 +82,16 @@ class Replay:
         horizons_s: Sequence[float] = HORIZONS_S,
         every_s: float | None = None,
     ) -> None:
-        """Put the flight on the grid of its twin.
+        """Resample the flight to the grid of its twin.
 
         Args:
-            flight: To replay.
-            vehicle: Of the twin.
-            horizons_s: After which it is compared.
-            every_s: Between two times at which it is left alone; None: `EVERY_S`.
+            flight: Flight to replay.
+            vehicle: Vehicle of the twin.
+            horizons_s: Horizons at which it is compared, s.
+            every_s: Time between the starts of two open-loop runs, s; None: `EVERY_S`.
 
         Raises:
-            LogError: It cannot be, or is nowhere long enough in the air.
+            LogError: The flight cannot be replayed, or is nowhere long enough in the air.
         """
         aligned = self._drive(flight, vehicle)
         motion = aligned.motion
@@ -113,11 +114,11 @@ class Replay:
             )
 
     def driven_as(self, flight: AnyFlight, vehicle: Vehicle) -> "Replay":
-        """The same times and the same truth, for the twin of another vehicle.
+        """The same start times and measured motion, with the inputs of another vehicle's twin.
 
         Args:
-            flight: Of which this is.
-            vehicle: Whose inputs the twin gets.
+            flight: Flight of this replay.
+            vehicle: Vehicle whose twin gets the inputs.
 
         Raises:
             LogError: The flight cannot be put on the grid of its twin.
@@ -127,7 +128,8 @@ class Replay:
         return other
 
     def _drive(self, flight: AnyFlight, vehicle: Vehicle) -> AlignedFlight:
-        """Take the inputs of a vehicle's twin over a flight, which is returned on its grid."""
+        """Set the inputs of a vehicle's twin over a flight; returns the flight on the twin's
+        grid."""
         aligned = align_flight(flight, vehicle)
         self._table = driving_inputs(flight, vehicle, aligned, np.flatnonzero(clear(aligned)))
         self._changes = _changes(self._table)
@@ -139,12 +141,12 @@ class Replay:
         starts: Mapping[str, float] | None = None,
         watch: Sequence[str] = (),
     ) -> OpenLoop:
-        """Replay it.
+        """Replay the flight through an FMU.
 
         Args:
-            fmu: Of `export corrected-twin --drive`.
-            starts: Start values of the FMU.
-            watch: Other outputs to be kept at the horizons.
+            fmu: FMU from `export corrected-twin --drive`.
+            starts: Start values of the FMU, by name of the parameter.
+            watch: Other outputs to record at the horizons.
         """
         reads = (*(PREFIX + s for s in RIGID), *watch)
         slave, found, begin = Slave("driven", fmu), [], []
@@ -170,11 +172,11 @@ class Replay:
         return self._compared(values[..., : len(RIGID)], *watched)
 
     def last_reading(self) -> OpenLoop:
-        """What takes the motion at which it was left alone for that to come."""
+        """Errors of the prediction that the motion at the start does not change (persistence)."""
         return self._compared(self._held())
 
     def last_motion(self) -> OpenLoop:
-        """What goes on with the velocity and the body rates at which it was left alone."""
+        """Errors of the prediction with constant velocity and body rates from the start."""
         held = self._held()
         at = {stem: [RIGID.index(f"{stem}_{a}") for a in AXES] for stem in ("pos", "vel", "omega")}
         q = [RIGID.index(f"q_{a}") for a in "wxyz"]
@@ -188,13 +190,13 @@ class Replay:
         return self._compared(held)
 
     def _held(self) -> Array:
-        """Motion at which it was left alone, once per horizon, shape (w, h, 13)."""
+        """Measured motion at the start of each run, repeated for each horizon, shape (w, h, 13)."""
         return np.repeat(self._measured[self._left][:, None, :], len(self._steps), axis=1)
 
     def _compared(
         self, motion: Array, watched: Array | None = None, begin: Array | None = None
     ) -> OpenLoop:
-        """Motion at the horizons, shape (w, h, 13), against that of the aircraft."""
+        """Errors of the motion at the horizons, shape (w, h, 13), against the aircraft's."""
         measured = np.stack([self._measured[self._left + k] for k in self._steps], axis=1)
         left_s = np.asarray(GRID_S * self._left, dtype=np.float64)
         return OpenLoop(
@@ -205,9 +207,10 @@ class Replay:
         )
 
     def _alone(self, slave: Slave, given: Array, taken: BoolArray, row: int) -> list[Array]:
-        """Outputs at the horizons after a row; from one change of an input to the next at once.
+        """Outputs at the horizons after a row; integrates from one change of an input to the next
+        at once.
 
-        Inputs that are not `taken`, shape (k,), are 0.
+        Inputs that are not `taken`, shape (k,), are set to 0.
         """
         first = np.searchsorted(self._changes, row + 1)
         last = np.searchsorted(self._changes, row + self._steps[-1])
@@ -223,7 +226,7 @@ class Replay:
 
 
 def _step(slave: Slave, row: int, steps: int, inputs: Array) -> None:
-    """From a row to a later one, with the inputs of the first."""
+    """Integrate from a row to a later one with the inputs of the first."""
     slave.inputs[:] = inputs
     slave.write_inputs()
     slave.step(row * GRID_S, steps * GRID_S)
@@ -236,23 +239,25 @@ def driving_inputs(
     restarts: NDArray[np.intp],
     compensated: bool = False,
 ) -> NDArray[Any]:
-    """Inputs of a driven twin at the start of each step of `GRID_S`, as FMPy takes them.
+    """Inputs of a driven twin at the start of each step of `GRID_S`, as FMPy expects them.
 
-    A step that begins with `restart` ends at the given motion, so that of the next row is given.
+    A step that begins with `restart` ends at the given motion; hence the motion of the next row is
+    given.
 
     Args:
-        flight: To replay.
-        vehicle: Of the twin; where it knows how old a pose is, that is taken out.
+        flight: Flight to replay.
+        vehicle: Vehicle of the twin; if it has a pose delay, the measured poses are corrected for
+            it.
         aligned: The flight on the grid of the twin.
-        restarts: Rows, from 1 on, at which the twin is to have the measured motion, shape (k,);
-            where that is unknown it goes on by itself.
-        compensated: Whether it has a compensator, which is given the phase of the flight.
+        restarts: Rows, from 1 on, at which the twin is set to the measured motion, shape (k,);
+            where the motion is unknown the twin continues open loop.
+        compensated: Whether the twin has a compensator, which gets the phase of the flight.
 
     Returns:
-        A row per grid point: `time` from 0 on, commands or rotor speeds (with their rates of
-        change, where the twin asks for them) and voltage as the flight has them,
-        `airframe.restart` and `airframe.restart.pos_x` to `airframe.restart.omega_z`; with a
-        compensator `compensator.phase`, too.
+        A row per grid point: One row per grid point: `time` from 0 on, commands or rotor speeds
+            (with their derivatives, where the twin needs them) and voltage of the flight,
+            `airframe.restart` and `airframe.restart.pos_x` to `airframe.restart.omega_z`; with a
+            compensator also `compensator.phase`.
     """
     t_s = aligned.inputs.t_s
     given = {c: Signal(*flight.signal([c])).held(t_s)[:, 0] for c in aligned.inputs.columns}
@@ -277,9 +282,10 @@ def driving_inputs(
 
 
 def taken_by(slave: Slave, table: NDArray[Any]) -> tuple[list[str], Array]:
-    """Of a table of `driving_inputs` what a driven twin takes: names, and values, shape (n, k).
+    """Columns of a table of `driving_inputs` that are inputs of a driven twin: names, and values,
+    shape (n, k).
 
-    The voltage is no input of a twin in which nothing depends on it.
+    The voltage is omitted for a twin that does not depend on it.
     """
     names = [n for n in table.dtype.names or () if n != "time"]
     if PREFIX + VOLTAGE not in slave.interface.ports:
@@ -288,13 +294,13 @@ def taken_by(slave: Slave, table: NDArray[Any]) -> tuple[list[str], Array]:
 
 
 def _changes(table: NDArray[Any]) -> NDArray[np.intp]:
-    """Rows at which an input changes that matters to a twin that is left alone."""
+    """Rows at which an input changes that affects the open-loop twin."""
     names = [n for n in table.dtype.names or () if n != "time"]
     matter = [n for n in names if not n.startswith(f"{PREFIX}restart")]
     return np.flatnonzero(np.any([np.diff(table[n]) != 0 for n in matter], axis=0)) + 1
 
 
 def _median_speed(motion: Array) -> float:
-    """Of rows of `RIGID`, m/s; 0 of none."""
+    """Median speed in rows of `RIGID`, m/s; 0 without rows."""
     velocity = motion[:, [RIGID.index(f"vel_{a}") for a in AXES]]
     return float(np.median(np.linalg.norm(velocity, axis=1))) if len(motion) else 0.0

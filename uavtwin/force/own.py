@@ -1,4 +1,4 @@
-"""A force law of somebody's own: a torch module, or an ONNX file, as the folder of a law."""
+"""A user's own force law, a torch module or an ONNX file, stored as the folder of a law."""
 
 import hashlib
 from collections.abc import Sequence
@@ -33,16 +33,18 @@ if TYPE_CHECKING:
 
 
 def windows_of(flights: Sequence[Flight], vehicle: Vehicle) -> list[FlightWindows]:
-    """What a module may be taught by: `places` are its inputs, `left` what the equations lack.
+    """Training data for a module: `places` are its inputs, `left` the force and moment missing in
+    the equations.
 
     Raises:
-        TwinError: A flight lacks the motion, is too short, or has another drive than the others.
+        TwinError: A flight lacks the motion, is too short, or has a different drive from the
+            others.
     """
     return list(_taught(flights, vehicle).flights)
 
 
 def _taught(flights: Sequence[Flight], vehicle: Vehicle) -> Taught:
-    """What flights teach."""
+    """Envelope and training data from the flights."""
     equations = Equations(vehicle, components_of(vehicle, drive_of(flights, vehicle))[0])
     return Taught.by([FlightWindows.of(f, vehicle, equations) for f in flights], equations)
 
@@ -54,20 +56,21 @@ def own_force(
     folder: Path,
     force: bool = False,
 ) -> Path:
-    """Write a module as the folder of a law, which `evaluate` and `export corrected-twin` take.
+    """Write a module as the folder of a law, which `evaluate` and `export corrected-twin` accept.
 
-    The flights that taught it give its envelope, beyond which it fades, and its bounds: twice as
-    much as it says in them. Nothing else is judged: `evaluate` says what it is worth on others.
+    The training flights give the envelope, outside of which the law fades, and its bounds: twice
+    its largest output in them. The law is not validated here: `evaluate` measures it on other
+    flights.
 
     Args:
-        module: Of torch, as `learning.force.module` takes it; or an ONNX file's bytes.
-        flights: That taught it.
-        vehicle: Whose equations lack it.
-        folder: To write.
-        force: Whether the folder may hold other files already.
+        module: Torch module, as `learning.force.module` accepts it; or the bytes of an ONNX file.
+        flights: Flights on which it was trained.
+        vehicle: Vehicle whose equations it extends.
+        folder: Folder to write.
+        force: Whether the folder may contain other files already.
 
     Returns:
-        The folder.
+        Path of the folder.
 
     Raises:
         TwinError: The module cannot be a law, or a flight cannot be used.

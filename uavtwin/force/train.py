@@ -1,4 +1,4 @@
-"""Training of a learned force: flights to a model folder with its page."""
+"""Training of a learned force: from flights to a model folder with its report."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -28,16 +28,16 @@ if TYPE_CHECKING:
     from ..learned import Wanted
 
 REPORT = "report.html"  # in the folder of a law
-_LEARNED = 0.95  # share of the work that is done when the law is, about
+_LEARNED = 0.95  # approximate share of work done when the law is learned
 _SENSORS = ("model", "preset", "horizon", "rate_hz", "epochs", "device", "law")
-"""Options of `train` that a learned force has not."""
+"""Options of `train` that do not apply to a learned force."""
 
 
 def check_force_options(wanted: "Wanted") -> None:
-    """Refuse options of a training that has none of them.
+    """Refuse options that a learned force does not have.
 
     Raises:
-        TwinError: One is given.
+        TwinError: Such an option is given.
     """
     usual = type(wanted)()
     for name in _SENSORS:
@@ -56,21 +56,21 @@ def train_force(
     memory: Memory,
     progress: Progress,
 ) -> list[str]:
-    """Learn what a vehicle's equations leave, and write it.
+    """Learn the residual force and moment of a vehicle, and write them as a model folder.
 
     Args:
-        flights: To learn from.
-        vehicle: Explained or calibrated.
-        seed: Of the air of the missions.
-        out: Folder, which is there.
-        memory: Of the steps that were taken before.
-        progress: Called with the share done.
+        flights: Training flights.
+        vehicle: Vehicle, explained or calibrated.
+        seed: Random seed of the wind in the missions.
+        out: Folder, which exists.
+        memory: Results of steps that were done before.
+        progress: Called with the share done, 0..1.
 
     Returns:
-        Names of the files, the page first.
+        Names of the files, the report first.
 
     Raises:
-        TwinError: A flight cannot be learned from, or two have one name.
+        TwinError: A flight cannot be used, or two have one name.
     """
     check_names(flights)
     model = learn_force(flights, vehicle, seed, memory, lambda done: progress(_LEARNED * done))
@@ -84,7 +84,7 @@ def train_force(
 
 
 def force_claim(out: Path) -> str:
-    """One sentence on a learned force, from its folder."""
+    """Summary sentence of a learned force, from its folder."""
     return _claim(load_force(out))
 
 
