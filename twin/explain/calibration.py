@@ -1,4 +1,4 @@
-"""Calibration: all numbers of one aircraft, fitted together to normal flights of it."""
+"""Calibration: all numbers of one aircraft, fitted jointly to normal flights of it."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -33,24 +33,24 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Calibrated:
-    """What flights tell of an aircraft's numbers.
+    """Result of a calibration.
 
     Attributes:
-        vehicle: With the numbers, and with how well they are known together.
+        vehicle: Vehicle with the calibrated numbers and their joint covariance.
         fit: The numbers with their intervals.
-        estimates: The same by "effect.number", shapes left out; `no_effect` is the neutral value.
-        prior_share: Posterior over prior deviation of each number of `fit`: 1 where the flights
-            say nothing.
-        undetermined: Numbers, "effect.number", shapes left out, that these flights do not
-            determine: those that the file gives stay as it has them unless that is clearly worse,
-            others at the prior mean; those of effects that are not in `fit` as the vehicle has
-            them.
-        days: What stands out of the day of a flight: flight -> "effect.number" -> difference from
-            what all flights share, and its standard deviation.
-        problem: What was fitted.
-        state: The numbers and the residuals there.
-        shares: By effect, the largest share of the power of a force or moment channel that it
-            takes, and the channel.
+        estimates: Estimates by "effect.number", without shape parameters; `no_effect` is the
+            neutral value.
+        prior_share: Posterior over prior standard deviation of each number of `fit`: 1 where the
+            flights contain no information.
+        undetermined: Numbers, "effect.number", without shape parameters, that these flights do not
+            determine. Those of the vehicle file keep its value unless that is clearly worse, others
+            the prior mean; those of effects that are not in `fit` keep the vehicle's value.
+        days: Significant day-to-day deviations: flight -> "effect.number" -> difference from the
+            shared value, and its standard deviation.
+        problem: Estimation problem.
+        state: MAP estimate with the residuals there.
+        shares: By effect, its largest share of the power of a force or moment channel, and the
+            channel.
     """
 
     vehicle: Vehicle
@@ -76,10 +76,9 @@ def calibrate(
     """Fit an aircraft's numbers to normal flights of it.
 
     Args:
-        flights: Nothing is wrong with the aircraft in them. Three or more also teach how much its
-            days differ.
-        vehicle: A draft: each number is believed as far as the word of its source goes.
-        payloads: Known masses aboard.
+        flights: Flights of an undamaged aircraft. Three or more also give its day-to-day variation.
+        vehicle: Draft vehicle: the prior of each number depends on the reliability of its source.
+        payloads: Known payload masses.
 
     Raises:
         LogError: A flight cannot be compared with this vehicle.
@@ -110,7 +109,7 @@ def calibrate(
         if (s > UNDETERMINED or name in unclear) and name not in shapes
     ]
     undetermined += _undetermined_beyond(priors, found.laplace, state)
-    every = zip(*problem.channels(state.best.x), strict=True)  # each flight on its day
+    every = zip(*problem.channels(state.best.x), strict=True)  # each flight with its day
     of_records = {f"{e}.{p.name}" for e in fit.effects for p in EFFECTS[e].of_logs}
     reported = Calibration(
         tuple(f.name for f in flights),
@@ -131,8 +130,8 @@ def calibrate(
 
 
 def _of_sound(priors: Priors) -> Priors:
-    """Without effects that come with damage or a load and are rare on a sound aircraft: nothing is
-    wrong with it, that is what a calibration is told. Each rotor has its own factor all the same.
+    """Priors without effects of damage or load, which are rare: a calibration assumes an undamaged
+    aircraft. Each rotor keeps its own factor.
     """
     damage = {e.name for e in EFFECTS.values() if e.change is not None}
     odds = {c: v for c, v in priors.odds.items() if v > RARE or effect_of(c) not in damage}
@@ -142,24 +141,24 @@ def _of_sound(priors: Priors) -> Priors:
 # -- what is handed on --------------------------------------------------------------------------
 
 CLEARLY = 0.5 * float(chi2.isf(0.05, 1))
-"""Nats by which the file's value, with all others refitted, is worse where a number is told: the
-likelihood ratio at 95 % (Wilks, Ann. Math. Stat. 9, 1938)."""
+"""Log likelihood, nats, by which the file's value must be worse, with all others refitted, to be
+replaced: the likelihood ratio test at 95 % (Wilks, Ann. Math. Stat. 9, 1938)."""
 AT_FILE = 1e-9
-"""How far a number that is held at the file's value may move, in deviations of its prior."""
+"""Interval to which a number is constrained at the file's value, prior standard deviations."""
 
 
 def _profiled(problem: Problem, found: SearchResult) -> tuple[State, Array, frozenset[str]]:
-    """The end of a search with numbers at the file's value where that is not clearly worse.
+    """Result of a search with numbers at the file's value where that is not clearly worse.
 
-    A factor that is far off its file may look sure by its curvature there, and be no better than
-    the file's value once all others are fitted to that. Numbers are held one after the other, the
-    least sure first: of thrust and mass, which together tell one ratio, the file's mass is kept.
-    Where it is not out of the question, the profile is as wide as a parabola through both. A number
-    at the edge of its range is as wide as its prior.
+    A factor far from its file value may look certain by its local curvature, and yet be no better
+    than the file's value once all others are refitted. Numbers are constrained one after the other,
+    the least certain first: of thrust and mass, of which only the ratio is observable, the file's
+    mass is kept. Where the file's value is not excluded, the profile is as wide as a parabola
+    through both points. A number at the edge of its range has the width of its prior.
 
     Returns:
-        The state, the deviation of each entry of `MapEstimate.x` by its profile, and the numbers
-        that are not told.
+        The state, the profile standard deviation of each entry of `MapEstimate.x`, and the
+        undetermined numbers.
     """
     end = found.laplace.at_linearisation(found.state.effects, found.state.kappa)
     state = replace(found.state, best=end)
@@ -191,13 +190,14 @@ def _profiled(problem: Problem, found: SearchResult) -> tuple[State, Array, froz
 
 
 def _of_file(priors: Priors, i: int) -> bool:
-    """Whether a number corrects one that the file has; each rotor has a factor in any case."""
+    """Whether a number corrects a value of the vehicle file; each rotor has a factor in any
+    case."""
     corrects = prior_of(EFFECTS[effect_of(priors.cause[i])]).corrects is not None
     return corrects and not priors.shape[i] and ":" not in priors.cause[i]
 
 
 def _at_file(problem: Problem, i: int) -> Problem:
-    """The same with one number held at the file's value."""
+    """The problem with one number constrained at the file's value."""
     b = problem.priors
     low, high = b.low.copy(), b.high.copy()
     low[i], high[i] = b.now[i] - AT_FILE * b.slab[i], b.now[i] + AT_FILE * b.slab[i]
@@ -210,7 +210,7 @@ def _density(problem: Problem, state: State) -> float:
 
 
 def _spread(priors: Priors, effects: Sequence[str]) -> Array:
-    """Prior deviation of each number given the effects that are there."""
+    """Prior standard deviation of each number given the present effects."""
     there = np.isin(np.arange(len(priors.now)), priors.of(effects))
     return np.asarray(np.where(there, priors.slab, priors.spike))
 
@@ -218,8 +218,7 @@ def _spread(priors: Priors, effects: Sequence[str]) -> Array:
 def _estimates(
     fit: Fit, priors: Priors, share: Mapping[str, float], settings: InferenceSettings
 ) -> dict[str, Estimate]:
-    """Every number with its interval, which the number of effects that are fitted together widens
-    as it does in `explain`."""
+    """Every number with its interval, widened with the number of fitted effects as in `explain`."""
     reported = {
         n.effect for n in fit.numbers if not n.shape and share.get(n.full, 1.0) <= UNDETERMINED
     }
@@ -234,7 +233,7 @@ def _estimates(
 
 
 def _undetermined_beyond(priors: Priors, laplace: LaplaceEvidence, state: State) -> list[str]:
-    """Numbers of effects that were left out, for all that these flights say of them."""
+    """Undetermined numbers of the effects that were left out."""
     found = []
     for cause in (c for c in priors.causes if c not in state.effects):
         sd = laplace.best((*state.effects, cause), state.kappa).deviations()
@@ -244,7 +243,8 @@ def _undetermined_beyond(priors: Priors, laplace: LaplaceEvidence, state: State)
 
 
 def _trim(problem: Problem, state: State) -> tuple[dict[str, float], dict[str, float]]:
-    """`Calibration.means` and `.scatter`: the balance of each flight, its day apart."""
+    """`Calibration.means` and `.scatter`: mean balance of the flights without day-to-day variation,
+    and its scatter."""
     x = state.best.x.copy()
     x[len(problem.priors.now) :] = 0.0
     trim = trim_of(problem.model, problem.values(x), slopes=False)
@@ -252,7 +252,7 @@ def _trim(problem: Problem, state: State) -> tuple[dict[str, float], dict[str, f
 
 
 def _shared_covariance(state: State, free: Sequence[int], sd: Array) -> Array:
-    """Covariance of some numbers that all flights share, as wide as their profiles."""
+    """Covariance of numbers that all flights share, scaled to the widths of their profiles."""
     place = {int(i): k for k, i in enumerate(state.best.free)}
     at = [place[i] for i in free]
     covariance = state.best.covariance[np.ix_(at, at)]

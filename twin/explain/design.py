@@ -1,15 +1,15 @@
-"""What to fly next: the manoeuvre that best discriminates between two explanations.
+"""Experiment design: the manoeuvre that best discriminates between two explanations.
 
-*Manoeuvres* are sized for a vehicle. Each starts and ends at rest in a hover with the nose north,
-and excites something that the others do not; a plan strings some of them together between takeoff
-and landing. A *rehearsal* is a plan flown by the twin with its effects, recorded as the flights so
-far were.
+*Manoeuvres* are scaled to a vehicle. Each starts and ends at rest in a hover with the nose north,
+and excites something that the others do not; a plan joins some of them between takeoff and landing.
+A *rehearsal* is a plan flown by the twin with its effects, recorded with the columns and rates of
+the given flights.
 
-*Discrimination*: each of the two explanations is taken for the truth in turn. The twin with its
-effects flies every manoeuvre in closed loop; the other explanation, with its numbers free to move
-as far as the flights so far allow, predicts the same readings. The difference of the predictions,
-in the whitened metric of the search, is the expected log likelihood ratio; noise adds nothing to
-it, so none is drawn. Both predictions are those of `FlightModel`, so discretisation errors cancel.
+*Discrimination*: each of the two explanations in turn is assumed true. The twin with its effects
+flies every manoeuvre in closed loop; the other explanation, with its numbers free within their
+posterior, predicts the same readings. The difference of the predictions, in the whitened metric of
+the search, is the expected log likelihood ratio; noise has no influence on it, so none is drawn.
+Both predictions are those of `FlightModel`, so discretisation errors cancel.
 
 Source: discrimination between rival models, Hunter & Reiner, Technometrics 7 (1965); Atkinson &
 Fedorov, Biometrika 62 (1975).
@@ -40,42 +40,47 @@ from .model.numbers import carrying, with_effects
 from .settings import DEFAULT
 
 HOVER_M = 1.5
-"""Height of the hover over the resting place, and unit of the ways, m, made up; vehicles with short
+"""Hover height above the take-off place, and unit of distances, m, made up; vehicles with short
 arms fly everything at half the size, as in missions."""
 PUSH, FASTEST_M_S2 = 0.4, 4.0
-"""Share of the acceleration that thrust over weight allows; its bound, m/s^2. Made up."""
+"""Share of the acceleration that the thrust-to-weight ratio allows, and its limit, m/s^2. Made
+up."""
 CLEARANCE_M, CLEARANCE_ARMS = 0.15, 0.7
-"""Between legs and ground at least, m, arm lengths: a log must show that it flies. Made up."""
+"""Least clearance between legs and ground, m, and in arm lengths: a log must show that it flies.
+Made up."""
 OTHER_VOLTAGE = 0.1
-"""Share of the voltage between a charged and a nearly empty battery, as of LiPo cells."""
+"""Relative voltage difference between a charged and a nearly empty battery, as for LiPo cells."""
 PAYLOAD, LIGHTEST_PAYLOAD = 0.5, 0.02
-"""Shares of the vehicle's mass that are strapped on, where thrust allows it, and at least. As large
-as can be: explanations part by half of what they explain, and laws are right to a seventh only."""
+"""Payload as a share of the vehicle's mass, where thrust allows it, and its minimum. It is as large
+as possible: explanations differ by half of the explained force, and laws are accurate only to a
+seventh."""
 PAUSE_S, SETTLE_S = 1.0, 6.0
-"""Shortest hover after a manoeuvre, and after takeoff, in which the controller learns what its
-model lacks, s. Made up."""
+"""Shortest hover after a manoeuvre, and after takeoff, in which the controller's integrators
+settle, s. Made up."""
 ENOUGH_NAT = 5.0
-"""Expected log likelihood ratio below which a manoeuvre separates nothing: odds of 150 to 1."""
+"""Expected log likelihood ratio, nats, below which a manoeuvre does not discriminate: odds of 150
+to 1."""
 Move = Callable[[Array], Array]
-"""Time from the start, shape (n,) -> north, east, down (m) and heading (rad) off the hover,
-shape (n, 4)."""
+"""Function of time, s, shape (n,), that returns north, east, down (m) and heading (rad) relative to
+the hover, shape (n, 4)."""
 Point = tuple[float, float, float, float, float]
-"""Time to get there in s, then north, east, down in m and heading in rad, off the hover."""
+"""Duration of the way to a point, s, then north, east, down in m and heading in rad, relative to
+the hover."""
 _GROUND_S, _TAKEOFF_S = 1.0, 3.0
-"""On the ground and in the take-off of a suggested flight, s; by judgement."""
+"""Time on the ground and in the take-off of a suggested flight, s; by judgement."""
 
 
 @dataclass(frozen=True, slots=True)
 class Manoeuvre:
-    """Something to fly out of a hover and back into it.
+    """Manoeuvre that starts and ends in hover.
 
     Attributes:
         name: Identifier.
-        description: One sentence that a pilot can follow.
-        duration_s: How long it takes.
-        move: Where it goes.
-        voltage: Battery voltage over that of the flights so far.
-        payload_kg: Known mass aboard, on top of the vehicle's.
+        description: Instruction for the pilot in one sentence.
+        duration_s: Duration, s.
+        move: Trajectory of setpoints.
+        voltage: Battery voltage over that of the given flights.
+        payload_kg: Known payload, kg, added to the vehicle's mass.
     """
 
     name: str
@@ -88,13 +93,14 @@ class Manoeuvre:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Setpoints of a flight that starts and ends standing on the ground.
+    """Setpoints of a flight that starts and ends on the ground.
 
     Attributes:
-        setpoints: In the order of `closed_loop.SETPOINTS`, one row per `STEP_S`, shape (n, 11).
-        phases: Of each row.
-        spans: Of each manoeuvre with the hover after it, first and last time in s, whole multiples
-            of a block of time.
+        setpoints: Setpoints in the order of `closed_loop.SETPOINTS`, one row per `STEP_S`, shape
+            (n, 11).
+        phases: Phase of each row.
+        spans: First and last time of each manoeuvre with the hover after it, s, integer multiples
+            of the block length.
     """
 
     setpoints: Array
@@ -103,7 +109,7 @@ class Plan:
 
 
 def manoeuvres(vehicle: Vehicle, charged: bool = True) -> tuple[Manoeuvre, ...]:
-    """All there are."""
+    """All manoeuvres of a vehicle."""
     k = hover_height_m(vehicle) / HOVER_M
     inverse = thrust_inverse(vehicle)
     lift = inverse.full_n / inverse.hover_n
@@ -120,7 +126,7 @@ def manoeuvres(vehicle: Vehicle, charged: bool = True) -> tuple[Manoeuvre, ...]:
 
 
 def hover_height_m(vehicle: Vehicle) -> float:
-    """Over the resting place, where manoeuvres start."""
+    """Height of the hover in which manoeuvres start, m above the take-off place."""
     return HOVER_M * (0.5 if vehicle.arm_m < SMALL_ARM_M else 1.0)
 
 
@@ -129,7 +135,7 @@ def plan(
     chosen: Sequence[Manoeuvre],
     block_s: float = DEFAULT.inference.likelihood.block_s,
 ) -> Plan:
-    """A flight: stand, take off, fly each manoeuvre, land."""
+    """Plan of a flight: stand, take off, fly each manoeuvre, land."""
     height = hover_height_m(vehicle)
     pieces = [
         ("ground", np.zeros((_rows(_GROUND_S), 4))),
@@ -160,7 +166,7 @@ def plan(
 
 
 def _on_the_spot(charged: bool) -> list[Manoeuvre]:
-    """Hovers and turns."""
+    """Hovers and yaw turns."""
     turn = np.pi / 3
     other = "a nearly empty" if charged else "a freshly charged"
     voltage = 1 - OTHER_VOLTAGE if charged else 1 + OTHER_VOLTAGE
@@ -182,7 +188,8 @@ def _on_the_spot(charged: bool) -> list[Manoeuvre]:
 
 
 def _payload_swap(vehicle: Vehicle, lift: float) -> Manoeuvre:
-    """Hover with a mass that is known: what scales a force acts on it, what adds one does not."""
+    """Hover with a known payload: it changes an acceleration due to a force, but not one due to a
+    scale factor."""
     share = max(min(PAYLOAD, PUSH * (lift - 1)), LIGHTEST_PAYLOAD)
     payload_kg = float(f"{share * vehicle.mass_kg:.1g}")
     return Manoeuvre(
@@ -196,7 +203,7 @@ def _payload_swap(vehicle: Vehicle, lift: float) -> Manoeuvre:
 
 
 def _vertical(vehicle: Vehicle, k: float, climb: float) -> list[Manoeuvre]:
-    """Up and down: in steps, for long, to the ground."""
+    """Vertical manoeuvres: steps, long climbs, descent to the ground."""
     short, tall, fast = k, 4 * k, 2.5 * k
     step_s, tall_s = _time_s(short, climb), _time_s(tall, climb, fast)
     clearance = max(CLEARANCE_M, CLEARANCE_ARMS * vehicle.arm_m)
@@ -223,7 +230,7 @@ def _vertical(vehicle: Vehicle, k: float, climb: float) -> list[Manoeuvre]:
 
 
 def _sideways(k: float, push: float) -> list[Manoeuvre]:
-    """Jumps, legs at speed, circle and eight."""
+    """Horizontal manoeuvres: steps, fast legs, circle and eight."""
     hop, way, fast, radius = 0.8 * k, 10 * k, 5 * k, 1.5 * k
     hop_s, leg_s = _time_s(hop, push), _time_s(way, push, fast)
     there = ((0, 1), (0, -1), (1, 0), (-1, 0))
@@ -259,15 +266,15 @@ def _sideways(k: float, push: float) -> list[Manoeuvre]:
 
 
 def _pointwise(name: str, description: str, points: Sequence[Point]) -> Manoeuvre:
-    """From point to point."""
+    """Manoeuvre from point to point."""
     return Manoeuvre(name, description, sum(p[0] for p in points), _path(*points))
 
 
 def _path(*points: Point) -> Move:
-    """Minimum-jerk ramps from point to point, starting at the hover."""
+    """Trajectory of minimum-jerk ramps from point to point, starting at the hover."""
 
     def move(t: Array) -> Array:
-        """Where it is."""
+        """Setpoint at times t."""
         where, begin, here = np.zeros((len(t), 4)), 0.0, np.zeros(4)
         for duration, *place in points:
             s = np.clip((t - begin) / duration, 0, 1)[:, None]
@@ -281,12 +288,13 @@ def _path(*points: Point) -> Move:
 def _rounds(
     name: str, description: str, radius: float, rate: float, east: Callable[[Array], Array]
 ) -> Manoeuvre:
-    """One round that starts north, the angle to the way east; its rate ramps up and down."""
+    """One round that starts north; `east` maps the angle to the distance east; its rate ramps up
+    and down."""
     ramp_s, total = 2.0, 2 * np.pi
     duration_s = total / rate + ramp_s
 
     def move(t: Array) -> Array:
-        """Where it is."""
+        """Setpoint at times t."""
         a = ramped_way(t, total, rate, ramp_s)
         return np.column_stack([radius * np.sin(a), radius * east(a), 0 * t, 0 * t])
 
@@ -294,7 +302,7 @@ def _rounds(
 
 
 def _time_s(way_m: float, push_m_s2: float, fastest_m_s: float = np.inf) -> float:
-    """Time of a minimum-jerk ramp that stays below an acceleration and a speed."""
+    """Duration of a minimum-jerk ramp that stays below an acceleration and a speed, s."""
     slow = float(np.sqrt(HARDEST * way_m / push_m_s2))
     return round(max(slow, FASTEST * way_m / fastest_m_s), 1)
 
@@ -315,15 +323,15 @@ def rehearse(
 ) -> Flight:
     """Fly a plan in closed loop and record it without noise.
 
-    A late command is recorded early and a late pose late; neither reaches the controller. The
+    Delays of command and pose appear in the record only, not in the loop of the controller. The
     record ends where the vehicle is lost.
 
     Args:
         plan: Setpoints.
-        vehicle: What the controller is designed for.
-        plant: What really flies, with its effects.
-        like: Flights whose columns are recorded, at their rates, as far as the twin has them.
-        voltage: Of the battery, over that of these flights.
+        vehicle: Vehicle for which the controller is designed.
+        plant: Simulated vehicle, with its effects.
+        like: Flights whose columns and rates the record has, as far as the twin has the signals.
+        voltage: Battery voltage over that of these flights.
     """
     recorder = Recorder(
         streams=streams_of(like),
@@ -337,7 +345,7 @@ def rehearse(
 
 
 def streams_of(flights: Sequence[Flight]) -> tuple[Stream, ...]:
-    """Every column of numbers that one of the flights has, as often as the fastest of them."""
+    """All numeric columns of the flights, each at the highest rate among them."""
     periods: dict[str, list[float]] = {}
     for flight in flights:
         for column in (c for c in flight.table if c not in ("time", "phase") and flight.has(c)):
@@ -348,7 +356,7 @@ def streams_of(flights: Sequence[Flight]) -> tuple[Stream, ...]:
 
 
 def volts_of(flights: Sequence[Flight], vehicle: Vehicle) -> float:
-    """Median battery voltage of flights, that of the vehicle where none says it."""
+    """Median battery voltage of the flights, V, or that of the vehicle where none was logged."""
     read = [f.signal(["vbat_v"])[1] for f in flights if f.has("vbat_v")]
     return float(np.median(np.concatenate(read))) if read else vehicle.voltage_v
 
@@ -358,13 +366,13 @@ def volts_of(flights: Sequence[Flight], vehicle: Vehicle) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Suggestion:
-    """A manoeuvre that separates two sets of effects.
+    """Suggested manoeuvre that discriminates between two sets of effects.
 
     Attributes:
         manoeuvre: Identifier.
-        description: What a pilot can follow.
-        separates: The two sets, the more probable first; an empty one: nothing is missing.
-        separation: Log likelihood by which the true one is expected to lead, mean over both.
+        description: Instruction for the pilot.
+        separates: The two sets, the more probable first; an empty one: no effect is missing.
+        separation: Expected log likelihood ratio in favour of the true one, nats, mean over both.
     """
 
     manoeuvre: str
@@ -377,8 +385,8 @@ class Suggestion:
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """What holds the numbers of an explanation near their values: precision of flights so far and
-    priors, shape (k, k); largest steps down and up, shape (k,)."""
+    """Constraints on the numbers of an explanation: precision by the given flights and priors,
+    shape (k, k); largest changes down and up, shape (k,)."""
 
     precision: Array
     low: Array
@@ -386,8 +394,8 @@ class Held:
 
 
 def next_manoeuvre(naming: Naming, vehicle: Vehicle) -> Suggestion | None:
-    """The manoeuvre that separates the two leading explanations best; None where the name is sure,
-    or where no manoeuvre of the list would help."""
+    """The manoeuvre that best discriminates between the two leading explanations; None where the
+    name is certain, or where no manoeuvre helps."""
     if naming.verdict != "cannot_tell" and not naming.undecided:
         return None
     best = suggestions(naming, vehicle)[0]
@@ -397,8 +405,8 @@ def next_manoeuvre(naming: Naming, vehicle: Vehicle) -> Suggestion | None:
 def suggestions(
     naming: Naming, vehicle: Vehicle, among: Sequence[str] | None = None
 ) -> list[Suggestion]:
-    """What each manoeuvre, or each `among` some, separates of the two leading explanations, the
-    best first."""
+    """Discrimination between the two leading explanations by each manoeuvre, or by each of `among`,
+    the best first."""
     block_s = naming.whitened.settings.block_s
     rivals, flights = naming.fitted[:2], _flights(naming)
     listed = [m for m in _flyable(naming, vehicle) if among is None or m.name in among]
@@ -413,7 +421,7 @@ def suggestions(
         try:
             flight = rehearse(flown, loaded, plant, flights, voltage)
             blocks = _parting(naming, flight, loaded, rivals[i], rivals[1 - i])
-        except TwinError:  # numbers with which nothing flies: nobody can fly it either
+        except TwinError:  # numbers with which the twin cannot fly
             continue
         for name, (first, last) in flown.spans.items():
             if last <= flight.table["time"].iloc[-1]:
@@ -430,7 +438,7 @@ def suggestions(
 def _parting(
     naming: Naming, flight: Flight, vehicle: Vehicle, truth: Fit, other: Fit
 ) -> dict[tuple[int, int], Block]:
-    """What one explanation predicts for a flight beyond another, by blocks of time."""
+    """Difference between the predictions of two explanations for a flight, by blocks of time."""
     union = {*truth.effects, *other.effects}
     model = model_of([flight], vehicle, [e for e in EFFECTS.values() if e.name in union])
     known = naming.whitened.model.channels([])[0]
@@ -446,7 +454,7 @@ def _parting(
 
 
 def lead(blocks: Sequence[Block], held: Held) -> float:
-    """Log likelihood by which an explanation falls behind, its numbers moved to their best."""
+    """Log likelihood by which an explanation falls behind, with its numbers refitted."""
     if not blocks:
         return 0.0
     total = sum(blocks[1:], blocks[0])
@@ -458,7 +466,7 @@ def lead(blocks: Sequence[Block], held: Held) -> float:
 
 
 def _held(naming: Naming, fitted: Fit) -> Held:
-    """How far the flights so far, and the priors, let the numbers of an explanation move."""
+    """Posterior constraints on the numbers of an explanation by the given flights and priors."""
     whitened = naming.whitened
     own, at = _columns(whitened.model, fitted), fitted.values
     answers = whitened.model.channels(own, at)
@@ -473,7 +481,7 @@ def _held(naming: Naming, fitted: Fit) -> Held:
 
 
 def _columns(model: Model, fitted: Fit) -> list[int]:
-    """Positions of the numbers of an explanation, shapes included."""
+    """Indices of the numbers of an explanation, including shape parameters."""
     return [i for i, n in enumerate(model.numbers) if n.full in fitted.values]
 
 
@@ -481,7 +489,8 @@ def _columns(model: Model, fitted: Fit) -> list[int]:
 
 
 def _flyable(naming: Naming, vehicle: Vehicle) -> list[Manoeuvre]:
-    """Manoeuvres that can be told from another: the battery only where its voltage counts."""
+    """Manoeuvres that differ from each other for this vehicle: the battery ones only where its
+    voltage matters."""
     flights = _flights(naming)
     charged = volts_of(flights, vehicle) >= vehicle.voltage_v
     listed = manoeuvres(vehicle, charged)

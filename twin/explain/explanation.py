@@ -1,4 +1,4 @@
-"""Find, name, add, show: from flights and a model to what the model lacks, and the proof of it."""
+"""The whole search: from flights and a vehicle to the missing effects, and their validation."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -56,26 +56,26 @@ from .usable import flown, part_read, usable_part, with_readings
 from .weather import WIND, Wind, acting_of, hanging_of, uncertain, wind_of
 
 DIGITS = 6
-"""Significant ones that a fitted number is given with."""
+"""Significant digits of a fitted number."""
 UNKNOWN_SITE = (
     "not known whether {} flew indoors or outdoors, taken for outdoors: say which by --indoor or "
     "--outdoor, in Python by indoors=True or False"
-)  # warning; its gap is filled by names of flights
+)  # warning; completed with names of flights
 UNSTABLE = "the model with what was named does not fly {} in closed loop: {}"
-"""Warning; mission, problem."""
+"""Warning text, with mission and problem."""
 REFUTED = "with it held-out flights are farther from the model in {}, and in forces as a whole"
-"""Why an effect is not named; forces and moments."""
+"""Reason why an effect is not named; completed with forces and moments."""
 FARTHER = "flights that were held out are farther from the model with it than without"
-"""Why names are taken back."""
+"""Reason why names are withdrawn."""
 WEAKER = (
     "no flight was held out: one block of time in {} of the same flights stands in for one, "
     "which is weaker, because what one flight has in common is in both parts"
-)  # warning; one in how many blocks
+)  # warning; completed with one in how many blocks
 
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """A flight that took no part in the fit, or the spans of it that took none."""
+    """A held-out flight, or held-out time spans of a flight."""
 
     flight: str
     spans: tuple[Span, ...] | None = None
@@ -83,35 +83,35 @@ class HeldOut:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """What flights say about a model.
+    """Result of the search for what a model lacks.
 
     Attributes:
-        verdict: In a word.
-        vehicle: The model as it stood.
-        flights: Names of those that it was fitted on.
-        reasons: Why nothing can be learnt, for the verdict "unusable".
-        warnings: What to keep in mind, the worst first.
-        naming: Hypotheses and their probabilities; None where nothing could be fitted.
-        shown: Every effect that may be there, with the means of its numbers over all sets: what
-            predicts best, and whose gap is shown; None: no effect that changes a mean.
-        stochastic: Effects that change no mean, found beside it.
-        values: Numbers of all these, "effect.number" -> value.
+        verdict: Verdict, one of a fixed list of words.
+        vehicle: Nominal model.
+        flights: Names of the flights used in the fit.
+        reasons: Reasons for the verdict "unusable".
+        warnings: Warnings, the most severe first.
+        naming: Candidate models and their probabilities; None where nothing could be fitted.
+        shown: Model average: all effects that may be present, with their mean numbers over all
+            candidate models; it predicts best, and its gap is shown; None: no effect with a mean.
+        stochastic: Zero-mean effects that were found as well.
+        values: Numbers of all these effects, "effect.number" -> value.
         comparison: Held-out flights before and after; None where nothing could be held out.
-        attributions: Where each effect of `shown` acts.
-        where: Places of disagreement.
-        holdout: What took no part in the fit.
-        missions: Closed-loop flights of the new model; none where no effect was added.
-        refuted: Why names were taken back, to be read behind "but"; "": they were not.
+        attributions: Channels and phases in which each effect of `shown` acts.
+        where: Channels and phases with the largest residuals.
+        holdout: Held-out flights or time spans.
+        missions: Closed-loop flights of the new model; empty where no effect was added.
+        refuted: Reason why names were withdrawn, a text after "but"; "": they were not.
         unnamed: Equations for what no effect explains.
-        next_manoeuvre: What to fly to learn more.
-        settings: What decided all this.
-        since: Flights of the calibration since which it is asked what has changed; None: it is
-            asked what the model lacks.
-        recorded: All flights as they were read, stuck readings still in them.
-        balance: What has changed in the balance of forces and moments since the calibration; None:
-            that is not asked, or not shown by these flights.
-        hovers: Diagnosis of the model as it stood in the hover of each of them that hovers.
-        driven_by: What drives the model of each of them, and why.
+        next_manoeuvre: Suggested manoeuvre for the next flight.
+        settings: Settings of the search.
+        since: Flights of the calibration since which changes are searched; None: what the model
+            lacks is searched.
+        recorded: All flights as read, including stuck readings.
+        balance: Change of the balance of forces and moments since the calibration; None: not
+            searched, or not observable in these flights.
+        hovers: Diagnosis of the nominal model in hover, for each flight with a hover.
+        driven_by: Drive of the model in each flight, and the reason for it.
     """
 
     verdict: Verdict
@@ -142,15 +142,15 @@ class Explanation:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """All effects that `values` are of."""
+        """All effects with `values`."""
         steady = () if self.shown is None else self.shown.effects
         return (*steady, *(u.effect for u in self.stochastic))
 
     @property
     def added(self) -> Vehicle | None:
-        """The model with the effects that it lacks and the numbers that its file was unsure of;
-        None where nothing is named and nothing was unsure, and where nothing has changed since a
-        calibration. What it holds is no longer what flights calibrated."""
+        """The model with the missing effects and the fitted uncertain numbers; None where nothing
+        is named and nothing was uncertain, and where nothing has changed since a calibration. Its
+        numbers are no longer those of the calibration."""
         conclusive = ("named",) if self.since is not None else ("named", "nothing")
         if self.verdict not in conclusive or not self.effects:
             return None
@@ -162,7 +162,7 @@ class Explanation:
 
     @property
     def lost(self) -> tuple[Mission, ...]:
-        """Missions that the new model does not fly."""
+        """Missions that the new model does not complete."""
         return tuple(m for m in self.missions if not m.stable)
 
 
@@ -180,25 +180,25 @@ def explain(
     suggest: bool = True,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> Explanation:
-    """Say what a model lacks, and prove it.
+    """Find what a model lacks, and validate it.
 
     Args:
-        flights: To fit on.
-        holdout: To show the gap on; none: blocks of time of the flights are held out.
-        vehicle: The model as it stands.
-        seed: Of every bootstrap.
-        progress: Called with the share done.
-        missions: To fly with the new model; default: all.
-        payloads: Known masses aboard, of flights of either kind.
-        settings: The numbers that decide what is said.
-        indoors: Whether all flights were within walls; None: as each flight says.
-        since: Whether it is asked what has changed since the vehicle was calibrated, its numbers
-            held as well as they are known; else everything that the model may lack.
-        suggest: Whether to look for what to fly next.
-        checkpoint: Keeps where the searches stand.
+        flights: Flights for the fit.
+        holdout: Held-out flights for the comparison; none: time blocks of the flights are held out.
+        vehicle: Nominal model.
+        seed: Random seed of every bootstrap.
+        progress: Called with the share done, 0..1.
+        missions: Missions to fly with the new model; default: all.
+        payloads: Known payload masses of flights of either kind.
+        settings: Settings that determine the result.
+        indoors: Whether all flights were indoors; None: as each flight states.
+        since: Whether to search changes since the vehicle's calibration, with its numbers and their
+            covariance as prior; otherwise everything that the model may lack.
+        suggest: Whether to suggest a manoeuvre for the next flight.
+        checkpoint: Stores the progress of the searches.
 
     Raises:
-        ModelError: The vehicle holds no calibration to ask since.
+        ModelError: The vehicle contains no calibration from which to search changes.
     """
     calibrated = calibrated_on(vehicle) if since else None
     cut = [[part_read(sited(f, indoors), settings.usable) for f in s] for s in (flights, holdout)]
@@ -263,7 +263,7 @@ def explain(
 def _with_missions(
     found: Explanation, missions: Sequence[str] | None, progress: Callable[[float], None]
 ) -> Explanation:
-    """The same with flights of the new model in closed loop and calm air, where there is one."""
+    """The explanation with closed-loop flights of the new model in calm air, where there is one."""
     if found.added is None:
         return found
     own = {e: v for e, v in found.added.effects.items() if not EFFECTS[e].of_weather}
@@ -274,10 +274,10 @@ def _with_missions(
 
 
 def calibrated_on(vehicle: Vehicle) -> tuple[str, ...]:
-    """Names of the flights that told a vehicle's numbers.
+    """Names of the flights on which a vehicle was calibrated.
 
     Raises:
-        ModelError: The vehicle holds no calibration.
+        ModelError: The vehicle contains no calibration.
     """
     if vehicle.calibration is None:
         raise ModelError(UNCALIBRATED.format(vehicle.name))
@@ -286,14 +286,14 @@ def calibrated_on(vehicle: Vehicle) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class _Parts:
-    """What is fitted, and what is held out.
+    """Flights for the fit, and held-out ones.
 
     Attributes:
-        fit: Flights to fit on; none: they are of no use.
-        held: Flights held out.
-        away: The same, for the report.
-        unread: Why flights to fit on were left out.
-        warnings: What to keep in mind.
+        fit: Flights for the fit; empty: none is usable.
+        held: Held-out flights.
+        away: Held-out flights or spans, for the report.
+        unread: Reasons why flights were not used in the fit.
+        warnings: Warnings.
     """
 
     fit: list[Flight]
@@ -310,7 +310,7 @@ def _parts(
     payloads: Payloads | None,
     settings: SearchSettings,
 ) -> _Parts:
-    """The usable flights; where none is held out, blocks of time of each are."""
+    """The usable flights; where none is held out, time blocks of each are."""
     (fit, reasons), (held, left_out) = (
         usable_of(some, vehicle, payloads, settings) for some in (flights, holdout)
     )
@@ -339,18 +339,18 @@ _F = TypeVar("_F", bound=AnyFlight)
 
 
 def sited(flight: _F, indoors: bool | None) -> _F:
-    """The flight indoors or outdoors, as somebody says; None: as it says itself."""
+    """The flight marked as indoors or outdoors; None: unchanged."""
     return flight if indoors is None else replace(flight, site=Site(indoors, "as told"))
 
 
 def hovers_of(flights: Sequence[AnyFlight], vehicle: Vehicle) -> tuple[HoverDiagnosis, ...]:
-    """Diagnosis of a vehicle's twin in the hover of each flight that hovers."""
+    """Diagnosis of a vehicle's twin in hover, for each flight with a hover."""
     found = (diagnosis_of(f, vehicle) for f in flights)
     return tuple(h for h in found if h is not None)
 
 
 def _not_observable(naming: Naming) -> list[str]:
-    """A line where effects have no place in what drives the model."""
+    """Warning that some effects do not exist between the drive and the model, or no line."""
     unobservable = naming.problem.model.unobservable
     if not unobservable:
         return []
@@ -361,7 +361,7 @@ def _not_observable(naming: Naming) -> list[str]:
 
 
 def _drifting(naming: Naming) -> list[str]:
-    """A line for each flight whose attitude and gyroscope have clocks that drift apart."""
+    """Warning for each flight in which the clocks of attitude and gyroscope drift apart."""
     found = []
     for flight in naming.problem.model.flights:
         motion = flight.aligned.motion
@@ -374,14 +374,14 @@ def _drifting(naming: Naming) -> list[str]:
 def usable_of(
     flights: Sequence[Flight], vehicle: Vehicle, payloads: Payloads | None, settings: SearchSettings
 ) -> tuple[list[Flight], list[str]]:
-    """Parts of flights fit for the search, and what is left out of them, whole flights included."""
+    """Usable parts of flights, and a text for each omitted part or flight."""
     found = [usable_part(f, flown(f, vehicle, payloads), settings.usable) for f in flights]
     fit, unread = with_readings([part for part, _, no in found if not no], vehicle, payloads)
     return fit, [text for _, less, no in found for text in (no or less)] + unread
 
 
 def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explanation:
-    """The same with the effects that were found, and their numbers."""
+    """The explanation with the effects that were found, and their numbers."""
     shown, settings = naming.shown if naming.shown.effects else None, found.settings.stochastic
     model, steady = naming.whitened.model, naming.shown.values
     every = (*find_stuck(stuck, settings), *find_stochastic(model, steady, settings))
@@ -391,13 +391,13 @@ def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explan
 
 
 def _as_named(found: Explanation, naming: Naming, alike: Sequence[Resemblance] = ()) -> Explanation:
-    """The same with what a search says of the effects that are shown, but for those that something
-    acts like, some more among them: beside a name no vehicle carries them."""
+    """The explanation with the result of a search, and `alike` added to its resemblances; where an
+    effect is named, resembled ones are removed from those shown."""
     new = alike or naming.resemblances
     naming = replace(naming, resemblances=(*naming.resemblances, *alike))
     verdict = _verdict(naming, found.balance, found.stochastic)
     if verdict == "nothing" and found.since is None and naming.unexplained:
-        verdict = "cannot_tell"  # something moves the aircraft, whatever it is
+        verdict = "cannot_tell"  # something acts on the aircraft, but it is unknown what
     shown, gone = found.shown, {r.effect for r in naming.resemblances if verdict == "named"}
     if shown is not None and gone:
         shown = replace(shown, effects=tuple(e for e in shown.effects if e not in gone))
@@ -415,8 +415,8 @@ def _as_named(found: Explanation, naming: Naming, alike: Sequence[Resemblance] =
 
 
 def _beyond(found: Explanation, every: Sequence[StochasticEffect]) -> list[StochasticEffect]:
-    """Those that are there; since a calibration whose flights shook as well, whether more shakes
-    now is told by the balance."""
+    """The zero-mean effects that are present; since a calibration with vibration, the balance
+    decides whether it has increased."""
     known = found.vehicle.calibration
     judged = found.balance is not None and known is not None and VIBRATION in known.means
     return [u for u in every if u.log_odds > 0 and not (judged and u.effect == VIBRATION)]
@@ -425,7 +425,7 @@ def _beyond(found: Explanation, every: Sequence[StochasticEffect]) -> list[Stoch
 def _verdict(
     naming: Naming, balance: Balance | None, stochastic: Sequence[StochasticEffect]
 ) -> Verdict:
-    """Of the search, of the balance, and of what was found beside them."""
+    """Verdict from the search, the balance and the zero-mean effects."""
     verdict = naming.verdict
     shakes = stochastic and (balance is None or verdict in ("nothing", "unnamed"))
     if shakes or any(u.before for u in stochastic):
@@ -448,8 +448,8 @@ def _balanced(
 
 
 def _with_wind(found: Explanation, naming: Naming, wind: Wind | None) -> Explanation:
-    """The same with a wind that is surely stronger than usual, where the search took it for the
-    day's."""
+    """The explanation with a wind that is certainly stronger than usual, where the search
+    attributed it to day-to-day variation."""
     if wind is None or wind.stronger < naming.settings.sure or not WIND.isdisjoint(naming.named):
         return found
     effect = next(iter(wind.change)).partition(".")[0]
@@ -458,7 +458,7 @@ def _with_wind(found: Explanation, naming: Naming, wind: Wind | None) -> Explana
 
 
 def _with_balance(found: Explanation, naming: Naming, wind: Wind | None) -> Explanation:
-    """The same with what has changed in the balance of forces and moments."""
+    """The explanation with the change of the balance of forces and moments."""
     model = naming.problem.model
     others = acting_of(naming.shown, naming.named)
     if wind is not None and wind.stronger >= 0.5:
@@ -480,13 +480,13 @@ def _with_balance(found: Explanation, naming: Naming, wind: Wind | None) -> Expl
 
 
 def _with_equations(found: Explanation, seed: int) -> Explanation:
-    """The same with equations, where they say more than any effect of the library.
+    """The explanation with equations, where they explain more than any effect of the library.
 
-    Since a calibration they never overrule a name, that nothing has changed, or a change of the
-    balance of forces and moments, and are of more than the flights of the calibration had: what
-    these had and no effect explains is no change. Nor are they of a mean, which is the balance's or
-    the day's. A model that lacks many things at once is not asked for one: they would be written
-    down together with the constants of days.
+    Since a calibration, equations never overrule a named effect, the verdict that nothing has
+    changed, or a change of the balance, and they must exceed what the calibration flights had:
+    unexplained forces of those flights are no change. They contain no mean either, which belongs to
+    the balance or to day-to-day variation. No equation is sought for a model that lacks many
+    effects at once: it would describe them together with day-to-day constants.
     """
     naming = found.naming
     assert naming is not None
@@ -511,17 +511,17 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
 
 
 def _answers(found: Explanation, naming: Naming) -> bool:
-    """Whether a search says what has changed since a calibration, or that nothing has, or a balance
-    that something has, be it a rotor or a load: a load that changes the mean thrust changes it as
-    an equation in the thrust does. A balance that is undecided says nothing."""
+    """Whether a search or a balance decides what has changed since a calibration, or that nothing
+    has. A load that changes the mean thrust has the same effect as an equation in the thrust. An
+    undecided balance gives no answer."""
     if "named" in (found.verdict, naming.verdict) or naming.verdict == "nothing":
         return True
     return found.balance is not None and found.balance.changed >= found.balance.sure
 
 
 def _new(found: Explanation, naming: Naming, stands: Fit, alone: Unnamed) -> bool:
-    """Whether one of some equations is of more than the flights of the calibration had: half of its
-    power, at least."""
+    """Whether an equation exceeds what the calibration flights had: at least half of its power is
+    new."""
     known, settings = found.vehicle.calibration, found.settings.inference.adequacy
     usual = {} if known is None else known.left
     model = naming.problem.model
@@ -533,8 +533,8 @@ def _new(found: Explanation, naming: Naming, stands: Fit, alone: Unnamed) -> boo
 
 
 def _stands(naming: Naming) -> Fit:
-    """The model with what puts it right without a name: numbers that the file was unsure of, and
-    effects that are there and too small to be worth one."""
+    """The model with corrections that get no name: uncertain numbers of the file, and effects that
+    are present but too small to be named."""
     b = naming.problem.priors
     there = {c for c, p in naming.posterior.inclusion.items() if p >= 0.5}
     rows = zip(b.names, b.spike, b.cause, strict=True)
@@ -548,9 +548,8 @@ def _stands(naming: Naming) -> Fit:
 def _without_refuted(
     found: Explanation, held: Sequence[Flight], seed: int, payloads: Payloads | None
 ) -> Explanation:
-    """The same without effects by which the flights of the fit come nearer to the model, and
-    held-out ones do not; nothing with a mean is named where these are all, or all together do the
-    same."""
+    """The explanation without effects that improve the fit but not the held-out flights; no effect
+    with a mean is named where this holds for each of them, or for all together."""
     naming, compared, settings = found.naming, found.comparison, found.settings.holdout
     if naming is None or compared is None or found.verdict != "named":
         return found
@@ -578,7 +577,7 @@ def _taken_back(
     seed: int,
     payloads: Payloads | None,
 ) -> Explanation:
-    """The same with some effects that something only acts like, and the gap without them."""
+    """The explanation without effects that the cause only resembles, and the gap without them."""
     naming, compared = found.naming, found.comparison
     assert naming is not None and compared is not None
     rest = tuple(w for w in found.warnings if w not in compared.warnings)
@@ -588,8 +587,8 @@ def _taken_back(
 def _with_gap(
     found: Explanation, held: Sequence[Flight], seed: int, payloads: Payloads | None
 ) -> Explanation:
-    """The same with the gap of held-out flights, where effects act, and where the gap is; since a
-    calibration only where a change is named."""
+    """The explanation with the gap of held-out flights and where effects act; since a calibration
+    only where a change is named."""
     if found.since is not None and found.verdict != "named":
         return found
     effects = () if found.shown is None else found.shown.effects

@@ -1,15 +1,15 @@
-"""The gap of flights that took no part in a fit, before and after effects are added to a model.
+"""The gap of held-out flights before and after effects are added to a model.
 
-Where no flight is held out, blocks of time of each are: the search does not read the sensors there.
+Where no flight is held out, time blocks of each are: the search does not use sensor readings there.
 
 Residuals are those of the search (`model.model`). The noise floor of a channel is the rms of the
-residual with every effect of the library at once, fitted to these very flights; where a model
-leaves less than that joint fit of all channels, what it leaves.
+residual with every effect of the library at once, fitted to these very flights; or the rms of a
+model, where that is less than the joint fit of all channels leaves.
 
-Day-to-day variation cannot be known beforehand: the rms with the effects added is also given with
-the constants of these days, which alone are fitted to these very flights.
+Day-to-day variation cannot be predicted: the rms with the effects added is also given with the
+constants of these days, the only ones fitted to these very flights.
 
-Where twin and flights disagree, and where an effect acts, is told by channel, phase and band.
+Residuals and effects are localised by channel, phase and frequency band.
 """
 
 import math
@@ -36,14 +36,14 @@ from .model.numbers import Payloads
 from .settings import DEFAULT, EvidenceSettings, HoldoutSettings
 
 READINGS = tuple(c for s in SENSORS for c in s.columns)
-"""What is hidden. Pose and commands stay: they are inputs of the twin."""
+"""Columns that are hidden. Pose and commands remain: they are inputs of the twin."""
 POSE = (*POS, *VEL, *QUAT, *ACC_NED)
-"""What is hidden as well where it stands in for a sensor."""
+"""Columns that are hidden as well where the pose replaces a sensor."""
 Span = tuple[float, float]
 
 
 def held_out_spans(flight: Flight, settings: HoldoutSettings = DEFAULT.holdout) -> list[Span]:
-    """One block of time in so many, the second one first."""
+    """Held-out time spans: every n-th block, beginning with the second."""
     time = flight.table["time"].to_numpy(dtype=np.float64)
     first, last = float(time[0]), float(time[-1])
     block_s = settings.spared_s
@@ -52,9 +52,9 @@ def held_out_spans(flight: Flight, settings: HoldoutSettings = DEFAULT.holdout) 
 
 
 def hidden(flight: Flight, spans: Sequence[Span], inside: bool) -> Flight:
-    """The flight without the sensor readings inside some spans of time, or outside all of them.
+    """The flight without the sensor readings inside some time spans, or outside all of them.
 
-    Where it lacks a sensor of the IMU, for which its pose is compared, that is hidden too.
+    Where it lacks an IMU sensor that its pose replaces, the pose is hidden too.
     """
     time = flight.table["time"].to_numpy(dtype=np.float64)
     within = np.zeros(len(time), dtype=np.bool_)
@@ -71,25 +71,25 @@ def hidden(flight: Flight, spans: Sequence[Span], inside: bool) -> Flight:
 
 
 DRAWS = 1000
-"""Of the bootstrap."""
+"""Number of bootstrap resamples."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelGap:
-    """One channel of all held-out flights.
+    """Gap of one channel over all held-out flights.
 
     Attributes:
-        name: See `model.model`.
-        unit: Of the rms.
-        n: Samples.
-        before: Rms of the residual with the model as it stood.
-        after: Rms with the effects added.
-        on_its_day: Rms with the effects added, and with what differs between days as it was on
-            these days.
-        fit_mean: Rms of the residual with the model as it stood about the mean that the same has in
-            the flights that were fitted; None: they do not have the channel.
-        noise_floor: Least rms that any model of the library leaves, as far as known.
-        shrink_ci95: 95 % interval of `shrink`; NaN where there are too few blocks of time.
+        name: Name of the channel, see `model.model`.
+        unit: Unit of the rms.
+        n: Number of samples.
+        before: Rms residual of the nominal model.
+        after: Rms residual with the effects added.
+        on_its_day: Rms residual with the effects added, and with day-to-day numbers fitted to these
+            flights.
+        fit_mean: Rms residual of the nominal model about its mean in the fitted flights; None: they
+            do not have the channel.
+        noise_floor: Least known rms residual of any model of the library.
+        shrink_ci95: 95 % interval of `shrink`; NaN where there are too few time blocks.
     """
 
     name: str
@@ -104,32 +104,33 @@ class ChannelGap:
 
     @property
     def shrink(self) -> float:
-        """Share of the rms that is gone."""
+        """Relative reduction of the rms."""
         return 1 - self.after / self.before if self.before > 0 else 0.0
 
     @property
     def closed(self) -> float:
-        """Share of what stood above the noise floor that is gone; NaN where nothing did."""
+        """Relative reduction of the rms above the noise floor; NaN where none was above it."""
         above = self.before - self.noise_floor
         return (self.before - self.after) / above if above > 0.1 * self.noise_floor else math.nan
 
     @property
     def worse(self) -> bool:
-        """Whether the gap grew, beyond doubt."""
+        """Whether the gap grew significantly."""
         return self.shrink_ci95[1] < 0
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Held-out flights, before and after.
+    """Comparison of held-out flights before and after.
 
     Attributes:
-        gaps: Per channel; those that got worse come first.
-        model: The held-out flights.
-        before: Channels of each flight with the model as it stood.
-        after: The same channels with the effects added.
-        on_its_day: These with the constants of the flights' own days.
-        best: The same with every effect of the library, fitted to these very flights.
+        gaps: Gap of each channel; those that grew come first.
+        model: Predictions of the held-out flights.
+        before: Channels of each flight with the nominal model.
+        after: Channels of each flight with the effects added.
+        on_its_day: Channels of each flight with the effects added and the constants of its own day.
+        best: Channels of each flight with every effect of the library, fitted to these very
+            flights.
     """
 
     gaps: tuple[ChannelGap, ...]
@@ -148,15 +149,15 @@ class Comparison:
 
     @property
     def worse(self) -> bool:
-        """Whether the flights are farther from the model as a whole, every channel by its own rms
-        and with the constants of the day set apart: some grew beyond doubt, and more than others
+        """Whether the model as a whole is worse, with each channel divided by its rms and without
+        the constants of the day: some channels grew significantly, and by more than others
         shrank."""
         ratios = [g.on_its_day / g.before for g in self.gaps if min(g.before, g.on_its_day) > 0]
         return any(g.worse for g in self.gaps) and float(np.sum(np.log(ratios))) > 0
 
     @property
     def warnings(self) -> list[str]:
-        """A line for every channel that got worse."""
+        """Warning for every channel that grew."""
         return [
             f"{g.name} got worse on the held-out flights: {g.before:.3g} to {g.after:.3g} {g.unit}"
             for g in self.gaps
@@ -178,11 +179,11 @@ def compare_holdout(
     """Compare held-out flights with a model before and after effects are added.
 
     Args:
-        flights: Held out.
-        vehicle: The model as it stood.
-        effects: Added.
+        flights: Held-out flights.
+        vehicle: Nominal model.
+        effects: Added effects.
         values: Their numbers, "effect.number" -> value.
-        means: By channel, of the residual in the flights that were fitted.
+        means: Mean residual in the fitted flights, by channel.
 
     Raises:
         LogError: A flight cannot be compared with this vehicle.
@@ -214,8 +215,8 @@ def _numbers(problem: Problem, values: Mapping[str, float]) -> Array:
 
 
 def _days(problem: Problem, x: Array, linear: Flights) -> tuple[dict[str, float], ...]:
-    """What the days of the flights add to numbers that differ between days, all others at `x`;
-    `linear`: channels there, with slopes by every number."""
+    """Day-to-day deviations of the flights' numbers, all others fixed at `x`; `linear`: channels
+    there, with slopes by every number."""
     b = problem.priors
     shared, none = problem.split(np.zeros_like(x))
     held = replace(
@@ -226,7 +227,7 @@ def _days(problem: Problem, x: Array, linear: Flights) -> tuple[dict[str, float]
 
 
 def _best(problem: Problem, x: Array, linear: Flights) -> list[list[ChannelData]]:
-    """What all numbers leave of each channel, fitted to the flights themselves from `x` on."""
+    """Channels with all numbers fitted to the flights themselves, starting from `x`."""
     priors = problem.priors
     laplace = problem.laplace(Spectrum.of(linear, *problem.split(x), priors.days))
     shared, days = problem.split(laplace.best(priors.causes, 1.0).x - x)
@@ -246,7 +247,8 @@ def _best(problem: Problem, x: Array, linear: Flights) -> list[list[ChannelData]
 def _gap(
     own: Sequence[Sequence[ChannelData]], mean: float | None, seed: int, settings: HoldoutSettings
 ) -> ChannelGap:
-    """Of one channel of each flight, before, after, on its day, and with the best numbers."""
+    """Gap of one channel, from its residuals in each flight: before, after, with its day, and with
+    the best numbers."""
     before = own[0]
     sums = [_block_sums(b, a, settings.block_s) for b, a in zip(before, own[1], strict=True)]
     rms = [_rms(flights) for flights in own]
@@ -265,7 +267,7 @@ def _gap(
 
 
 def _block_sums(before: ChannelData, after: ChannelData, block_s: float) -> Array:
-    """Sums of squares before and after, per block of time, shape (blocks, 2)."""
+    """Sums of squares before and after, per time block, shape (blocks, 2)."""
     number = np.floor(before.t_s / block_s).astype(np.int64)
     _, number = np.unique(number, return_inverse=True)
     squares = [np.bincount(number, c.residual**2) for c in (before, after)]
@@ -273,7 +275,7 @@ def _block_sums(before: ChannelData, after: ChannelData, block_s: float) -> Arra
 
 
 def _shrink_interval(sums: Array, seed: int, fewest: int) -> tuple[float, float]:
-    """95 % interval of the shrink, by bootstrap over the blocks."""
+    """95 % interval of the shrink, by bootstrap over the time blocks."""
     n = len(sums)
     if n < fewest or not sums[:, 0].sum() > 0:
         return math.nan, math.nan
@@ -284,7 +286,7 @@ def _shrink_interval(sums: Array, seed: int, fewest: int) -> tuple[float, float]
 
 
 def _rms(flights: Sequence[ChannelData]) -> float:
-    """Of one channel over all flights."""
+    """Rms residual of one channel over all flights."""
     return float(np.sqrt(np.mean(np.concatenate([c.residual for c in flights]) ** 2)))
 
 
@@ -292,18 +294,18 @@ def _rms(flights: Sequence[ChannelData]) -> float:
 
 
 ABOVE_FLOOR = 1.2
-"""A residual over its noise floor by less than this factor is noise. Made up."""
+"""Ratio of a residual to its noise floor below which it is noise. Made up."""
 FEWEST_SAMPLES = 25
-"""Of a phase at least. Made up."""
+"""Least number of samples of a phase. Made up."""
 BINS = 10
-"""Of the curve of a residual over a quantity: deciles."""
+"""Number of bins of the curve of a residual over a quantity: deciles."""
 LEAST_EXPLAINED = 0.2
-"""Share of a residual that a quantity must account for to be named. Made up."""
+"""Least share of a residual that a quantity must account for to be named. Made up."""
 LEAST_SHARE, STRONG_SHARE = 0.1, 0.5
-"""Share of the power of a residual that an effect explains in a channel on which it acts; of its
-strongest phase in a phase in which it acts. Made up."""
+"""Least share of the residual's power that an effect explains in a channel on which it acts; and
+share of its strongest phase in a phase in which it acts. Made up."""
 MOST = 8
-"""Places that are listed."""
+"""Maximum number of places listed."""
 DEPENDS = {
     "time": "time",
     "command": "throttle",
@@ -316,26 +318,26 @@ DEPENDS = {
     "omega_z": "yaw rate",
     "voltage": "voltage",
 }
-"""Quantities on which a residual may depend, and how they are called."""
+"""Quantities on which a residual may depend, and their names in texts."""
 BANDS_HZ = ((0.0, 0.5), (0.5, 2.0), (2.0, 6.0), (6.0, 18.0))
-"""One of which is said to hold most of a residual."""
+"""Frequency bands; the one with most of the residual's power is reported."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A channel in a phase of flight.
+    """Residual of one channel in one phase of flight.
 
     Attributes:
-        channel: See `model.model`.
-        phase: Of flight, "" where unknown.
-        unit: Of the rms.
-        n: Samples.
-        rms: Of the residual with the model as it stands.
-        over_floor: The same over the noise floor of the channel.
-        explained: Share of its power that the named effects take.
-        band_hz: Where most of its power lies.
-        goes_with: Quantity that it depends on most, and the share of its power that a curve over
-            that quantity takes; None where no quantity tells.
+        channel: Name of the channel, see `model.model`.
+        phase: Phase of flight, "" where unknown.
+        unit: Unit of the rms.
+        n: Number of samples.
+        rms: Rms residual of the nominal model.
+        over_floor: Rms over the noise floor of the channel.
+        explained: Share of its power that the named effects explain.
+        band_hz: Frequency band with most of its power.
+        goes_with: Quantity on which it depends most, and the share of its power that a curve over
+            that quantity explains; None where it depends on none.
     """
 
     channel: str
@@ -350,8 +352,8 @@ class Place:
 
 
 def localize(model: Model, values: Mapping[str, float], floors: Mapping[str, float]) -> list[Place]:
-    """The places where residuals of the model as it stands are highest above their noise floor, the
-    worst first; channels without one are left out. `values`: those of the named effects."""
+    """Places where residuals of the nominal model are highest above their noise floor, the worst
+    first; channels without one are omitted. `values`: numbers of the named effects."""
     before, after = model.channels([]), model.channels([], values)
     known = [{k: q.values for k, q in quantities(f).items()} for f in model.flights]
     found = []
@@ -409,7 +411,7 @@ def _place(channel: ChannelData, phase: str, parts: list[_Rows], floor: float) -
 
 
 def _band(parts: list[_Rows], masks: list[NDArray[np.bool_]]) -> tuple[float, float]:
-    """Band with most of the power; the mean counts as the slowest."""
+    """Frequency band with most of the power; the mean belongs to the slowest."""
     power = np.zeros(len(BANDS_HZ))
     for part, mask in zip(parts, masks, strict=True):
         values = part.before[mask]
@@ -423,7 +425,7 @@ def _band(parts: list[_Rows], masks: list[NDArray[np.bool_]]) -> tuple[float, fl
 def _goes_with(
     parts: list[_Rows], masks: list[NDArray[np.bool_]], residual: Array
 ) -> tuple[str, float] | None:
-    """Quantity over which a curve takes most of the residual, about its mean."""
+    """Quantity over which a curve explains most of the residual, about its mean."""
     about = residual - residual.mean()
     power, best = float(about @ about), ("", LEAST_EXPLAINED)
     for name in set.intersection(*(set(p.quantities) for p in parts)):
@@ -445,13 +447,13 @@ def _goes_with(
 
 @dataclass(frozen=True, slots=True)
 class Attribution:
-    """One effect among those added.
+    """Where one of the added effects acts.
 
     Attributes:
-        effect: Identifier.
-        channels: On which it acts, the clearest first.
-        phases: In which it acts on the clearest one, the strongest first.
-        without: Channels of each flight without the effect, all others on.
+        effect: Identifier of the effect.
+        channels: Channels on which it acts, the clearest first.
+        phases: Phases in which it acts on the clearest channel, the strongest first.
+        without: Channels of each flight without the effect and with all others.
     """
 
     effect: str
@@ -468,7 +470,8 @@ def attribute_effect(
     values: Mapping[str, float],
     with_all: Sequence[Sequence[ChannelData]],
 ) -> Attribution:
-    """Where an effect acts, given the numbers of all added ones and the channels with them."""
+    """Channels and phases in which an effect acts, given the numbers of all added effects and the
+    channels with them."""
     others = {k: v for k, v in values.items() if k.partition(".")[0] != effect}
     without = model.channels([], others)
     taken = {}
@@ -487,8 +490,8 @@ def attribute_effect(
 def farther_by(
     attribution: Attribution, after: Flights, seed: int, settings: HoldoutSettings
 ) -> list[str]:
-    """Forces and moments in which flights are farther from the model with an effect (`after`) than
-    without, beyond doubt; none where they are nearer in all together, each by its own rms."""
+    """Forces and moments in which the residual is significantly larger with an effect (`after`)
+    than without; empty where it is smaller in total, with each channel divided by its rms."""
     each = zip(zip(*attribution.without, strict=True), zip(*after, strict=True), strict=True)
     own = [(b, a) for b, a in each if b[0].name.startswith(FORCE_CHANNELS)]
     gaps = [_gap([b, a, a, a], None, seed, settings) for b, a in own]

@@ -1,4 +1,4 @@
-"""Which effects a search can look for in a flight: those that its columns can show."""
+"""Effects that a search can find in a flight: those that are observable in its columns."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,17 +11,17 @@ from .model.numbers import ACCELEROMETER, GYROSCOPE, SIGNALS, lacking, on_the_bo
 
 @dataclass(frozen=True, slots=True)
 class ObservableEffects:
-    """What a search can look for in a flight: effects by the component that they act on; those
-    that it cannot show by what is missing, in words."""
+    """Observability of effects in a flight: observable effects by component, and for the others the
+    missing signals as text."""
 
     effects: dict[str, tuple[str, ...]]
     unknown: dict[str, tuple[str, ...]]
 
 
 def observable_effects(flight: AnyFlight) -> ObservableEffects:
-    """Effects that the columns of a flight can show, by the rule of the search itself.
+    """Effects that are observable in the columns of a flight, by the rule of the search itself.
 
-    Whether it flew long enough, and moved in a way that shows them, is not asked.
+    Duration and excitation of the flight are not considered.
     """
     drive = _no_drive(flight)
     observable: dict[str, list[str]] = {}
@@ -38,7 +38,7 @@ def observable_effects(flight: AnyFlight) -> ObservableEffects:
 
 
 def _no_drive(flight: AnyFlight) -> str:
-    """What is missing to drive a model, "" where nothing is."""
+    """Text on what is missing to drive a model, "" where nothing is."""
     for stem in ("cmd", "rotor"):
         count = sum(c.startswith(f"{stem}_") for c in flight.columns)
         if count >= MIN_MOTORS and flight.has(*motor_columns(stem, count)):
@@ -47,7 +47,7 @@ def _no_drive(flight: AnyFlight) -> str:
 
 
 def _missing(effect: Effect, flight: AnyFlight) -> Iterator[str]:
-    """Each signal that an effect lacks, in words."""
+    """Texts on the signals that an effect lacks."""
     for signal in lacking(effect, flight):
         text = f"no {', '.join(SIGNALS[signal])}"
         if signal == "vel":

@@ -1,13 +1,13 @@
-"""Which part of a flight a search uses.
+"""Selection of the part of a flight that a search uses.
 
-*Longest part*: time and memory of a search grow with the flight, what it learns hardly: a repeated
-manoeuvre adds little. Of a long flight the part in one piece that moves most is read; in one piece,
-as cells discharge and motors warm from its start on.
+*Longest part*: time and memory of a search grow with the flight, its information hardly: a repeated
+manoeuvre adds little. Of a long flight the contiguous part with most motion is used; contiguous,
+because cells discharge and motors warm from its start.
 
-*Fit for a search*: seconds are left out, not flights. What a blow or a fall leaves of a record is
-cut in two, and the longer part is used; while a motor is at a limit, torque and thrust are not
-compared, but lateral specific force is. A flight is refused where too little is left, or where its
-signals contradict each other.
+*Usability*: seconds are rejected, not flights. The record is split at impacts and falls, and the
+longer part is used; while a motor is saturated, torque and thrust are not compared, but lateral
+specific force is. A flight is rejected where too little remains, or where its signals contradict
+each other.
 """
 
 from collections.abc import Iterator, Sequence
@@ -32,15 +32,15 @@ from .model.numbers import (
 from .settings import DEFAULT, UsableSettings
 
 READ = "{}: {:.0f} to {:.0f} s of {:.0f} s are read, where it moves most; cut the log for others"
-"""Note: flight, first and last second that is read, its length, s."""
+"""Text: flight, first and last second that is used, and its length, s."""
 BLOCK_S = 10.0
-"""The part of a long flight that is read begins at a multiple of this, s; by judgement."""
+"""The part of a long flight begins at a multiple of this, s; by judgement."""
 
 
 def part_read(
     flight: AnyFlight, settings: UsableSettings = DEFAULT.usable
 ) -> tuple[Flight, str | None]:
-    """The flight as far as it is read, and which part that is; None: it is read whole."""
+    """The part of a flight that is used, and a text on it; None: all of it is used."""
     time = flight.time_s
     whole_s = float(time[-1] - time[0]) if len(time) else 0.0
     if whole_s <= settings.longest_s:
@@ -55,7 +55,7 @@ def part_read(
 
 
 def _movement(flight: AnyFlight, edges: Array) -> Iterator[Array]:
-    """How much each signal changes within each block of time, its mean over the blocks 1."""
+    """Change of each signal within each time block, with mean 1 over the blocks."""
     yield np.zeros(len(edges))
     rotors = sum(c.startswith("cmd_") for c in flight.columns)
     for columns in (VEL, QUAT, motor_columns("cmd", rotors)):
@@ -76,18 +76,19 @@ def _movement(flight: AnyFlight, edges: Array) -> Iterator[Array]:
 
 
 _BODY_CHANNELS = ("acc_", "gyro_rate_", *FORCE, *TORQUE)
-"""What channels of force and torque begin with."""
+"""Prefixes of the channels of force and torque."""
 Event = tuple[float, float, str]
-"""Start and end of what happened, s, and what it was."""
+"""Start and end of an event, s, and its description."""
 
 
 def usable_part(
     flight: Flight, vehicle: Vehicle, settings: UsableSettings = DEFAULT.usable
 ) -> tuple[Flight, list[str], list[str]]:
-    """The part of a flight from which something can be learnt about a vehicle.
+    """The part of a flight that contains information about a vehicle.
 
     Returns:
-        The part; what is left out, when and why; why nothing can be learnt, empty for a usable one.
+        The part; texts on what is left out, when and why; reasons why nothing can be estimated,
+        empty for a usable flight.
     """
     try:
         aligned = align_flight(flight, vehicle, 1 / GRID_HZ)
@@ -113,10 +114,10 @@ def usable_part(
 def with_readings(
     flights: Sequence[Flight], vehicle: Vehicle, payloads: Payloads | None = None
 ) -> tuple[list[Flight], list[str]]:
-    """Flights that have something to compare, and why the others have not.
+    """Flights with channels to compare, and the reasons why the others have none.
 
-    All flights of a search are compared in the channels that all have: one that shows nothing of
-    force or torque would hide it in all.
+    All flights of a search are compared in the channels that all have: a flight without force or
+    torque would remove it in all.
     """
     retained: list[Flight] = []
     reasons: list[str] = []
@@ -148,7 +149,7 @@ def with_readings(
 
 
 def flown(flight: Flight, vehicle: Vehicle, payloads: Payloads | None) -> Vehicle:
-    """The vehicle of a flight, a known mass aboard included."""
+    """The vehicle of a flight, including a known payload."""
     return carrying(vehicle, (payloads or {}).get(flight.name, 0.0))
 
 
@@ -159,7 +160,7 @@ def _too_short(flight: Flight, aligned: AlignedFlight, settings: UsableSettings)
 
 
 def _saturated(aligned: AlignedFlight) -> list[str]:
-    """How long torque and thrust are not compared."""
+    """Text on how long torque and thrust are not compared."""
     at_limit = aligned.saturated & aligned.airborne
     if not at_limit.any():
         return []
@@ -173,7 +174,7 @@ def _saturated(aligned: AlignedFlight) -> list[str]:
 def _longest(
     flight: Flight, aligned: AlignedFlight, settings: UsableSettings
 ) -> tuple[Flight, list[str]]:
-    """The longest part of a flight between blows and falls, and what is left out for it."""
+    """The longest part of a flight between impacts and falls, and texts on what is left out."""
     t = aligned.inputs.t_s
     events = sorted([*_falls(aligned, settings), *_blows(flight, aligned, settings)])
     if not events:
@@ -207,8 +208,8 @@ def _in_air(aligned: AlignedFlight, first_s: float, last_s: float) -> float:
 
 
 def _falls(aligned: AlignedFlight, settings: UsableSettings) -> Iterator[Event]:
-    """Where it is upside down, from when it was last upright until it is again, and where it lies
-    on its side at the end."""
+    """Spans in which the vehicle is upside down, from when it was last upright until it is again,
+    or lies on its side at the end."""
     if aligned.motion.attitude is None:
         return
     t, margin = aligned.inputs.t_s, settings.around_s
@@ -217,7 +218,7 @@ def _falls(aligned: AlignedFlight, settings: UsableSettings) -> Iterator[Event]:
     standing = np.flatnonzero(upright >= settings.tipped_cos)
 
     def around(k: int) -> tuple[float, float]:
-        """When it was upright before a row, and when it is again."""
+        """Time when it was last upright before a row, and when it is again, s."""
         place = int(np.searchsorted(standing, k))
         before = t[standing[place - 1]] if place else t[0]
         after = t[standing[place]] if place < len(standing) else t[-1]
@@ -237,7 +238,7 @@ def _falls(aligned: AlignedFlight, settings: UsableSettings) -> Iterator[Event]:
 
 
 def _blows(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> Iterator[Event]:
-    """Where the specific force is one that no flight reaches."""
+    """Spans in which the specific force is larger than in any flight."""
     if not flight.has(*ACC):
         return
     signal, t = Signal(*flight.signal(ACC)), aligned.inputs.t_s
@@ -254,7 +255,7 @@ def _blows(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> 
 
 
 def _turning(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> Iterator[str]:
-    """Attitude against gyroscope, with either of them late."""
+    """Texts on contradictions between attitude and gyroscope, with either of them delayed."""
     attitude, rates = aligned.motion.attitude, aligned.motion.rates
     if attitude is None or rates is None or not aligned.motion.rates_measured:
         return
@@ -269,7 +270,7 @@ def _turning(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -
 
 
 def _moving(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> Iterator[str]:
-    """Velocity against position."""
+    """Texts on contradictions between velocity and position."""
     if not flight.has(*POS) or not flight.has(*VEL):
         return
     position, velocity = (Signal(*flight.signal(c)) for c in (POS, VEL))

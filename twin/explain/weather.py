@@ -1,19 +1,19 @@
-"""The wind of a flight: whether it is stronger than on the days of the calibration, and what it and
-a load on a rope do to the balance of forces and moments.
+"""Wind of a flight: whether it is stronger than on the days of the calibration, and its effect,
+with that of a slung load, on the balance of forces and moments.
 
-Every day has its wind, so that a search takes most of it for the day's: that it has changed is told
-by how strong it is, whichever of the two it was taken for.
+Wind differs between days, so a search attributes most of it to day-to-day variation: a change is
+therefore decided by the total wind, whatever it is attributed to.
 
-The search tells them by readings that the balance leaves alone. The balance is then judged in that
-wind and with that load, and less sharply: neither is known exactly, and a calibration in calm air
-does not tell how the aircraft answers to the air,
+The search estimates wind and slung load from readings that the balance does not use. The balance is
+then evaluated in that wind and with that load, with less confidence: neither is known exactly, and
+a calibration in calm air does not give the response of the aircraft to wind:
 
     W = S_b P S_b' + (S_a - S_a0) Q (S_a - S_a0)'
 
-S_b: slopes of the means by the numbers that the search told, P: their variance; S_a: slopes by the
-numbers of the air's effects, S_a0: the same without wind and load, Q: variance of these numbers by
-the calibration, and what is expected before any flight where that does not hold them: of what many
-aircraft have as if this one had it, of what is rare by its odds.
+S_b: slopes of the means by the numbers that the search estimated, P: their covariance; S_a: slopes
+by the numbers of the aerodynamic effects, S_a0: the same without wind and load, Q: covariance of
+these numbers by the calibration, or by their priors where it does not contain them: for common
+effects given that they are present, for rare ones weighted by their odds.
 """
 
 import math
@@ -36,32 +36,33 @@ from .model.numbers import Number
 
 Array = NDArray[np.float64]
 WIND = frozenset(e.name for e in EFFECTS.values() if e.of_weather and e.component == "airframe")
-"""Effects that are a wind, the same all flight."""
+"""Effects that are a constant wind throughout the flight."""
 ACTING = frozenset(
     e.name for e in EFFECTS.values() if e.in_the_air and "vel" in e.needs and e.change is not None
 )
-"""Effects that change the balance and that a search tells without it, by what depends on the
-velocity: a wind, a load on a rope."""
+"""Effects that change the balance and that a search estimates without it, from their dependence on
+velocity: a wind, a slung load."""
 OF_AIR = frozenset(
     e.name
     for e in EFFECTS.values()
     if e.in_the_air and not e.of_weather and "vel" in e.needs and e.change is None
 )
-"""Effects of a sound aircraft by which a wind may change thrust and moments: those of the velocity.
-What comes with a change, as a slung load, is no doubt about the air."""
+"""Effects of an undamaged aircraft by which a wind may change thrust and moments: those that depend
+on velocity. Effects of a change, such as a slung load, are not uncertainty of the aerodynamics."""
 
 
 STRONG = 2.0
-"""Deviations between the days of the calibration by which a wind is stronger than usual."""
+"""Number of standard deviations between the days of the calibration from which on a wind is
+stronger than usual."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wind:
-    """The wind of some flights, of the change since a calibration and of their days together.
+    """Wind of some flights: change since a calibration plus day-to-day variation.
 
     Attributes:
-        change: "effect.number" -> mean over all flights, and standard deviation.
-        values: The same of the wind itself, with that of the vehicle.
+        change: Mean over all flights and its standard deviation, by "effect.number".
+        values: Mean and standard deviation of the wind itself, including the vehicle's.
         stronger: Probability that it is stronger than usual, see `STRONG`.
     """
 
@@ -71,7 +72,8 @@ class Wind:
 
 
 def wind_of(problem: Problem, posterior: Posterior) -> Wind | None:
-    """Wind by a search since a calibration; None where it looks for none, or knows no days."""
+    """Wind estimated by a search since a calibration; None where wind is not in the search, or no
+    day-to-day variation is known."""
     b, known = problem.priors, problem.model.vehicle.calibration
     names = [n for n in b.names if n.partition(".")[0] in WIND]
     usual = [known.days[n] for n in names if known is not None and n in known.days]
@@ -102,8 +104,8 @@ def wind_of(problem: Problem, posterior: Posterior) -> Wind | None:
 
 
 def acting_of(shown: Fit, named: Collection[str]) -> dict[str, tuple[float, float]]:
-    """Wind and named load on a rope that a search found: "effect.number" -> value and standard
-    deviation; none: calm. One that is not named is left to the balance, which knows its weight."""
+    """Wind and named slung load found by a search: "effect.number" -> value and standard deviation;
+    empty: calm. A load that is not named is left to the balance, which observes its weight."""
     pairs = zip(shown.numbers, shown.half_widths, strict=True)
     return {
         n.full: (shown.values[n.full], float(half) / INTERVAL)
@@ -113,8 +115,8 @@ def acting_of(shown: Fit, named: Collection[str]) -> dict[str, tuple[float, floa
 
 
 def hanging_of(naming: Naming, load: Hypothesis) -> Hypothesis:
-    """A load of the balance as one that hangs on a rope, with the probability of that given a load:
-    as far as its swing speaks for it, where these flights show any."""
+    """The balance's load as a slung load, with its probability given a load: according to the
+    evidence for its swing, where these flights contain any."""
     (effect,) = ACTING - WIND
     change, posterior, b = EFFECTS[effect].change, naming.posterior, naming.problem.priors
     assert change is not None
@@ -145,15 +147,15 @@ def hanging_of(naming: Naming, load: Hypothesis) -> Hypothesis:
 def uncertain(
     model: Model, channels: Sequence[str], found: Mapping[str, tuple[float, float]]
 ) -> Array:
-    """W of a model's flights.
+    """W for the flights of a model.
 
     Args:
         model: Flights with the calibrated vehicle.
-        channels: Of the balance.
-        found: As of `acting_of`.
+        channels: Channels of the balance.
+        found: Wind and load, as of `acting_of`.
 
     Returns:
-        In the units of the channels, shape (channels, channels).
+        Covariance in the units of the channels, shape (channels, channels).
     """
     there = {n.partition(".")[0] for n in found}
     wanted = OF_AIR | there
@@ -170,15 +172,15 @@ def uncertain(
 def _slopes(
     model: Model, columns: Sequence[int], channels: Sequence[str], values: Mapping[str, float]
 ) -> Array:
-    """Mean slopes of all flights, shape (channels, columns)."""
+    """Mean slopes over all flights, shape (channels, columns)."""
     flights = [{c.name: c for c in f} for f in model.channels(columns, values)]
     means = [[f[c].slopes.mean(axis=0) for c in channels] for f in flights]
     return np.asarray(np.mean(means, axis=0), dtype=np.float64)
 
 
 def _usual(number: Number, model: Model) -> float:
-    """Standard deviation of a number after the calibration, or before any flight, about what the
-    vehicle has."""
+    """Standard deviation of a number by the calibration, or by its prior, about the vehicle's
+    value."""
     known = model.vehicle.calibration
     if known is not None and number.full in known.numbers:
         i = known.numbers.index(number.full)

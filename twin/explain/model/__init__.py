@@ -1,1 +1,1 @@
-"""Residuals of flights as a function of the numbers of effects."""
+"""Residuals of flights as a function of the effects' numbers."""

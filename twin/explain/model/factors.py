@@ -1,4 +1,4 @@
-"""Sensors of a flight as factors: what each measured, and its prediction from rows on the grid.
+"""Sensors of a flight as factors: readings, and their prediction from rows on the grid.
 
 | factors | measured | predicted from |
 |---|---|---|
@@ -7,10 +7,10 @@
 | `pose_factors` | accelerometer, gyroscope | motion implied by the pose, and IMU |
 | `motion_factors` | specific force and angular acceleration of the pose | airframe |
 
-The last stand in where no accelerometer or no gyroscope was logged. Pose and airframe are compared
-without an IMU in between: the specific force where the vehicle file has the centre of mass, and the
-angular acceleration. What was logged is the measurement, so the age of the pose and a heading error
-are put onto the prediction.
+The last is used where no accelerometer or no gyroscope was logged. Pose and airframe are then
+compared without an IMU in between: the specific force at the centre of mass of the vehicle file,
+and the angular acceleration. The logged pose is the measurement, so its age and heading error are
+applied to the prediction.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -54,8 +54,8 @@ from .prediction import SensorBatch
 
 @dataclass(frozen=True, slots=True)
 class FlightContext:
-    """A flight as read and on the grid, the model as it stands, effects in the equations, all
-    switched on, and every number in the order of the prediction's."""
+    """Context of a flight: the record, its grid, the nominal model, all effects enabled in the
+    equations, and all numbers in the order of the prediction's."""
 
     flight: Flight
     vehicle: Vehicle
@@ -68,27 +68,30 @@ class FlightContext:
 
 @dataclass(frozen=True, slots=True)
 class SensorFactor:
-    """One sensor of a flight: readings, and what predicts them from rows on the grid.
+    """One sensor of a flight: readings, and their prediction from rows on the grid.
 
     Attributes:
-        readings: Measured.
-        batch: Prediction; None: that of airframe and IMU, or of the airframe alone.
-        rows: Its inputs, shape (n, n_u).
-        at: Inputs at which its slopes are taken, shape (n, n_u).
-        outputs: Which of its outputs.
-        late: Sign with which ages, "effect.number", shift the prediction.
-        effects: Effects that reach the prediction.
-        rate: Whether the readings are rates of change, of what the sensor reads.
-        turning: Body rates, shape (n, 3), where position and attitude both make the prediction.
-        older: Rows with position and attitude from so many seconds later, where they do.
-        as_logged: Where the pose is what is compared with the airframe alone, no IMU in between:
-            `(values on the grid, numbers) -> values` as a pose of that age and heading shows them.
-        axes: Which of these are the readings.
-        averaged: Signals of the pose in whose place the motion itself would be predicted from.
-        sampled: `values on the grid, shape (n, k, m) -> values` as they are seen at the samples of
-            the pose alone, where the readings are; None: the readings are as they were read.
-        carried: What that changes of the prediction by the model as it stands, shape (n, k), where
-            the motion adds to what the pose implies.
+        readings: Measured readings.
+        batch: Prediction function; None: that of airframe and IMU, or of the airframe alone.
+        rows: Inputs of the prediction, shape (n, n_u).
+        at: Inputs at which the slopes are taken, shape (n, n_u).
+        outputs: Indices of the outputs that are used.
+        late: Sign with which each age, "effect.number", shifts the prediction in time.
+        effects: Effects on which the prediction depends.
+        rate: Whether the readings are time derivatives of the sensor's signal.
+        turning: Body rates, rad/s, shape (n, 3), where position and attitude both enter the
+            prediction.
+        older: Function that returns rows with position and attitude taken later by two times in s,
+            where ages matter.
+        as_logged: Function `(values on the grid, numbers) -> values` that applies the age and
+            heading error of the pose, where the pose is compared with the airframe directly; else
+            None.
+        axes: Axes of the prediction that are readings.
+        averaged: Pose signals that are time-averaged and enter the prediction.
+        sampled: Function `values on the grid, shape (n, k, m) -> values` that samples and
+            interpolates like the pose; None: the readings are not filtered like that.
+        carried: Change that `sampled` makes to the nominal prediction, shape (n, k), where the
+            motion adds to what the pose implies.
     """
 
     readings: Measured
@@ -110,17 +113,18 @@ class SensorFactor:
     __repr__ = short_repr
 
     def seen(self, values: Array) -> Array:
-        """Values on the grid, shape (n, k, m), where the readings are known; zeros stay zeros."""
+        """Values on the grid, shape (n, k, m), at the known readings; zeros stay zeros."""
         return values if self.sampled is None or not np.any(values) else self.sampled(values)
 
 
 def driven_apart(
     context: FlightContext, rate: bool
 ) -> list[tuple[slice, NDArray[np.bool_] | None]]:
-    """Axes of a specific force, or of its `rate`, an angular acceleration, and grid points to omit.
+    """Axes of a specific force, or of an angular acceleration (`rate`), with the grid points to
+    omit.
 
-    While a motor is at a limit its command does not tell thrust and torque; what acts across the
-    thrust does not depend on it.
+    While a motor is saturated, thrust and torque do not follow its command; forces across the
+    thrust do not depend on it.
     """
     saturated = context.aligned.saturated
     if not (saturated & context.aligned.airborne).any():
@@ -132,8 +136,8 @@ def driven_apart(
 
 @dataclass(frozen=True, slots=True)
 class PoseAxis:
-    """Axes of the pose that are compared together, grid points to omit, shape (n,), and if only
-    motion below `DERIVED_BAND_HZ` is known."""
+    """Axes of the pose that are compared together, grid points to omit, shape (n,), and whether
+    only motion below `DERIVED_BAND_HZ` is known."""
 
     axes: slice
     left_out: NDArray[np.bool_] | None
@@ -143,11 +147,10 @@ class PoseAxis:
 
 
 def pose_axes(context: FlightContext, rate: bool) -> list[PoseAxis]:
-    """Axes of a specific force, or of an angular acceleration, that the pose shows.
+    """Axes of a specific force, or of an angular acceleration, that can be derived from the pose.
 
-    An angle that was told from the force shows neither that force nor a fast turn; without a
-    heading nothing across the thrust or about the vertical is known, and no turn whose angle came
-    from the force.
+    An attitude derived from the force contains no information on that force or on fast rotation;
+    without a heading, forces across the thrust and rotation about the vertical are unknown.
     """
     parts = driven_apart(context, rate)
     roll, pitch, yaw = (c in context.flight.derived_angles for c in EULER)
@@ -166,9 +169,10 @@ def pose_axes(context: FlightContext, rate: bool) -> list[PoseAxis]:
 
 
 def pull_signal(context: FlightContext) -> tuple[AnySignal, int] | None:
-    """What shows the acceleration of the pose, and how often it is to be differentiated.
+    """Signal from which the acceleration of the pose is computed, and its number of
+    differentiations.
 
-    The acceleration of the record where it has one, else the velocity; None without either.
+    The logged acceleration where there is one, else the velocity; None without either.
     """
     if context.flight.has(*ACC_NED):
         return Signal(*context.flight.signal(ACC_NED)), 0
@@ -177,7 +181,7 @@ def pull_signal(context: FlightContext) -> tuple[AnySignal, int] | None:
 
 
 def pull_of_pose(context: FlightContext) -> Array | None:
-    """Acceleration that the pose shows less gravity, NED, on the grid, shape (n, 3)."""
+    """Acceleration of the pose minus gravity, NED, m/s^2, on the grid, shape (n, 3)."""
     shown = pull_signal(context)
     if shown is None:
         return None
@@ -190,8 +194,8 @@ def pull_of_pose(context: FlightContext) -> Array | None:
 def shift_signs(
     context: FlightContext, shown: Collection[str], measured_from: Collection[str]
 ) -> dict[str, float]:
-    """Sign with which each age shifts a prediction: later where what is shown is old, earlier where
-    what it is told from is."""
+    """Sign with which each age shifts a prediction: later if the measured signal is old, earlier if
+    an input of the prediction is."""
     late = {}
     for n in context.numbers:
         if set(n.moves) & set(shown):
@@ -202,7 +206,7 @@ def shift_signs(
 
 
 def moving(context: FlightContext, signals: Collection[str]) -> frozenset[str]:
-    """Effects that shift some signals."""
+    """Effects that shift some signals in time."""
     return frozenset(n.effect for n in context.numbers if set(n.moves) & set(signals))
 
 
@@ -212,13 +216,13 @@ def reaching(*components: str) -> frozenset[str]:
 
 
 def in_body(q_nb: Array, pull_n: Array) -> Array:
-    """A force in NED, in body axes of unit quaternions; shape (n, 3)."""
+    """Rotate forces from NED to body axes by unit quaternions; shape (n, 3)."""
     q = q_nb / np.linalg.norm(q_nb, axis=1, keepdims=True)
     return np.stack(to_body(list(q.T), list(pull_n.T)), axis=-1)
 
 
 def in_ned(q_nb: Array, force_b: Array) -> Array:
-    """A force in body axes of unit quaternions, in NED; shape (n, 3)."""
+    """Rotate forces from body axes to NED by unit quaternions; shape (n, 3)."""
     q = q_nb / np.linalg.norm(q_nb, axis=1, keepdims=True)
     return np.stack(to_ned(list(q.T), list(force_b.T)), axis=-1)
 
@@ -227,7 +231,7 @@ def in_ned(q_nb: Array, force_b: Array) -> Array:
 
 
 def imu_factors(context: FlightContext) -> list[SensorFactor]:
-    """Accelerometer, and rate of change of the gyroscope."""
+    """Factors of the accelerometer, and of the derivative of the gyroscope."""
     flight, nothing = context.flight, np.zeros((0, 0))
     found = []
     for k, sensor in enumerate(OF_IMU):
@@ -250,7 +254,7 @@ def imu_factors(context: FlightContext) -> list[SensorFactor]:
 
 
 def other_factors(context: FlightContext) -> list[SensorFactor]:
-    """Sensors that the pose alone tells."""
+    """Factors of sensors that are predicted from the pose alone."""
     t, flight = context.aligned.inputs.t_s, context.flight
     pose = pose_signals(context.aligned)
     if flight.derived_angles:
@@ -287,7 +291,7 @@ def other_factors(context: FlightContext) -> list[SensorFactor]:
 
 
 def _older(sensor: Component, rows: Array, position_s: float, attitude_s: float) -> Array:
-    """Inputs of a sensor with position and attitude from so many seconds later."""
+    """Inputs of a sensor with position and attitude taken later by these times, s."""
     rows = rows.copy()
     for signals, age_s in ((PLACE, position_s), (TURN, attitude_s)):
         stems = tuple(f"{s}_" for s in signals)
@@ -302,26 +306,29 @@ def _older(sensor: Component, rows: Array, position_s: float, attitude_s: float)
 
 Sampled = Callable[[Array], Array]
 POSE_PASSES = 2
-"""How often what a pose implies passes the low-pass. Its noise, differentiated, grows with the
-frequency; what is left of it beyond half `CHANNEL_HZ` is mirrored when the channel is thinned out.
-With what is there already it makes a comb over the age of the pose, of one tooth every 20 ms: 45
-nats high on NanoBench's helix, in which fits ended wherever they were. Of a made burst it is 260 by
-one pass and all bands, 45 by one and those below `OF_POSE_HZ`, 6 by two and these.
+"""Number of passes of a pose's prediction through the low-pass. Its differentiated noise grows with
+frequency; the rest above half of `CHANNEL_HZ` is aliased when the channel is decimated. Together
+with the low frequencies this makes the likelihood a comb over the age of the pose, with one tooth
+every 20 ms: 45 nats high on NanoBench's helix, with fits ending in any tooth. For a synthetic burst
+it is 260 nats with one pass and all bands, 45 with one pass and the bands below `OF_POSE_HZ`, 6
+with two passes and these.
 """
 AGE_S = 0.1
-"""Before its end a pose is not compared: a pose that is late would show there what is not known."""
+"""Time before the end of a pose that is not compared, s: with a delayed pose, later motion is
+unknown."""
 
 
 def pose_factors(context: FlightContext, force: Array) -> list[SensorFactor]:
-    """What the IMU reads against what the pose implies: no physics of the vehicle in between.
+    """Factors that compare the IMU readings with those implied by the pose, without physics of the
+    vehicle.
 
-    A pose is known at its samples alone, and what it implies between them is made up by splines.
-    Readings pass the same, `resample_like`, or few samples a second would be taken for an average.
+    A pose is known only at its samples; between them, splines interpolate. Readings are filtered in
+    the same way by `resample_like`; otherwise a low sample rate would be mistaken for averaging.
 
-    The slopes are taken at the force that the airframe predicts and at the gyroscope: noise in
-    a regressor would shrink what is found with it, or feign it where the residual has it too. It is
-    the force of the model as it stands; those by an age, which ask how it changes in time, take
-    that of the numbers in question.
+    Slopes use the force predicted by the airframe and the gyroscope: noise in a regressor would
+    bias its estimate towards zero, or correlate with the same noise in the residual. The force is
+    that of the nominal model; slopes by an age, which need its time derivative, use the current
+    numbers.
     """
     t, motion, flight = context.aligned.inputs.t_s, context.aligned.motion, context.flight
     accelerometer, gyroscope = OF_IMU
@@ -350,7 +357,7 @@ def pose_factors(context: FlightContext, force: Array) -> list[SensorFactor]:
     turned, pulls = GridSpline(q_nb), None if pull is None else GridSpline(pull)
 
     def older(position_s: float, attitude_s: float) -> Array:
-        """Rows with position and attitude from so many seconds later."""
+        """Rows with position and attitude taken later by these times, s."""
         assert pulls is not None
         pulled = in_body(turned.later(-attitude_s), pulls.later(-position_s))
         return rows_of(sensor, implied | named("specific_force", pulled), len(t))
@@ -367,7 +374,7 @@ def pose_factors(context: FlightContext, force: Array) -> list[SensorFactor]:
     for kind, values, outputs, sampled in groups:
         names, cutoff = tuple(f"pose_{c}" for c in kind.columns), kind.cutoff_hz(v)
         taken = sampled(values[:, :, None])[:, :, 0]
-        reached = np.all(np.isfinite(sampled(there)), axis=(1, 2))  # by what numbers change, too
+        reached = np.all(np.isfinite(sampled(there)), axis=(1, 2))  # at any changed numbers, too
         there_too = known & reached
         readings = measured(names, kind.unit, t, taken, there_too, band, cutoff, passes=POSE_PASSES)
         if readings is None:
@@ -393,14 +400,14 @@ def pose_factors(context: FlightContext, force: Array) -> list[SensorFactor]:
 def _forces_at_samples(
     q_nb: Array, t_s: Array, pose: AnySignal, derivative: int, b: Array
 ) -> Array:
-    """Forces in body axes, shape (n, 3, m), where what shows the acceleration was sampled."""
+    """Forces in body axes, shape (n, 3, m), with the acceleration sampled like its signal."""
     each = range(b.shape[2])
     n = resample_like(np.hstack([in_ned(q_nb, b[:, :, k]) for k in each]), t_s, pose, derivative)
     return np.stack([in_body(q_nb, n[:, 3 * k : 3 * k + 3]) for k in each], axis=-1)
 
 
 def _turned_at_samples(t_s: Array, attitude: AnySignal, rates: Array) -> Array:
-    """Body rates, shape (n, 3, m), where the attitude was sampled."""
+    """Body rates, shape (n, 3, m), sampled like the attitude."""
     return resample_like(rates.reshape(len(rates), -1), t_s, attitude, 1).reshape(rates.shape)
 
 
@@ -408,16 +415,16 @@ def _turned_at_samples(t_s: Array, attitude: AnySignal, rates: Array) -> Array:
 
 
 FORCE, TORQUE = (tuple(f"motion_{kind}_{a}" for a in "xyz") for kind in ("acc", "rate"))
-"""Names of the channels."""
+"""Channel names of specific force and of angular acceleration."""
 SHARE_OF_RATE = 0.2
-"""Band of what is differentiated once, over the rate at which it was sampled."""
+"""Bandwidth of a signal that is differentiated once, as a share of its sample rate."""
 DERIVED_BAND_HZ = 1.0
-"""Band of the angular acceleration of an angle that was told from the force: a fifth of that of the
-force, so that its low-pass takes nothing of it."""
+"""Bandwidth of the angular acceleration of an attitude derived from the force, Hz: a fifth of the
+force's bandwidth, so that the force's low-pass has no influence."""
 
 
 def motion_factors(context: FlightContext, missing: Collection[str]) -> list[SensorFactor]:
-    """Specific force and angular acceleration of the pose."""
+    """Factors of the specific force and angular acceleration of the pose."""
     attitude = context.aligned.motion.attitude
     if attitude is None:
         return []
@@ -451,8 +458,8 @@ def motion_factors(context: FlightContext, missing: Collection[str]) -> list[Sen
 
 
 def _rate_of_velocity(flight: Flight) -> float:
-    """Samples per second of what the acceleration comes from; of a position, which is smoothed and
-    differentiated twice, half."""
+    """Effective sample rate of the signal behind the acceleration, Hz; half for a position, which
+    is smoothed and differentiated twice."""
     if flight.has(*ACC_NED):
         return Signal(*flight.signal(ACC_NED)).rate_hz
     if flight.has(*VEL):
@@ -476,7 +483,7 @@ def _readings(
 
 
 def _force_as_logged(q_nb: Array, numbers: Sequence[Number], force_b: Array, theta: Array) -> Array:
-    """A force in body axes, as a pose shows it."""
+    """A force in body axes as a delayed, rotated pose shows it."""
     place_s, turn_s = (age_of(numbers, theta, signals) for signals in (PLACE, TURN))
     off_rad = float(sum(v for n, v in zip(numbers, theta, strict=True) if n.turns_pose))
     if not (place_s or turn_s or off_rad):
@@ -490,6 +497,6 @@ def _force_as_logged(q_nb: Array, numbers: Sequence[Number], force_b: Array, the
 
 
 def _torque_as_logged(numbers: Sequence[Number], rates: Array, theta: Array) -> Array:
-    """An angular acceleration as an old attitude shows it."""
+    """An angular acceleration as a delayed attitude shows it."""
     turn_s = age_of(numbers, theta, TURN)
     return shifted(rates, turn_s) if turn_s else rates

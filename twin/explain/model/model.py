@@ -1,4 +1,4 @@
-"""Flights and everything that predicts their readings, as a function of the effects' numbers.
+"""Predicted and measured readings of flights as a function of the effects' numbers.
 
 | channels | measured | predicted by |
 |---|---|---|
@@ -11,7 +11,7 @@
 | motion_acc_* | acceleration of the pose less gravity | airframe, at the vehicle's centre of mass |
 | motion_rate_* | rate of change of the attitude's rates | airframe |
 
-The last two stand in where not every flight has an accelerometer, or a gyroscope.
+The last two replace the accelerometer or gyroscope where not every flight has one.
 """
 
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
@@ -60,31 +60,30 @@ from .numbers import (
 from .prediction import Batch, Physics, Trajectory, remembered
 
 AGE_STEP_S = 0.002
-"""By which the age or the heading of what a prediction is made from is moved where its answer is a
-difference."""
+"""Step of numerical differentiation by a pose age or a heading, s or rad."""
 TIME_STEP_S = 0.002
-"""By which a lag is moved where its answer is a difference."""
+"""Step of numerical differentiation by a lag, s."""
 SMALL = 0.01
-"""Share of the step of a number in a difference that is to be a derivative."""
+"""Step of a numerical derivative over the step of the number."""
 SLOPES_AT_ONCE = 8
-"""Slopes that are seen at the samples of a pose at a time."""
+"""Number of slopes interpolated to the samples of a pose at once."""
 RECENT = 2
-"""Predictions of a flight that are kept: slopes are wanted where a residual was."""
+"""Predictions per flight that are cached: slopes are requested where a residual was."""
 BEND_S = 0.02
-"""Step of differences of what was averaged over time: they leave vibration out, and are those of
-motion to 5 % at the band of the pose."""
+"""Step of second differences of time-averaged signals, s: it suppresses vibration and is accurate
+to 5 % at the band of the pose."""
 
 
 def missing_imu_signals(flights: Sequence[Flight]) -> tuple[str, ...]:
-    """Signals of the IMU that not every flight has."""
+    """IMU signals that at least one flight lacks."""
     return tuple(s.signal for s in OF_IMU if not all(f.has(*s.columns) for f in flights))
 
 
 def channel_names(flight: Flight, vehicle: Vehicle) -> list[str]:
-    """Channels of a flight by itself, whatever predicts them.
+    """Channels that a flight alone has, whatever the other flights lack.
 
     Raises:
-        LogError: It cannot be put on the grid of the vehicle.
+        LogError: The flight cannot be resampled to the grid of the vehicle.
     """
     context = FlightContext(flight, vehicle, align_flight(flight, vehicle, 1 / GRID_HZ), (), ())
     force = np.zeros((len(context.aligned.inputs.t_s), 3))
@@ -94,8 +93,8 @@ def channel_names(flight: Flight, vehicle: Vehicle) -> list[str]:
 
 
 def measured_turning(flight: Flight, aligned: AlignedFlight) -> Array | None:
-    """Angular acceleration by the gyroscope on the grid, rad/s^2, shape (n, 3), 0 where it is not
-    known; None without one."""
+    """Angular acceleration from the gyroscope on the grid, rad/s^2, shape (n, 3), 0 where unknown;
+    None without a gyroscope."""
     _, gyroscope = OF_IMU
     if not flight.has(*gyroscope.columns):
         return None
@@ -105,15 +104,15 @@ def measured_turning(flight: Flight, aligned: AlignedFlight) -> Array | None:
 
 
 class FlightModel:
-    """One flight on a grid of `GRID_HZ`; the pose stands in for signals of the IMU that are
-    `missing`, by default those that it lacks.
+    """Predictions of one flight on a grid of `GRID_HZ`; the pose replaces the IMU signals that are
+    `missing`, by default those that the flight lacks.
 
     Attributes:
-        flight: As read.
-        vehicle: The model as it stands.
-        numbers: Every number that may change, in the order of the prediction's.
-        aligned: On the grid, with the model as it stands.
-        factors: Its sensors, and what predicts each.
+        flight: The flight as read.
+        vehicle: Nominal model.
+        numbers: All numbers that may change, in the order of the prediction's.
+        aligned: The flight on the grid, with the nominal model.
+        factors: Sensors of the flight with their predictions.
     """
 
     def __init__(
@@ -149,11 +148,11 @@ class FlightModel:
     def channels(
         self, columns: Sequence[int], change: Mapping[str, float] | None = None
     ) -> list[ChannelData]:
-        """Channels with some numbers changed.
+        """Channels with some numbers changed, with slopes.
 
         Args:
-            columns: Numbers to differentiate by.
-            change: "effect.number" -> value, for those that differ from the model as it stands.
+            columns: Indices of the numbers by which to differentiate.
+            change: Changed numbers, "effect.number" -> value.
         """
         change = dict(change or {})
         touched = {self.numbers[i].effect for i in columns}
@@ -172,7 +171,7 @@ class FlightModel:
         return found
 
     def _untouched(self, k: int, width: int) -> list[ChannelData]:
-        """Channels of a part that no number in question reaches."""
+        """Channels of a factor that none of these numbers affects; slopes are zero."""
         if k not in self._resting:
             factor = self.factors[k]
             bare = factor.as_logged is not None
@@ -188,14 +187,15 @@ class FlightModel:
         body: tuple[Array, Array] | None,
         at_imu: tuple[Array, Array] | None = None,
     ) -> tuple[Array, Array]:
-        """Prediction of a part on the grid, and its slopes.
+        """Prediction of a factor on the grid, and its slopes.
 
         Args:
-            k: Which part.
-            columns: Numbers to differentiate by.
-            change: "effect.number" -> value.
-            body: The same of airframe and IMU, or of the airframe alone, where the part is theirs.
-            at_imu: The same of airframe and IMU, where these numbers reach them.
+            k: Index of the factor.
+            columns: Indices of the numbers by which to differentiate.
+            change: Changed numbers, "effect.number" -> value.
+            body: Prediction and slopes of airframe and IMU, or of the airframe alone, if the factor
+                is predicted by them.
+            at_imu: Prediction and slopes of airframe and IMU, where these numbers affect them.
         """
         factor, theta = self.factors[k], values_of(self.numbers, change)
         if factor.batch is None:
@@ -216,9 +216,11 @@ class FlightModel:
         return self._in_time(k, columns, theta, predicted, slopes, at)
 
     def _sensed_values(self, k: int, theta: Array) -> tuple[Array, Array]:
-        """Prediction of a part that the pose predicts, and the one where its slopes are taken.
+        """Prediction of a factor from the pose, and the prediction at the inputs where slopes are
+        taken.
 
-        Numbers change what is clean: a scale below one would damp the noise of the pose.
+        Numbers act on the clean part only: a scale below one would also reduce the noise of the
+        pose.
         """
         factor = self.factors[k]
         assert factor.batch is not None
@@ -230,15 +232,15 @@ class FlightModel:
         return self._clean(k, theta)[:, factor.outputs] + more, at
 
     def _sensed_slopes(self, k: int, columns: Sequence[int], theta: Array) -> Array:
-        """Slopes of a part that the pose predicts, where its readings are known; by a number anew
-        only where another has changed that they depend on."""
+        """Slopes of a factor predicted from the pose, at its readings; a slope is recomputed only
+        if a number on which it depends has changed."""
         factor, retained = self.factors[k], self._sensed.setdefault(k, {})
         assert factor.batch is not None
         depends = {i: factor.batch.bending(i, theta) for i in columns if factor.batch.answers(i)}
         stale = [i for i in depends if i not in retained or retained[i][0] != depends[i]]
         slopes = factor.batch.slopes(stale, theta, factor.at)[:, factor.outputs]
         some = [j for j in range(len(stale)) if np.any(slopes[:, :, j])]
-        for first in range(0, len(some), SLOPES_AT_ONCE):  # all at once, they would fill the memory
+        for first in range(0, len(some), SLOPES_AT_ONCE):  # in groups, to limit memory
             few = some[first : first + SLOPES_AT_ONCE]
             slopes[:, :, few] = factor.seen(slopes[:, :, few])
         retained |= {i: (depends[i], slopes[:, :, j]) for j, i in enumerate(stale)}
@@ -268,7 +270,8 @@ class FlightModel:
     def _valued(
         self, bare: bool, theta: Array, change: Mapping[str, float]
     ) -> tuple[Array, tuple[Array, ...]]:
-        """Prediction of airframe and IMU, or of the `bare` airframe, and the rows it is made of."""
+        """Prediction of airframe and IMU, or of the `bare` airframe, and the rows from which it was
+        computed."""
         rows: tuple[Array, ...] = self._trajectory.at(change)
         body = self._body(bare)
         if body is self._physics.as_measured and self._turning is not None:
@@ -276,14 +279,15 @@ class FlightModel:
         return body.value(theta, *rows), rows
 
     def _body(self, bare: bool) -> Physics | Batch:
-        """What predicts airframe and IMU, or the `bare` airframe."""
+        """Function that predicts airframe and IMU, or the `bare` airframe."""
         if bare:
             return self._physics.bare
         measured = None if self._turning is None else self._physics.as_measured
         return self._physics if measured is None else measured
 
     def _difference_step(self, i: int, change: Mapping[str, float]) -> float | None:
-        """Step of a number whose answer is no derivative of the equations at given states."""
+        """Step of numerical differentiation for a number whose effect is not a derivative of the
+        equations at given states; None: the symbolic derivative is exact."""
         n = self.numbers[i]
         if set(n.moves) & {*PLACE, *TURN, *DRIVES}:
             return AGE_STEP_S
@@ -304,7 +308,8 @@ class FlightModel:
         predicted: Array,
         slopes: Array,
     ) -> tuple[Array, Array]:
-        """What happened and its slopes, as a pose of an age and a heading shows them."""
+        """Prediction and slopes, distorted by the age and heading error of the pose like the logged
+        motion."""
         value = shown(predicted, theta)
         answer = np.zeros_like(slopes)
         for column, i in enumerate(columns):
@@ -325,7 +330,8 @@ class FlightModel:
         answer: Array,
         at: Array,
     ) -> tuple[Array, Array]:
-        """Ages, an averaged pose, a turned heading: they shift, bend or turn what is predicted."""
+        """Prediction and slopes with pose ages (time shift), time-averaging of the pose (curvature)
+        and heading error (rotation)."""
         factor = self.factors[k]
         rate = cache(partial(np.gradient, at, 1 / GRID_HZ, axis=0))
         turned = cache(partial(self._turned, at))
@@ -351,7 +357,7 @@ class FlightModel:
         return predicted, answer
 
     def _by_age(self, k: int, i: int, theta: Array, rate: Array, at: Array) -> Array:
-        """Answer to the age of position or attitude, which both make the prediction."""
+        """Slope by the age of position or attitude, where both enter the prediction."""
         factor, moves = self.factors[k], set(self.numbers[i].moves)
         if factor.turning is None:
             ahead = theta.copy()
@@ -367,12 +373,12 @@ class FlightModel:
         return answer
 
     def _by_average(self, k: int, i: int, at: Array) -> Array:
-        """Answer to the variance of the average over time that a pose is: what was averaged is the
-        average less half the variance times its second derivative.
+        """Slope by the variance of a time average in the pose: the signal before averaging is the
+        average minus half the variance times its second derivative.
 
-        Of the gyroscope, as every slope here: the noise of the attitude, twice differentiated on
-        top, hides all. That of the gyroscope, which the residual has too, feigns a little of an
-        average where the vehicle hardly turns.
+        Computed from the gyroscope, like every slope here: the twice differentiated noise of the
+        attitude would dominate. Gyroscope noise, also in the residual, slightly biases the average
+        where the vehicle hardly rotates.
         """
         turning, signals = self.factors[k].turning, set(self.numbers[i].averages)
         if turning is None:
@@ -388,7 +394,7 @@ class FlightModel:
         return answer
 
     def _clean(self, k: int, theta: Array) -> Array:
-        """Prediction of the model as it stands, the ages of the pose taken out."""
+        """Prediction of the nominal model, corrected for the ages of the pose."""
         factor = self.factors[k]
         ages = age_of(self.numbers, theta, PLACE), age_of(self.numbers, theta, TURN)
         if factor.older is None or not any(ages):
@@ -397,7 +403,7 @@ class FlightModel:
         return factor.batch.value(self._now, factor.older(*ages))
 
     def _standing(self, k: int, rows: Array) -> Array:
-        """Prediction of the model as it stands, from one of the two kinds of rows of a part."""
+        """Prediction of the nominal model from one of the two kinds of rows of a factor."""
         batch = self.factors[k].batch
         assert batch is not None
         key = k, rows is self.factors[k].at
@@ -406,13 +412,13 @@ class FlightModel:
         return self._predicted[key]
 
     def _turned(self, force_b: Array) -> Array:
-        """Change of a force in body axes per angle by which the measured heading is off."""
+        """Derivative of a force in body axes by the error of the measured heading."""
         north, east, _ = to_ned(self._q, list(force_b.T))
         return np.stack(to_body(self._q, [-east, north, 0 * north]), axis=-1)
 
 
 def _bend(values: Array) -> Array:
-    """Second derivative in time of values on the grid, by differences over `BEND_S`."""
+    """Second time derivative of values on the grid, by differences over `BEND_S`."""
     spline = GridSpline(values)
     return np.asarray((spline.later(-BEND_S) - 2 * values + spline.later(BEND_S)) / BEND_S**2)
 
@@ -422,17 +428,17 @@ def _bend(values: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """All flights of one vehicle.
+    """Predictions of all flights of one vehicle.
 
     Attributes:
-        vehicle: The model as it stands.
-        effects: Effects that all flights can show.
-        numbers: Every number of these.
-        flights: One per flight.
-        unobservable: Effects that have no place in the airframe of some flight: where measured
-            rotor speeds drive it, nothing between command and rotor.
-        days: Per flight, what its day adds to numbers, "effect.number" -> difference; empty where
-            all flights share all numbers.
+        vehicle: Nominal model.
+        effects: Effects that are observable in all flights.
+        numbers: All numbers of these effects.
+        flights: Predictions of each flight.
+        unobservable: Effects that do not exist in the airframe of some flight: where measured rotor
+            speeds drive it, those between command and rotor.
+        days: Deviations of numbers in each flight from the shared values, "effect.number" ->
+            difference; empty where all flights share all numbers.
     """
 
     vehicle: Vehicle
@@ -447,37 +453,37 @@ class Model:
     def channels(
         self, columns: Sequence[int], change: Mapping[str, float] | None = None
     ) -> list[list[ChannelData]]:
-        """Channels of each flight, the same ones in the same order.
+        """Channels of each flight; all flights have the same channels in the same order.
 
         Args:
-            columns: Numbers to differentiate by.
-            change: "effect.number" -> value, for those that differ from the model as it stands.
+            columns: Indices of the numbers by which to differentiate.
+            change: Changed numbers, "effect.number" -> value.
         """
         rows = [f.channels(columns, self._of(i, change)) for i, f in enumerate(self.flights)]
         shared = [c.name for c in rows[0] if all(c.name in {d.name for d in r} for r in rows)]
         return [[next(c for c in r if c.name == name) for name in shared] for r in rows]
 
     def _of(self, flight: int, change: Mapping[str, float] | None) -> Mapping[str, float] | None:
-        """Numbers of one flight, its day with them."""
+        """Numbers of one flight, with its day-to-day deviations."""
         day = self.days[flight] if self.days else {}
         now = {n.full: n.now for n in self.numbers if n.full in day} | dict(change or {})
         return now | {name: now[name] + more for name, more in day.items()} if day else change
 
 
 def candidates(flights: Sequence[Flight], since: bool = False) -> list[Effect]:
-    """Effects that change a mean, of which all flights have the signals.
+    """Effects with a mean whose signals all flights have.
 
     Args:
-        flights: That are compared.
-        since: Whether it is asked what has changed: else effects that no model lacks from the
-            start, as a load strapped on, are left out.
+        flights: Flights that are compared.
+        since: Whether changes since a calibration are searched; otherwise effects that no model
+            lacks from the start, such as an added load, are omitted.
     """
     every = [e for e in EFFECTS.values() if has_mean(e) and visible(e, flights)]
     return [e for e in every if since or e.prior is not None or e.change is None]
 
 
 def has_mean(effect: Effect) -> bool:
-    """Whether an effect changes a mean."""
+    """Whether an effect changes the mean of a reading."""
     return isinstance(effect.observable_as, Equation | Shift | Average)
 
 
@@ -488,7 +494,7 @@ def model_of(
     progress: Callable[[float], None] = lambda _: None,
     payloads: Payloads | None = None,
 ) -> Model:
-    """Put flights on their grids and differentiate the model.
+    """Resample flights to their grids and differentiate the model.
 
     Raises:
         LogError: A flight cannot be compared with this vehicle, or no flight is long enough.
@@ -528,7 +534,7 @@ def model_of(
 def _is_identifiable(
     number: Number, flights: Sequence[Flight], bodies: Iterable[Component]
 ) -> bool:
-    """Whether some flight shows a signal whose time a number of logs is about; else all do."""
+    """Whether some flight has a signal that a number shifts or averages; true for other numbers."""
     signals = (*number.moves, *number.averages)
     drives = tuple(f"{s}_" for s in signals if s in DRIVES)
     if drives:
@@ -537,7 +543,8 @@ def _is_identifiable(
 
 
 def _has_place(body: Component, effect: Effect) -> bool:
-    """Whether an airframe has what the effect acts on; an effect of a sensor always has it."""
+    """Whether an airframe contains the equation on which the effect acts; true for an effect of a
+    sensor."""
     observable_as = effect.observable_as
     if isinstance(observable_as, Shift) and observable_as.acts:
         moved = [f"{s}_" for signals in observable_as.moves.values() for s in signals]

@@ -1,4 +1,4 @@
-"""Numbers that a search may change: those of every effect that flights can show; known payloads."""
+"""Numbers that a search may change: those of every observable effect; known payloads."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,17 +14,17 @@ from ...representation import short_repr
 from ...vehicle import Vehicle
 
 Payloads = Mapping[str, float]
-"""Mass on top of the vehicle's by name of the flight, kg; a flight that is not named has none."""
+"""Payload mass by name of the flight, kg; 0 for flights without an entry."""
 
 
 def carrying(vehicle: Vehicle, payload_kg: float) -> Vehicle:
-    """The vehicle with a small heavy thing at its centre of mass: it turns as before."""
+    """The vehicle with a point mass at its centre of mass, which leaves the inertia unchanged."""
     return replace(vehicle, mass_kg=vehicle.mass_kg + payload_kg)
 
 
 Array = NDArray[np.float64]
 STEPS = 30.0
-"""Steps of differences over the range of a number."""
+"""Number of difference steps over the range of a number."""
 SIGNALS: dict[str, tuple[str, ...]] = {
     **{s.signal: s.columns for s in SENSORS},
     "pos": POS,
@@ -35,25 +35,25 @@ SIGNALS: dict[str, tuple[str, ...]] = {
     "cmd": ("cmd_1",),
     "rotor": ("rotor_1",),
 }
-"""Flight-table columns of a signal named in `Effect.needs`; of motors, the first."""
+"""Flight-table columns of each signal named in `Effect.needs`; for motors, the first column."""
 ACCELEROMETER, GYROSCOPE = (s.signal for s in SENSORS if s.group == BODY)
-"""Their signals in a flight table."""
+"""Signal names of accelerometer and gyroscope in a flight table."""
 PLACE, TURN = ("pos", "vel"), ("q",)
-"""Signals of the pose, which may come from two clocks."""
+"""Signals of the pose, which may have two clocks."""
 DRIVES = ("cmd", "rotor")
-"""Signals that drive the airframe, one of them each."""
+"""Signals that drive the airframe; each flight uses one of them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """One number of an effect, sized for a vehicle.
+    """One number of an effect, scaled to a vehicle.
 
     Attributes:
-        effect: Identifier.
-        name: As in the FMU, without the effect's name.
-        about: Unit, prior, neutral value.
-        now: Value in the model as it stands: the vehicle's setting, else the neutral value, for a
-            shape the start value.
+        effect: Identifier of the effect.
+        name: Name in the FMU, without the effect's name.
+        about: Unit, prior and neutral value.
+        now: Value in the nominal model: the vehicle's setting, else the neutral value; for a shape
+            parameter the start value.
     """
 
     effect: str
@@ -65,12 +65,12 @@ class Number:
 
     @property
     def full(self) -> str:
-        """Name in the FMU."""
+        """Full name in the FMU."""
         return f"{self.effect}.{self.name}"
 
     @property
     def shape(self) -> bool:
-        """Whether it has no value at which the effect vanishes."""
+        """Whether it is a shape parameter: no value of it makes the effect vanish."""
         return self.about.neutral is None
 
     @property
@@ -81,13 +81,13 @@ class Number:
 
     @property
     def acts(self) -> bool:
-        """Whether these act late; else what they show is old."""
+        """Whether these signals act late; otherwise their readings are old."""
         observable_as = EFFECTS[self.effect].observable_as
         return isinstance(observable_as, Shift) and observable_as.acts
 
     @property
     def averages(self) -> tuple[str, ...]:
-        """Signals that it smooths."""
+        """Signals that it averages over time."""
         observable_as = EFFECTS[self.effect].observable_as
         return (
             observable_as.spreads.get(self.name, ()) if isinstance(observable_as, Average) else ()
@@ -95,13 +95,13 @@ class Number:
 
     @property
     def turns_pose(self) -> bool:
-        """Whether it turns the logged attitude about the vertical."""
+        """Whether it rotates the logged attitude about the vertical."""
         observable_as = EFFECTS[self.effect].observable_as
         return isinstance(observable_as, Equation) and observable_as.turns_pose == self.name
 
     @property
     def step(self) -> float:
-        """By which it is moved where its answer is a difference."""
+        """Step of numerical differentiation by this number."""
         low, high = self.about.bounds
         return (high - low) / STEPS
 
@@ -113,7 +113,7 @@ class Number:
 
 
 def numbers_of(effects: Iterable[Effect], vehicle: Vehicle) -> list[Number]:
-    """Every number of some effects, shapes behind all others."""
+    """All numbers of some effects, shape parameters last."""
     found = []
     for effect in effects:
         settings = vehicle.effects.get(effect.name, {})
@@ -125,13 +125,14 @@ def numbers_of(effects: Iterable[Effect], vehicle: Vehicle) -> list[Number]:
 
 
 def numbers_of_logs(effects: Iterable[Effect], vehicle: Vehicle) -> list[Number]:
-    """Numbers that effects have in a log alone, at rest in every model."""
+    """Numbers of effects that belong to a log, neutral in every model."""
     sized = ((e, p.sized(vehicle)) for e in effects for p in e.of_logs)
     return [Number(e.name, p.name, p, p.neutral or 0.0) for e, p in sized]
 
 
 def at_voltage(number: Number, flights: Sequence[Flight], vehicle: Vehicle) -> Number:
-    """A voltage that the vehicle says nothing about, taken from the flights; others as they are."""
+    """The number with a voltage taken from the flights, where the vehicle has none; other numbers
+    unchanged."""
     if number.about.unit != "V" or vehicle.states_voltage:
         return number
     usual = float(np.median(np.concatenate([f.signal(["vbat_v"])[1].ravel() for f in flights])))
@@ -144,18 +145,18 @@ def at_voltage(number: Number, flights: Sequence[Flight], vehicle: Vehicle) -> N
 
 
 def visible(effect: Effect, flights: Iterable[Flight]) -> bool:
-    """Whether every flight can show the effect."""
+    """Whether the effect is observable in every flight."""
     return not any(lacking(effect, flight) for flight in flights)
 
 
 def lacking(effect: Effect, flight: AnyFlight) -> tuple[str, ...]:
-    """Signals of `Effect.needs` for want of which a flight cannot show an effect.
+    """Signals of `Effect.needs` whose absence makes an effect unobservable in a flight.
 
-    A velocity is told from the position. What an accelerometer or a gyroscope would feel of the
-    airframe is told from the pose; an effect of the IMU is not, nor is one whose states are
-    followed by what is felt, nor one without a mean.
+    A velocity is derived from the position. Accelerometer and gyroscope can be replaced by the pose
+    for effects on the airframe; not for effects of the IMU, for effects with an observer that needs
+    the accelerometer, or for effects without a mean.
     """
-    whole = on_the_body(effect) or not flight.derived_angles  # attitude that an effect finds
+    whole = on_the_body(effect) or not flight.derived_angles  # whether the attitude suffices
     return tuple(
         need
         for need in effect.needs
@@ -166,14 +167,14 @@ def lacking(effect: Effect, flight: AnyFlight) -> tuple[str, ...]:
 
 
 def pose_shows(signal: str, flight: AnyFlight) -> bool:
-    """Whether the pose of a flight can stand in for a sensor of the IMU."""
+    """Whether the pose of a flight can replace a sensor of the IMU."""
     if signal not in (ACCELEROMETER, GYROSCOPE) or not flight.has(*QUAT):
         return False
     return signal == GYROSCOPE or any(flight.has(*c) for c in (VEL, POS, ACC_NED))
 
 
 def on_the_body(effect: Effect) -> bool:
-    """Whether the pose alone can show what an effect does."""
+    """Whether the effect is observable from the pose alone."""
     observable_as = effect.observable_as
     if effect.component in {s.component for s in SENSORS}:
         return False
@@ -188,15 +189,15 @@ def has_signal(flight: AnyFlight, signal: str) -> bool:
 
 
 def columns_of(numbers: Sequence[Number], effects: Iterable[str]) -> list[int]:
-    """Positions of the numbers of some effects, shapes left out."""
+    """Indices of the numbers of some effects, without shape parameters."""
     wanted = set(effects)
     return [i for i, n in enumerate(numbers) if n.effect in wanted and not n.shape]
 
 
 def with_effects(vehicle: Vehicle, effects: Iterable[str], values: Mapping[str, float]) -> Vehicle:
-    """The vehicle with some effects on; `values` are "effect.number" -> value.
+    """The vehicle with some effects enabled; `values` are "effect.number" -> value.
 
-    Effects of records stay out: they are of a flight, not of what flew.
+    Effects of logs are omitted: they belong to a flight, not to the aircraft.
     """
     settings = {name: dict(numbers) for name, numbers in vehicle.effects.items()}
     for name in (e for e in effects if EFFECTS[e].of_vehicle):
@@ -206,18 +207,18 @@ def with_effects(vehicle: Vehicle, effects: Iterable[str], values: Mapping[str, 
 
 
 def values_of(numbers: Sequence[Number], change: Mapping[str, float]) -> Array:
-    """Every number, changed ("effect.number" -> value) or as it is; shape (len(numbers),)."""
+    """Values of all numbers with changes ("effect.number" -> value), shape (len(numbers),)."""
     return np.array([change.get(n.full, n.now) for n in numbers])
 
 
 def lateness_of(numbers: Sequence[Number], theta: Array, signal: str) -> float:
-    """By how much a signal acts later than in the model as it stands, s, at the values `theta`:
-    what acts late does by its number, what is older than it says was there earlier."""
+    """Additional delay of a signal against the nominal model, s, at the values `theta`; an older
+    reading counts as negative delay."""
     moved = ((n, v) for n, v in zip(numbers, theta.tolist(), strict=True) if v != n.now)
     return float(sum((v - n.now) * (1 if n.acts else -1) for n, v in moved if signal in n.moves))
 
 
 def age_of(numbers: Sequence[Number], theta: Array, signals: Sequence[str]) -> float:
-    """By how much some signals are older than the record says, s, at the values `theta`."""
+    """Additional age of some signals against the record, s, at the values `theta`."""
     aged = ((n, v) for n, v in zip(numbers, theta.tolist(), strict=True) if v)
     return float(sum(v for n, v in aged if {*n.moves} & {*signals} and not n.acts))

@@ -1,13 +1,14 @@
-"""What components predict for measured motion, and the derivatives of that by effects' numbers.
+"""Readings predicted by the components along measured motion, and their derivatives by the effects'
+numbers.
 
 An effect changes equations: its regressors are the exact derivatives of the prediction with respect
 to its numbers, from the CasADi expressions of the components, all in one batch. The components are
-built once, with every effect switched on; an effect at its neutral value is as good as off. Where
-unmeasured states depend on a number (found from the sparsity of the component, whatever effect it
-is), they are integrated again with a little more of it, and the difference of two predictions takes
-the place of the derivative.
+built once with every effect enabled; an effect at its neutral value equals a disabled one. Where
+unmeasured states depend on a number (found from the sparsity of the component, for any effect),
+they are integrated again with the number increased, and the difference quotient of two predictions
+replaces the derivative.
 
-States and inputs along a flight are measured; beside them an effect may have
+States and inputs along a flight are measured; in addition an effect may have
 
 | states | which here |
 |---|---|
@@ -56,15 +57,17 @@ from .numbers import DRIVES, PLACE, TURN, Number, age_of, lateness_of, values_of
 
 Mask = NDArray[np.bool_]
 Values = tuple[tuple[str, float], ...]
-"""Numbers, "effect.number", with their values."""
+"""Values of numbers, as pairs ("effect.number", value)."""
 Key = TypeVar("Key")
 Made = TypeVar("Made")
 FUNCTIONS = 64
-"""Functions of one batch that are kept: a search asks for some sets of effects again and again."""
+"""Number of compiled functions cached per batch; a search requests the same sets of effects
+repeatedly."""
 
 
 def states_reached(component: Component, index: Sequence[int]) -> dict[str, frozenset[int]]:
-    """By parameter, which of some states answer to it, by themselves or through another of them."""
+    """For each parameter, those of the given states that depend on it, directly or through other
+    states."""
     index = list(index)
     if not index:
         return {}
@@ -87,7 +90,7 @@ def states_reached(component: Component, index: Sequence[int]) -> dict[str, froz
 
 
 def _depends(function: ca.Function, argument: int) -> Mask:
-    """Whether each result depends on each entry of an argument."""
+    """Sparsity: whether each result depends on each entry of an argument."""
     shape = function.numel_out(0), function.numel_in(argument)
     if 0 in shape:
         return np.zeros(shape, dtype=np.bool_)
@@ -96,13 +99,13 @@ def _depends(function: ca.Function, argument: int) -> Mask:
 
 
 def _both(a: Mask, b: Mask) -> Mask:
-    """Dependence of what depends on what depends."""
+    """Composition of two sparsity patterns."""
     return np.asarray(a.astype(np.intp) @ b.astype(np.intp) > 0)
 
 
 class EffectStates:
-    """States that effects have in a sensor, integrated over its inputs: their positions, and those
-    of the numbers that they answer to."""
+    """States that effects add to a sensor, integrated over its inputs: their positions, and those
+    of the numbers on which they depend."""
 
     def __init__(
         self, sensor: Component, effects: Sequence[str], numbers: Sequence[Number]
@@ -114,7 +117,7 @@ class EffectStates:
         self.numbers = frozenset(i for i, n in enumerate(numbers) if n.full in reached)
 
     def along(self, inputs: Array, theta: Array) -> tuple[Array, ...]:
-        """The states over all rows of a flight, shape (n, k); nothing where there are none."""
+        """States over all rows of a flight, shape (n, k); empty tuple where there are none."""
         if not self.index:
             return ()
         known = {v.name for v in self.sensor.parameters}
@@ -122,11 +125,11 @@ class EffectStates:
         values |= {n.full: float(v) for n, v in zip(self._numbers, theta, strict=True)}
         p = self.sensor.parameter_values({k: v for k, v in values.items() if k in known})
         x = np.zeros((len(inputs), len(self.sensor.states)))
-        with BUILDING:  # it is built anew
+        with BUILDING:  # rebuilt for this call
             return (integrate_states(self.sensor, self.index, x, inputs, p, 1 / GRID_HZ),)
 
     def filled(self, x: ca.SX, z: ca.SX) -> ca.SX:
-        """States of the sensor with these in place."""
+        """States of the sensor with these inserted."""
         full = ca.SX(x)
         if self.index:
             full[self.index] = z
@@ -134,10 +137,10 @@ class EffectStates:
 
 
 class Batch:
-    """A function of measured rows and of numbers, with its derivatives by the numbers.
+    """Vectorised function of measured rows and of numbers, with its derivatives by the numbers.
 
-    Most numbers are at rest, most of these 0 or 1: with those in place as constants, two thirds of
-    the instructions vanish.
+    Most numbers are at their neutral value, mostly 0 or 1: inserting these as constants removes two
+    thirds of the instructions.
     """
 
     def __init__(
@@ -161,25 +164,25 @@ class Batch:
         return flat.T.reshape(*shape, len(flat)).transpose(2, 1, 0)
 
     def answers(self, i: int) -> bool:
-        """Whether a reading answers to number `i`."""
+        """Whether any reading depends on number `i`."""
         return bool(self._answering[i])
 
     @cached_property
     def bent_by(self) -> Mask:
-        """Whether the derivatives by a number depend on another, shape (k, k)."""
+        """Whether the derivatives by one number depend on another, shape (k, k)."""
         k = self._theta.numel()
         with BUILDING:
             by_number = self._reached(ca.vec(ca.jacobian(self._readings, self._theta)))
         return np.asarray(by_number.reshape(k, -1, k).any(axis=1))
 
     def _reached(self, results: ca.SX) -> Mask:
-        """Whether each result answers to each number, by the equations' structure, (c, k)."""
+        """Sparsity of the equations: whether each result depends on each number, shape (c, k)."""
         function = ca.Function("reach", [*self._rows, self._theta], [ca.densify(results)])
         return _depends(function, len(self._rows))
 
     def _function(self, columns: tuple[int, ...] | None, theta: Array) -> OverRows:
-        """The readings, or their derivatives by some columns, where these numbers are not at rest
-        and all others are."""
+        """The readings, or their derivatives by some columns, with numbers at neutral values
+        inserted as constants."""
         moved = self._answering & (theta != self._rest)
         return remembered(
             self._made, (columns, moved.tobytes()), partial(self._make, columns, moved), FUNCTIONS
@@ -201,19 +204,20 @@ class Batch:
 class Physics:
     """Airframe and IMU: `(states, inputs, numbers) -> acc_x..z, rate of gyro_x..z`.
 
-    Low-pass and delay of the IMU are left out: they go over prediction and slopes alike, in time.
+    Low-pass and delay of the IMU are omitted: they are applied in time to prediction and slopes
+    alike.
 
     Attributes:
-        airframe: Whose states and inputs the rows are.
-        reached: By number, the states of the airframe that nobody measures and that answer to it.
-        of_sensor: Positions of the numbers that states of effects in the IMU answer to.
+        airframe: Airframe component of which the rows are states and inputs.
+        reached: For each number, the unmeasured states of the airframe that depend on it.
+        of_sensor: Indices of the numbers on which states of effects in the IMU depend.
     """
 
     def __init__(
         self, body: Component, vehicle: Vehicle, effects: Sequence[str], numbers: Sequence[Number]
     ) -> None:
         self.airframe, self._numbers = body, list(numbers)
-        given = {e.name for e in acting_late()}  # what arrives late is in the inputs
+        given = {e.name for e in acting_late()}  # delayed inputs are shifted already
         hidden = [
             i
             for i, s in enumerate(body.states)
@@ -255,18 +259,18 @@ class Physics:
 
     @cached_property
     def bare(self) -> Batch:
-        """Airframe alone: `(states, inputs, numbers) -> specific force where the vehicle file has
-        the centre of mass, angular acceleration`."""
+        """Airframe alone: `(states, inputs, numbers) -> specific force at the centre of mass of the
+        vehicle file, angular acceleration`."""
         return Batch(*self._moved, self._numbers)
 
     @cached_property
     def as_measured(self) -> Batch | None:
-        """The readings, the accelerometer turning as was measured: `(states, inputs, angular
-        acceleration, numbers) -> acc_x..z, rate of gyro_x..z`. None where states of effects are in
-        the IMU.
+        """Readings with the measured angular acceleration at the accelerometer: `(states, inputs,
+        angular acceleration, numbers) -> acc_x..z, rate of gyro_x..z`. None where effects have
+        states in the IMU.
 
-        Away from the centre of mass it feels angular acceleration: one that the model predicts
-        would tell of inertia as the loop has it, past all instruments.
+        Away from the centre of mass an accelerometer measures angular acceleration: with a
+        predicted one, closed-loop correlation would bias the inertia, whatever the instruments.
         """
         return None if self._states.index else Batch(*self._as_measured, self._numbers)
 
@@ -280,14 +284,14 @@ class Physics:
         return self._batch.slopes(columns, theta, states, inputs, *along)
 
     def _along(self, theta: Array, states: Array, inputs: Array) -> tuple[Array, ...]:
-        """States of effects in the IMU."""
+        """States that effects add to the IMU, along all rows."""
         if self._imu_inputs is None:
             return ()
         return self._states.along(self._imu_inputs.value(theta, states, inputs), theta)
 
 
 class SensorBatch:
-    """A sensor alone, noise left out: `(inputs, numbers) -> outputs`."""
+    """One sensor alone, without noise: `(inputs, numbers) -> outputs`."""
 
     def __init__(
         self, sensor: Component, effects: Sequence[str], numbers: Sequence[Number]
@@ -306,11 +310,12 @@ class SensorBatch:
         return self._batch.value(theta, rows, *self._states.along(rows, theta))
 
     def answers(self, i: int) -> bool:
-        """Whether a reading answers to number `i`."""
+        """Whether any reading depends on number `i`."""
         return i in self._states.numbers or self._batch.answers(i)
 
     def bending(self, i: int, theta: Array) -> bytes:
-        """Of the numbers `theta`, those that the derivatives by number `i` depend on."""
+        """Bytes of those numbers of `theta` on which the derivatives by number `i` depend, as a
+        cache key."""
         return theta.tobytes() if self._states.index else theta[self._batch.bent_by[i]].tobytes()
 
     def slopes(self, columns: Sequence[int], theta: Array, rows: Array) -> Array:
@@ -325,7 +330,7 @@ class SensorBatch:
 
 
 def _shown(states: EffectStates, sensed: ca.SX, z: ca.SX, p: ca.SX) -> ca.SX:
-    """Readings without noise: memory is at its start, but for the states of effects."""
+    """Noise-free readings: states have their start values, except for those of effects."""
     sensor = states.sensor
     return sensor.outputs(states.filled(sensor.initial(sensed, p), z), sensed, p)
 
@@ -337,7 +342,7 @@ def _parameters(
     theta: ca.SX,
     values: dict[str, float],
 ) -> ca.SX:
-    """Parameters of a part: its start values, the effects on, the numbers as symbols."""
+    """Parameters of a component: its start values, effects enabled, and the numbers as symbols."""
     known = {v.name: i for i, v in enumerate(component.parameters)}
     on = {f"{e}.enabled": 1.0 for e in effects if f"{e}.enabled" in known}
     p = ca.SX(component.parameter_values(on | values))
@@ -351,15 +356,14 @@ def _parameters(
 
 
 REMEMBERED, DRIVEN = 16, 3
-"""Courses of states that are not measured, and what they follow, by the numbers; with inputs that
-are late."""
+"""Number of cached trajectories: of unmeasured states, by the numbers; and with delayed inputs."""
 
 
 class Trajectory:
-    """The airframe along one flight.
+    """States and inputs of the airframe along one flight.
 
     Attributes:
-        aligned: The flight on its grid, with the model as it stands.
+        aligned: The flight on its grid, with the nominal model.
     """
 
     def __init__(
@@ -387,14 +391,14 @@ class Trajectory:
         self._driven: dict[tuple[Values, Values], tuple[Array, Array]] = {}
         states = self._observed(self.aligned.states, self.aligned.inputs.u, self._now)
         inputs = replace(self.aligned.inputs, u=np.asfortranarray(self.aligned.inputs.u))
-        states = np.asfortranarray(states)  # it is by columns that they are shifted and used
+        states = np.asfortranarray(states)  # column order: shifted and read by columns
         self.aligned = replace(self.aligned, states=states, inputs=inputs)
 
     def at(self, change: Mapping[str, float]) -> tuple[Array, Array]:
         """States, shape (n, n_x), and inputs, shape (n, n_u), with some numbers changed.
 
         Args:
-            change: "effect.number" -> value, for those that differ from the model as it stands.
+            change: Changed numbers, "effect.number" -> value.
         """
         theta = values_of(self._numbers, change)
         own = {k: v for k, v in change.items() if self.is_integrated(k, change)}
@@ -406,7 +410,8 @@ class Trajectory:
     def _driven_by(
         self, own: Mapping[str, float], late: Mapping[str, float]
     ) -> tuple[Array, Array]:
-        """States integrated with some numbers, and inputs, each as late as what drives them."""
+        """States integrated with some numbers, and inputs, each delayed like the signal that drives
+        it."""
         states, inputs = self.aligned.states, self.aligned.inputs.u
         if own:
             key = tuple(sorted(own.items()))
@@ -416,8 +421,8 @@ class Trajectory:
         return states, inputs
 
     def is_integrated(self, number: str, change: Mapping[str, float]) -> bool:
-        """Whether a state that answers to a number matters: not of an effect that is at rest, and
-        not followed by an observer."""
+        """Whether a state that depends on a number must be integrated: its effect is not neutral,
+        and no observer estimates the state."""
         own = number.partition(".")[0]
         if own in self._observers:
             return False
@@ -427,20 +432,20 @@ class Trajectory:
         return any(name.partition(".")[0] not in resting for name in names)
 
     def is_followed(self, effect: str) -> bool:
-        """Whether an observer places the states of an effect, by its numbers."""
+        """Whether an observer estimates the states of an effect."""
         return effect in self._observers
 
     def _reached(self, number: str) -> frozenset[int]:
-        """States of the airframe that nobody measures and that answer to a number."""
+        """Unmeasured states of the airframe that depend on a number."""
         return self._physics.reached.get(number, frozenset())
 
     def _in_step(self, states: Array, theta: Array) -> Array:
-        """States with the ages of the pose taken out."""
+        """States corrected for the ages of the pose."""
         for signals in (PLACE, TURN):
             if age := age_of(self._numbers, theta, signals):
                 stems = tuple(f"{s}_" for s in signals)
                 if signals == TURN and not self.aligned.motion.rates_measured:
-                    stems += ("omega_",)  # they come from the attitude
+                    stems += ("omega_",)  # derived from the attitude
                 names = [s.name for s in self.aligned.airframe.states]
                 own = [i for i, name in enumerate(names) if name.startswith(stems)]
                 states = states.copy(order="K")
@@ -448,13 +453,13 @@ class Trajectory:
         return states
 
     def _spline(self, stems: tuple[str, ...], rows: Array, own: Sequence[int]) -> GridSpline:
-        """Of some columns of measured states or inputs, which no number changes."""
+        """Spline of some columns of measured states or inputs that no number changes."""
         if stems not in self._splines:
             self._splines[stems] = GridSpline(rows[:, own])
         return self._splines[stems]
 
     def _integrated_with(self, values: Mapping[str, float]) -> Array:
-        """States on the grid, unmeasured ones integrated with effects that move them."""
+        """States on the grid; unmeasured ones are integrated with the effects that move them."""
         effects = {name.partition(".")[0] for name in values}
         known = {v.name for v in self.aligned.airframe.parameters}
         on = {f"{e}.enabled": 1.0 for e in effects}
@@ -477,9 +482,9 @@ class Trajectory:
         return states
 
     def _excess_force(self, theta: Array, states: Array, inputs: Array) -> tuple[Array, Array]:
-        """Specific force at some numbers, and what is felt beyond it, NED, (n, 3) each.
+        """Predicted specific force, and measured minus predicted, NED, m/s^2, shape (n, 3) each.
 
-        Where the former is unknown, or on the ground, the vehicle counts as held.
+        On the ground, or where it is unknown, the former is that at rest; the latter is then zero.
         """
         aligned = self.aligned
         force = self._physics.value(theta, states, inputs)[:, :3]
@@ -497,7 +502,7 @@ class Trajectory:
         )
 
     def _height(self, states: Array) -> Array:
-        """Over where the vehicle stood, shape (n,); infinite where that is not known."""
+        """Height above the take-off place, m, shape (n,); infinite where unknown."""
         aligned, names = self.aligned, [s.name for s in self.aligned.airframe.states]
         down = states[:, names.index("pos_z")]
         stood = ~aligned.airborne & np.isfinite(down)
@@ -506,8 +511,9 @@ class Trajectory:
         return np.asarray(np.median(down[stood]) - down)
 
     def _observed(self, states: Array, inputs: Array, theta: Array) -> Array:
-        """States with those of effects in place that an observer follows, by what is felt beyond
-        everything else; of an effect at rest, beyond the model as it stands."""
+        """States with observer estimates for the effects that have an observer: from the measured
+        force minus all other predicted forces; for a neutral effect, minus those of the nominal
+        model."""
         if not self._observers:
             return states
         names, height = [s.name for s in self.aligned.airframe.states], self._height(states)
@@ -534,7 +540,7 @@ class Trajectory:
     def _late_drive(
         self, states: Array, inputs: Array, signal: str, delay_s: float
     ) -> tuple[Array, Array]:
-        """What drives the airframe, and the rotors that follow it, later by a while."""
+        """States and inputs with the drive, and the rotors that follow it, delayed by a time."""
         body = self.aligned.airframe
         own = (f"{signal}_", SPIN_RATE) if signal == "rotor" else (f"{signal}_",)
         drives = [i for i, n in enumerate(body.input_names) if n.startswith(own)]
@@ -555,7 +561,7 @@ class Trajectory:
 def remembered(
     retained: dict[Key, Made], key: Key, make: Callable[[], Made], most: int = REMEMBERED
 ) -> Made:
-    """What was made before, or is made now; the oldest goes where there are many."""
+    """Cached value of a key, or a new one; the oldest entry is dropped beyond `most`."""
     if key not in retained:
         while len(retained) >= most:
             del retained[next(iter(retained))]
