@@ -1,26 +1,26 @@
-"""What has changed in the balance of forces and moments since a calibration: a rotor, a load, both
-alike, or nothing.
+"""Changes of the balance of forces and moments since a calibration: a rotor, a load, either of
+them, or nothing.
 
-The mean of an angular acceleration, and of the specific force along the thrust, does not feel the
-loop: whatever the controller does, the moments of a flight average to zero. A change y of these
-means since the flights of the calibration is compared with what each cause does,
+The mean of an angular acceleration, and of the specific force along the thrust, is independent of
+the control loop: whatever the controller does, the moments of a flight average to zero. A change y
+of these means since the calibration flights is compared with the change by each cause,
 
     y = S_h x_h + e,    x_h ~ sum_k w_k N(m_k, P_k),    e ~ N(0, f^2 D (1/n + 1/n0) + T + W)
 
-S_h: slopes at the numbers of the calibration; x_h: numbers of the cause, small, middling or large;
-D: day-to-day variance by the table, f its common factor, integrated over its posterior given the n0
-flights of the calibration; T: variance between sessions, in which batteries and propellers are
-changed; W: what the wind may do. n: flights. All of it is Gaussian but for the sums over k and f.
+S_h: slopes at the numbers of the calibration; x_h: numbers of the cause, small, medium or large; D:
+prior day-to-day covariance, f its common factor, integrated over its posterior given the n0 flights
+of the calibration; T: covariance between sessions, in which batteries and propellers are changed;
+W: covariance by wind. n: flights. Everything is Gaussian except for the sums over k and f.
 
-Damaged propellers shake: the power above the motion of the body, where an acceleration is logged
-fast enough, is a fifth reading, which a load does not raise.
+Damaged propellers cause vibration: the power above the motion of the body, where an acceleration is
+logged fast enough, is a fifth reading, which a load does not increase.
 
-That a propeller is damaged and which one are two questions: shaking answers the first alone, and
-four means tell eight rotors apart less well than four.
+Whether a propeller is damaged, and which one, are two questions: vibration answers only the first,
+and four means separate eight rotors less well than four.
 
-Two rotors that lost alike and a load at their side are one and the same in these means but for yaw,
-and propellers of another session turn yaw as far: such causes are told apart by nothing, and said
-as "this or that".
+Equal losses of two rotors and a load at their side have the same means except for yaw, and
+propellers of another session change yaw by as much: such causes cannot be separated, and are
+reported as "this or that".
 """
 
 import math
@@ -47,56 +47,57 @@ from .stochastic.spectral import StochasticEffect, pieces_of, rate_of
 
 NOTHING, ROTORS, LOAD, VIBRATION = "nothing", "rotor_efficiency_loss", "payload_cg", "vibration"
 CAUSES = (ROTORS, LOAD, "mass_offset", "cog_offset", "inertia_error")
-"""Effects that change the balance; the search for all other changes leaves them out."""
+"""Effects that change the balance; the search for all other changes omits them."""
 BALANCED = ("acc_z", "gyro_rate_x", "gyro_rate_y", "gyro_rate_z")
-"""Channels whose means are the balance; of a flight without an IMU those of its pose."""
+"""Channels whose means are the balance; for a flight without an IMU, those of its pose."""
 DAY = np.array([0.015, 0.003, 0.003, 0.02])
-"""Standard deviation between flights of one session: thrust over the weight; moments about x and y
-over weight times arm; about z over the reaction torque of all rotors. Chosen on CrazyPAD's E9."""
+"""Between-flight standard deviation within one session: thrust over the weight; moments about x and
+y over weight times arm; about z over the reaction torque of all rotors. Chosen on CrazyPAD's E9."""
 SESSION = np.array([0.03, 0.002, 0.002, 0.07])
-"""The same between sessions. Chosen on CrazyPAD's E9: yaw differs by 5 to 6 % between those in
-which propellers were changed."""
+"""Standard deviation between sessions. Chosen on CrazyPAD's E9: yaw differs by 5 to 6 % between
+those in which propellers were changed."""
 FACTORS = 2.0 ** np.arange(-3.0, 3.25, 0.5)
-"""f: by how much days of an aircraft may differ from the table, log-normal with deviation 1."""
+"""Grid of f, the factor on the days of an aircraft, log-normal with standard deviation 1."""
 SIZES = ((0.04, 0.02, 0.3), (0.1, 0.05, 0.3), (0.25, 0.12, 0.3), (0.6, 0.3, 0.1))
-"""Mean and deviation of a loss of thrust over that of the rotor, and of a mass over that of the
-aircraft, and how probable: a nick, a cut, a stump, and what few aircraft lift or fly with."""
+"""Mean, standard deviation and probability of a thrust loss over the rotor's thrust, and of a load
+over the aircraft's mass: a nick, a cut, a stump, and one that few aircraft can fly with."""
 LOG_ODDS = -1.0
-"""Of one cause, a single rotor or a load, against nothing: who asks what has changed suspects
-something, so that all changes together, two rotors and vibration included, are as probable as
-none."""
+"""Prior log odds of one cause, a single rotor or a load, against nothing: a user who asks suspects
+a change, so all changes together, including two rotors and vibration, are as probable as none."""
 SECOND_ROTOR = -1.0
-"""Log odds of a second damaged rotor, given the first: what breaks one often breaks its neighbour.
-Chosen on CrazyPAD's E9."""
+"""Log odds of a second damaged rotor, given the first: damage often affects neighbours. Chosen on
+CrazyPAD's E9."""
 REACH = 0.5
-"""Deviation of the place of a load along each axis, in arms, where it hangs at no hub."""
+"""Standard deviation of a load's position along each axis, in arms, where it is at no hub."""
 SHAKES_ABOVE_HZ = 12.0
-"""No body turns or climbs faster by its rotors: the loop of the attitude ends at 5 to 10 Hz."""
+"""Frequency, Hz, above which accelerations are vibration: the attitude loop ends at 5 to 10 Hz, so
+no body turns or climbs faster."""
 SHAKEN_LEAST_HZ = 40.0
-"""Rate of an acceleration from which on vibration is read in it."""
+"""Least sample rate of an acceleration, Hz, for the estimate of vibration."""
 ALONE = 0.95
-"""Probability, given that something has changed, from which on a rotor, or a load, is named alone:
-only yaw parts the two, and what yaw does between sessions is known from one aircraft. Chosen on
-CrazyPAD's E9. That nothing has changed is no rival of either: `sure` is for that."""
+"""Probability, given a change, from which on a rotor, or a load, is named alone: only yaw separates
+the two, and the variation of yaw between sessions is known from one aircraft. Chosen on CrazyPAD's
+E9. No change is not an alternative here: `sure` is for that."""
 ROPE = -0.7
-"""Log odds of a rope, given a load: made up."""
+"""Log odds of a slung load, given a load: made up."""
 SUSPECT = 0.1
-"""Probability from which on a set of rotors is named among those one of which is damaged."""
+"""Probability from which on a set of rotors is listed among those one of which is damaged."""
 STEADY_SD, SHAKEN, SHAKEN_SD, SHAKES = 0.3, 0.7, 0.6, 0.4
-"""Change of the log of the amplitude of vibration: deviation between flights; mean and deviation of
-a damaged propeller that shakes, and how many do. Chosen on CrazyPAD's E9."""
+"""Change of the log amplitude of vibration: between-flight standard deviation; mean and standard
+deviation for a damaged propeller that vibrates, and the share of those that do. Chosen on
+CrazyPAD's E9."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trim:
-    """Means of the channels of the balance in some flights, and their vibration.
+    """Means of the balance's channels in some flights, and their vibration.
 
     Attributes:
-        channels: Names: thrust, moments about x, y, z, as far as the flights show them.
-        means: Of the residuals of each flight, in the units of the channels, shape (n, channels).
-        slopes: Of these by the numbers of `CAUSES` and of the wind, shape (channels, k).
-        numbers: "effect.number" of each column.
-        vibration: Log of the amplitude above `SHAKES_ABOVE_HZ`, of each flight that shows it.
+        channels: Names of the available channels of thrust and of moments about x, y, z.
+        means: Mean residual of each flight, in the units of the channels, shape (n, channels).
+        slopes: Slopes of the means by the numbers of `CAUSES` and of the wind, shape (channels, k).
+        numbers: Name "effect.number" of each column.
+        vibration: Log amplitude above `SHAKES_ABOVE_HZ`, of each flight that contains it.
     """
 
     channels: tuple[str, ...]
@@ -108,7 +109,8 @@ class Trim:
     __repr__ = short_repr
 
     def by_name(self) -> tuple[dict[str, float], dict[str, float]]:
-        """Mean over the flights and sample deviation between them, by channel and `VIBRATION`."""
+        """Mean over the flights and sample standard deviation between them, by channel and
+        `VIBRATION`."""
         every = {c: v for c, v in zip(self.channels, self.means.T, strict=True)}
         every |= {VIBRATION: self.vibration} if len(self.vibration) else {}
         spread = {c: float(np.std(v, ddof=1)) for c, v in every.items() if len(v) > 1}
@@ -116,27 +118,28 @@ class Trim:
 
 
 def channels_of_balance(names: Collection[str]) -> tuple[str, ...] | None:
-    """Channels of thrust and of the moments about x, y, z among those of a flight, as far as they
-    are there; None where one about x or y is missing, without which no place is known."""
+    """Channels of thrust and of the moments about x, y, z in a flight, as far as it has them; None
+    where that about x or y is missing, without which no position can be estimated."""
     either = (c if c in names else f"motion_{c.replace('gyro_', '')}" for c in BALANCED)
     found = tuple(c for c in either if c in names)
     return found if {1, 2} <= {*rows_of_balance(found)} else None
 
 
 def rows_of_balance(channels: Sequence[str]) -> list[int]:
-    """Which of thrust and the moments about x, y, z some channels are."""
+    """Indices of some channels among thrust and the moments about x, y, z."""
     return [0 if "acc" in c else 1 + "xyz".index(c[-1]) for c in channels]
 
 
 def trim_of(
     model: Model, values: Mapping[str, float] | None = None, slopes: bool = True
 ) -> Trim | None:
-    """Balance of a model's flights, days apart; None where they do not show it.
+    """Balance of a model's flights, without day-to-day deviations; None where they do not contain
+    it.
 
     Args:
-        model: Flights with the vehicle as it was calibrated.
+        model: Flights with the calibrated vehicle.
         values: Numbers that differ from the vehicle's, "effect.number" -> value.
-        slopes: Whether slopes are wanted.
+        slopes: Whether slopes are computed.
     """
     wanted = (*CAUSES, "steady_wind")
     columns = [
@@ -161,7 +164,7 @@ def trim_of(
 
 
 def _carried(flights: Sequence[Sequence[ChannelData]]) -> float:
-    """Measured over predicted specific force along the thrust, M / (M + m) of an aircraft that
+    """Measured over predicted specific force along the thrust, M / (M + m) for an aircraft that
     carries m: slopes of T / (M + m) by m at m = 0 times this ratio give m exactly."""
     measured, left = (
         sum(float(np.sum(v)) for v in values)
@@ -171,8 +174,8 @@ def _carried(flights: Sequence[Sequence[ChannelData]]) -> float:
 
 
 def vibration_of(flight: FlightModel) -> float | None:
-    """Log of the root mean square of the acceleration above the motion of the body, m/s^2, over all
-    axes; None where none is logged fast enough."""
+    """Log rms of the acceleration above the motion of the body, m/s^2, over all axes; None where
+    none is logged fast enough."""
     for columns in (ACC, ACC_NED):
         pieces = pieces_of(flight, columns, 0.5)
         rate = rate_of(pieces)
@@ -191,13 +194,13 @@ def vibration_of(flight: FlightModel) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """A cause of a change.
+    """Hypothesis on the cause of a change.
 
     Attributes:
         cause: Effect, or `NOTHING`.
-        rotors: From 1, of `ROTORS`.
-        probability: Among all of them.
-        values: "effect.number" -> posterior mean of the change.
+        rotors: Numbers of the affected rotors, from 1, for `ROTORS`.
+        probability: Posterior probability among all hypotheses.
+        values: Posterior mean of the change, by "effect.number".
         deviations: Posterior standard deviations.
     """
 
@@ -209,22 +212,23 @@ class Hypothesis:
 
     @property
     def clear(self) -> bool:
-        """Whether the 95 % interval of one of its numbers excludes no change; of none, yes."""
+        """Whether the 95 % interval of one of its numbers excludes no change; true without
+        numbers."""
         pairs = [(v, self.deviations[n]) for n, v in self.values.items()]
         return not pairs or any(abs(v) > INTERVAL * sd for v, sd in pairs)
 
 
 @dataclass(frozen=True, slots=True)
 class Balance:
-    """What has changed in the balance.
+    """Change of the balance: posterior over hypotheses.
 
     Attributes:
-        hypotheses: All of them, the most probable first.
-        detectable: By cause the smallest change that would have been noticed, with 95 % power.
-        more: By rotor, from 1, how much more of its thrust it must give than at calibration, by the
-            change of the means alone, as a share.
-        sure: Probability from which on a name is given.
-        hanging: A load on a rope, with its probability given a load, by its swing; None: not asked.
+        hypotheses: All hypotheses, the most probable first.
+        detectable: Smallest change by each cause that would have been noticed, with 95 % power.
+        more: Relative increase of thrust of each rotor, from 1, since the calibration, by the
+            change of the means alone.
+        sure: Probability from which on a cause is named.
+        hanging: Slung load, with its probability given a load, by its swing; None: not evaluated.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -236,7 +240,7 @@ class Balance:
     __repr__ = short_repr
 
     def probability_of(self, cause: str) -> float:
-        """Of a cause, whichever rotors it is of."""
+        """Probability of a cause, for any rotors."""
         return sum(h.probability for h in self.hypotheses if h.cause == cause)
 
     def best(self, cause: str) -> Hypothesis:
@@ -245,7 +249,7 @@ class Balance:
 
     @property
     def damaged(self) -> float:
-        """Probability of damaged propellers: thrust is lost, or they shake."""
+        """Probability of damaged propellers: loss of thrust, or vibration."""
         return self.probability_of(ROTORS) + self.probability_of(VIBRATION)
 
     def lost_by(self, rotor: int) -> float:
@@ -261,14 +265,14 @@ class Balance:
 
     @property
     def named(self) -> Hypothesis | None:
-        """The cause that is sure, a number of which excludes no change; None: none is."""
+        """The certain cause, with a number that excludes no change; None: there is none."""
         alone = self._alone
         if alone is not None and alone.cause == LOAD:
             alone = None if len(ways := self._ways(alone)) > 1 else ways[0]
         return alone if alone is not None and alone.clear else None
 
     def _ways(self, load: Hypothesis) -> tuple[Hypothesis, ...]:
-        """A load, fixed or on a rope: what is not out of question, the more probable first."""
+        """Plausible forms of a load, fixed or slung, the more probable first."""
         if self.hanging is None:
             return (load,)
         p = self.hanging.probability
@@ -277,13 +281,14 @@ class Balance:
         return tuple(sorted(possible, key=lambda h: -h.probability))
 
     def _parted(self, chance: float) -> bool:
-        """Whether a cause of some probability is sure, and any other of the change is not."""
+        """Whether a cause of some probability is certain, and every other cause of the change is
+        not."""
         return chance >= max(self.sure, ALONE * self.changed)
 
     @property
     def _alone(self) -> Hypothesis | None:
-        """The cause that no other stands for; None: there is none. Damage is that of the rotors
-        that are sure to have lost thrust, each with all that speaks for it."""
+        """The cause without alternative; None: there is none. Damage is that of the rotors that
+        have certainly lost thrust, each with its total probability."""
         if self._parted(self.damaged):
             sure = [i + 1 for i in range(len(self.more)) if self.lost_by(i + 1) >= self.sure]
             damage = [h for h in self.hypotheses if h.rotors and set(h.rotors) == set(sure)]
@@ -292,9 +297,9 @@ class Balance:
 
     @property
     def one_of(self) -> tuple[Hypothesis, ...]:
-        """Causes that nobody can tell apart, the most probable first: a rotor and a load, a load
-        fixed or on a rope, sets of damaged propellers, each set with the probability that it is
-        just that; none: something else is told."""
+        """Causes that cannot be separated, the most probable first: a rotor and a load, a load
+        fixed or slung, sets of damaged propellers, each with the probability of exactly that set;
+        empty: another result is reported."""
         alone = self._alone
         if alone is not None and alone.cause == LOAD and len(ways := self._ways(alone)) > 1:
             return ways
@@ -313,22 +318,22 @@ class Balance:
 
     @property
     def quiet(self) -> bool:
-        """Whether that is said."""
+        """Whether the result is that nothing has changed."""
         return self.nothing >= self.sure
 
 
 @dataclass(frozen=True, slots=True)
 class Normal:
-    """Flights before the change, and the aircraft that flew them.
+    """Calibration flights, and the aircraft.
 
     Attributes:
-        flights: Number of them.
-        means: By channel of the balance, and of `VIBRATION`.
+        flights: Number of flights.
+        means: Means by channel of the balance, and of `VIBRATION`.
         scatter: Sample standard deviation of these between the flights.
-        mass_kg: Of the aircraft; 1 where masses are shares of it.
-        arm_m: Its longest arm; 1 where lengths are shares of it.
-        hubs_m: Places of the rotors, in the unit of the arm, shape (n, 3).
-        disturbed: Covariance of what else may change the means, shape (channels, channels).
+        mass_kg: Mass of the aircraft, kg; 1 where masses are relative to it.
+        arm_m: Its longest arm, m; 1 where lengths are relative to it.
+        hubs_m: Positions of the rotors, in the unit of the arm, shape (n, 3).
+        disturbed: Covariance of other influences on the means, shape (channels, channels).
     """
 
     flights: int
@@ -341,7 +346,7 @@ class Normal:
 
     @classmethod
     def of(cls, trim: Trim, vehicle: Vehicle, indoors: bool) -> "Normal":
-        """The flights of a calibration; under a roof no wind blows."""
+        """The flights of a calibration; indoors there is no wind."""
         known = vehicle.calibration
         assert known is not None
         return cls(
@@ -368,7 +373,7 @@ def _blown(trim: Trim, indoors: bool) -> Array:
 
 
 def balance_of(trim: Trim, normal: Normal, sure: float) -> Balance:
-    """What has changed between normal flights and some others."""
+    """Posterior on the change between calibration flights and others."""
     before = np.array([normal.means.get(c, 0.0) for c in trim.channels])
     made = _Competition(trim, normal)
     shaken = None
@@ -386,7 +391,7 @@ def balance_of(trim: Trim, normal: Normal, sure: float) -> Balance:
 
 @dataclass(frozen=True, slots=True)
 class _Component:
-    """One size of a cause: its log prior, columns of the slopes, and the normal distribution of
+    """One size class of a cause: its log prior, columns of the slopes, and the normal prior of
     these numbers, mean, shape (k,), and covariance, shape (k, k)."""
 
     log_weight: float
@@ -399,7 +404,7 @@ Key = tuple[str, tuple[int, ...]]
 
 
 class _Competition:
-    """All causes of a change of the balance of one aircraft."""
+    """All possible causes of a change of one aircraft's balance."""
 
     def __init__(self, trim: Trim, normal: Normal) -> None:
         self._slopes, self._at = trim.slopes, {n: i for i, n in enumerate(trim.numbers)}
@@ -414,7 +419,7 @@ class _Competition:
         self._prepare()
 
     def _units(self) -> Array:
-        """Weight, weight times arm about x and y, and all reaction torque, in the units of the
+        """Weight, weight times arm about x and y, and total reaction torque, in the units of the
         channels."""
         at, v = self._at, self._normal
         turn = v.mass_kg * v.arm_m
@@ -436,7 +441,7 @@ class _Competition:
         return tuple(self._at[f"{ROTORS}.loss_{i + 1}"] for i in range(self._rotors))
 
     def _noise(self, channels: Sequence[str], n: int, before: int) -> list[tuple[float, Array]]:
-        """Log weight and covariance of the noise of a change, by the factor on the days."""
+        """Log weight and covariance of the noise of a change, for each factor on days."""
         day, session = DAY[self._rows] * self._unit, SESSION[self._rows] * self._unit
         spread = np.array([self._normal.scatter.get(c, np.nan) for c in channels])
         seen = np.isfinite(spread) & (before > 1)
@@ -454,7 +459,7 @@ class _Competition:
         ]
 
     def _causes(self) -> Iterator[tuple[Key, list[_Component]]]:
-        """Hypotheses with their sizes."""
+        """Hypotheses with their size classes."""
         n = self._rotors
         yield (NOTHING, ()), [_Component(0.0, (), np.zeros(0), np.zeros((0, 0)))]
         for count in (1, 2):
@@ -474,8 +479,8 @@ class _Competition:
         yield (LOAD, ()), list(self._loads())
 
     def _loads(self) -> Iterator[_Component]:
-        """A load in the middle, at a hub, or anywhere, alike probable; at a hub half as heavy as a
-        loss of the same share: one rotor carries a fraction of the weight."""
+        """A load in the centre, at a hub, or anywhere, with equal probability; at a hub half as
+        heavy as a loss of the same share: one rotor carries a fraction of the weight."""
         v = self._normal
         names = ("mass_kg", *(f"moment_{a}_kg_m" for a in "xyz"))
         columns = tuple(self._at[f"{LOAD}.{name}"] for name in names)
@@ -492,9 +497,9 @@ class _Competition:
                 yield _Component(odds - math.log(len(hubs)), columns, mass * way, spread_at)
 
     def _prepare(self) -> None:
-        """Under each size of each cause and each noise: distribution of the change (position of the
-        cause, log weight with the normalisation, mean, whitening matrix), and of the numbers given
-        it (mean before, gain of Kalman, variance after)."""
+        """Precompute, for each size of each cause and each noise, the distribution of the change
+        (index of the cause, log weight with the normalisation, mean, whitening matrix), and that of
+        the numbers given it (prior mean, Kalman gain, posterior covariance)."""
         owner, logs, means, roots = [], [], [], []
         for k, parts in enumerate(self._components.values()):
             prior, gains, left = [], [], []
@@ -518,15 +523,15 @@ class _Competition:
         self._means, self._roots = np.array(means), np.array(roots)
 
     def _log_evidence(self, change: Array) -> tuple[Array, Array]:
-        """Of each cause, and of each size of it and noise, without a constant that all share."""
+        """Log evidence of each cause, and of each size of it and noise, up to a common constant."""
         white = np.einsum("kij,kj->ki", self._roots, change - self._means)
         each = self._logs - 0.5 * np.sum(white**2, axis=1)
         count = len(self._components)
         return np.array([logsumexp(each[self._owner == k]) for k in range(count)]), each
 
     def weigh(self, change: Array, shaken: float | None = None) -> list[Hypothesis]:
-        """Posterior of all causes, given the change of the means, shape (channels,), and of the
-        log amplitude of vibration, where it is known."""
+        """Posterior of all causes, given the change of the means, shape (channels,), and of the log
+        amplitude of vibration, where known."""
         evidence, each = self._log_evidence(change)
         found = {
             key: (float(evidence[k]), *self._posterior(change, k, each[self._owner == k]))
@@ -553,7 +558,8 @@ class _Competition:
         ]
 
     def _posterior(self, change: Array, k: int, logs: Array) -> tuple[Array, Array]:
-        """Mean and deviation of the numbers of a cause, given the log evidence of its parts."""
+        """Posterior mean and standard deviation of the numbers of a cause, given the log evidence
+        of its parts."""
         inside = self._owner == k
         left = change - self._means[inside]
         means = np.array(
@@ -565,8 +571,8 @@ class _Competition:
         return mean, np.sqrt(np.maximum(variance, 0.0))
 
     def smallest(self, cause: str, sure: float) -> Detectable:
-        """The smallest change, at the rotor or the place (a hub or the centre of mass) that shows
-        least, of which it would be said in 95 of 100 flights that something has changed."""
+        """The smallest change, at the least visible rotor or position (a hub or the centre of
+        mass), that 95 of 100 flights would report as a change."""
         hubs, v = self._normal.hubs_m, self._normal
         if cause == ROTORS:
             ways = [self._slopes[:, i] for i in self._losses]
@@ -579,12 +585,12 @@ class _Competition:
         noise = max(self._noises, key=lambda item: item[0])[1]
 
         def quiet(size: float, way: Array) -> float:
-            """Log odds of nothing at a change without noise, below which none is said."""
+            """Log odds of no change at a noise-free one, over those where a change is reported."""
             logs = self._log_evidence(size * way)[0]
             return float(logs[0] - logsumexp(logs[1:])) - math.log((1 - sure) / sure)
 
         def least(way: Array) -> float:
-            """Along one direction."""
+            """Smallest change along one direction."""
             if quiet(most, way) > 0:
                 return math.inf
             sd = 1 / math.sqrt(float(way @ np.linalg.solve(noise, way)))
@@ -594,14 +600,14 @@ class _Competition:
         return Detectable(name, value if value <= most else None, unit)
 
     def more(self, change: Array) -> tuple[float, ...]:
-        """By rotor, the share of its thrust by which it gives more, least squares in the means."""
+        """Relative increase of thrust of each rotor, by least squares in the means."""
         ways = self._slopes[:, self._losses]
         scaled = (ways / self._unit[:, None], change / self._unit)
         return tuple(np.linalg.lstsq(*scaled, rcond=None)[0].tolist())
 
 
 def _log_shaking(cause: str, shaken: float | None) -> float:
-    """Log density of a change of vibration under a cause; a fall says what no change says."""
+    """Log density of a change of vibration under a cause; a decrease counts as no change."""
     if shaken is None:
         return 0.0
     rise = max(shaken, 0.0)
@@ -617,7 +623,7 @@ def _log_shaking(cause: str, shaken: float | None) -> float:
 
 
 def effect_of_balance(balance: Balance, vehicle: Vehicle, trim: Trim) -> StochasticEffect | None:
-    """The cause that is named, in the form of effects found beside the search; None: none is."""
+    """The named cause in the form of the zero-mean effects; None: there is none."""
     named = balance.named
     if named is None:
         return None
@@ -632,7 +638,7 @@ def changed_by(
     vehicle: Vehicle,
     channels: tuple[str, ...],
 ) -> StochasticEffect:
-    """The same of any change, "effect.number" -> change and its standard deviation."""
+    """The same for any change, "effect.number" -> change and its standard deviation."""
     before = {n.full: n.now for n in numbers_of([EFFECTS[effect]], vehicle)}
     values = {n: v + change.get(n, (0.0, 0.0))[0] for n, v in before.items()}
     intervals = {

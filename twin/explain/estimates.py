@@ -1,4 +1,4 @@
-"""What a result reports of each effect, to programs and to people alike."""
+"""Reported results of each effect, for programs and texts alike."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,14 +16,14 @@ from .model.numbers import numbers_of
 from .stochastic.spectral import StochasticEffect
 
 MOST_RIVALS = 5
-"""That are listed."""
+"""Maximum number of alternatives listed."""
 UNDETERMINED = 0.7
-"""Posterior over prior deviation of a number from which on flights do not tell it."""
+"""Posterior over prior standard deviation from which on a number is undetermined."""
 
 
 def listed_effects(found: Explanation) -> list[str]:
-    """Effects that are told about, the most probable first; of those that are as good as sure, the
-    one without which the flights are least probable."""
+    """Effects that are reported, the most probable first; among practically certain ones, that with
+    the largest evidence first."""
     naming = found.naming
     if naming is None or found.verdict not in ("named", "cannot_tell"):
         return []
@@ -44,20 +44,20 @@ def listed_effects(found: Explanation) -> list[str]:
 
 
 def calibrated_effects(found: Explanation) -> list[str]:
-    """Effects whose numbers the file was unsure of, and that lack nothing beyond that."""
+    """Effects whose numbers were uncertain in the file, and that are within this uncertainty."""
     unsure = frozenset() if found.naming is None else found.naming.problem.priors.unsure
     return [e for e in _untold(found) if e in unsure]
 
 
 def doubtful_effects(found: Explanation) -> list[str]:
-    """Effects that the new model has and the file was sure of, too doubtful for a name."""
+    """Effects of the new model that were certain in the file, and too uncertain for a name."""
     added = {} if found.added is None else found.added.effects
     known = {*calibrated_effects(found)}
     return [e for e in _untold(found) if e in added and e not in known]
 
 
 def _untold(found: Explanation) -> list[str]:
-    """Effects of the new model that are not told about."""
+    """Effects of the new model that are not reported."""
     if found.naming is None or found.shown is None:
         return []
     reported = {*listed_effects(found), *(r.effect for r in found.naming.resemblances)}
@@ -65,23 +65,23 @@ def _untold(found: Explanation) -> list[str]:
 
 
 def undecided(found: Explanation) -> tuple[str, ...]:
-    """Effects among the named ones that something else may stand for; none for other verdicts."""
+    """Named effects that have alternatives; empty for other verdicts."""
     if found.naming is None or found.verdict != "named":
         return ()
     return tuple(e for e in found.naming.undecided if stochastic_effect(found, e) is None)
 
 
 def totals(found: Explanation) -> Sequence[Total]:
-    """What is sure of families of effects; of one that a single effect makes, the figure of that,
-    as it is told: in sets of little probability others have a part of the sum, which is known more
-    closely than that of one."""
+    """Certain families of effects; for a family with a single effect, the figure of that effect as
+    reported: models of low probability assign others a part of the sum, which is known more
+    accurately than that one."""
     if found.naming is None or found.verdict not in ("named", "cannot_tell"):
         return ()
     return [_of_one_effect(found, t) for t in found.naming.totals]
 
 
 def _of_one_effect(found: Explanation, total: Total) -> Total:
-    """A total with the interval of its effect, where it is of one with one number."""
+    """A total with the interval of its effect, where it is of one effect with one number."""
     weights = total.family.weights
     own = [t for e in total.effects for t in estimates_of(found, e) if t.number.full in weights]
     if len(total.effects) > 1 or len(own) != 1 or own[0].ci95 is None:
@@ -91,14 +91,14 @@ def _of_one_effect(found: Explanation, total: Total) -> Total:
 
 
 def detectable(found: Explanation) -> Mapping[str, Detectable]:
-    """By effect without a name the smallest change that these flights would show, that of the
-    balance of forces and moments by the balance."""
+    """The smallest visible change of each effect that is not named; for the balance of forces and
+    moments, by the balance."""
     shown = {} if found.naming is None else found.naming.detectable
     return {**shown, **({} if found.balance is None else found.balance.detectable)}
 
 
 def unasked(found: Explanation) -> str:
-    """Axes, of "xyz", about which no flight asks the aircraft to turn, or that none shows."""
+    """Axes, of "xyz", about which no flight commands a rotation, or none contains it."""
     assert found.naming is not None
     problem = found.naming.problem
     names = [n for c, n in enumerate(problem.rest.channels) if c not in problem.noise.mute]
@@ -106,7 +106,7 @@ def unasked(found: Explanation) -> str:
 
 
 def probability_of(found: Explanation, effect: str) -> float:
-    """That an effect is missing, alone or with others."""
+    """Probability that an effect is missing, alone or with others."""
     stochastic = stochastic_effect(found, effect)
     if stochastic is not None:
         return stochastic.probability
@@ -115,12 +115,13 @@ def probability_of(found: Explanation, effect: str) -> float:
 
 
 def stochastic_effect(found: Explanation, effect: str) -> StochasticEffect | None:
-    """An effect that changes no mean; None where it changes one."""
+    """A zero-mean effect; None for an effect with a mean."""
     return next((u for u in found.stochastic if u.effect == effect), None)
 
 
 def nothing_probability(found: Explanation) -> float | None:
-    """That no effect is missing; since a calibration, that nothing has changed. None: not asked."""
+    """Probability that no effect is missing; since a calibration, that nothing has changed. None:
+    not evaluated."""
     naming = found.naming
     if naming is None:
         return None
@@ -129,17 +130,17 @@ def nothing_probability(found: Explanation) -> float | None:
 
 
 def reported_count(found: Explanation) -> int:
-    """How many effects are told at once, those among them that something acts like."""
+    """Number of effects reported at once, including those that the cause only resembles."""
     resembled = () if found.naming is None else found.naming.resemblances
     return len(listed_effects(found)) + len(resembled)
 
 
 def estimates_of(found: Explanation, effect: str) -> list[Estimate]:
-    """The numbers of an effect that is listed, where it is there; of one that stands for its family
-    the figure of that.
+    """Estimates of a listed effect given that it is present; for the representative of a family,
+    the figure of the family.
 
-    The more effects are told, the more is open beside what the posterior holds, which
-    `SelectionSettings.stochastic` counts.
+    Intervals widen with the number of reported effects, beyond the posterior: see
+    `SelectionSettings.stochastic`.
     """
     own = estimates_alone(found, effect)
     if found.naming is None or effect not in found.naming.standing:
@@ -155,7 +156,7 @@ def estimates_of(found: Explanation, effect: str) -> list[Estimate]:
 
 
 def estimates_alone(found: Explanation, effect: str) -> list[Estimate]:
-    """The same by the effect alone, of whatever family it is."""
+    """The same for the effect alone, whatever its family."""
     stochastic = stochastic_effect(found, effect)
     if stochastic is not None:
         numbers = numbers_of([EFFECTS[effect]], found.vehicle)
@@ -176,7 +177,7 @@ def estimates_alone(found: Explanation, effect: str) -> list[Estimate]:
 
 
 def channels_and_phases(found: Explanation, effect: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Channels and phases on which an effect acts most; none where that is not known."""
+    """Channels and phases on which an effect acts most; empty where unknown."""
     stochastic = stochastic_effect(found, effect)
     if stochastic is not None:
         return stochastic.channels, ()
@@ -185,21 +186,21 @@ def channels_and_phases(found: Explanation, effect: str) -> tuple[tuple[str, ...
 
 
 def rivals(found: Explanation, effect: str) -> list[dict[str, Any]]:
-    """Other explanations than an effect, the most probable first, and how far they fell behind.
+    """Alternatives to an effect, the most probable first, and their differences in log posterior.
 
-    Of those that are all but impossible, nothing at all comes last.
+    Among practically impossible ones, no effect at all comes last.
 
-    An effect that changes no mean has one, `nothing`, and only its probability is known.
+    A zero-mean effect has one alternative, `nothing`, and only its probability is known.
 
-    `behind`: log probability below the best set with the effect, of the best set with the rival in
-    its place, together with the effects `with`.
+    `behind`: difference in log posterior between the best model with the effect and the best one
+    with the alternative in its place, together with the effects `with`.
     """
     stochastic, naming = stochastic_effect(found, effect), found.naming
     if stochastic is not None:
         return [{"name": "nothing", "probability": 1 - stochastic.probability}]
     assert naming is not None
     own = {effect, *(naming.standing[effect].effects if effect in naming.standing else ())}
-    fitted = next(f for f in naming.fitted if own & {*f.effects})  # the most probable
+    fitted = next(f for f in naming.fitted if own & {*f.effects})  # the most probable model with it
     others: dict[str, dict[str, Any]] = {}
     for f, p in zip(naming.fitted, naming.probabilities, strict=True):
         if own & {*f.effects}:

@@ -1,4 +1,4 @@
-"""How a setting is written down: value, unit, meaning, and where the value comes from."""
+"""Declaration of a setting: value, unit, meaning and origin."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -17,13 +17,13 @@ class Setting:
     """One setting of a group.
 
     Attributes:
-        name: With dots from group to group, "inference.selection.sure".
-        value: A number, or numbers that do not fall, all above zero.
-        unit: "1" for a plain number.
-        meaning: In a sentence.
+        name: Name with dots between groups, "inference.selection.sure".
+        value: One number, or several in non-decreasing order, all above zero.
+        unit: Unit; "1" for a dimensionless number.
+        meaning: Meaning in one sentence.
         origin: Begins with "physics: ", "paper: ", "data sheet: ", "measured: ", "chosen on: "
             (which cases), "sensitivity: " or "made up".
-        below: What every number of it stays below.
+        below: Upper bound that every number of it must stay below.
     """
 
     name: str
@@ -42,10 +42,11 @@ def setting(value: T, unit: str, meaning: str, origin: str, below: float = math.
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Settings of one room, and groups of rooms inside it.
+    """Settings of one package, and groups of its subpackages.
 
     Raises:
-        ModelError: A value is of the wrong kind, not above zero, not below its bound, or falls.
+        ModelError: A value has the wrong type, is not above zero, not below its bound, or
+            decreases.
     """
 
     def __post_init__(self) -> None:
@@ -55,7 +56,7 @@ class Group:
                 raise ModelError(f"{type(self).__name__}.{name} = {now.value}: {problem}.")
 
     def every(self, before: str = "") -> Iterator[Setting]:
-        """All settings, in the order in which they are written down."""
+        """All settings, in the order of their declaration."""
         for f in fields(self):
             value = getattr(self, f.name)
             if isinstance(value, Group):
@@ -64,7 +65,7 @@ class Group:
                 yield Setting(before + f.name, value, *f.metadata["about"])
 
     def with_values(self: G, values: Mapping[str, Value]) -> G:
-        """The same with some settings changed.
+        """A copy with some settings changed.
 
         Raises:
             ModelError: There is no such setting, or it cannot have this value.
@@ -101,7 +102,7 @@ def numbers(value: Value) -> list[float]:
 
 
 def _problem(now: Setting, default: object) -> str:
-    """What is wrong with a value; "" for nothing."""
+    """Description of what is wrong with a value; "" for nothing."""
     found, below = numbers(now.value), now.below
     if isinstance(default, int) and not isinstance(now.value, int):
         return "give a whole number"

@@ -1,7 +1,7 @@
-"""The numbers of a search that decide what it says, in one frozen object, `SearchSettings`.
+"""Numbers that determine the result of a search, in one frozen object, `SearchSettings`.
 
 Every number has a unit, a meaning and an origin; `docs/reference/settings.md` lists them. The
-object is made once and handed down: a function takes the group of its own room and no more.
+object is created once and passed down: a function takes only the group of its own package.
 """
 
 import hashlib
@@ -19,14 +19,14 @@ _FOLDS = (
     "paper: Hastie, Tibshirani & Friedman, The Elements of Statistical Learning, sec. 7.10: "
     "five or ten"
 )
-"""Origins that several settings share; how many cases ask is in the page."""
+"""Origins that several settings share; the number of cases is in the page."""
 
 # -- which flights are fit for a search ----------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class UsableSettings(Group):
-    """Of `twin.explain.usable`."""
+    """Settings of `twin.explain.usable`."""
 
     shortest_s: float = setting(3.0, "s", "time in the air at least", _IN_FIVE)
     longest_s: float = setting(
@@ -93,7 +93,8 @@ class UsableSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class LikelihoodSettings(Group):
-    """Of `twin.explain.inference.whitening`: noise of a channel, for equations and designs."""
+    """Settings of `twin.explain.inference.whitening`: noise of a channel, for equations and
+    designs."""
 
     order: int = setting(
         15,
@@ -128,7 +129,7 @@ class LikelihoodSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class EvidenceSettings(Group):
-    """Of `twin.explain.inference.evidence`: what is known of noise before a flight is looked at."""
+    """Settings of `twin.explain.inference.evidence`: prior knowledge of the noise."""
 
     level: float = setting(
         2.0,
@@ -176,7 +177,8 @@ class EvidenceSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class SelectionSettings(Group):
-    """Of `twin.explain.inference.selection`: rules, and from when on a name is given."""
+    """Settings of `twin.explain.inference.selection`: probabilities from which on an effect is
+    named."""
 
     sure: float = setting(0.8, "probability", "from which on a name is given", "made up", 1.0)
     moved: float = setting(
@@ -213,7 +215,7 @@ class SelectionSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class AdequacySettings(Group):
-    """Of `twin.explain.inference.selection`: how far a name can be believed."""
+    """Settings of `twin.explain.inference.selection`: credibility of a named effect."""
 
     law: float = setting(
         1 / 7,
@@ -260,7 +262,7 @@ class AdequacySettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class InferenceSettings(Group):
-    """Of `twin.explain.inference`."""
+    """Settings of `twin.explain.inference`."""
 
     likelihood: LikelihoodSettings = field(default_factory=LikelihoodSettings)
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
@@ -275,7 +277,7 @@ class InferenceSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class StuckSettings(Group):
-    """Of `twin.explain.stochastic.search`."""
+    """Settings of `twin.explain.stochastic.search` for stuck readings."""
 
     shortest_s: float = setting(
         0.5, "s", "shorter stand-stills are lost packets, and harm no fit", _IN_FIVE
@@ -305,7 +307,7 @@ class StuckSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class NoiseLevelSettings(Group):
-    """Of `twin.explain.stochastic.imu_noise`."""
+    """Settings of `twin.explain.stochastic.imu_noise` for noise levels."""
 
     slowest_hz: float = setting(
         80.0,
@@ -353,7 +355,7 @@ class NoiseLevelSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class VibrationSettings(Group):
-    """Of `twin.explain.stochastic.imu_noise`."""
+    """Settings of `twin.explain.stochastic.imu_noise` for vibration."""
 
     from_hz: float = setting(
         25.0, "Hz", "below it the body moves and controllers oscillate", "made up"
@@ -403,7 +405,7 @@ class VibrationSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class SlowForceSettings(Group):
-    """Of `twin.explain.stochastic.search`."""
+    """Settings of `twin.explain.stochastic.search` for the slow random force."""
 
     band_hz: tuple[float, float] = setting(
         (0.1, 3.0), "Hz", "the slow part of the accelerometer residuals", "made up", 5.0
@@ -430,7 +432,7 @@ class SlowForceSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class GustSettings(Group):
-    """Of `twin.explain.stochastic.search`."""
+    """Settings of `twin.explain.stochastic.search` for gusts."""
 
     slope_bands_hz: tuple[tuple[float, float], ...] = setting(
         ((0.15, 0.35), (0.4, 0.8), (0.8, 1.5), (1.5, 3.0)),
@@ -484,7 +486,7 @@ class GustSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class StochasticSettings(Group):
-    """Of `twin.explain.stochastic`."""
+    """Settings of `twin.explain.stochastic`."""
 
     one_of: float = setting(
         40.0,
@@ -513,7 +515,7 @@ class StochasticSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class UnnamedSettings(Group):
-    """Of `twin.explain.unnamed`."""
+    """Settings of `twin.explain.unnamed`."""
 
     most_terms: int = setting(4, "terms", "of an equation at most", "made up")
     folds: int = setting(5, "1", "parts of the time that are left out in turn", _FOLDS)
@@ -574,7 +576,7 @@ class UnnamedSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class HoldoutSettings(Group):
-    """Of `twin.explain.holdout`."""
+    """Settings of `twin.explain.holdout`."""
 
     spared_s: float = setting(
         4.0,
@@ -611,14 +613,14 @@ class HoldoutSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class SearchSettings(Group):
-    """Every number that decides what a search says, by the room of `twin.explain` that asks.
+    """All numbers that determine the result of a search, grouped by package of `twin.explain`.
 
     Attributes:
-        usable: Which flights are looked at at all.
-        inference: Which effects, with which probabilities.
-        stochastic: Which effects that change no mean.
-        unnamed: When an equation takes the place of a name.
-        holdout: How the gap is shown.
+        usable: Which parts of flights are used.
+        inference: Selection of effects and their probabilities.
+        stochastic: Selection of zero-mean effects.
+        unnamed: When an equation replaces a named effect.
+        holdout: Comparison of held-out flights.
     """
 
     usable: UsableSettings = field(default_factory=UsableSettings)
@@ -631,16 +633,17 @@ class SearchSettings(Group):
 
     @property
     def changed(self) -> Mapping[str, Value]:
-        """Values that are not the default ones, by name."""
+        """Values that differ from the default, by name."""
         usual = {s.name: s.value for s in DEFAULT.every()}
         return {s.name: s.value for s in self.every() if s.value != usual[s.name]}
 
     @property
     def hash(self) -> str:
-        """Of all names and values: equal for equal settings of the same version, 12 digits."""
+        """Hash of all names and values, 12 hexadecimal digits: equal for equal settings of the same
+        version."""
         text = "\n".join(f"{s.name} = {s.value!r}" for s in self.every())
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 DEFAULT = SearchSettings()
-"""What is used where nothing else is asked for."""
+"""Default settings."""

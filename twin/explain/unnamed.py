@@ -1,7 +1,7 @@
-"""A cause outside the library: an equation for what is left of each channel.
+"""Causes outside the library: equations for the remaining residual of each channel.
 
-Sparse regression over products of physical quantities, on residuals that are as white as the
-regressors' noise model makes them; checked on time that neither picked nor fitted the terms.
+Sparse regression on products of physical quantities, on residuals whitened by the noise model;
+validated on time blocks used neither for selection nor for fitting the terms.
 
 Source: Brunton, Proctor & Kutz, PNAS 113 (2016).
 """
@@ -37,28 +37,30 @@ from .inference.whitening import (
 from .settings import DEFAULT, LikelihoodSettings, UnnamedSettings
 
 DIGITS = 3
-"""Significant ones of a coefficient."""
+"""Significant digits of a coefficient."""
 SMALLEST = 0.005
-"""Nor is an equation worth having that takes less than this share of the size of the channel
-(`Sensor.size`): what every model lacks in fineness."""
+"""Least rms of an equation, as a share of the size of the channel (`Sensor.size`); smaller errors
+occur in every model."""
 FINER = 4
-"""Trial frequencies per resolution of the flight."""
+"""Number of trial frequencies per frequency resolution of the flight."""
 
 
 @dataclass(frozen=True, slots=True)
 class Equation:
-    """What is missing in one channel.
+    """Equation for the residual of one channel.
 
     Attributes:
-        channel: See `model.model`.
-        unit: Of the channel.
-        terms: Product of quantities, coefficient, unit of the coefficient; the largest first.
-        expression: The same for people.
-        share: Of the power of the residual that `fitted` leaves, out of sample, in the band in
-            which the equation has its own power: noise beyond it is nobody's to explain.
-        band_hz: Where that band ends.
-        rms: Of what it explains, in the unit of the channel.
-        gain: Log likelihood over that of `fitted` alone, out of sample.
+        channel: Name of the channel, see `model.model`.
+        unit: Unit of the channel.
+        terms: Product of quantities, coefficient, and unit of the coefficient, for each term; the
+            largest first.
+        expression: The equation as readable text.
+        share: Share of the residual power under `fitted` that it explains out of sample, in the
+            frequency band that contains the equation's own power: noise above the band is
+            unexplainable.
+        band_hz: Upper end of that band, Hz.
+        rms: Rms of its contribution, in the unit of the channel.
+        gain: Out-of-sample log likelihood over that of `fitted` alone, nats.
     """
 
     channel: str
@@ -73,14 +75,14 @@ class Equation:
 
 @dataclass(frozen=True, slots=True)
 class Unnamed:
-    """Equations on top of a hypothesis.
+    """Equations added to a candidate model.
 
     Attributes:
-        equations: One per channel where there is one worth having, the largest share first.
-        gains: Log likelihood over that of the hypothesis alone, per block, out of sample, as the
-            noise after the equations weighs it, shape (n,).
-        terms: Coefficients in all equations, frequencies among them.
-        noise: By channel with an equation, what is left then.
+        equations: At most one equation per channel, the largest share first.
+        gains: Out-of-sample log likelihood over that of the candidate model alone, per time block,
+            under the noise with the equations, nats, shape (n,).
+        terms: Number of coefficients in all equations, including frequencies.
+        noise: Noise with the equations, by channel with an equation.
     """
 
     equations: tuple[Equation, ...]
@@ -90,13 +92,13 @@ class Unnamed:
 
     @property
     def gain(self) -> float:
-        """Over all blocks."""
+        """Sum of the gains over all blocks, nats."""
         return float(self.gains.sum())
 
 
 @dataclass(frozen=True, slots=True)
 class _Search:
-    """What is the same for every channel: part of the time of each block, and settings."""
+    """Data shared by all channels: cross-validation fold of each block, and settings."""
 
     folds: Mapping[Key, int]
     settings: UnnamedSettings
@@ -105,7 +107,7 @@ class _Search:
 
 @dataclass(frozen=True, slots=True)
 class _Channel:
-    """One channel of all flights with candidate columns as slopes."""
+    """One channel of all flights, with the candidate columns as slopes."""
 
     name: str
     unit: str
@@ -121,10 +123,12 @@ def find_equations(
     mute: Collection[str] = (),
     means: bool = True,
 ) -> Unnamed | None:
-    """Equations for what a hypothesis leaves, but in `mute` channels; None: none is worth it.
+    """Equations for the residual of a candidate model, except in `mute` channels; None: none is
+    large enough.
 
-    What is the weather's, or the place's, goes without its mean, which no law says; where `means`
-    is false all channels do, because what the day does to a force or a moment is judged elsewhere.
+    Channels that depend on weather or place have their mean removed, which no law explains; where
+    `means` is false all channels have, because day-to-day constants of forces and moments are
+    judged elsewhere.
     """
     days = fitted.on_its_days(whitened.model).channels([], fitted.values)
     left = [
@@ -141,7 +145,7 @@ def find_equations(
     equations, gains, noises = [], dict.fromkeys(keys, 0.0), {}
     for i, first in enumerate(left[0]):
         if sensor_of(first.name) is None or first.name in mute:
-            continue  # what the pose implies has its own noise in every regressor
+            continue  # the noise of the pose's prediction is in every regressor
         made = _channel(whitened, [f[i] for f in left], known, tones, settings)
         found = _found(made, search)
         if found is None:
@@ -162,10 +166,10 @@ def find_equations(
 
 
 def _found(channel: _Channel, search: _Search) -> tuple[Equation, Sparse, Autoregression] | None:
-    """Equation of a channel, and the noise that is left then.
+    """Equation of a channel, and the noise with it.
 
-    At first the noise is taken for white: an autoregression takes a steady shaking, or an offset,
-    for a noise of its own.
+    The noise is assumed white at first: an autoregression would take a persistent oscillation, or
+    an offset, for noise.
     """
     unexplained = [c.residual for c in channel.flights]
     whiten = autoregression_of(channel.flights, unexplained, 0, search.noise)
@@ -226,7 +230,7 @@ def _power(pieces: Sequence[Array], below_hz: float) -> float:
 
 
 def _spectrum(values: Array) -> tuple[Array, Array]:
-    """Frequencies and the power at each; its sum is that of the values (Parseval)."""
+    """Frequencies, Hz, and the power at each; its sum is that of the values (Parseval)."""
     power: Array = np.abs(np.fft.rfft(values)).astype(np.float64) ** 2 / len(values)
     power[1 : (len(values) + 1) // 2] *= 2
     hz: Array = np.fft.rfftfreq(len(values), 1 / CHANNEL_HZ).astype(np.float64)
@@ -246,7 +250,7 @@ def _sum_of(made: Sequence[tuple[str, float, str]], unit: str) -> str:
 
 
 def _shared(each: Sequence[dict[str, Quantity]]) -> list[dict[str, Quantity]]:
-    """Quantities that every flight has, known wherever a residual is, and not at rest in all."""
+    """Quantities that every flight has, known wherever a residual is, and not zero in all."""
     names = [k for k in each[0] if all(k in e for e in each)]
     retained = []
     for k in names:
@@ -257,7 +261,8 @@ def _shared(each: Sequence[dict[str, Quantity]]) -> list[dict[str, Quantity]]:
 
 
 def _bridged(quantity: Quantity) -> Quantity:
-    """Without unknown values: no residual is known where one is, so any will do."""
+    """The quantity with unknown values replaced: no residual is known there, so any value will
+    do."""
     values, known = quantity.values, np.isfinite(quantity.values)
     rows = np.arange(len(values))
     return replace(quantity, values=np.interp(rows, rows[known], values[known]))
@@ -270,7 +275,7 @@ def _channel(
     tones_hz: tuple[float, ...],
     settings: UnnamedSettings,
 ) -> _Channel:
-    """The channel with every candidate, low-passed as the channel is."""
+    """The channel with every candidate, filtered by the channel's low-pass."""
     name = flights[0].name
     made, columns = [], []
     for channel, own, flight in zip(flights, known, whitened.model.flights, strict=True):
@@ -282,7 +287,7 @@ def _channel(
 
 
 def _tones(left: Sequence[Sequence[ChannelData]], settings: UnnamedSettings) -> tuple[float, ...]:
-    """The frequency that stands out most in force, and that in turning."""
+    """The frequency with most power in force, and that in rotation, Hz."""
     found = []
     for sensor in (s for s in SENSORS if s.group == BODY):
         rows = [i for i, c in enumerate(left[0]) if c.name in sensor.channels]
@@ -292,9 +297,9 @@ def _tones(left: Sequence[Sequence[ChannelData]], settings: UnnamedSettings) -> 
 
 
 def _tone(channels: Sequence[Sequence[ChannelData]], between_hz: tuple[float, float]) -> float:
-    """Frequency whose sine and cosine, from the start of each flight, take most.
+    """Frequency whose sine and cosine, from the start of each flight, explain most, Hz.
 
-    Residuals are differenced, so that a drift does not hide a shaking, and weighed by their rms.
+    Residuals are differenced, so that drift does not hide an oscillation, and divided by their rms.
     """
     longest = max(float(np.ptp(c.t_s)) for c in channels[0])
     low, high = between_hz
@@ -304,7 +309,7 @@ def _tone(channels: Sequence[Sequence[ChannelData]], between_hz: tuple[float, fl
         steps = [(c, np.diff(c.piece) == 0) for c in flights]
         parts = [((c.t_s[1:] + c.t_s[:-1])[s] / 2, np.diff(c.residual)[s]) for c, s in steps]
         rms = max(float(np.sqrt(np.mean(np.concatenate([v for _, v in parts]) ** 2))), 1e-300)
-        for k, hz in enumerate(trial):  # one by one: of a long flight all are too many at once
+        for k, hz in enumerate(trial):  # one at a time, to limit memory
             wave = sum(v @ np.exp(-2j * np.pi * hz * t) for t, v in parts)
             power[k] += np.abs(wave / rms) ** 2
     return float(trial[int(np.argmax(power))])
@@ -314,14 +319,14 @@ def _tone(channels: Sequence[Sequence[ChannelData]], between_hz: tuple[float, fl
 
 
 def smallest(channel: str, whitened: WhitenedFlights) -> float:
-    """What is too little to speak of, rms in the unit of a channel."""
+    """Rms below which a contribution is negligible, in the unit of a channel."""
     sensor = sensor_of(channel)
     assert sensor is not None, channel
     return SMALLEST * sensor.size(whitened.model.vehicle)[sensor.channels.index(channel)]
 
 
 def _of_body(channel: str) -> bool:
-    """Whether a channel feels what acts on the body."""
+    """Whether a channel measures forces or moments on the body."""
     sensor = sensor_of(channel)
     return sensor is not None and sensor.group == BODY
 
@@ -333,9 +338,9 @@ def explains_better(
     settings: UnnamedSettings = DEFAULT.unnamed,
     stands: Fit | None = None,
 ) -> bool:
-    """Whether something outside the library is the better account of the flights: equations for
-    what the model as it `stands` leaves gain enough, and none of the hypotheses that are worth
-    considering covers what they explain."""
+    """Whether a cause outside the library explains the flights better: equations for the residual
+    of the model as it `stands` gain enough, and no probable candidate model covers what they
+    explain."""
     return (
         alone is not None
         and alone.gain > settings.enough
@@ -346,10 +351,10 @@ def explains_better(
 def covered(
     whitened: WhitenedFlights, named: Fit, alone: Unnamed, stands: Fit | None = None
 ) -> float:
-    """Share of what equations explain, in their channels, that a hypothesis explains as well.
+    """Share of the gain of equations, in their channels, that a candidate model reaches as well.
 
-    Both in log likelihood, under the noise that the equations leave: the noise of the ground has
-    learnt what the library cannot explain, and would forgive it.
+    Both are log likelihoods under the noise with the equations: the noise without them would
+    already contain what the library cannot explain.
     """
     now = stands or replace(named, values={}, days=())
     before = now.on_its_days(whitened.model).channels([], now.values)

@@ -1,1 +1,2 @@
-"""Which effects, with which numbers, the residuals ask for: likelihood, fit, selection."""
+"""Selection of effects and estimation of their numbers from the residuals: likelihood, fit,
+selection."""

@@ -1,13 +1,14 @@
-"""How far a name can be believed: what an effect leaves, and which power its law is asked for.
+"""Credibility of a named effect: the residual that it leaves, and the exponent that its law
+requires.
 
-The noise of a residual decorrelates within a few samples; what remains correlated over longer lags
-is a cause. An effect of the right name explains nearly all of that, as its law is about right. One
-that merely resembles the cause leaves a part of it, and the cause may be none of the library.
+The noise of a residual decorrelates within a few samples; correlation over longer lags indicates a
+cause. The right effect explains nearly all of it, as its law is approximately right. One that only
+resembles the cause leaves a part, and the cause may be outside the library.
 
-Or it leaves little, and the flights ask for another power of it: what an effect does to a channel
-at its best is c, and with another power c |c / c_0|^p. The power p is a number like others, with
-the slope c ln|c / c_0|, |c| over the axes of a sensor. It is 0 of a right name, 1/2 of a drag that
-goes with the third power and is taken for one with the second.
+Or it leaves little, but the flights require another exponent: the effect's contribution to a
+channel at its MAP estimate is c, and with another exponent c |c / c_0|^p. The exponent p is
+estimated like other numbers, with the slope c ln|c / c_0|, |c| over the axes of a sensor. It is 0
+for the right effect, and 1/2 for a quadratic drag fitted to a cubic one.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,9 +26,9 @@ from .fit import Fit, Problem, State
 from .priors import effect_of
 
 LEAST = 1e-3
-"""Size of what an effect does over its rms below which its logarithm does not fall further."""
+"""Contribution of an effect over its rms, below which its logarithm is clipped."""
 UNKNOWN_POWER = 0.0, 1e6
-"""A power that nothing tells."""
+"""Mean and standard deviation of an exponent without information."""
 
 
 def credible(
@@ -35,12 +36,13 @@ def credible(
     power: tuple[float, float] = UNKNOWN_POWER,
     settings: AdequacySettings = DEFAULT.inference.adequacy,
 ) -> float:
-    """Probability that a cause is of the library, given the share of amplitude that is left, and
-    the power that its law is asked for with its standard deviation.
+    """Probability that a cause is inside the library, given the share of amplitude that remains,
+    and the exponent with its standard deviation.
 
-    By Bayes: both are normal about zero of a right name, with the deviations `law` and `power`. A
-    wrong name may leave anything, and have any power as far from zero as `powers`, or what a right
-    one has: that little is left speaks for no name, that much is speaks against it.
+    By Bayes: for the right effect both are normal about zero, with the standard deviations `law`
+    and `power`. A wrong effect may leave any share, and have an exponent as far from zero as
+    `powers`, or as that of a right one: a small remainder is no evidence for the effect, a large
+    one is evidence against it.
     """
     outside, (p, sd) = settings.outside, power
     against = 1 / max(2 * norm.pdf(misfit, scale=settings.law), 1e-300)
@@ -56,13 +58,13 @@ def misfits(
     settings: AdequacySettings = DEFAULT.inference.adequacy,
     usual: Mapping[str, float] | None = None,
 ) -> dict[str, float]:
-    """Of each effect the share of amplitude that it leaves in the channel that it explains most.
+    """Share of amplitude that each effect leaves in the channel that it explains most.
 
     Args:
-        without: The hypothesis without one of its effects, by that effect.
-        usual: By channel the rms that is left in flights without the effect: it is no law's fault.
+        without: The candidate model without one of its effects, by that effect.
+        usual: Rms that remains in flights without the effect, by channel: no fault of its law.
     """
-    model = fitted.on_its_days(model)  # a constant of the day may stand in for an effect
+    model = fitted.on_its_days(model)  # a constant of the day may compensate for an effect
     after, found = model.channels([], fitted.values), {}
     for effect, rest in without.items():
         before = model.channels([], rest.values)
@@ -78,7 +80,7 @@ def misfits(
 
 
 def _taken(before: Sequence[ChannelData], after: Sequence[ChannelData]) -> float:
-    """Log of the power of a channel before over that after, times its samples."""
+    """Log ratio of the power of a channel before and after, times its number of samples."""
     n = sum(len(c.residual) for c in before)
     old, new = (sum(float(c.residual @ c.residual) for c in own) for own in (before, after))
     return n * float(np.log(max(old, 1e-300) / max(new, 1e-300)))
@@ -87,7 +89,7 @@ def _taken(before: Sequence[ChannelData], after: Sequence[ChannelData]) -> float
 def coherent(
     flights: Sequence[ChannelData], settings: AdequacySettings = DEFAULT.inference.adequacy
 ) -> tuple[float, float]:
-    """Mean power of a channel that is not forgotten, and the deviation of that by mere noise."""
+    """Mean power of a channel that stays correlated, and its standard deviation due to noise."""
     sensor = sensor_of(flights[0].name)
     band = BAND_HZ if sensor is not None and sensor.group == BODY else POSE_BAND_HZ
     lag = round(settings.memory * CHANNEL_HZ / band)
@@ -110,8 +112,8 @@ def powers(
     state: State,
     settings: AdequacySettings = DEFAULT.inference.adequacy,
 ) -> dict[str, tuple[float, float]]:
-    """By effect of a set at its best the power p that its law is asked for, with its standard
-    deviation, each by itself beside all numbers of the set; infinite where nothing tells it."""
+    """Exponent p of each effect of a MAP estimate, with its standard deviation, each estimated
+    separately together with all numbers of the model; infinite where it is not determined."""
     best, b = laplace.best(state.effects, state.kappa), problem.priors
     effects = tuple(dict.fromkeys(map(effect_of, state.effects)))
     if not effects:
@@ -137,13 +139,13 @@ def powers(
         made = wider.best([*state.effects, name], state.kappa)
         i = wider.priors.names.index(name)
         variance = made.deviations()[i] ** 2
-        alone = 1 / max(1 / variance - 1 / settings.powers**2, 1e-12)  # of the flights, no prior
+        alone = 1 / max(1 / variance - 1 / settings.powers**2, 1e-12)  # without prior
         found[effect] = float(made.x[i] * alone / variance), float(np.sqrt(alone))
     return found
 
 
 def _bent(without: Sequence[ChannelData], with_all: Sequence[ChannelData]) -> list[Array]:
-    """Slope of each channel of a flight by the power of an effect."""
+    """Slope of each channel of a flight by the exponent of an effect."""
     taken = {c.name: c.residual - a.residual for c, a in zip(without, with_all, strict=True)}
     found = []
     for name, own in taken.items():

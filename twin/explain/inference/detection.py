@@ -1,15 +1,15 @@
-"""Detection limit: how large an absent effect would have to be to show.
+"""Detection limit: smallest size at which an absent effect would have been named.
 
-A flight in which an effect of size a is present gives an estimate that is normal about a, with the
-variance s^2 that the noise leaves, all other free numbers integrated out. Its log Bayes factor
-against no effect, in the linearisation at the end of the search, is that of two normal
-distributions about 0 and about the prior mean m,
+A flight with an effect of size a gives an estimate that is normal about a, with the variance s^2
+due to noise, with all other free numbers integrated out. Its log Bayes factor against no effect, in
+the linearisation at the end of the search, is that of two normal distributions about 0 and about
+the prior mean m,
 
     ln B(a) = (1/2) ln(v0 / v1) + a^2 / (2 v0) - (a - m)^2 / (2 v1),
 
 v0 = s^2 + (standard deviation by the file)^2, v1 = s^2 + (prior standard deviation)^2. The critical
-size is where ln B plus the log prior odds reaches the odds from which on a name is given; the
-smallest detectable one lies 1.645 s beyond it, where 95 of 100 flights are named.
+size is where ln B plus the log prior odds reaches the odds from which on an effect is named; the
+smallest detectable one is 1.645 s larger, so that 95 of 100 flights name it.
 
 Source: Currie, Anal. Chem. 40 (1968) 586-593.
 """
@@ -31,11 +31,11 @@ POWER_95 = 1.645
 
 @dataclass(frozen=True, slots=True)
 class Detectable:
-    """The smallest change of a number of an effect that flights would show.
+    """Smallest change of a number of an effect that the flights would show.
 
     Attributes:
-        number: "effect.number": of several of the effect the one that shows least.
-        value: Change from no effect, positive, in `unit`; None: not within the range of the number.
+        number: Name "effect.number"; of several numbers of the effect, the least visible one.
+        value: Change from no effect, positive, in `unit`; None: outside the range of the number.
         unit: SI unit.
     """
 
@@ -50,11 +50,11 @@ def critical_size(
     """Smallest positive estimate whose log Bayes factor reaches a threshold.
 
     Args:
-        noise_var: Variance of the estimate by noise alone.
-        none_var: Prior variance where no effect is there.
-        mean: Prior mean of the change where the effect is there.
-        there_var: Prior variance about it.
-        needed: Log Bayes factor, nats.
+        noise_var: Variance of the estimate due to noise alone.
+        none_var: Prior variance without the effect.
+        mean: Prior mean of the change with the effect.
+        there_var: Prior variance about this mean.
+        needed: Required log Bayes factor, nats.
     """
     v0, v1 = noise_var + none_var, noise_var + there_var
     a = 0.5 / v0 - 0.5 / v1
@@ -70,17 +70,17 @@ def critical_size(
 def smallest_detectable(
     model: Model, laplace: LaplaceEvidence, state: State, named: Collection[str], sure: float
 ) -> Mapping[str, Detectable]:
-    """By effect without a name, the smallest one that flights would show.
+    """The smallest visible change of each effect that is not named.
 
-    Of an effect with several numbers, or several rotors, that of the number that shows least,
-    relative to what is worth a name. An effect to which no channel answers is not in it.
+    For an effect with several numbers, or several rotors, the least visible number counts, relative
+    to the least size of a named one. An effect that influences no channel is omitted.
 
     Args:
-        model: Flights.
-        laplace: All sets about the final one.
-        state: The final set. What is in it without a name is covered by what the file leaves open.
-        named: Effects of it that have one.
-        sure: Probability from which on a name is given.
+        model: Predictions of the flights.
+        laplace: Linearisation of all candidate models about the final one.
+        state: Final state. Effects in it without a name are within the uncertainty of the file.
+        named: Its named effects.
+        sure: Probability from which on an effect is named.
     """
     b = laplace.priors
     found: dict[str, tuple[float, Detectable]] = {}

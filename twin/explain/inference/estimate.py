@@ -1,4 +1,4 @@
-"""A number of an effect with its interval, as it is reported."""
+"""An effect's number with its interval, as it is reported."""
 
 import math
 from dataclasses import dataclass
@@ -10,24 +10,24 @@ from .fit import INTERVAL, Fit
 from .priors import Priors, parameter_of
 
 MOST_OF_PRIOR = 0.5
-"""Posterior over prior deviation of a number that a headline gives: the flights say more of it than
-the prior."""
+"""Largest posterior over prior standard deviation of a number in a headline: the flights must
+contain more information than the prior."""
 _CREDIBLE = 0.95  # probability that an interval holds its number
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A number of an effect.
+    """Estimate of a number of an effect.
 
     Attributes:
-        number: What it is.
-        value: In its unit.
-        no_effect: Its value where the effect is absent, or has not changed; None: a shape, which
-            has none.
+        number: Number that is estimated.
+        value: Value in its unit.
+        no_effect: Value without the effect, or without a change; None for a shape parameter.
         ci95: 95 % interval; None: it has none.
-        prior_share: Posterior over prior deviation: 1 where the flights say nothing; None: it has
-            no prior.
-        tension: Prior deviations between the value and what was expected; None: the same.
+        prior_share: Posterior over prior standard deviation: 1 where the flights contain no
+            information; None: it has no prior.
+        tension: Deviation of the value from its prior mean in prior standard deviations; None: it
+            has no prior.
     """
 
     number: Number
@@ -39,40 +39,40 @@ class Estimate:
 
     @property
     def may_be_none(self) -> bool:
-        """Whether the 95 % interval contains `no_effect`; of a shape, and without one, no."""
+        """Whether the 95 % interval contains `no_effect`; false for a shape parameter, and without
+        an interval."""
         if self.ci95 is None or self.no_effect is None:
             return False
         return self.ci95[0] <= self.no_effect <= self.ci95[1]
 
     @property
     def determined(self) -> bool:
-        """Whether a headline may give it: the 95 % interval excludes `no_effect`, and the flights
-        say more of it than the prior."""
+        """Whether a headline may contain it: the 95 % interval excludes `no_effect`, and the
+        flights contain more information than the prior."""
         known = self.ci95 is not None and self.no_effect is not None and not self.may_be_none
         return known and (self.prior_share or 0.0) <= MOST_OF_PRIOR
 
     @property
     def change(self) -> float:
-        """Difference from `no_effect`; of a shape from 0."""
+        """Difference from `no_effect`; for a shape parameter, from 0."""
         return self.value - (self.no_effect or 0.0)
 
 
 def credible_interval(
     number: Number, value: float, half_width: float, ridge: float = 1.0
 ) -> tuple[float, float]:
-    """95 % interval of a number whose posterior is normal in the search, inside its physical range.
+    """95 % interval of a number with a normal posterior in the search, inside its physical range.
 
     A factor (no effect: 1) is log-normal, with `value` as its median and the coefficient of
-    variation of the search: what doubles is as far away as what halves. Any other quantity that
-    cannot be negative has the law of `normal_power`, truncated at its physical minimum, and the
-    interval is that of highest density: it contains the minimum exactly where no effect is
-    credible.
+    variation of the search: doubling is as far away as halving. Any other non-negative quantity has
+    the distribution of `normal_power`, truncated at its physical minimum, and the interval is that
+    of highest density: it contains the minimum exactly where no effect is credible.
 
     Args:
-        number: Gives the physical range.
-        value: Mode of the posterior, in the unit of the number.
-        half_width: Of the 95 % interval of a normal posterior.
-        ridge: As of `Fit.ridges`.
+        number: The number, with its physical range.
+        value: Posterior mode, in the unit of the number.
+        half_width: Half-width of the 95 % interval of a normal posterior.
+        ridge: Ratio of standard deviations, as of `Fit.ridges`.
 
     Returns:
         Lower and upper end.
@@ -95,12 +95,12 @@ def credible_interval(
 
 
 def normal_power(size: float, sd: float, ridge: float) -> tuple[float, float, float]:
-    """Mode and deviation of the power 1 / ridge of a size that is normal, and the ridge.
+    """Mode and standard deviation of the power 1 / ridge of a size that is normal, and the ridge.
 
-    Where a size and a shape trade against each other, the deviation of the size is along that
-    ridge, on which it never vanishes: what is told is how far away no effect is with the shape
-    held, as no effect has no shape. The power 1 / ridge has both, the deviation about the mode and
-    that distance (Box & Cox, J. R. Stat. Soc. B 26, 1964).
+    Where size and shape are correlated, the standard deviation of the size is along that ridge, on
+    which it never vanishes: without an effect there is no shape, so the distance from no effect is
+    that with the shape fixed. The power 1 / ridge reproduces both the standard deviation about the
+    mode and that distance (Box & Cox, J. R. Stat. Soc. B 26, 1964).
     """
     if not size > 0:
         return size, sd, 1.0
@@ -110,7 +110,7 @@ def normal_power(size: float, sd: float, ridge: float) -> tuple[float, float, fl
 def fitted_estimates(
     fitted: Fit, priors: Priors, effect: str, wider: float = 1.0
 ) -> list[Estimate]:
-    """The numbers of an effect in one fit; one that is held is told by its prior alone."""
+    """Estimates of an effect in one fit; a fixed number is described by its prior alone."""
     tension = priors.tension({n.full: fitted.values[n.full] for n in fitted.numbers})
     place = {n: i for i, n in enumerate(priors.names)}
     found = []

@@ -1,17 +1,18 @@
-"""Log evidence of a set of effects: noise levels integrated out, MAP numbers, Laplace's method.
+"""Log evidence of a candidate model: noise levels integrated out, MAP estimate, Laplace
+approximation.
 
     r_cf = S_cf (theta - now + delta_f) + e_cf,    e_cf: see `noise`
 
-Level and spectrum of the noise belong to the hypothesis: a channel that nothing explains yet is
-noisy, and no reason against what explains another one. One factor tempers all bands of a channel (a
-coarsened posterior: Miller & Dunson, J. Am. Stat. Assoc. 114, 2019), a = 1 / (1 + n / (N0 F)): in
-closed loop the log spectrum of d / (1 + KGC), all bands counted alike, does not depend on the model
-of G, so that disturbances alone carry no information on it; that is the prediction-error method
-with the noise free (Ljung, System Identification, sec. 13.4).
+Level and spectrum of the noise are part of the candidate model: an unexplained channel is noisy,
+which is no evidence against the explanation of another channel. One factor tempers all bands of a
+channel (a coarsened posterior: Miller & Dunson, J. Am. Stat. Assoc. 114, 2019), a = 1 / (1 + n /
+(N0 F)): in closed loop the log spectrum of d / (1 + KGC), with equal weight of all bands, does not
+depend on the model of G, so that disturbances alone contain no information on it; that is the
+prediction-error method with free noise (Ljung, System Identification, sec. 13.4).
 
-The variance of a constant is that between flights of a constant of its channel that no effect
-explains: trim, levelling, temperature. kappa scales all day-to-day variation and is a number of the
-hypothesis, too.
+The variance of a constant is the between-flight variance of its channel's unexplained constant:
+trim, levelling, temperature. kappa scales all day-to-day variation and is a number of the candidate
+model, too.
 """
 
 import math
@@ -33,25 +34,27 @@ from .spectrum import Rows, Spectrum
 
 Array = NDArray[np.float64]
 STEPS, HALVINGS = 15, 5
-"""Of the search for the best numbers: steps, of one step's length."""
+"""Maximum number of steps to the optimum, and of halvings of a step."""
 SETTLED = 0.02
-"""A step that gains less, in nats, is the last."""
+"""Gain of a step, nats, below which the optimum is reached."""
 PIVOTS = 12
-"""Exchanges of what is held at ends of ranges at most."""
+"""Maximum number of exchanges of the active constraints."""
 LEAST_EIGENVALUE = 1e-12
-"""Of a curvature whose diagonal is one: sums over 1e4 samples are rounded to about this."""
+"""Smallest eigenvalue of a curvature whose diagonal is one: sums over 1e4 samples have about this
+rounding error."""
 
 
 @dataclass(frozen=True, slots=True)
 class MapEstimate:
-    """A set of effects at its best in one linearisation.
+    """MAP estimate of one candidate model at this linearisation point.
 
     Attributes:
-        evidence: Log of its probability, up to a constant that all sets share.
-        kappa: By how much days differ more than is usual.
-        x: Changes of all numbers, then of those of each flight's day, shape (k + flights d,).
-        free: Positions in `x` that could move.
-        curvature: Of the log density by these.
+        evidence: Log evidence, up to a constant that all candidate models share.
+        kappa: Factor on the standard deviation of day-to-day variation.
+        x: Changes of all numbers, then day-to-day deviations of each flight, shape (k + flights
+            d,).
+        free: Indices in `x` that could change.
+        curvature: Curvature of the negative log density by these.
     """
 
     evidence: float
@@ -64,17 +67,17 @@ class MapEstimate:
 
     @property
     def covariance(self) -> Array:
-        """Of what could move, shape (m, m)."""
+        """Covariance of the free entries, shape (m, m)."""
         return self.curvature.inverse()
 
     def deviations(self) -> Array:
-        """Posterior deviation of each entry of `x`; 0 where it could not move."""
+        """Posterior standard deviation of each entry of `x`; 0 where it is fixed."""
         sd = np.zeros(len(self.x))
         sd[self.free] = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return sd
 
     def ridge(self, entry: int, held: Sequence[int]) -> float:
-        """Posterior deviation of one entry of `x` over that with some others held."""
+        """Posterior standard deviation of one entry of `x` over that with some others fixed."""
         place = {int(i): k for k, i in enumerate(self.free)}
         at = [place[i] for i in (entry, *held) if i in place]
         if entry not in place or len(at) == 1:
@@ -83,32 +86,34 @@ class MapEstimate:
         return float(np.sqrt(c[0, 0] * np.linalg.inv(c)[0, 0]))
 
     def variance(self, row: Array) -> float:
-        """Of a weighted sum of the first entries of `x`; weights of shape (n,)."""
+        """Variance of a weighted sum of the first entries of `x`; weights of shape (n,)."""
         weights = np.zeros(len(self.x))
         weights[: len(row)] = row
         return float(weights[self.free] @ self.covariance @ weights[self.free])
 
 
 TAIL_DEGREES = 3.0
-"""Degrees of freedom of the Student prior of the numbers of an effect: the fewest with a variance.
-4 deviations cost 3.8 nats in the place of 8.4: what is large is improbable, and not excluded."""
+"""Degrees of freedom of the Student prior of an effect's numbers: the fewest with finite variance.
+4 standard deviations cost 3.8 nats instead of 8.4: large values are improbable, but not
+excluded."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Prior:
-    """Of the free entries of `MapEstimate.x` for one set of effects.
+    """Prior of the free entries of `MapEstimate.x` for one candidate model.
 
-    Numbers of effects have a Student distribution, as a mixture over the scale of normal ones: at a
-    deviation z its weight is (nu + 1) / (nu + z^2) (Lange, Little & Taylor, J. Am. Stat. Assoc. 84,
-    1989).
+    Numbers of effects have a Student distribution, as a scale mixture of normal ones: at a
+    standardised deviation z its weight is (nu + 1) / (nu + z^2) (Lange, Little & Taylor, J. Am.
+    Stat. Assoc. 84, 1989).
 
     Attributes:
-        free: Positions in `x`, shape (m,).
-        mean: Shape (m,).
-        precision: At the mean and with weights of one, shape (m, m).
-        log_determinant: Of `precision`.
-        deviation: Of the entries with a Student distribution, 0 for those with none, shape (m,).
-        odds: Log prior odds of the set.
+        free: Indices in `x`, shape (m,).
+        mean: Prior means, shape (m,).
+        precision: Precision at the mean, with weights of one, shape (m, m).
+        log_determinant: Log determinant of `precision`.
+        deviation: Standard deviation of the entries with a Student distribution, 0 for others,
+            shape (m,).
+        odds: Log prior odds of the candidate model.
     """
 
     free: NDArray[np.intp]
@@ -119,18 +124,18 @@ class _Prior:
     odds: float
 
     def _weights(self, x: Array) -> Array:
-        """Of the scale of each entry, 1 where it has no tail."""
+        """Weight of the scale of each entry, 1 where it is normal."""
         tailed = self.deviation > 0
         square = np.divide(x - self.mean, self.deviation, where=tailed, out=np.ones(len(x))) ** 2
         return np.where(tailed, (TAIL_DEGREES + 1) / (TAIL_DEGREES + square), 1.0)
 
     def precision_at(self, x: Array) -> Array:
-        """With the weights of the scales."""
+        """Precision with the weights of the scales."""
         root = np.sqrt(self._weights(x))
         return np.asarray(self.precision * np.outer(root, root))
 
     def log_density(self, x: Array) -> float:
-        """Less what the determinant of `precision` contributes."""
+        """Log prior density, without the contribution of the determinant of `precision`."""
         weight, away = self._weights(x), x - self.mean
         scaled = np.sqrt(weight) * away
         w, nu = weight[self.deviation > 0], TAIL_DEGREES
@@ -140,7 +145,7 @@ class _Prior:
 
 
 class LaplaceEvidence:
-    """Sets of effects in one linearisation."""
+    """Log evidence of all candidate models at one linearisation point."""
 
     def __init__(
         self, spectrum: Spectrum, noise: BandNoise | InstrumentNoise, priors: Priors, bounds: Bounds
@@ -162,11 +167,11 @@ class LaplaceEvidence:
 
     @property
     def here(self) -> Array:
-        """Where the residuals were taken, as `MapEstimate.x`."""
+        """Linearisation point, as `MapEstimate.x`."""
         return np.concatenate([self.spectrum.theta, self.spectrum.days.ravel()])
 
     def _sum(self, noise: BandNoise | InstrumentNoise) -> None:
-        """Products of residual and slopes, and the likelihood of what is left of them."""
+        """Compute products of residuals and slopes, and the likelihood of their sums."""
         size = 1 + self._k + self._f * self._d
         parts, terms = [], []
         for c, own in enumerate(self.spectrum.rows):
@@ -190,10 +195,11 @@ class LaplaceEvidence:
     def _side_by_side(
         self, own: Sequence[Rows]
     ) -> tuple[Array, NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-        """A channel of all flights: residual with no number changed, slopes, those of each day.
+        """A channel of all flights: residual with no number changed, slopes, and slopes of each
+        day.
 
         Returns:
-            Rows, shape (n, m); position of each column in a gram matrix; band of each row, and its
+            Rows, shape (n, m); index of each column in the Gram matrix; band of each row, and its
             flight.
         """
         spectrum = self.spectrum
@@ -216,17 +222,18 @@ class LaplaceEvidence:
         return np.concatenate(parts), at, np.concatenate([r.band for r in own]), flight
 
     def share_a_channel(self, a: str, b: str) -> bool:
-        """Whether two effects act on one channel."""
+        """Whether two effects influence a common channel."""
         return bool(self._reach[a] & self._reach[b])
 
     def silent(self, effect: str) -> bool:
-        """Whether no channel answers to an effect here."""
+        """Whether an effect influences no channel here."""
         return not self._reach[effect]
 
     # -- priors ------------------------------------------------------------------------------
 
     def _prior(self, on: Sequence[str], kappa: float) -> "_Prior":
-        """Of a set; `kappa`: by how much days differ more than is usual."""
+        """Prior of a candidate model; `kappa`: factor on the standard deviation of day-to-day
+        variation."""
         b, k = self.priors, self._k
         there = np.zeros(k, dtype=np.bool_)
         for e in on:
@@ -250,14 +257,15 @@ class LaplaceEvidence:
     # -- one set -----------------------------------------------------------------------------
 
     def at(self, on: Sequence[str], kappa: float, x: Array | None = None) -> float:
-        """Log density of residuals and numbers where the residuals were taken."""
+        """Log density of residuals and numbers at the linearisation point."""
         prior = self._prior(on, kappa)
         y = (self.here if x is None else x)[prior.free]
         left = _Squares.of(self._products, prior.free).left(y)
         return self._likelihood.log(left, kappa) + prior.log_density(y) + prior.odds
 
     def best(self, on: Sequence[str], kappa: float, reach: Array | None = None) -> MapEstimate:
-        """The best numbers of a set, and its evidence; `reach`: how far entries of `x` may move."""
+        """MAP estimate of a candidate model, and its evidence; `reach`: largest step of entries of
+        `x`."""
         key = tuple(sorted(on)), kappa
         if reach is not None:
             return self._solve(key[0], kappa, self.here, STEPS, reach)
@@ -266,7 +274,7 @@ class LaplaceEvidence:
         return self._known[key]
 
     def at_linearisation(self, on: Sequence[str], kappa: float) -> MapEstimate:
-        """The evidence of a set with its numbers left where the residuals were taken."""
+        """Evidence of a candidate model with its numbers fixed at the linearisation point."""
         return self._solve(tuple(sorted(on)), kappa, self.here, 0)
 
     def _solve(
@@ -287,7 +295,7 @@ class LaplaceEvidence:
             return squares.matrix(self._likelihood.weights(left, kappa)[1]) + precision
 
         def pull(left: Array, x: Array, precision: Array) -> Array:
-            """Right side of the normal equations for the next numbers."""
+            """Right-hand side of the normal equations for the next step."""
             slope, weight = self._likelihood.weights(left, kappa)
             more = slope - weight
             turned = squares.mixed @ more - squares.matrix(more) @ x if np.any(more) else 0.0
@@ -325,7 +333,7 @@ class LaplaceEvidence:
         return MapEstimate(float(now + laplace + prior.odds), kappa, full, free, h)
 
     def _allowed(self, x: Array, free: NDArray[np.intp], h: "Factored") -> Array:
-        """Numbers with what nature rules out taken back."""
+        """Numbers projected into the physical limits."""
         own = free < self._k
         bounds = self._bounds.part(free[own].tolist())
         if np.all(bounds.rows @ x[own] >= bounds.least):
@@ -339,7 +347,7 @@ _Index = TypeVar("_Index", int, NDArray[np.intp])
 
 
 def _place(i: _Index, j: _Index) -> _Index:
-    """Row of the product of columns i <= j where products lie column after column."""
+    """Index of the product of columns i <= j where products are stored column by column."""
     return j * (j + 1) // 2 + i
 
 
@@ -348,10 +356,10 @@ class _Squares:
     """Sum of squares of each term as a quadratic form of some numbers.
 
     Attributes:
-        power: With the numbers at zero, shape (t,).
+        power: Sum of squares at zero, shape (t,).
         mixed: Products of residual and slopes, shape (m, t).
-        flat: Those of two slopes, shape (m (m + 1) / 2, t).
-        i, j: Of which slopes, i <= j.
+        flat: Products of two slopes, shape (m (m + 1) / 2, t).
+        i, j: Indices of these slopes, i <= j.
     """
 
     power: Array
@@ -362,7 +370,7 @@ class _Squares:
 
     @classmethod
     def of(cls, products: Array, free: NDArray[np.intp]) -> "_Squares":
-        """Of the products of all numbers those of some, in rising order."""
+        """Products of some numbers from those of all, in ascending order."""
         i, j = np.triu_indices(len(free))
         at = 1 + free
         mixed, flat = products[_place(np.zeros_like(at), at)], products[_place(at[i], at[j])]
@@ -374,7 +382,7 @@ class _Squares:
         return np.maximum(self.power - 2 * x @ self.mixed + pairs @ self.flat, 0)
 
     def matrix(self, weight: Array) -> Array:
-        """Products of the slopes, each term by its weight, shape (m, m)."""
+        """Weighted sum over terms of the products of slopes, shape (m, m)."""
         m = np.zeros((len(self.mixed), len(self.mixed)))
         m[self.i, self.j] = m[self.j, self.i] = self.flat @ weight
         return m
@@ -385,8 +393,8 @@ class Factored:
     """Cholesky factor of a symmetric matrix whose rows and columns are scaled to a diagonal of one.
 
     Attributes:
-        size: By which rows and columns are multiplied, shape (m,).
-        root: Upper factor R of the scaled matrix R'R, shape (m, m).
+        size: Scale of rows and columns, shape (m,).
+        root: Upper Cholesky factor R of the scaled matrix R'R, shape (m, m).
     """
 
     size: Array
@@ -396,8 +404,8 @@ class Factored:
 
     @classmethod
     def of(cls, h: Array) -> "Factored":
-        """Factor a positive definite matrix; one that is not, by rounding, with the eigenvalues of
-        the scaled matrix raised to `LEAST_EIGENVALUE`.
+        """Factor a positive definite matrix; if rounding makes it indefinite, eigenvalues of the
+        scaled matrix are raised to `LEAST_EIGENVALUE`.
         """
         size = 1 / np.sqrt(np.diag(h))
         scaled = h * np.outer(size, size)
@@ -411,12 +419,12 @@ class Factored:
         return cls(size, np.asarray(root, dtype=np.float64))
 
     def solve(self, pull: Array) -> Array:
-        """x with h x = pull, shapes (m,) or (m, k)."""
+        """Solution x of h x = pull, shapes (m,) or (m, k)."""
         scaled = (self.size * pull.T).T
         return np.asarray((self.size * cho_solve((self.root, False), scaled).T).T)
 
     def inverse(self) -> Array:
-        """Shape (m, m)."""
+        """Inverse matrix, shape (m, m)."""
         if not len(self.size):
             return np.zeros((0, 0))
         upper = dpotri(self.root)[0]  # zeros below its diagonal, as in the root
@@ -431,16 +439,16 @@ class Factored:
 
 
 def best_inside(h: Factored, pull: Array, low: Array, high: Array) -> Array:
-    """Where a quadratic is best inside ranges: the least of x h x / 2 - pull x.
+    """Minimum of the quadratic x h x / 2 - pull x inside ranges.
 
     By block pivoting (Portugal, Judice & Vicente, Math. Comp. 63, 1994); where that does not
-    settle, by bounded least squares.
+    converge, by bounded least squares.
 
     Args:
-        h: Positive definite, of shape (m, m).
-        pull: Shape (m,).
-        low: Lower ends, below the upper ones. Shape (m,).
-        high: Upper ends. Shape (m,).
+        h: Positive definite matrix, shape (m, m).
+        pull: Linear term, shape (m,).
+        low: Lower bounds, less than the upper ones, shape (m,).
+        high: Upper bounds, shape (m,).
     """
     square, aim = h.root.T @ h.root, h.size * pull
     least, most = low / h.size, high / h.size

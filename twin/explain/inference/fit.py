@@ -1,10 +1,10 @@
-"""Fit of one set of effects: Gauss-Newton on the exact residuals.
+"""Fit of one candidate model: Gauss-Newton on the exact residuals.
 
-What the linearisation promises is checked by the model itself; a step that falls short of it is
-halved, and slopes are computed again where the model has turned out to bend.
+The predicted gain of a linearised step is verified with the exact model; a step that falls short is
+halved, and slopes are recomputed where the model is nonlinear.
 
-No scale is fitted to a mean: what turns a vehicle in the mean, such as a canted rotor or a shifted
-centre of mass, is no reason to make its inertia large, or its rotors' torque small.
+No scale factor is fitted to a mean: a mean moment, such as that of a canted rotor or a shifted
+centre of mass, must not enlarge the inertia or reduce the rotors' torque.
 """
 
 import math
@@ -34,48 +34,52 @@ Array = NDArray[np.float64]
 
 
 ROUNDS, SHORTEST_STEP = 15, 0.04
-"""Of Gauss-Newton at most; a step that has been halved below this share ends it."""
+"""Maximum number of Gauss-Newton rounds; a step halved below the second value, as a share, ends the
+fit."""
 ARMIJO = 0.1
-"""Share of what a step promises that it has to keep: Armijo, Pacific J. Math. 16 (1966)."""
+"""Share of the predicted gain that a step must reach: Armijo, Pacific J. Math. 16 (1966)."""
 MARGIN, INEXACT = 10.0, 0.5
-"""A fit is given up where its linearisation ends below a goal by more than so many nats, and that
-share of what it promises: after a lag had moved by 10 ms, one of 66 nats turned out to be 91. With
-slopes of before a step it is none to judge by: one ended 76 nats short of what the fit reached."""
+"""A fit is abandoned where its linearised optimum is below a goal by more than so many nats, plus
+that share of the predicted gain: after a lag had moved by 10 ms, a gain of 66 nats turned out to be
+91. Slopes from before a step are not used for this: one fit ended 76 nats above such a
+prediction."""
 FARTHEST_S = 0.005
-"""A step moves a delay of commands or a lag by no more: a tenth of a period of the fastest band."""
+"""Largest step of a delay of commands or a lag, s: a tenth of a period of the fastest band."""
 FARTHEST_POSE_S = 0.02
-"""The same of a sensor or of the pose, whose band is lower."""
+"""Largest step of an age of a sensor or of the pose, s, whose band is lower."""
 FARTHER = 2.0
-"""By how much farther a step may go after one that was straight; after one that was cut short it
-may go as far as that went: Conn, Gould & Toint, Trust-Region Methods, 2000, sec. 6.1."""
+"""Growth of the step limit after a step with small nonlinearity; after a shortened one, the limit
+is its length: Conn, Gould & Toint, Trust-Region Methods, 2000, sec. 6.1."""
 SETTLED = 0.2
-"""A round that gains less, in nats, is the last."""
+"""Gain of a round, nats, below which the fit has converged."""
 STRAIGHT = 0.02
-"""Share of the power of a step that the model may deviate from a straight line on it."""
+"""Largest relative nonlinearity of a step, in power, for which slopes are reused."""
 LONG = 1.0
-"""Nats of a step after which slopes are taken anew where it was not straight: after a shorter one
-they are what they were. No step is straight along numbers that hold the IMU against the pose, whose
-slopes are regressors without noise."""
+"""Length of a step, nats, beyond which slopes are recomputed after a nonlinear step; after a
+shorter one they are reused. Steps are always nonlinear along numbers that compare IMU and pose,
+whose slopes are noise-free regressors."""
 
 BEFORE = 2.0
-"""Days that the table of priors counts for, beside the flights' own."""
+"""Number of days that the prior on day-to-day variation counts for, relative to the flights'
+own."""
 ACQUAINTED = 3
-"""Steps of expectation and maximisation by which the days of a start are learned."""
+"""Steps of expectation maximisation that estimate the day-to-day variation of a start."""
 
 
 KAPPAS = tuple(float(2.0**k) for k in range(-6, 1))
-"""By how much days may differ less than is usual. That they differ more takes more flights than
-are ever there: two that may differ as they like would explain nothing."""
+"""Factors on the standard deviation of day-to-day variation that are tried, at most 1. A larger
+variation could only be learned from more flights than are available: two flights with unlimited
+variation would contain no information."""
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """A set of effects at its best.
+    """MAP estimate of one candidate model.
 
     Attributes:
-        effects: Sorted.
+        effects: Effects, sorted.
         best: Numbers and evidence.
-        spectrum: Residuals there; slopes of the numbers that could move.
+        spectrum: Spectrum of the residuals there, with slopes of the numbers that could change.
     """
 
     effects: tuple[str, ...]
@@ -86,26 +90,26 @@ class State:
 
     @property
     def evidence(self) -> float:
-        """Log of its probability, up to a constant."""
+        """Log evidence, up to a constant."""
         return self.best.evidence
 
     @property
     def kappa(self) -> float:
-        """By how much days differ more than is usual."""
+        """Factor on the standard deviation of day-to-day variation."""
         return self.best.kappa
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """What hypotheses are fitted against.
+    """Estimation problem: flights, priors and noise.
 
     Attributes:
-        model: Flights.
-        priors: Priors of its numbers.
-        bounds: Of these, as changes.
-        noise: Law of the noise.
-        rest: The model as it stands, with slopes by every number.
-        kappas: By how much days may differ over what is usual: of one flight, nobody can tell.
+        model: Predictions of the flights.
+        priors: Priors of their numbers.
+        bounds: Bounds of the numbers, as changes.
+        noise: Noise model.
+        rest: Spectrum of the nominal model's residuals, with slopes by every number.
+        kappas: Allowed factors on day-to-day variation; for one flight it is not observable.
     """
 
     model: Model
@@ -125,8 +129,8 @@ class Problem:
         settings: EvidenceSettings = DEFAULT.inference.evidence,
         constants: Mapping[str, float] | None = None,
     ) -> "Problem":
-        """Flights with every number of their model; `constants`: deviation between days of those of
-        channels, where it is known."""
+        """Problem with every number of the model; `constants`: between-flight standard deviations
+        of the channels' constants, where known."""
         numbers = [model.numbers[i] for i in priors.columns]
         bounds = Bounds.of(numbers, model.vehicle).around(priors.now)
         theta, days = np.zeros(len(numbers)), np.zeros((len(model.flights), len(priors.days)))
@@ -146,12 +150,12 @@ class Problem:
         return cls(model, replace(priors, odds=odds), bounds, noise, rest, kappas)
 
     def laplace(self, spectrum: Spectrum) -> LaplaceEvidence:
-        """Sets of effects in a linearisation."""
+        """Linearisation of all candidate models at these residuals."""
         return LaplaceEvidence(spectrum, self.noise, self.priors, self.bounds)
 
     def values(self, x: Array) -> dict[str, float]:
-        """Numbers that all flights share and that differ from the model as it stands,
-        "effect.number" -> value, given `MapEstimate.x`."""
+        """Shared numbers that differ from the nominal model, "effect.number" -> value, given
+        `MapEstimate.x`."""
         shared = self.split(x)[0]
         theta, moved = self.priors.now + shared, shared != 0
         acting = {effect_of(self.priors.cause[i]) for i in np.flatnonzero(moved)}
@@ -159,7 +163,8 @@ class Problem:
         return {self.priors.names[i]: float(theta[i]) for i in np.flatnonzero(moved)}
 
     def channels(self, x: Array, columns: Sequence[int] = ()) -> list[list[ChannelData]]:
-        """Channels of each flight on its day at some numbers, with slopes by some of them."""
+        """Channels of each flight with its day-to-day deviations at some numbers, with slopes by
+        some of them."""
         values, b = self.values(x), self.priors
         torque = [i for i, n in enumerate(b.names) if n in values and _scale(n) == "torque"]
         asked = [*columns, *(i for i in torque if i not in columns)]
@@ -170,19 +175,20 @@ class Problem:
         return [[replace(c, slopes=c.slopes[:, : len(columns)]) for c in f] for f in made]
 
     def split(self, x: Array) -> tuple[Array, Array]:
-        """Numbers that all flights share, and those of the days."""
+        """Shared numbers, and day-to-day deviations."""
         k = len(self.priors.now)
         return x[:k], x[k:].reshape(len(self.model.flights), len(self.priors.days))
 
     def days(self, x: Array) -> tuple[dict[str, float], ...]:
-        """What the day of each flight adds to numbers that differ between days, as `Model.days`."""
+        """Day-to-day deviations of each flight, as `Model.days`."""
         names = [self.priors.names[i] for i in self.priors.days]
         return tuple(
             {n: float(v) for n, v in zip(names, own, strict=True) if v} for own in self.split(x)[1]
         )
 
     def between_days(self, state: State) -> dict[str, float]:
-        """Deviation between flights of each number of a day: the table's, and what these show."""
+        """Between-flight standard deviation of each number with day-to-day variation: prior
+        combined with these flights."""
         best = state.best
         days, doubts = self.split(best.x)[1], self.split(best.deviations())[1]
         found = {}
@@ -192,7 +198,7 @@ class Problem:
         return found
 
     def constants_between_days(self, state: State) -> dict[str, float]:
-        """The same of what nothing explains, by channel."""
+        """Between-flight standard deviation of the unexplained constant, by channel."""
         found = {}
         pairs = zip(self.rest.channels, state.spectrum.rows, strict=True)
         for c, (name, rows) in enumerate(pairs):
@@ -201,8 +207,8 @@ class Problem:
         return found
 
     def with_instruments_at(self, state: State) -> "Problem":
-        """The same with instruments tested against the model at the numbers of a state: what the
-        model as it stands lacks makes valid instruments look as if they followed disturbances.
+        """The problem with instruments tested against the model at the numbers of a state: effects
+        missing in the nominal model make valid instruments look correlated with disturbances.
         """
         logs = [f.flight for f in self.model.flights]
         flights = self.channels(state.best.x)
@@ -210,12 +216,11 @@ class Problem:
         return replace(self, noise=noise)
 
     def acquainted(self, effects: Sequence[str]) -> "Problem":
-        """The same with days that differ as those of its flights do, as far as they are of some
-        effects, before any other is there.
+        """The problem with day-to-day variation estimated from its flights, as far as some effects
+        explain it, before any other effect is included.
 
-        A propeller that was changed between two flights changes the yaw moment more than a day
-        does; held at what is usual, any effect that differs between these flights would be taken
-        for it.
+        A propeller changed between two flights changes the yaw moment more than usual; with the
+        usual variation, any effect that differs between these flights would be selected for it.
         """
         problem, state = self, self.start(effects, 1.0)
         own = np.isin(np.array(self.priors.cause), effects) & (self.priors.day > 0)
@@ -228,9 +233,9 @@ class Problem:
         return problem
 
     def accustomed(self, state: State) -> "Problem":
-        """The same with days that differ as those of its flights do, number by number.
+        """The problem with day-to-day variation estimated from its flights, number by number.
 
-        By how much is known then, and no common factor is asked for once more.
+        Its size is known then, and no common factor is estimated again.
         """
         shown, left = self.between_days(state), self.constants_between_days(state)
         pairs = zip(self.priors.names, self.priors.day, strict=True)
@@ -245,12 +250,12 @@ class Problem:
         )
 
     def linearised(self, state: State) -> LaplaceEvidence:
-        """All sets about one, slopes by every number taken there."""
+        """Linearisation of all candidate models near a state, with slopes by every number there."""
         flights = self.channels(state.best.x, range(len(self.priors.now)))
         return self.laplace(Spectrum.of(flights, *self.split(state.best.x), self.priors.days))
 
     def start(self, effects: Sequence[str], kappa: float, least: float = -np.inf) -> State:
-        """A set from its expected numbers on; arguments as of `settle`."""
+        """Fit of a candidate model from its prior means; arguments as of `settle`."""
         x = np.zeros(len(self.priors.now) + self.rest.days.size)
         own = self.priors.of(effects)
         b = self.priors
@@ -265,15 +270,15 @@ class Problem:
         start: Array,
         least: float = -np.inf,
     ) -> State:
-        """The best numbers of a set.
+        """MAP estimate of a candidate model.
 
         Args:
-            effects: Identifiers.
-            kappa: By how much days differ more than is usual.
-            spectrum: Slopes to begin with.
-            start: Numbers to begin with, as `MapEstimate.x`.
-            least: Evidence below which the set is of no interest: a fit that is not on its way
-                there is given up, with the evidence that its linearisation ends at.
+            effects: Identifiers of the effects.
+            kappa: Factor on the standard deviation of day-to-day variation.
+            spectrum: Spectrum with initial slopes.
+            start: Initial numbers, as `MapEstimate.x`.
+            least: Evidence below which the model is irrelevant: a fit that will not reach it is
+                abandoned, with the evidence of its linearised optimum.
         """
         on = tuple(sorted(effects))
         columns = self.moving(on)
@@ -284,7 +289,7 @@ class Problem:
         shaped = bool(np.any(self.priors.shape[columns]))
         fresh, reach = own, self._reach()
         for n in range(ROUNDS):
-            first = shaped and n == 0  # a shape has no slope while what it shapes is 0
+            first = shaped and n == 0  # a shape has no slope while its size is 0
             wanted = laplace.best(on, kappa, reach).x
             promised = laplace.at(on, kappa, wanted) - now
             end = laplace.best(on, kappa)
@@ -327,8 +332,9 @@ class Problem:
     def _begin(
         self, spectrum: Spectrum, x: Array, columns: NDArray[np.intp]
     ) -> tuple[Spectrum, bool]:
-        """Residuals at some numbers with slopes by some columns, and whether these are of there:
-        where effects went and all others stay, they are those with what went."""
+        """Residuals at some numbers with slopes by some columns, and whether these slopes were
+        computed there: where effects were removed and all other numbers stay, the old slopes are
+        used."""
         here = np.concatenate([spectrum.theta, spectrum.days.ravel()])
         own = np.concatenate([columns, np.arange(len(self.priors.now), len(x))])
         if not np.array_equal(x[own], here[own]):
@@ -338,12 +344,14 @@ class Problem:
         return spectrum.only(columns).moved(self.channels(x), *self.split(x)), False
 
     def _reach(self) -> Array:
-        """How far a step may move each number: what shifts signals in time is far from linear."""
+        """Largest step of each number: numbers that shift signals in time are strongly
+        nonlinear."""
         shared = np.array([_farthest(self.model.numbers[i]) for i in self.priors.columns])
         return np.concatenate([shared, np.tile(shared[self.priors.days], len(self.model.flights))])
 
     def _begun(self, on: Sequence[str], columns: NDArray[np.intp], start: Array) -> Array:
-        """Numbers of a set inside their ranges, those of others at rest, new shapes as expected."""
+        """Initial numbers of a candidate model inside their ranges: those of other effects neutral,
+        new shape parameters at their prior mean."""
         b, k = self.priors, len(self.priors.now)
         x = start.copy()
         x[np.setdiff1d(np.arange(k), columns)] = 0.0
@@ -355,18 +363,18 @@ class Problem:
         return x
 
     def moving(self, on: Sequence[str]) -> NDArray[np.intp]:
-        """Columns that a set can move."""
+        """Columns that a candidate model can change."""
         spiked = np.flatnonzero((self.priors.spike > 0) & ~self.priors.shape)
         return np.unique(np.concatenate([self.priors.of(on), self.priors.days, spiked]))
 
     def _renewed(self, spectrum: Spectrum, x: Array, columns: NDArray[np.intp]) -> Spectrum:
-        """Residuals and slopes of some columns taken anew."""
+        """Residuals and slopes of some columns, recomputed."""
         flights = self.channels(x, columns.tolist())
         return spectrum.moved(flights, *self.split(x)).renewed(flights, columns)
 
 
 def _scale(number: str) -> str:
-    """Which factor a number "effect.number" is, see `Equation.scales`; "": none."""
+    """Kind of a scale factor, for a number "effect.number", see `Equation.scales`; "": none."""
     observable_as = EFFECTS[number.partition(".")[0]].observable_as
     return observable_as.scales if isinstance(observable_as, Equation) else ""
 
@@ -374,21 +382,23 @@ def _scale(number: str) -> str:
 def _without_means(
     flights: Flights, names: Sequence[str], values: Mapping[str, float], now: Mapping[str, float]
 ) -> list[list[ChannelData]]:
-    """Channels in which no scale changes the constants of angular acceleration: these are as of the
-    moment, inertia times what is measured, with the reaction torque of the model as it stands.
+    """Channels in which no scale factor changes the constants of angular acceleration: these are
+    computed as moments, inertia times the measured acceleration, with the reaction torque of the
+    nominal model.
 
     Args:
         flights: Channels of each flight.
-        names: Numbers of the slopes, among them scales of the torque that differ from the model's.
-        values: Of the numbers, as of `Model.channels`.
-        now: Of all numbers, in the model as it stands.
+        names: Names of the slopes' numbers, among them scale factors of the torque that differ from
+            the model's.
+        values: Their values, as of `Model.channels`.
+        now: Values of all numbers in the nominal model.
     """
     scales = {n: values.get(n, now[n]) for n in now if _scale(n)}
     own = [i for i, n in enumerate(names) if n in scales]
     torque = [i for i in own if _scale(names[i]) == "torque"]
 
     def made(c: ChannelData) -> ChannelData:
-        """Of one channel."""
+        """The same for one channel."""
         if not turns(c.name):
             return c
         inertia = (n for n in scales if n.endswith(f".scale_{c.name[-1]}"))
@@ -408,18 +418,19 @@ def _without_means(
 
 
 def _deviation(usual: float, shown: Array) -> float:
-    """Of a zero-mean normal variable that is expected to have the usual one, given squares."""
+    """Standard deviation of a zero-mean normal variable: prior value combined with observed
+    squares."""
     return float(np.sqrt((BEFORE * usual**2 + shown.sum()) / (BEFORE + len(shown))))
 
 
 def gained_by_following(cause: str, rest: Spectrum, noise: BandNoise, vehicle: Vehicle) -> float:
-    """What an observer gains by following mere noise, in nats.
+    """Log likelihood gained by an observer that follows mere noise, nats.
 
-    It predicts a reading from what the same reading was before. What is left is the innovation,
-    S(f) times what there was, so that the density of the latter is that of the former times |S|,
-    frequency by frequency. ln |S| over all angular frequencies sums to -pi/2 times the gain: Bode's
-    integral of a loop that falls with the first power. On a grid the same is lost again, evenly up
-    to half its rate (the discrete integral is zero), of which the channels see a part.
+    The observer predicts a reading from its past. The innovation is S(f) times the reading, so its
+    density is multiplied by |S|, frequency by frequency. ln |S| integrated over all angular
+    frequencies gives -pi/2 times the gain: Bode's integral of a loop with relative degree one. On a
+    grid the same is lost again, uniformly up to the Nyquist frequency (the discrete integral is
+    zero), and the channels contain part of it.
     """
     observer = EFFECTS[effect_of(cause)].observer
     if observer is None:
@@ -433,7 +444,7 @@ def gained_by_following(cause: str, rest: Spectrum, noise: BandNoise, vehicle: V
 
 
 def _farthest(number: Number) -> float:
-    """How far a step may move a number."""
+    """Largest step of a number."""
     if number.moves:
         return FARTHEST_S if {*number.moves} & {*DRIVES} else FARTHEST_POSE_S
     timed = prior_of(EFFECTS[number.effect]).timed and not number.shape
@@ -441,7 +452,8 @@ def _farthest(number: Number) -> float:
 
 
 def _bend(before: Spectrum, after: Spectrum) -> float:
-    """How far residuals are from where slopes had them, over how far they moved: power."""
+    """Relative nonlinearity of a step: power of the residuals' deviation from linearity over that
+    of their change."""
     bend, moved = 0.0, 1e-300
     step = after.theta - before.theta
     for own, then in zip(before.rows, after.rows, strict=True):
@@ -460,25 +472,27 @@ def _bend(before: Spectrum, after: Spectrum) -> float:
 
 
 INTERVAL = 1.96
-"""Half of a 95 % interval over the deviation of a normal distribution."""
+"""Half-width of a 95 % interval over the standard deviation of a normal distribution."""
 COVERED = 3.0
-"""Deviations of a number of the file within which it is off by what the file says, and no effect:
-of a dozen numbers one is beyond 2 in 43 of 100 files, beyond 3 in 3."""
+"""Number of standard deviations within which a number's deviation is covered by the file's
+uncertainty and is no effect: of a dozen numbers, one is beyond 2 in 43 of 100 files, beyond 3 in
+3."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A set of effects at its best.
+    """Fitted candidate model, as reported.
 
     Attributes:
-        effects: Identifiers, sorted.
-        values: Numbers and shapes, "effect.number" -> value.
-        numbers: Those with an interval.
-        half_widths: Of the 95 % intervals of `numbers`, shape (k,).
-        gain: Log of its probability over that of nothing, numbers and noise integrated out.
-        days: What the day of each flight adds then, as `Model.days`.
-        ridges: By number of an effect with shapes, its deviation over that with these held.
-        covered: By number that the file is unsure of, the change that it allows for.
+        effects: Identifiers of the effects, sorted.
+        values: Numbers and shape parameters, "effect.number" -> value.
+        numbers: Numbers with an interval.
+        half_widths: Half-widths of the 95 % intervals of `numbers`, shape (k,).
+        gain: Log evidence over that of the model without effects.
+        days: Day-to-day deviations at these numbers, as `Model.days`.
+        ridges: Standard deviation of a number of an effect with shape parameters, over that with
+            the shape parameters fixed, by number.
+        covered: Change that the file's uncertainty allows, by uncertain number.
     """
 
     effects: tuple[str, ...]
@@ -493,11 +507,11 @@ class Fit:
     __repr__ = short_repr
 
     def on_its_days(self, model: Model) -> Model:
-        """Flights, each on its day."""
+        """Predictions of the flights, each with its day-to-day deviations."""
         return replace(model, days=self.days)
 
     def sizes(self) -> dict[str, float]:
-        """Of each effect the largest change of one of its numbers, over one worth a name."""
+        """Largest change of a number of each effect, over the least size that is named."""
         changes = dict.fromkeys(self.effects, 0.0)
         for n in self.numbers:
             if not n.shape:
@@ -510,7 +524,7 @@ class Fit:
 def fit_of(
     problem: Problem, causes: Sequence[str], x: Array, deviations: Array, gain: float
 ) -> Fit:
-    """Fit of some causes from `MapEstimate.x`, days included, and its standard deviations."""
+    """Fit of some causes from `MapEstimate.x`, including days, and its standard deviations."""
     on = tuple(sorted({effect_of(c) for c in causes}))
     own = problem.priors.of(causes)
     numbers = tuple(problem.model.numbers[problem.priors.columns[i]] for i in own)
@@ -522,19 +536,19 @@ def fit_of(
 
 
 def fit_of_best(problem: Problem, causes: Sequence[str], best: MapEstimate, nothing: float) -> Fit:
-    """A set in a linearisation."""
+    """Fit of a candidate model at a linearisation."""
     return fit_of(problem, causes, best.x, best.deviations(), best.evidence - nothing)
 
 
 def substantial_effects(fitted: Fit) -> tuple[str, ...]:
-    """Effects of a set that are large enough to speak of."""
+    """Effects of a candidate model that are large enough to be named."""
     sizes, same = fitted.sizes(), _same_in_sum(fitted)
     return tuple(e for e in fitted.effects if sizes[e] >= 1 and e not in same)
 
 
 def _same_in_sum(fitted: Fit) -> frozenset[str]:
-    """Effects by which motors answer later, where others by which they answer sooner take all of it
-    back: lag and delay of a response that is not quite of first order, as a file has it."""
+    """Effects that delay the motors' response, where others that advance it compensate them
+    completely: lag and delay of a response that is not exactly first order, as a file assumes."""
     late = {
         n.effect: fitted.values[n.full] - n.now
         for n in fitted.numbers

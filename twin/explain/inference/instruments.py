@@ -1,13 +1,13 @@
-"""Instruments: what setpoints ask of an aircraft, of which disturbances in its loop know nothing.
+"""Instrumental variables: setpoints, which are independent of the disturbances in the loop.
 
     y = G(theta) u + d,    u = -C y + r
 
-A controller answers to a disturbance d, so that command u and motion y go together with no cause
-from one to the other: their ratio is -1/C, the controller read backwards, and no model of the noise
-tells it from G (Ljung, System Identification, sec. 13.4). What a setpoint r asks does not depend on
+A controller responds to a disturbance d, so that command u and motion y are correlated without one
+causing the other: their ratio is -1/C, the inverse of the controller, and no noise model
+distinguishes it from G (Ljung, System Identification, sec. 13.4). A setpoint r does not depend on
 d: at the right numbers e = y - G(theta) u is not coherent with z, the setpoint as an acceleration,
-nor with its Hilbert quadrature; the two span any gain and lag. Of a channel and band k, Q an
-orthonormal basis of z in the n rows of each flight, and T how far it is trusted,
+nor with its Hilbert quadrature; the two span any gain and lag. For a channel and band k, with Q an
+orthonormal basis of z in the n rows of each flight, and T the trust in it,
 
     log L(theta) = -1/2 sum_k n_k log(1 + T |Q'e|^2 / |e - QQ'e|^2),    by Anderson & Rubin (1949)
     J = min over gain and lag of sum_k n_k log(1 + |Q'e|^2 / |e - QQ'e|^2) / (sum_k rank Q_k - 3)
@@ -15,23 +15,24 @@ orthonormal basis of z in the n rows of each flight, and T how far it is trusted
     stage is weak; c: what share of a disturbance may follow z (Conley, Hansen & Rossi, Rev. Econ.
     Stat. 94, 2012), so that more rows of a setpoint in the loop tell no more
 
-J is computed against the model as it stands, and once more with the effects of the end of a search:
-what the model lacks is no disturbance. Of a mission it leaves a moment in proportion to the flown
-speed open as well, one number more: the air turns every aircraft that moves through it, below the
-loop it is nearly all that the rotors answer to, and hardly a file knows it.
+J is computed for the nominal model, and again with the effects at the end of a search: what the
+model lacks is no disturbance. For a mission, a moment proportional to the flown speed is free as
+well, one number more: air causes a moment on every aircraft that moves through it, below the
+bandwidth of the loop it is nearly all that the rotors respond to, and few files contain it.
 
-A weak setpoint is flat: the prior stands, the numbers are not told. One that follows disturbances,
-as an attitude setpoint in hover does, cannot fit all bands with one gain and lag, and J drops it
-(Sargan, Econometrica 26 (1958); Hansen, Econometrica 50 (1982)). In order of trust: the velocity
-that a mission or a stick asks for; the attitude setpoint; the prediction of other flights of the
-same mission, aligned in time; below 0.3 Hz, of a flight that went somewhere, the flown speed, which
-tells the moment of the air and no gain. The rate setpoint is none. Constants do not feel the loop.
-Noise is what is left across the instruments, and laws are inexact by a share of what is along them.
+A weak setpoint has a flat likelihood: the prior remains, and the numbers are not determined. One
+that is correlated with disturbances, as an attitude setpoint in hover, cannot fit all bands with
+one gain and lag, and J rejects it (Sargan, Econometrica 26 (1958); Hansen, Econometrica 50 (1982)).
+In order of trust: the velocity setpoint of a mission or pilot; the attitude setpoint; the
+prediction of other flights of the same mission, aligned in time; below 0.3 Hz, for a flight with
+deliberate travel, the flown speed, which determines the aerodynamic moment and no gain. The rate
+setpoint is none. Constants are not affected by the loop. Noise is the part across the instruments,
+and laws are inexact by a share of the part along them.
 
-Bands of angular acceleration vote in no other way. Of specific force along the thrust, where the
-loop of the height answers in the same way, rows vote across what commands predict: in each band the
-prediction, its quadrature and their rates of change span any gain and lag, and what is left of a
-row knows of neither. All other rows vote as they are.
+Bands of angular acceleration enter the likelihood only in this way. For specific force along the
+thrust, where the height loop responds likewise, rows enter across the prediction by commands: in
+each band the prediction, its quadrature and their derivatives span any gain and lag, and the rest
+of a row depends on neither. All other rows enter unchanged.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,56 +53,60 @@ from .setpoints import SOURCES, flown_across, lifts, turns
 from .spectrum import BANDS_HZ, Flights, transformed
 
 F_LEAST = {"mission": 3.0, "attitude setpoint": 15.0, "other flights": 10.0, "flown speed": 0.0}
-"""Of the first stage. Staiger & Stock, Econometrica 65 (1997), ask for 10, where intervals are
-those of a normal distribution; these are not. Simulated hover of 36 s has 7 to 11."""
+"""Least F statistic of the first stage. Staiger & Stock, Econometrica 65 (1997), require 10, where
+intervals are those of a normal distribution; these are not. Simulated hover of 36 s has 7 to 11."""
 SLOWEST = 2
-"""First band in which what is asked turns the aircraft: from 0.3 Hz. Below, that takes a thousandth
-of the moment of the air, and wind moves all but a mission."""
+"""First band in which a setpoint rotates the aircraft: from 0.3 Hz. Below, rotation needs a
+thousandth of the aerodynamic moment, and wind dominates except for a mission."""
 IN_STEP = "flown speed"
-"""What asks in the band below alone, as the speed of a mission does: for a moment in step with it.
-The turning that a disturbance and the speed that it makes have in common is in quadrature."""
+"""Instrument that is used in the lowest band only, in phase, like the speed of a mission: for a
+moment in phase with it. The rotation common to a disturbance and the speed that it causes is in
+quadrature."""
 MOVED = frozenset({"mission", IN_STEP})
-"""Whose last column is a speed; their test leaves a moment in proportion to the flown one open."""
+"""Instruments whose last column is a speed; their test leaves a moment proportional to the flown
+speed free."""
 LOOP_HZ = 10.0
-"""Where loops end. Made up."""
+"""Upper end of control loop bandwidths, Hz. Made up."""
 GAINS = np.exp(np.linspace(np.log(0.3), np.log(4.0), 41))
 DELAYS_S = np.arange(-0.1, 0.061, 0.01)
 LAGS_S = 0.0, -0.06, -0.03, -0.015, 0.015, 0.03, 0.06
-"""What a prediction may be off by before anything is fitted. Made up."""
+"""Possible lag errors of a prediction before anything is fitted, s. Made up."""
 CHANCE = {"mission": 0.005, "attitude setpoint": 0.05, "other flights": 0.05, "flown speed": 0.005}
-"""Least probability of the overidentification test."""
+"""Least p-value of the overidentification test."""
 TESTED = {"mission": 1, "attitude setpoint": 4, "other flights": 4, "flown speed": 0}
-"""Degrees of freedom of the test of all flights, below which it cannot refuse: in two bands
-of one flight an attitude setpoint fits a gain and a delay whatever it follows."""
+"""Degrees of freedom of the test over all flights, below which it cannot reject: in two bands of
+one flight an attitude setpoint fits a gain and a delay in any case."""
 ANSWERED = 3
-"""First band in which a lag of commands moves specific force by more than gusts do: from 0.8 Hz."""
+"""First band in which a lag of commands changes specific force by more than gusts do: from 0.8
+Hz."""
 FOLLOWED = {"mission": 0.0, "attitude setpoint": 0.15, "other flights": 0.0, "flown speed": 0.15}
-"""Share of the power of a disturbance that may follow what asks. In simulated loops an attitude
-setpoint in hover shares 0.06 to 0.33 with the moment from 0.3 to 4.5 Hz, on a tour 0.01; two bands
-do not tell which it is, and F grows with the length of either."""
+"""Share of the power of a disturbance with which an instrument may be correlated. In simulated
+loops an attitude setpoint in hover shares 0.06 to 0.33 with the moment from 0.3 to 4.5 Hz, on a
+tour 0.01; two bands do not decide which it is, and F grows with the length of either."""
 UNEVEN = 1.2
-"""Power of a disturbance along a mission over that across it: both have more of it at the slower
-end of a band. In simulated tours, 0.3 to 10 Hz: 1.0 to 1.4."""
+"""Power of a disturbance along a mission over that across it: both are larger at the lower end of a
+band. In simulated tours, 0.3 to 10 Hz: 1.0 to 1.4."""
 BLOCK = 32
-"""Columns that LAPACK turns at a time."""
+"""Block size of LAPACK's reflectors, columns."""
 ALIKE = 1.25
-"""Factor by which two trusts may differ to be one: J is known no better. Made up."""
+"""Factor up to which two values of trust count as equal: J is not known more accurately. Made
+up."""
 INEXACT = 0.1
-"""Share of an amplitude by which laws are inexact before anything is fitted: of what was measured,
-and where a speed is asked for of what was predicted, if that is larger. Made up."""
+"""Relative amplitude error of laws before anything is fitted: of the measured amplitude, or for a
+speed setpoint of the predicted one, if that is larger. Made up."""
 
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
-    """What is asked of one axis in one flight.
+    """Instrument of one axis in one flight.
 
     Attributes:
-        source: What asks, see `SOURCES`.
-        bases: By band, orthonormal in the rows of the band, shape (n, rank).
-        power: By band, mean square of what was measured along it.
+        source: Kind of setpoint, see `SOURCES`.
+        bases: Orthonormal basis in the rows of each band, shape (n, rank).
+        power: Mean square of the measurement along it, by band.
         misfit: J of the flight or of all flights, whichever is less likely.
-        chance: Probability of so large a J where the instrument is valid; 0: it was not tested.
-        strength: F of the first stage.
+        chance: p-value of J for a valid instrument; 0: it was not tested.
+        strength: F statistic of the first stage.
     """
 
     source: str
@@ -115,12 +120,12 @@ class Instrument:
 
     @property
     def trust(self) -> float:
-        """T: by how much what is along it counts; 0: it is none."""
+        """Trust T: weight of the likelihood along it; 0: it is no instrument."""
         valid = self.chance >= CHANCE[self.source] and self.strength >= F_LEAST[self.source]
         return 1 / max(UNEVEN, self.misfit) if valid else 0.0
 
     def trust_in(self, band: int) -> float:
-        """The same of one band, as far as a disturbance may follow what asks."""
+        """Trust in one band, limited by the possible correlation of a disturbance with it."""
         n, rank = self.bases[band].shape
         return self.trust / float(1 + FOLLOWED[self.source] * n / rank)
 
@@ -128,12 +133,12 @@ class Instrument:
 def instruments_of(
     flights: Sequence[Flight], channels: Flights
 ) -> dict[tuple[int, int], Instrument]:
-    """Of each channel of angular acceleration and flight, by their numbers, the first instrument
-    that is valid in the order of trust; where none is, the last.
+    """First valid instrument in the order of trust, by channel of angular acceleration and flight,
+    by their indices; where none is valid, the last one.
 
     Args:
-        flights: As read.
-        channels: Of each flight, against the model as it stands.
+        flights: Flights as read.
+        channels: Channels of each flight, against the nominal model.
     """
     found: dict[tuple[int, int], Instrument] = {}
     for c in (c for c, first in enumerate(channels[0]) if turns(first.name)):
@@ -155,7 +160,7 @@ def _judged(
     bases: Mapping[int, dict[int, Array]],
     moved: Mapping[int, Array | None],
 ) -> dict[int, Instrument]:
-    """Instruments of the flights in which something may ask, by their numbers."""
+    """Instruments of the flights in which a setpoint exists, by index."""
     tests = {f: _test(own[f], b, moved.get(f)) for f, b in bases.items() if b}
     found = {f: Instrument(source, {}, {}, 0.0, 1.0, 0.0) for f in bases}
     if not tests:
@@ -176,12 +181,13 @@ def _judged(
 
 
 def _fitted(bases: Mapping[int, Array]) -> int:
-    """Numbers that a test fits: gain, delay, and a lag, which two bands do not tell from it."""
+    """Number of parameters that a test fits: gain, delay, and a lag, which two bands do not
+    separate from it."""
     return 2 if len(bases) <= 2 else 3
 
 
 def _misfit(likelihood: Array, degrees: int) -> tuple[float, float]:
-    """Probability of a J as large as the least one, and that J."""
+    """p-value of the least J, and that J."""
     least, degrees = float(np.min(likelihood)), max(degrees, 1)
     return float(chi2.sf(least, degrees)), least / degrees
 
@@ -190,7 +196,7 @@ def _misfit(likelihood: Array, degrees: int) -> tuple[float, float]:
 
 
 def _bases(flight: Flight, channel: ChannelData, asked: Array, source: str) -> dict[int, Array]:
-    """Of each band that counts, an orthonormal basis of what is asked and its quadrature; below
+    """For each usable band, an orthonormal basis of the setpoint and its quadrature; below
     `SLOWEST` of a speed alone."""
     asked = asked[:, np.std(asked, axis=0) > 1e-6]
     if not asked.size:
@@ -210,9 +216,9 @@ def _bases(flight: Flight, channel: ChannelData, asked: Array, source: str) -> d
 def _test(
     channel: ChannelData, bases: Mapping[int, Array], moved: Array | None
 ) -> tuple[Array, dict[int, float], float]:
-    """-2 log L by lag and gain of the prediction, shape (lags, gains), at a moment in proportion to
-    the speed `moved` that leaves least along the instrument; what was measured along it, see
-    `Instrument`; F of the first stage."""
+    """-2 log L by lag and gain of the prediction, shape (lags, gains), with the moment proportional
+    to the speed `moved` that minimises the residual along the instrument; the measurement along it,
+    see `Instrument`; F of the first stage."""
     t_s, predicted = channel.t_s, channel.measured - channel.residual
     lags = LAGS_S if _fitted(bases) > 2 else LAGS_S[:1]
     late = [_lagged(predicted, v) for v in lags]
@@ -247,21 +253,22 @@ def _test(
 
 
 def _left(rows: Array) -> Array:
-    """What a gain times a prediction and a number times a speed leave of rows: first column
-    measured, second the speed, each other one a prediction. Square without the speed, product of
-    what is left and the speed, square of the speed; shape (3, predictions, gains)."""
+    """Quadratic forms of the residual of rows after a gain times a prediction and a coefficient
+    times a speed: first column measured, second the speed, each other one a prediction. Square
+    without the speed, product of residual and speed, square of the speed; shape (3, predictions,
+    gains)."""
     y, v, x = rows[:, 0], rows[:, 1], rows[:, 2:]
     square = y @ y - 2 * np.outer(y @ x, GAINS) + np.outer(np.sum(x * x, axis=0), GAINS**2)
     return np.array([square, y @ v - np.outer(v @ x, GAINS), np.full_like(square, v @ v)])
 
 
 def _with_speed(left: Array, number: Array) -> Array:
-    """The same with a number of the speed for each prediction and gain."""
+    """The squares with a coefficient of the speed for each prediction and gain."""
     return np.asarray(np.maximum(left[0] - 2 * number * left[1] + number**2 * left[2], 0.0))
 
 
 def _lagged(values: Array, lag_s: float) -> Array:
-    """Behind a lag of first order; behind its inverse where it is negative."""
+    """Values after a first-order lag; after its inverse where it is negative."""
     if lag_s <= 0:
         return np.asarray(values - lag_s * CHANNEL_HZ * np.gradient(values))
     decay = np.exp(-1 / (CHANNEL_HZ * lag_s))
@@ -273,11 +280,12 @@ def _lagged(values: Array, lag_s: float) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What commands predict in one band, as reflectors that turn it into the first rows.
+    """Subspace of the commands' prediction in one band, as reflectors that rotate it into the first
+    rows.
 
     Attributes:
-        reflectors: As of LAPACK's dgeqrf, shape (n, rank).
-        scale: Of each, shape (rank,).
+        reflectors: Reflectors of LAPACK's dgeqrf, shape (n, rank).
+        scale: Scale of each, shape (rank,).
     """
 
     reflectors: Array
@@ -287,12 +295,12 @@ class Answers:
 
     @classmethod
     def of(cls, part: Array) -> "Answers":
-        """Of rows of a band, shape (n, rank)."""
+        """Subspace of rows of a band, shape (n, rank)."""
         return cls(*dgeqrf(part)[:2])
 
     def taken_out(self, rows: Array) -> tuple[Array, int]:
-        """Rows turned, shape (n, m), and how many of the first hold what commands predict: all of
-        them in a band of hardly more rows than numbers."""
+        """Rotated rows, shape (n, m), and how many of the first contain the commands' prediction:
+        all of them in a band with hardly more rows than numbers."""
         n, rank = self.reflectors.shape
         if n <= 2 * rank:
             return rows, n
@@ -301,7 +309,7 @@ class Answers:
 
 
 def answers_of(channel: ChannelData) -> dict[int, Answers]:
-    """By band of the loop, what commands predict there with any gain and lag."""
+    """Subspace of the commands' prediction with any gain and lag, by band of the loop."""
     predicted = channel.measured - channel.residual
     own = np.zeros((len(predicted), 4))
     for inside in (channel.piece == p for p in np.unique(channel.piece)):
@@ -318,19 +326,19 @@ def answers_of(channel: ChannelData) -> dict[int, Answers]:
 
 @dataclass(frozen=True, slots=True)
 class Along(Term):
-    """Rows along instruments, by how far these are trusted; the next term holds those across."""
+    """Rows along instruments, by their trust; the next term holds those across."""
 
 
 @dataclass(frozen=True, slots=True)
 class InstrumentNoise:
-    """`BandNoise`, in which bands that feel the loop vote along instruments alone.
+    """`BandNoise`, with bands inside the control loop evaluated along instruments alone.
 
     Attributes:
-        bands: Law of all other rows.
+        bands: Noise model of all other rows.
         turning: Channels of angular acceleration.
-        instruments: By channel and flight.
-        answers: Of specific force along the thrust, by channel and flight.
-        rough: Share of an amplitude by which laws are inexact.
+        instruments: Instruments by channel and flight.
+        answers: Subspaces for specific force along the thrust, by channel and flight.
+        rough: Relative amplitude error of laws.
     """
 
     bands: BandNoise
@@ -345,7 +353,7 @@ class InstrumentNoise:
     def of(
         cls, flights: Sequence[Flight], channels: Flights, bands: BandNoise, rough: float
     ) -> "InstrumentNoise":
-        """From the residuals of the model as it stands; arguments as of `instruments_of`."""
+        """Noise model from the residuals of the nominal model; arguments as of `instruments_of`."""
         turning = frozenset(i for i, c in enumerate(channels[0]) if turns(c.name))
         answers = {
             (c, f): answers_of(channel)
@@ -357,13 +365,13 @@ class InstrumentNoise:
 
     @property
     def mute(self) -> frozenset[int]:
-        """Channels of angular acceleration of which no instrument is trusted in any flight: what
-        commands and motion have in common there may be the controller."""
+        """Channels of angular acceleration without a trusted instrument in any flight: correlation
+        of commands and motion there may be due to the controller."""
         heard = {c for (c, _), i in self.instruments.items() if i.trust}
         return self.turning - heard
 
     def trusts_as(self, other: "InstrumentNoise") -> bool:
-        """Whether the same instruments are trusted, about as far."""
+        """Whether the same instruments are trusted, with about equal trust."""
         own, others = ({k: i for k, i in n.instruments.items() if i.trust} for n in (self, other))
         return own.keys() == others.keys() and all(
             i.source == others[k].source and 1 / ALIKE < i.trust / others[k].trust < ALIKE
@@ -399,7 +407,7 @@ class InstrumentNoise:
     def _unanswered(
         self, channel: int, rows: Array, band: NDArray[np.intp], flight: NDArray[np.intp]
     ) -> tuple[Array, NDArray[np.intp]]:
-        """Rows and their bands, of which those that hold what commands predict do not count."""
+        """Rows and their bands, without those that contain the commands' prediction."""
         own = {f: a for (c, f), a in self.answers.items() if c == channel}
         if own:
             rows, band = rows.copy(), band.copy()
@@ -421,14 +429,14 @@ class InstrumentNoise:
 
 @dataclass(frozen=True, slots=True)
 class InstrumentLikelihood:
-    """Of terms alone and of pairs along and across instruments.
+    """Likelihood of single terms and of pairs along and across instruments.
 
     Attributes:
-        usual: Of the terms alone.
-        alone: Numbers of these.
-        along: Numbers of the terms along instruments, each before that across.
-        count: Of each pair: rows, and those that its floor is worth.
-        floor: Of each pair, sum of squares of these.
+        usual: Likelihood of the single terms.
+        alone: Indices of these.
+        along: Indices of the terms along instruments, each before that across.
+        count: Number of rows of each pair, and equivalent number of its floor.
+        floor: Sum of squares of the floor of each pair.
     """
 
     usual: BandLikelihood
@@ -446,7 +454,7 @@ class InstrumentLikelihood:
         return self.usual.log(rss[self.alone], kappa) - 0.5 * float(np.sum(pairs))
 
     def weights(self, rss: Array, kappa: float = 1.0) -> tuple[Array, Array]:
-        """See `BandLikelihood`; that numbers may raise the level of the noise is no curvature."""
+        """See `BandLikelihood`; the noise level's increase by numbers is no curvature."""
         gradient, weight = np.zeros((2, len(rss)))
         gradient[self.alone], weight[self.alone] = self.usual.weights(rss[self.alone], kappa)
         across = self.floor + rss[self.along + 1]

@@ -1,17 +1,17 @@
-"""The noise law: what the rows of a channel say of numbers, given what a hypothesis leaves of them.
+"""Noise model: likelihood of the rows of a channel, given the residual under a candidate model.
 
     e_k ~ N(0, v_k I),    v_k ~ scaled-inverse-chi2(nu, s_k^2)
     log L = -1/2 sum_k (a n_k + nu) log(s_k^2 + a RSS_k / nu)
     -2 d log L / d (a RSS_k) = (a n_k + nu) / (nu s_k^2 + a RSS_k)
 
 k: the rows of a channel and band, whose level v_k is integrated out: Student's t for a band. A
-constant is a row of known variance, v = (kappa d)^2, one sample per flight. a: how much a row
-counts, as rows are not independent. To each RSS the variance of rounding to the least count of the
-sensor is added: noise-free readings of a simulation are known no better than that.
+constant is a row of known variance, v = (kappa d)^2, one sample per flight. a: weight of a row, as
+rows are not independent. The variance of rounding to the sensor's least count is added to each RSS:
+noise-free readings of a simulation have no better accuracy.
 
-A law (`BandNoise`; `instruments.InstrumentNoise`) takes the rows of a channel, residual and slopes,
-and makes sums of products of them, its terms. Its likelihood (`BandLikelihood`;
-`instruments.InstrumentLikelihood`) takes the sums of squares that numbers leave of these.
+A noise model (`BandNoise`; `instruments.InstrumentNoise`) takes the rows of a channel, residual and
+slopes, and forms sums of products of them, its terms. Its likelihood (`BandLikelihood`;
+`instruments.InstrumentLikelihood`) takes the resulting sums of squares at some numbers.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,10 +33,10 @@ class Term:
     """Sums over rows that share a noise level.
 
     Attributes:
-        channel: Number of the channel.
-        gram: Products of residual and slopes, residual first, by how much they count, (m, m).
-        count: Samples that they count as.
-        floor: Square of the level before they are looked at; of a constant, its variance.
+        channel: Index of the channel.
+        gram: Weighted products of residual and slopes, residual first, shape (m, m).
+        count: Effective number of samples.
+        floor: Prior variance; for a constant, its variance.
         constant: Whether the variance is known.
     """
 
@@ -51,14 +51,13 @@ class Term:
 
 @dataclass(frozen=True, slots=True)
 class BandNoise:
-    """A level per channel and band, shared by all flights.
+    """One noise level per channel and band, shared by all flights.
 
     Attributes:
-        floor: Square of the level by channel and band before a flight is looked at; of a constant,
-            its variance at kappa = 1.
-        own: By channel, how much of its power rows count.
-        rounding: By channel and band, variance of a row by rounding to the sensor's least count.
-        level: Degrees of freedom with which a level is known.
+        floor: Prior variance by channel and band; for a constant, its variance at kappa = 1.
+        own: Weight a of the rows of each channel, at most 1.
+        rounding: Rounding variance of a row, by channel and band.
+        level: Degrees of freedom of the prior variance.
     """
 
     floor: Mapping[tuple[int, int], float]
@@ -75,12 +74,12 @@ class BandNoise:
         constants: Sequence[float],
         settings: EvidenceSettings = DEFAULT.inference.evidence,
     ) -> "BandNoise":
-        """From the residuals of the model as it stands.
+        """Noise model from the residuals of the nominal model.
 
         Args:
-            rest: About the model as it stands.
-            constants: Of each channel, the size of a constant that a day may bring.
-            settings: How exact laws are, how much a flight tells.
+            rest: Spectrum of the nominal model's residuals.
+            constants: Between-flight standard deviation of the constant of each channel.
+            settings: Accuracy of laws, and information in a flight.
         """
         power, flights = rest.power(), len(rest.rows[0])
         floor, own = {}, np.ones(len(rest.channels))
@@ -106,10 +105,10 @@ class BandNoise:
         """Sums of products of the rows of a channel.
 
         Args:
-            channel: Its number.
+            channel: Index of the channel.
             rows: Residual, then slopes, shape (n, m).
-            band: Of each row, shape (n,); 0: a constant; negative: none, the row does not count.
-            flight: Of each row, shape (n,).
+            band: Band of each row, shape (n,); 0: a constant; negative: the row is ignored.
+            flight: Flight of each row, shape (n,).
         """
         found = []
         for b in np.unique(band[band >= 0]).tolist():
@@ -122,7 +121,7 @@ class BandNoise:
         return found
 
     def likelihood(self, terms: Sequence[Term]) -> "BandLikelihood":
-        """Of terms of this law."""
+        """Likelihood of terms of this noise model."""
         return BandLikelihood(
             np.array([t.count for t in terms]),
             np.array([t.floor for t in terms]),
@@ -133,13 +132,13 @@ class BandNoise:
 
 @dataclass(frozen=True, slots=True)
 class BandLikelihood:
-    """Of terms whose levels are integrated out one by one.
+    """Likelihood of terms whose levels are integrated out one by one.
 
     Attributes:
-        count: Of each term, shape (t,).
-        floor: Of each term, shape (t,).
-        constant: Of each term, shape (t,).
-        level: As of `BandNoise`.
+        count: Effective number of samples of each term, shape (t,).
+        floor: Prior variance of each term, shape (t,).
+        constant: Whether each term is a constant, shape (t,).
+        level: Degrees of freedom, as of `BandNoise`.
     """
 
     count: Array
@@ -153,8 +152,8 @@ class BandLikelihood:
         """Log likelihood, up to a constant.
 
         Args:
-            rss: Sum of squares that numbers leave of each term, shape (t,).
-            kappa: Factor of the deviation of constants.
+            rss: Sum of squares of each term at some numbers, shape (t,).
+            kappa: Factor on the standard deviation of constants.
         """
         given, free, nu = self.constant, ~self.constant, self.level
         s2 = kappa**2 * self.floor[given]
@@ -163,8 +162,8 @@ class BandLikelihood:
         return float(-0.5 * (known.sum() + unknown.sum()))
 
     def weights(self, rss: Array, kappa: float = 1.0) -> tuple[Array, Array]:
-        """Gradient of -2 log L by each sum of squares, and the weight of each gram matrix in the
-        curvature of Gauss-Newton, not negative; shapes (t,). The same array where they are equal.
+        """Gradient of -2 log L by each sum of squares, and the weight of each Gram matrix in the
+        Gauss-Newton curvature, not negative; shapes (t,). The same array where they are equal.
         """
         nu = self.level
         unknown = (self.count + nu) / (nu * self.floor + rss)
@@ -176,19 +175,19 @@ class BandLikelihood:
 
 
 FAST_RAD_S = 0.4
-"""Body rate of a brisk turn."""
+"""Body rate of a fast turn, rad/s."""
 
 
 def constants_of_days(
     channels: Sequence[str], vehicle: Vehicle, settings: EvidenceSettings
 ) -> list[float]:
-    """Standard deviation of the constant of each channel between flights, in its unit."""
+    """Between-flight standard deviation of the constant of each channel, in its unit."""
     return [_constant(name, vehicle, settings) for name in channels]
 
 
 def sensor_read(channel: str) -> Sensor:
-    """The sensor that a channel is of: that itself, or the one that the pose stands in for
-    (`motion_`) or is compared with (`pose_`)."""
+    """The sensor of a channel: that itself, or the one that the pose replaces (`motion_`) or is
+    compared with (`pose_`)."""
     sensor = sensor_of(_reading(channel))
     assert sensor is not None, channel
     return sensor
@@ -202,7 +201,7 @@ def _reading(channel: str) -> str:
 
 
 def _constant(name: str, vehicle: Vehicle, settings: EvidenceSettings) -> float:
-    """Of one channel."""
+    """Between-flight standard deviation of one channel's constant."""
     sensor, read = sensor_read(name), _reading(name)
     if name.startswith("pose_"):
         return settings.trim_pose * (FAST_RAD_S if sensor.rate else GRAVITY_M_S2)
@@ -217,13 +216,13 @@ def _constant(name: str, vehicle: Vehicle, settings: EvidenceSettings) -> float:
 
 
 def rounding_variance(channel: str) -> Array:
-    """Variance of a row of the spectrum, by band, of readings rounded to the sensor's least count.
+    """Variance of a row of the spectrum, by band, due to rounding to the sensor's least count.
 
-    Rounding errors are white and uniform (Widrow, IRE Trans. Circuit Theory 3, 1956); of a channel
-    that is a rate of change, they are differentiated. Zero for the constant.
+    Rounding errors are white and uniform (Widrow, IRE Trans. Circuit Theory 3, 1956); in a channel
+    that is a derivative, they are differentiated. Zero for the constant.
 
     Args:
-        channel: Of a sensor, or of the pose in its place or against it.
+        channel: Channel of a sensor, or of the pose that replaces it or is compared with it.
     """
     sensor = sensor_read(channel)
     variance = np.full(len(BANDS_HZ), sensor.least_count**2 / 12 * CHANNEL_HZ / GRID_HZ)

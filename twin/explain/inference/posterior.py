@@ -1,10 +1,11 @@
-"""Posterior over sets: all that matter about the end of a search, weighed.
+"""Posterior over candidate models: all relevant ones near the end of a search, weighted by
+evidence.
 
-The chain of Gibbs (George & McCulloch, J. Am. Stat. Assoc. 88, 1993), with exchanges of one effect
-for another (Metropolis), only finds the sets; each one that it meets counts by its evidence, so
-that nothing of the draw is left in what is said but which sets were met. Those that differ from the
-end by one exchange are all met. What the linearisation gets wrong about an effect of the end is put
-right by fitting the set without it again.
+The Gibbs chain (George & McCulloch, J. Am. Stat. Assoc. 88, 1993), with Metropolis exchanges of one
+effect for another, only generates candidate models; each visited one is weighted by its evidence,
+so sampling influences only which ones were visited. All models that differ from the final one by
+one exchange are visited. Linearisation errors about an effect of the final model are corrected by
+refitting without it.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -22,13 +23,14 @@ from .priors import effect_of
 Array = NDArray[np.float64]
 
 Tried = dict[tuple[tuple[str, ...], float], float]
-"""Worth of every set that was fitted, by its effects and its days."""
+"""Log posterior of every candidate model that was fitted, by its effects and the factor on
+day-to-day variation."""
 
 
 @dataclass(frozen=True, slots=True)
 class SearchResult:
-    """The end of a search: where it ended, all sets about it, and the log posterior of every set
-    that was fitted on the way."""
+    """Result of a search: the final state, the linearisation about it, and the log posterior of
+    every candidate model that was fitted."""
 
     state: State
     laplace: LaplaceEvidence
@@ -38,36 +40,37 @@ class SearchResult:
 
 
 def log_prior_of_days(kappa: float) -> float:
-    """Log of the weight of days that differ more or less than is usual: normal in the logarithm,
-    a factor of e either way."""
+    """Log prior of the factor on day-to-day variation: log-normal with standard deviation 1."""
     return -0.5 * float(np.log(kappa)) ** 2
 
 
 def log_posterior(state: State) -> float:
-    """Log of the probability of a state, that of its days included."""
+    """Log posterior, including the prior on between-flight variance."""
     return state.evidence + log_prior_of_days(state.kappa)
 
 
 def is_time(cause: str) -> bool:
-    """Whether a cause moves signals in time: a delay, a clock, a lag."""
+    """Whether a cause shifts signals in time: a delay, a clock, a lag."""
     effect = effect_of(cause)
     return isinstance(EFFECTS[effect].observable_as, Shift) or prior_of(EFFECTS[effect]).timed
 
 
 Set = tuple[str, ...]
 SWEEPS = 12
-"""Of the chain."""
+"""Number of sweeps of the Gibbs chain."""
 WINDOW = 12.0
-"""Nats below the best set from which on a set does not matter."""
+"""Difference in log posterior from the best candidate model, nats, beyond which one is
+neglected."""
 PRUNE_BELOW, PRUNE_ABOVE, PRUNE_AFTER = 7.0, 30.0, 2
-"""Nats that an effect costs, or earns, from which on it is asked no more, once it said so twice."""
+"""Loss or gain by an effect, nats, beyond which it is not sampled any more, after so many such
+samples."""
 EXCHANGED = -0.3
-"""Correlation of two inclusions from which on one stands for the other."""
+"""Correlation of two inclusions below which one effect replaces the other."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScoredModel:
-    """A set of effects, sorted, its probability among all that matter, and its numbers."""
+    """A candidate model, with sorted effects, its posterior probability, and its numbers."""
 
     effects: Set
     probability: float
@@ -78,13 +81,14 @@ class ScoredModel:
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """All sets that matter.
+    """Posterior over candidate models.
 
     Attributes:
-        sets: The most probable first; the first without each of its effects, and with each other
-            in its place, is among them, however improbable.
-        inclusion: Probability of each effect of the search.
-        without: Of each effect of the best set, evidence that it adds, nats, fitted again.
+        sets: Candidate models, the most probable first; they include the first one without each of
+            its effects, and with each possible replacement, however improbable.
+        inclusion: Posterior probability of each effect of the search.
+        without: Log evidence gained by each effect of the most probable model, nats, after
+            refitting without it.
     """
 
     sets: tuple[ScoredModel, ...]
@@ -94,7 +98,7 @@ class Posterior:
     __repr__ = short_repr
 
     def exchangeable(self, effect: str) -> tuple[str, ...]:
-        """Other effects that are there where this one is not."""
+        """Effects that are alternatives to this one."""
         p = np.array([s.probability for s in self.sets])
         own = np.array([effect in s.effects for s in self.sets], dtype=np.float64)
         found = []
@@ -105,15 +109,15 @@ class Posterior:
         return tuple(found)
 
     def total(self, row: Array, effects: Collection[str]) -> tuple[float, float, float]:
-        """What numbers of several effects make together.
+        """Posterior of the sum of several effects' numbers.
 
         Args:
-            row: What each of the numbers of the search counts in it, shape (k,).
-            effects: Whose numbers count.
+            row: Weight of each number of the search in the sum, shape (k,).
+            effects: Effects whose numbers are summed.
 
         Returns:
-            Probability that one of the effects is there; mean and deviation of the change of the
-            sum, over the sets with one of them.
+            Probability that at least one of the effects is present; mean and standard deviation of
+            the change of the sum, over the models with one of them.
         """
         own = [s for s in self.sets if set(map(effect_of, s.effects)) & set(effects)]
         p = np.array([s.probability for s in own])
@@ -133,7 +137,7 @@ def weigh(
     seed: int = 0,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Posterior:
-    """Probabilities about the end of a search."""
+    """Posterior about the final state of a search."""
     laplace, kappa = found.laplace, found.state.kappa
     causes = problem.priors.causes
     met = met_sets(problem, found, np.random.default_rng(seed), progress)
@@ -153,14 +157,14 @@ def weigh(
 
 
 class VisitedSets:
-    """Sets that were met about one, with their evidence."""
+    """Visited candidate models near the final one, with their evidence."""
 
     def __init__(self, laplace: LaplaceEvidence, kappa: float) -> None:
         self._laplace, self._kappa = laplace, kappa
         self.sets: dict[Set, float] = {}
 
     def evidence(self, effects: Sequence[str]) -> float:
-        """Log of the probability of a set, remembered."""
+        """Log posterior of a candidate model, cached."""
         key = tuple(sorted(effects))
         return self.sets.setdefault(key, self._laplace.best(key, self._kappa).evidence)
 
@@ -171,7 +175,8 @@ def met_sets(
     rng: np.random.Generator,
     progress: Callable[[float], None] = lambda _: None,
 ) -> VisitedSets:
-    """Sets that matter about the end of a search: exchanges of one effect, then the chain."""
+    """Relevant candidate models near the final state: exchanges of one effect, then the Gibbs
+    chain."""
     laplace, met = found.laplace, VisitedSets(found.laplace, found.state.kappa)
     free = [e for e in problem.priors.causes if not laplace.silent(e) and not is_time(e)]
     on, evidence = list(found.state.effects), met.evidence
@@ -200,9 +205,9 @@ def met_sets(
 
 
 def corrected(met: VisitedSets, found: SearchResult) -> tuple[dict[str, float], dict[Set, float]]:
-    """What each effect of the end adds as fitted, and the evidence of every set with what the
-    linearisation gets wrong: about an exchange of effects that was fitted, as much as there; about
-    absent effects, but for the share of their lead that others in their place take."""
+    """Gain by each effect of the final model as fitted, and the evidence of every model corrected
+    for linearisation errors: about a fitted exchange, by the error there; about absent effects,
+    except for the share of their lead that replacements take."""
     end, evidence = found.state.effects, met.evidence
     gained, shift = {}, {}
     for e in end:
@@ -221,7 +226,7 @@ def corrected(met: VisitedSets, found: SearchResult) -> tuple[dict[str, float], 
     fitted_sets.sort(key=lambda f: -len(f[0] | f[1]))
 
     def weight(effects: Set) -> float:
-        """Of one set."""
+        """Corrected log posterior of one candidate model."""
         new, old = {*effects} - {*end}, {*end} - {*effects}
         for come, gone, wrong in fitted_sets:
             if come <= new and gone <= old:
@@ -235,8 +240,8 @@ def corrected(met: VisitedSets, found: SearchResult) -> tuple[dict[str, float], 
 
 
 def _gained(found: SearchResult, effect: str, rest: Set) -> float:
-    """Nats that an effect of the end adds to the others, as fitted; of a delay or a lag, to them
-    with any other in its place."""
+    """Gain of an effect of the final model beside the others, as fitted, nats; for a delay or a
+    lag, the least over the models with a replacement."""
     others = [found.tried[rest, found.state.kappa]]
     if is_time(effect):
         others += [
@@ -250,14 +255,14 @@ def _gained(found: SearchResult, effect: str, rest: Set) -> float:
 def _rivals(
     laplace: LaplaceEvidence, old: str, on: Sequence[str], free: Sequence[str]
 ) -> list[str]:
-    """Effects that may stand in the place of one; of clocks and lags, see `_gained`."""
+    """Possible replacements of an effect; for clocks and lags, see `_gained`."""
     if old not in free:
         return []
     return [e for e in free if e not in on and laplace.share_a_channel(old, e)]
 
 
 def _correlation(a: Array, b: Array, p: Array) -> float:
-    """Weighted correlation; 0 where one of them is sure."""
+    """Weighted correlation; 0 where one of them is constant."""
     ma, mb = p @ a, p @ b
     va, vb = p @ (a - ma) ** 2, p @ (b - mb) ** 2
     if min(va, vb) < 0.02 * 0.98:

@@ -1,8 +1,8 @@
-"""Priors and bounds of the numbers of a model, before its flights are read.
+"""Priors and bounds of the numbers of a model, before its flights are used.
 
-A number that a vehicle file gives with a standard deviation is off by so much with no effect there:
-its spike. An effect that is there adds its own spread: its slab. Day-to-day variation comes on top.
-Bounds are prior ranges and limits set by physics.
+A number that a vehicle file gives with a standard deviation has this uncertainty without any
+effect: its spike. A present effect adds its own variance: its slab. Day-to-day variation is added
+to both. Bounds are prior ranges and physical limits.
 
 Spike and slab: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83 (1988); George & McCulloch, J. Am.
 Stat. Assoc. 88 (1993).
@@ -34,26 +34,27 @@ UNCALIBRATED = (
 
 @dataclass(frozen=True, slots=True)
 class Priors:
-    """Priors of the numbers that a search may change, shapes included. Arrays have shape (k,).
+    """Priors of the numbers that a search may change, including shape parameters. Arrays have shape
+    (k,).
 
     Attributes:
-        columns: Positions among the numbers of the model.
-        names: "effect.number" of each.
-        cause: What each belongs to: an effect, or the part of it that one rotor or one clock has,
+        columns: Indices among the numbers of the model.
+        names: Name "effect.number" of each.
+        cause: Cause to which each belongs: an effect, or its part for one rotor or one clock,
             "effect:part".
-        shape: Whether it is a shape: there with its effect alone.
-        now: Value in the model as it stands.
-        mean: Expected value where the effect is there.
-        slab: Standard deviation of that.
-        file: Covariance where no effect is there, shape (k, k).
-        low: Smallest value.
-        high: Largest value.
-        held: Expected change from `now` where no effect is there.
-        day: Standard deviation between flights; 0: all flights share it.
-        odds: Log prior odds by cause.
-        most: By effect of single rotors, how many of them may differ: half of all. What more have
-            in common is of the whole aircraft; together with the torque that they lose, losses of
-            all would be any scale of thrust and of yaw torque.
+        shape: Whether it is a shape parameter, which exists only together with its effect.
+        now: Value in the nominal model.
+        mean: Prior mean with the effect.
+        slab: Prior standard deviation with the effect.
+        file: Prior covariance without the effect, shape (k, k).
+        low: Lower bound.
+        high: Upper bound.
+        held: Expected change from `now` without the effect.
+        day: Between-flight standard deviation; 0: all flights share it.
+        odds: Log prior odds of each cause.
+        most: Maximum number of rotors that may differ, by effect of single rotors: half of all.
+            What more rotors have in common belongs to the whole aircraft; losses of all rotors,
+            with their torque, could represent any scale of thrust and of yaw torque.
     """
 
     columns: tuple[int, ...]
@@ -75,40 +76,42 @@ class Priors:
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """Those that may be there, in the order of the columns; a shape is none."""
+        """Causes that may be present, in the order of the columns, without shape parameters."""
         pairs = zip(self.cause, self.shape, strict=True)
         return tuple(dict.fromkeys(c for c, shape in pairs if not shape and c in self.odds))
 
     @property
     def spike(self) -> Array:
-        """Standard deviation about `now` where no effect is there, shape (k,)."""
+        """Standard deviation about `now` without the effect, shape (k,)."""
         return np.asarray(np.sqrt(np.diag(self.file)))
 
     @property
     def unsure(self) -> frozenset[str]:
-        """Effects with a number that the vehicle file is unsure of."""
+        """Effects with a number that is uncertain in the vehicle file."""
         return frozenset(effect_of(self.cause[i]) for i in np.flatnonzero(self.spike > 0))
 
     @property
     def days(self) -> NDArray[np.intp]:
-        """Columns that differ between flights."""
+        """Columns with day-to-day variation."""
         return np.flatnonzero(self.day > 0)
 
     def log_odds(self, causes: Collection[str]) -> float:
-        """Of a set of causes; minus infinity where more rotors differ than may."""
+        """Log prior odds of a set of causes; minus infinity where more rotors differ than
+        allowed."""
         several = Counter(effect_of(c) for c in causes if c != effect_of(c))
         if any(several[e] > n for e, n in self.most.items()):
             return -math.inf
         return sum(self.odds[c] for c in causes)
 
     def of(self, causes: Iterable[str]) -> NDArray[np.intp]:
-        """Columns of some causes, shapes of their effects among them."""
+        """Columns of some causes, including shape parameters of their effects."""
         wanted = set(causes)
         wanted |= {effect_of(c) for c in wanted}
         return np.array([i for i, c in enumerate(self.cause) if c in wanted], dtype=np.intp)
 
     def extended(self, names: Sequence[str], sd: float) -> "Priors":
-        """The same with more numbers, each its own cause and anything about 0."""
+        """The priors with more numbers, each its own cause with mean 0 and standard deviation
+        `sd`."""
         more = 0, len(names)
         now, mean, held, day = (np.pad(v, more) for v in (self.now, self.mean, self.held, self.day))
         return Priors(
@@ -129,8 +132,8 @@ class Priors:
         )
 
     def tension(self, values: Mapping[str, float]) -> dict[str, float]:
-        """By number, how many prior deviations a value is away from what was expected; of a number
-        that cannot be zero, such as a factor, in its logarithm; 0 of one that is held."""
+        """Deviation of each value from its prior mean in prior standard deviations; for a positive
+        number, such as a factor, in its logarithm; 0 for a fixed one."""
         place = {n: i for i, n in enumerate(self.names)}
         found = {}
         for name, value in values.items():
@@ -147,7 +150,7 @@ class Priors:
 
 
 def parameter_of(number: Number) -> tuple[EffectParameter, str]:
-    """A number's parameter before it was sized for a vehicle, and its name."""
+    """A number's parameter before scaling to a vehicle, and its name."""
     effect = EFFECTS[number.effect]
     known = {p.name: p for p in (*effect.parameters, *effect.of_logs)}
     stem = number.name if number.name in known else number.name.rpartition("_")[0]
@@ -155,12 +158,12 @@ def parameter_of(number: Number) -> tuple[EffectParameter, str]:
 
 
 def effect_of(cause: str) -> str:
-    """Effect that a cause is, or is a part of."""
+    """Effect of a cause or of its part."""
     return cause.partition(":")[0]
 
 
 def _cause_of(number: Number) -> str:
-    """Single rotors and single clocks are causes of their own."""
+    """Cause of a number: single rotors and single clocks are separate causes."""
     if number.about.per_rotor:
         return f"{number.effect}:{number.name.removeprefix(number.about.name).lstrip('_')}"
     effect = EFFECTS[number.effect]
@@ -171,7 +174,7 @@ def _cause_of(number: Number) -> str:
 
 
 def _unsure(number: Number, vehicle: Vehicle, trusted: bool) -> float:
-    """Standard deviation of a number by the vehicle file, with no effect there; 0: exact."""
+    """Standard deviation of a number by the vehicle file, without the effect; 0: exact."""
     own = vehicle.deviations.get(f"effects.{number.full}")
     if own is not None and own.numbers is not None:
         return own.numbers[0]
@@ -183,8 +186,9 @@ def _unsure(number: Number, vehicle: Vehicle, trusted: bool) -> float:
 
 
 def _covariance(numbers: Sequence[Number], sd: Array, vehicle: Vehicle) -> Array:
-    """Of numbers as the vehicle file has them, with no effect there, given the deviation of each as
-    it is written: a torque that is given per thrust is off with the thrust as well."""
+    """Prior covariance of numbers by the vehicle file, without the effects, given the standard
+    deviation of each as written: a torque given per thrust has the uncertainty of the thrust as
+    well."""
     file = np.diag(sd**2)
     place = {prior_of(EFFECTS[n.effect]).corrects: i for i, n in enumerate(numbers) if not n.shape}
     thrust, torque = (place.get(f"rotors.{of}") for of in ("thrust", "torque"))
@@ -197,7 +201,7 @@ def _covariance(numbers: Sequence[Number], sd: Array, vehicle: Vehicle) -> Array
 
 
 def _whole(key: str, number: Number, vehicle: Vehicle) -> float:
-    """What a number of an effect is a share of, where the share is that of a key of the file."""
+    """Value of the file's key of which an effect's number is a share, where it is one."""
     rotors = vehicle.rotors
     if key == "rotors.lag":
         return rotors.lag_up_s
@@ -212,7 +216,7 @@ def _whole(key: str, number: Number, vehicle: Vehicle) -> float:
 
 
 def priors_since(model: Model) -> Priors:
-    """Priors of what may have changed on an aircraft that flights have calibrated.
+    """Priors of changes since the calibration of an aircraft.
 
     Raises:
         ModelError: The vehicle holds no calibration.
@@ -250,8 +254,8 @@ def priors_since(model: Model) -> Priors:
 
 
 def _lowest(number: Number, vehicle: Vehicle, trusted: bool) -> float:
-    """Smallest value of a number: single rotors only lose thrust, but in a calibration or where the
-    file says that one gives more."""
+    """Lower bound of a number: single rotors can only lose thrust, except in a calibration or where
+    the file gives one more thrust."""
     if trusted and number.about.per_rotor and not number.shape:
         return min(number.now, number.about.neutral or 0.0)
     least = prior_of(EFFECTS[number.effect]).least(vehicle)
@@ -259,7 +263,7 @@ def _lowest(number: Number, vehicle: Vehicle, trusted: bool) -> float:
 
 
 PROPELLERS = 0.03
-"""Standard deviation of the thrust of one rotor over that of the others: propellers of one bag
+"""Standard deviation of the thrust of one rotor relative to the others: propellers of one batch
 differ by 2 to 5 %."""
 
 
@@ -268,9 +272,9 @@ def priors_of(model: Model, trusted: bool = True) -> Priors:
 
     Args:
         model: Flights and vehicle.
-        trusted: Whether a number is believed to be as the vehicle file says, but for the standard
-            deviation that is written beside it; else words of its source count as well, and each
-            rotor has a factor of its own.
+        trusted: Whether the vehicle file's numbers are exact except for their written standard
+            deviations; otherwise the reliability of their sources counts as well, and each rotor
+            has a factor of its own.
     """
     vehicle, numbers = model.vehicle, model.numbers
     indoors = all(f.flight.indoors for f in model.flights)
@@ -316,18 +320,18 @@ def priors_of(model: Model, trusted: bool = True) -> Priors:
 
 
 EDGE = 1e-6
-"""Share of a limit's terms that a fit at the limit may be away from it."""
+"""Tolerance of a fit at a limit, as a share of the limit's terms."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Ranges and linear limits of k numbers.
+    """Bounds and linear inequality constraints of k numbers.
 
     Attributes:
-        low: Smallest value of each, shape (k,).
-        high: Largest value of each, shape (k,).
-        rows: Weights of each limit, shape (m, k).
-        least: Smallest value of each weighted sum, shape (m,).
+        low: Lower bound of each, shape (k,).
+        high: Upper bound of each, shape (k,).
+        rows: Weights of each constraint, shape (m, k).
+        least: Least value of each weighted sum, shape (m,).
     """
 
     low: Array
@@ -339,7 +343,7 @@ class Bounds:
 
     @classmethod
     def of(cls, numbers: Sequence[Number], vehicle: Vehicle) -> "Bounds":
-        """What priors and the effects' own limits leave; a model as it stands is always inside."""
+        """Bounds by priors and the effects' own limits; the nominal model is always inside."""
         place = {n.full: i for i, n in enumerate(numbers)}
         now = np.array([n.now for n in numbers])
         rows = []
@@ -353,19 +357,19 @@ class Bounds:
         return cls(low, high, every, np.minimum(0.0, every @ now))
 
     def around(self, values: Array) -> "Bounds":
-        """Of changes from some values."""
+        """Bounds of changes from some values."""
         return Bounds(
             self.low - values, self.high - values, self.rows, self.least - self.rows @ values
         )
 
     def extended(self, more: int) -> "Bounds":
-        """The same with more numbers that may be anything."""
+        """The bounds with more unbounded numbers."""
         none, anything = np.zeros((len(self.rows), more)), np.full(more, np.inf)
         low, high = np.append(self.low, -anything), np.append(self.high, anything)
         return replace(self, low=low, high=high, rows=np.hstack([self.rows, none]))
 
     def part(self, columns: Sequence[int]) -> "Bounds":
-        """Of some of the numbers, while the others do not change."""
+        """Bounds of some of the numbers, with the others fixed."""
         c = np.asarray(columns, dtype=np.intp)
         reach = np.any(self.rows[:, c], axis=1)
         return replace(
@@ -377,11 +381,11 @@ class Bounds:
         )
 
     def inside(self, values: Array, covariance: Array) -> Array:
-        """The nearest values inside, in the metric of a fit.
+        """Nearest values inside, in the metric of a fit.
 
         Args:
-            values: Shape (..., k).
-            covariance: Of the fit, shape (..., k, k).
+            values: Values, shape (..., k).
+            covariance: Covariance of the fit, shape (..., k, k).
         """
         values = np.clip(values, self.low, self.high)
         for row, least in zip(self.rows, self.least, strict=True):
@@ -394,7 +398,7 @@ class Bounds:
 def edges(
     numbers: Sequence[Number], values: Mapping[str, float], vehicle: Vehicle
 ) -> Iterator[tuple[str, str]]:
-    """Effects at an edge, and which: a hint that another effect is meant."""
+    """Effects at a bound, and which bound: an indication that another effect is the cause."""
     for n in numbers:
         value = values[n.full]
         at = np.isclose(value, n.about.bounds, rtol=EDGE, atol=0)
@@ -407,7 +411,7 @@ def edges(
     for effect in dict.fromkeys(n.effect for n in numbers):
         for limit in EFFECTS[effect].limits(vehicle):
             parts = [w * values[f"{effect}.{k}"] for k, w in limit.weights.items()]
-            if sum(parts) <= EDGE * sum(map(abs, parts)):  # they use up what it leaves them
+            if sum(parts) <= EDGE * sum(map(abs, parts)):  # all of the allowed sum is used
                 yield (
                     effect,
                     f"{effect} is at the edge of what is possible: {limit.meaning}; another "

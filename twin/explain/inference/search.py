@@ -1,9 +1,8 @@
-"""Look for the set of effects that flights make most probable, from several starts.
+"""Search for the candidate model with the largest posterior, from several starts.
 
-Gains of sets are told by one linearisation; each move is fitted again before it is accepted. A move
-adds an effect, drops one or two, or puts one in the place of another; days may turn out to differ
-more or less than is usual. Where several moves in a row promise more, they are tried together
-first.
+Gains are predicted by one linearisation; each move is fitted before it is accepted. A move adds an
+effect, removes one or two, or exchanges one for another; the factor on day-to-day variation may
+change. Where several moves in a row promise more, they are tried together first.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -32,23 +31,26 @@ from .valley import hidden_starts
 Array = NDArray[np.float64]
 
 Exchange = tuple[frozenset[str], frozenset[str], float]
-"""Effects that come in, those that go, and the days."""
+"""Added effects, removed effects, and the factor on day-to-day variation."""
 MOVES, TRIED, AHEAD, RIVALS = 60, 4, 8, 4
-"""Accepted moves at most; of each state so many are fitted; looked ahead; swapped in."""
+"""Maximum number of accepted moves; fits tried per state; moves of look-ahead; exchange
+candidates."""
 FEW = 8
-"""Effects of a set up to which two are dropped at once: they may stand for a third together."""
+"""Largest number of effects of a model from which two are removed at once: they may represent a
+third one together."""
 CLEAR = 15.0
-"""Nats that the linearisation gives an effect from which on it is not fitted without it again."""
+"""Predicted loss without an effect, nats, from which on the model without it is not fitted
+again."""
 MIN_GAIN = 0.3
-"""Nats that a move has to gain."""
+"""Least gain of a move, nats."""
 SHORT = 3.0
-"""Nats that a fit has to have ended below what is promised, or beside another end of the same set,
-to be done again."""
+"""Shortfall of a fit against its prediction, or against another fit of the same model, nats, from
+which on it is repeated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """A neighbour: effects, sorted, kappa of the days, and nats that the linearisation promises."""
+    """A move: sorted effects, kappa of the days, and the predicted gain, nats."""
 
     effects: tuple[str, ...]
     kappa: float
@@ -57,17 +59,17 @@ class Move:
 
 @dataclass(slots=True)
 class SearchPoint:
-    """Where a search stands between two moves.
+    """State of a search between two moves.
 
     Attributes:
-        state: The set that it has come to.
-        tried: Log posterior of every set that was fitted.
-        begun: Sets that were fitted from their expected numbers on.
-        again: Sets that were fitted twice.
-        short: By how much exchanges fell short of what they promised, nats.
-        sought: Sets about which hidden effects were sought.
-        moves: That were accepted.
-        ended: Whether no other set is better.
+        state: Current candidate model.
+        tried: Log posterior of every candidate model that was fitted.
+        begun: Candidate models fitted from their prior means.
+        again: Candidate models fitted twice.
+        short: Shortfall of exchanges against their predicted gains, nats.
+        sought: Candidate models near which hidden effects were sought.
+        moves: Number of accepted moves.
+        ended: Whether no other candidate model is better.
     """
 
     state: State
@@ -81,25 +83,25 @@ class SearchPoint:
 
     @classmethod
     def at(cls, state: State) -> "SearchPoint":
-        """The start of a search."""
+        """Starting point of a search."""
         return cls(state, {(state.effects, state.kappa): log_posterior(state)})
 
 
 class Checkpoint:
-    """Keeps where each search of a run stands, one search after the other. This one keeps nothing;
-    one that does lets a run that was killed go on from there."""
+    """Interface that stores the state of each search of a run, one search after the other. This
+    class stores nothing; a subclass makes an interrupted run resumable."""
 
     def resumed(self) -> SearchPoint | None:
-        """Where the next search of the run stood; None: it had not begun."""
+        """Stored state of the next search of the run; None: it had not begun."""
         return None
 
     def keep(self, point: SearchPoint) -> SearchPoint:
-        """Keep where the search stands; the point to go on from."""
+        """Store the state of the search; returns the state from which to continue."""
         return point
 
 
 NO_CHECKPOINT = Checkpoint()
-"""A run that is killed begins anew."""
+"""Checkpoint that stores nothing: an interrupted run starts again."""
 
 
 def search(
@@ -109,15 +111,15 @@ def search(
     last: bool = True,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> SearchResult:
-    """Climb from a set of effects, or from one that is fitted already.
+    """Climb from a candidate model, or from a fitted state.
 
     Args:
-        problem: What is fitted.
-        start: Effects that are there at first, or the set.
-        progress: Called with the share done, roughly.
-        last: Whether its end is what is told: else another search goes on from it, and does what
-            asks each effect of the end by itself.
-        checkpoint: Keeps where it stands.
+        problem: Estimation problem.
+        start: Initial effects, or the fitted state.
+        progress: Called with the approximate share done, 0..1.
+        last: Whether this search gives the result; otherwise another search continues from it, and
+            repeats the tests of single effects.
+        checkpoint: Stores the state of the search.
     """
     at = checkpoint.resumed()
     if at is None:
@@ -137,9 +139,9 @@ def search(
 
 
 def _move(problem: Problem, laplace: LaplaceEvidence, at: SearchPoint, last: bool) -> State | None:
-    """A set that is better; None where none is; `last` as of `search`."""
+    """A better state; None where there is none; `last` as of `search`."""
     state, tried, begun = at.state, at.tried, at.begun
-    effects = state.effects  # where a clock is not missed, no other is sought for it
+    effects = state.effects  # no second clock is sought where one is present
     no_clock = [(tuple(a for a in effects if a != e), None) for e in effects if is_time(e)]
     better = (
         _better(problem, laplace, state, tried, at.again, at.short)
@@ -167,7 +169,7 @@ def with_instruments_of_end(
     progress: Callable[[float], None] = lambda _: None,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[Problem, SearchResult]:
-    """A search, gone on with where its instruments are trusted otherwise with its effects in."""
+    """A search continued with instruments that are tested with its effects in the model."""
     renewed = problem.with_instruments_at(found.state)
     if renewed.noise.trusts_as(problem.noise):
         return problem, found
@@ -177,7 +179,8 @@ def with_instruments_of_end(
 
 
 def score_test_candidates(problem: Problem) -> tuple[str, ...]:
-    """Effects that the model as it stands asks for, each the best by its linearisation."""
+    """Effects that the nominal model lacks by score tests: those of the best move, or sequence of
+    moves, in its linearisation."""
     laplace = problem.laplace(problem.rest)
     first = neighbours(problem, laplace, (), 1.0)
     ahead = _ahead(problem, laplace, (), first)
@@ -185,8 +188,8 @@ def score_test_candidates(problem: Problem) -> tuple[str, ...]:
 
 
 def calibration_start(priors: Priors) -> list[str]:
-    """Effects whose numbers nobody measures, the delay that no aircraft is without, and the average
-    that most estimates of a pose are."""
+    """Effects whose numbers are not measured on any aircraft: the delay that every aircraft has,
+    and the averaging of most pose estimates."""
     return [
         c
         for c in priors.causes
@@ -202,11 +205,11 @@ def _better(
     again: set[tuple[tuple[str, ...], float]],
     short: dict[Exchange, float],
 ) -> State | None:
-    """A neighbour that is better once it is fitted; None where there is none.
+    """A better neighbour after fitting; None where there is none.
 
-    One that was fitted already, and ended lower than is promised now, is fitted once again: what a
-    fit reaches depends on where it begins. An exchange of effects that fell short of what it
-    promised, from whatever set, is not tried again where it promises no more than that: `short`.
+    A model already fitted, with less evidence than predicted now, is fitted once again: the result
+    of a fit depends on its start. An exchange of effects that fell short of its predicted gain,
+    from whatever model, is not tried again unless it predicts more than that: `short`.
     """
     candidates = neighbours(problem, laplace, state.effects, state.kappa)
     ahead = _ahead(problem, laplace, state.effects, candidates)
@@ -238,8 +241,8 @@ def _better(
 def _restarted(
     problem: Problem, state: State, tried: Tried, begun: set[tuple[str, ...]]
 ) -> State | None:
-    """The set itself from what is expected of its numbers, once: on the way numbers of days may
-    have stood in for what was not there yet, and stay where they are."""
+    """The model fitted again from its prior means, once: during the search day-to-day deviations
+    may have represented effects that were not present yet, and stay there."""
     if state.effects in begun:
         return None
     begun.add(state.effects)
@@ -251,7 +254,7 @@ def _restarted(
 
 
 def _different(moves: Sequence[Move], on: Sequence[str]) -> Iterator[Move]:
-    """The best move of each effect that comes in, and those by which none does."""
+    """The best move for each added effect, and the moves that add none."""
     seen = set()
     for m in moves:
         new = frozenset(m.effects) - frozenset(on)
@@ -261,14 +264,15 @@ def _different(moves: Sequence[Move], on: Sequence[str]) -> Iterator[Move]:
 
 
 Trial = tuple[tuple[str, ...], Array | None]
-"""A set, and the numbers to begin with; None: those of the state."""
+"""A candidate model, and its initial numbers; None: those of the state."""
 
 
 def _clocks(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Trial]:
-    """The set with any other delay or lag in the place of each.
+    """The model with any other delay or lag in place of each.
 
-    What moves signals in time is not linear over a few milliseconds, so that no linearisation tells
-    which is meant. A record of several clocks is thought of last: they come in as other effects do.
+    Time shifts are nonlinear over a few milliseconds, so that no linearisation can distinguish
+    between them. A record with several clocks is considered last: clocks are added like other
+    effects.
     """
     present = [e for e in state.effects if is_time(e)]
     every = [e for e in problem.priors.causes if is_time(e)]
@@ -284,7 +288,7 @@ def _clocks(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Tr
 
 
 def _weak(laplace: LaplaceEvidence, state: State) -> list[Trial]:
-    """The set without each effect that adds little by the linearisation."""
+    """The model without each effect that adds little by the linearisation."""
     whole = laplace.best(state.effects, state.kappa).evidence
     sets: list[Trial] = []
     for old in (e for e in state.effects if not is_time(e)):
@@ -295,8 +299,8 @@ def _weak(laplace: LaplaceEvidence, state: State) -> list[Trial]:
 
 
 def _alone(state: State) -> list[Trial]:
-    """The set with one rotor in the place of several: opposite ones share what one of them does,
-    together with the place of the centre of mass."""
+    """The model with one rotor in place of several: losses of opposite rotors, together with the
+    position of the centre of mass, can represent the loss of one."""
     sets: list[Trial] = []
     for effect in dict.fromkeys(effect_of(c) for c in state.effects):
         own = [c for c in state.effects if effect_of(c) == effect and not is_time(c)]
@@ -307,13 +311,13 @@ def _alone(state: State) -> list[Trial]:
 
 
 def _mistaken(problem: Problem, state: State) -> list[Trial]:
-    """The set with each part of an effect by itself, as it is expected, in the place of one effect
-    that it is mistaken for.
+    """The model with each part of an effect, at its prior mean, in place of one effect that may be
+    mistaken for it.
 
-    A weak rotor lifts less and turns the aircraft, as a smaller thrust and another place of the
-    centre of mass do together, were it that of the day. How much torque it loses with its thrust is
-    no linear number while it loses none: where both stand in for it, the linearisation rules it out
-    by its torque. Either may be there as well.
+    A weak rotor reduces thrust and rotates the aircraft, like a smaller thrust and a shifted centre
+    of mass of that day together. The torque lost with its thrust is nonlinear at zero loss: where
+    both represent it, the linearisation rejects it because of its torque. Either of them may be
+    present as well.
     """
     on = {effect_of(c) for c in state.effects}
     sets: list[Trial] = []
@@ -336,14 +340,14 @@ def _followed(
     begun: set[tuple[str, ...]],
     least: float,
 ) -> State | None:
-    """The set with an effect whose states an observer follows, if it promises at least so many nats
-    beside what it gains by following noise; None where none is better.
+    """The model with an effect whose states an observer estimates, if it promises at least so many
+    nats more than it gains by following noise; None where none is better.
 
-    Its states are far from linear in its shape, so that the linearisation, held against that, would
-    rule it out too soon. They follow what no other effect explains, so that they follow little
-    where others stand in for this one already: all numbers begin as they are expected, beside all
-    other effects; where it is there already, too, beside those alone that are not felt where it is.
-    `begun` holds the sets that began so.
+    Its states are strongly nonlinear in its shape parameters, so that the linearisation would
+    reject it too early. They follow what no other effect explains, so they stay small where others
+    represent this effect already: all numbers start at their prior means, beside all other effects;
+    where the effect is present already, also beside only those that do not act on the same
+    readings. `begun` contains the models fitted so.
     """
     best = state
     for c in problem.priors.causes:
@@ -369,8 +373,8 @@ def _followed(
 def _uncovered(
     problem: Problem, laplace: LaplaceEvidence, state: State, sought: set[tuple[str, ...]]
 ) -> State | None:
-    """The set with an effect that another hides, see `valley`: sought once while it is not there,
-    and once about each set with it, which may stand elsewhere in its valley."""
+    """The model with an effect that another one masks, see `valley`: sought once while it is
+    absent, and once near each model with it, which may be elsewhere in its valley."""
     observed = {c for c in problem.priors.causes if EFFECTS[effect_of(c)].observer is not None}
     key = state.effects if observed & {*state.effects} else ()
     if key in sought:
@@ -380,7 +384,7 @@ def _uncovered(
 
 
 def _mounted(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Trial]:
-    """The set with a number at each of its modes: no slope leads to a compass that is mounted
+    """The model with a number at each of its modes: no gradient leads to a compass mounted
     backwards."""
     b = problem.priors
     sets: list[Trial] = []
@@ -395,7 +399,7 @@ def _mounted(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[T
 def _likelier(
     problem: Problem, laplace: LaplaceEvidence, state: State, tried: Tried
 ) -> list[Trial]:
-    """Sets that the posterior about one holds to be more probable, and that nobody has fitted."""
+    """Models that are more probable by the posterior near this state, and not fitted yet."""
     found = SearchResult(state, laplace, tried)
     met = met_sets(problem, found, np.random.default_rng(0))
     weights = corrected(met, found)[1]
@@ -408,7 +412,7 @@ def _likelier(
 def _verified(
     problem: Problem, laplace: LaplaceEvidence, state: State, tried: Tried, sets: Sequence[Trial]
 ) -> State | None:
-    """The best of some sets, each fitted; None where none is better."""
+    """The best of some models, each fitted; None where none is better."""
     best = state
     for on, start in sets:
         if (on, state.kappa) in tried:
@@ -421,7 +425,7 @@ def _verified(
 
 
 def _with_expected(problem: Problem, x: Array, effect: str) -> Array:
-    """Numbers with those of an effect as expected, or half a deviation off."""
+    """Numbers with those of an effect at their prior means, or half a standard deviation off."""
     b, own = problem.priors, problem.priors.of([effect])
     x = x.copy()
     x[own] = np.where(b.mean[own] != b.now[own], b.mean[own], b.now[own] + b.slab[own] / 2)
@@ -432,7 +436,7 @@ def _with_expected(problem: Problem, x: Array, effect: str) -> Array:
 def neighbours(
     problem: Problem, laplace: LaplaceEvidence, on: Sequence[str], kappa: float
 ) -> list[Move]:
-    """Moves that promise a gain, best first."""
+    """Moves with a predicted gain, the best first."""
     base = laplace.best(on, kappa).evidence + log_prior_of_days(kappa)
     found = [
         Move(m.effects, m.kappa, m.gain - base)
@@ -445,7 +449,7 @@ def neighbours(
 def _around(
     problem: Problem, laplace: LaplaceEvidence, on: Sequence[str], kappa: float
 ) -> Iterator[Move]:
-    """Every neighbour with its worth; none with a clock in the place of something else, see
+    """Every neighbour with its predicted log posterior; without exchanges that add a clock, see
     `_clocks`."""
 
     def move(effects: Sequence[str], days: float) -> Move:
@@ -474,14 +478,14 @@ def _around(
 def _ahead(
     problem: Problem, laplace: LaplaceEvidence, on: Sequence[str], first: Sequence[Move]
 ) -> Move | None:
-    """Several moves in a row, each the best by the linearisation; None where one is all.
+    """Several moves in a row, each the best by the linearisation; None where a single one is best.
 
-    Where there is a delay or a lag already, no other comes in on the way: a linearisation cannot
-    tell them apart.
+    Where a delay or a lag is present already, no other is added on the way: a linearisation cannot
+    distinguish between them.
     """
 
     def best(moves: Sequence[Move], known: Sequence[str]) -> Move | None:
-        """The first that may follow."""
+        """The first move that may follow."""
         timed = any(is_time(e) for e in known)
         return next(
             (m for m in moves if not timed or not any(map(is_time, {*m.effects} - {*known}))), None

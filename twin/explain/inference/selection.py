@@ -1,4 +1,4 @@
-"""Name what a model lacks: some effects, none, or a tie that the flights cannot break.
+"""Decision on what a model lacks: some effects, none, or a tie that the flights cannot resolve.
 
 | said of an effect | where |
 |---|---|
@@ -51,7 +51,8 @@ Verdict = Literal["named", "nothing", "unnamed", "cannot_tell", "unusable"]
 
 @dataclass(frozen=True, slots=True)
 class Resemblance:
-    """An effect that something acts like, and why it is not the cause, to read behind a colon."""
+    """An effect that the cause only resembles, and the reason why it is not the cause, a text after
+    a colon."""
 
     effect: str
     why: str
@@ -59,14 +60,14 @@ class Resemblance:
 
 @dataclass(frozen=True, slots=True)
 class Total:
-    """What the effects of a family make together.
+    """Sum over the effects of a family.
 
     Attributes:
-        family: Of which effects.
-        effects: Those that it may be, the more probable first.
-        probability: That one of them is there, alone or with others.
-        value: In the unit of the family.
-        sd: Standard deviation of it.
+        family: Family of the effects.
+        effects: Effects that may be present, the more probable first.
+        probability: Probability that at least one of them is present.
+        value: Value in the unit of the family.
+        sd: Standard deviation of the value.
         ci95: 95 % interval.
     """
 
@@ -80,30 +81,35 @@ class Total:
 
 @dataclass(frozen=True)
 class Naming:
-    """What the flights say about a model.
+    """Result of the selection of effects.
 
     Attributes:
-        fitted: Sets of effects worth a name at their best, most probable first, `nothing` among
-            them; without those of which the flights say nothing.
-        probabilities: Of each.
-        inclusion: Probability of every effect of the search that it is there and worth a name.
-        shown: Every effect that may be there with the mean of its numbers over all sets: what
-            predicts best. Numbers that the file is unsure of are among them.
-        conditional: The same effects, each with its numbers where it is there.
-        credible: Probability that the cause of an effect is of the library at all.
-        resemblances: Effects that something acts like.
-        posterior: All sets.
-        problem: What they were fitted against.
-        whitened: The flights, each on its day, with the noise that `shown` leaves.
-        kappa: By how much the days of these flights differ over what is usual.
-        days: What stands out of the day of a flight: flight -> "effect.number" -> difference from
-            what all flights share, and its standard deviation.
-        shares: By effect, the largest share of the power of a force or moment channel that it
-            takes, and the channel.
-        detectable: By effect without a name in the most probable set, the smallest that would show.
-        settings: From when on a name is given.
-        further: Effects without a mean that are reported with these: they widen the intervals.
-        unexplained: Channels of which the final set leaves more than sensor and pose do.
+        fitted: Candidate models whose effects are large enough to be named, at their MAP estimates,
+            the most probable first, `nothing` among them; without those about which the flights
+            contain no information.
+        probabilities: Posterior probability of each.
+        inclusion: Probability that each effect of the search is present and large enough to be
+            named.
+        shown: Model average: every effect that may be present, with its mean numbers over all
+            candidate models; it predicts best. Uncertain numbers of the file are included.
+        conditional: The same effects, with their mean numbers given that they are present.
+        credible: Probability that the cause of each effect is inside the library.
+        resemblances: Effects that the cause only resembles.
+        posterior: Posterior over all candidate models.
+        problem: Estimation problem.
+        whitened: Flights with their day-to-day deviations, whitened by a noise model of the
+            residuals of `shown`.
+        kappa: Factor on the standard deviation of day-to-day variation of these flights.
+        days: Significant day-to-day deviations: flight -> "effect.number" -> difference from the
+            shared value, and its standard deviation.
+        shares: By effect, its largest share of the power of a force or moment channel, and the
+            channel.
+        detectable: Smallest visible change of each effect that is not named in the most probable
+            model.
+        settings: Thresholds from which on an effect is named.
+        further: Number of zero-mean effects reported as well: they widen the intervals.
+        unexplained: Channels with a larger residual under the final model than that between sensor
+            and pose.
     """
 
     fitted: tuple[Fit, ...]
@@ -128,44 +134,44 @@ class Naming:
 
     @property
     def best(self) -> Fit:
-        """The most probable set."""
+        """The most probable candidate model."""
         return self.fitted[0]
 
     @property
     def nothing(self) -> Fit:
-        """The set without any effect."""
+        """The candidate model without any effect."""
         return next(f for f in self.fitted if not f.effects)
 
     @property
     def likely(self) -> tuple[Fit, ...]:
-        """Sets that are candidates, the most probable first."""
+        """Plausible candidate models, the most probable first."""
         pairs = zip(self.fitted, self.probabilities, strict=True)
         return tuple(f for f, p in pairs if p >= self.settings.least)
 
     def probability_of(self, effect: str) -> float:
-        """That an effect is missing, alone or with others; of one that stands for its family, that
-        one of the family is."""
+        """Probability that an effect is missing, alone or with others; for the representative of a
+        family, that at least one of the family is."""
         total = self.standing.get(effect)
         return self.joint_probability([effect]) if total is None else total.probability
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Effects that are sure, and those that stand for a family that is."""
+        """Effects that are certain, and representatives of certain families."""
         of_families = {e for t in self.standing.values() for e in t.effects}
         alone = (e for e in self.best.effects if e not in of_families and self._is_sure(e))
         return (*alone, *self.standing)
 
     @property
     def undecided(self) -> tuple[str, ...]:
-        """Effects of the most probable set that are not sure, but may be the cause."""
+        """Effects of the most probable model that are not certain, but may be the cause."""
         placed = {r.effect for r in self.resemblances} | {*self.named}
         placed |= {e for t in self.standing.values() for e in t.effects}
         return tuple(e for e in self.best.effects if e not in placed)
 
     @cached_property
     def totals(self) -> tuple[Total, ...]:
-        """What is sure of families: one of the effects is there as surely as a name asks for, and
-        the 95 % interval of their sum excludes what the model has of it."""
+        """Certain families: at least one of the effects is present with the probability required
+        for a name, and the 95 % interval of their sum excludes the model's value."""
         alike, least, made = {r.effect for r in self.resemblances}, self.settings.least, []
         priors, half = self.problem.priors, self.wider(len(self.best.effects) + self.further)
         for family in FAMILIES:
@@ -184,13 +190,13 @@ class Naming:
 
     @property
     def standing(self) -> dict[str, Total]:
-        """Families that are sure while it is open how much each of their effects makes, be one of
-        them sure or not, by the effect that stands for them."""
+        """Certain families whose split between the effects is uncertain, whether one of them is
+        certain or not, by their representative effect."""
         return {t.family.first: t for t in self.totals if len(t.effects) > 1}
 
     @property
     def verdict(self) -> Verdict:
-        """In a word: something is named where one effect is sure, whatever else is not."""
+        """Verdict: "named" where one effect is certain, even if others are not."""
         if self.named:
             return "named"
         if self.resemblances:
@@ -206,34 +212,36 @@ class Naming:
         )
 
     def _may_be_none(self, effect: str) -> bool:
-        """Whether no interval of its numbers, as reported, excludes no effect."""
+        """Whether every reported interval of its numbers contains no effect."""
         own = self.estimates(effect, len(self.best.effects) + self.further)
         own = [t for t in own if t.no_effect is not None]
         return bool(own) and all(t.may_be_none for t in own)
 
     def estimates(self, effect: str, reported: int, fitted: Fit | None = None) -> list[Estimate]:
-        """Numbers of an effect where it is there, or of a fit; the more effects are reported, the
-        wider."""
+        """Estimates of an effect given that it is present, or in a fit; intervals widen with the
+        number of reported effects."""
         fitted = fitted or self.conditional
         return fitted_estimates(fitted, self.problem.priors, effect, self.wider(reported))
 
     def wider(self, reported: int) -> float:
-        """By what intervals are wider where so many effects are reported."""
+        """Factor by which intervals widen with the number of reported effects."""
         return math.sqrt(1 + self.settings.variance_per_effect * reported)
 
     def joint_probability(self, effects: Collection[str]) -> float:
-        """That some effects are missing, all of them, and each cause is of the library."""
+        """Probability that all of these effects are missing, and each cause is inside the
+        library."""
         pairs = zip(self.fitted, self.probabilities, strict=True)
         among = float(sum(p for f, p in pairs if set(effects) <= set(f.effects)))
         return among * math.prod(self.credible.get(e, 1.0) for e in effects)
 
     @property
     def outside(self) -> float:
-        """That a cause is none of the library, though the best set gives it a name."""
+        """Probability that a cause is outside the library, though the most probable model names
+        it."""
         return 1 - math.prod(self.credible.get(e, 1.0) for e in self.best.effects)
 
     def one_of(self, effect: str) -> tuple[str, ...]:
-        """Other causes that may stand in the place of one: effects, or "effect:rotor"."""
+        """Alternative causes to one: effects, or "effect:rotor"."""
         own = [c for c in self.problem.priors.causes if effect_of(c) == effect]
         members = self.standing[effect].effects if effect in self.standing else ()
         others = (o for c in own for o in self.posterior.exchangeable(c))
@@ -252,17 +260,17 @@ def name_effects(
     silent: Collection[str] = (),
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> Naming:
-    """Find the sets of effects that flights make probable; arguments as of `explain`.
+    """Find the most probable candidate models; arguments as of `explain`.
 
     Args:
-        flights: To fit on.
-        vehicle: The model as it stands.
+        flights: Flights for the fit.
+        vehicle: Nominal model.
         apart: See `since_problem`.
         silent: See `since_problem`.
-        checkpoint: Keeps where the searches stand.
+        checkpoint: Stores the states of the searches.
 
     Raises:
-        ModelError: The vehicle holds no calibration to ask since.
+        ModelError: The vehicle contains no calibration from which to search changes.
     """
     known = candidates(flights, since)
     model = model_of(flights, vehicle, known, lambda done: progress(0.1 * done), payloads)
@@ -296,13 +304,13 @@ def since_problem(
     apart: Collection[str] = (),
     silent: Collection[str] = (),
 ) -> Problem:
-    """Whatever may have changed on a calibrated aircraft.
+    """Estimation problem of changes on a calibrated aircraft.
 
     Args:
         model: New flights with the calibrated vehicle.
-        settings: Noise.
+        settings: Settings of the noise.
         apart: Effects that are judged elsewhere.
-        silent: Channels whose constants are judged elsewhere: here they may be anything.
+        silent: Channels whose constants are judged elsewhere and are unrestricted here.
     """
     priors = priors_since(model)
     odds = {c: v for c, v in priors.odds.items() if effect_of(c) not in apart}
@@ -318,11 +326,11 @@ def climb(
     last: bool = True,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> SearchResult:
-    """The end of the search from where it promises most; `last` and `checkpoint` as of `search`.
+    """Result of the search from the most promising start; `last` and `checkpoint` as of `search`.
 
-    A model that lacks little is searched from nothing on. One that asks for many effects at once is
-    searched from what nobody measures on every aircraft: from nothing on, each effect would be
-    judged while all others are absent.
+    A model that lacks little is searched from the empty set. One that lacks many effects is
+    searched from those that are unmeasured on every aircraft: from the empty set, each effect would
+    be judged while all others are absent.
     """
     every = calibration_start(problem.priors)
     if len(score_test_candidates(problem)) > MANY:
@@ -335,13 +343,14 @@ def climb(
 
 
 LEFT = "it leaves much of what its law should take"
-"""Why something only acts like an effect."""
+"""Reason why a cause only resembles an effect."""
 UNKNOWN_CONSTANT = 1e6
-"""Deviation of a constant that says nothing, in the unit of any channel."""
+"""Standard deviation of an unrestricted constant, in the unit of any channel."""
 DAYS_SHOWN = 3
-"""Flights from which on it is told how much their days differ: two show a single difference."""
+"""Number of flights from which on their day-to-day variation is reported: two give a single
+difference."""
 MANY = 4
-"""Effects that a model may lack to be called nearly right."""
+"""Number of effects that an approximately right model may lack."""
 
 
 def _named(
@@ -395,8 +404,8 @@ def _named(
 
 
 def _silent(problem: Problem, posterior: Posterior, rules: SelectionSettings) -> frozenset[str]:
-    """Causes for which the flights do not speak: what odds they have are those that they had, or
-    less, which is no sign that they are there."""
+    """Causes about which the flights contain no information: their posterior odds do not exceed the
+    prior ones, which is no sign that they are present."""
     odds, moved = problem.priors.odds, math.log(rules.moved)
     unsure = {c: p for c, p in posterior.inclusion.items() if rules.least <= p < 0.5}
     return frozenset(c for c, p in unsure.items() if math.log(p / (1 - p)) < odds[c] + moved)
@@ -405,10 +414,10 @@ def _silent(problem: Problem, posterior: Posterior, rules: SelectionSettings) ->
 def averaged(
     problem: Problem, posterior: Posterior, named: Sequence[str], rules: SelectionSettings
 ) -> tuple[Fit, Fit]:
-    """Effects that may be there, with the means of their numbers over all sets, and over those that
-    hold them: what has a name in the most probable set, and what else moves the mean of a number by
-    as much as is worth one, or would, being there as likely as not. Less of an aircraft is left as
-    the file has it: a lag of half a row of the log is none of its properties."""
+    """Effects that may be present, with their mean numbers over all candidate models, and over
+    those that contain them: those named in the most probable model, and others that shift the mean
+    of a number by the least size that is named, or would, at probability one half. Others stay as
+    in the file: a lag of half a row of the log is no property of an aircraft."""
     b, k = problem.priors, len(problem.priors.now)
     p = np.array([s.probability for s in posterior.sets])
     x = np.array([s.best.x[:k] for s in posterior.sets])
@@ -427,7 +436,7 @@ def averaged(
     mean, alone = (np.concatenate([x, days]) for x in (mean, held))
 
     def moves(cause: str) -> bool:
-        """Whether it is named, or moves the prediction."""
+        """Whether a cause is named, or changes the prediction."""
         chance = posterior.inclusion[cause]
         at = alone if chance >= 0.5 else mean
         large = fit_of(problem, [cause], at, spread, 0.0).sizes()[effect_of(cause)] >= 1
@@ -442,7 +451,8 @@ def averaged(
 
 
 def _ridge(problem: Problem, posterior: Posterior, number: Number) -> float:
-    """See `Fit.ridges`; in the most probable set with the number's cause."""
+    """Ratio of standard deviations, see `Fit.ridges`; in the most probable model with the number's
+    cause."""
     b = problem.priors
     i = b.names.index(number.full)
     shapes = [int(j) for j in b.of([number.effect]) if b.shape[j]]
@@ -458,17 +468,18 @@ def _credible(
     settings: InferenceSettings,
     usual: Mapping[str, float],
 ) -> dict[str, float]:
-    """Of each effect of the best set what `adequacy.credible` says.
+    """Credibility of each effect of the most probable model, by `adequacy.credible`.
 
-    Of a model that lacks many things at once it is not asked: what one law leaves is not to be told
-    from what the others do. Then what was believed before is all that is known.
+    Not evaluated for a model that lacks many effects at once: the error of one law cannot be
+    separated from those of the others. The prior probability remains.
     """
     if len(best.effects) > settings.adequacy.most:
         return dict.fromkeys(best.effects, 1 - settings.adequacy.outside)
     state = found.state
 
     def whole(on: Sequence[str]) -> Fit:
-        """A set with every number that moves with it, those that the file is unsure of too."""
+        """A candidate model with every number that it changes, including uncertain ones of the
+        file."""
         made = found.laplace.best(on, state.kappa)
         return replace(fit_of_best(problem, on, made, 0.0), values=problem.values(made.x))
 
@@ -491,13 +502,14 @@ def _resemblances(
 
 
 def shares_of(problem: Problem, state: State) -> dict[str, tuple[float, str]]:
-    """Of each effect what `force_shares` says, at the end of a search."""
+    """Shares of each effect by `force_shares`, at the end of a search."""
     b = problem.priors
     return force_shares(state.spectrum, [effect_of(c) for c in b.cause], state.best.x)
 
 
 def days_of(problem: Problem, best: MapEstimate) -> dict[str, dict[str, tuple[float, float]]]:
-    """What stands out of each flight's day: flight -> "effect.number" -> value and deviation."""
+    """Significant day-to-day deviations of each flight: flight -> "effect.number" -> value and
+    standard deviation."""
     b, sd = problem.priors, best.deviations()
     found = {}
     for f, flight in enumerate(problem.model.flights):

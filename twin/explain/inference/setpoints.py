@@ -1,5 +1,5 @@
-"""What is asked of an aircraft, as an acceleration: of a mission or a stick, of an attitude
-controller, of other flights of the same mission; and the speed that was flown.
+"""Setpoints as accelerations: of a mission or pilot, of an attitude controller, and the mean of
+other flights of the same mission; and the flown speed.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,30 +14,32 @@ from ...residuals.channels import CHANNEL_HZ, Array, ChannelData
 from ...residuals.measured import signal_of
 
 FEWEST = 50
-"""Samples of a setpoint at least."""
+"""Least number of samples of a setpoint."""
 ALIKE = 0.8
-"""Correlation of velocities from which on two flights are of one mission. Made up."""
+"""Correlation of velocities from which on two flights belong to one mission. Made up."""
 SLOW_HZ, SLOWEST_WAY_M_S = 0.8, 0.25
-"""Speeds below this frequency, with a deviation from this on, are those of a way: in hover pushes
-move a Crazyflie by 0.05 m/s, an aircraft of 18 kg in 4 m/s of wind by 0.1 to 0.3."""
+"""Frequency below which, and standard deviation from which, speeds belong to deliberate travel: in
+hover disturbances move a Crazyflie by 0.05 m/s, an aircraft of 18 kg in 4 m/s of wind by 0.1 to
+0.3."""
 SHARPEST = 0.3, 6.0
-"""Low-pass of a setpoint before it is differentiated: share of its rate, and Hz at most."""
+"""Cut-off of the low-pass of a setpoint before differentiation: share of its sample rate, and upper
+limit in Hz."""
 
 
 def turns(channel: str) -> bool:
-    """Whether a channel is of angular acceleration."""
+    """Whether a channel is an angular acceleration."""
     return channel.startswith(("gyro_rate_", "motion_rate_"))
 
 
 def lifts(channel: str) -> bool:
-    """Whether a channel is of specific force along the thrust."""
+    """Whether a channel is the specific force along the thrust."""
     return channel in {"acc_z", "motion_acc_z"}
 
 
 def _mission(flights: Sequence[Flight], own: Sequence[ChannelData], f: int) -> Array | None:
-    """The velocity that is asked for across an axis, and its third derivative, shape (n, 2): what
-    the air and what the rotors do to turn the aircraft then. Of a position one derivative more.
-    About z it is the heading, which no position loop moves."""
+    """The velocity setpoint across an axis, and its third derivative, shape (n, 2): the moments by
+    the air and by the rotors during the motion. For a position setpoint, one derivative more. About
+    z it is the heading, which no position loop moves."""
     flight, autopilot, name = flights[f], flights[f].autopilot, own[f].name
     if name.endswith("z"):
         return _attitude(flights, own, f)
@@ -53,7 +55,8 @@ def _mission(flights: Sequence[Flight], own: Sequence[ChannelData], f: int) -> A
 
 
 def _across(flight: Flight, t_s: Array, level: Array, name: str) -> Array:
-    """What is level, north and east, (n, 2), ahead for a channel of pitch, else to the right."""
+    """Component of a horizontal vector, north and east, (n, 2): forward for a pitch channel, else
+    to the right."""
     attitude = signal_of(flight, QUAT)
     yaw = np.interp(t_s, attitude.t_s, np.unwrap(to_euler(attitude.values.T)[2]))
     yaw += 0.0 if name.endswith("y") else np.pi / 2
@@ -61,8 +64,8 @@ def _across(flight: Flight, t_s: Array, level: Array, name: str) -> Array:
 
 
 def flown_across(flight: Flight, channel: ChannelData) -> Array | None:
-    """The speed that was flown across an axis, m/s, at the samples of its channel; None about z,
-    and where the flight doesn't tell it."""
+    """The flown speed across an axis, m/s, at the samples of its channel; None about z, and where
+    the flight does not contain it."""
     if channel.name.endswith("z") or not flight.has(*VEL, *QUAT):
         return None
     flown = signal_of(flight, VEL)
@@ -71,7 +74,7 @@ def flown_across(flight: Flight, channel: ChannelData) -> Array | None:
 
 
 def _flown(flights: Sequence[Flight], own: Sequence[ChannelData], f: int) -> Array | None:
-    """The flown speed itself, shape (n, 1), of a flight that went somewhere."""
+    """The flown speed itself, shape (n, 1), for a flight with deliberate travel."""
     speed = flown_across(flights[f], own[f])
     if speed is None or len(speed) < FEWEST:
         return None
@@ -80,7 +83,7 @@ def _flown(flights: Sequence[Flight], own: Sequence[ChannelData], f: int) -> Arr
 
 
 def _attitude(flights: Sequence[Flight], own: Sequence[ChannelData], f: int) -> Array | None:
-    """Second derivative of the attitude that is asked for, shape (n, 1)."""
+    """Second derivative of the attitude setpoint, shape (n, 1)."""
     autopilot = flights[f].autopilot
     attitude = None if autopilot is None else autopilot.setpoint(QUAT)
     if attitude is None:
@@ -107,7 +110,8 @@ SOURCES: dict[str, Callable[[Sequence[Flight], Sequence[ChannelData], int], Arra
     "other flights": _others,
     "flown speed": _flown,
 }
-"""What may ask, in the order of trust: flights, the channel of each, number of the flight."""
+"""Possible instruments in order of trust: functions of the flights, the channel of each, and the
+index of the flight."""
 
 
 def _derived(t_s: Array, values: Array, at_s: Array, times: int) -> Array | None:
@@ -124,7 +128,7 @@ def _derived(t_s: Array, values: Array, at_s: Array, times: int) -> Array | None
 
 
 def _later(one: Flight, other: Flight) -> float | None:
-    """By how much another flight of the same mission has later times; None: it is of another."""
+    """Time offset of another flight of the same mission, s; None: it is of another mission."""
     if not (one.has(*VEL) and other.has(*VEL)):
         return None
     step_s, moved, starts = 2 / CHANNEL_HZ, [], []

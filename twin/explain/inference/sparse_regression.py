@@ -1,14 +1,14 @@
 """Sparse regression of one channel on products of physical quantities of a flight.
 
-*Quantities* of a flight on its grid, with units. Each is known without the reading that it is to
-explain: motion from the pose, turning from the gyroscope, load from the equations of the rotors.
-An accelerometer explains nothing here.
+*Quantities* of a flight on its grid, with units. None is derived from the reading to be explained:
+motion is from the pose, rotation from the gyroscope, rotor load from the rotor equations. The
+accelerometer is not used.
 
 *Terms*: products of quantities, and the units of their coefficients.
 
-*Regression*, whitened, scored on blocks of time that took no part in it: terms are picked by
-forward regression with orthogonal least squares, their number by what they gain out of sample.
-Picking is part of the fit: it is repeated for every part of the time that is left out.
+*Regression*, whitened, scored on time blocks that were not used in it: terms are selected by
+forward regression with orthogonal least squares, their number by the out-of-sample gain. Selection
+is part of the fit: it is repeated for every fold.
 
 Source: Billings et al., Int. J. Control 49 (1989); Brunton, Proctor & Kutz, PNAS 113 (2016).
 """
@@ -32,7 +32,7 @@ from .whitening import Block, Key
 
 IntArray = NDArray[np.intp]
 Unit = Mapping[str, int]
-"""Powers of base units."""
+"""Exponents of base units."""
 PLAIN: Unit = {}  # no unit
 SPEED: Unit = {"m": 1, "s": -1}  # m/s
 TURNING: Unit = {"rad": 1, "s": -1}  # rad/s
@@ -40,8 +40,8 @@ TURNING: Unit = {"rad": 1, "s": -1}  # rad/s
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One quantity of one flight on the grid, shape (n,), with powers of its base units; of degree
-    2 it may be multiplied with others, of degree 1 it stands alone."""
+    """One quantity of one flight on the grid, shape (n,), with exponents of its base units; one of
+    degree 2 may be multiplied with others, one of degree 1 may not."""
 
     unit: Unit
     values: Array
@@ -49,7 +49,7 @@ class Quantity:
 
 
 def quantities(flight: FlightModel) -> dict[str, Quantity]:
-    """By symbol; what the flight does not hold is left out."""
+    """Quantities of a flight, by symbol; missing ones are omitted."""
     aligned, t = flight.aligned, flight.aligned.inputs.t_s
     motion = aligned.motion
     found = _of_rotors(flight)
@@ -77,8 +77,8 @@ def quantities(flight: FlightModel) -> dict[str, Quantity]:
 
 
 def _of_rotors(flight: FlightModel) -> dict[str, Quantity]:
-    """Thrust over the weight, and commands over that of hover: whole, and front over rear, right
-    over left, clockwise over counter-clockwise."""
+    """Thrust over weight, and commands over that of hover: total, and front over rear, right over
+    left, clockwise over counter-clockwise."""
     aligned, vehicle = flight.aligned, flight.vehicle
     body, u = aligned.airframe, aligned.inputs.u
     rotors = vehicle.rotors
@@ -110,18 +110,18 @@ def _of_rotors(flight: FlightModel) -> dict[str, Quantity]:
 
 
 def later(quantity: Quantity, by_s: float) -> Quantity:
-    """The same, late: what it was a while ago."""
+    """The quantity delayed by a time, s."""
     shift = round(by_s * GRID_HZ)
     values = np.concatenate([np.full(shift, quantity.values[0]), quantity.values[:-shift]])
     return Quantity(quantity.unit, values, quantity.degree)
 
 
-RAISED = {2: "²", 3: "³", 4: "⁴"}  # how powers are shown
+RAISED = {2: "²", 3: "³", 4: "⁴"}  # superscripts of powers
 
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """A column of the regression, "|v| v_x", powers of its base units, and values on the grid,
+    """A column of the regression, "|v| v_x", exponents of its base units, and values on the grid,
     shape (n,)."""
 
     text: str
@@ -135,8 +135,7 @@ def terms(
     tones_hz: tuple[float, ...],
     settings: UnnamedSettings = DEFAULT.unnamed,
 ) -> list[Term]:
-    """Everything up to products of two quantities, laws of drag and tones that may explain a
-    channel."""
+    """All products of up to two quantities, drag laws and tones that may explain a channel."""
     axis, sensor = channel[-1], sensor_of(channel)
     of_rates = sensor is not None and sensor.rate is not None
     own = {
@@ -165,7 +164,8 @@ def terms(
 
 
 def _may_explain(symbol: str, channel: str) -> bool:
-    """Directions stand for what is fixed in space: a field; a force along its own axis."""
+    """Whether a quantity may explain a channel: directions represent vectors fixed in space, such
+    as a field, or a force along its own axis."""
     if symbol.partition("_")[0] not in ("north", "east", "down"):
         return True
     sensor = sensor_of(channel)
@@ -191,7 +191,7 @@ def _times(a: Unit, b: Unit) -> Unit:
 
 
 def powers_of(unit: str) -> Unit:
-    """Powers of a unit such as "rad/s²"."""
+    """Exponents of a unit such as "rad/s²"."""
     raised = {mark: power for power, mark in RAISED.items()}
     above, _, below = unit.partition("/")
     found: dict[str, int] = {}
@@ -203,7 +203,7 @@ def powers_of(unit: str) -> Unit:
 
 
 def over(channel: Unit, term: Unit) -> str:
-    """Unit of what stands before a term: "1/m", "rad s", "1"."""
+    """Unit of the coefficient of a term: "1/m", "rad s", "1"."""
     powers = _times(channel, {k: -v for k, v in term.items()})
     above, below = (
         " ".join(k + RAISED.get(abs(v), "") for k, v in powers.items() if v * sign > 0)
@@ -215,18 +215,18 @@ def over(channel: Unit, term: Unit) -> str:
 
 
 RIDGE = 1e-6
-"""Share of the power of a column that is added, so that no combination of columns vanishes."""
+"""Ridge as a share of the power of a column, so that no combination of columns is singular."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sparse:
-    """An equation of one channel.
+    """Equation of one channel.
 
     Attributes:
-        picked: Columns, in the order of what they explain.
-        coefficients: Of these, shape (k,).
-        by_fold: The same fitted without each part of the time, shape (folds, p).
-        gains: Log likelihood per block of time, out of sample.
+        picked: Selected columns, in the order of the power that they explain.
+        coefficients: Coefficients, shape (k,).
+        by_fold: Coefficients fitted without each fold, shape (folds, p).
+        gains: Out-of-sample log likelihood gain per time block, nats.
     """
 
     picked: tuple[int, ...]
@@ -236,14 +236,14 @@ class Sparse:
 
     @property
     def gain(self) -> float:
-        """Over all blocks."""
+        """Sum of the gains over all blocks, nats."""
         return sum(self.gains.values())
 
 
 def fold_of(
     keys: Sequence[Key], seed: int, settings: UnnamedSettings = DEFAULT.unnamed
 ) -> dict[Key, int]:
-    """Which part of the time each block belongs to."""
+    """Fold of each time block."""
     order = np.random.default_rng(seed).permutation(len(keys))
     return {keys[i]: int(n) % settings.folds for n, i in enumerate(order)}
 
@@ -285,7 +285,7 @@ def sparse(
 
 
 def longest(blocks: Mapping[Key, Block], settings: UnnamedSettings = DEFAULT.unnamed) -> Array:
-    """Coefficients of the equation with `most_terms` terms, fitted to everything, shape (p,)."""
+    """Coefficients of the equation with `most_terms` terms, fitted to all data, shape (p,)."""
     whole, most = _whole(blocks), settings.most_terms
     return _path(whole, _size(whole), most)[most]
 
@@ -296,7 +296,7 @@ def _size(block: Block) -> Array:
 
 
 def _whole(blocks: Mapping[Key, Block]) -> Block:
-    """Sums over all time."""
+    """Sums over all time blocks."""
     every = list(blocks.values())
     return _sum(every, len(every[0].pull))
 
@@ -311,11 +311,12 @@ def _gain(block: Block, coefficients: Array) -> float:
 
 
 def forward(gram: Array, pull: Array, most: int) -> IntArray:
-    """Columns by what each explains beside those before it, the most first, shape (most,) or (p,).
+    """Columns in the order of the power that each explains beyond the earlier ones, shape (most,)
+    or (p,).
 
-    What the columns picked so far leave of the power and of the pull of each is told by the sums of
-    products alone, of columns, shape (p, p), and with what is to be explained, shape (p,): picking
-    is a Cholesky factorisation with pivots.
+    The remaining power and covariance of each column follow from the products alone, of columns,
+    shape (p, p), and with the residual, shape (p,): selection is a Cholesky factorisation with
+    pivots.
     """
     p = len(pull)
     power, left = np.diag(gram).copy(), pull.copy()

@@ -1,8 +1,8 @@
-"""Residuals by frequency: sums per channel and band, in which any set of numbers can be judged.
+"""Residuals by frequency: sums per channel and band, from which any candidate model is evaluated.
 
 The orthonormal discrete cosine transform (Ahmed, Natarajan & Rao, IEEE Trans. Computers C-23, 1974)
-of each uninterrupted piece keeps sums of squares, and parts what is slow from what is fast. The
-constant of a flight is a band of its own, of one sample: what a trim or a day does.
+of each uninterrupted piece preserves sums of squares, and separates frequencies. The constant of a
+flight is a band of its own, of one sample: it contains trims and day-to-day offsets.
 """
 
 from collections.abc import Sequence
@@ -19,26 +19,26 @@ from ...residuals.channels import CHANNEL_HZ, Array, ChannelData
 
 Flights = Sequence[Sequence[ChannelData]]
 BANDS_HZ = np.array([0.0, 0.3, 0.8, 2.0, 4.5, 7.0, 10.0, 13.0, 16.0, 20.0, CHANNEL_HZ / 2 + 0.1])
-"""Edges of the bands; the constant is apart."""
+"""Edges of the bands, Hz; the constant is separate."""
 SHORTEST = 8
-"""Samples of a piece at least."""
+"""Least number of samples of a piece."""
 OF_POSE, OF_POSE_HZ = "pose_", 10.0
-"""How channels begin of what a pose implies, and the frequency up to which they count: beyond it
-they are noise that thinning out has mirrored, see `POSE_PASSES` of `model.factors`."""
+"""Prefix of channels implied by a pose, and the frequency, Hz, up to which they count: above it
+they contain noise aliased by decimation, see `POSE_PASSES` of `model.factors`."""
 FORCE_CHANNELS = ("acc_", "gyro_rate_", "motion_acc_", "motion_rate_")
-"""How channels of specific force and of angular acceleration begin."""
+"""Prefixes of channels of specific force and of angular acceleration."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """One channel of one flight, transformed.
+    """One channel of one flight after the transform.
 
     Attributes:
-        band: Of each row, shape (n,); 0: the constants, one per piece, weighted so that all of
-            them count as one sample.
-        residual: Shape (n,).
-        active: Columns that the channel answers to, shape (m,).
-        slopes: Of these, shape (n, m).
+        band: Band of each row, shape (n,); 0: the constants, one per piece, weighted so that
+            together they count as one sample.
+        residual: Residual, shape (n,).
+        active: Indices of the numbers that influence the channel, shape (m,).
+        slopes: Slopes by these, shape (n, m).
     """
 
     band: NDArray[np.intp]
@@ -51,14 +51,14 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class Spectrum:
-    """All channels of all flights about some values of the numbers.
+    """All channels of all flights, linearised at some values of the numbers.
 
     Attributes:
-        channels: Names.
-        rows: Per channel, per flight.
-        theta: Values of the numbers less those of the model as it stands, shape (k,).
-        days: Of each flight beyond these, shape (flights, d).
-        day_columns: Which numbers these are of, shape (d,).
+        channels: Names of the channels.
+        rows: Rows per channel and flight.
+        theta: Values of the numbers minus those of the nominal model, shape (k,).
+        days: Day-to-day deviations of each flight, shape (flights, d).
+        day_columns: Indices of the numbers with day-to-day variation, shape (d,).
     """
 
     channels: tuple[str, ...]
@@ -79,7 +79,7 @@ class Spectrum:
         return cls(names, rows, theta, days, day_columns)
 
     def moved(self, flights: Flights, theta: Array, days: Array) -> "Spectrum":
-        """The same slopes with residuals taken elsewhere."""
+        """The same slopes with residuals at other values."""
         rows = tuple(
             tuple(
                 replace(r, residual=transformed(f[i], f[i].residual[:, None])[0][:, 0])
@@ -90,7 +90,7 @@ class Spectrum:
         return replace(self, rows=rows, theta=theta, days=days)
 
     def renewed(self, flights: Flights, columns: NDArray[np.intp]) -> "Spectrum":
-        """The same residuals with the slopes of some columns taken anew."""
+        """The same residuals with the slopes of some columns recomputed."""
         rows = tuple(
             tuple(
                 _with_slopes(r, len(self.theta), columns, transformed(f[i], f[i].slopes)[0])
@@ -101,7 +101,7 @@ class Spectrum:
         return replace(self, rows=rows)
 
     def only(self, columns: NDArray[np.intp]) -> "Spectrum":
-        """The same with the slopes of some columns alone."""
+        """The spectrum with the slopes of some columns only."""
         rows = tuple(
             tuple(
                 replace(r, active=r.active[keep], slopes=r.slopes[:, keep])
@@ -113,7 +113,8 @@ class Spectrum:
         return replace(self, rows=rows)
 
     def extended(self, flights: Flights) -> "Spectrum":
-        """The same with more columns, of numbers that are 0 here: all slopes of some channels."""
+        """The spectrum with additional columns, for numbers that are 0 here: all slopes of some
+        channels."""
         k = len(self.theta) + np.arange(flights[0][0].slopes.shape[1])
         rows = tuple(
             tuple(
@@ -156,8 +157,8 @@ def _with_slopes(rows: Rows, width: int, columns: NDArray[np.intp], slopes: Arra
 
 
 def transformed(channel: ChannelData, values: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Rows of all long enough pieces of a channel with values at its samples, shape (n, m), and
-    their bands; of what a pose implies those up to `OF_POSE_HZ`."""
+    """Transformed values of all long enough pieces of a channel, shape (n, m), and their bands; for
+    channels implied by a pose, up to `OF_POSE_HZ`."""
     out, bands = [], []
     ends = [0, *(np.flatnonzero(np.diff(channel.piece)) + 1).tolist(), len(channel.piece)]
     pieces = [slice(a, b) for a, b in pairwise(ends) if b - a >= SHORTEST]
@@ -178,7 +179,7 @@ def transformed(channel: ChannelData, values: Array) -> tuple[Array, NDArray[np.
 
 @lru_cache(maxsize=64)
 def _bands(n: int, of_pose: bool) -> NDArray[np.intp]:
-    """Band of each frequency that counts of a piece of n samples."""
+    """Band of each frequency of a piece of n samples that is used."""
     hz = np.arange(n) * CHANNEL_HZ / 2 / n
     band = np.searchsorted(BANDS_HZ, hz, side="right")
     band[0] = 0
@@ -188,14 +189,14 @@ def _bands(n: int, of_pose: bool) -> NDArray[np.intp]:
 def force_shares(
     spectrum: Spectrum, effects: Sequence[str], x: Array
 ) -> dict[str, tuple[float, str]]:
-    """By effect, the largest share of the power of a force or moment channel that it takes, and the
-    channel: one minus the power with all effects over that without this one, in the linearisation.
-    A constant, one row, has the power of all samples.
+    """By effect, its largest share of the power of a force or moment channel, and the channel: one
+    minus the ratio of the power with all effects to that without this one, in the linearisation. A
+    constant, one row, has the power of all samples.
 
     Args:
         spectrum: Residuals with all effects, and slopes.
-        effects: Effect of each column of the slopes, shape (k,).
-        x: Change of each of these numbers from the model as it stands, shape (k,).
+        effects: Effect of each slope column, shape (k,).
+        x: Change of each of these numbers from the nominal model, shape (k,).
     """
     taken: dict[str, tuple[float, str]] = {}
     of = np.array(effects)

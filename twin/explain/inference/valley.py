@@ -1,15 +1,16 @@
-"""Where to begin with an effect that another one hides: along the valley between the two.
+"""Starting points for an effect that another one masks: along the valley between the two.
 
-An effect whose states an observer follows is far from linear in its size and shapes: what is
-followed depends on the constants as well. Where the constants of two effects cancel, each alone is
-ruled out by them, and no slope leads from none to both. The valley in which the constants stay as
-they are has one dimension more than the shapes; it is laid out on a grid, with the exact model.
+An effect whose states an observer estimates is strongly nonlinear in its size and shape parameters:
+the estimates depend on the constants as well. Where the constants of two effects cancel, each alone
+is rejected because of them, and no gradient leads from none to both. The valley in which the
+constants stay equal has one dimension more than the shapes; it is sampled on a grid, with the exact
+model.
 
     r0 - r(s) = B y,    x(s) = x0 + s e + s / s0 y
 
-r: constants of the channels over their deviations between days; s e: sizes and shapes of the
-effect; B: slopes of the constants by the numbers of the partner; y: what takes back r(s0) - r0.
-The partner is the effect that does so with the highest prior density.
+r: constants of the channels over their between-flight standard deviations; s e: sizes and shape
+parameters of the effect; B: slopes of the constants by the numbers of the partner; y: change that
+compensates r(s0) - r0. The partner is the effect that does so with the highest prior density.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,23 +27,25 @@ from .spectrum import OF_POSE, Spectrum
 
 Array = NDArray[np.float64]
 Start = tuple[tuple[str, ...], Array]
-"""A set of effects, and the numbers to begin with, as `MapEstimate.x`."""
+"""A candidate model, and its initial numbers, as `MapEstimate.x`."""
 SIZES, PIVOT = np.geomspace(0.18, 1.4, 7), 0.5
-"""Of the effect over its prior deviation; that at which partners are compared."""
+"""Sizes of the effect over its prior standard deviation; and the one at which partners are
+compared."""
 SHAPES = np.geomspace(0.5, 1.9, 6)
-"""Its shapes over what is expected of them."""
+"""Shape parameters over their prior means."""
 PARTNERS, BALANCING, STARTS = 2, 2, 2
-"""Partners whose valleys are laid out; steps to one; the best places of each, where fits begin."""
+"""Number of partners whose valleys are sampled; steps to balance one; and best points of each from
+which fits start."""
 MORE = 3.0
-"""What a model leaves in a band, over what sensor and pose leave of each other, from which on there
-is something to follow."""
+"""Ratio of the residual in a band to that between sensor and pose, from which on there is something
+for an observer to follow."""
 LEAST = 1e-6
-"""Prior precision of the numbers of a partner, where they are to take back all: of a solver."""
+"""Prior precision of the partner's numbers that must compensate all; a solver tolerance."""
 
 
 def hidden_starts(problem: Problem, laplace: LaplaceEvidence, state: State) -> Iterator[Start]:
-    """Starts for each effect with an observer that the channels leave room for; `laplace`: about
-    the state."""
+    """Starts for each effect with an observer that the channels leave room for; `laplace`: near the
+    state."""
     room = leaves_motion(laplace.spectrum)
     for cause in problem.priors.causes:
         observer = EFFECTS[effect_of(cause)].observer
@@ -51,8 +54,8 @@ def hidden_starts(problem: Problem, laplace: LaplaceEvidence, state: State) -> I
 
 
 def leaves_motion(spectrum: Spectrum) -> dict[str, bool]:
-    """By channel that sensor and pose both tell, whether a model leaves more of it in a band than
-    they do of each other, so that it is no noise of either."""
+    """By channel measured by both sensor and pose, whether the residual in a band exceeds their
+    difference, so that it is no noise of either."""
     power, place = spectrum.power(), {n: i for i, n in enumerate(spectrum.channels)}
     mean = {k: p / n for k, (p, n) in power.items()}
     both = {n: (i, place[OF_POSE + n]) for n, i in place.items() if OF_POSE + n in place}
@@ -67,8 +70,8 @@ def leaves_motion(spectrum: Spectrum) -> dict[str, bool]:
 
 
 def _along(problem: Problem, spectrum: Spectrum, state: State, cause: str) -> list[Start]:
-    """The places of the valleys of an effect where all other numbers, at their best with its own
-    held, are worth most."""
+    """Points of the valleys of an effect with the largest log posterior over all other numbers, its
+    own fixed."""
     b = problem.priors
     own = np.array([i for i in b.of([cause]) if not b.shape[i]])
     shapes = np.array([i for i in b.of([cause]) if b.shape[i]], dtype=np.intp)
@@ -77,7 +80,7 @@ def _along(problem: Problem, spectrum: Spectrum, state: State, cause: str) -> li
     base[b.of([cause])] = 0.0
 
     def at(size: float, shape: float, partner: Array) -> Array:
-        """Numbers at a place of a valley."""
+        """Numbers at a point of a valley."""
         x = base.copy()
         x[own] = size * b.slab[own]
         x[shapes] = np.clip(shape * b.mean[shapes], b.low[shapes], b.high[shapes]) - b.now[shapes]
@@ -95,7 +98,7 @@ def _along(problem: Problem, spectrum: Spectrum, state: State, cause: str) -> li
     before = _constants(there(base))[0]
 
     def taken_back(partner: Array) -> Array:
-        """What the effect and its partner do to the constants."""
+        """Change of the constants by the effect and its partner."""
         return (_constants(there(at(PIVOT, 1.0, partner)))[0] - before) / deviation
 
     found: list[tuple[float, Start]] = []
@@ -120,7 +123,7 @@ def _along(problem: Problem, spectrum: Spectrum, state: State, cause: str) -> li
 def _partners(
     problem: Problem, slopes: Array, alone: Array, cause: str, on: Sequence[str]
 ) -> list[str]:
-    """Effects that take back what one does to the constants, the most probable first."""
+    """Effects that compensate the constants of one effect, the most probable first."""
     b, costs = problem.priors, {}
     for other in (c for c in b.causes if effect_of(c) != effect_of(cause)):
         own = slopes[:, [i for i in b.of([other]) if not b.shape[i]]]
@@ -131,13 +134,14 @@ def _partners(
 
 
 def _taking(slopes: Array, left: Array, precision: float) -> Array:
-    """Numbers that take something back, in prior deviations."""
+    """Numbers that compensate a residual, in prior standard deviations."""
     normal = slopes.T @ slopes + precision * np.eye(slopes.shape[1])
     return np.asarray(np.linalg.solve(normal, slopes.T @ left))
 
 
 def _constants(spectrum: Spectrum) -> tuple[Array, Array]:
-    """Of every channel and flight, shape (n,), and their slopes by all numbers, shape (n, k)."""
+    """Constants of every channel and flight, shape (n,), and their slopes by all numbers, shape (n,
+    k)."""
     values, slopes = [], []
     for r in (r for own in spectrum.rows for r in own):
         constant = r.band == 0
@@ -149,6 +153,6 @@ def _constants(spectrum: Spectrum) -> tuple[Array, Array]:
 
 
 def _deviations(problem: Problem, spectrum: Spectrum) -> Array:
-    """Of each constant between days."""
+    """Between-flight standard deviation of each constant."""
     floor = [problem.noise.bands.floor[c, 0] for c in range(len(spectrum.channels))]
     return np.asarray(np.sqrt(np.repeat(floor, len(problem.model.flights))))

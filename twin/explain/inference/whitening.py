@@ -1,7 +1,7 @@
-"""Residuals made white: the noise of a channel as an autoregression of what a model leaves.
+"""Whitening of residuals: the noise of a channel as an autoregressive (AR) model of its residual.
 
-Residual and regressors pass its inverse, after which samples are as good as independent; sums over
-blocks of time then say what an equation gains on time that it was not fitted on.
+Residual and regressors are filtered by its inverse, after which samples are nearly independent;
+sums over time blocks then give the out-of-sample gain of an equation.
 
 Source: prediction-error method with a noise model, Ljung, System Identification, ch. 7.
 """
@@ -19,31 +19,31 @@ from .noise import rounding_variance
 
 Flights = Sequence[Sequence[ChannelData]]
 Key = tuple[int, int]
-"""Flight and number of the time block in it."""
+"""Flight and index of the time block in it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Sums over one block of time, of whitened samples in units of their noise: slopes against
-    slopes, shape (k, k), slopes against residual, shape (k,), residual against itself."""
+    """Sums over one time block of whitened, normalised samples: slopes with slopes, shape (k, k),
+    slopes with residual, shape (k,), residual with itself."""
 
     gram: Array
     pull: Array
     power: float
 
     def __add__(self, other: "Block") -> "Block":
-        """Sums over both."""
+        """Sum of both."""
         return Block(self.gram + other.gram, self.pull + other.pull, self.power + other.power)
 
 
 @dataclass(frozen=True, slots=True)
 class Autoregression:
-    """Noise of one channel in all flights.
+    """AR noise model of one channel in all flights.
 
     Attributes:
-        inverse: Coefficients of the filter that makes it white, [1, a_1, ...].
-        size: Standard deviation of what is left then.
-        weights: Per flight, of each row, shape (n,).
+        inverse: Coefficients of the whitening filter, [1, a_1, ...].
+        size: Standard deviation of the innovation.
+        weights: Weights of the rows of each flight, shape (n,).
     """
 
     inverse: Array
@@ -59,13 +59,13 @@ def autoregression_of(
     order: int,
     settings: LikelihoodSettings = DEFAULT.inference.likelihood,
 ) -> Autoregression:
-    """Noise of a channel from what is left of it.
+    """AR noise model of a channel from its residual.
 
     Args:
-        channels: The channel of each flight.
-        unexplained: Per flight, shape (n,).
-        order: Of the autoregression; 0: white.
-        settings: Of the noise.
+        channels: The channel in each flight.
+        unexplained: Residual of each flight, shape (n,).
+        order: Order of the AR model; 0: white.
+        settings: Settings of the noise.
     """
     parts = [
         u[c.piece == k]
@@ -84,8 +84,8 @@ def autoregression_of(
 def _autoregression(
     parts: Sequence[Array], order: int, roughness: float, rounding: float
 ) -> tuple[Array, float]:
-    """Inverse filter and the deviation of the innovation, with some white noise added: a share of
-    the power, and the variance of rounding to the least count."""
+    """Whitening filter and standard deviation of the innovation, with some white noise added: a
+    share of the power, and the rounding variance."""
     long = [r for r in parts if len(r) > 2 * order]
     if order == 0 or not long:
         return np.ones(1), float(np.sqrt(np.var(np.concatenate(list(parts))) + rounding))
@@ -100,7 +100,7 @@ def _autoregression(
 
 
 def _whitened(channel: ChannelData, values: Array, inverse: Array) -> Array:
-    """Inverse filter piece by piece; rows before it has filled are zero."""
+    """Values whitened piece by piece; zero until the filter has filled."""
     out = np.zeros_like(values)
     if out.size == 0:
         return out
@@ -113,7 +113,7 @@ def _whitened(channel: ChannelData, values: Array, inverse: Array) -> Array:
 
 
 _FAR = 1 << 32
-"""More blocks of time than any flight has."""
+"""More time blocks than any flight has."""
 
 
 def blocks_of(
@@ -121,12 +121,12 @@ def blocks_of(
     noise: Sequence[Autoregression],
     settings: LikelihoodSettings = DEFAULT.inference.likelihood,
 ) -> dict[Key, Block]:
-    """Sums over blocks of time, all channels together.
+    """Sums over time blocks, all channels together.
 
     Args:
         flights: Channels of each flight.
-        noise: Of each channel.
-        settings: Length of the blocks of time.
+        noise: Noise model of each channel.
+        settings: Length of the time blocks.
     """
     residuals, slopes, keys = [], [], []
     for f, row in enumerate(flights):
@@ -147,12 +147,12 @@ def blocks_of(
 
 @dataclass(frozen=True, slots=True)
 class WhitenedFlights:
-    """Flights with the noise that is left of them.
+    """Flights whitened by an AR model of their residual.
 
     Attributes:
-        model: Flights.
-        noise: Of each channel.
-        settings: Of the noise.
+        model: Predictions of the flights.
+        noise: Noise model of each channel.
+        settings: Settings of the noise.
     """
 
     model: Model
@@ -168,7 +168,7 @@ class WhitenedFlights:
         values: Mapping[str, float],
         settings: LikelihoodSettings = DEFAULT.inference.likelihood,
     ) -> "WhitenedFlights":
-        """The noise that the model leaves with some numbers, "effect.number" -> value."""
+        """Flights whitened by the residual noise at some numbers, "effect.number" -> value."""
         left = model.channels([], values)
         noise = (
             autoregression_of(

@@ -1,1 +1,1 @@
-"""Effects that change no mean: noise, vibration, gusts, readings that stand still."""
+"""Zero-mean effects: noise, vibration, gusts, stuck readings."""

@@ -1,7 +1,7 @@
 """Vibration and noise of the IMU, in the spectrum above the motion of the body.
 
-Vibration: lines that follow the rotors or stand still. Sensor noise, against that of the vehicle
-file: the flat part of the spectrum, on all axes.
+Vibration: spectral lines that follow the rotor speeds or are constant. Sensor noise, compared with
+the vehicle file: the flat part of the spectrum, in all axes.
 """
 
 from collections.abc import Sequence
@@ -29,20 +29,21 @@ from .spectral import (
 )
 
 LOG_MEAN, LOG_SD = -0.5772156649 - np.log(np.log(2.0)), np.pi / np.sqrt(6.0)
-"""Of the logarithm of an exponential variate over its median."""
+"""Mean and standard deviation of the logarithm of an exponential variate over its median."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Shaken:
-    """One sensor in all flights.
+    """Spectra of one sensor in all flights.
 
     Attributes:
-        sensor: Its row.
-        rate_hz: Samples per second.
-        cells: Of every piece.
-        logs: Log level of each cell over its neighbourhood, mean 0 in noise, like the power.
-        spins: Speed of each rotor over that in hover at each window, shape (m, r).
-        predicted: Density that the twin predicts, shape (3, n_f); NaN where it cannot say.
+        sensor: Row of the sensor in the table of sensors.
+        rate_hz: Sample rate, Hz.
+        cells: Spectrogram of every piece.
+        logs: Log level of each cell over its neighbourhood, with mean 0 for noise, shape as the
+            power.
+        spins: Speed of each rotor over its hover speed in each window, shape (m, r).
+        predicted: Density predicted by the twin, shape (3, n_f); NaN where unknown.
     """
 
     sensor: Sensor
@@ -56,7 +57,7 @@ class _Shaken:
 def find_vibration(
     model: Model, effect: Effect, settings: StochasticSettings = DEFAULT.stochastic
 ) -> StochasticEffect | None:
-    """Lines above the body's motion, which follow the rotors or stand still."""
+    """Spectral lines above the body's motion that follow the rotor speeds or are constant."""
     observable_as, own = effect.observable_as, settings.vibration
     assert isinstance(observable_as, Lines)
     affected = (s for s in SENSORS if s.signal in observable_as.amplitudes)
@@ -89,7 +90,7 @@ def find_vibration(
 
 
 def _shaken(model: Model, sensor: Sensor, settings: StochasticSettings) -> _Shaken | None:
-    """Spectrograms of one sensor."""
+    """Spectrograms of one sensor with its neighbourhood levels."""
     own, window_s = settings.vibration, settings.line_window_s
     cells, spins, predicted = [], [], []
     pieces = [(f, p) for f in model.flights for p in pieces_of(f, sensor.columns, window_s)]
@@ -121,7 +122,7 @@ def _shaken(model: Model, sensor: Sensor, settings: StochasticSettings) -> _Shak
 
 
 def _smooth(spin: Array, window_s: float) -> Array:
-    """Mean over half a window."""
+    """Moving average over half a window."""
     n = round(window_s / 2 * GRID_HZ)
     kernel = np.ones(n) / n
     return np.stack([np.convolve(s, kernel, mode="same") for s in spin.T], axis=-1)
@@ -130,8 +131,8 @@ def _smooth(spin: Array, window_s: float) -> Array:
 def _logs(cells: Cells, rate_hz: float, settings: VibrationSettings) -> Array:
     """Log level of each cell over the higher of its two neighbourhoods, shape as the power.
 
-    Both sides count: a spectrum that falls steeply is no line. Beyond zero and half the rate a
-    spectrum is its own mirror image.
+    Both sides count: a steep slope of the spectrum is no line. Beyond zero and the Nyquist
+    frequency the spectrum is mirrored.
     """
     f = cells.f_hz
     half = max(4, round(settings.neighbours * rate_hz / (f[1] - f[0])))
@@ -145,7 +146,7 @@ def _logs(cells: Cells, rate_hz: float, settings: VibrationSettings) -> Array:
 
 
 def _bins(sensor: _Shaken, k: int, frequency_hz: float, moves: bool) -> NDArray[np.intp]:
-    """Bin of each rotor's line in each window of a piece, folded at half the rate, shape (m, r)."""
+    """Frequency bin of each rotor's line in each window of a piece, with aliasing, shape (m, r)."""
     c, rate = sensor.cells[k], sensor.rate_hz
     f = frequency_hz * (sensor.spins[k] if moves else np.ones((len(c.t_s), 1)))
     folded = np.abs((np.nan_to_num(f) + rate / 2) % rate - rate / 2)
@@ -178,7 +179,8 @@ def _named_vibration(
     moves: bool,
     settings: StochasticSettings,
 ) -> StochasticEffect | None:
-    """The line with its sizes, or None where it is too small or predicted as motion."""
+    """The vibration effect with its amplitudes, or None where it is too small or predicted as
+    motion."""
     observable_as, own = effect.observable_as, settings.vibration
     assert isinstance(observable_as, Lines)
     smallest = {"acc": own.smallest_acc_m_s2, "gyro": own.smallest_gyro_rad_s}
@@ -215,11 +217,11 @@ def _named_vibration(
 def _line_power(
     sensor: _Shaken, frequency_hz: float, moves: bool, line_bins: int
 ) -> tuple[Array, Array, Array, Array]:
-    """Power of the lines over their neighbourhood.
+    """Power of the lines above their neighbourhood.
 
     Returns:
-        Power per piece and axis, unit^2, shape (p, 3); share of all above `from_hz`, and
-        what the twin predicts over it, shape (3,); sum over rotors of spin^4, shape (p,).
+        Power per piece and axis, unit^2, shape (p, 3); share of all power above `from_hz`, and
+        ratio of the twin's prediction to it, shape (3,); sum over rotors of spin^4, shape (p,).
     """
     powers, totals, motions, lifts = [], [], [], []
     for k, c in enumerate(sensor.cells):
@@ -251,10 +253,10 @@ def _line_power(
 def find_noise_level(
     model: Model, effect: Effect, settings: StochasticSettings = DEFAULT.stochastic
 ) -> StochasticEffect | None:
-    """White noise of sensors against that of the vehicle file.
+    """White noise of sensors compared with the vehicle file.
 
-    A noise level is the standard deviation of one reading, at the rate of the log: what a sensor
-    averages before, the file has to know.
+    A noise level is the standard deviation of one reading at the rate of the log; the file must
+    include any averaging in the sensor.
     """
     observable_as, own = effect.observable_as, settings.noise_level
     assert isinstance(observable_as, NoiseFloor)
@@ -269,7 +271,7 @@ def find_noise_level(
         return None
     both = len(off) == len(ratios) and max(off.values()) < own.alike * min(off.values())
     if not both and min(off.values()) < 1:
-        return None  # the effect can only add to one sensor alone
+        return None  # the effect can only increase the noise of one sensor
     size = float(np.exp(np.mean(np.log(list(off.values())))))
     log_odds = 0.5 * (np.log(size) / own.known) ** 2 + prior_log_odds(settings)
     if log_odds <= 0:
@@ -301,7 +303,8 @@ def find_noise_level(
 def _ratio(
     model: Model, columns: Sequence[str], stated: float, settings: StochasticSettings
 ) -> float | None:
-    """Noise over the stated one; 1 where estimates differ about it, None where unknown."""
+    """Ratio of the noise to the stated one; 1 where estimates differ around it, None where
+    unknown."""
     own, window_s = settings.noise_level, settings.line_window_s
     pieces = [pieces_of(f, columns, window_s) for f in model.flights]
     estimates = noise_estimates(pieces, settings)
@@ -321,11 +324,11 @@ def noise_estimates(
 ) -> Array | None:
     """Standard deviation of a reading, by part of the band, and by axis and for all axes together.
 
-    White noise of standard deviation s has the one-sided density 2 s^2 / rate. The noise of the
-    last bit, bit^2 / 12, is taken off.
+    White noise of standard deviation s has the one-sided density 2 s^2 / rate. The quantisation
+    noise, bit^2 / 12, is subtracted.
 
     Returns:
-        Shape (bands, 4); None where the sensor is too slow.
+        Estimates, shape (bands, 4); None where the sensor is too slow.
     """
     own = settings.noise_level
     by_band: list[list[Array]] = [[] for _ in own.bands]
@@ -352,6 +355,6 @@ def noise_estimates(
 
 
 def _bit(x: Array) -> float:
-    """Last bit of quantised readings; 0 where there is none to see."""
+    """Resolution of quantised readings; 0 where none is visible."""
     levels = np.unique(x)
     return float(np.diff(levels).min()) if 1 < len(levels) < 0.5 * len(x) else 0.0

@@ -1,4 +1,4 @@
-"""Effects that change no mean, found by repeated readings and by spectra.
+"""Search for zero-mean effects in repeated readings and spectra.
 
 | observable as | in | distinguished by |
 |---|---|---|
@@ -7,16 +7,16 @@
 | Lines | lines that follow the rotors, or stand | level over the neighbouring frequencies |
 | RandomForce | slow part of the accelerometer | no curve explains it, it falls with frequency |
 
-Every claim rests on a ratio and on the scatter of such ratios without the effect: noise given in a
-vehicle file, smoothness of a spectrum, motion that no model has quite right.
+Every decision uses a ratio and its scatter without the effect: against the noise of the vehicle
+file, the smoothness of a spectrum, or motion that models do not reproduce exactly.
 
-Noise alone changes the last bit of a reading at nearly every sample. A reading that repeats exactly
-for a long time is stuck, unless there is another reason for it: nothing moves, the sensor is slower
-than the table, its last bit is coarse, or the column was never measured. Each of these also shows
-in the other axes of the sensor, or in the reading at other times.
+Noise changes the last bit of a reading at nearly every sample. A reading that repeats exactly for a
+long time is stuck, unless there is another reason: nothing moves, the sensor is slower than the
+table, its resolution is coarse, or the column was never measured. Each of these also appears in the
+other axes of the sensor, or in the reading at other times.
 
-Gusts are looked for in the low-frequency part of the accelerometer residuals, less what a smooth
-function of the measured motion explains.
+Gusts are sought in the low-frequency part of the accelerometer residuals, after a regression on a
+smooth function of the measured motion.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,20 +43,20 @@ from .imu_noise import find_noise_level, find_vibration
 from .spectral import Piece, StochasticEffect, cells_of, level, prior_log_odds
 
 PLACEHOLDERS = (0.0, GRAVITY_M_S2, 9.81, 9.8)
-"""Magnitudes that fill columns of what was never measured."""
+"""Magnitudes that are placeholders in columns without measurement."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stuck:
-    """One channel that stands still.
+    """A stuck channel.
 
     Attributes:
-        flight: Its name.
+        flight: Name of the flight.
         channel: Column of the flight table.
-        from_s: Time of the first sample that is repeated, s.
-        to_s: Time of the last one, s.
-        value: At which it stands.
-        to_the_end: Whether it never moves again.
+        from_s: Time of the first repeated sample, s.
+        to_s: Time of the last repeated sample, s.
+        value: Constant reading.
+        to_the_end: Whether it stays constant until the end.
     """
 
     flight: str
@@ -70,7 +70,7 @@ class Stuck:
 def stuck_channels(
     flight: Flight, settings: StuckSettings = DEFAULT.stochastic.stuck
 ) -> list[Stuck]:
-    """Every long stand-still of a reading that nothing but a fault explains, in order of time."""
+    """All long constant spans of a reading that only a fault explains, in order of time."""
     found = [
         stuck
         for sensor in SENSORS
@@ -86,8 +86,8 @@ def stuck_channels(
 def without_stuck(flight: Flight, stuck: Sequence[Stuck]) -> Flight:
     """The flight with the sensor unknown (NaN) while one of its axes is stuck.
 
-    All axes, since the flight table samples a vector whole. A sensor that is stuck from the start
-    is gone for good.
+    All axes are removed, since the flight table samples whole vectors. A sensor stuck from the
+    start is removed completely.
     """
     own = [s for s in stuck if s.flight == flight.name]
     if not own:
@@ -102,9 +102,9 @@ def without_stuck(flight: Flight, stuck: Sequence[Stuck]) -> Flight:
 
 
 def stuck_numbers(stuck: Sequence[Stuck], effect: Effect) -> Mapping[str, float]:
-    """Numbers of an effect, "effect.number" -> value; empty where none of its channels is stuck.
+    """Numbers of the effect, "effect.number" -> value; empty where none of its channels is stuck.
 
-    The effect has one channel, stuck to the end: the one stuck so for longest.
+    The effect describes one channel stuck to the end: the one stuck for longest.
     """
     observable_as = effect.observable_as
     assert isinstance(observable_as, Repeats)
@@ -122,12 +122,12 @@ def stuck_numbers(stuck: Sequence[Stuck], effect: Effect) -> Mapping[str, float]
 def _of_channel(
     flight: Flight, channel: str, others: Sequence[str], settings: StuckSettings
 ) -> list[Stuck]:
-    """Faults of one channel."""
+    """Stuck spans of one channel."""
     t, x = _samples(flight, channel)
     starts, ends = _runs(x)
     steps, moves = ends - starts, np.abs(np.diff(x))
     bit = float(moves[moves > 0].min(initial=np.inf)) if np.any(moves > 0) else 0.0
-    if not others:  # nothing of its kind beside it: the IMU has to go on, and noise to move it
+    if not others:  # a scalar sensor: the IMU must change, and its own noise move it
         others = [c for s in SENSORS if s.group == BODY for c in s.columns]
         bit = 0.0 if float(np.std(np.diff(x))) > settings.moving_bits * bit else np.inf
     neighbours = [_samples(flight, c) for c in others if flight.has(c)]
@@ -155,26 +155,26 @@ def _of_channel(
 
 
 def _samples(flight: Flight, channel: str) -> tuple[Array, Array]:
-    """Times and finite readings of one column, shape (n,) each."""
+    """Times, s, and finite readings of one column, shape (n,) each."""
     t, x = flight.signal([channel])
     return t, x[:, 0]
 
 
 def _runs(x: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First and last sample of each run of equal ones, single ones included."""
+    """First and last index of each run of equal samples, including single ones."""
     edges = np.flatnonzero(np.diff(x) != 0)
     return np.concatenate([[0], edges + 1]), np.concatenate([edges, [len(x) - 1]])
 
 
 def _never_measured(x: Array, first: int, last: int) -> bool:
-    """Whether it rests at a value that stands for no measurement."""
+    """Whether the constant value is a placeholder for no measurement."""
     return bool(np.isclose(abs(x[first]), PLACEHOLDERS, rtol=0, atol=1e-9).any()) and (
         last - first + 1 == len(x) or x[first] == 0.0
     )
 
 
 def _comes_to_rest(x: Array, first: int, smooth: float) -> bool:
-    """Whether a reading without noise glides into its rest, or begins there."""
+    """Whether a noise-free reading converges smoothly to its constant value, or begins there."""
     moving = x[np.flatnonzero(np.diff(x))]
     if len(moving) < 8:
         return first == 0 and len(np.unique(x)) > 1
@@ -186,8 +186,8 @@ def _comes_to_rest(x: Array, first: int, smooth: float) -> bool:
 
 
 def _goes_on(y: Array, bit: float, steps: int, settings: StuckSettings) -> bool:
-    """Whether the readings `y` of a neighbour change as those of a living sensor do, while those of
-    another stand still for so many steps."""
+    """Whether the readings `y` of another axis change like those of a working sensor while one axis
+    is constant for so many steps."""
     if len(y) < 8:
         return False
     first, last = _runs(y)
@@ -201,7 +201,7 @@ def _goes_on(y: Array, bit: float, steps: int, settings: StuckSettings) -> bool:
 def find_stochastic(
     model: Model, values: Mapping[str, float], settings: StochasticSettings = DEFAULT.stochastic
 ) -> list[StochasticEffect]:
-    """Effects without a mean that the flights show, the surest first."""
+    """Zero-mean effects present in the flights, the most probable first."""
     found = []
     for effect in EFFECTS.values():
         match effect.observable_as:
@@ -217,7 +217,7 @@ def find_stochastic(
 def find_stuck(
     stuck: Sequence[Stuck], settings: StochasticSettings = DEFAULT.stochastic
 ) -> list[StochasticEffect]:
-    """The effects of readings that stand still; none where all go on."""
+    """Effects of stuck readings; empty where none is stuck."""
     if not stuck:
         return []
     channels = tuple(dict.fromkeys(s.channel for s in stuck))
@@ -233,27 +233,28 @@ def find_stuck(
 
 
 SLOW_HZ = 10.0
-"""Rate of the slow part."""
+"""Sample rate of the low-frequency part, Hz."""
 LAG_S = 0.2
-"""Over which the force is correlated with itself for its time constant, s; by judgement."""
+"""Lag at which the force is correlated with itself to estimate its time constant, s; by
+judgement."""
 SMALLEST_DRAG_1_S = 0.02
-"""Below it a model has no drag to speak of, through which a gust could act, 1/s; a twelfth of the
-usual one."""
+"""Drag coefficient, 1/s, below which a model has practically no drag through which a gust could
+act; a twelfth of the usual one."""
 RIDGES = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
-"""Variance of a coefficient's prior in units of noise over one sample, tried in turn."""
+"""Prior variances of a coefficient that are tried, in units of the noise of one sample."""
 
 
 @dataclass(frozen=True, slots=True)
 class Slow:
-    """Slow part of the accelerometer residuals of one piece of flight.
+    """Low-frequency part of the accelerometer residuals of one piece of flight.
 
     Attributes:
-        t_s: Shape (n,), at `SLOW_HZ`.
-        residual: m/s2, shape (n, 3).
-        features: What may explain it, per axis, shape (n, 3, k).
-        drag: Answer to north, east and down wind, 1/s, shape (n, 3, 3); empty without any.
-        speed_m_s: Of the vehicle, shape (n,).
-        floor: Density of the white floor per axis, (m/s2)^2/Hz, shape (3,).
+        t_s: Times, s, shape (n,), at `SLOW_HZ`.
+        residual: Residual, m/s2, shape (n, 3).
+        features: Regressors per axis, shape (n, 3, k).
+        drag: Response to north, east and down wind, 1/s, shape (n, 3, 3); empty without drag.
+        speed_m_s: Speed of the vehicle, m/s, shape (n,).
+        floor: Density of the white noise floor per axis, (m/s2)^2/Hz, shape (3,).
     """
 
     t_s: Array
@@ -270,7 +271,7 @@ def slow_parts(
     winds: Sequence[int],
     settings: SlowForceSettings = DEFAULT.stochastic.slow_force,
 ) -> list[Slow]:
-    """Slow parts of one flight; `winds`: columns of the slopes by a wind north, east, down."""
+    """Low-frequency parts of one flight; `winds`: slope columns of a wind north, east, down."""
     acc = [c for c in channels if c.name in ACC]
     motion = aligned.motion
     if len(acc) < 3 or motion.velocity is None or motion.attitude is None:
@@ -289,7 +290,7 @@ def slow_parts(
         )  # (n, 3, k)
         at = np.rint((t - aligned.inputs.t_s[0]) * GRID_HZ).astype(np.intp)
         curves = _curves(aligned, at, spin, force)  # (n, c)
-        still = np.delete(slopes, list(winds), axis=2)  # a wind's turn with the attitude
+        still = np.delete(slopes, list(winds), axis=2)  # a constant wind in body axes
         features = np.concatenate([still, np.repeat(curves[:, None, :], 3, axis=1)], axis=2)
         speed = np.linalg.norm(motion.velocity.at(t), axis=1)
         cells = cells_of(Piece(t, residual), CHANNEL_HZ, settings.window_s, "hann")
@@ -308,13 +309,13 @@ def slow_parts(
 
 
 def pieces_in_common(channels: Sequence[ChannelData]) -> list[Array]:
-    """Times of uninterrupted pieces that all of these channels have: each may lack its own."""
+    """Times of uninterrupted pieces that all of these channels share."""
     t = reduce(np.intersect1d, [c.t_s for c in channels])
     return np.split(t, np.flatnonzero(np.diff(t) > 1.5 / CHANNEL_HZ) + 1)
 
 
 def _curves(aligned: AlignedFlight, at: NDArray[np.intp], spin: Array, force: Array) -> Array:
-    """Speed, thrust and turning, and products of them, shape (n, c)."""
+    """Speed, thrust and rotation rates, and products of them, shape (n, c)."""
     assert aligned.motion.velocity is not None
     column = {s.name: i for i, s in enumerate(aligned.airframe.states)}
     q, v, w = (
@@ -351,7 +352,7 @@ def _curves(aligned: AlignedFlight, at: NDArray[np.intp], spin: Array, force: Ar
 def left_over(
     pieces: Sequence[Slow], settings: SlowForceSettings = DEFAULT.stochastic.slow_force
 ) -> list[Array]:
-    """What a ridge regression, fitted on other blocks of time, leaves of each piece, (n, 3)."""
+    """Residual of each piece after a ridge regression fitted on other time blocks, shape (n, 3)."""
     blocks = [np.floor(p.t_s / settings.fold_s).astype(int) for p in pieces]
     fold = [(b + i) % settings.folds for i, b in enumerate(blocks)]
     folds = np.concatenate(fold)
@@ -376,7 +377,8 @@ def left_over(
 
 
 NO_NOISE = 1e-8
-"""Smallest density that counts, (m/s2)^2/Hz: 0.5 mm/s2 at 50 Hz, the rounding of a simulator."""
+"""Smallest density that is considered, (m/s2)^2/Hz: 0.5 mm/s2 at 50 Hz, the rounding of a
+simulator."""
 
 
 def find_gust(
@@ -385,7 +387,7 @@ def find_gust(
     effect: Effect,
     settings: StochasticSettings = DEFAULT.stochastic,
 ) -> StochasticEffect | None:
-    """A slow random force that no curve over the motion and no effect explains."""
+    """A slow random force that no function of the motion and no effect explains."""
     columns = columns_of(model.numbers, model.effects)
     flights = model.channels(columns, values)
     winds = [k for k, i in enumerate(columns) if EFFECTS[model.numbers[i].effect].stage is Air]
@@ -400,7 +402,7 @@ def find_gust(
 def gust_in(
     pieces: Sequence[Slow], effect: Effect, settings: StochasticSettings = DEFAULT.stochastic
 ) -> StochasticEffect | None:
-    """Judge the slow parts of all flights."""
+    """Evidence for gusts in the low-frequency parts of all flights."""
     own = settings.gust
     left = left_over(pieces, settings.slow_force)
     facts = gust_facts(pieces, left, settings)
@@ -425,7 +427,7 @@ def gust_in(
 def gust_facts(
     pieces: Sequence[Slow], left: Sequence[Array], settings: StochasticSettings = DEFAULT.stochastic
 ) -> dict[str, float]:
-    """Figures by which a gust is told, of the horizontal axes."""
+    """Statistics of the horizontal axes that decide on a gust."""
     own = settings.gust
     cells = [
         cells_of(Piece(p.t_s, e), SLOW_HZ, settings.slow_force.window_s, "hann")
@@ -435,7 +437,7 @@ def gust_facts(
     power = np.concatenate([c.power for c in cells])  # (windows, 3, f)
     floor = np.maximum(np.mean([p.floor for p in pieces], axis=0), NO_NOISE)
     bands = [(f >= low) & (f < high) for low, high in own.slope_bands_hz]
-    typical = level(power, 0)  # robust to single bumps
+    typical = level(power, 0)  # robust against single peaks
     density = np.stack([typical[:, b].mean(axis=1) for b in bands])  # (bands, 3)
     before = np.concatenate([p.residual for p in pieces])
     after = np.concatenate(list(left))
@@ -459,7 +461,7 @@ def gust_facts(
 def _gust_numbers(
     pieces: Sequence[Slow], left: Sequence[Array], effect: Effect, settings: StochasticSettings
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
-    """Intensities and lengths from the force that is left and the model's answer to wind."""
+    """Intensities and length scales from the remaining force and the model's response to wind."""
     own = settings.gust
     rest = np.concatenate(list(left))
     low, high = settings.slow_force.band_hz
@@ -495,7 +497,8 @@ def _gust_numbers(
 
 
 def _time_constant(correlation: float, settings: StochasticSettings) -> tuple[float, float]:
-    """Time constant of a first-order process and the share of its power inside the slow band."""
+    """Time constant of a first-order process, s, and the share of its power inside the slow
+    band."""
     f = np.linspace(*settings.slow_force.band_hz, 200)
     times = np.geomspace(0.05, 5.0, 60)[:, None]
     density = 4 * times / (1 + (2 * np.pi * f * times) ** 2)

@@ -1,7 +1,8 @@
-"""Readings of a sensor at its own rate, their spectrograms, and what is found in them.
+"""Readings of a sensor at its own rate, their spectrograms, and the effects found in them.
 
-Cells of a spectrogram of white noise are exponential; their quantiles measure its level whatever
-few cells hold besides (Percival & Walden, Spectral Analysis for Physical Applications, ch. 6).
+Spectrogram cells of white noise are exponentially distributed; quantiles give its level even if a
+few cells contain other signals (Percival & Walden, Spectral Analysis for Physical Applications, ch.
+6).
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,26 +16,26 @@ from ..model.model import FlightModel
 from ..settings import DEFAULT, StochasticSettings
 
 SURE = 1.96
-"""Standard deviations of a 95 % interval."""
+"""Standard deviations from the mean to the ends of a 95 % interval."""
 
 
 def prior_log_odds(settings: StochasticSettings = DEFAULT.stochastic) -> float:
-    """Log odds for an effect before anything is seen."""
+    """Prior log odds of an effect."""
     return -float(np.log(settings.one_of))
 
 
 @dataclass(frozen=True, slots=True)
 class StochasticEffect:
-    """An effect that changes no mean.
+    """A zero-mean effect with its evidence.
 
     Attributes:
-        effect: Identifier.
-        log_odds: Evidence for it, natural log, prior included.
-        values: "effect.number" -> value.
-        intervals: 95 % of each.
-        channels: On which it was found.
-        share: Of their power in the band where it acts.
-        before: Values without the effect, of those numbers where they are not neutral.
+        effect: Identifier of the effect.
+        log_odds: Posterior log odds, natural logarithm.
+        values: Estimates, "effect.number" -> value.
+        intervals: 95 % interval of each number.
+        channels: Channels in which it was found.
+        share: Share of their power in the frequency band where it acts.
+        before: Values without the effect, for numbers whose neutral value is not zero.
     """
 
     effect: str
@@ -47,14 +48,14 @@ class StochasticEffect:
 
     @property
     def probability(self) -> float:
-        """That it acts."""
+        """Posterior probability of the effect."""
         return float(1 / (1 + np.exp(-self.log_odds)))
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Uninterrupted readings of one sensor in the air, each a new one, shape (n, 3), at nearly even
-    times, shape (n,)."""
+    """Uninterrupted readings of one sensor in the air without repeats, shape (n, 3), at nearly
+    uniform times, s, shape (n,)."""
 
     t_s: Array
     values: Array
@@ -62,8 +63,9 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """Spectrogram of one piece: density per window, axis and frequency, unit^2/Hz, shape (m, 3,
-    n), at the middle of each window, shape (m,), and at frequencies, shape (n,)."""
+    """Spectrogram of one piece: power spectral density per window, axis and frequency, unit^2/Hz,
+    shape (m, 3, n), with the centre time of each window, s, shape (m,), and the frequencies, Hz,
+    shape (n,)."""
 
     t_s: Array
     f_hz: Array
@@ -71,8 +73,8 @@ class Cells:
 
 
 def pieces_of(flight: FlightModel, columns: Sequence[str], window_s: float) -> list[Piece]:
-    """Readings in the air at the sensor's own rate; repeats of a slower sensor are left out, and
-    pieces shorter than four windows."""
+    """Pieces of readings in the air at the sensor's own rate; repeats of a slower sensor, and
+    pieces shorter than four windows, are omitted."""
     if not flight.flight.has(*columns):
         return []
     t, x = flight.flight.signal(columns)
@@ -93,13 +95,13 @@ def pieces_of(flight: FlightModel, columns: Sequence[str], window_s: float) -> l
 
 
 def rate_of(pieces: Sequence[Piece]) -> float:
-    """Samples per second; 0 without a piece."""
+    """Sample rate, Hz; 0 without a piece."""
     steps = [np.diff(p.t_s) for p in pieces]
     return 1.0 / float(np.median(np.concatenate(steps))) if steps else 0.0
 
 
 def cells_of(piece: Piece, rate_hz: float, window_s: float, window: str) -> Cells:
-    """Spectrogram with half-overlapping windows, each about its own straight line."""
+    """Spectrogram with half-overlapping windows, linearly detrended."""
     n = min(len(piece.t_s), round(window_s * rate_hz))
     f, t, power = spectrogram(
         piece.values, rate_hz, window, n, n // 2, detrend="linear", axis=0, mode="psd"
@@ -108,5 +110,6 @@ def cells_of(piece: Piece, rate_hz: float, window_s: float, window: str) -> Cell
 
 
 def level(power: Array, axis: int | tuple[int, ...]) -> Array:
-    """Mean of the cells of noise, told from their median: lines and bumps do not count."""
+    """Noise level: mean of the cells estimated from their median, robust against lines and
+    peaks."""
     return np.asarray(np.median(power, axis=axis) / np.log(2.0), dtype=np.float64)
