@@ -1,1 +1,2 @@
-"""Compensator: what no named effect explains, learned from residuals (needs the extra `learn`)."""
+"""Compensators: residuals that no named effect explains, learned from flights (needs the extra
+`learn`)."""

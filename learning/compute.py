@@ -1,7 +1,7 @@
-"""Where and how numbers are computed: processor or GPU, one thread.
+"""Compute device and threads: processor or GPU, one thread.
 
-One thread: small matrices gain nothing from two, and lose a lot on a shared machine; and sums in
-another order are other bytes, in numpy's BLAS as in torch.
+One thread: small matrices gain nothing from two, and are much slower on a shared machine; and
+another order of summation gives other bytes, in numpy's BLAS as in torch.
 """
 
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from twin.errors import ModelError
 
-CPU = torch.device("cpu")  # where nothing else is asked for
+CPU = torch.device("cpu")  # the default
 
 
 def device_named(name: str) -> torch.device:
@@ -22,7 +22,7 @@ def device_named(name: str) -> torch.device:
         name: `cpu`; `cuda`: a GPU; `auto`: a GPU where torch finds one.
 
     Raises:
-        ModelError: Another name, or there is no GPU.
+        ModelError: The name is unknown, or there is no GPU.
     """
     if name not in ("cpu", "cuda", "auto"):
         raise ModelError(f"device {name!r}: there are cpu, cuda and auto")
@@ -38,7 +38,7 @@ def device_named(name: str) -> torch.device:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Torch and BLAS work with one thread inside, with as many as before afterwards."""
+    """Context manager: torch and BLAS use one thread inside, and the previous number afterwards."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

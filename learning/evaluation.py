@@ -1,7 +1,7 @@
-"""Evaluation under a named protocol, alongside the baselines: one tidy table.
+"""Evaluation of models under a named protocol, with baselines, as one tidy table.
 
-Only fresh samples are scored. A row is one channel of one flight in one phase ("all": the whole
-flight) as one model left it:
+Only fresh samples are scored. A row gives the errors of one model in one channel of one flight in
+one phase ("all": the whole flight):
 
 | column | says |
 |---|---|
@@ -32,9 +32,9 @@ from .model.baselines import fit_baselines
 from .model.family import Corrected, Model, TrainingTask
 
 _MEANS = ("mse", "mae", "wasserstein", "inside", "within_1", "within_2")
-"""Columns that are pooled by their number of samples."""
+"""Columns that are pooled with their numbers of samples as weights."""
 _ROOTS = ("rmse_before", "spread_before", "spread_left")
-"""Columns whose squares are pooled so."""
+"""Columns whose squares are pooled in this way."""
 
 
 def evaluate(
@@ -46,14 +46,14 @@ def evaluate(
     """Score models and the baselines of their protocol.
 
     Args:
-        model: One, called "model", several by name, or None for the baselines alone.
-        train: What baselines are made from.
+        model: One model, named "model", several by name, or None for the baselines alone.
+        train: Training flights of the baselines.
         test: Flights to score, none of them in `train`.
-        task: Protocol the models work under.
+        task: Protocol, horizon and seed of the models.
 
     Returns:
-        One row per model, flight, phase and channel; see the module. A channel without a fresh
-        sample has none.
+        Table with one row per model, flight, phase and channel; see the module. A channel without a
+        fresh sample has no row.
 
     Raises:
         ModelError: There are no flights, rates differ, or a correction is not finite.
@@ -73,7 +73,7 @@ def evaluate(
 def fitted(
     model: Model | Mapping[str, Model] | None, train: Sequence[ResidualFlight], task: TrainingTask
 ) -> dict[str, Model]:
-    """The baselines of a task, then the models, by name."""
+    """The baselines of a task and the models, by name."""
     named = dict(model) if isinstance(model, Mapping) else {} if model is None else {"model": model}
     baselines = fit_baselines(train, task.protocol, task.horizon)
     if both := sorted(set(named) & set(baselines)):
@@ -85,15 +85,15 @@ def pooled(
     table: pd.DataFrame,
     by: Sequence[str] = ("protocol", "horizon", "model", "group", "phase"),
 ) -> pd.DataFrame:
-    """Rows of `evaluate` pooled: squares and shares by their number of samples.
+    """Rows of `evaluate` pooled: squares and shares weighted by their numbers of samples.
 
     Args:
-        table: Of `evaluate`.
-        by: Columns that stay apart; within a row of the result units must not differ for the
-            figures in physical units to mean anything.
+        table: Table of `evaluate`.
+        by: Columns to group by; units must be equal within a group for the figures in physical
+            units to be meaningful.
 
     Returns:
-        In the order of appearance; Wasserstein distances are means of those of the parts.
+        Pooled rows in order of appearance; Wasserstein distances are weighted means.
     """
     weight = table["n"]
     columns = {name: table[name] for name in by}
@@ -116,7 +116,7 @@ def pooled(
 
 
 def _with_shares(table: pd.DataFrame) -> pd.DataFrame:
-    """The table with the shares that are gone: 1 all, 0 nothing, NaN of nothing."""
+    """The table with the removed shares: 1 for all, 0 for nothing, NaN where nothing was there."""
     shares = {"removed": ("rmse", "rmse_before")}
     shares["removed_beyond_constant"] = ("spread_left", "spread_before")
     for name, (left, before) in shares.items():
@@ -127,15 +127,15 @@ def _with_shares(table: pd.DataFrame) -> pd.DataFrame:
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 WHOLE = "all"
-"""Phase of the rows over a whole flight."""
+"""Phase of the rows for a whole flight."""
 GROUP_OF = {c: g for g, columns in GROUPS.items() for c in CHANNELS[columns]}
-"""Group of each channel."""
+"""Sensor group of each channel."""
 PHASE_OF = {code: name for name, code in PHASE_CODES.items()}
 """Name of each phase code."""
 
 
 def cells(flight: ResidualFlight) -> Iterator[tuple[str, int, BoolArray]]:
-    """Phase, number of the channel and fresh samples there, shape (n,), of each row."""
+    """Phase, index of the channel and its fresh samples, shape (n,), for each row."""
     for c in range(len(CHANNELS)):
         fresh = flight.fresh[:, c]
         if not fresh.any():
@@ -148,7 +148,7 @@ def cells(flight: ResidualFlight) -> Iterator[tuple[str, int, BoolArray]]:
 def scored(
     flight: ResidualFlight, corrected: Corrected, phase: str, c: int, here: BoolArray
 ) -> dict[str, Any]:
-    """A row of the table; phase, channel and samples as of `cells`."""
+    """One row of the table; phase, channel and samples as of `cells`."""
     residual, correction = flight.residual[here, c], corrected.correction[here, c]
     left, spread = residual - correction, corrected.spread[here, c]
     return {
@@ -175,22 +175,22 @@ def scored(
 
 
 def mse(left: Array) -> float:
-    """Mean square of what is left, shape (n,)."""
+    """Mean square of errors, shape (n,)."""
     return float(np.mean(left**2))
 
 
 def rmse(left: Array) -> float:
-    """Root of `mse`."""
+    """Root mean square of errors, shape (n,)."""
     return math.sqrt(mse(left))
 
 
 def mae(left: Array) -> float:
-    """Mean absolute value of what is left, shape (n,)."""
+    """Mean absolute value of errors, shape (n,)."""
     return float(np.mean(np.abs(left)))
 
 
 def wasserstein(measured: Array, simulated: Array) -> float:
-    """Distance of two distributions, unit of the samples: how far they must be moved on average.
+    """Wasserstein distance of two distributions, in the unit of the samples.
 
     Source: earth mover's distance of order 1, Villani, Optimal Transport (2009), ch. 6.
     """
@@ -201,7 +201,7 @@ def wasserstein(measured: Array, simulated: Array) -> float:
 
 
 def check_flights(train: Sequence[ResidualFlight], test: Sequence[ResidualFlight]) -> None:
-    """Raise ModelError unless there are flights of one rate, none in both."""
+    """Raise ModelError unless there are flights of one rate, and none is in both sets."""
     if not train or not test:
         raise ModelError(
             f"{len(train)} training and {len(test)} test flights: give at least one of each."

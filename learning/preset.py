@@ -1,8 +1,9 @@
-"""Presets of the compensator: `paper`, `published`, `best`; every choice of theirs is a switch.
+"""Presets of the compensator: `paper`, `published`, `best`; every difference between them is a
+switch.
 
 The paper ("Physics-Aware Multichannel Vector Quantization for Hybrid Digital Twin Modeling of UAV
 Systems") contradicts itself and its published code (RflySim/RflySimDT: `README.md`,
-`src/network/mymodel.ipynb`). What was chosen, and by which switch:
+`src/network/mymodel.ipynb`). These choices were made, by these switches:
 
 | the text | against it | switch |
 |---|---|---|
@@ -16,9 +17,9 @@ Systems") contradicts itself and its published code (RflySim/RflySimDT: `README.
 | norms are sums | its figures are means | `norms` |
 | line 28 clips the parameters | published: nothing is clipped | `clip_parameters` |
 
-No switches: the residual's sign (the published data are simulated - real, which in Eq. 4 doubles
-the error; ours is measured - simulated, and a standardised network does not mind), and the "15
-dims", which the published code shows to be `learning.data.channels`.
+Without a switch: the sign of the residual (the published data are simulated - real, which in Eq. 4
+doubles the error; ours is measured - simulated, and a standardised network is indifferent), and the
+"15 dims", which the published code shows to be `learning.data.channels`.
 """
 
 from dataclasses import dataclass, replace
@@ -32,7 +33,7 @@ Clustering = Literal["kmeans", "sensors", "none", "channels"]
 Protocol = Literal["reconstruct", "track", "free"]
 Normalise = Literal["pooled", "centred", "range"]
 PROTOCOLS: tuple[Protocol, ...] = ("reconstruct", "track", "free")
-"""All of them."""
+"""All protocols."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,52 +41,55 @@ class Preset:
     """Hyper-parameters of network and training.
 
     Attributes:
-        name: As printed.
+        name: Name of the preset.
         clustering: `kmeans` on mean, variance and lag autocorrelation of each channel; `sensors`:
             one network per sensor; `none`: one for all channels; `channels`: one per channel.
-        n_clusters: Of `kmeans`.
-        encoder_units: Size of each LSTM layer before the quantiser; () as are those behind it: no
-            network, the linear prediction alone.
-        decoder_units: Size of each LSTM layer behind it.
+        n_clusters: Number of clusters for `kmeans`.
+        encoder_units: Size of each LSTM layer before the quantiser; () if those after it are (),
+            too: no network, only the linear prediction.
+        decoder_units: Size of each LSTM layer after the quantiser.
         code_size: Size D of latent and codes.
-        n_codes: Codes K of each cluster's codebook.
+        n_codes: Number of codes K in each cluster's codebook.
         phase_size: Size of the phase's embedding.
-        features: The network sees virtual signals and commands in `track` (in `free` it always
-            does, in `reconstruct` never).
-        skip: A linear path alongside the LSTM on both sides of the quantiser.
-        skip_gain: Spread of the latent per unit of input at the start, with `skip`.
+        features: Whether the network sees virtual signals and commands in `track` (in `free` it
+            always does, in `reconstruct` never).
+        skip: Whether there is a linear path parallel to the LSTM on both sides of the quantiser.
+        skip_gain: Initial spread of the latent per unit of input, with `skip`.
         quantiser: `soft`: mean of the codes, weighted by softmax(-|z - e|^2 / temperature);
             `hard`: nearest code, gradient passed straight through; `none`: the latent itself.
-        temperature: Of the soft assignment.
-        codebook_start: `uniform`: within 1/K, as published (all codes then look alike);
-            `softmax`: on the sphere |e|^2 = D temperature / 2, where the assignment tells them
-            apart.
-        codebook_target: What the codebook is drawn to the latent by: `soft` or `nearest` code.
-        straight_through: The soft code is detached, its gradient passed to the latent.
-        beta: Weight of the latent's term within the quantiser's loss.
-        weight_reconstruction: Of the mean square error.
-        weight_quantiser: Of the quantiser's loss.
-        weight_distribution: Of the differences of mean and spread between output and target.
-        norms: `sums`: norms as Eqs. 10 and 14 and lines 18 to 21 write them, sums over the numbers
-            of a code and over the channels; `means`: means over both, a cluster being worth what
-            another is.
-        spread_head: The network predicts its spread; else it is a constant per phase and channel.
-        linear: A linear prediction under the network, of which it learns what that leaves.
+        temperature: Temperature of the soft assignment.
+        codebook_start: Initial codebook. `uniform`: within 1/K, as published (all codes are nearly
+            equal); `softmax`: on the sphere |e|^2 = D temperature / 2, where the assignment
+            distinguishes them.
+        codebook_target: Code that the codebook loss pulls to the latent: `soft` or `nearest`.
+        straight_through: Whether the soft code is detached and its gradient passed to the latent.
+        beta: Weight of the commitment term within the quantiser's loss.
+        weight_reconstruction: Weight of the mean square error.
+        weight_quantiser: Weight of the quantiser's loss.
+        weight_distribution: Weight of the differences of mean and spread between output and target.
+        norms: Norms in the losses. `sums`: as Eqs. 10 and 14 and lines 18 to 21 write them, sums
+            over the entries of a code and over the channels; `means`: means over both, with equal
+            weights of the clusters.
+        spread_head: Whether the network predicts its spread; otherwise it is a constant per phase
+            and channel.
+        linear: Whether there is a linear prediction under the network, which learns its residual.
         normalise: `pooled`: mean and spread of each channel; `centred`: mean per phase, one spread
             about it; `range`: the range of each phase becomes -1..1.
-        learning_rate: Of Adam, at the start.
-        schedule: Of the learning rate over `epochs`.
-        clip: Largest norm of the gradient; None: any.
-        clip_parameters: Largest size of a weight, as line 28 clips the parameters; None: any.
-        epochs: At most.
-        patience: Epochs without a better validation error after which training stops; None: never.
-        validate_every: Epochs between two looks at the validation time.
-        validation_share: Of the time, or of the flights where there are many.
-        batch: Windows per step.
-        window: Samples through which gradients run.
-        stride: Samples between the starts of two windows; None: `window`.
-        carry: Windows through which the state is carried on before it starts at zero again.
-        augment: Spread of the random amplitude and offset given to the residual of each segment,
+        learning_rate: Initial learning rate of Adam.
+        schedule: Schedule of the learning rate over `epochs`.
+        clip: Largest norm of the gradient; None: unlimited.
+        clip_parameters: Largest magnitude of a weight, as line 28 clips the parameters; None:
+            unlimited.
+        epochs: Maximum number of epochs.
+        patience: Number of epochs without a better validation error after which training stops;
+            None: never.
+        validate_every: Number of epochs between two validations.
+        validation_share: Share of the time for validation, or of the flights where there are many.
+        batch: Number of windows per step.
+        window: Number of samples per window, over which gradients are computed.
+        stride: Number of samples between the starts of two windows; None: `window`.
+        carry: Number of windows over which the state is carried before it is reset to zero.
+        augment: Spread of the random amplitude and offset applied to the residual of each segment,
             in `reconstruct`.
     """
 
@@ -145,7 +149,7 @@ class Preset:
 
     @property
     def network(self) -> bool:
-        """Whether there is one."""
+        """Whether there is a network."""
         return bool(self.encoder_units)
 
     def sees_features(self, protocol: Protocol) -> bool:
@@ -183,14 +187,14 @@ PAPER = Preset(
     augment=0.0,
 )
 """The paper's text, taken literally: Table I (encoder [64, 128], decoder [128, 64, 32, 15], K =
-512, D = 128, C = 4, beta = 0.25, gamma 1 and 1, batches of 4, Adam at 1e-3, 250 epochs, seed
-42), windows of 100, norms and clip as written. The decoder's last layer of 15 is a linear one,
-of as many numbers as a cluster has channels: an LSTM gives nothing beyond -1 and 1.
+512, D = 128, C = 4, beta = 0.25, gamma 1 and 1, batches of 4, Adam at 1e-3, 250 epochs, seed 42),
+windows of 100, norms and clip as written. The decoder's last layer of 15 is linear, with as many
+outputs as a cluster has channels: an LSTM has no outputs beyond -1 and 1.
 
-The text does not say, and chosen here are: lag 1 of the autocorrelation, features standardised
-over the channels before k-means; windows that do not overlap; a condition of 128 numbers,
-learned per phase; the last fifth of each stretch of a phase kept for validation, the best epoch
-of every 25th kept; the distribution's weight, 1; how far line 28 clips, 1."""
+Chosen here, as the text does not say: lag 1 of the autocorrelation, features standardised over the
+channels before k-means; windows without overlap; a phase embedding of size 128; the last fifth of
+each stretch of a phase for validation, with the best epoch of every 25th; weight 1 of the
+distribution loss; clipping at 1 for line 28."""
 
 PUBLISHED = replace(
     PAPER,
@@ -203,17 +207,17 @@ PUBLISHED = replace(
 )
 """The published code's choices where they differ from the text: ranges scaled to -1..1, windows of
 150 begun every 4 samples, means of squares, nothing clipped. Its last LSTM layer, which is the
-output, is a linear layer here: a residual outside the training range could not be said
-otherwise. It was trained on shuffled windows of all three flights, 777 batches an epoch, 194,250
-in all, and its figures are of these windows, in ranges of -1..1, hover numbered 1 and takeoff 2;
-`PAPER` takes some 5,000."""
+output, is a linear layer here: it could not represent a residual outside the training range. It was
+trained on shuffled windows of all three flights, 777 batches an epoch, 194,250 in all, and its
+figures are of these windows, in ranges of -1..1, hover numbered 1 and takeoff 2; `PAPER` takes some
+5,000."""
 
 BEST = Preset(name="best")
-"""What measurably beats it: docs/results/paper.md."""
+"""The preset with measured improvements: docs/results/paper.md."""
 
 LINEAR = Preset(name="linear", encoder_units=(), decoder_units=(), clustering="none")
-"""The linear prediction alone: what the network has to beat."""
+"""The linear prediction alone, the baseline of the network."""
 
 SEEDS = MappingProxyType({"paper": 42, "published": 42})
-"""Of everything that is drawn, by the name of the preset, where nobody says; of others 0."""
+"""Default random seed by preset; 0 for others."""
 PRESETS = MappingProxyType({p.name: p for p in (PAPER, PUBLISHED, BEST)})  # by name

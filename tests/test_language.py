@@ -52,7 +52,7 @@ FINISHED = (
     *("twin/*.py", "uavtwin/*.py"),
     *("twin/component", "twin/draft", "twin/effects", "twin/explain", "twin/flight", "twin/logs"),
     *("twin/physics", "twin/residuals", "twin/vehicle", "twin/vehicle_file", "twin/why"),
-    *("cosim", "fmus"),
+    *("cosim", "fmus", "learning"),
     *("uavtwin/cli", "uavtwin/demo", "uavtwin/exports", "uavtwin/fleets", "uavtwin/hil"),
     *("uavtwin/jobs", "uavtwin/live", "uavtwin/report", "uavtwin/series", "uavtwin/serve"),
     *("uavtwin/compensators", "uavtwin/force", "uavtwin/site", "uavtwin/sweeps"),

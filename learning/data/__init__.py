@@ -1,1 +1,1 @@
-"""Residual flights as data: channels, grids, sequences, scaling, clusters."""
+"""Residual flights as training data: channels, grids, sequences, scaling, clusters."""

@@ -1,7 +1,7 @@
-"""Feature clustering: which channels share a network.
+"""Feature clustering: assignment of channels to networks.
 
-k-means on three numbers per channel (mean, variance, lag autocorrelation), each standardised over
-the channels: in raw units the one with the largest numbers decides alone.
+k-means on three statistics per channel (mean, variance, lag autocorrelation), each standardised
+over the channels: in raw units the largest statistic would dominate.
 """
 
 from collections.abc import Sequence
@@ -20,19 +20,19 @@ BoolArray = NDArray[np.bool_]
 Clusters = tuple[tuple[int, ...], ...]
 
 LAG = 1
-"""Samples between the two ends of the autocorrelation."""
+"""Lag of the autocorrelation, samples."""
 
 
 def clusters_of(
     preset: Preset, flights: Sequence[ResidualFlight], chosen: Sequence[BoolArray], seed: int
 ) -> Clusters:
-    """Channels of each network: numbers in rising order, clusters by their first channel.
+    """Channels of each network: indices in ascending order, clusters by their first channel.
 
     Args:
-        preset: Says how.
-        flights: For training.
-        chosen: Per flight the samples that may be used, shape (n,).
-        seed: Of k-means.
+        preset: Preset with the clustering method.
+        flights: Training flights.
+        chosen: Samples that may be used in each flight, shape (n,).
+        seed: Random seed of k-means.
     """
     numbers = range(len(CHANNELS))
     if preset.clustering == "none":
@@ -47,8 +47,8 @@ def clusters_of(
 def channel_statistics(flights: Sequence[ResidualFlight], chosen: Sequence[BoolArray]) -> Array:
     """Mean, variance and lag-1 autocorrelation of each channel's residual, shape (15, 3).
 
-    Samples held between two measurements count: what the network sees is correlated by them. A
-    channel without a sample has zeros.
+    Samples held between two measurements count: they are part of the correlation that the network
+    sees. A channel without samples has zeros.
     """
     found = np.zeros((len(CHANNELS), 3))
     for c in range(len(found)):
@@ -68,12 +68,12 @@ def channel_statistics(flights: Sequence[ResidualFlight], chosen: Sequence[BoolA
 
 
 def kmeans_clusters(statistics: Array, n_clusters: int, seed: int) -> Clusters:
-    """k-means groups of the rows, the same for the same input and seed.
+    """k-means clusters of the rows, reproducible by seed.
 
     Args:
-        statistics: Shape (channels, numbers).
-        n_clusters: At most; fewer where fewer rows differ.
-        seed: Of the starts.
+        statistics: Statistics, shape (channels, numbers).
+        n_clusters: Maximum number of clusters; fewer where fewer rows differ.
+        seed: Random seed of the initial centres.
     """
     spread = statistics.std(axis=0)
     points = (statistics - statistics.mean(axis=0)) / np.where(spread > 0, spread, 1.0)

@@ -1,13 +1,14 @@
-"""Where training has been: a distance in physical inputs, 1 at its end, and what fades beyond.
+"""Training envelope: a distance in physical inputs, 1 at the edge, and fade-outs outside.
 
     z = (x - centre) / scale           d = |whitening @ z| / sqrt(len(z)) / reach
 
-Each row of `whitening` is an input beyond what those before it tell of it, over how far it went by
-itself: a vehicle that turned fast and stood still has been to fast turns, and not to speed.
+Each row of `whitening` is an input minus its prediction from those before it, over the range that
+it covered by itself: a vehicle that rotated fast while hovering has covered fast rotation, and not
+speed.
 
-Up to d = 1 a model may say all that it learned. From there to `NETWORK_END` a network fades, from
-`LINEAR_BEGIN` to `LINEAR_END` what is linear, neither in a step; a learned force fades as a network
-does (`twin.physics.residual_force`), since what it says feeds back into the motion.
+Up to d = 1 a model is used fully. From there to `NETWORK_END` a network fades out, from
+`LINEAR_BEGIN` to `LINEAR_END` the linear part, both smoothly; a learned force fades like a network
+(`twin.physics.residual_force`), since its output feeds back into the motion.
 """
 
 from collections.abc import Sequence
@@ -22,30 +23,31 @@ Array = NDArray[np.float64]
 NETWORK_END = 2.0
 """Distance at which a network has faded out. Not chosen on flights."""
 LINEAR_BEGIN, LINEAR_END = 3.0, 6.0
-"""Ends of the fade of what is linear. Neither was chosen on flights."""
+"""Distances at which the fade-out of the linear part begins and ends. Not chosen on flights."""
 INSIDE = 0.995
-"""Share of the training that is inside, and of each flight that the others have not seen: flights
-differ by more than a flight does within itself."""
+"""Share of the training data that is inside, and of each flight in the envelope of the others:
+flights differ more from each other than within themselves."""
 BEYOND = 2.0
-"""Times as far as on the training flights: so far a learned law goes from nothing, and a linear
-prediction from today's offset, at most. Not chosen on flights."""
+"""Largest output of a learned law, and largest deviation of a linear prediction from the current
+offset, as multiples of those on the training flights. Not chosen on flights."""
 TRIFLE = 1e-6
-"""An input that moves by less, in its unit, did not move."""
+"""Range of an input, in its unit, below which it counts as constant."""
 UNLIMITED = 1e30
-"""Reach of what has no envelope, and scale of what training never knew; finite, so that any tool
+"""Reach without an envelope, and scale of an input without training data; finite, so that any tool
 reads it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """Numbers of a distance; `k` physical inputs.
+    """Distance from the training data in `k` physical inputs.
 
     Attributes:
-        centre: Shape (k,).
-        scale: Above 0, shape (k,); `UNLIMITED` of an input that training never knew, which counts
-            for nothing.
-        whitening: Makes z uncorrelated, each row over its own reach; lower triangle, shape (k, k).
-        reach: Distance up to which training has been, above 0.
+        centre: Centre of the inputs, shape (k,).
+        scale: Scale of the inputs, above 0, shape (k,); `UNLIMITED` for an input without training
+            data, which is ignored.
+        whitening: Lower triangular matrix that decorrelates z, each row divided by its own range,
+            shape (k, k).
+        reach: Distance covered by the training data, above 0.
     """
 
     centre: Array
@@ -57,12 +59,13 @@ class Envelope:
 
     @classmethod
     def of(cls, flights: Sequence[Array], reserve: Array) -> "Envelope":
-        """That of a training, with room for the next flight: beyond the farthest of n by 1/n of
-        it, as is to be expected where all ways are equally likely (the German tank problem).
+        """Envelope of training flights, with a reserve for the next flight: beyond the farthest of
+        n by 1/n of its distance, the expectation for exchangeable flights (the German tank
+        problem).
 
         Args:
-            flights: Inputs of each, NaN where unknown, shape (n, k).
-            reserve: By input, what is no other place, in its unit, shape (k,).
+            flights: Inputs of each flight, NaN where unknown, shape (n, k).
+            reserve: Difference of each input within one flight condition, in its unit, shape (k,).
         """
         whole = _metric(flights, reserve)
         ends = [whole.ends(np.vstack(flights))]
@@ -76,12 +79,12 @@ class Envelope:
 
     @classmethod
     def none(cls, k: int) -> "Envelope":
-        """One that holds everything."""
+        """Envelope without limits."""
         return cls(np.zeros(k), np.ones(k), np.eye(k), UNLIMITED)
 
     @property
     def widths(self) -> Array:
-        """Of each row of `whitening`, in the unit of its input, shape (k,)."""
+        """Range of each row of `whitening`, in the unit of its input, shape (k,)."""
         return np.asarray(self.scale / np.diag(self.whitening))
 
     def white(self, x: Array) -> Array:
@@ -90,19 +93,19 @@ class Envelope:
         return np.asarray(z @ self.whitening.T)
 
     def ends(self, x: Array) -> Array:
-        """How far inputs go along each row, but for the last of them, shape (k,)."""
+        """Range of the inputs along each row, up to the `INSIDE` quantile, shape (k,)."""
         white = np.abs(self.white(x))
         known = white[np.isfinite(white).all(axis=1)]
         return np.quantile(known, INSIDE, axis=0) if len(known) else np.ones(white.shape[1])
 
     def distance(self, x: Array) -> Array:
-        """Of inputs, infinite where one of them is unknown; shape (n, k) to (n,)."""
+        """Distances of inputs, infinite where one of them is unknown; shape (n, k) to (n,)."""
         away = np.sqrt(np.mean(self.white(x) ** 2, axis=1)) / self.reach
         return np.asarray(np.where(np.isfinite(away), away, np.inf))
 
 
 def _metric(flights: Sequence[Array], reserve: Array) -> Envelope:
-    """A distance whose reach is one."""
+    """Envelope with a reach of one."""
     x = np.vstack(flights)
     known = np.isfinite(x)
     n = np.maximum(known.sum(axis=0), 1)
@@ -122,16 +125,16 @@ def _known(distance: Array) -> Array:
 
 
 def network_share(d: Array) -> Array:
-    """How much of a network counts at a distance."""
+    """Weight of a network at a distance."""
     return _fade(d, 1.0, NETWORK_END)
 
 
 def linear_share(d: Array) -> Array:
-    """How much of what is linear counts at a distance."""
+    """Weight of the linear part at a distance."""
     return _fade(d, LINEAR_BEGIN, LINEAR_END)
 
 
 def _fade(d: Array, begin: float, end: float) -> Array:
-    """1 up to `begin`, 0 from `end` on, in between a cubic without a kink."""
+    """Fade-out: 1 up to `begin`, 0 from `end` on, a smooth cubic in between."""
     t = ((d - begin) / (end - begin)).clip(0.0, 1.0)
     return np.asarray(1 - t * t * (3 - 2 * t))

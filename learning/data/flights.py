@@ -1,20 +1,22 @@
-"""A flight as residuals on an even grid: what the twin's sensors read, and what is left of it.
+"""A flight as residuals on a uniform grid: virtual readings of the twin, and measured minus
+virtual.
 
-Input-driven: the twin gets the flight's own commands, on the log's clock.
+The twin is driven by the flight's own commands, on the log's clock.
 
 | channels | the twin reads them |
 |---|---|
 | gyro, pos, vel | some time after it was started from the measured state, `restart_before_s` |
 | the other sensors that are learned | at the measured state |
 
-Without any time in between it follows the flight: what is left of its sensors then is no motion.
-Position and velocity are where it is put, and have no residual. An instant then has the residual of
-the interval that begins with it, over which its correction is held: what is corrected is not seen.
+With a restart time of zero the twin follows the flight: residuals of its sensors then contain no
+motion error. Position and velocity are set to the measured ones, and have no residual. An instant
+then has the residual of the interval that begins with it, over which its correction is held, so
+that the correction never sees its target.
 
-The gyroscope is compared by its own samples; the gap low-passes it forward and backward, which
-looks ahead. What the twin reads knows the flight: its state some time before, and for acc and mag
-the measured state itself, on a straight line to its next sample. A reading that is compared is
-never anything but a sample.
+The gyroscope is compared at its own samples; the gap, by contrast, filters it forward and backward,
+which uses future samples. Virtual readings use the flight: its state some time before, and for acc
+and mag the measured state itself, interpolated linearly to its next sample. Only actual samples are
+compared.
 """
 
 from collections.abc import Callable, Sequence
@@ -47,38 +49,38 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 DEFAULT_RATE_HZ = 100.0
-"""Hz; that of fast position loops, and of most residuals here. Made up."""
+"""Default sample rate, Hz, that of fast position loops, and of most residuals here. Made up."""
 DEFAULT_HORIZON_S = 0.5
-"""Of `reconstruct`: that of the gap."""
+"""Default restart time of `reconstruct`, s, that of the gap."""
 SHORTEST_SPAN = 2
-"""A single instant between two gaps is no stretch of flight."""
+"""Least number of samples of a span."""
 RESTARTED = ("gyro", "pos", "vel")
 """Groups that are read after a restart; the others are read at the measured state."""
 PUT = ("pos", "vel")
-"""Groups that say where a twin is put that follows the flight."""
+"""Groups that a twin that follows the flight is set to."""
 
 
 @dataclass(frozen=True, slots=True)
 class ResidualFlight:
-    """Residuals of one flight on an even grid.
+    """Residuals of one flight on a uniform grid.
 
     Attributes:
-        name: Of the flight.
-        rate_hz: Of the grid.
+        name: Name of the flight.
+        rate_hz: Sample rate of the grid, Hz.
         t_s: Times, s, shape (n,).
-        virtual: What the twin's sensors read, units as `channels.UNITS`, shape (n, 15); NaN where
-            the state to start from is not measured.
-        residual: Measured minus virtual, each sample at its own time; between samples the last
-            one held; NaN before the first, shape (n, 15).
-        fresh: Whether a sample lies in the interval that ends at the instant, of a twin that
-            follows in that which begins with it, shape (n, 15).
-        commands: What drives the rotors, as held at the instant: commands 0..1 or measured
-            speeds, rad/s; shape (n, m).
+        virtual: Readings of the twin's sensors, units as `channels.UNITS`, shape (n, 15); NaN where
+            the initial state was not measured.
+        residual: Measured minus virtual at the time of each sample, held until the next; NaN before
+            the first, shape (n, 15).
+        fresh: Whether a sample lies in the interval that ends at the instant, or for a twin that
+            follows, begins with it, shape (n, 15).
+        commands: Drive of the rotors, held at the instant: commands 0..1 or measured speeds, rad/s;
+            shape (n, m).
         phase: Code of the phase, `channels.PHASE_CODES`, shape (n,).
-        spans: Rows [a, b) in the air and without gaps, in order; outside nothing is fresh.
-        notes: What is missing or was assumed.
-        log_sha256: `Flight.fingerprint` of the flight, "" where not known.
-        alone: Whether the twin flew by itself, shape (n,); None: nowhere.
+        spans: Rows [a, b) in the air without gaps, in order; outside them nothing is fresh.
+        notes: Texts on missing data and assumptions.
+        log_sha256: Hash of the log, `Flight.fingerprint`, "" where unknown.
+        alone: Whether the twin ran open loop, shape (n,); None: nowhere.
     """
 
     name: str
@@ -110,20 +112,19 @@ def residual_flight(
     progress: Callable[[float], None] | None = None,
     aligned: AlignedFlight | None = None,
 ) -> ResidualFlight:
-    """Residuals of a flight against a vehicle.
+    """Residuals of a flight against a vehicle's twin.
 
     Args:
-        flight: As read by `twin.logs.read_flight`.
-        vehicle: As read by `twin.vehicle_file.load_vehicle`, its effects included.
-        rate_hz: Of the grid; 1000 Hz over a whole number.
-        restart_s: From the restart to the reading; a multiple of 1 ms, at least one interval, or
-            0: the twin follows.
+        flight: Flight, as of `twin.logs.read_flight`.
+        vehicle: Vehicle, as of `twin.vehicle_file.load_vehicle`, including its effects.
+        rate_hz: Sample rate of the grid, 1000 Hz over an integer.
+        restart_s: Time from restart to reading, s; a multiple of 1 ms, at least one interval, or 0:
+            the twin follows.
         progress: Called with the share done, 0..1.
-        aligned: The flight, or the part of it that counts, on the grid of the twin; None: it is put
-            there.
+        aligned: The flight, or its used part, on the grid of the twin; None: it is resampled here.
 
     Raises:
-        ModelError: Rate or time is not allowed.
+        ModelError: Rate or restart time is not allowed.
         LogError: The flight cannot be compared with this vehicle, or has no sample to compare.
     """
     every, steps = _steps(rate_hz, restart_s)
@@ -154,7 +155,7 @@ def residual_flight(
             continue
         samples = Signal(*flight.signal(CHANNELS[columns]))
         rows, values = _against(samples, near, t[grid], every)
-        rows = rows if ends is not None else rows - 1  # it begins where the one before ended
+        rows = rows if ends is not None else rows - 1  # it begins where the previous one ended
         residual[rows[rows >= 0], columns] = values[rows >= 0]
         fresh[rows[rows >= 0], columns] = True
     if not fresh.any():
@@ -190,24 +191,25 @@ def residuals_in_use(
     alone: Sequence[BoolArray],
     rate_hz: float,
 ) -> ResidualFlight:
-    """Residuals of a twin that was flown along a flight, once or more.
+    """Residuals of a twin that was run along a flight in one or more passes.
 
     An instant has the residual of the interval that begins with it, over which its correction is
-    held: what is corrected is not seen. Position and velocity of a twin that follows are given to
-    it, and have no residual.
+    held, so that the correction never sees its target. Position and velocity of a twin that follows
+    are inputs, and have no residual.
 
     Args:
-        flight: With the readings of its sensors.
-        aligned: On the grid of the twin.
-        readings: `CHANNELS` of the twin at every grid point, of each pass, shape (n_grid, 15).
-        drives: What drives the rotors, as the compensator is given it, shape (n_grid, m) each.
-        flown: Where the motion is known, shape (n_grid,) each.
-        counts: Where readings are to be compared, shape (n_grid,) each.
-        alone: Where the twin flew by itself, shape (n_grid,) each.
-        rate_hz: 1000 Hz over a whole number.
+        flight: Flight with the sensor readings.
+        aligned: Flight on the grid of the twin.
+        readings: Readings `CHANNELS` of the twin at every grid point, of each pass, shape (n_grid,
+            15).
+        drives: Drive of the rotors as input of the compensator, of each pass, shape (n_grid, m).
+        flown: Where the motion is known, of each pass, shape (n_grid,).
+        counts: Where readings are compared, of each pass, shape (n_grid,).
+        alone: Where the twin ran open loop, of each pass, shape (n_grid,).
+        rate_hz: Sample rate, 1000 Hz over an integer.
 
     Returns:
-        The passes one behind the other.
+        The passes concatenated.
 
     Raises:
         ModelError: The rate is not allowed.
@@ -260,12 +262,12 @@ def residuals_in_use(
 
 
 def held(values: Array, fresh: BoolArray | None = None, before: Array | float = np.nan) -> Array:
-    """Each fresh value held until the next; shape (n, k).
+    """Zero-order hold of fresh values, shape (n, k).
 
     Args:
-        values: Shape (n, k).
-        fresh: Which of them are, the same shape; None: those that are finite.
-        before: Until the first one, shape (k,) or a number.
+        values: Values, shape (n, k).
+        fresh: Which of them are fresh, shape (n, k); None: those that are finite.
+        before: Value before the first fresh one, shape (k,) or a number.
     """
     fresh = np.isfinite(values) if fresh is None else fresh
     row = np.where(fresh, np.arange(1, len(values) + 1)[:, None], 0)
@@ -275,10 +277,10 @@ def held(values: Array, fresh: BoolArray | None = None, before: Array | float = 
 
 
 def restart_before_s(protocol: Protocol, horizon: int, rate_hz: float) -> float:
-    """How long before a reading the twin of a protocol was at the measured state, s.
+    """Time from the restart at the measured state to a reading, under a protocol, s.
 
-    In `track` as long as the newest residual is old: what is measured up to then is known. In
-    `free` the twin follows: where its motion goes wrong, the forces are (`learning.force`).
+    In `track` it is the age of the newest residual: measurements up to then are known. In `free`
+    the twin follows the motion: errors of its motion are due to forces (`learning.force`).
     """
     return {"track": horizon / rate_hz, "reconstruct": DEFAULT_HORIZON_S, "free": 0.0}[protocol]
 
@@ -324,7 +326,7 @@ def _restarts(
     every: int,
     progress: Callable[[float], None],
 ) -> Array:
-    """`READ` over the last interval of every window, shape (n, every + 1, 13)."""
+    """States `READ` over the last interval of every window, shape (n, every + 1, 13)."""
     ends = np.full((len(grid), every + 1, len(READ)), np.nan)
     if _restartable(aligned) and valid.any():
         ends[valid] = window_ends(aligned, grid[valid] - steps, steps, every, progress)
@@ -341,7 +343,7 @@ def _columns_of_ends(group: str) -> slice:
 def _at_measured_state(
     flight: Flight, vehicle: Vehicle, aligned: AlignedFlight
 ) -> dict[str, Array]:
-    """What is read by group at every point of the twin's grid, shape (n_grid, 3) each."""
+    """Virtual readings by group at every point of the twin's grid, shape (n_grid, 3) each."""
     readings, _ = predicted_readings(
         aligned.airframe, aligned.imu, aligned.states, aligned.inputs.u
     )
@@ -363,21 +365,21 @@ def _at_measured_state(
 
 
 def _tails(values: Array, grid: IntArray, every: int) -> Array:
-    """The points of the interval that ends at each instant, its start among them."""
+    """Points of the interval that ends at each instant, including its start."""
     return np.asarray(values[np.maximum(grid[:, None] + np.arange(-every, 1), 0)])
 
 
 def _against(samples: Signal, near: Array, t_s: Array, every: int) -> tuple[IntArray, Array]:
-    """The last sample in each interval minus what the twin reads at its time.
+    """The last sample in each interval minus the twin's reading at its time.
 
     Args:
-        samples: Measured.
-        near: What the twin reads over each interval, shape (n, every + 1, 3).
-        t_s: Ends of the intervals, shape (n,).
-        every: Points per interval.
+        samples: Measured samples.
+        near: Twin's readings over each interval, shape (n, every + 1, 3).
+        t_s: Ends of the intervals, s, shape (n,).
+        every: Number of points per interval.
 
     Returns:
-        Rows that have a sample, and its residual, shape (k, 3).
+        Rows with a sample, shape (k,), and their residuals, shape (k, 3).
     """
     row = np.searchsorted(t_s + 1e-9, samples.t_s)
     back = (t_s[np.minimum(row, len(t_s) - 1)] - samples.t_s) / GRID_S  # in grid steps
@@ -397,16 +399,16 @@ def _spans(valid: BoolArray) -> tuple[tuple[int, int], ...]:
 
 
 _BLOCKS = ("virtual", "residual", "fresh")
-"""Columns per channel in a stored file."""
+"""Column groups per channel in a stored file."""
 _RATE = b"rate_hz"
-"""Key of the rate in the metadata of a stored file."""
+"""Metadata key of the rate in a stored file."""
 
 
 def write_residuals(flights: Sequence[ResidualFlight], path: Path) -> None:
     """Write flights of one rate and number of commands; the same flights give the same bytes.
 
     Columns: `flight`, `t_s`, `phase` (code), `span` (number of the span, -1 outside), `cmd_1..m`,
-    and `virtual.C`, `residual.C`, `fresh.C` per channel C. Real numbers keep their 64 bits.
+    and `virtual.C`, `residual.C`, `fresh.C` per channel C. Floating-point numbers have 64 bits.
     """
     table = pa.Table.from_pandas(
         pd.concat([_frame(f) for f in flights], ignore_index=True), preserve_index=False
@@ -416,10 +418,10 @@ def write_residuals(flights: Sequence[ResidualFlight], path: Path) -> None:
 
 
 def read_residuals(path: Path) -> list[ResidualFlight]:
-    """The flights that `write_residuals` wrote, without their notes.
+    """Read the flights of `write_residuals`, without their notes.
 
     Raises:
-        ModelError: It is missing or no such file.
+        ModelError: The file is missing or has another format.
     """
     try:
         with opened(path, path.name) as file:

@@ -1,4 +1,4 @@
-"""Standardisation of residuals and features, with the envelope of the training data."""
+"""Standardisation of residuals and features, and the training envelope."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -17,31 +17,33 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 MIN_SAMPLES = 20
-"""A phase with fewer samples of a channel is scaled as all phases together."""
+"""Least number of samples of a channel in a phase; with fewer, the scaling of all phases is
+used."""
 RATE_RESERVE, SPEED_RESERVE, DRIVE_RESERVE = 0.5, 0.5, 0.05
-"""What is no other place: rad/s, m/s, and a share of what drives a rotor on average. None was
+"""Differences within one flight condition: rad/s, m/s, and a share of a rotor's mean drive. Not
 chosen on flights."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scaling:
-    """What the model subtracts and divides by; all of it is stored with the weights.
+    """Offsets and scales of a model; all are stored with the weights.
 
     Attributes:
-        mean: Of the residual, shape (phases, 15), units of the channels.
+        mean: Mean residual, shape (phases, 15), units of the channels.
         scale: Spread of the residual, > 0, shape (phases, 15), units of the channels.
-        reading: Mean of what the twin reads, shape (phases, 15), units of the channels.
-        largest: Residual of the training about its mean, over the scale, its size, shape (15,).
-        feature_mean: Shape (features,), units of the features.
-        feature_scale: > 0, shape (features,); `UNLIMITED` for one never seen, which leaves 0.
-        least: Smallest standardised feature of the training: the network sees none below it,
-            shape (features,).
-        most: Largest one, shape (features,).
-        place_centre: Of the envelope, as the next three; shape (places,).
-        place_scale: Shape (places,).
-        place_whitening: Shape (places, places).
-        place_reach: Shape (1,).
-        rms: Of the uncorrected residual: what is to be expected outside the envelope, shape (15,).
+        reading: Mean reading of the twin, shape (phases, 15), units of the channels.
+        largest: Largest absolute training residual about its mean, over the scale, shape (15,).
+        feature_mean: Mean of the features, shape (features,), units of the features.
+        feature_scale: Scale of the features, > 0, shape (features,); `UNLIMITED` for one without
+            data, which gives 0.
+        least: Smallest standardised training feature, the lower limit of the network's input, shape
+            (features,).
+        most: Largest standardised training feature, the upper limit, shape (features,).
+        place_centre: Centre of the envelope, as of `Envelope`, shape (places,).
+        place_scale: Scale of the envelope, shape (places,).
+        place_whitening: Whitening of the envelope, shape (places, places).
+        place_reach: Reach of the envelope, shape (1,).
+        rms: Rms of the uncorrected residual, the expected error outside the envelope, shape (15,).
     """
 
     mean: Array
@@ -65,16 +67,16 @@ class Scaling:
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def without_offsets(self, channels: BoolArray) -> "Scaling":
-        """The same, the mean of some channels nothing.
+        """The scaling with zero mean for some channels.
 
         Args:
-            channels: Which, shape (15,).
+            channels: Selected channels, shape (15,).
         """
         return replace(self, mean=np.where(channels, 0.0, self.mean))
 
     @property
     def envelope(self) -> Envelope:
-        """Where training has been."""
+        """Training envelope."""
         reach = float(self.place_reach[0])
         return Envelope(self.place_centre, self.place_scale, self.place_whitening, reach)
 
@@ -85,7 +87,7 @@ def feature_names(n_commands: int) -> tuple[str, ...]:
 
 
 def features_of(flight: ResidualFlight) -> Array:
-    """Features in their own units, NaN where the twin could not read, shape (n, features)."""
+    """Features in their units, NaN where the twin has no reading, shape (n, features)."""
     return np.hstack([flight.virtual[:, list(FEATURE_CHANNELS)], flight.commands])
 
 
@@ -100,7 +102,7 @@ def places_of(raw: Array) -> Array:
     """Physical inputs of the envelope, shape (n, places).
 
     Args:
-        raw: Features in their own units, shape (n, features).
+        raw: Features in their units, shape (n, features).
     """
     seen = [
         raw[:, some[0]] if len(some) == 1 else np.hypot(*raw[:, list(some)].T) for some in PLACES
@@ -109,7 +111,7 @@ def places_of(raw: Array) -> Array:
 
 
 def _reserve(places: Array) -> Array:
-    """What is no other place, by physical input."""
+    """Difference of each physical input within one flight condition, shape (places,)."""
     names = [CHANNELS[FEATURE_CHANNELS[some[0]]] for some in PLACES]
     own = [RATE_RESERVE if name.startswith("gyro") else SPEED_RESERVE for name in names]
     drives = np.nan_to_num(np.nanmean(np.abs(places[:, len(own) :]), axis=0))
@@ -117,11 +119,11 @@ def _reserve(places: Array) -> Array:
 
 
 def standardised(raw: Array, scaling: Scaling) -> Array:
-    """Features as the network sees them: 0 where unknown, held at the ends of the training range.
+    """Standardised features for the network: 0 where unknown, limited to the training range.
 
     Args:
-        raw: In their own units, NaN where unknown, shape (n, features).
-        scaling: Of the training.
+        raw: Features in their units, NaN where unknown, shape (n, features).
+        scaling: Scaling of the training.
     """
     features = (raw - scaling.feature_mean) / scaling.feature_scale
     held = np.minimum(np.maximum(features, scaling.least), scaling.most)
@@ -129,7 +131,7 @@ def standardised(raw: Array, scaling: Scaling) -> Array:
 
 
 def in_spans(flight: ResidualFlight) -> BoolArray:
-    """Which samples lie within a span, shape (n,)."""
+    """Whether each sample is inside a span, shape (n,)."""
     inside = np.zeros(len(flight.t_s), dtype=np.bool_)
     for a, b in flight.spans:
         inside[a:b] = True
@@ -144,13 +146,13 @@ def fit_scaling(
     """Scaling and envelope from the training samples.
 
     Args:
-        flights: For training.
-        chosen: Per flight the samples that may be used, shape (n,).
-        normalise: As in `Preset`.
+        flights: Training flights.
+        chosen: Samples that may be used in each flight, shape (n,).
+        normalise: Normalisation, as in `Preset`.
 
     Returns:
-        Scaling; mean and scale are those of a twin that follows, where some of it does. A channel
-        or feature that never varies is divided by 1.
+        Scaling; mean and scale are those of a twin that follows the motion, where part of the data
+        is. Constant channels and features have scale 1.
     """
     residual = np.concatenate(
         [np.where(f.fresh, f.residual, np.nan)[c] for f, c in zip(flights, chosen, strict=True)]
@@ -195,7 +197,7 @@ def fit_scaling(
 
 
 def _readings(virtual: Array, phase: NDArray[np.intp]) -> Array:
-    """Mean of what the twin read, by phase, 0 where it never could, shape (phases, 15)."""
+    """Mean reading of the twin by phase, 0 without readings, shape (phases, 15)."""
     known = np.isfinite(virtual)
     found = np.tile(_mean(virtual, known), (N_PHASES, 1))
     for p in range(N_PHASES):
@@ -210,7 +212,7 @@ def _mean(values: Array, known: BoolArray) -> Array:
 
 
 def _centre(values: Array, normalise: str) -> tuple[float, float]:
-    """Centre and spread of some samples; (0, 1) of none."""
+    """Centre and spread of some samples; (0, 1) without samples."""
     if not len(values):
         return 0.0, 1.0
     if normalise == "range":
@@ -220,7 +222,7 @@ def _centre(values: Array, normalise: str) -> tuple[float, float]:
 
 
 def _positive(spread: float, centre: float) -> float:
-    """The spread, or 1 where it is nothing but rounding."""
+    """The spread, or 1 where it is only rounding."""
     return spread if spread > 1e-9 * abs(centre) + 1e-15 else 1.0
 
 

@@ -1,6 +1,6 @@
-"""Flights as standardised sequences: what the compensator sees and what it should say.
+"""Flights as standardised sequences: inputs and targets of the compensator.
 
-One definition for training and evaluation; `learning.export.streaming` does the same sample
+One definition for training and evaluation; `learning.export.streaming` implements the same sample
 by sample.
 """
 
@@ -23,51 +23,51 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 OF_THE_DAY = np.array([c.startswith(("acc", "mag")) for c in CHANNELS])
-"""Sensors that have another offset on another day, shape (15,): in `free`, which sees no
-measurement, what flights have in common of it says nothing of the next one, and only what is beyond
-a running mean is corrected. A gyroscope is set to nothing before each flight."""
+"""Sensors whose offset differs between days, shape (15,): in `free`, without measurements, the
+offset of the training flights does not predict that of the next one, so only the deviation from a
+running mean is corrected. A gyroscope is zeroed before each flight."""
 LAGS = 8
-"""Past residuals in the linear prediction of `track`."""
+"""Number of past residuals in the linear prediction of `track`."""
 SMOOTHING_S = (0.1, 0.5)
-"""Time constants of the slow copies of the features."""
+"""Time constants of the low-passed copies of the features, s."""
 OFFSET_S, OFFSET_PRIOR_S = 30.0, 1.0
-"""Memory of the running means of the known residual and reading, which hold the offset that a
-sensor has today, and how long they have to be known before they count more than no offset at all.
-Neither was chosen on flights."""
+"""Memory of the running means of the known residual and reading, s, which estimate a sensor's
+current offset, and weight of the prior that there is none, as a duration, s. Not chosen on
+flights."""
 ERROR_S = 2.0
-"""Memory of how far readings have been off, over what was expected, beside which the expected
-counts as one reading. Of 1, 2, 3, 5 and 10 s and mean squares, sizes and their roots the best
-balance of one and two spreads, over folds of NanoBench, and real_1 and real_2 of RflySimDT: within
-the goal in 80 and 92 % of 40 sensors, without it in 24 and 52 %."""
+"""Memory of the ratio of errors to their expected size, s, with a prior weight of one reading. Of
+1, 2, 3, 5 and 10 s and mean squares, sizes and their roots this was the best for one and two
+spreads, over folds of NanoBench, and real_1 and real_2 of RflySimDT: within the goal in 80 and 92 %
+of 40 sensors, without it in 24 and 52 %."""
 MEAN_SIZE = math.sqrt(2 / math.pi)
-"""Of a normal variable, over its standard deviation. Errors have long tails: of their squares a few
-make all."""
+"""Mean absolute value of a normal variable over its standard deviation. Errors have heavy tails,
+and a few would dominate their squares."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpanSequence:
-    """One span of one flight, from its first sample on; all standardised.
+    """One span of one flight, from its first sample on; everything is standardised.
 
     Attributes:
-        flight: Number of the flight.
+        flight: Index of the flight.
         start: Row of the flight at which the span starts.
-        d: Residual: each sample held until the next one, 0 before the first, shape (n, 15).
-        fresh: Whether `d` is new, shape (n, 15).
-        lags: Columns of `d` that are known: at t - horizon and before, shape (n, 15, lags); one
-            in `reconstruct`, none in `free`.
-        offset: Running means of what `lags` begins with, and of what the sensor read then, as
-            `own`: each counts less by 1 / e in `OFFSET_S`, and zeros of `OFFSET_PRIOR_S` count with
-            them; 0 unless in `track`, shape (n, 15, 2).
-        change: What the twin read at the time of the newest known residual, minus what it reads
-            now, over the scale; 0 unless in `track`, shape (n, 15).
-        own: What the twin reads now, about its mean in the phase, over the scale, shape (n, 15).
-        features: Shape (n, F).
+        d: Residual: each sample held until the next, 0 before the first, shape (n, 15).
+        fresh: Whether the residual is new, shape (n, 15).
+        lags: Known values of `d`: at t - horizon and before, shape (n, 15, lags); one in
+            `reconstruct`, none in `free`.
+        offset: Running means of the newest value of `lags`, and of the sensor's reading then, as
+            `own`: weights decay by 1 / e in `OFFSET_S`, with a prior of zeros for `OFFSET_PRIOR_S`;
+            0 except in `track`, shape (n, 15, 2).
+        change: Twin's reading at the time of the newest known residual minus the present one, over
+            the scale; 0 except in `track`, shape (n, 15).
+        own: Twin's present reading about its mean in the phase, over the scale, shape (n, 15).
+        features: Features, shape (n, F).
         slow: Low-passed features, shape (n, 2 F).
-        beyond: `own`, features and slow less their running means within the envelope, with the
-            memory of `offset`, shape (n, 15 + 3 F); none but in `free`.
-        phase: Codes, shape (n,).
-        distance: From where training has been, 1 where that ends, shape (n,).
-        alone: Whether the twin flew by itself, shape (n,).
+        beyond: `own`, features and slow minus their running means inside the envelope, with the
+            memory of `offset`, shape (n, 15 + 3 F); only in `free`.
+        phase: Phase codes, shape (n,).
+        distance: Distance from the training data, 1 at the envelope's edge, shape (n,).
+        alone: Whether the twin ran open loop, shape (n,).
     """
 
     flight: int
@@ -87,22 +87,22 @@ class SpanSequence:
 
     @property
     def inside(self) -> BoolArray:
-        """Whether it is within the envelope, shape (n,)."""
+        """Whether each sample is inside the envelope, shape (n,)."""
         return np.asarray(self.distance <= 1)
 
     @property
     def rows(self) -> slice:
-        """Rows of the flight."""
+        """Rows of the span in the flight."""
         return slice(self.start, self.start + len(self.d))
 
 
 def n_lags(protocol: Protocol) -> int:
-    """How many past residuals are looked at."""
+    """Number of past residuals that are used."""
     return {"reconstruct": 1, "track": LAGS, "free": 0}[protocol]
 
 
 def check_protocol(protocol: Protocol, horizon: int) -> None:
-    """Raise ModelError unless the horizon, in samples, goes with the protocol."""
+    """Raise ModelError unless the horizon, in samples, is allowed with the protocol."""
     if protocol == "track" and horizon < 1:
         raise ModelError(f"protocol track: horizon {horizon} samples; it needs 1 or more")
     if protocol != "track" and horizon != 0:
@@ -112,19 +112,19 @@ def check_protocol(protocol: Protocol, horizon: int) -> None:
 
 
 def n_regressors(protocol: Protocol, n_features: int) -> int:
-    """How many numbers the linear prediction of a channel is made from; see `base.regressors`."""
+    """Number of regressors of a channel's linear prediction; see `linear.regressors`."""
     features = n_features * (1 + len(SMOOTHING_S))
     of = {"track": LAGS + 4 + features, "free": 1 + features}
     return of.get(protocol, 0)
 
 
 def smoothing(rate_hz: float) -> tuple[float, ...]:
-    """Share of the way that each slow copy goes towards the feature per sample."""
+    """Filter coefficient per sample of each low-passed copy."""
     return tuple(1 - math.exp(-1 / (rate_hz * s)) for s in SMOOTHING_S)
 
 
 def running_mean(rate_hz: float) -> tuple[float, float]:
-    """Share of its weight that a residual keeps per sample, and samples of no residual at all."""
+    """Decay of a residual's weight per sample, and prior weight of zero in samples."""
     return math.exp(-1 / (rate_hz * OFFSET_S)), rate_hz * OFFSET_PRIOR_S
 
 
@@ -187,7 +187,8 @@ def _span(
 
 
 def limited(protocol: Protocol) -> bool:
-    """Whether there is an envelope: what repeats what it is given, or sees nothing, has none."""
+    """Whether there is an envelope: models that repeat their input, or have none, have no
+    envelope."""
     return protocol in ("track", "free")
 
 
@@ -198,12 +199,12 @@ def _distance(raw: Array, scaling: Scaling, protocol: Protocol) -> Array:
 
 
 def one_hot(phase: NDArray[np.intp]) -> Array:
-    """Phases as rows of the unit matrix, shape (n, phases)."""
+    """One-hot codes of phases, shape (n, phases)."""
     return np.eye(N_PHASES)[phase]
 
 
 def _running_means(residual: Array, reading: Array, decay: float, prior: float) -> Array:
-    """Means so far of both, shape (n, k, 2); a residual of zero says that there is none."""
+    """Running means of both, shape (n, k, 2); a residual of zero counts as missing."""
     there = (residual != 0).astype(np.float64)
     values = np.stack([residual, reading * there, there], axis=-1)
     sums = np.asarray(lfilter([1.0], [1.0, -decay], values, axis=0))
@@ -211,18 +212,18 @@ def _running_means(residual: Array, reading: Array, decay: float, prior: float) 
 
 
 def error_memory(rate_hz: float) -> float:
-    """Share of its weight that an innovation keeps per sample."""
+    """Decay of an innovation's weight per sample."""
     return math.exp(-1 / (rate_hz * ERROR_S))
 
 
 def error_of_today(size: Array, fresh: BoolArray, horizon: int, rate_hz: float) -> Array:
-    """How far readings are off today, over the spread that is expected of it, shape (n, k).
+    """Size of the current flight's errors over their expected spread, shape (n, k).
 
     Args:
-        size: Of innovations, over that spread, shape (n, k).
-        fresh: Where there is one, the same shape.
-        horizon: Samples until one is known.
-        rate_hz: Samples per second.
+        size: Innovations over that spread, shape (n, k).
+        fresh: Where there is one, shape (n, k).
+        horizon: Number of samples until an innovation is known.
+        rate_hz: Sample rate, Hz.
     """
     known = np.where(fresh, size / MEAN_SIZE, 0.0)
     values = np.stack([known, known > 0], axis=-1)
@@ -232,12 +233,12 @@ def error_of_today(size: Array, fresh: BoolArray, horizon: int, rate_hz: float) 
 
 
 def beyond_mean(values: Array, counts: BoolArray, decay: float) -> Array:
-    """Values less their mean so far, shape (n, k); nothing before any has counted.
+    """Values minus their running mean, shape (n, k); zero before any has counted.
 
     Args:
-        values: Shape (n, k).
-        counts: Which of them do: on the ground a twin reads other means, shape (n,).
-        decay: Share of its weight that a value keeps per sample.
+        values: Values, shape (n, k).
+        counts: Which of them count, since means differ on the ground, shape (n,).
+        decay: Decay of a value's weight per sample.
     """
     weights = counts.astype(np.float64)[:, None]
     sums = lfilter([1.0], [1.0, -decay], np.hstack([weights * values, weights]), axis=0)
@@ -245,7 +246,7 @@ def beyond_mean(values: Array, counts: BoolArray, decay: float) -> Array:
 
 
 def delayed(values: Array, samples: int, before: Array | float = 0.0) -> Array:
-    """The values some samples ago, or those from before the first; shape (n, k)."""
+    """The values some samples ago, or `before` at the start; shape (n, k)."""
     if samples == 0:
         return values
     late = np.empty_like(values)

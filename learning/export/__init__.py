@@ -1,1 +1,1 @@
-"""A trained compensator as ONNX."""
+"""Export of a trained compensator as ONNX."""

@@ -1,4 +1,4 @@
-"""A small builder of ONNX graphs: operators as calls, numbers as arrays, always the same bytes."""
+"""A small builder of ONNX graphs: operators as calls, constants as arrays, reproducible bytes."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 OPSET = 17
-"""Operators as of ONNX 1.12, 2022; onnxruntime 1.12 and later run them."""
+"""Operator set of ONNX 1.12, 2022; onnxruntime 1.12 and later support it."""
 IR_VERSION = 8
-"""Of the file, as of ONNX 1.12."""
+"""Version of the file format of ONNX 1.12."""
 
 
 BATCH = "batch"
@@ -22,12 +22,12 @@ BATCH = "batch"
 class Graph:
     """A graph of float32 tensors that grows by one operator per call.
 
-    Operators are named after the layer that they are part of: "encoder.layer_0.MatMul_12", in a
-    `scope`, and so are the tensors that they give.
+    Operators and their outputs are named after their layer: "encoder.layer_0.MatMul_12", inside a
+    `scope`.
 
     Args:
-        name: Of the graph.
-        batch: Samples of a call; None: any number, a dynamic axis named "batch".
+        name: Name of the graph.
+        batch: Number of samples per call; None: any number, a dynamic axis named "batch".
     """
 
     def __init__(self, name: str, batch: int | None = None) -> None:
@@ -40,30 +40,31 @@ class Graph:
         self._outputs: list[onnx.ValueInfoProto] = []
 
     def input(self, name: str, width: int) -> str:
-        """An input of shape (batch, width)."""
+        """Add an input of shape (batch, width)."""
         self._inputs.append(self._row(name, width))
         return name
 
     def output(self, name: str, width: int, kind: str, *inputs: str, **attributes: Any) -> None:
-        """An operator whose one output, of shape (batch, width), leaves the graph under a name."""
+        """Add an operator whose single output, of shape (batch, width), is a named output of the
+        graph."""
         node = helper.make_node(kind, inputs, [name], name=name, **attributes)
         self._nodes.append(node)
         self._outputs.append(self._row(name, width))
 
     def floats(self, values: ArrayLike) -> str:
-        """A constant of float32."""
+        """Add a float32 constant."""
         return self._constant(np.asarray(values, dtype=np.float32))
 
     def integers(self, *values: int) -> str:
-        """A constant vector of int64: sizes, places, axes."""
+        """Add a constant vector of int64: sizes, indices, axes."""
         return self._constant(np.asarray(values, dtype=np.int64))
 
     def op(self, kind: str, *inputs: str, **attributes: Any) -> str:
-        """An operator with one output."""
+        """Add an operator with one output."""
         return self._node(kind, inputs, 1, attributes)[0]
 
     def split(self, value: str, sizes: list[int], axis: int) -> list[str]:
-        """Parts of a tensor along an axis; those of size 0 are left out, as ""."""
+        """Split a tensor along an axis; parts of size 0 are ""."""
         present = [n for n in sizes if n]
         if len(present) == 1:
             parts = iter([value])
@@ -75,7 +76,7 @@ class Graph:
         return [next(parts) if n else "" for n in sizes]
 
     def concat(self, *values: str, axis: int) -> str:
-        """Tensors side by side; empty names are left out."""
+        """Concatenate tensors; empty names are ignored."""
         present = [v for v in values if v]
         return present[0] if len(present) == 1 else self.op("Concat", *present, axis=axis)
 
@@ -84,16 +85,16 @@ class Graph:
         return self.op("Slice", value, self.integers(first), self.integers(last), self.integers(1))
 
     def reshape(self, value: str, *shape: int) -> str:
-        """The same numbers in another shape; 0 keeps the size of an axis, -1 takes the rest."""
+        """Reshape a tensor; 0 keeps the size of an axis, -1 is the remaining size."""
         return self.op("Reshape", value, self.integers(*shape))
 
     def transpose(self, value: str, *axes: int) -> str:
-        """A tensor with its axes in another order."""
+        """Transpose a tensor."""
         return self.op("Transpose", value, perm=list(axes))
 
     @contextmanager
     def scope(self, layer: str) -> Iterator[None]:
-        """Operators within belong to a layer, within the layer around it."""
+        """Put the operators inside into a layer, nested in the enclosing one."""
         self._scope.append(layer)
         try:
             yield

@@ -1,17 +1,17 @@
-"""`Compensator.run` as an ONNX model: a sample per call, all memory in `state`, all of it inside.
+"""`Compensator.run` as a self-contained ONNX model: one sample per call, all memory in `state`.
 
     virtual (B, 15), command (B, m), phase (B, 1), measured (B, 15), valid (B, 15), state (B, N)
     -> correction (B, 15), spread (B, 15), anomaly (B, 1), inside (B, 1), state_out (B, N)
 
-The first axis, "batch", is dynamic: B aircraft side by side, each with a state of its own.
-`measured` counts where `valid` is 1: there it is new. A sample with a number that is none counts as
-not having been: nothing is corrected, it is not inside, and the state stays as it is.
+The first axis, "batch", is dynamic: B aircraft in parallel, each with its own state. `measured` is
+used where `valid` is 1: there it is new. A sample with a non-finite number is ignored: no
+correction, not inside, and an unchanged state.
 
-Few and wide operators, since most of the time of a small network goes into their calls: all
-clusters are one batch of products. Each cluster sees every channel, with weights of zero for those
-of others; what only the phase decides (its embedding, every bias) is one table; what the output is
-multiplied by is part of the last weights. LSTM cells are written out, which any runtime, the C
-generator and the quantiser to int8 understand.
+Few and wide operators, since calls dominate the time of a small network: all clusters are one
+batched product. Each cluster has all channels as inputs, with zero weights for those of others;
+everything that depends only on the phase (its embedding, all biases) is one table; output scales
+are part of the last weights. LSTM cells are written as elementary operators, which any runtime, the
+C generator and the int8 quantiser support.
 """
 
 from collections.abc import Sequence
@@ -42,18 +42,18 @@ from .graph import Graph
 Array = NDArray[np.float64]
 
 INPUTS = ("virtual", "command", "phase", "measured", "valid", "state")
-"""Of the ONNX model, in order."""
+"""Inputs of the ONNX model, in order."""
 OUTPUTS = ("correction", "spread", "anomaly", "inside", "state_out")
-"""Of the ONNX model, in order."""
+"""Outputs of the ONNX model, in order."""
 _FLOAT = onnx.TensorProto.FLOAT  # 32 bits
 
 
 def streaming_model(compensator: Compensator, batch: int | None = None) -> onnx.ModelProto:
-    """The checked model, without metadata; the same bytes for the same weights.
+    """The checked ONNX model without metadata; the same bytes for the same weights.
 
     Args:
-        compensator: Trained.
-        batch: Samples of a call; None: any number.
+        compensator: Trained compensator.
+        batch: Number of samples per call; None: any number.
     """
     info = compensator.info
     graph = Graph("compensator", batch)
@@ -71,11 +71,11 @@ def streaming_model(compensator: Compensator, batch: int | None = None) -> onnx.
 
 @dataclass(frozen=True)
 class _Sample:
-    """Names of what came in, zero throughout where a number is none.
+    """Names of the inputs, set to zero where any number is not finite.
 
     Attributes:
-        whole: Whether every number is one, Boolean of shape (B, 1).
-        measured: "" where nothing measured is looked at, as `valid`.
+        whole: Whether every number is finite, Boolean of shape (B, 1).
+        measured: Name of the measurements, "" where none is used, as `valid`.
     """
 
     whole: str
@@ -94,7 +94,7 @@ def _sample(g: Graph, model: Compensator) -> _Sample:
         names += [g.op("Where", fresh, "measured", "virtual"), "valid"]
         widths += [n, n]
     given = g.concat(*names, axis=1)
-    none = g.op("IsNaN", g.op("Sub", given, given))  # of an infinite number, too
+    none = g.op("IsNaN", g.op("Sub", given, given))  # infinite numbers give NaN, too
     lost = g.op("ReduceMax", g.op("Cast", none, to=_FLOAT), axes=[1], keepdims=1)
     whole = g.op("Less", lost, g.floats([[0.5]]))
     parts = g.split(g.op("Where", whole, given, g.floats([np.zeros(sum(widths))])), widths, axis=1)
@@ -102,7 +102,7 @@ def _sample(g: Graph, model: Compensator) -> _Sample:
 
 
 def _step(g: Graph, model: Compensator) -> None:
-    """One sample of `Compensator.run` as operators."""
+    """Operators of one sample of `Compensator.run`."""
     rows, protocol, n = model.history, model.info.protocol, len(CHANNELS)
     parts = g.split("state", list(model.state_sizes), axis=1)
     past, mean_so_far, readings, begun, innovation_ratios, sizes, errors, slow, cells = parts
@@ -110,13 +110,13 @@ def _step(g: Graph, model: Compensator) -> None:
         sample = _sample(g, model)
         here = _one_hot(g, sample)
         mean, scale, reading, expected = _tables(g, model, here)
-    sees_inputs = protocol != "reconstruct"  # which looks at no feature
+    sees_inputs = protocol != "reconstruct"  # which uses no feature
     with g.scope("features"):
         raw = _raw_features(g, model, sample) if sees_inputs else ""
         features = _features(g, model, raw) if sees_inputs else ""
         if rows:
             past = _remembered(g, sample, past, mean, scale, (rows, n))
-        if sees_inputs:  # elsewhere nothing looks at them, and their state stays as it is
+        if sees_inputs:  # otherwise they are unused, and their state stays as it is
             slow = _smoothed(g, model, features, slow)
         first = model.info.horizon * n
         known = past if rows <= 1 else g.columns(past, first, first + n)
@@ -182,7 +182,7 @@ def _step(g: Graph, model: Compensator) -> None:
             innovation_ratios = g.op("Where", fresh, ratio, innovation_ratios)
             alarm = g.op("ReduceMax", innovation_ratios, axes=[1], keepdims=1)
         else:
-            alarm = g.op("Mul", sample.phase, silent)  # of as many samples
+            alarm = g.op("Mul", sample.phase, silent)  # NaN of shape (B, 1)
     g.output("anomaly", 1, "Where", sample.whole, alarm, silent)
     g.output("inside", 1, "Cast", inside, to=_FLOAT)
     compared = (innovation_ratios, sizes, errors)
@@ -191,14 +191,14 @@ def _step(g: Graph, model: Compensator) -> None:
 
 
 def _one_hot(g: Graph, sample: _Sample) -> str:
-    """1 at the phase's code, shape (B, phases)."""
+    """One-hot code of the phase, shape (B, phases)."""
     code = g.op("Clip", sample.phase, g.floats(0.0), g.floats(N_PHASES - 1))
     away = g.op("Abs", g.op("Sub", code, g.floats([np.arange(N_PHASES)])))
     return g.op("Relu", g.op("Sub", g.floats([[1.0]]), away))
 
 
 def _raw_features(g: Graph, model: Compensator, sample: _Sample) -> str:
-    """Virtual signals and commands that are features, in their units, shape (B, F)."""
+    """Virtual signals and commands used as features, in their units, shape (B, F)."""
     both = g.op("Concat", sample.virtual, sample.command, axis=1)
     n = len(CHANNELS)
     places = [*FEATURE_CHANNELS, *range(n, n + model.info.n_commands)]
@@ -224,10 +224,10 @@ def _tables(g: Graph, model: Compensator, here: str) -> list[str]:
 def _remembered(
     g: Graph, sample: _Sample, past: str, mean: str, scale: str, shape: tuple[int, int]
 ) -> str:
-    """Standardised residuals, newest first, with the present one in front; (B, rows 15).
+    """Standardised residuals with the present one first, newest first, shape (B, rows 15).
 
     Args:
-        shape: Rows of the past, and channels.
+        shape: Rows of the past, and number of channels.
     """
     rows, n = shape
     residual = g.op("Sub", g.op("Sub", sample.measured, sample.virtual), mean)
@@ -238,7 +238,8 @@ def _remembered(
 
 
 def _bounded(g: Graph, model: Compensator, said: str, today: str) -> str:
-    """As `learning.model.linear.bounded`, shape (B, 15); `today` "" for no offset."""
+    """Limited prediction, as `learning.model.linear.bounded`, shape (B, 15); `today` "" for no
+    offset."""
     most = BEYOND * _row(model.largest)
     about = g.op("Sub", said, today) if today else said
     about = g.op("Min", g.op("Max", about, g.floats(-most)), g.floats(most))
@@ -248,7 +249,8 @@ def _bounded(g: Graph, model: Compensator, said: str, today: str) -> str:
 def _read_then(
     g: Graph, model: Compensator, sample: _Sample, readings: str, begun: str
 ) -> tuple[str, str, str]:
-    """What the twin read at the newest known residual (B, 15); next state of the readings."""
+    """The twin's reading at the newest known residual, shape (B, 15); next state of the
+    readings."""
     n, last, time = len(CHANNELS), model.readings - 1, g.integers(1)
     started = g.reshape(g.op("Greater", begun, g.floats([[0.5]])), 0, 1, 1)
     virtual = g.reshape(sample.virtual, 0, 1, n)
@@ -264,7 +266,8 @@ def _read_then(
 def _offset(
     g: Graph, model: Compensator, known: str, read: str, mean_so_far: str
 ) -> tuple[str, str]:
-    """Running means of known residual and reading (B, 2, 15); next state of sums and weights."""
+    """Running means of known residual and reading, shape (B, 2, 15); next state of sums and
+    weights."""
     n, (decay, prior) = len(CHANNELS), running_mean(model.info.rate_hz)
     there = g.op("Cast", g.op("Greater", g.op("Abs", known), g.floats([[0.0]])), to=_FLOAT)
     new = g.concat(known, g.op("Mul", read, there), there, axis=1)
@@ -278,8 +281,8 @@ def _offset(
 def _beyond(
     g: Graph, model: Compensator, said: str, distance: str, mean_so_far: str
 ) -> tuple[str, str]:
-    """Linear predictions, of the sensors of `OF_THE_DAY` beyond their running means (B, 15), which
-    is the prediction of what is beyond the means; next state of sums and weight."""
+    """Linear predictions, for the sensors of `OF_THE_DAY` minus their running means, shape (B, 15),
+    which equals the prediction from inputs minus their means; next state of sums and weight."""
     n, (decay, _) = len(CHANNELS), running_mean(model.info.rate_hz)
     counts = g.op("Cast", g.op("LessOrEqual", distance, g.floats([[1.0]])), to=_FLOAT)
     new = g.concat(g.op("Mul", said, counts), counts, axis=1)
@@ -293,7 +296,7 @@ def _beyond(
 
 
 def _innovation_size(g: Graph, sample: _Sample, correction: str, spread: str) -> str:
-    """As `innovation_size` of the compensator, shape (B, 15)."""
+    """Innovation over its spread, as `innovation_size` of the compensator, shape (B, 15)."""
     residual = g.op("Sub", sample.measured, sample.virtual)
     new = g.op("Abs", g.op("Sub", residual, correction))
     return g.op("Div", new, g.op("Max", spread, g.floats([[NO_SPREAD]])))
@@ -302,7 +305,8 @@ def _innovation_size(g: Graph, sample: _Sample, correction: str, spread: str) ->
 def _error_of_today(
     g: Graph, model: Compensator, new: str, sizes: str, errors: str
 ) -> tuple[str, str, str]:
-    """How far readings are off today, over the spread, (B, 15); states, as of `state_sizes`.
+    """Size of the current flight's errors over the spread, shape (B, 15); states, as of
+    `state_sizes`.
 
     Args:
         new: Size of the present innovations, 0 where there is none, shape (B, 15).
@@ -326,7 +330,7 @@ def _smoothed(g: Graph, model: Compensator, features: str, slow: str) -> str:
 
 
 def _distance(g: Graph, model: Compensator, raw: str) -> str:
-    """From where training has been, shape (B, 1)."""
+    """Distance from the training data, shape (B, 1)."""
     parts = []
     for some in PLACES:
         own = g.op("Gather", raw, g.integers(*some), axis=1)
@@ -344,7 +348,7 @@ def _distance(g: Graph, model: Compensator, raw: str) -> str:
 
 
 def _fade(g: Graph, distance: str, begin: float, end: float) -> str:
-    """As in `learning.data.envelope`, shape (B, 1)."""
+    """Fade-out, as in `learning.data.envelope`, shape (B, 1)."""
     away = g.op("Div", g.op("Sub", distance, g.floats([[begin]])), g.floats([[end - begin]]))
     t = g.op("Min", g.op("Max", away, g.floats([[0.0]])), g.floats([[1.0]]))
     rest = g.op("Sub", g.floats([[3.0]]), g.op("Add", t, t))
@@ -358,7 +362,8 @@ def _row(values: Tensor) -> Array:
 def network(
     g: Graph, model: Compensator, known: str, features: str, here: str, cells: str
 ) -> tuple[str, str, str]:
-    """Output times its gain (B, 15), its log spread (B, 15), "" without a head, next cells."""
+    """Output times its gain (B, 15), its log spread (B, 15), "" without a spread head, and next
+    cell states."""
     network, preset = _network(model), model.info.preset
     clusters = [n for n in network.networks if isinstance(n, ClusterNetwork)]
     units = [*preset.encoder_units, *preset.decoder_units]
@@ -395,23 +400,24 @@ def network(
 
 
 def _network(model: Compensator) -> SvqNetwork:
-    """That of a model which has one."""
+    """The network of a model that has one."""
     assert model.network is not None
     return model.network
 
 
 def _side_by_side(g: Graph, of_clusters: str) -> str:
-    """Numbers of the clusters in one row per sample: (C, B, n) to (B, C n)."""
+    """Outputs of the clusters in one row per sample: (C, B, n) to (B, C n)."""
     return g.reshape(g.transpose(of_clusters, 1, 0, 2), 0, -1)
 
 
 def _closeness(cluster: ClusterNetwork) -> float:
-    """The latent of the graph over that of the network: its product with a code is a logit."""
+    """Scale of the graph's latent relative to the network's: its product with a code is a logit."""
     return 2 / cluster.quantiser.temperature
 
 
 def _seen_table(model: Compensator, number: int) -> Array:
-    """From [known residuals, features, phase] to a cluster's gates and latent, (S, 4 U + D)."""
+    """Weights from [known residuals, features, phase] to a cluster's gates and latent, (S, 4 U +
+    D)."""
     network = _network(model)
     cluster = network.networks[number]
     assert isinstance(cluster, ClusterNetwork)
@@ -431,7 +437,8 @@ def _seen_table(model: Compensator, number: int) -> Array:
 
 
 def _phase_table(stack: LstmStack, embedding: Array) -> Array:
-    """What the phase adds to the gates of the first layer, biases included; (phases, 4 U)."""
+    """Contribution of the phase to the gates of the first layer, including biases, (phases, 4
+    U)."""
     layer = _layer(stack, 0)
     return np.asarray(embedding @ _of_input(layer)[-embedding.shape[1] :] + _bias(layer))
 
@@ -444,15 +451,15 @@ def _lstm(
     width: int,
     states: Sequence[tuple[str, str]],
 ) -> tuple[str, list[tuple[str, str]]]:
-    """LSTM layers; output and next states, shapes (C, B, U).
+    """LSTM layers; returns output and next states, shapes (C, B, U).
 
     Args:
-        g: The graph.
-        stacks: Of each cluster.
-        gates: Of the first layer, but for what `x` and the state add; (C, B, 4 U).
-        x: Input of the first layer that is not in `gates`, shape (C, B, width); "" for none.
-        width: Of `x`.
-        states: Output and cell of each layer.
+        g: Graph to which they are added.
+        stacks: LSTM layers of each cluster.
+        gates: Gates of the first layer without the contributions of `x` and the state, (C, B, 4 U).
+        x: Further input of the first layer, shape (C, B, width); "" for none.
+        width: Width of `x`.
+        states: Names of output and cell state of each layer.
     """
     after: list[tuple[str, str]] = []
     for number, (h, c) in enumerate(states):
@@ -477,7 +484,7 @@ def _quantised(g: Graph, model: Compensator, clusters: Sequence[ClusterNetwork],
     if kind == "none":
         return g.op("Mul", z, g.floats(temperature / 2))
     codes = np.stack([numbers(c.quantiser.codes) for c in clusters])  # (C, K, D)
-    book = g.floats(codes)  # one constant for both products: its numbers are read once
+    book = g.floats(codes)  # one constant for both products, stored once
     logits = g.transpose(g.op("MatMul", book, g.transpose(z, 0, 2, 1)), 0, 2, 1)  # (C, B, K)
     logits = g.op("Sub", logits, g.floats((codes**2).sum(-1)[:, None] / temperature))
     if kind == "soft":
@@ -492,9 +499,9 @@ def _quantised(g: Graph, model: Compensator, clusters: Sequence[ClusterNetwork],
 def _read_out(
     g: Graph, model: Compensator, clusters: Sequence[ClusterNetwork], h: str, code: str
 ) -> tuple[str, str]:
-    """Output times its gain and its log spread ("" without a head), shape (B, 15) each.
+    """Output times its gain and its log spread ("" without a spread head), shape (B, 15) each.
 
-    One product: the clusters' numbers side by side, zero for the channels of others.
+    One product over all clusters' outputs, with zero weights for the channels of others.
     """
     preset, gain = model.info.preset, numbers(model.gate * model.leftover)
     n, units, n_channels = len(clusters), preset.decoder_units[-1], len(CHANNELS)
@@ -528,7 +535,7 @@ def _read_out(
 
 
 def numbers(values: Tensor) -> Array:
-    """Of a tensor, float64."""
+    """Values of a tensor, float64."""
     return np.asarray(values.detach().double().numpy())
 
 
@@ -549,11 +556,12 @@ def _of_state(layer: nn.LSTM) -> Array:
 
 
 def _bias(layer: nn.LSTM) -> Array:
-    """Shape (4 U,)."""
+    """Bias of the gates, shape (4 U,)."""
     return _gates(layer.all_weights[0][2]) + _gates(layer.all_weights[0][3])
 
 
 def _gates(values: Tensor) -> Array:
-    """Gates last and in the order input, forget, output, new: what goes into one sigmoid first."""
+    """Gates on the last axis, in the order input, forget, output, new: those with a sigmoid
+    first."""
     i, f, new, o = np.split(numbers(values), 4)
     return np.concatenate([i, f, o, new]).T

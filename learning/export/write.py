@@ -1,11 +1,11 @@
-"""A trained compensator as files for any runtime: `model.onnx`, int8, reference vectors.
+"""Export of a trained compensator for any runtime: `model.onnx`, an int8 version, reference
+vectors.
 
-`model_int8.onnx` has weights of 8 bits: about half of the size, nearly the same numbers. Quantised
-are the products of weights with what a cluster computed itself: LSTM cells and latent, most of all
-weights. A row of weights has one scale; what it is multiplied by has one that is found at each
-sample; sums are exact, of integers, and the same in every runtime. What comes in stays float, since
-a single large reading would leave few steps for the others, and so do codebook, linear prediction
-and read-out.
+`model_int8.onnx` has 8-bit weights: about half of the size, nearly the same numbers. Quantised are
+the products of weights with values computed inside a cluster: LSTM cells and latent, which have
+most of the weights. A row of weights has one scale; the other factor has a scale computed at each
+sample; sums are exact integers, equal in every runtime. Inputs stay float, since a single large
+reading would leave few steps for the others, and so do codebook, linear prediction and read-out.
 """
 
 import hashlib
@@ -26,30 +26,31 @@ from ..model.compensator import Compensator
 from .streaming import INPUTS, OUTPUTS, streaming_model
 
 MODEL_FILE, INT8_FILE, REFERENCE_FILE = "model.onnx", "model_int8.onnx", "reference.npz"
-"""Network, network of 8 bits, what both say for some inputs."""
+"""Files: network, 8-bit network, and outputs of both for some inputs."""
 FORMAT = "uavtwin compensator 1"
-"""Value of the metadata `format`: what a reader may rely on."""
+"""Value of the metadata `format`, which a reader can check."""
 REFERENCE_SAMPLES = 300
-"""Samples of the reference vectors: 3 s at 100 Hz, inside, outside and inside again."""
+"""Number of samples of the reference vectors: 3 s at 100 Hz, inside, outside and inside the
+envelope again."""
 LARGEST_COMMAND = 1.0
-"""A mean beyond this is one of rotor speeds, rad/s."""
+"""Limit of a mean command above which the inputs are rotor speeds, rad/s."""
 
 
 def export_onnx(compensator: Compensator, folder: Path) -> Path:
-    """Write the streaming model, the same in int8, and vectors to check any runtime by.
+    """Write the streaming model, its int8 version, and vectors for the verification of any runtime.
 
-    What int8 costs is among its metadata: `int8_deviation`, see `deviation`.
+    The error of int8 is in its metadata: `int8_deviation`, see `deviation`.
 
     Args:
-        compensator: Trained.
-        folder: Must exist.
+        compensator: Trained compensator.
+        folder: Existing folder.
 
     Returns:
-        The path of `model.onnx`.
+        Path of `model.onnx`.
     """
     said, vectors = metadata(compensator), reference_vectors(compensator)
     model = streaming_model(compensator)
-    small = quantised(streaming_model(compensator, 1))  # whose scales are those of a sample
+    small = quantised(streaming_model(compensator, 1))  # with activation scales per sample
     loss = deviation(small, vectors)
     _write(model, said, folder / MODEL_FILE)
     _write(small, said | {"int8_deviation": f"{loss:.3g}"}, folder / INT8_FILE)
@@ -59,14 +60,14 @@ def export_onnx(compensator: Compensator, folder: Path) -> Path:
 
 
 def _write(model: onnx.ModelProto, said: Mapping[str, str], path: Path) -> None:
-    """The model with metadata, and a hash of its graph that tells when the file is damaged."""
+    """Write the model with metadata and a hash of its graph, which detects damaged files."""
     digest = hashlib.sha256(model.graph.SerializeToString(deterministic=True)).hexdigest()
     onnx.helper.set_model_props(model, {**said, "graph_sha256": digest})
     path.write_bytes(model.SerializeToString(deterministic=True))
 
 
 def metadata(compensator: Compensator) -> dict[str, str]:
-    """What a user of the file must know, as JSON texts by name."""
+    """Metadata for users of the file, as JSON texts by name."""
     info = compensator.info
     scaling = compensator.scaling()
     values: dict[str, Any] = {
@@ -95,19 +96,19 @@ def metadata(compensator: Compensator) -> dict[str, str]:
 
 
 def _motors(compensator: Compensator) -> list[str]:
-    """Flight-table columns of what drove the rotors: commands, 0..1, or speeds in rad/s."""
+    """Flight-table columns of the rotors' drive: commands, 0..1, or speeds in rad/s."""
     means = compensator.feature_mean[len(FEATURE_CHANNELS) :].tolist()
     kind = "rotor" if max(means, default=0.0) > LARGEST_COMMAND else "cmd"
     return [f"{kind}_{i}" for i in range(1, len(means) + 1)]
 
 
 def reference_vectors(compensator: Compensator) -> dict[str, NDArray[np.float32]]:
-    """Inputs and the outputs that belong to them by `Compensator.run`, from the state zero.
+    """Inputs and the corresponding outputs of `Compensator.run`, from zero state.
 
-    Features wander within the envelope and, in the second third, out of it.
+    Features vary within the envelope and, in the second third, leave it.
 
     Returns:
-        By name of the ONNX file, shape (samples, width) each, without the states.
+        Vectors by their name in the ONNX file, shape (samples, width) each, without the states.
     """
     rng = np.random.default_rng(0)
     scaling, n = compensator.scaling(), REFERENCE_SAMPLES
@@ -127,7 +128,7 @@ def reference_vectors(compensator: Compensator) -> dict[str, NDArray[np.float32]
     }
     inputs = {name: values.astype(np.float32) for name, values in rows.items()}
     found = compensator.run(flight_of(inputs, compensator.info.rate_hz))
-    anomaly = np.nan_to_num(found.anomaly)[:, None]  # 0 where there is no alarm
+    anomaly = np.nan_to_num(found.anomaly)[:, None]  # 0 for a model without alarms
     right = {
         "correction": found.correction,
         "spread": found.spread,
@@ -138,11 +139,11 @@ def reference_vectors(compensator: Compensator) -> dict[str, NDArray[np.float32]
 
 
 def flight_of(inputs: Mapping[str, NDArray[np.float32]], rate_hz: float) -> ResidualFlight:
-    """Inputs of the ONNX file, sample after sample, as a flight of one span.
+    """Sequence of inputs of the ONNX file as a flight of one span.
 
     Args:
-        inputs: By name, finite where valid, shape (samples, width) each.
-        rate_hz: Samples a second.
+        inputs: Inputs by name, finite where valid, shape (samples, width) each.
+        rate_hz: Sample rate, Hz.
     """
     virtual, command, phase, measured, valid = (inputs[name] for name in INPUTS[:-1])
     samples, fresh = len(virtual), valid > 0.5
@@ -162,13 +163,13 @@ def flight_of(inputs: Mapping[str, NDArray[np.float32]], rate_hz: float) -> Resi
 
 Vectors = Mapping[str, NDArray[np.float32]]
 LARGEST = 127
-"""Of a weight; -128 is left out, so that a row and its negative have the same steps."""
+"""Largest int8 weight; -128 is excluded, so that a row and its negative have the same steps."""
 _FLAT = "flat"
-"""Constant: shape of a row per cluster."""
+"""Name of a constant: shape of one row per cluster."""
 
 
 def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
-    """The model with smaller weights, checked; without shapes of what is between its operators."""
+    """The model with 8-bit weights, checked; without the shapes of intermediate tensors."""
     given = onnx.ModelProto()
     given.CopyFrom(model)
     wide = set(_wide_products(model))
@@ -193,13 +194,13 @@ def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
 
 
 def _rows(weights: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
-    """A column of weights as a row of integers, and what they are to be multiplied by.
+    """Columns of weights as rows of integers, and their scales.
 
     Args:
-        weights: Shape (C, n, m).
+        weights: Weights, shape (C, n, m).
 
     Returns:
-        Shapes (C, m, n) and (C, 1, m).
+        Integers, shape (C, m, n), and scales, shape (C, 1, m).
     """
     scale = np.abs(weights).max(axis=1, keepdims=True) / LARGEST
     scale[scale == 0] = 1
@@ -207,7 +208,7 @@ def _rows(weights: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.fl
 
 
 def _integer_product(x: str, weights: str, out: str) -> list[NodeProto]:
-    """`out` = x times the weights, by way of integers; shapes (C, 1, n) and (C, 1, m)."""
+    """Operators for `out` = x times the weights, in integers; shapes (C, 1, n) and (C, 1, m)."""
     steps, step, zero, column, sums = (f"{out}_{n}" for n in ("x", "step", "zero", "column", "sum"))
     row, floats, factor = (f"{out}_{n}" for n in ("row", "float", "factor"))
     make = helper.make_node
@@ -223,11 +224,11 @@ def _integer_product(x: str, weights: str, out: str) -> list[NodeProto]:
 
 
 def deviation(model: onnx.ModelProto, reference: Vectors) -> float:
-    """Rms difference of the correction over its rms, median of the channels that have one.
+    """Rms difference of the correction over its rms, median over the channels with a correction.
 
     Args:
-        model: As exported.
-        reference: Inputs, and the outputs that they should have.
+        model: Exported model.
+        reference: Inputs, and the expected outputs.
     """
     right = reference["correction"].astype(np.float64)
     wrong = streamed(model, reference)["correction"] - right
@@ -241,14 +242,14 @@ def deviation(model: onnx.ModelProto, reference: Vectors) -> float:
 
 
 def streamed(model: onnx.ModelProto, inputs: Vectors) -> dict[str, NDArray[np.float32]]:
-    """Outputs by onnxruntime on one thread, sample after sample from the state zero.
+    """Outputs of onnxruntime on one thread, sample by sample from zero state.
 
     Args:
-        model: As exported.
-        inputs: By name, shape (samples, width) each.
+        model: Exported model.
+        inputs: Inputs by name, shape (samples, width) each.
 
     Returns:
-        By name, shape (samples, width) each.
+        Outputs by name, shape (samples, width) each.
     """
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
@@ -266,7 +267,8 @@ def streamed(model: onnx.ModelProto, inputs: Vectors) -> dict[str, NDArray[np.fl
 
 
 def _wide_products(model: onnx.ModelProto) -> Iterator[str]:
-    """Names of the products of what each cluster computed with weights used once: no codebook."""
+    """Names of the products of values computed inside a cluster with weights used once, without the
+    codebook."""
     inferred = onnx.shape_inference.infer_shapes(model).graph
     batches = {t.name for t in model.graph.initializer if len(t.dims) == 3}
     own = {v.name for v in inferred.value_info if len(v.type.tensor_type.shape.dim) == 3}

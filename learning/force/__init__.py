@@ -1,1 +1,1 @@
-"""Force and moment that the equations lack, learned from flights and put into the equations."""
+"""Residual force and moment of the equations, learned from flights and added to the equations."""

@@ -1,4 +1,5 @@
-"""The equations of an airframe over rows: steps, what a force law sees, and slopes of both."""
+"""Airframe equations over rows: integration steps, inputs and features of a force law, and their
+slopes."""
 
 import casadi as ca
 import numpy as np
@@ -13,23 +14,23 @@ from twin.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 STEPS = 10
-"""Grid steps of a step: commands change every 10 ms in logs, rotors lag by 20 ms and more. With 4
-the rollout is no closer to the exported FMU."""
+"""Number of grid steps per integration step: commands change every 10 ms in logs, and rotors lag by
+20 ms and more. With 4 the rollout is no closer to the exported FMU."""
 STEP_S = STEPS * GRID_S
-"""Of the rollout through which a law is fitted."""
+"""Step of the rollout through which a law is fitted, s."""
 _N = len(RIGID)
 
 
 class Equations:
-    """An airframe over rows: its steps, features of its motion, and slopes of both.
+    """Airframe equations over rows: integration steps, features of the motion, and slopes of both.
 
     Attributes:
         units: Force, N, and moment, N m, per specific force and angular acceleration, shape (6, 6).
-        rigid: Places of `RIGID` among its states.
+        rigid: Indices of `RIGID` among its states.
     """
 
     def __init__(self, vehicle: Vehicle, body: Component) -> None:
-        """Take an airframe that has forces and moments from outside as inputs."""
+        """Build from an airframe that has external forces and moments as inputs."""
         p = body.parameter_values({"ground.enabled": 0.0})
         names = [s.name for s in body.states]
         self.rigid = [names.index(s) for s in RIGID]
@@ -60,8 +61,8 @@ class Equations:
         self._slopes = EachRow(ca.Function("slopes", [x, u, volts, a], [flat]), 4)
 
     def slopes(self, x: Array, u: Array, volts: Array, a: Array) -> tuple[Array, Array, Array]:
-        """Of a step of `RIGID` by `RIGID`, (w, 13, 13), and by accelerations, (w, 13, 6); of the
-        features by `RIGID`, (w, k, 13)."""
+        """Slopes of a step: of `RIGID` by `RIGID`, (w, 13, 13), and by accelerations, (w, 13, 6);
+        of the features by `RIGID`, (w, k, 13)."""
         flat = self._slopes(x, u, volts, a).reshape(len(x), _N + len(FEATURES), _N + 6)
         by_motion, by_push = flat[:, :_N, :_N], flat[:, :_N, _N:]
         half = np.eye(_N) + STEP_S / 2 * by_motion
@@ -70,8 +71,8 @@ class Equations:
 
 
 def _units(body: Component, p: Array) -> Array:
-    """Force and moment per acceleration of the centre of mass and angular acceleration, shape
-    (6, 6); in hover, where body axes are NED.
+    """Force and moment per acceleration of the centre of mass and angular acceleration, shape (6,
+    6); in hover, where body axes are NED.
     """
     names = [s.name for s in body.states]
     u0, u = body.input_values(), ca.SX.sym("u", len(body.inputs))
@@ -83,7 +84,7 @@ def _units(body: Component, p: Array) -> Array:
 
 
 def _places(vehicle: Vehicle, body: Component, x: ca.SX, u: ca.SX, p: Array, volts: ca.SX) -> ca.SX:
-    """`INPUTS` of states and inputs."""
+    """Law inputs `INPUTS` as an expression of states and inputs."""
     y, state = body.outputs(x, u, p), {s.name: x[i] for i, s in enumerate(body.states)}
     given = {n: u[i] for i, n in enumerate(body.input_names)}
     spin = [y[body.output_names.index(f"spin_{i}")] for i in range(1, vehicle.rotors.count + 1)]

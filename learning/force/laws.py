@@ -1,7 +1,8 @@
-"""A force law of flights: its envelope, its bounds, and what of it would feed energy in.
+"""Force law of flights: its envelope, its bounds, and the removal of parts that would feed energy
+in.
 
-Its weights are fitted through the rollout (`learning.force.rollout`), under a ridge as strong as
-flights left out want it (`uavtwin.force`).
+Its weights are fitted through the rollout (`learning.force.rollout`), with a ridge selected on
+flights left out (`uavtwin.force`).
 """
 
 from collections.abc import Sequence
@@ -20,25 +21,25 @@ from .windows import FlightWindows, accelerometer_confirms, sizes
 
 Array = NDArray[np.float64]
 RIDGES = (1.0, 0.3, 0.1, 0.03, 0.01)
-"""Tried strengths, the strongest first: the price of a weight that makes what the equations lack,
-over the error that is left without a law."""
+"""Ridge parameters that are tried, the strongest first: penalty of a weight whose output has the
+size of the residual acceleration, relative to the error without a law."""
 PARTS = {"moment": slice(3, 6), "force": slice(0, 3), "both": slice(0, 6)}
-"""Of a law that may be used alone, and the outputs in them."""
+"""Parts of a law that may be used alone, and their outputs."""
 Choice = tuple[str, float]
 """A part and a ridge."""
 RESERVE = (*(0.5,) * 3, *(0.5,) * 3, 0.1, *(0.05,) * 3, 0.05, 0.3)
-"""By input, what is no other place, in its unit: a flight with the battery half full is as good as
-one with the full one, where training had only full ones."""
+"""Difference of each input within one flight condition, in its unit: a flight with a half-full
+battery is valid where training had only full ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class Taught:
-    """What some flights teach.
+    """Training data and envelope from some flights.
 
     Attributes:
-        flights: One or more.
-        equations: Of the airframe that they flew.
-        empty: A law that says nothing: where the flights have been.
+        flights: One or more flights.
+        equations: Equations of their airframe.
+        empty: Law without output, with the envelope of the flights.
     """
 
     flights: tuple[FlightWindows, ...]
@@ -49,7 +50,7 @@ class Taught:
 
     @classmethod
     def by(cls, flights: Sequence[FlightWindows], equations: Equations) -> "Taught":
-        """By these flights."""
+        """Training data of these flights."""
         envelope = Envelope.of([f.places for f in flights], np.array(RESERVE))
         empty = ForceLaw(
             linear=np.zeros((len(OUTPUTS), len(FEATURES))),
@@ -63,8 +64,8 @@ class Taught:
         return cls(tuple(flights), equations, empty)
 
     def path(self) -> Array:
-        """Weights under each of `RIDGES`, each begun at those before, shape (ridges, 6, k); of a
-        force across the thrust only where the accelerometer confirms it."""
+        """Weights with each of `RIDGES`, each fit starting from the one before, shape (ridges, 6,
+        k); a lateral force only where the accelerometer confirms it."""
         size = sizes(self.flights)
         outputs = range(0 if accelerometer_confirms(self.flights) else 2, len(OUTPUTS))
         found: list[Array] = []
@@ -74,11 +75,11 @@ class Taught:
         return np.stack(found)
 
     def law(self, path: Array, choice: Choice | None) -> ForceLaw:
-        """The law of a choice; None: without a law.
+        """The law of a choice; None: no law.
 
         Args:
-            path: As `path` returns it.
-            choice: Which.
+            path: Weights, as of `path`.
+            choice: Part and ridge.
         """
         weights = np.zeros(path.shape[1:])
         if choice is not None:
@@ -87,6 +88,7 @@ class Taught:
         return self.of(weights)
 
     def of(self, weights: Array) -> ForceLaw:
-        """The law of weights: of each output at most `BEYOND` times as much as in the flights."""
+        """The law of these weights: each output is limited to `BEYOND` times its maximum in the
+        flights."""
         said = [np.abs(f.features @ weights.T).max(axis=0) for f in self.flights]
         return replace(self.empty, linear=weights, most=BEYOND * np.max(said, axis=0))

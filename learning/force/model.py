@@ -1,4 +1,5 @@
-"""A learned force and moment as a folder: one JSON file, and the vehicle it was learned for."""
+"""A learned force and moment as a folder: one JSON file, and the vehicle for which it was
+learned."""
 
 import hashlib
 import json
@@ -17,24 +18,24 @@ from twin.representation import short_repr
 
 FILE, VEHICLE_FILE = "force.json", "vehicle.toml"  # in the folder of a law
 MODULE_FILE = "force.onnx"
-"""In the same folder: the module, of a law that has one."""
+"""File in the same folder: the module, for a law with one."""
 NONE, LINEAR, MODULE = "none", "linear", "module"
-"""Laws of an output."""
+"""Kinds of law for an output."""
 FORMAT = 7
-"""Version of the file's layout."""
+"""Version of the file's format."""
 _OUTPUTS = tuple(f"{kind}_{a}" for kind, a in OUTPUTS)  # names in the file
 
 
 @dataclass(frozen=True, slots=True)
 class RidgeScore:
-    """A law under one ridge, over flights that took no part in its fit.
+    """Score of a law with one ridge, on flights left out.
 
     Attributes:
-        part: `both`, or of force and moment the one that is used alone.
-        ridge: Its strength.
+        part: Part of the law: `both`, or the one of force and moment that is used alone.
+        ridge: Ridge parameter.
         ratio: Error over that of the twin with the untrained observer alone, geometric mean over
             flights, quantities and horizons.
-        worst: The largest ratio of a quantity, flights and horizons together.
+        worst: The largest error ratio of a quantity, over flights and horizons.
     """
 
     part: str
@@ -45,11 +46,11 @@ class RidgeScore:
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """One of the six.
+    """One of the six outputs.
 
     Attributes:
-        law: `linear`, `module`, or `none`.
-        ridge: Under which it was fitted; None of a module, and where there is no law.
+        law: Kind of law: `linear`, `module`, or `none`.
+        ridge: Ridge of the fit; None for a module, and where there is no law.
     """
 
     law: str
@@ -58,11 +59,11 @@ class Output:
 
 @dataclass(frozen=True, slots=True)
 class TrainingFlight:
-    """A flight that was learned from.
+    """A training flight.
 
     Attributes:
-        name: Of the flight.
-        sha256: `Flight.fingerprint`.
+        name: Name of the flight.
+        sha256: Hash of the flight, `Flight.fingerprint`.
     """
 
     name: str
@@ -71,14 +72,14 @@ class TrainingFlight:
 
 @dataclass(frozen=True, slots=True)
 class MissionCheck:
-    """Missions in random air that a law had to fly.
+    """Result of the missions in random wind that a law had to fly.
 
     Attributes:
-        flights: How many; 0 where no law was chosen.
-        lost: With the law that was chosen first, of those that are flown without.
+        flights: Number of flights; 0 where no law was chosen.
+        lost: Missions lost with the law chosen first, among those that are flown without it.
         withdrawn: Laws with which missions were lost, the better first.
-        unsteady: Laws with which the twin does not come to rest in a hover in still air; they were
-            tried no further.
+        unsteady: Laws with which the twin does not settle in a hover in still air; they were not
+            tried further.
     """
 
     flights: int = 0
@@ -89,15 +90,16 @@ class MissionCheck:
 
 @dataclass(frozen=True, slots=True)
 class Acceptance:
-    """The chosen law on flights left out, against what needs no law; None where none was chosen.
+    """Comparison of the chosen law with predictions that need no law, on flights left out; None
+    where none was chosen.
 
     Attributes:
         over_observer: Error over that of the explained twin with the untrained observer, median
             over those flights, quantities and horizons that the law changes.
-        over_last_motion: Position and velocity over those of the last motion, 0.5 s after the twin
-            was left alone, geometric mean over flights.
-        fast: The same of flights that are fast; None: there is none.
-        refused: Whether the law is not used for it.
+        over_last_motion: Error of position and velocity over that of constant velocity, after 0.5 s
+            of open-loop prediction, geometric mean over flights.
+        fast: The same for fast flights; None: there is none.
+        refused: Whether the law is rejected for this reason.
     """
 
     over_observer: float | None = None
@@ -108,16 +110,16 @@ class Acceptance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Origin:
-    """How a law was come by.
+    """Provenance of a law.
 
     Attributes:
         vehicle: Name of the vehicle.
-        vehicle_sha256: Of its file.
-        seed: Of the air of the missions that it had to fly.
-        flights: That taught it.
-        tried: Ridges, as flown over flights left out; empty where a single flight was given.
-        acceptance: What the law was held against, on flights left out.
-        closed_loop: Missions in random air, flown before the law was shipped.
+        vehicle_sha256: SHA-256 hash of the vehicle file.
+        seed: Random seed of the wind in the missions.
+        flights: Training flights.
+        tried: Scores of the ridges on flights left out; empty for a single flight.
+        acceptance: Comparison with predictions that need no law, on flights left out.
+        closed_loop: Missions in random wind before the law was released.
     """
 
     vehicle: str
@@ -131,16 +133,16 @@ class Origin:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceFile(Origin):
-    """What `uavtwin train --protocol force` writes beside `vehicle.toml`.
+    """Content of `force.json`, which `uavtwin train --protocol force` writes with `vehicle.toml`.
 
     Attributes:
-        format: Version of the layout.
+        format: Version of the format.
         protocol: "force".
-        inputs: Names of what the law sees.
-        features: Names of what its linear part is linear in.
-        outputs: Of each of the six, by name.
-        law: Its arrays, by name, row by row.
-        module_sha256: Of `force.onnx`; missing where no output is a module.
+        inputs: Names of the inputs of the law.
+        features: Names of the features of its linear part.
+        outputs: Kind of law of each of the six outputs, by name.
+        law: Arrays of the law, by name, row by row.
+        module_sha256: SHA-256 hash of `force.onnx`; missing where no output is a module.
     """
 
     format: int
@@ -154,12 +156,12 @@ class ForceFile(Origin):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceModel(Origin):
-    """A law, and how it was come by; a driven twin has the untrained observer alongside it.
+    """A law with its provenance; a driven twin uses it together with the untrained observer.
 
     Attributes:
-        law: As it is used.
-        ridge: Under which it was fitted; None: there is none, or it is a module.
-        onnx: File of the law's module; empty where it has none.
+        law: The law as it is used.
+        ridge: Ridge of the fit; None: there is none, or it is a module.
+        onnx: ONNX file of the law's module; empty where it has none.
     """
 
     law: ForceLaw
@@ -175,7 +177,7 @@ class ForceModel(Origin):
 
     @property
     def outputs(self) -> dict[str, Output]:
-        """Of each of the six, by name."""
+        """Kind of law of each of the six outputs, by name."""
         other = NONE if self.law.module is None else MODULE
         used = np.any(self.law.linear, axis=1).tolist()
         laws = [Output(LINEAR, self.ridge) if u else Output(other, None) for u in used]
@@ -183,7 +185,7 @@ class ForceModel(Origin):
 
 
 def save_force(model: ForceModel, folder: Path) -> None:
-    """Write `force.json` and, of a module, `force.onnx`; the same model gives the same bytes."""
+    """Write `force.json` and, for a module, `force.onnx`; the same model gives the same bytes."""
     content = ForceFile(
         **_origin(model),
         format=FORMAT,
@@ -201,11 +203,11 @@ def save_force(model: ForceModel, folder: Path) -> None:
 
 
 def load_force(folder: Path) -> ForceModel:
-    """The model of a folder.
+    """Load the model of a folder.
 
     Raises:
-        ModelError: The folder holds none, or one of another layout or version, or it lacks the
-            module of the law.
+        ModelError: The folder contains no law, or one of another format or version, or its module
+            is missing.
     """
     path = folder / FILE
     if not path.is_file():
@@ -228,12 +230,12 @@ def _sha256(content: bytes) -> str:
 
 
 def is_force(folder: Path) -> bool:
-    """Whether a folder holds a learned force alone, and no compensator of the sensors with it."""
+    """Whether a folder contains a learned force only, and no sensor compensator."""
     return (folder / FILE).is_file() and not (folder / "model.json").is_file()
 
 
 def copy_force(folder: Path, out: Path) -> list[str]:
-    """Put the law of a folder into another; returns the names of its files."""
+    """Copy the law of a folder into another; returns the names of its files."""
     names = [n for n in (FILE, MODULE_FILE) if (folder / n).is_file()]
     for name in names:
         shutil.copyfile(folder / name, out / name)
@@ -241,7 +243,7 @@ def copy_force(folder: Path, out: Path) -> list[str]:
 
 
 def _model(file: ForceFile, folder: Path) -> ForceModel:
-    """Of a file, with the module beside it where an output is one."""
+    """Model from the content of a file, with the module where an output is one."""
     expected = {
         "format": FORMAT,
         "inputs": tuple(name for name, _ in INPUTS),
@@ -270,5 +272,5 @@ def _model(file: ForceFile, folder: Path) -> ForceModel:
 
 
 def _origin(of: Origin) -> dict[str, Any]:
-    """What both kinds have in common."""
+    """Fields common to both classes."""
     return {f.name: getattr(of, f.name) for f in fields(Origin)}

@@ -1,9 +1,9 @@
-"""A torch module as a force law: its operators to ONNX, and ONNX to the equations.
+"""A torch module as a force law: conversion of its operators to ONNX, and of ONNX to CasADi.
 
 The module maps `twin.physics.residual_force.INPUTS`, shape (n, 12), to specific force, m/s2, and
-angular acceleration, rad/s2, body FRD, shape (n, 6). ONNX is the interface: a file from elsewhere
-is as good, if it has one input and one output of these shapes and the operators below. As an
-expression of CasADi it is integrated, differentiated and written as C along with the airframe.
+angular acceleration, rad/s2, body FRD, shape (n, 6). ONNX is the interface: any file with one input
+and one output of these shapes and the operators below can be used. As a CasADi expression it is
+integrated, differentiated and written as C together with the airframe.
 """
 
 from collections.abc import Callable, Mapping
@@ -26,7 +26,7 @@ from ..export.graph import Graph
 
 Array = NDArray[np.float64]
 INPUT, OUTPUT = "motion", "accelerations"
-"""Of the ONNX model."""
+"""Input and output names of the ONNX model."""
 _ATEN = {
     **{f"{n}.Tensor": n.title() for n in ("add", "sub", "mul", "div")},
     **{f"{n}.default": n.title() for n in ("tanh", "relu", "sigmoid", "exp", "sqrt", "abs", "neg")},
@@ -50,17 +50,17 @@ _EXPRESSIONS: dict[str, Callable[..., Any]] = {
     "Cos": ca.cos,
     "Concat": ca.horzcat,
 }
-"""Operators of ONNX on rows."""
+"""CasADi expressions of the ONNX operators, on rows."""
 
 
 def module_onnx(module: nn.Module) -> onnx.ModelProto:
     """The ONNX model of a module.
 
     Args:
-        module: Of linear layers, `torch.cat(..., dim=1)` and the operators of `_ATEN`.
+        module: Module of linear layers, `torch.cat(..., dim=1)` and the operators of `_ATEN`.
 
     Raises:
-        ModelError: It cannot be traced, or has another operator or other shapes.
+        ModelError: The module cannot be traced, or has another operator or other shapes.
     """
     program = _program(module)
     graph, signature = Graph("force"), program.graph_signature
@@ -84,17 +84,17 @@ def module_onnx(module: nn.Module) -> onnx.ModelProto:
 
 
 def _program(module: nn.Module) -> ExportedProgram:
-    """A module as operators of ATen on two rows.
+    """A module traced to operators of ATen on two rows.
 
     Raises:
-        ModelError: It cannot be traced, or makes other shapes.
+        ModelError: The module cannot be traced, or gives other shapes.
     """
     kind, example = type(module).__name__, torch.zeros(2, len(INPUTS))
     try:
         with torch.no_grad():
             made = module.eval()(example)
         program = torch.export.export(module, (example,))
-    except Exception as error:  # whatever forward and torch raise
+    except Exception as error:  # any error of forward or torch
         why = str(error).strip().partition("\n")[0]
         raise ModelError(
             f"{kind}: cannot be traced with float32 rows of shape (2, {len(INPUTS)}) ({why}). A "
@@ -111,16 +111,16 @@ def _program(module: nn.Module) -> ExportedProgram:
 
 
 def _operator(graph: Graph, node: Node, values: Mapping[str, str]) -> str:
-    """One operator of ATen in ONNX; the name of its result.
+    """One operator of ATen in ONNX; returns the name of its result.
 
     Args:
-        graph: To which it is added.
+        graph: Graph to which it is added.
         node: The operator.
-        values: Names of parameters, and of results so far.
+        values: Names of parameters, and of earlier results.
     """
 
     def given(value: Any) -> str:
-        """An argument: a result, a parameter, or a number."""
+        """Name of an argument: a result, a parameter, or a number."""
         return values[value.name] if isinstance(value, Node) else graph.floats([[float(value)]])
 
     kind, arguments = str(node.target).removeprefix("aten."), list(node.args)
@@ -137,15 +137,15 @@ def _operator(graph: Graph, node: Node, values: Mapping[str, str]) -> str:
 
 
 def law_function(content: bytes) -> ca.Function:
-    """`INPUTS` to six accelerations, columns, of an ONNX file.
+    """CasADi function from `INPUTS` to six accelerations, columns, of an ONNX file.
 
     Raises:
-        ModelError: It is none, or has other operators or shapes.
+        ModelError: The content is no ONNX file, or has other operators or shapes.
     """
     try:
         model = onnx.load_from_string(content)
         onnx.checker.check_model(model, full_check=True)
-    except Exception as error:  # whatever protobuf and the checker raise
+    except Exception as error:  # any error of protobuf or the checker
         raise ModelError(f"force law: the file is no ONNX model ({error}).") from None
     x = ca.SX.sym("x", len(INPUTS))
     constants = {c.name: c for c in model.graph.initializer}
@@ -176,7 +176,7 @@ def law_function(content: bytes) -> ca.Function:
 
 
 def _expression(node: onnx.NodeProto, arguments: list[ca.SX]) -> ca.SX:
-    """What a node of ONNX says."""
+    """CasADi expression of an ONNX node."""
     if node.op_type == "Identity":
         return arguments[0]
     about = {a.name: helper.get_attribute_value(a) for a in node.attribute}

@@ -1,16 +1,16 @@
-"""A force law, fitted through the rollout of the airframe's equations.
+"""Fit of a force law through the rollout of the airframe's equations.
 
-What a law does half a second after the twin was left alone is what it is for; a law that is right
-about the acceleration of every instant need not be (a controller answers disturbances, and its
-answer is read as their cause). So weights are those of least error at several horizons of windows
-that begin at the measured motion, with the disturbance observer that the driven twin has:
+The purpose of a law is prediction over half a second; a law with the right acceleration at every
+instant need not give it (a controller responds to disturbances, and its response is mistaken for
+their cause). So the weights minimise the error at several horizons of windows that begin at the
+measured motion, with the disturbance observer of the driven twin:
 
     x' = f(x, u, units (W features(x, u) + d))        d(0) = low-pass of (what f lacks - W features)
 
-d fades. Slopes of the motion by W go along the rollout (forward sensitivities, first order in the
-step), so that a step of Levenberg and Marquardt takes one rollout. A ridge holds W at nothing.
-Begun at nothing, the errors after 2 s have other minima; so horizons grow, each from the law of the
-one before.
+d decays. Sensitivities of the motion by W are integrated along the rollout (forward sensitivities,
+first order in the step), so that a Levenberg-Marquardt step takes one rollout. A ridge pulls W to
+zero. From zero, the errors after 2 s have other local minima; so horizons grow, each starting from
+the previous law.
 
 Source: output-error identification, Ljung, System Identification, ch. 7.3 and 10.2; sensitivities,
 Maine & Iliff, NASA RP 1168, 1986; the loss, Charbonnier et al., ICIP 1994.
@@ -31,18 +31,18 @@ from .windows import HORIZONS_S, FlightWindows, apart, turn_slopes
 
 Array = NDArray[np.float64]
 ROBUST = 3.0
-"""Error, over that without a law, from which on it counts linearly: a window that tumbles counts
-once."""
+"""Error, relative to that without a law, above which it counts linearly, so that a window with a
+tumbling twin has limited influence."""
 GROWING_S = (0.5, 1.0, 2.0)
-"""Longest horizons, in turn. With the last two, a law of real_1 leaves of real_2 (RflySimDT, ridge
-0.1) 0.27 as with the first alone after 0.5 s, and 0.14 and 0.16 after 1 and 2 s in place of 0.34
-and 0.45."""
+"""Longest horizons, in turn, s. With the last two, a law of real_1 leaves of real_2 (RflySimDT,
+ridge 0.1) 0.27 as with the first alone after 0.5 s, and 0.14 and 0.16 after 1 and 2 s in place of
+0.34 and 0.45."""
 ROUNDS, RAISES = 8, 8
-"""Steps of Levenberg and Marquardt at most, and times that the damping is raised for one."""
+"""Maximum number of Levenberg-Marquardt steps, and of increases of the damping per step."""
 DAMPING, SETTLED = 1e-3, 1e-3
-"""At the beginning; and the relative gain below which nothing more is to be had."""
+"""Initial damping; and relative gain below which the fit has converged."""
 FARTHEST = 30.0
-"""Speed, m/s, and rate, rad/s, with which a window has no say any more: a twin that diverges."""
+"""Speed, m/s, and rate, rad/s, above which a window is ignored, as the twin diverges."""
 _N, _WEIGHTS = len(RIGID), len(OUTPUTS) * len(FEATURES)
 
 
@@ -53,19 +53,18 @@ def rolled(
     slopes: bool = False,
     longest_s: float = HORIZONS_S[-1],
 ) -> tuple[Array, Array]:
-    """Errors of windows that are flown with a law.
+    """Errors of windows predicted with a law.
 
     Args:
-        equations: Of the airframe.
-        flight: Windows.
-        weights: Specific force and angular acceleration per feature, shape (6, k).
-        slopes: Whether their slopes are wanted.
-        longest_s: Horizon up to which they are flown.
+        equations: Equations of the airframe.
+        flight: Windows of a flight.
+        weights: Weights: specific force and angular acceleration per feature, shape (6, k).
+        slopes: Whether slopes by the weights are computed.
+        longest_s: Longest horizon that is predicted, s.
 
     Returns:
-        Twin less aircraft at `HORIZONS_S` up to the longest, (w, h, 12), and its slope by
-        `weights`, (w, h, 12, 6 k);
-        without slopes (w, h, 12, 0).
+        Twin minus aircraft at `HORIZONS_S` up to the longest, (w, h, 12), and its slope by
+        `weights`, (w, h, 12, 6 k); without slopes (w, h, 12, 0).
     """
     x, count = flight.start, len(flight.start)
     ends = [round(h / STEP_S) for h in HORIZONS_S if h <= longest_s]
@@ -98,7 +97,7 @@ def rolled(
 
 
 def _blocks(values: Array, width: int) -> Array:
-    """Slope of `W @ values` by W, shapes (w, k) to (w, 6, 6 k)."""
+    """Derivative of `W @ values` by W, shapes (w, k) to (w, 6, 6 k)."""
     found = np.zeros((len(values), len(OUTPUTS), len(OUTPUTS), values.shape[1]))
     for i in range(len(OUTPUTS)):
         found[:, i, i] = values
@@ -106,7 +105,7 @@ def _blocks(values: Array, width: int) -> Array:
 
 
 def _error_slopes(motion: Array, by_weight: Array) -> Array:
-    """Slopes of `apart` where the error is small, from those of `RIGID`; (w, 12, m)."""
+    """Slopes of `apart` for small errors, from those of `RIGID`, shape (w, 12, m)."""
     rows = {stem: [RIGID.index(f"{stem}_{a}") for a in AXES] for stem in ("pos", "vel", "omega")}
     turned = turn_slopes(motion) @ by_weight[:, [RIGID.index(f"q_{a}") for a in "wxyz"]]
     pos, vel, omega = (by_weight[:, i] for i in rows.values())
@@ -121,21 +120,21 @@ def fitted(
     start: Array | None = None,
     outputs: Sequence[int] = range(len(OUTPUTS)),
 ) -> Array:
-    """Weights of least error over windows, flights counting the same.
+    """Weights that minimise the error over windows, with equal weight of the flights.
 
-    Errors count over those without a law, by flight, horizon and quantity; weights over the size of
-    what the equations lack, features over their own.
+    Errors are relative to those without a law, by flight, horizon and quantity; weights to the size
+    of the residual acceleration, features to their own.
 
     Args:
-        equations: Of the airframe.
-        flights: To learn from.
-        sizes: Of the features, shape (k,).
-        ridge: Price of a weight.
-        start: From which it is begun; None: nothing.
-        outputs: Of `OUTPUTS`, those that the law says something of.
+        equations: Equations of the airframe.
+        flights: Training flights.
+        sizes: Sizes of the features, shape (k,).
+        ridge: Ridge parameter: penalty of a weight.
+        start: Initial weights, shape (6, k); None: zero.
+        outputs: Indices of the outputs in `OUTPUTS` for which there is a law.
 
     Returns:
-        Specific force, m/s2, and angular acceleration, rad/s2, per feature, shape (6, k).
+        Weights: specific force, m/s2, and angular acceleration, rad/s2, per feature, shape (6, k).
     """
     weights = np.zeros(_WEIGHTS) if start is None else (start * sizes).ravel()
     free = np.flatnonzero(np.repeat(np.isin(np.arange(len(OUTPUTS)), outputs), len(sizes)))
@@ -145,7 +144,7 @@ def fitted(
 
 
 def _improved(problem: "_Problem", weights: Array, free: NDArray[np.intp]) -> Array:
-    """Weights of less cost, by Levenberg and Marquardt; those that are not free stay."""
+    """Weights with less cost, by Levenberg-Marquardt; those that are not free stay."""
     damping, (cost, gradient, curvature) = DAMPING, problem.slopes(weights)
     for _ in range(ROUNDS):
         for _ in range(RAISES):
@@ -165,7 +164,7 @@ def _improved(problem: "_Problem", weights: Array, free: NDArray[np.intp]) -> Ar
 
 
 class _Problem:
-    """Cost of weights, each over the size of its feature, shape (6 k,)."""
+    """Cost of weights, each normalised by the size of its feature, shape (6 k,)."""
 
     def __init__(
         self,
@@ -185,12 +184,12 @@ class _Problem:
         ]
 
     def cost(self, weights: Array) -> float:
-        """Of weights."""
+        """Cost of weights."""
         losses = [np.mean(_loss(off)) for off, _ in self._errors(weights, False)]
         return float(np.mean(losses) + weights @ (self._ridge * weights))
 
     def slopes(self, weights: Array) -> tuple[float, Array, Array]:
-        """Cost, half of its gradient, and half of its curvature after Gauss and Newton."""
+        """Cost, half of its gradient, and half of its Gauss-Newton curvature."""
         cost = float(weights @ (self._ridge * weights))
         gradient, curvature = self._ridge * weights, np.diag(self._ridge)
         for off, slope in self._errors(weights, True):
@@ -201,7 +200,7 @@ class _Problem:
         return cost, gradient, curvature
 
     def _errors(self, weights: Array, slopes: bool) -> Sequence[tuple[Array, Array]]:
-        """Errors of each flight over `_units`, flat, and their slopes."""
+        """Normalised errors of each flight, flat, and their slopes."""
         per_feature = weights.reshape(len(OUTPUTS), -1) / self._sizes
         sizes = np.tile(self._sizes, len(OUTPUTS)) if slopes else np.zeros(0)
         found = []
@@ -213,16 +212,16 @@ class _Problem:
 
 
 _LEAST = 1e-9
-"""Of a size by which something is divided."""
+"""Lower bound of a size used as a divisor."""
 
 
 def _cells(off: Array) -> Array:
-    """Rms by horizon and quantity, one axis of three; (w, h, 12) to (1, h, 12)."""
+    """Rms by horizon and quantity, over the three axes; (w, h, 12) to (1, h, 12)."""
     by_axis = np.mean(off**2, axis=0).reshape(off.shape[1], -1, len(AXES))
     rms = np.sqrt(by_axis.mean(axis=-1))
     return np.repeat(np.maximum(rms, _LEAST), len(AXES), axis=1)[None]
 
 
 def _loss(off: Array) -> Array:
-    """Square of small errors, linear in large ones."""
+    """Robust loss: square of small errors, linear for large ones."""
     return 2 * ROBUST**2 * (np.sqrt(1 + (off / ROBUST) ** 2) - 1)

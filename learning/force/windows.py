@@ -1,8 +1,8 @@
-"""Flights as windows in which a twin flies alone: from the measured motion on, compared with it.
+"""Flights as windows for open-loop prediction from the measured motion.
 
-The disturbance observer of `twin.physics.observer` has followed each window's beginning. What it
-knows there is linear in the weights of a force law: a low-pass of what the equations lack, less the
-same low-pass of what the law says.
+The disturbance observer of `twin.physics.observer` has followed the flight before each window. Its
+initial estimate is linear in the weights of a force law: a low-pass of the residual force, minus
+the same low-pass of the law's output.
 """
 
 from collections.abc import Sequence
@@ -29,13 +29,13 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 CLEAR_S = 0.5
-"""So long it has been in the air before it is followed. Not chosen on flights."""
+"""Time in the air before the twin follows, s. Not chosen on flights."""
 WARM_S = 1.0
-"""So long it has followed before it is left alone."""
+"""Time for which the twin follows before open-loop prediction, s."""
 HORIZONS_S = (0.1, 0.2, 0.5, 1.0, 2.0)
-"""At which a law is fitted, s after the twin was left alone."""
+"""Horizons at which a law is fitted, s of open-loop prediction."""
 EVERY_S = 0.5
-"""Between two windows of the fit, s."""
+"""Time between two windows of the fit, s."""
 ACCELEROMETER = tuple(f"acc_{a}" for a in AXES)
 """Columns of a flight."""
 _OMEGA, _Q = (
@@ -45,25 +45,27 @@ _POS, _VEL = ([RIGID.index(f"{s}_{a}") for a in AXES] for s in ("pos", "vel"))
 
 
 def true_motion(vehicle: Vehicle, aligned: AlignedFlight) -> Array:
-    """`RIGID` of a flight as the twin has it, known ages taken out; NaN where unknown, (n, 13)."""
+    """Motion `RIGID` of a flight in the twin's convention, corrected for known ages; NaN where
+    unknown, shape (n, 13)."""
     names = [s.name for s in aligned.airframe.states]
     return in_step(aligned, vehicle)[:, [names.index(s) for s in RIGID]]
 
 
 def clear(aligned: AlignedFlight) -> BoolArray:
-    """Where an aircraft has been in the air for `CLEAR_S`, shape (n,)."""
+    """Whether an aircraft has been in the air for `CLEAR_S`, shape (n,)."""
     grounded = np.where(aligned.airborne, 0, np.arange(1, len(aligned.airborne) + 1))
     since = np.arange(len(grounded)) - np.maximum.accumulate(grounded)
     return np.asarray(aligned.airborne & (since >= round(CLEAR_S / GRID_S)))
 
 
 def left_alone(known: BoolArray, steps: int, every_s: float) -> IntArray:
-    """Rows from which a twin flies alone: it has followed before, and can be compared after.
+    """Rows at which open-loop prediction starts: the twin has followed before, and can be compared
+    after.
 
     Args:
-        known: Where the motion is, shape (n,).
-        steps: Grid steps that it flies.
-        every_s: Between two of them.
+        known: Whether the motion is known, shape (n,).
+        steps: Number of grid steps of open-loop prediction.
+        every_s: Time between two starts, s.
     """
     warm = round(WARM_S / GRID_S)
     missing = np.concatenate([[0], np.cumsum(~known)])
@@ -72,7 +74,7 @@ def left_alone(known: BoolArray, steps: int, every_s: float) -> IntArray:
 
 
 def apart(twin: Array, aircraft: Array) -> Array:
-    """Twin less aircraft, shapes (..., 13) to (..., 4, 3): position, velocity, attitude, rates."""
+    """Twin minus aircraft, shapes (..., 13) to (..., 4, 3): position, velocity, attitude, rates."""
     pos, vel, omega = (twin[..., i] - aircraft[..., i] for i in (_POS, _VEL, _OMEGA))
     flat = (np.reshape(values[..., _Q], (-1, 4)) for values in (twin, aircraft))
     turned = np.reshape(rotation_vector(*flat), pos.shape)
@@ -80,7 +82,7 @@ def apart(twin: Array, aircraft: Array) -> Array:
 
 
 def turn_slopes(motion: Array) -> Array:
-    """Slope of a small turn by the quaternion of a motion, shapes (w, 13) to (w, 3, 4)."""
+    """Derivative of a small rotation by the quaternion of a motion, shapes (w, 13) to (w, 3, 4)."""
     w, x, y, z = motion[:, _Q].T
     rows = [(-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w)]
     return np.asarray(2 * np.stack([np.stack(row, axis=-1) for row in rows], axis=1))
@@ -88,23 +90,23 @@ def turn_slopes(motion: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class FlightWindows:
-    """Windows of one flight; w of them, n steps of `STEPS` grid steps each.
+    """Windows of one flight; w windows of n steps of `STEPS` grid steps each.
 
     Attributes:
-        name: Of the flight.
-        start: States of the airframe at their beginnings, shape (w, n_x).
-        inputs: Of the airframe, mean over each step, shape (w, n, n_u).
+        name: Name of the flight.
+        start: Airframe states at the starts, shape (w, n_x).
+        inputs: Airframe inputs, mean over each step, shape (w, n, n_u).
         volts: Battery voltage, mean over each step, V, shape (w, n, 1).
-        truth: `RIGID` at `HORIZONS_S`, shape (w, h, 13).
-        lacks: What the observer knows at the beginnings without a law: specific force, m/s2, and
-            angular acceleration, rad/s2; shape (w, 6).
-        knows: The same low-pass of the features, shape (w, k).
-        features: At all times in the air, shape (m, k).
+        truth: Motion `RIGID` at `HORIZONS_S`, shape (w, h, 13).
+        lacks: Observer estimates at the starts without a law: specific force, m/s2, and angular
+            acceleration, rad/s2; shape (w, 6).
+        knows: The features, filtered by the same low-pass, shape (w, k).
+        features: Features at all times in the air, shape (m, k).
         places: Inputs of the law at the same times, shape (m, i).
-        left: What the equations lack at the same times, as `lacks`, shape (m, 6).
-        sensed: Of what the motion lacks across the thrust, low-passed as by the observer: product
-            with what the accelerometer reads over the equations, and square, mean, (m/s2)^2;
-            zeros without an accelerometer.
+        left: Residual of the equations at the same times, as `lacks`, shape (m, 6).
+        sensed: Statistics of the lateral residual force, filtered like in the observer: mean
+            product with the accelerometer's reading minus its prediction, and mean square,
+            (m/s2)^2; zeros without an accelerometer.
     """
 
     name: str
@@ -126,7 +128,7 @@ class FlightWindows:
         """Windows of a flight.
 
         Raises:
-            LogError: It is nowhere long enough in the air, its motion known.
+            LogError: The flight is nowhere long enough in the air with known motion.
         """
         aligned = align_flight(flight, vehicle)
         motion = true_motion(vehicle, aligned)
@@ -164,19 +166,20 @@ class FlightWindows:
 
 
 def voltage(flight: Flight, vehicle: Vehicle, t_s: Array) -> Array:
-    """Battery voltage at the grid, the nominal one where the flight has none; shape (n, 1)."""
+    """Battery voltage on the grid, V, or the nominal one where the flight has none, shape (n,
+    1)."""
     if not flight.has("vbat_v"):
         return np.full((len(t_s), 1), vehicle.voltage_v)
     return Signal(*flight.signal(["vbat_v"])).held(t_s)
 
 
 def _lacks(states: Array, motion: Array, after: Array) -> Array:
-    """Specific force and angular acceleration that a grid step lacks, shape (n, 6).
+    """Specific force and angular acceleration missing in a grid step, shape (n, 6).
 
     Args:
-        states: Of the airframe, shape (n, n_x).
-        motion: Measured, as `RIGID`, shape (n, 13).
-        after: The same a grid step after `states`, by the equations.
+        states: Airframe states, shape (n, n_x).
+        motion: Measured motion, as `RIGID`, shape (n, 13).
+        after: Predicted motion one grid step after `states`, shape (n, 13).
     """
     away = (np.vstack([motion[1:], motion[-1:]]) - after) / GRID_S
     q = [motion[:, i] for i in _Q]
@@ -203,32 +206,32 @@ def _sensed(
 
 
 def accelerometer_confirms(flights: Sequence[FlightWindows]) -> bool:
-    """Whether it reads most of what the motion of flights lacks across the thrust.
+    """Whether the accelerometer confirms most of the lateral residual force of flights.
 
-    Then that is a force. Else the attitude that a flight has is tilted, as that of motion capture
-    is, and a law of it would be of no other flight.
+    Then it is a real force. Otherwise the attitude of the flight is tilted, as in motion capture,
+    and a law fitted to it would not hold for other flights.
     """
     both, square = np.sum([f.sensed for f in flights], axis=0)
     return bool(both > 0.5 * square)
 
 
 def _followed(values: Array) -> Array:
-    """What the disturbance observer makes of them."""
+    """Values filtered like in the disturbance observer."""
     share = GRID_S / LAG_S
     return np.asarray(lfilter([share], [1.0, share - 1.0], values, axis=0))
 
 
 def _means(values: Array, rows: IntArray) -> Array:
-    """Over `STEPS` grid steps from each row on, shape (*rows.shape, k)."""
+    """Mean over `STEPS` grid steps from each row on, shape (*rows.shape, k)."""
     sums = np.cumsum(np.vstack([np.zeros((1, values.shape[1])), values]), axis=0)
     return np.asarray((sums[rows + STEPS] - sums[rows]) / STEPS)
 
 
 def sizes(flights: Sequence[FlightWindows]) -> Array:
-    """Spread of each feature over flights, 1 of one that does not vary, shape (k,)."""
+    """Standard deviation of each feature over flights, 1 for a constant one, shape (k,)."""
     spread = np.std(np.vstack([f.features for f in flights]), axis=0)
     return np.asarray(np.where(spread > _TRIFLE, spread, 1.0))
 
 
 _TRIFLE = 1e-6
-"""A feature that varies by less, in its unit, does not vary."""
+"""Standard deviation of a feature, in its unit, below which it is constant."""

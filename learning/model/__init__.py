@@ -1,1 +1,1 @@
-"""The compensator and what it has to beat."""
+"""The compensator and the baselines."""

@@ -1,4 +1,4 @@
-"""What a compensator has to beat: predictions anybody could write down in a minute.
+"""Baselines: trivial predictions that a compensator must beat.
 
 | baseline | says |
 |---|---|
@@ -11,8 +11,9 @@
 | linear AR(8) | 8 residuals up to t - h, one linear map per channel straight to t (`track`) |
 | linear in inputs | virtual signals and commands, with slow copies of them (`track`, `free`) |
 
-Each is the mean of the phase where it knows nothing, and offers what a model offers: `run`. The
-readings do without the twin: a correction that does not beat them hides a twin of no use.
+Each predicts the mean of the phase where nothing else is known, and has the interface of a model:
+`run`. Baselines of readings do not use the twin: a correction that is not better makes the twin
+useless.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -34,27 +35,29 @@ from .family import Corrected
 
 Array = NDArray[np.float64]
 ORDER = 8
-"""Lags of the autoregression, samples: 0.08 s at 100 Hz, as in `data.sequences.LAGS`."""
+"""Order of the autoregression: 0.08 s at 100 Hz, as `data.sequences.LAGS`."""
 AVERAGED = 21
-"""Samples of the moving average, an odd number about 0.2 s at 100 Hz. Made up."""
+"""Length of the moving average, an odd number of samples, about 0.2 s at 100 Hz. Made up."""
 MIN_SAMPLES = 20
-"""A phase with fewer training samples of a channel has the mean of all phases."""
+"""Least number of training samples of a channel in a phase; with fewer, the mean over all phases is
+used."""
 TINY = 1e-6
-"""Ridge of the autoregression, as a share of the power of its regressors: a slow sensor repeats
-itself from lag to lag."""
+"""Ridge of the autoregression, relative to the power of its regressors: samples of a slow sensor
+repeat from lag to lag."""
 RIDGES = (1e-4, 1e-2, 1.0, 100.0)
-"""Tried strengths of the regression on inputs; its regressors are standardised."""
+"""Ridge parameters that are tried in the regression on inputs; its regressors are standardised."""
 Numbers = Mapping[str, Array]
 
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """How a baseline is made and what it says.
+    """Definition of a baseline: how it is fitted and what it predicts.
 
     Attributes:
-        protocols: Under which it may be used.
-        fit: Training flights and horizon -> its numbers by name.
-        predict: Flight, numbers and horizon -> correction, shape (n, 15), units of the channels.
+        protocols: Protocols under which it may be used.
+        fit: Function: training flights and horizon -> its numbers by name.
+        predict: Function: flight, numbers and horizon -> correction, shape (n, 15), units of the
+            channels.
     """
 
     protocols: tuple[Protocol, ...]
@@ -64,13 +67,13 @@ class Rule:
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
-    """A prediction with the spread it had on its training flights.
+    """A fitted baseline, with its spread on the training flights.
 
     Attributes:
-        rule: Name in `RULES`.
-        horizon: Age of the newest residual it sees, samples.
-        numbers: What the rule needs, by name.
-        spread: Rms of what it left, per phase and channel, shape (phases, 15).
+        rule: Name of the rule in `RULES`.
+        horizon: Age of the newest residual that it sees, samples.
+        numbers: Fitted numbers of the rule, by name.
+        spread: Rms error on the training flights, per phase and channel, shape (phases, 15).
     """
 
     rule: str
@@ -79,7 +82,7 @@ class Baseline:
     spread: Array
 
     def run(self, flight: ResidualFlight) -> Corrected:
-        """The whole flight; there is no envelope and no alarm."""
+        """Correction of the whole flight, without envelope and alarm."""
         n = len(flight.t_s)
         return Corrected(
             RULES[self.rule].predict(flight, self.numbers, self.horizon),
@@ -95,15 +98,15 @@ def fit_baselines(
     """Every baseline of a protocol, by name.
 
     Args:
-        train: Flights it may learn from.
+        train: Training flights.
         protocol: `reconstruct`, `track` or `free`.
-        horizon: Samples ahead in `track`.
+        horizon: Prediction horizon in `track`, samples.
     """
     return {n: fit_baseline(n, train, horizon) for n, r in RULES.items() if protocol in r.protocols}
 
 
 def fit_baseline(name: str, train: Sequence[ResidualFlight], horizon: int = 0) -> Baseline:
-    """One baseline by its name; arguments as in `fit_baselines`."""
+    """One baseline by name; arguments as in `fit_baselines`."""
     rule = RULES[name]
     numbers = rule.fit(train, horizon)
     left = [(f.residual - rule.predict(f, numbers, horizon)) ** 2 for f in train]
@@ -111,11 +114,11 @@ def fit_baseline(name: str, train: Sequence[ResidualFlight], horizon: int = 0) -
 
 
 def by_phase(train: Sequence[ResidualFlight], values: Sequence[Array]) -> Array:
-    """Mean of values over the samples of each phase, shape (phases, 15); 0 without any sample.
+    """Mean of values over the samples of each phase, shape (phases, 15); 0 without samples.
 
     Args:
-        train: Their phases and fresh samples count.
-        values: Per flight, shape (n, 15).
+        train: Flights, whose phases and fresh samples are used.
+        values: Values of each flight, shape (n, 15).
     """
     phase = np.concatenate([f.phase for f in train])
     fresh = np.concatenate([f.fresh for f in train])
@@ -129,21 +132,22 @@ def by_phase(train: Sequence[ResidualFlight], values: Sequence[Array]) -> Array:
 
 
 def phase_means(train: Sequence[ResidualFlight]) -> Array:
-    """Mean residual of each phase, that of all phases where there is too little; (phases, 15)."""
+    """Mean residual of each phase, or of all phases where there are too few samples, shape (phases,
+    15)."""
     return by_phase(train, [f.residual for f in train])
 
 
 def lags(flight: ResidualFlight, values: Array, horizon: int, count: int) -> Array:
-    """What is known at t - horizon, t - horizon - 1, ...: the last fresh value each time.
+    """Known values at t - horizon, t - horizon - 1, ...: the last fresh value at each time.
 
     Args:
-        flight: Each span starts from zero.
-        values: Count where fresh, shape (n, 15).
-        horizon: Age of the newest one, samples.
-        count: How many.
+        flight: Flight; each span starts from zero.
+        values: Values, used where fresh, shape (n, 15).
+        horizon: Age of the newest value, samples.
+        count: Number of lags.
 
     Returns:
-        Shape (n, 15, count), 0 where the span holds none yet.
+        Values, shape (n, 15, count), 0 where the span has none yet.
     """
     found = np.zeros((*values.shape, count))
     known = flight.fresh & np.isfinite(values)
@@ -154,9 +158,9 @@ def lags(flight: ResidualFlight, values: Array, horizon: int, count: int) -> Arr
 
 
 def slow_features(flight: ResidualFlight, centre: Array, spread: Array) -> Array:
-    """Virtual signals and commands, standardised, and their low-passed copies, shape (n, 3 F).
+    """Standardised virtual signals and commands, with low-passed copies of them, shape (n, 3 F).
 
-    Unknown ones count as their mean; the low-passes start there with each span.
+    Unknown values are replaced by their mean, where the low-passes start in each span.
     """
     raw = (features_of(flight) - centre) / spread
     now = np.where(np.isfinite(raw), raw, 0.0)
@@ -186,7 +190,7 @@ def _fit_mean(train: Sequence[ResidualFlight], horizon: int) -> Numbers:
 
 
 def _fit_reading(train: Sequence[ResidualFlight], horizon: int) -> Numbers:
-    """Mean of what each sensor read."""
+    """Mean reading of each sensor."""
     return {"reading": by_phase(train, [np.nan_to_num(f.virtual) + f.residual for f in train])}
 
 
@@ -225,7 +229,7 @@ def _fit_linear_in_inputs(train: Sequence[ResidualFlight], horizon: int) -> Numb
     n = np.maximum(finite.sum(axis=0), 1)
     centre = np.where(finite, inside, 0.0).sum(axis=0) / n
     spread = np.sqrt(np.where(finite, (inside - centre) ** 2, 0.0).sum(axis=0) / n)
-    spread[spread <= 1e-9 * np.abs(centre) + 1e-15] = np.inf  # one that never varies says nothing
+    spread[spread <= 1e-9 * np.abs(centre) + 1e-15] = np.inf  # ignores constant features
     x = [slow_features(f, centre, spread) for f in train]
     weights = []
     for c in range(len(CHANNELS)):
@@ -243,9 +247,9 @@ def _linear_in_inputs(flight: ResidualFlight, numbers: Numbers, horizon: int) ->
 
 
 def _ridge(x: Sequence[Array], y: Sequence[Array]) -> Array:
-    """Weights with the strength that does best on flights left out, or none at all.
+    """Ridge regression weights, with the ridge that is best on flights left out, or zero.
 
-    A single flight is cut in two, the last fifth left out.
+    For a single flight, its last fifth is left out.
     """
     flight = np.repeat(np.arange(len(y)), [len(b) for b in y])
     every, target = np.concatenate(x), np.concatenate(y)
@@ -284,4 +288,4 @@ RULES: Mapping[str, Rule] = MappingProxyType(
         "linear in inputs": Rule(("track", "free"), _fit_linear_in_inputs, _linear_in_inputs),
     }
 )
-"""Every baseline by its name, in the order in which they are printed."""
+"""All baselines by name, in the order in which they are printed."""

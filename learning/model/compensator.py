@@ -1,15 +1,16 @@
-"""The compensator: a correction for each sample of the twin's sensors, its spread, an alarm.
+"""The compensator: correction of the twin's sensor readings at each sample, with spread and alarm.
 
     correction = near * (mean + scale * linear prediction) + close * scale * gate * network
 
-`near` and `close` are 1 in the envelope of the training and fade beyond (`learning.data.envelope`).
-The alarm is the innovation, what a reading has beyond the corrected twin, over its spread, and over
-what that reached on flights left out, or on time held back where there is but one. There is none
-where no reading is seen (`free`), or it is given to be returned (`reconstruct`).
+`near` and `close` are 1 inside the training envelope and fade outside (`learning.data.envelope`).
+The anomaly score is the innovation, a reading minus the corrected twin, over its spread, and over
+the size that this ratio reached on flights left out, or on validation data for a single flight.
+There is none where no reading is seen (`free`), or the reading is the input to be reproduced
+(`reconstruct`).
 
-`Compensator.run` is the definition, over whole flights. What flies is the ONNX graph that
-`learning.export.streaming` writes of it, one sample per call with all memory in `state`, whose
-layout is said here; each export is given the numbers of `run` to be checked against.
+`Compensator.run` is the definition, over whole flights. In flight the ONNX graph that
+`learning.export.streaming` writes is used, with one sample per call and all memory in `state`,
+whose layout is defined here; each export contains numbers of `run` for verification.
 """
 
 import copy
@@ -47,15 +48,15 @@ __all__ = ["LINEAR_PART", "Compensator", "ModelInfo", "network_inputs", "untrain
 
 Array = NDArray[np.float64]
 CHUNK = 4096
-"""Samples per call of the network over a long flight, to bound memory."""
+"""Samples per call of the network in a long flight, to limit memory."""
 NO_SPREAD = 1e-12
-"""In the place of that of a channel which training never had: its level is `UNLIMITED`."""
+"""Replaces the spread of a channel without training data, whose level is `UNLIMITED`."""
 LINEAR_PART = "linear part alone"
-"""What `Compensator.without_network` is called in a table."""
+"""Name of `Compensator.without_network` in a table."""
 
 
 class Compensator(nn.Module):
-    """Streaming model; everything it needs is in its buffers and weights."""
+    """Streaming model; buffers and weights contain everything it needs."""
 
     mean: Tensor
     scale: Tensor
@@ -103,46 +104,47 @@ class Compensator(nn.Module):
             "place_reach": (1,),
             "rms": (n_channels,),
             "base": (n_channels, regressors),  # weights of the linear prediction
-            "leftover": (n_channels,),  # spread of what it leaves: unit of the network's output
+            "leftover": (n_channels,),  # spread of its error: unit of the network's output
             "gate": (n_channels,),
-            "spread_factor": (N_PHASES, n_channels),  # makes the spread right where it is told
-            "anomaly_scale": (n_channels,),  # spreads above which something is strange, in `track`
+            "spread_factor": (N_PHASES, n_channels),  # calibrates the spread where it is predicted
+            "anomaly_scale": (n_channels,),  # anomalous innovation over spread, `track`
         }
         for name, shape in shapes.items():
             self.register_buffer(name, torch.ones(shape))
 
     @property
     def family(self) -> str:
-        """Its row in the registry."""
+        """Family of the model in the registry."""
         return "svq" if self.info.preset.network else "linear"
 
     @property
     def history(self) -> int:
-        """Rows of past residuals in the state, newest first."""
+        """Number of past residuals in the state, newest first."""
         lags = n_lags(self.info.protocol)
         return self.info.horizon + lags if lags else 0
 
     @property
     def readings(self) -> int:
-        """Rows of virtual readings at the times of the past residuals, newest first."""
+        """Number of virtual readings in the state, at the times of the past residuals, newest
+        first."""
         return self.info.horizon + 1 if self.info.protocol == "track" else 0
 
     @property
     def n_offset(self) -> int:
-        """Numbers of the running means: sums of residuals, of readings, and weights; in `free` sums
-        of linear predictions, and their weight."""
+        """Size of the running means in the state: sums of residuals, of readings, and weights; in
+        `free` sums of linear predictions, and their weight."""
         return {"track": 3 * len(CHANNELS), "free": len(CHANNELS) + 1}.get(self.info.protocol, 0)
 
     @property
     def n_slow(self) -> int:
-        """Numbers of the low-passed features in the state."""
+        """Size of the low-passed features in the state."""
         return len(SMOOTHING_S) * len(self.features)
 
     @property
     def state_sizes(self) -> tuple[int, ...]:
-        """Parts of the packed state: history, running means, readings, 1 once begun, innovation
-        ratio of the newest reading of each channel, sizes of the innovations that are not known
-        yet, their sums and weights, slow features, network."""
+        """Sizes of the parts of the packed state: history, running means, readings, 1 once started,
+        innovation ratio of the newest reading of each channel, sizes of the innovations that are
+        not known yet, their sums and weights, slow features, network."""
         n = len(CHANNELS)
         past, readings = self.history * n, self.readings * n
         begun = min(self.readings, 1)
@@ -152,11 +154,11 @@ class Compensator(nn.Module):
 
     @property
     def state_size(self) -> int:
-        """Numbers of the packed state."""
+        """Size of the packed state."""
         return sum(self.state_sizes)
 
     def set_scaling(self, scaling: Scaling) -> None:
-        """Take over scaling and envelope."""
+        """Set scaling and envelope."""
         for name, values in scaling.arrays().items():
             getattr(self, name).copy_(torch.from_numpy(values))
 
@@ -166,10 +168,10 @@ class Compensator(nn.Module):
         return Scaling(**{name: getattr(self, name).double().numpy() for name in names})
 
     def run(self, flight: ResidualFlight) -> Corrected:
-        """The whole flight; each span starts at the state zero.
+        """Correction of the whole flight; each span starts at zero state.
 
         Raises:
-            ModelError: Rate or number of commands differs from the training's.
+            ModelError: Rate or number of commands differs from the training.
         """
         self.info.check_flight(flight)
         n = len(flight.t_s)
@@ -203,7 +205,7 @@ class Compensator(nn.Module):
     @one_thread()
     @torch.no_grad()
     def outputs(self, spans: Sequence[SpanSequence]) -> list[NetworkOut]:
-        """Output of the network over each span, from the state zero, shapes (n, ...)."""
+        """Output of the network over each span, from zero state, shapes (n, ...)."""
         if self.network is None:
             nothing = [torch.zeros(len(s.d), len(CHANNELS)) for s in spans]
             return [NetworkOut(zero, zero) for zero in nothing]
@@ -223,7 +225,8 @@ class Compensator(nn.Module):
         return found
 
     def without_network(self) -> "Compensator | None":
-        """The same with its gates shut: what the network adds; None where nothing is under it."""
+        """The model with its gates closed, for comparison with the network; None where there is no
+        linear prediction."""
         preset = self.info.preset
         if not (preset.network and preset.linear) or self.info.protocol == "reconstruct":
             return None
@@ -232,13 +235,14 @@ class Compensator(nn.Module):
         return alone
 
     def drop_network(self) -> None:
-        """Leave the linear prediction alone: what says nothing need not be shipped."""
+        """Remove the network and keep the linear prediction, if the network contributes nothing."""
         preset = replace(self.info.preset, encoder_units=(), decoder_units=())
         self.network, self.info = None, replace(self.info, preset=preset)
 
     @torch.no_grad()
     def shut(self, channels: Sequence[int]) -> None:
-        """Correct some channels no more: what is expected of them is what the twin leaves."""
+        """Disable the correction of some channels; their expected error becomes that of the
+        twin."""
         for c in channels:
             for values in (self.gate, self.base):
                 values[c] = 0
@@ -266,23 +270,23 @@ class Compensator(nn.Module):
 
 
 def innovation_size(innovation: Array, spread: Array) -> Array:
-    """What is new in readings over its spread, shape (n, 15).
+    """Absolute innovation over its spread, shape (n, 15).
 
     Args:
-        innovation: Reading less corrected virtual reading, shape (n, 15).
-        spread: Expected of it, the same shape; 0 of a channel that training never had.
+        innovation: Reading minus corrected virtual reading, shape (n, 15).
+        spread: Predicted spread, shape (n, 15); 0 for a channel without training data.
     """
     return np.asarray(np.abs(innovation) / spread.clip(min=NO_SPREAD))
 
 
 def untrained_compensator(info: ModelInfo[Preset]) -> Compensator:
-    """A model with random weights, of the size that a trained one has: for measuring its speed."""
+    """A model with random weights and the size of a trained one, for speed measurements."""
     torch.manual_seed(0)
     return Compensator(info).eval()
 
 
 def network_inputs(span: SpanSequence) -> tuple[Tensor, Tensor, Tensor]:
-    """known (n, 15), features (n, F) and one-hot phase (n, phases) of a span, float32."""
+    """Known residuals (n, 15), features (n, F) and one-hot phase (n, phases) of a span, float32."""
     known = span.lags[..., 0] if span.lags.shape[-1] else np.zeros_like(span.d)
     arrays = (known, span.features, one_hot(span.phase))
     known_, features, phase = (torch.from_numpy(a.astype(np.float32)) for a in arrays)

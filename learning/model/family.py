@@ -1,4 +1,4 @@
-"""What a family of compensators must offer, and what every model says of itself and of a flight."""
+"""Interfaces of a compensator family, its models and its training tasks."""
 
 import hashlib
 import json
@@ -27,14 +27,14 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Corrected:
-    """A flight with its correction; outside the spans nothing is corrected.
+    """Correction of a flight; zero outside the spans.
 
     Attributes:
-        correction: To be added to what the twin reads, shape (n, 15), units of the channels.
-        spread: Standard deviation expected of what is left, shape (n, 15).
-        anomaly: How strange the newest readings are, or what is known in their place, above 1
-            rarely, (n,); NaN where a model gives no alarm.
-        inside: Whether the features are within the envelope of the training data, shape (n,).
+        correction: Correction added to the twin's readings, shape (n, 15), units of the channels.
+        spread: Predicted standard deviation of the remaining error, shape (n, 15).
+        anomaly: Anomaly score of the newest readings, or of other known data, rarely above 1, shape
+            (n,); NaN for a model without alarms.
+        inside: Whether the features are inside the training envelope, shape (n,).
     """
 
     correction: Array
@@ -46,15 +46,15 @@ class Corrected:
 
 
 def between(share: Array, corrected: Array, uncorrected: Array) -> Array:
-    """Spread of what is left where a correction fades: the one at share 1, the other at 0."""
+    """Spread where a correction fades: `corrected` at share 1, `uncorrected` at 0."""
     return uncorrected + share * (corrected - uncorrected)
 
 
 class Model(Interface):
-    """Whatever corrects a flight."""
+    """Interface of anything that corrects a flight."""
 
     def run(self, flight: ResidualFlight) -> Corrected:
-        """The whole flight; each span starts from zero."""
+        """Correction of the whole flight; each span starts from zero state."""
         ...
 
 
@@ -63,21 +63,21 @@ P = TypeVar("P")
 
 @dataclass(frozen=True, slots=True)
 class ModelInfo(Generic[P]):
-    """What a model is, besides its numbers: content of `model.json`.
+    """Description of a model without its weights: content of `model.json`.
 
     Attributes:
-        preset: Hyper-parameters, in the dataclass of the family.
-        protocol: Which measurements it sees.
-        horizon: Age of the newest residual it sees in `track`, samples; else 0.
-        rate_hz: Samples per second that it must be called with.
-        n_commands: Motor commands it sees, or what stands for them.
-        clusters: Channels of each network; () in a family that has none.
-        seed: Of the training.
-        vehicle: Name of the twin's vehicle, "" where not said.
-        vehicle_sha256: Of the vehicle's file.
-        flights: Of the training: name, sha256, samples, seconds.
-        training: Hash of all that decides the numbers.
-        metrics: As measured on the validation time, where the family keeps some.
+        preset: Hyper-parameters, a dataclass of the family.
+        protocol: Protocol: which measurements the model sees.
+        horizon: Age of the newest residual that it sees in `track`, samples; otherwise 0.
+        rate_hz: Sample rate at which it must be called, Hz.
+        n_commands: Number of motor commands, or of rotor speeds that replace them.
+        clusters: Channels of each network; () for a family without clusters.
+        seed: Random seed of the training.
+        vehicle: Name of the twin's vehicle, "" where unknown.
+        vehicle_sha256: SHA-256 hash of the vehicle file.
+        flights: Training flights: name, sha256, samples, seconds.
+        training: Hash of all inputs that determine the weights.
+        metrics: Errors on the validation data, where the family stores some.
     """
 
     preset: P
@@ -96,7 +96,7 @@ class ModelInfo(Generic[P]):
     __repr__ = short_repr
 
     def check_flight(self, flight: ResidualFlight) -> None:
-        """Raise ModelError unless the flight has the model's rate and commands."""
+        """Raise ModelError unless the flight has the model's rate and number of commands."""
         if flight.rate_hz != self.rate_hz:
             raise ModelError(
                 f"{flight.name}: residuals at {flight.rate_hz:g} Hz, the model was trained at "
@@ -110,26 +110,26 @@ class ModelInfo(Generic[P]):
 
 
 Progress = Callable[[float, float | None], None]
-"""Called with the share done, 0..1, and the seconds left, None while not known."""
+"""Callback with the share done, 0..1, and the remaining time, s, None while unknown."""
 Tensors = Mapping[str, NDArray[Any]]
 
 
 class FamilyPreset(Interface):
     """Hyper-parameters: a frozen dataclass of numbers, texts and tuples of them.
 
-    One whose training takes several passes says so by a field `epochs`.
+    A preset whose training takes several passes has a field `epochs`.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
     def name(self) -> str:
-        """As printed, and as `uavtwin train --preset` takes it."""
+        """Name as printed, and as option of `uavtwin train --preset`."""
         ...
 
 
 class TrainedModel(Interface):
-    """A compensator that was trained, of any family."""
+    """A trained compensator of any family."""
 
     @property
     def family(self) -> str:
@@ -138,39 +138,40 @@ class TrainedModel(Interface):
 
     @property
     def info(self) -> ModelInfo[Any]:
-        """What it is."""
+        """Description of the model."""
         ...
 
     def run(self, flight: ResidualFlight) -> Corrected:
-        """The whole flight; each span starts from zero.
+        """Correction of the whole flight; each span starts from zero state.
 
         Raises:
-            ModelError: Rate or number of commands differs from the training's.
+            ModelError: Rate or number of commands differs from the training.
         """
         ...
 
     def tensors(self) -> Tensors:
-        """All its numbers, for `weights.safetensors`."""
+        """All weights, for `weights.safetensors`."""
         ...
 
     def details(self) -> Mapping[str, Any]:
-        """What the family adds to `model.json`; JSON content."""
+        """Family-specific content of `model.json`."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingTask:
-    """What a model is trained for or measured in, whatever its family and preset.
+    """Task of a training or evaluation, independent of family and preset.
 
     Attributes:
-        protocol: What it sees.
-        horizon: Samples, in `track`; else 0.
-        seed: Of everything that is drawn.
-        vehicle: Name of the twin's vehicle, to be written down.
-        vehicle_sha256: Of its file.
-        device: On which a network is trained, as of `learning.compute`: it decides rounding alone.
-        checkpoints: Folder of the checkpoint, which stays there at the end; None: that of the
-            model, from which it is removed.
+        protocol: Protocol: which measurements the model sees.
+        horizon: Age of the newest residual, samples, in `track`; otherwise 0.
+        seed: Random seed.
+        vehicle: Name of the twin's vehicle, for the description.
+        vehicle_sha256: SHA-256 hash of the vehicle file.
+        device: Device on which a network is trained, as of `learning.compute`; it influences only
+            rounding.
+        checkpoints: Folder of the checkpoint, which remains at the end; None: that of the model,
+            from which it is removed.
     """
 
     protocol: Protocol
@@ -182,7 +183,7 @@ class TrainingTask:
     checkpoints: Path | None = None
 
     def __post_init__(self) -> None:
-        """Raise ModelError unless the horizon goes with the protocol."""
+        """Raise ModelError unless the horizon is allowed with the protocol."""
         check_protocol(self.protocol, self.horizon)
 
 
@@ -191,14 +192,14 @@ ModelT = TypeVar("ModelT", bound=TrainedModel)
 
 
 class Family(ABC, Generic[PresetT, ModelT]):
-    """One kind of compensator; docs/dev/extending/compensator_model.md adds one step by step.
+    """A family of compensators; docs/dev/extending/compensator_model.md adds one step by step.
 
     Attributes:
-        name: As in `registry.FAMILIES` and `model.json`.
-        meaning: What its models are, in a line.
-        presets: By name, all of one dataclass; no two families have a name in common.
-        usual: Preset where nobody says.
-        onnx: Whether its models are exported as `model.onnx`, and so as FMUs.
+        name: Name in `registry.FAMILIES` and `model.json`.
+        meaning: Description of its models in one line.
+        presets: Presets by name, all of one dataclass; names are unique over all families.
+        usual: Default preset.
+        onnx: Whether its models are exported as `model.onnx`, and therefore as FMUs.
     """
 
     name: ClassVar[str]
@@ -209,7 +210,7 @@ class Family(ABC, Generic[PresetT, ModelT]):
 
     @abstractmethod
     def protocols(self, preset: PresetT) -> Sequence[Protocol]:
-        """Under which protocols the preset can be trained."""
+        """Protocols under which the preset can be trained."""
 
     @abstractmethod
     def fit(
@@ -223,42 +224,43 @@ class Family(ABC, Generic[PresetT, ModelT]):
         """Train on flights of one rate and number of commands; the same seed gives the same bytes.
 
         Args:
-            flights: Checked by `check_flights`.
+            flights: Training flights, checked by `check_flights`.
             preset: Hyper-parameters.
-            task: Its protocol is one of `protocols`.
-            folder: Exists; for a checkpoint and the learning curve. The model itself is written
-                there by the caller.
-            progress: To be called as the work goes on, where that takes more than seconds.
+            task: Training task; its protocol is one of `protocols`.
+            folder: Existing folder for a checkpoint and the learning curve. The caller writes the
+                model there.
+            progress: Called with the share done, where the training takes more than seconds.
         """
 
     @abstractmethod
     def build(self, info: ModelInfo[PresetT], tensors: Tensors) -> ModelT:
-        """The model that has these numbers.
+        """Model from its stored weights.
 
         Args:
-            info: As it was saved.
-            tensors: As `TrainedModel.tensors` gave them.
+            info: Description, as stored.
+            tensors: Weights, as of `TrainedModel.tensors`.
 
         Raises:
-            KeyError, TypeError, ValueError, RuntimeError: They do not fit each other.
+            KeyError, TypeError, ValueError, RuntimeError: Description and weights do not match.
         """
 
     @abstractmethod
     def export(self, model: ModelT, folder: Path) -> tuple[str, ...]:
-        """Write what other runtimes need (`model.onnx`); names of the files, () without any."""
+        """Write files for other runtimes (`model.onnx`); returns their names, () without any."""
 
 
 def silent(done: float, left_s: float | None) -> None:
-    """Progress that nobody looks at."""
+    """Progress callback that does nothing."""
 
 
 def no_alarm(n: int) -> NDArray[np.float64]:
-    """Anomaly of a model that gives none, shape (n,)."""
+    """Anomaly score of a model without alarms, NaN, shape (n,)."""
     return np.full(n, np.nan)
 
 
 def check_flights(flights: Sequence[ResidualFlight]) -> None:
-    """Raise ModelError unless there are flights, of one kind, each with a measured residual."""
+    """Raise ModelError unless there are flights, of one rate and number of commands, each with a
+    measured residual."""
     if not flights:
         raise ModelError("training needs at least one flight")
     kinds = {(f.rate_hz, f.commands.shape[1]) for f in flights}
@@ -273,7 +275,7 @@ def check_flights(flights: Sequence[ResidualFlight]) -> None:
 
 
 def describe_flight(flight: ResidualFlight) -> dict[str, Any]:
-    """Name, sha256 of all its numbers and of its log's, samples and seconds in the air."""
+    """Name, SHA-256 hashes of its numbers and of its log, samples and seconds in the air."""
     digest = hashlib.sha256(np.array(flight.spans, dtype=np.int64).tobytes())
     arrays = (flight.t_s, flight.virtual, flight.residual, flight.commands)
     for array in (*arrays, flight.fresh, flight.phase.astype(np.int64), flight.alone_rows):
@@ -291,12 +293,12 @@ def describe_flight(flight: ResidualFlight) -> dict[str, Any]:
 def describe_training(
     family: str, flights: Sequence[ResidualFlight], preset: PresetT, task: TrainingTask
 ) -> ModelInfo[PresetT]:
-    """What a model of these flights says of itself, before it is trained.
+    """Description of a model before it is trained.
 
     Args:
-        family: Name.
-        flights: Of the training.
-        preset: A frozen dataclass.
+        family: Name of the family.
+        flights: Training flights.
+        preset: Preset, a frozen dataclass.
         task: Protocol, horizon, seed, vehicle.
     """
     about = [describe_flight(f) for f in flights]

@@ -1,6 +1,6 @@
-"""A trained model as a folder: safetensors and JSON, nothing that runs code when it is read.
+"""A trained model as a folder of safetensors and JSON, which run no code when read.
 
-What is the same for every family is written and read here; the family adds its own part.
+Content common to all families is written and read here; the family adds its own part.
 """
 
 import json
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 WEIGHTS = "weights.safetensors"  # in the folder of a model
 MODEL = "model.json"  # in the folder of a model: all but weights
 CURVE = "learning_curve.json"
-"""Files of a model."""
+"""Name of the learning curve's file."""
 FORMAT = 6
-"""Version of the folder's layout."""
+"""Version of the folder's format."""
 
 
 def save(model: "TrainedModel", folder: Path) -> None:
-    """Write numbers and description; the same model gives the same bytes."""
+    """Write weights and description; the same model gives the same bytes."""
     folder.mkdir(parents=True, exist_ok=True)
     tensors = {k: np.ascontiguousarray(v) for k, v in model.tensors().items()}
     part = folder / f"{WEIGHTS}.part"
@@ -42,10 +42,11 @@ def save(model: "TrainedModel", folder: Path) -> None:
 
 
 def load(folder: Path) -> "TrainedModel":
-    """The model of a folder, whatever its family.
+    """Load the model of a folder, of any family.
 
     Raises:
-        ModelError: A file is missing, of another layout or family, or does not fit the description.
+        ModelError: A file is missing, has another format or family, or does not match the
+            description.
     """
     for name in (MODEL, WEIGHTS):
         if not (folder / name).is_file():
@@ -92,7 +93,7 @@ def info_json(model: "TrainedModel") -> dict[str, Any]:
 
 
 def info_from_json(content: Mapping[str, Any], family: "Family[Any, Any]") -> ModelInfo[Any]:
-    """What `info_json` was made from."""
+    """Description from the content of `model.json`; inverse of `info_json`."""
     if content["format"] != FORMAT:
         raise ValueError(f"layout {content['format']}")
     check_channels(content["channels"])
@@ -108,13 +109,13 @@ def info_from_json(content: Mapping[str, Any], family: "Family[Any, Any]") -> Mo
 
 
 def _preset_from_json(content: Mapping[str, Any], family: "Family[Any, Any]") -> Any:
-    """A preset of the family; JSON has lists where it has tuples."""
+    """Preset of the family; JSON has lists in place of its tuples."""
     kind = type(next(iter(family.presets.values())))
     return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in content.items()})
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write JSON in one go: a reader sees the old file or the new one."""
+    """Write JSON atomically: a reader sees the old file or the new one."""
     part = path.with_name(f"{path.name}.part")
     part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", "utf-8")
     os.replace(part, path)

@@ -1,6 +1,7 @@
-"""The linear prediction in closed form: under the network, or without one.
+"""Linear prediction in closed form, alone or under the network.
 
-The network learns only what this leaves; each is used only as far as it helps.
+The network learns only the residual of the linear prediction; each is used only as far as it
+reduces the error.
 """
 
 from collections.abc import Sequence
@@ -19,16 +20,16 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
 RIDGES = (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 1e3)
-"""Tried strengths, per sample; the weights' unit is one, since everything is standardised. The last
-leaves a trivial rule as it is."""
+"""Ridge parameters that are tried, per sample; weights are dimensionless, since everything is
+standardised. The largest one leaves a trivial rule unchanged."""
 MOST_FOLDS = 8
-"""Parts of the data, each said by the fit without it."""
+"""Maximum number of cross-validation folds."""
 BLOCK_S = 1.0
-"""Residuals a second apart count as independent evidence."""
+"""Time after which residuals count as independent, s."""
 MOST_BLOCKS = 1_000_000
-"""Of one flight."""
+"""Maximum number of blocks of one flight."""
 EVIDENCE = 1.5
-"""Gain per block over its standard error, below which it is taken for chance."""
+"""Gain per block over its standard error below which it may be chance."""
 
 
 def fit_base(
@@ -37,27 +38,27 @@ def fit_base(
     protocol: Protocol,
     rate_hz: float,
 ) -> Array:
-    """Weights of the linear prediction per channel; a rule where nothing plainly does better.
+    """Weights of the linear prediction per channel; those of a trivial rule where nothing is
+    clearly better.
 
-    `track`: weights times [`lags` about `offset`, `change`] of each channel, which is
-    autoregression straight to the horizon and an observer of its offset, times [`own`, features,
-    slow features], or times both. `free`: times the latter, of the sensors of `OF_THE_DAY` beyond
-    their running means. `reconstruct`: none. The ridge holds the weights at those of a trivial
-    rule: that the residual is nothing (in `track`: what it was last, or so far on average), or that
-    the sensor reads what it reads on average (in `track`: what
-    it read last, or so far on average), whatever the twin says. Which of all these, and the
-    strength of the ridge, is chosen, and its worth judged, on parts of the data that had no share
-    in the fit: flight by flight, or by stretches of time where there is one flight. Readings of a
-    twin that follows count as much as those of one that flies alone, whose residual is larger.
+    Regressors in `track`: [`lags` about `offset`, `change`] of each channel, an autoregression
+    directly to the horizon with an observer of its offset; or [`own`, features, slow features]; or
+    both. In `free`: the latter, for the sensors of `OF_THE_DAY` minus their running means. In
+    `reconstruct`: none. The ridge pulls the weights towards those of a trivial rule: that the
+    residual is zero (in `track`: its last value, or its mean so far), or that the sensor reads its
+    mean (in `track`: its last value, or its mean so far), whatever the twin predicts. Rule,
+    regressors and ridge are selected, and their gain evaluated, by cross-validation over flights,
+    or over time spans of a single flight. Readings of a twin that follows the motion count as much
+    as those in open loop, whose residual is larger.
 
     Args:
-        spans: All training flights.
-        scored: Per span the samples that count, shape (n, 15).
-        protocol: Decides the regressors.
-        rate_hz: Samples per second.
+        spans: Spans of all training flights.
+        scored: Samples that count in each span, shape (n, 15).
+        protocol: Protocol, which determines the regressors.
+        rate_hz: Sample rate, Hz.
 
     Returns:
-        From all data, shape (15, regressors).
+        Weights from all data, shape (15, regressors).
     """
     blocks, folds = time_blocks(spans, rate_hz), _folds(spans)
     targets = to_learn(spans, scored, protocol)
@@ -76,13 +77,13 @@ def fit_base(
 def to_learn(
     spans: Sequence[SpanSequence], scored: Sequence[BoolArray], protocol: Protocol
 ) -> list[Array]:
-    """What is to be said of each span, shape (n, 15): the residual; in `free` of the sensors of
-    `OF_THE_DAY` that less its mean over the flight, where the twin follows.
+    """Target of each span, shape (n, 15): the residual; in `free`, for the sensors of `OF_THE_DAY`,
+    minus its mean over the flight where the twin follows.
 
     Args:
-        spans: Of flights.
-        scored: Per span the samples that count, shape (n, 15).
-        protocol: As of `fit_base`.
+        spans: Spans of flights.
+        scored: Samples that count in each span, shape (n, 15).
+        protocol: Protocol, as of `fit_base`.
     """
     if protocol != "free":
         return [s.d for s in spans]
@@ -100,7 +101,8 @@ def to_learn(
 
 
 def _equalised(target: Array, scored: BoolArray, alone: BoolArray) -> Array:
-    """Weight of each sample, by which following and alone have the same mean square, (n,)."""
+    """Weight of each sample by which following and open-loop samples have equal mean squares, shape
+    (n,)."""
     if not alone.any():
         return np.ones(len(target))
     modes = [scored & mode for mode in (alone, ~alone)]
@@ -109,33 +111,34 @@ def _equalised(target: Array, scored: BoolArray, alone: BoolArray) -> Array:
 
 
 def predict_base(span: SpanSequence, weights: Array, protocol: Protocol, largest: Array) -> Array:
-    """Linear prediction over a span, bounded, shape (n, 15).
+    """Linear prediction over a span, limited by `bounded`, shape (n, 15).
 
     Args:
-        span: Of a flight.
-        weights: As from `fit_base`.
-        protocol: Decides the regressors.
-        largest: Of `Scaling`, shape (15,).
+        span: Span of a flight.
+        weights: Weights, as of `fit_base`.
+        protocol: Protocol, which determines the regressors.
+        largest: Largest residuals, as of `Scaling`, shape (15,).
     """
     columns = [regressors(span, protocol, c) @ w for c, w in enumerate(weights)]
     return np.asarray(bounded(np.stack(columns, axis=-1), span.offset[..., 0], largest))
 
 
 def bounded(prediction: Array, offset: Array, largest: Array) -> Array:
-    """No farther from an offset than `BEYOND` times the largest residual of the training.
+    """Limit a prediction to a distance of `BEYOND` times the largest training residual from an
+    offset.
 
-    Flights that go where no flight of the training went are not made arbitrarily wrong.
+    This bounds the error in flights outside the training envelope.
 
     Args:
-        prediction: Shape (n, 15).
-        offset: Running mean of the known residual, 0 unless in `track`; the same shape.
-        largest: Of `Scaling`, shape (15,).
+        prediction: Prediction, shape (n, 15).
+        offset: Running mean of the known residual, shape (n, 15); 0 except in `track`.
+        largest: Largest residuals, as of `Scaling`, shape (15,).
     """
     return np.asarray(offset + (prediction - offset).clip(-BEYOND * largest, BEYOND * largest))
 
 
 def regressors(span: SpanSequence, protocol: Protocol, channel: int) -> Array:
-    """What the linear prediction of a channel is made from, shape (n, regressors)."""
+    """Regressors of the linear prediction of a channel, shape (n, regressors)."""
     if protocol == "track":
         offset = span.offset[:, channel]
         about = span.lags[:, channel] - offset[:, :1]
@@ -150,18 +153,18 @@ def regressors(span: SpanSequence, protocol: Protocol, channel: int) -> Array:
 
 
 def gates(y: Array, left: Array, scored: BoolArray, blocks: IntArray) -> Array:
-    """Share of the network's output, 0..1, that leaves the smallest square error, per channel.
+    """Gate of each channel, 0..1: the share of the network's output with the least square error.
 
     Zero where the gain could be chance.
 
     Args:
         y: Output of the network, shape (n, 15).
-        left: What the linear prediction leaves, shape (n, 15).
+        left: Residual of the linear prediction, shape (n, 15).
         scored: Samples that count, shape (n, 15); a channel without any gets 0.
-        blocks: As from `time_blocks`, shape (n,).
+        blocks: Block of each sample, as of `time_blocks`, shape (n,).
 
     Returns:
-        Shape (15,).
+        Gates, shape (15,).
     """
     power = np.sum(y**2, axis=0, where=scored)
     together = np.sum(y * left, axis=0, where=scored)
@@ -174,7 +177,7 @@ def gates(y: Array, left: Array, scored: BoolArray, blocks: IntArray) -> Array:
 
 
 def time_blocks(spans: Sequence[SpanSequence], rate_hz: float) -> IntArray:
-    """Number of the second in which each sample lies, counted over all spans, shape (n,)."""
+    """Block (second) of each sample, numbered over all spans, shape (n,)."""
     numbers, first = [], 0
     for span in spans:
         number = (np.arange(len(span.d)) / (BLOCK_S * rate_hz)).astype(np.intp)
@@ -191,7 +194,7 @@ def evidence(gain: Array, blocks: IntArray) -> float:
 
     Args:
         gain: Decrease of the square error per sample, shape (n,).
-        blocks: To which each sample belongs, shape (n,).
+        blocks: Block of each sample, shape (n,).
     """
     _, place = np.unique(blocks, return_inverse=True)
     per_block = np.bincount(place, gain)
@@ -202,7 +205,7 @@ def evidence(gain: Array, blocks: IntArray) -> float:
 
 
 def _folds(spans: Sequence[SpanSequence]) -> IntArray:
-    """Part of the data to which each sample belongs, shape (n,)."""
+    """Cross-validation fold of each sample, shape (n,)."""
     flights = np.concatenate([np.full(len(s.d), s.flight) for s in spans])
     if flights.min() < flights.max():
         return np.asarray(flights % MOST_FOLDS, dtype=np.intp)
@@ -213,10 +216,11 @@ def _folds(spans: Sequence[SpanSequence]) -> IntArray:
 
 
 def _tried(protocol: Protocol, n: int) -> list[tuple[Array, IntArray]]:
-    """Weights of trivial rules, and regressors that may be used alongside them, the fewest first.
+    """Candidates: weights of trivial rules, and regressors that may be added to them, the fewest
+    first.
 
-    The first rule is used where nothing plainly does better. All of `track` follow the offset of
-    today: flights of one offset cannot say which a sensor will have on another day.
+    The first rule is used where nothing is clearly better. All rules of `track` follow the offset
+    of the current flight: flights with one offset do not determine that of another day.
     """
     every = np.arange(n)
     if protocol != "track":
@@ -241,7 +245,8 @@ def _channel(
     blocks: IntArray,
     tried: Sequence[tuple[Array, IntArray]],
 ) -> Array:
-    """Weights from all data: rule, regressors and ridge that said best what is new."""
+    """Weights from all data, with the rule, regressors and ridge that are best in
+    cross-validation."""
     if not scored.any():
         return np.zeros(x.shape[1])
     found, most = tried[0][0].copy() if tried else np.zeros(x.shape[1]), 0.0
@@ -263,19 +268,19 @@ def _chosen(
     folds: IntArray,
     blocks: IntArray,
 ) -> tuple[Array, float]:
-    """What the best ridge adds to the weights of a rule, and the square error that both save
-    alongside the first rule.
+    """Weights that the best ridge adds to a rule, and the square error that both save against the
+    first rule.
 
     None where the saving could be chance.
 
     Args:
         x: Regressors, shape (n, k).
-        target: Shape (n,).
-        ruled: What the rule says, shape (n,).
-        plain: What the first rule says, shape (n,).
+        target: Target, shape (n,).
+        ruled: Prediction of the rule, shape (n,).
+        plain: Prediction of the first rule, shape (n,).
         scored: Samples that count, shape (n,).
-        folds: Part of the data of each, shape (n,).
-        blocks: As from `time_blocks`, shape (n,).
+        folds: Fold of each sample, shape (n,).
+        blocks: Block of each sample, as of `time_blocks`, shape (n,).
     """
     left = target - ruled
     parts = [scored & (folds == k) for k in np.unique(folds)]
@@ -297,11 +302,11 @@ def _chosen(
 
 
 def _strongest(gains: Array, blocks: IntArray) -> int:
-    """The strongest ridge that does as well as the best to within the standard error of that.
+    """The strongest ridge whose gain is within one standard error of the best.
 
     Args:
         gains: Decrease of the square error, by ridge, shape (ridges, n).
-        blocks: To which each sample belongs, shape (n,).
+        blocks: Block of each sample, shape (n,).
 
     Source: the one-standard-error rule, Breiman et al., Classification and Regression Trees, 1984,
     sec. 3.4.3.
@@ -313,7 +318,7 @@ def _strongest(gains: Array, blocks: IntArray) -> int:
 
 
 def _ridge(gram: Array, moment: Array, count: int, ridge: float) -> Array:
-    """Weights from sums over `count` samples; zero from none."""
+    """Ridge regression weights from sums over `count` samples; zero without samples."""
     if count < 1:
         return np.zeros(len(moment))
     return np.asarray(np.linalg.solve(gram / count + ridge * np.eye(len(gram)), moment / count))
@@ -334,21 +339,21 @@ def left_out_errors(
     horizon: int,
     scaling: Scaling,
 ) -> list[Array]:
-    """What is left of every span by a prediction and a scaling of the other flights.
+    """Errors in every span with a prediction and a scaling fitted to the other flights.
 
-    The samples that a prediction was fitted to give too small a spread for any others: on RflySimDT
-    two such spreads held 56 to 93 % of a flight left out, in place of 95 %.
+    Errors on the fitted samples themselves give a spread that is too small for others: on RflySimDT
+    two such spreads contained 56 to 93 % of a flight left out, instead of 95 %.
 
     Args:
-        flights: Two or more.
-        normalise: How residuals are scaled.
-        protocol: Decides the regressors.
-        horizon: Samples, in `track`; else 0.
-        scaling: In whose units the errors are told.
+        flights: Two or more flights.
+        normalise: Normalisation of the residuals.
+        protocol: Protocol, which determines the regressors.
+        horizon: Age of the newest residual, samples, in `track`; otherwise 0.
+        scaling: Scaling of the returned errors.
 
     Returns:
-        Per span of all flights, in order, shape (n, 15); NaN beyond the envelope of the others,
-        where a model of these would correct nothing.
+        Errors in the spans of all flights, in order, shape (n, 15); NaN outside the envelope of the
+        others, where their model would correct nothing.
     """
     errors = []
     for one in flights:

@@ -1,6 +1,7 @@
-"""FC-MC-SVQ: per cluster of channels an LSTM, a codebook with soft assignment, an LSTM back.
+"""The FC-MC-SVQ network: for each cluster of channels an LSTM encoder, a codebook with soft
+assignment, and an LSTM decoder.
 
-Every module goes over whole sequences, from a state to a state: rows of `[h, c]` of each layer,
+Every module maps whole sequences, from an initial to a final state: rows of `[h, c]` of each layer,
 encoder before decoder, cluster after cluster; zero at the start.
 """
 
@@ -16,17 +17,18 @@ from ..data.clustering import Clusters
 from ..preset import Preset, Protocol
 
 LOG_SPREAD_LIMIT = 6.0
-"""Predicted spreads stay within e^-6..e^6 of the scale: a head may not say nought or infinity."""
+"""Limit of the predicted log spread, so that spreads stay within e^-6..e^6 of the scale and are
+never zero or infinite."""
 
 
 @dataclass(frozen=True, slots=True)
 class Latent:
-    """What happens inside one cluster's quantiser, for the losses; leading shape (batch, time).
+    """Variables of one cluster's quantiser, for the losses; leading shape (batch, time).
 
     Attributes:
-        z: Latent, shape (..., D).
-        code: What the decoder gets, before any gradient trick, shape (..., D).
-        logits: Of the assignment; their exponentials sum up to anything, shape (..., K).
+        z: Latent vector, shape (..., D).
+        code: Input of the decoder, before any gradient estimator, shape (..., D).
+        logits: Logits of the assignment, not normalised, shape (..., K).
     """
 
     z: Tensor
@@ -39,9 +41,10 @@ class NetworkOut:
     """Output of the network.
 
     Attributes:
-        y: In units of what it was trained on, shape (..., 15).
-        log_spread: Logarithm of the predicted spread of `y`, 0 without a head, shape (..., 15).
-        latents: Per cluster; empty where no loss asks for them.
+        y: Output in units of the training target, shape (..., 15).
+        log_spread: Logarithm of the predicted spread of `y`, 0 without a spread head, shape (...,
+            15).
+        latents: Latent variables per cluster; empty where no loss needs them.
     """
 
     y: Tensor
@@ -50,7 +53,7 @@ class NetworkOut:
 
 
 class LstmStack(nn.Module):
-    """LSTM layers one behind the other."""
+    """Stacked LSTM layers."""
 
     def __init__(self, n_inputs: int, units: Sequence[int]) -> None:
         super().__init__()
@@ -60,11 +63,11 @@ class LstmStack(nn.Module):
 
     @property
     def state_size(self) -> int:
-        """Numbers of the packed state."""
+        """Size of the packed state."""
         return 2 * sum(self.units)
 
     def forward(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Outputs (batch, time, units) and next state of x (batch, time, inputs)."""
+        """Outputs (batch, time, units) and next state for x (batch, time, inputs)."""
         states = []
         for layer, (h, c) in zip(self.layers, self._unpacked(state), strict=True):
             x, (h, c) = layer(x, (h.unsqueeze(0).contiguous(), c.unsqueeze(0).contiguous()))
@@ -77,10 +80,10 @@ class LstmStack(nn.Module):
 
 
 class Quantiser(nn.Module):
-    """Codebook of one cluster."""
+    """Codebook quantiser of one cluster."""
 
     codes: nn.Parameter
-    """Shape (K, D)."""
+    """Codebook, shape (K, D)."""
 
     def __init__(self, preset: Preset) -> None:
         super().__init__()
@@ -97,7 +100,7 @@ class Quantiser(nn.Module):
         self.codes = nn.Parameter(codes)
 
     def forward(self, z: Tensor) -> tuple[Tensor, Latent]:
-        """What the decoder gets of z (..., D), and what the losses need."""
+        """Decoder input for z (..., D), and the variables that the losses need."""
         squares = (self.codes * self.codes).sum(-1)
         # |z - e|^2 = |z|^2 - (2 z.e - |e|^2): the same |z|^2 for every code cancels in a softmax
         closeness = (2 * z) @ self.codes.T - squares  # (..., K)
@@ -115,7 +118,7 @@ class Quantiser(nn.Module):
         return passed, Latent(z, code, logits)
 
     def response(self) -> Tensor:
-        """Change of the code per change of a small latent, shape (D, D)."""
+        """Derivative of the code by the latent at zero, shape (D, D)."""
         if self.kind != "soft":
             return torch.eye(self.codes.shape[1])
         weights = torch.softmax(-(self.codes * self.codes).sum(-1) / self.temperature, dim=0)
@@ -123,7 +126,7 @@ class Quantiser(nn.Module):
         return (about.T * weights) @ about * (2 / self.temperature)
 
     def at_rest(self) -> Tensor:
-        """Code of the latent zero, shape (D,)."""
+        """Code at latent zero, shape (D,)."""
         return self.forward(torch.zeros(self.codes.shape[1]))[1].code
 
 
@@ -131,11 +134,11 @@ class ClusterNetwork(nn.Module):
     """Encoder, codebook and decoder of one cluster of channels.
 
     Args:
-        n_channels: Of the cluster.
-        n_seen: Numbers it sees per sample, besides the phase: known residuals, features.
-        copies: The first `n_channels` of what it sees are what it shall give: the linear path
-            starts as the identity; else as zero.
-        preset: Sizes and switches.
+        n_channels: Number of channels in the cluster.
+        n_seen: Number of inputs per sample, without the phase: known residuals, features.
+        copies: Whether the first `n_channels` inputs are the targets: the linear path then starts
+            as the identity; otherwise as zero.
+        preset: Preset with sizes and switches.
     """
 
     def __init__(self, n_channels: int, n_seen: int, copies: bool, preset: Preset) -> None:
@@ -161,7 +164,7 @@ class ClusterNetwork(nn.Module):
 
     @property
     def state_size(self) -> int:
-        """Numbers of the packed state."""
+        """Size of the packed state."""
         return self.encoder.state_size + self.decoder.state_size
 
     def forward(
@@ -170,9 +173,9 @@ class ClusterNetwork(nn.Module):
         """Output, log spread, latent and next state.
 
         Args:
-            seen: Shape (batch, time, n_seen).
-            phase: Its embedding, shape (batch, time, phase_size).
-            state: Shape (batch, state_size).
+            seen: Inputs, shape (batch, time, n_seen).
+            phase: Embedding of the phase, shape (batch, time, phase_size).
+            state: State, shape (batch, state_size).
         """
         encoder_state, decoder_state = self._halves(state)
         h, encoder_state = self.encoder(torch.cat([seen, phase], dim=-1), encoder_state)
@@ -182,7 +185,8 @@ class ClusterNetwork(nn.Module):
         return y, log_spread, latent, torch.cat([encoder_state, decoder_state], dim=-1)
 
     def _start(self, n_channels: int, copies: bool, gain: float) -> None:
-        """The code carries the sample, the LSTMs add context: they start at nothing."""
+        """Initialise: the code carries the sample, and the LSTMs, which add context, start at
+        zero."""
         assert self.skip_in is not None and self.skip_out is not None
         nn.init.orthogonal_(self.skip_in.weight, gain)
         for layer in (self.to_latent, self.to_output, self.skip_out):
@@ -217,13 +221,14 @@ class ClusterNetwork(nn.Module):
 
 
 class SvqNetwork(nn.Module):
-    """All clusters side by side, conditioned on the phase.
+    """Networks of all clusters in parallel, conditioned on the phase.
 
     Args:
-        preset: Sizes and switches.
-        protocol: In `free` no residual is seen, in `reconstruct` no feature.
+        preset: Preset with sizes and switches.
+        protocol: Protocol: in `free` the residual is no input, in `reconstruct` the features are
+            none.
         clusters: Channels of each cluster.
-        n_features: Virtual signals and commands.
+        n_features: Number of features: virtual signals and commands.
     """
 
     order: Tensor
@@ -252,19 +257,19 @@ class SvqNetwork(nn.Module):
 
     @property
     def state_size(self) -> int:
-        """Numbers of the packed state."""
+        """Size of the packed state."""
         return sum(self._sizes())
 
     def forward(
         self, known: Tensor, features: Tensor, phase: Tensor, state: Tensor
     ) -> tuple[NetworkOut, Tensor]:
-        """Output over a sequence, and the state behind it.
+        """Output over a sequence, and the state after it.
 
         Args:
-            known: Standardised residuals, shape (batch, time, 15); not looked at in `free`.
-            features: Standardised, shape (batch, time, features).
-            phase: One-hot, shape (batch, time, phases).
-            state: Shape (batch, state_size).
+            known: Standardised residuals, shape (batch, time, 15); ignored in `free`.
+            features: Standardised features, shape (batch, time, features).
+            phase: One-hot phase, shape (batch, time, phases).
+            state: State, shape (batch, state_size).
         """
         embedded = phase @ self.phase_embedding
         ys, spreads, latents, states = [], [], [], []
@@ -279,7 +284,7 @@ class SvqNetwork(nn.Module):
         return out, torch.cat(states, dim=-1)
 
     def fill_unseen(self, seen: Sequence[bool]) -> None:
-        """Give phases without training data the mean embedding of those that have some."""
+        """Set the embedding of phases without training data to the mean of the others."""
         rows = torch.tensor(list(seen), dtype=torch.bool)
         if rows.any():
             with torch.no_grad():

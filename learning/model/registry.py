@@ -1,6 +1,6 @@
-"""The families of compensators: `train`, `evaluate` and the folder go by this table.
+"""Registry of the compensator families, used by `train`, `evaluate` and the model folder.
 
-A family is a class; here it has a name and a place. Nothing is imported before it is used.
+A family is a class, registered here by name and import path. Nothing is imported before it is used.
 """
 
 from importlib import import_module
@@ -20,14 +20,14 @@ FAMILIES = MappingProxyType(
         "linear": "learning.training.train:Linear",
     }
 )
-"""`MODULE:CLASS` of every family of compensators, by its name."""
+"""Import path `MODULE:CLASS` of every family of compensators, by name."""
 
 
 def family_named(name: str) -> "Family[Any, Any]":
-    """The family of that name.
+    """The family of a name.
 
     Raises:
-        ModelError: There is none.
+        ModelError: No family has this name.
     """
     if name not in FAMILIES:
         raise ModelError(f"no family {name!r}; there are {', '.join(FAMILIES)}")
@@ -36,7 +36,7 @@ def family_named(name: str) -> "Family[Any, Any]":
 
 
 def preset_named(name: str) -> "tuple[Family[Any, Any], FamilyPreset]":
-    """The family that has a preset of that name, and the preset."""
+    """The family that has a preset of this name, and the preset."""
     families = [family_named(family) for family in FAMILIES]
     for family in families:
         if name in family.presets:
@@ -48,15 +48,15 @@ def preset_named(name: str) -> "tuple[Family[Any, Any], FamilyPreset]":
 def chosen(
     model: str | None, preset: str | None, protocol: Protocol
 ) -> "tuple[Family[Any, Any], FamilyPreset]":
-    """The family and its preset, by the name of either or of both.
+    """The family and its preset, from the name of either or of both.
 
     Args:
-        model: Of the family; None: that of the preset, or `svq`.
-        preset: None: what the family takes where nobody says.
-        protocol: Under which it is to be trained.
+        model: Name of the family; None: that of the preset, or `svq`.
+        preset: Name of the preset; None: the default of the family.
+        protocol: Protocol of the training.
 
     Raises:
-        ModelError: There is none of that name, or the preset is of another family or protocol.
+        ModelError: The name does not exist, or the preset belongs to another family or protocol.
     """
     if model is None and preset is not None:
         family, found = preset_named(preset)

@@ -1,4 +1,4 @@
-"""Where a training stands, so that it can go on after a kill: one safetensors file."""
+"""Checkpoint of a training, one safetensors file, from which it resumes."""
 
 import json
 from collections.abc import Mapping
@@ -19,13 +19,13 @@ CHECKPOINT = "checkpoint.safetensors"  # in the folder of a training
 
 @dataclass(slots=True)
 class TrainingState:
-    """Where a training stands, besides its tensors.
+    """State of a training besides its tensors.
 
     Attributes:
-        training: Hash of all that decides the weights.
-        epoch: Epochs done.
-        best_epoch: Epoch with the smallest validation error; its weights are kept.
-        best_error: That error; None before the first look.
+        training: Hash of all inputs that determine the weights.
+        epoch: Number of completed epochs.
+        best_epoch: Epoch with the smallest validation error; its weights are stored.
+        best_error: That error; None before the first validation.
         curve: One entry per epoch.
     """
 
@@ -43,7 +43,7 @@ def save_checkpoint(
     best: Mapping[str, Tensor],
     optimisers: Mapping[str, torch.optim.Optimizer],
 ) -> None:
-    """Write everything in one go; a kill meanwhile leaves the checkpoint before."""
+    """Write the checkpoint atomically; an interruption leaves the previous one."""
     tensors = {f"weights.{k}": v for k, v in weights.items()}
     tensors |= {f"best.{k}": v for k, v in best.items()}
     for name, optimiser in optimisers.items():
@@ -57,10 +57,10 @@ def save_checkpoint(
 def load_checkpoint(
     folder: Path, training: str, optimisers: Mapping[str, torch.optim.Optimizer]
 ) -> tuple[TrainingState, dict[str, Tensor], dict[str, Tensor]] | None:
-    """TrainingState, weights and best weights; optimisers take up their states. None without one.
+    """Training state, weights and best weights; optimisers are restored. None without a checkpoint.
 
     Raises:
-        ModelError: The checkpoint is of another training, or not readable.
+        ModelError: The checkpoint belongs to another training, or is unreadable.
     """
     path = folder / CHECKPOINT
     if not path.is_file():

@@ -1,4 +1,4 @@
-"""What training makes small: Eqs. 10-15 and Algorithm 1 of the paper, by the preset's switches."""
+"""Training losses: Eqs. 10-15 and Algorithm 1 of the paper, with the preset's switches."""
 
 from dataclasses import dataclass
 
@@ -12,13 +12,14 @@ from ..preset import Preset
 
 @dataclass(frozen=True, slots=True)
 class Losses:
-    """Parts of the loss, weighted; each a scalar.
+    """Weighted parts of the loss; each a scalar.
 
     Attributes:
         reconstruction: Mean square error, summed over the clusters.
         quantiser: Distance between latent and codes, summed over the clusters.
-        distribution: Difference of mean and spread, mean over the channels.
-        spread: Of the predicted spread: its negative log likelihood; moves no other output.
+        distribution: Differences of mean and spread, mean over the channels.
+        spread: Negative log likelihood of the predicted spread; its gradient reaches no other
+            output.
     """
 
     reconstruction: Tensor
@@ -28,7 +29,7 @@ class Losses:
 
     @property
     def total(self) -> Tensor:
-        """What the gradient is taken of."""
+        """Sum of all parts, which is differentiated."""
         return self.reconstruction + self.quantiser + self.distribution + self.spread
 
 
@@ -43,12 +44,12 @@ def losses(
     """All parts over one window.
 
     Args:
-        out: Of the network, leading shape (batch, time).
-        target: What `out.y` should be, shape (batch, time, 15).
+        out: Output of the network, leading shape (batch, time).
+        target: Target of `out.y`, shape (batch, time, 15).
         scored: 1 where the target counts, else 0, shape (batch, time, 15).
         clusters: Channels of each cluster.
-        quantisers: One per cluster.
-        preset: Weights and switches.
+        quantisers: Quantiser of each cluster.
+        preset: Preset with weights and switches.
     """
     error = (out.y - target) * scored
     nought = error.new_zeros(())
@@ -76,12 +77,12 @@ def losses(
 
 
 def quantiser_loss(latent: Latent, codes: Tensor, preset: Preset) -> Tensor:
-    """Codebook drawn to the latent and latent to the codebook, Eqs. 10 and 11.
+    """Codebook loss and commitment loss, Eqs. 10 and 11.
 
     Args:
-        latent: Shape (batch, time, D) and (batch, time, K).
-        codes: Shape (K, D).
-        preset: `codebook_target`, `beta`.
+        latent: Latent variables, shapes (batch, time, D) and (batch, time, K).
+        codes: Codebook, shape (K, D).
+        preset: Preset with `codebook_target` and `beta`.
     """
     code = latent.code
     if preset.codebook_target == "nearest":
@@ -95,9 +96,9 @@ def moments_loss(y: Tensor, target: Tensor, scored: Tensor) -> Tensor:
     """|difference of means| + |difference of spreads| per channel, Algorithm 1 line 20.
 
     Args:
-        y: Shape (batch, time, 15).
-        target: Shape (batch, time, 15).
-        scored: 1 where it counts, else 0, shape (batch, time, 15).
+        y: Output, shape (batch, time, 15).
+        target: Target, shape (batch, time, 15).
+        scored: 1 where the target counts, else 0, shape (batch, time, 15).
     """
     count = scored.sum((0, 1)).clamp(min=1)
     parts = []
@@ -110,7 +111,7 @@ def moments_loss(y: Tensor, target: Tensor, scored: Tensor) -> Tensor:
 
 
 def _length(n: int, preset: Preset) -> int:
-    """What makes a mean over n numbers the sum that the text writes."""
+    """Factor that turns a mean over n numbers into the sum written in the paper."""
     return n if preset.norms == "sums" else 1
 
 

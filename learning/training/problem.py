@@ -1,4 +1,4 @@
-"""What a training works on: standardised sequences, linear prediction, calibration."""
+"""Data of a training: standardised sequences, linear prediction, calibration."""
 
 import math
 from collections.abc import Sequence
@@ -33,29 +33,30 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
 INNOVATION_QUANTILE = 0.999
-"""Of each of many channels, any of which raises an alarm. Not chosen on flights."""
+"""Quantile of the innovation per channel that sets its alarm level; any of many channels raises an
+alarm. Not chosen on flights."""
 ROUNDING = 10 * float(np.finfo(np.float32).eps)
-"""Share of a number that is below what a model in float32 can tell."""
+"""Relative rounding error of a model in float32."""
 ENOUGH = 20
-"""Samples of a channel in a phase from which a spread is told."""
+"""Least number of samples of a channel in a phase for its spread."""
 
 
 class TrainingProblem:
-    """One model and what it is trained on; all closed forms are done from the start.
+    """A model and its training data; closed-form solutions are computed at construction.
 
     Args:
-        flights: For training, some of it held back for validation.
+        flights: Training flights, some of them or parts used for validation.
         preset: Hyper-parameters.
-        protocol: What the model sees.
-        horizon: Samples, in `track`; else 0.
-        seed: Of what is held back and of the clusters.
+        protocol: Protocol: which measurements the model sees.
+        horizon: Age of the newest residual, samples, in `track`; otherwise 0.
+        seed: Random seed of the validation split and of the clusters.
 
     Attributes:
-        preset: As given, without what does not go with the protocol.
-        seed: As given.
-        compensator: Its network is to be trained; `calibrate` completes it.
-        unseen: Per span what the linear prediction of the other flights leaves; None of a single
-            flight, and where there is no linear prediction.
+        preset: Preset as given, without options that the protocol does not allow.
+        seed: Random seed as given.
+        compensator: Compensator, whose network is to be trained; `calibrate` completes it.
+        unseen: Errors of the linear prediction of the other flights in each span; None for a single
+            flight, and without linear prediction.
         samples: Windows for the training.
     """
 
@@ -111,12 +112,12 @@ class TrainingProblem:
 
     @property
     def network(self) -> SvqNetwork:
-        """That which is trained, of a preset that has one."""
+        """The network to be trained, for a preset with one."""
         assert self.compensator.network is not None
         return self.compensator.network
 
     def validation_error(self) -> float:
-        """Mean over the channels of the mean square error on validation time, standardised."""
+        """Standardised mean square error on the validation data, mean over the channels."""
         errors = [
             left / self.leftover - out.y.double().numpy()
             for left, out in zip(self.left, self.compensator.outputs(self.spans), strict=True)
@@ -126,7 +127,7 @@ class TrainingProblem:
         return float(square[known].mean()) if known.any() else math.nan
 
     def calibrate(self) -> None:
-        """Gates, spreads and the alarm's level, from flights left out or time held back."""
+        """Compute gates, spreads and the alarm level from flights left out or validation data."""
         model = self.compensator
         phases = np.concatenate([s.phase for s in self.spans])
         trained = phases[np.concatenate(self.train).any(1)]
@@ -146,7 +147,7 @@ class TrainingProblem:
         self.error_with = _mean_square([left - gate * y], [validate])
         error, used = self._calibration_errors(left - gate * y, validate)
         alone = np.concatenate([s.alone for s in self.spans])[:, None]
-        used &= ~alone | alone.all()  # a spread is that of a twin that follows
+        used &= ~alone | alone.all()  # spreads refer to a twin that follows the motion
         log_spread = np.concatenate([o.log_spread.double().numpy() for o in outs])
         error = error * np.exp(-log_spread)
         factor = np.where(used.any(axis=0), np.maximum(_factor(error, used, phases), self.least), 0)
@@ -157,11 +158,11 @@ class TrainingProblem:
             model.anomaly_scale.copy_(torch.from_numpy(level))
 
     def _calibration_errors(self, error: Array, validate: BoolArray) -> tuple[Array, BoolArray]:
-        """Errors that tell what is to be expected, and which of them do, shape (n, 15) both.
+        """Errors for the calibration of spreads, and which of them count, shape (n, 15) both.
 
-        Those of time held back; where there are several flights, what the linear prediction leaves
-        of flights that took no part in it, less what the network saves of time held back, but for
-        channels of which no such time is inside the envelope of the others.
+        Those on validation data; with several flights, the cross-validated errors of the linear
+        prediction minus the improvement by the network on validation data, except for channels
+        without such data inside the envelope of the others.
         """
         held_back = np.where(validate.any(0), validate, np.concatenate(self.train))
         if self.unseen is None:
@@ -176,13 +177,13 @@ class TrainingProblem:
         return np.where(left_out, np.nan_to_num(unseen) * saved, error), used
 
     def _innovation_level(self, error: Array, used: BoolArray) -> Array:
-        """What one reading in a thousand exceeds, of the flight that has most, at least one spread,
-        with room for the next flight as the envelope has it; shape (15,), `UNLIMITED` of a channel
-        without any.
+        """Innovation that one reading in a thousand exceeds, in the flight with the largest one, at
+        least one spread, with the reserve of the envelope for the next flight; shape (15,),
+        `UNLIMITED` for a channel without data.
 
         Args:
-            error: Over its spread, shape (n, 15).
-            used: Which of them count, shape (n, 15).
+            error: Error over its spread, shape (n, 15).
+            used: Samples that count, shape (n, 15).
         """
         of = np.concatenate([np.full(len(s.d), s.flight) for s in self.spans])
         flights = np.unique(of)
@@ -195,7 +196,7 @@ class TrainingProblem:
         return np.where(used.any(axis=0), level * (1 + 1 / len(flights)), UNLIMITED)
 
     def validation_mse(self) -> dict[str, dict[str, float]]:
-        """Per channel what the linear prediction leaves, and what the network does besides."""
+        """Mean square error of the linear prediction and with the network, per channel."""
         rows = zip(CHANNELS, self.error_without, self.error_with, strict=True)
         return {n: {"linear": float(a), "with_network": float(b)} for n, a, b in rows}
 
@@ -203,7 +204,8 @@ class TrainingProblem:
 def _factor(error: Array, scored: BoolArray, phases: IntArray) -> Array:
     """Rms of error over predicted spread per phase and channel, shape (phases, 15).
 
-    A phase without enough samples of a channel gets that of all phases, a channel without any 0.
+    A phase without enough samples of a channel gets the value of all phases, a channel without any
+    0.
     """
     square = np.where(scored, error**2, 0.0)
     count = scored.sum(0)
@@ -217,6 +219,6 @@ def _factor(error: Array, scored: BoolArray, phases: IntArray) -> Array:
 
 
 def _mean_square(errors: Sequence[Array], scored: Sequence[BoolArray]) -> Array:
-    """Per channel over all spans, 0 without samples, shape (15,)."""
+    """Mean square per channel over all spans, 0 without samples, shape (15,)."""
     error, count = np.concatenate(errors), np.concatenate(scored)
     return np.asarray(np.sum(error**2, axis=0, where=count) / np.maximum(count.sum(0), 1))

@@ -1,8 +1,8 @@
-"""Training: flights in, compensator out; the same seed gives the same bytes.
+"""Training: from flights to a compensator; the same seed gives the same bytes.
 
-A training that was cut off goes on from its last checkpoint and ends with the bytes that it would
-have had uninterrupted. One torch thread: small matrices gain nothing from two, and lose a lot when
-the machine is shared.
+An interrupted training resumes from its last checkpoint and ends with the same bytes as without
+interruption. One torch thread is used: small matrices gain nothing from two, and are much slower on
+a shared machine.
 """
 
 import math
@@ -46,15 +46,15 @@ from .problem import TrainingProblem
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 NETWORK = "network"
-"""Its optimiser, in the checkpoint."""
+"""Name of the network's optimiser in the checkpoint."""
 CHECKPOINT_S = 15.0
-"""Between two checkpoints."""
+"""Time between two checkpoints, s."""
 SLOWEST_RATE = 0.01
-"""Share of the learning rate at the end of its schedule."""
+"""Final learning rate of the schedule, as a share of the initial one."""
 
 
 def _fit(piece: TrainingProblem, training: str, folder: Path, progress: Progress) -> TrainingState:
-    """Run the epochs that are left; the network ends with its best weights."""
+    """Run the remaining epochs; the network ends with its best weights."""
     preset, network = piece.preset, piece.network
     optimiser = torch.optim.Adam(list(network.parameters()), lr=preset.learning_rate, fused=True)
     standing, best = TrainingState(training), _copy(network)
@@ -86,7 +86,7 @@ def _fit(piece: TrainingProblem, training: str, folder: Path, progress: Progress
 
 
 def _epoch(piece: TrainingProblem, optimiser: torch.optim.Optimizer, epoch: int) -> dict[str, Any]:
-    """One pass over the training windows; mean losses."""
+    """One pass over the training windows; returns mean losses."""
     preset, network = piece.preset, piece.network
     rate = preset.learning_rate * _schedule(preset, epoch)
     for group in optimiser.param_groups:
@@ -134,7 +134,7 @@ def _epoch(piece: TrainingProblem, optimiser: torch.optim.Optimizer, epoch: int)
 
 @torch.no_grad()
 def _clamp(network: SvqNetwork, size: float) -> None:
-    """Keep every weight within a size."""
+    """Limit the magnitude of every weight."""
     for parameter in network.parameters():
         parameter.clamp_(-size, size)
 
@@ -172,15 +172,15 @@ def fit_model(
     """Train a model of any family on all flights and write its folder.
 
     Args:
-        flights: At one rate and with one number of commands.
+        flights: Flights with one rate and number of commands.
         family: The family.
-        preset: One of the family's, or a changed one.
+        preset: Preset of the family, possibly changed.
         task: Protocol, horizon, seed, vehicle.
-        folder: Made if it does not exist.
-        progress: Called as the work goes on, and at its end.
+        folder: Folder, created if it does not exist.
+        progress: Called with the share done during the work, and at its end.
 
     Raises:
-        ModelError: The flights do not fit together, the preset is not for this protocol, or the
+        ModelError: The flights do not match each other, the preset is not for this protocol, or the
             folder belongs to another training.
     """
     check_flights(flights)
@@ -196,14 +196,14 @@ def fit_model(
 
 
 class Svq(Family[Preset, Compensator]):
-    """The paper's network and what measurably beats it."""
+    """The paper's network with measured improvements."""
 
     name, usual, onnx = "svq", "best", True
     meaning = "FC-MC-SVQ network over the linear prediction"
     presets = PRESETS
 
     def protocols(self, preset: Preset) -> Sequence[Protocol]:
-        """All of them."""
+        """All protocols."""
         return PROTOCOLS
 
     def fit(
@@ -214,7 +214,8 @@ class Svq(Family[Preset, Compensator]):
         folder: Path,
         progress: Progress,
     ) -> Compensator:
-        """Train; a checkpoint in the folder is gone on from, a model of this training is taken."""
+        """Train; resumes from a checkpoint in the folder, and loads a finished model of this
+        training."""
         info = describe_training("svq", flights, preset, task)
         if (folder / MODEL).is_file():
             done = load(folder)
@@ -243,13 +244,13 @@ class Svq(Family[Preset, Compensator]):
         return model.eval()
 
     def build(self, info: ModelInfo[Preset], tensors: Tensors) -> Compensator:
-        """The network with these weights."""
+        """Network with these weights."""
         model = Compensator(info)
         model.load_state_dict({k: torch.from_numpy(v) for k, v in tensors.items()})
         return model.eval()
 
     def export(self, model: Compensator, folder: Path) -> tuple[str, ...]:
-        """The streaming model as ONNX, the same in int8, reference vectors."""
+        """Write the streaming model as ONNX, its int8 version, and reference vectors."""
         from ..export.write import INT8_FILE, MODEL_FILE, REFERENCE_FILE, export_onnx
 
         export_onnx(model, folder)
@@ -257,12 +258,13 @@ class Svq(Family[Preset, Compensator]):
 
 
 class Linear(Svq):
-    """Autoregression straight to the horizon, or ridge regression on the twin's readings."""
+    """Autoregression directly to the horizon, or ridge regression on the twin's readings."""
 
     name = usual = LINEAR.name
     meaning = "the linear prediction alone: what the network has to beat"
     presets = MappingProxyType({LINEAR.name: LINEAR})
 
     def protocols(self, preset: Preset) -> Sequence[Protocol]:
-        """Not `reconstruct`: given the answer there is nothing to predict."""
+        """All protocols except `reconstruct`, where the residual is known and needs no
+        prediction."""
         return ("track", "free")

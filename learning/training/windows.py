@@ -1,4 +1,4 @@
-"""Training samples: what is held back for validation, and random windows of the rest."""
+"""Training samples: validation split, and random windows of the rest."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,19 +18,19 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 MANY_FLIGHTS = 4
-"""From here on whole flights are held back for validation, whatever the protocol."""
+"""Number of flights from which on whole flights are used for validation, under any protocol."""
 SHORTEST_STRETCH = 20
-"""Samples of a phase, below which nothing of it is held back."""
+"""Least number of samples of a phase's stretch of which a part is used for validation."""
 
 
 def validation_rows(
     flights: Sequence[ResidualFlight], share: float, seed: int, least: int = MANY_FLIGHTS
 ) -> list[BoolArray]:
-    """Samples held back for validation, per flight, shape (n,).
+    """Validation samples of each flight, shape (n,).
 
-    With `least` flights or more some whole ones, since within one flight a network is soon at home;
-    but none that alone holds a phase. Of phases that are then in no flight held back, and of all
-    phases where there are fewer flights, the end of each stretch.
+    With `least` flights or more, some whole flights are used, since a network fits one flight
+    quickly; but none that is the only one with a phase. For phases then without validation data,
+    and for all phases with fewer flights, the end of each stretch is used.
     """
     chosen: set[int] = set()
     if len(flights) >= least:
@@ -44,7 +44,7 @@ def validation_rows(
 
 
 def _whole_flights(flights: Sequence[ResidualFlight], count: int, seed: int) -> set[int]:
-    """At most so many flights in random order, each phase of which is in another one as well."""
+    """At most so many flights in random order, whose phases all occur in another flight as well."""
     left = np.sum([_phases(f) for f in flights], axis=0)
     chosen: set[int] = set()
     for i in np.random.default_rng(seed).permutation(len(flights)):
@@ -56,7 +56,7 @@ def _whole_flights(flights: Sequence[ResidualFlight], count: int, seed: int) -> 
 
 
 def _phases(flight: ResidualFlight) -> BoolArray:
-    """Which phases a flight holds for long enough, shape (phases,)."""
+    """Whether a flight contains each phase for long enough, shape (phases,)."""
     count = np.bincount(flight.phase[in_spans(flight)], minlength=N_PHASES)
     return np.asarray(count >= SHORTEST_STRETCH)
 
@@ -74,14 +74,14 @@ def _ends(flight: ResidualFlight, share: float, wanted: BoolArray) -> BoolArray:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Samples for one step of the optimiser, shapes (batch, time, ...).
+    """Samples of one optimiser step, shapes (batch, time, ...).
 
     Attributes:
-        begins: The state is zero before it; else it follows on the window before.
-        known: (batch, time, 15).
-        features: (batch, time, features).
-        phase: One-hot, (batch, time, phases).
-        target: (batch, time, 15).
+        begins: Whether the state before it is zero; otherwise it continues the window before.
+        known: Standardised residuals, (batch, time, 15).
+        features: Standardised features, (batch, time, features).
+        phase: One-hot phase, (batch, time, phases).
+        target: Target of the network, (batch, time, 15).
         scored: 1 where the target counts, (batch, time, 15).
     """
 
@@ -93,18 +93,18 @@ class Window:
     scored: Tensor
 
     def at(self, device: torch.device) -> "Window":
-        """The same on a device."""
+        """The window on a device."""
         names = ("known", "features", "phase", "target", "scored")
         return replace(self, **{name: getattr(self, name).to(device) for name in names})
 
 
 class TrainingSamples:
-    """All spans one behind the other, float32, with a row of zeros at the end as padding.
+    """All spans concatenated, float32, with a row of zeros at the end as padding.
 
     Args:
-        spans: Of all training flights.
-        left: Per span what the network shall give, shape (n, 15).
-        train: Per span the samples that count, shape (n, 15).
+        spans: Spans of all training flights.
+        left: Target of the network in each span, shape (n, 15).
+        train: Samples that count in each span, shape (n, 15).
     """
 
     def __init__(
@@ -130,16 +130,16 @@ class TrainingSamples:
         carry: int = 1,
         augment: float = 0.0,
     ) -> Iterator[Window]:
-        """The windows of one epoch, in random order: the same for the same seed and epoch.
+        """Windows of one epoch in random order, reproducible by seed and epoch.
 
         Args:
-            batch: Windows per step.
-            window: Samples of each.
-            seed: Of the order, and of what is drawn.
-            epoch: Number of the pass.
-            stride: As the next two in `learning.preset.Preset`.
-            carry: Windows.
-            augment: Spread.
+            batch: Number of windows per step.
+            window: Number of samples per window.
+            seed: Random seed of the order and of the augmentation.
+            epoch: Number of the epoch.
+            stride: Stride of the windows, as the next two in `learning.preset.Preset`.
+            carry: Number of windows over which the state is carried.
+            augment: Spread of the augmentation.
         """
         rng = np.random.default_rng([seed, epoch])
         segments = self._segments(carry * window, stride, rng)
@@ -166,7 +166,7 @@ class TrainingSamples:
     def _segments(
         self, length: int, stride: int | None, rng: np.random.Generator
     ) -> list[tuple[int, int]]:
-        """Rows [a, b) over which the state is carried on; only those with a sample that counts."""
+        """Rows [a, b) over which the state is carried; only those with a sample that counts."""
         stride = stride or length
         segments = []
         for a, b in self.bounds:
