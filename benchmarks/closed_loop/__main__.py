@@ -122,11 +122,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--seeds", type=int, default=20, help="flights of each cell")
+    parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--logs", nargs="+", default=LOGS, choices=LOGS)
     parser.add_argument("--page", type=Path, help="write the page of what is there, and no more")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
-    for seed in range(0 if given.page else given.seeds):
+    for seed in range(given.first, given.first + (0 if given.page else given.seeds)):
         for case in (Case(m, log, seed) for log in given.logs for m in MISSIONS):
             file = given.out / f"{case.name}.json"
             if not file.exists():

@@ -1,7 +1,7 @@
 """Aircraft that a controller flies through disturbances, and the logs of their flights.
 
 The plant is the built-in quadrotor with inertia, lag, centre of mass, thrust and yaw torque drawn
-from the priors of a calibration, in part; the controller is designed on the file. Force and moment
+from the priors of a calibration; the controller is designed on the file. Force and moment
 are Ornstein-Uhlenbeck processes, as of turbulence, and nobody excites the aircraft on purpose. The
 log holds what an autopilot logs of its setpoints: velocity of the mission, and an attitude that the
 position loop asks for, disturbances in it.
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from twin.effects import EFFECTS, prior_of
+from twin.effects.parameters import Normal
 from twin.flight.closed_loop import STEP_S
 from twin.flight.control_laws import linearise
 from twin.flight.lqr import design
@@ -41,9 +42,7 @@ MISSIONS: dict[str, Waypoints] = {
         ),
     ),
 }
-SPREAD = 0.5
-"""Of the prior deviations, by which the aircraft is off its file."""
-LEAST_THRUST = 0.85
+LEAST = {"thrust_scale": 0.85}
 """Of the file: rotors that are weaker saturate on the way."""
 LOG_S = 0.005
 """Between two rows of the log; a command in it is the mean of those until the next."""
@@ -99,16 +98,19 @@ def planted(seed: int) -> dict[str, dict[str, float]]:
                 .sized(next(p for p in EFFECTS[effect].parameters if p.name == name), VEHICLE)
             )
             expected = prior_of(EFFECTS[effect]).change(expected, VEHICLE)
-            off = SPREAD * float(rng.standard_normal())
-            if about[name].neutral == 1.0:
-                numbers[name] = float(np.exp(expected.sd * off))
-            else:
-                numbers[name] = expected.mean + expected.sd * off
-            numbers[name] = float(np.clip(numbers[name], *about[name].bounds))
+            low, high = about[name].bounds
+            low = max(low, LEAST.get(effect, low))
+            while not low <= (value := _drawn(expected, about[name].neutral, rng)) <= high:
+                pass
+            numbers[name] = value
         found[effect] = numbers
-    lift = found["thrust_scale"]
-    lift["scale"] = max(lift["scale"], LEAST_THRUST)
     return found
+
+
+def _drawn(expected: Normal, neutral: float | None, rng: np.random.Generator) -> float:
+    """A number from its prior, a factor on a logarithmic scale."""
+    off = expected.sd * float(rng.standard_normal())
+    return float(np.exp(off)) if neutral == 1.0 else expected.mean + off
 
 
 def flown(case: Case) -> Flight:
