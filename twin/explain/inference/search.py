@@ -152,7 +152,8 @@ def _move(problem: Problem, laplace: LaplaceEvidence, at: SearchPoint, last: boo
     if better is not None or not last:
         return better
     return (
-        _uncovered(problem, laplace, state, at.sought)
+        _verified(problem, laplace, state, {}, _late(problem, laplace, state))
+        or _uncovered(problem, laplace, state, at.sought)
         or _verified(problem, laplace, state, tried, _weak(laplace, state))
         or _verified(problem, laplace, state, tried, _alone(state))
         or _verified(problem, laplace, state, tried, _mistaken(problem, state))
@@ -284,6 +285,22 @@ def _clocks(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Tr
         known = [e for e in absent if laplace.share_a_channel(old, e) and not laplace.silent(e)]
         x = state.best.x
         sets += [(tuple(sorted((*rest, c))), _with_expected(problem, x, c)) for c in known]
+    return sets
+
+
+def _late(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Trial]:
+    """The set with each delay or lag that it lacks, from its expected value on, where that value
+    alone, with all other numbers at their best, makes the flights more probable: beyond a quarter
+    of a period of the motion, no slope at zero delay leads there."""
+    odds, sets = problem.priors.odds, list[Trial]()
+    for c in problem.priors.causes:
+        if not is_time(c) or c in state.effects or odds[c] <= LAST or laplace.silent(c):
+            continue
+        x = _with_expected(problem, state.best.x, c)
+        there = laplace.spectrum.moved(problem.channels(x), *problem.split(x))
+        held = problem.laplace(there.only(problem.moving(state.effects)))
+        if held.best(state.effects, state.kappa).evidence > state.evidence + MIN_GAIN:
+            sets.append((tuple(sorted((*state.effects, c))), x))
     return sets
 
 
