@@ -168,8 +168,8 @@ def test_a_weak_rotor_is_found_beside_another_centre_of_mass() -> None:
 
 
 def test_a_lag_is_found_where_no_slope_leads_to_it(data_dir: Path) -> None:
-    """Motors of 50 ms against a file without a lag, in a flight of CopterSim: the slopes at zero lag
-    promise nothing, and a search by them alone ends with nothing, 96 nats below."""
+    """Motors of 50 ms against a file without lag, in a flight of CopterSim: slopes at zero lag
+    promise nothing, and a search by them alone ends with no effect, 96 nats below."""
     flight = read_flight(data_dir / "rflysimdt" / "sim_2.ulg")
     prompt = replace(COPTER, rotors=replace(COPTER.rotors, lag_up_s=0.0, lag_down_s=0.0))
     problem = against(flight, prompt, "flapping_moment", "motor_lag")
