@@ -3,14 +3,14 @@
 Only fresh samples are scored. A row gives the errors of one model in one channel of one flight in
 one phase ("all": the whole flight):
 
-| column | says |
+| column | meaning |
 |---|---|
 | n | samples |
-| mse, rmse, mae | of residual minus correction, units of the channel |
+| mse, rmse, mae | errors, residual minus correction, units of the channel |
 | wasserstein | distance between the distributions of residual and correction |
-| rmse_before, removed | uncorrected rms, and the share of it that is gone |
-| spread_before, spread_left | both about their own mean in this row: what a constant leaves |
-| removed_beyond_constant | the share of the former that is gone |
+| rmse_before, removed | uncorrected rms, and its relative reduction |
+| spread_before, spread_left | standard deviations in this row, uncorrected and corrected |
+| removed_beyond_constant | relative reduction of the standard deviation |
 | inside | share of samples within the model's envelope |
 | within_1, within_2 | share of samples within one and two predicted spreads |
 """

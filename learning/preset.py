@@ -5,12 +5,12 @@ The paper ("Physics-Aware Multichannel Vector Quantization for Hybrid Digital Tw
 Systems") contradicts itself and its published code (RflySim/RflySimDT: `README.md`,
 `src/network/mymodel.ipynb`). These choices were made, by these switches:
 
-| the text | against it | switch |
+| text of the paper | contradiction | switch |
 |---|---|---|
 | Eq. 10 sums over all codes | Algorithm 1: the soft code | none: the soft code |
 | Eq. 10 detaches the latent | Algorithm 1, line 13: the codes | none: as Eq. 10 |
 | Eq. 9 feeds the decoder the soft code | line 14 detaches it | `straight_through` |
-| Eq. 14 compares a thing with itself: 0 | line 20: moments of input, output | none: moments |
+| Eq. 14 compares a quantity with itself: 0 | line 20: moments of input, output | none: moments |
 | Adam | AdamW | none: Adam |
 | units never stated | published: each phase's range is -1..1 | `normalise` |
 | windows of 100 | published: 150, one every 4 samples | `window`, `stride` |

@@ -110,7 +110,7 @@ class ResemblanceRecord(Record, frozen=True, kw_only=True):
 
 
 class CalibratedRecord(Record, frozen=True, kw_only=True):
-    """An effect that lacks nothing that is worth a name.
+    """An effect whose correction is within the uncertainty of the vehicle file.
 
     Attributes:
         effect: Name of the effect.
@@ -334,7 +334,7 @@ class OneOfRecord(Record, frozen=True, kw_only=True):
 
 
 class TotalRecord(Record, frozen=True, kw_only=True):
-    """What the effects of a family make together.
+    """Sum over the effects of a family.
 
     Attributes:
         name: Name of the family.
@@ -354,7 +354,7 @@ class TotalRecord(Record, frozen=True, kw_only=True):
 
 
 class ExplainRecord(Section, frozen=True, kw_only=True):
-    """What flights say about a model.
+    """Result of the search for what a model lacks.
 
     Attributes:
         verdict: `named`, `nothing`, `unnamed`, `cannot_tell` or `unusable`.

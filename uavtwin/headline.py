@@ -236,7 +236,7 @@ def leading(
         effects: Named effects.
         shares: Largest share and its channel, by effect.
         determined: Effects with a number that a headline may give.
-        striking: Those of them with a number far from its prior.
+        striking: Named effects with a number far from its prior.
     """
     share = {e: round(shares.get(e, (0.0, ""))[0], 3) for e in effects}
     in_order = sorted(effects, key=lambda e: (not EFFECTS[e].in_the_air, -share[e]))

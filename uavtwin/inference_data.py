@@ -46,7 +46,7 @@ def inference_data(found: Explanation, draws: int, seed: int) -> "arviz.Inferenc
         Groups `posterior` and `prior`: a variable per number, "effect.number", where an effect is
         absent at its value in the model, and `included`, 1 where an effect is in the candidate
         model drawn, however small; `constant_data`: `inclusion_probability` by effect, that it is
-        there and worth a name. Effects without a mean are in none of them.
+        present and large enough to be named. Effects without a mean are in none of them.
 
     Raises:
         TwinError: ArviZ is not installed, or nothing was fitted.

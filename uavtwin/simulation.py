@@ -174,7 +174,7 @@ def fused_system(
     """The whole twin as one FMU, which is built into a folder.
 
     Args:
-        twin: Its parts.
+        twin: Components of the twin.
         vehicle: Name of the vehicle, after which the FMU is named.
         folder: For the FMU.
         compensator: Compensator of the sensors; None: without.

@@ -3,10 +3,10 @@ virtual.
 
 The twin is driven by the flight's own commands, on the log's clock.
 
-| channels | the twin reads them |
+| channels | virtual reading |
 |---|---|
-| gyro, pos, vel | some time after it was started from the measured state, `restart_before_s` |
-| the other sensors that are learned | at the measured state |
+| gyro, pos, vel | `restart_before_s` after the twin was set to the measured state |
+| other learned sensors | at the measured state |
 
 With a restart time of zero the twin follows the flight: residuals of its sensors then contain no
 motion error. Position and velocity are set to the measured ones, and have no residual. An instant

@@ -1,15 +1,15 @@
 """Baselines: trivial predictions that a compensator must beat.
 
-| baseline | says |
+| baseline | prediction |
 |---|---|
-| none | nothing |
+| none | no correction |
 | mean | mean of the training residual in the same phase |
-| last | the last residual known; with a horizon of 0 the measurement itself |
-| average | mean of the last 21 known ones (`reconstruct`) |
-| mean reading | that the sensor reads its training mean of the phase (`track`, `free`) |
-| last reading | that the sensor reads what it last did (`track`) |
-| linear AR(8) | 8 residuals up to t - h, one linear map per channel straight to t (`track`) |
-| linear in inputs | virtual signals and commands, with slow copies of them (`track`, `free`) |
+| last | the last known residual; with a horizon of 0 the measurement itself |
+| average | mean of the last 21 known residuals (`reconstruct`) |
+| mean reading | training mean of the reading in the phase (`track`, `free`) |
+| last reading | last reading of the sensor (`track`) |
+| linear AR(8) | 8 residuals up to t - h, one linear map per channel directly to t (`track`) |
+| linear in inputs | virtual signals, commands and low-passed copies (`track`, `free`) |
 
 Each predicts the mean of the phase where nothing else is known, and has the interface of a model:
 `run`. Baselines of readings do not use the twin: a correction that is not better makes the twin

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .family import Family, TrainedModel
 
 WEIGHTS = "weights.safetensors"  # in the folder of a model
-MODEL = "model.json"  # in the folder of a model: all but weights
+MODEL = "model.json"  # in the folder of a model: everything except weights
 CURVE = "learning_curve.json"
 """Name of the learning curve's file."""
 FORMAT = 6

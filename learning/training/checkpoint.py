@@ -25,7 +25,7 @@ class TrainingState:
         training: Hash of all inputs that determine the weights.
         epoch: Number of completed epochs.
         best_epoch: Epoch with the smallest validation error; its weights are stored.
-        best_error: That error; None before the first validation.
+        best_error: Smallest validation error; None before the first validation.
         curve: One entry per epoch.
     """
 

@@ -38,7 +38,7 @@ class EffectParameter:
             of something else).
         scale: Vehicle quantity of which start, bounds and neutral are multiples; None: absolute.
         per_rotor: Whether there is one per rotor: `name_1`, `name_2`, ...
-        trifle: Smallest change worth a name, in the unit of `bounds`; None: `TRIFLE` of that range.
+        trifle: Smallest change that is named, in the unit of `bounds`; None: `TRIFLE` of the range.
         floor: Smallest value for a vehicle, absolute, where that is below the bounds.
         kind: Kind of its values.
         ends: Whether a value at a bound is plausible, as for a share of none or all, and no hint at
@@ -62,7 +62,7 @@ class EffectParameter:
 
     @property
     def smallest(self) -> float:
-        """Smallest change worth a name."""
+        """Smallest change that is named."""
         low, high = self.bounds
         return TRIFLE * (high - low) if self.trifle is None else self.trifle
 

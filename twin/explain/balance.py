@@ -331,7 +331,7 @@ class Normal:
         means: Means by channel of the balance, and of `VIBRATION`.
         scatter: Sample standard deviation of these between the flights.
         mass_kg: Mass of the aircraft, kg; 1 where masses are relative to it.
-        arm_m: Its longest arm, m; 1 where lengths are relative to it.
+        arm_m: Longest arm of the aircraft, m; 1 where lengths are relative to it.
         hubs_m: Positions of the rotors, in the unit of the arm, shape (n, 3).
         disturbed: Covariance of other influences on the means, shape (channels, channels).
     """

@@ -1,1 +1,1 @@
-"""Many runs of a scenario: what is varied, on which engine, and the table that comes of it."""
+"""Many runs of a scenario: design, engine and table of the results."""

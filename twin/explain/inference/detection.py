@@ -79,7 +79,7 @@ def smallest_detectable(
         model: Predictions of the flights.
         laplace: Linearisation of all candidate models about the final one.
         state: Final state. Effects in it without a name are within the uncertainty of the file.
-        named: Its named effects.
+        named: Named effects of the final state.
         sure: Probability from which on an effect is named.
     """
     b = laplace.priors

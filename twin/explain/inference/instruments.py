@@ -12,8 +12,8 @@ orthonormal basis of z in the n rows of each flight, and T the trust in it,
     log L(theta) = -1/2 sum_k n_k log(1 + T |Q'e|^2 / |e - QQ'e|^2),    by Anderson & Rubin (1949)
     J = min over gain and lag of sum_k n_k log(1 + |Q'e|^2 / |e - QQ'e|^2) / (sum_k rank Q_k - 3)
     T = 1 / max(1.2, J) / (1 + c n_k / rank Q);  0 where such a J is improbable, and where the first
-    stage is weak; c: what share of a disturbance may follow z (Conley, Hansen & Rossi, Rev. Econ.
-    Stat. 94, 2012), so that more rows of a setpoint in the loop tell no more
+    stage is weak; c: share of a disturbance that may follow z (Conley, Hansen & Rossi, Rev. Econ.
+    Stat. 94, 2012), so that more rows of a setpoint in the loop add no information
 
 J is computed for the nominal model, and again with the effects at the end of a search: what the
 model lacks is no disturbance. For a mission, a moment proportional to the flown speed is free as

@@ -1,11 +1,11 @@
 """Decision on what a model lacks: some effects, none, or a tie that the flights cannot resolve.
 
-| said of an effect | where |
+| result for an effect | condition |
 |---|---|
-| named | it is there with certainty, its numbers are such as it can have, one excludes no effect |
-| undecided | it may be there, or another stands for it |
-| acts like it | a number is at its edge, or its law leaves much |
-| calibrated | the file's own uncertainty covers it |
+| named | certainly present, plausible numbers, one of which excludes no effect |
+| undecided | possibly present, or replaced by another one |
+| acts like it | a number is at its bound, or its law leaves a large residual |
+| calibrated | within the uncertainty of the vehicle file |
 """
 
 import math

@@ -2,7 +2,7 @@
 
 | factors | measured | predicted from |
 |---|---|---|
-| `imu_factors` | accelerometer, rate of change of the gyroscope | airframe and IMU |
+| `imu_factors` | accelerometer, derivative of the gyroscope | airframe and IMU |
 | `other_factors` | magnetometer, barometer | pose and the sensor's equation |
 | `pose_factors` | accelerometer, gyroscope | motion implied by the pose, and IMU |
 | `motion_factors` | specific force and angular acceleration of the pose | airframe |

@@ -2,14 +2,14 @@
 
 | channels | measured | predicted by |
 |---|---|---|
-| acc_* | accelerometer | airframe and IMU at the measured motion, turning as the gyroscope says |
-| gyro_rate_* | rate of change of the gyroscope | the same |
+| acc_* | accelerometer | airframe and IMU at the measured motion and rates |
+| gyro_rate_* | derivative of the gyroscope | airframe and IMU at the measured motion |
 | pose_acc_* | accelerometer | acceleration of the measured pose, and IMU |
-| pose_gyro_* | gyroscope | turning of the measured attitude, and IMU |
+| pose_gyro_* | gyroscope | rotation of the measured attitude, and IMU |
 | mag_* | magnetometer | measured attitude, and magnetometer |
 | baro_pa | barometer | measured height and velocity, and barometer |
-| motion_acc_* | acceleration of the pose less gravity | airframe, at the vehicle's centre of mass |
-| motion_rate_* | rate of change of the attitude's rates | airframe |
+| motion_acc_* | acceleration of the pose minus gravity | airframe, at its centre of mass |
+| motion_rate_* | angular acceleration of the pose | airframe |
 
 The last two replace the accelerometer or gyroscope where not every flight has one.
 """

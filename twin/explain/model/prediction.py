@@ -10,11 +10,11 @@ replaces the derivative.
 
 States and inputs along a flight are measured; in addition an effect may have
 
-| states | which here |
+| states | treatment |
 |---|---|
-| of its own, or that it moves and nobody measures | are integrated again along the flight |
-| that an observer follows from what is felt | are placed by the observer |
-| that are late, as commands may be | are shifted, and so is the pose by its age |
+| of its own, or unmeasured ones that depend on it | integrated again along the flight |
+| that an observer can estimate from the accelerometer | estimated by the observer |
+| that are delayed, such as commands | shifted in time, as is the pose by its age |
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -2,10 +2,10 @@
 
 | observable as | in | distinguished by |
 |---|---|---|
-| Repeats | a reading that repeats exactly | the other axes go on meanwhile |
+| Repeats | a reading that repeats exactly | the other axes keep changing |
 | NoiseFloor | flat part of the spectrum, all axes | same level in every part of the band |
-| Lines | lines that follow the rotors, or stand | level over the neighbouring frequencies |
-| RandomForce | slow part of the accelerometer | no curve explains it, it falls with frequency |
+| Lines | lines at rotor or constant frequencies | level over the neighbouring frequencies |
+| RandomForce | slow part of the accelerometer | no function of motion, falls with frequency |
 
 Every decision uses a ratio and its scatter without the effect: against the noise of the vehicle
 file, the smoothness of a spectrum, or motion that models do not reproduce exactly.

@@ -63,7 +63,7 @@ def data_places(blob: bytes, found: NDArray[np.int64]) -> dict[int, NDArray[np.i
 
     Args:
         blob: Content of the file.
-        found: Its messages.
+        found: Messages of the file.
     """
     kind, start, end = found.T
     first = start[(kind == ord("D")) & (end - start >= 2)]
@@ -80,7 +80,7 @@ def check_definitions(path: Path, blob: bytes, found: NDArray[np.int64]) -> None
     Args:
         path: File name, for messages.
         blob: Content of the file.
-        found: Its messages.
+        found: Messages of the file.
 
     Raises:
         LogError: The definitions are of this kind.
