@@ -188,8 +188,8 @@ def _on_the_spot(charged: bool) -> list[Manoeuvre]:
 
 
 def _payload_swap(vehicle: Vehicle, lift: float) -> Manoeuvre:
-    """Hover with a known payload: it changes an acceleration due to a force, but not one due to a
-    scale factor."""
+    """Hover with a known payload, with which effects that scale a force grow, and added forces do
+    not."""
     share = max(min(PAYLOAD, PUSH * (lift - 1)), LIGHTEST_PAYLOAD)
     payload_kg = float(f"{share * vehicle.mass_kg:.1g}")
     return Manoeuvre(

@@ -350,7 +350,7 @@ def hovers_of(flights: Sequence[AnyFlight], vehicle: Vehicle) -> tuple[HoverDiag
 
 
 def _not_observable(naming: Naming) -> list[str]:
-    """Warning that some effects do not exist between the drive and the model, or no line."""
+    """Warning that some effects are not part of the model with this drive; empty where all are."""
     unobservable = naming.problem.model.unobservable
     if not unobservable:
         return []

@@ -2,7 +2,7 @@
 
 | result for an effect | condition |
 |---|---|
-| named | certainly present, plausible numbers, one of which excludes no effect |
+| named | certainly present, plausible numbers, an interval excludes its absence |
 | undecided | possibly present, or replaced by another one |
 | acts like it | a number is at its bound, or its law leaves a large residual |
 | calibrated | within the uncertainty of the vehicle file |
