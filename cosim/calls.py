@@ -243,10 +243,12 @@ class Transfer:
     Attributes:
         calls: One raw call per FMI type, its buffer, and the indices of the buffer's entries in the
             array; None: the buffer is the array.
+        functions: Function of each call and its value references.
     """
 
     def __init__(self, library: "Library", verb: str, ports: Sequence[Port], values: Array) -> None:
         self.calls: list[tuple[Call, NDArray[Any], NDArray[np.intp] | None]] = []
+        self.functions: list[tuple[str, NDArray[np.uint32]]] = []
         kinds = dict.fromkeys(SCALARS[library.fmi][p.type] for p in ports)
         for suffix, dtype in kinds:
             chosen = [
@@ -254,9 +256,10 @@ class Transfer:
             ]
             whole = dtype is np.float64 and len(chosen) == len(ports)
             buffer = values if whole else np.zeros(len(chosen), dtype=dtype)
-            references = [ports[i].reference for i in chosen]
+            references = np.array([ports[i].reference for i in chosen], np.uint32)
             call = library.transfer(verb + suffix, references, buffer)
             self.calls.append((call, buffer, None if whole else np.array(chosen)))
+            self.functions.append((verb + suffix, references))
 
 
 class Library:
@@ -272,6 +275,7 @@ class Library:
         self.clock = ctypes.c_double() if trace is None else trace.clock
         self._dll = fmu.dll
         self._component = ctypes.c_void_p.from_param(fmu.component)
+        self._instance = ctypes.c_void_p(fmu.component).value
         self._buffers: list[Any] = []
 
     def call(self, function: str, *arguments: Any) -> Call:
@@ -286,12 +290,16 @@ class Library:
             return call
         return self._trace.traced(self._who, full, call)
 
-    def transfer(self, function: str, references: Sequence[int], buffer: NDArray[Any]) -> Call:
+    def addresses(self, function: str) -> tuple[int | None, int | None]:
+        """Addresses of a function and of the instance."""
+        full = self._dll[f"fmi{self.fmi}{function}"]
+        return ctypes.cast(full, ctypes.c_void_p).value, self._instance
+
+    def transfer(self, function: str, references: NDArray[np.uint32], buffer: NDArray[Any]) -> Call:
         """A get or set function of variables."""
-        vr = np.array(references, np.uint32)
-        n = ctypes.c_size_t.from_param(len(vr))
+        n = ctypes.c_size_t.from_param(len(references))
         more = [] if self.fmi == 2 else [n]
-        return self.call(function, self._pointer(vr), n, self._pointer(buffer), *more)
+        return self.call(function, self._pointer(references), n, self._pointer(buffer), *more)
 
     def tangent(self, outputs: Sequence[Port], known: Port, result: Array) -> Call:
         """The directional derivative of outputs for a unit change of one variable."""

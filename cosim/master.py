@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from twin.errors import FmuError
 
 from .calls import SharedTrace
+from .compiled import CompiledRun, Times
 from .recording import Interrupted, Recording, RunError
 from .slave import SavedState, Slave, TracedSlave
 from .stepping import Algorithm, Bus, Stepping
@@ -208,7 +209,11 @@ class Master:
     """
 
     def __init__(
-        self, system: System, record: Sequence[str] | None = None, trace: SharedTrace | None = None
+        self,
+        system: System,
+        record: Sequence[str] | None = None,
+        trace: SharedTrace | None = None,
+        compiled: bool = True,
     ) -> None:
         """Load the FMUs.
 
@@ -216,11 +221,13 @@ class Master:
             system: System to run.
             record: Names "slave.variable" of outputs to record; None: all scalars.
             trace: Trace of the present calls and the recording for another process.
+            compiled: Whether fixed steps are taken in C where they can be; the numbers are the
+                same.
 
         Raises:
             FmuError: A file, a name, a unit or a connection is wrong.
         """
-        self.system, self._trace = system, trace
+        self.system, self._trace, self._compiled = system, trace, compiled
         self.slaves: list[Slave] = []
         self._ready = False
         self._record = record
@@ -322,8 +329,8 @@ class Master:
         Raises:
             FmuError: The step is not positive, or the time is past.
             RunError: A slave failed or returned a value that is not finite; has the recording.
-            Interrupted: Ctrl-C; has the recording up to then. Between two steps, where a run in
-                real time spends most of its time, the system can be continued.
+            Interrupted: Ctrl-C; has the recording up to then. Between two steps, where steps in C
+                end and a run in real time spends most of its time, the system can be continued.
         """
         steps = self._steps(stop_time_s, step_s)
         if every < 1:
@@ -335,16 +342,23 @@ class Master:
         rows.add(self.time_s)
         origin = self.time_s
         pace = Pace(realtime, origin) if realtime is not None else None
+        fast = self._compiled_run(algorithm, step_s, every, rows) if pace is None else None
         self._ready = waiting = False
         done = 0
         try:
             with np.errstate(invalid="ignore"):  # `check` tests for finite values
-                for done in range(1, steps + 1):
-                    step(self.time_s, min(step_s, self._stop_s - self.time_s))
-                    self.time_s = origin + done * step_s
-                    bus.check(self.time_s)
-                    if done % every == 0:
-                        rows.add(self.time_s)
+                while done < steps:
+                    if fast is not None:
+                        self._advance(fast, min(steps, done - done % 1000 + 1000), rows)
+                        done = fast.done
+                    else:
+                        step(self.time_s, min(step_s, self._stop_s - self.time_s))
+                        reached_s = origin + (done + 1) * step_s
+                        bus.check(reached_s)
+                        self.time_s = reached_s
+                        done += 1
+                        if done % every == 0:
+                            rows.add(reached_s)
                     if pace is not None:
                         waiting = True
                         pace.wait(self.time_s)
@@ -352,17 +366,38 @@ class Master:
                     if progress is not None and done % 1000 == 0:
                         progress(self.time_s)
         except KeyboardInterrupt:
-            self._ready = waiting
             done = round((self.time_s - origin) / step_s)
+            self._ready = waiting or (fast is not None and fast.done == done)
             raise Interrupted(
                 rows.recording(done, pace=pace, incomplete=self._broken_off())
             ) from None
         except FmuError as error:
-            raise RunError(
-                str(error), rows.recording(done - 1, pace=pace, incomplete=str(error))
-            ) from error
+            done = round((self.time_s - origin) / step_s)
+            why = str(error)
+            raise RunError(why, rows.recording(done, pace=pace, incomplete=why)) from error
         self._ready = True
         return rows.recording(steps, pace=pace)
+
+    def _compiled_run(
+        self, algorithm: str, step_s: float, every: int, rows: "_Rows"
+    ) -> CompiledRun | None:
+        """A run in C; None where there is none."""
+        if not self._compiled:
+            return None
+        calls = self._stepping.compiled(algorithm, self._trace)
+        if calls is None:
+            return None
+        times = Times(self.time_s, step_s, self._stop_s, every)
+        return calls.start(times, self._bus.columns, *rows.table)
+
+    def _advance(self, run: CompiledRun, last: int, rows: "_Rows") -> None:
+        """Steps in C, at most up to the one of a number."""
+        try:
+            finite = run.advance(last)
+        finally:
+            self.time_s, rows.filled = run.after(run.done), 1 + run.rows
+        if not finite:
+            self._bus.check(run.after(run.done + 1))
 
     # -- controlled steps -------------------------------------------------------------------
 
@@ -497,23 +532,29 @@ class Master:
 
 
 class _Rows:
-    """The rows of a recording in progress."""
+    """The rows of a recording in progress.
+
+    Attributes:
+        table: Times and values.
+        filled: Number of rows that are recorded.
+    """
 
     def __init__(self, bus: Bus, count: int, trace: SharedTrace | None) -> None:
-        self._bus, self._filled = bus, 0
+        self._bus, self.filled = bus, 0
         width = len(bus.recorded)
         size = count * (1 + width)
         table = np.empty(size) if trace is None else trace.table(size)
         self._time, self._values = table[:count], table[count:].reshape(count, width)
+        self.table = self._time, self._values
         # Where everything on the bus is recorded, a plain copy replaces the slower gather.
         everything = np.array_equal(bus.columns, np.arange(len(bus.values)))
         self._columns: NDArray[np.intp] | slice = slice(None) if everything else bus.columns
 
     def add(self, time_s: float) -> None:
         """Record the present state; the time last, which marks the row in a trace as complete."""
-        self._values[self._filled] = self._bus.values[self._columns]
-        self._time[self._filled] = time_s
-        self._filled += 1
+        self._values[self.filled] = self._bus.values[self._columns]
+        self._time[self.filled] = time_s
+        self.filled += 1
 
     def recording(
         self, steps: int, rejected: int = 0, pace: Pace | None = None, incomplete: str = ""
@@ -521,8 +562,8 @@ class _Rows:
         """Recording of all rows so far."""
         return Recording(
             self._bus.recorded,
-            self._time[: self._filled],
-            self._values[: self._filled],
+            self._time[: self.filled],
+            self._values[: self.filled],
             steps,
             rejected,
             0.0 if pace is None else pace.lateness_s,

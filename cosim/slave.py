@@ -55,6 +55,11 @@ class Slave:
 
     After `bind`, `inputs` and `outputs` are float64 arrays in the order of the names given;
     `write_inputs` and `read_outputs` move them to and from the FMU.
+
+    Attributes:
+        sets: Calls that set the inputs.
+        gets: Calls that get the outputs.
+        doing: Call of doStep.
     """
 
     def __init__(self, name: str, path: Path, trace: SharedTrace | None = None) -> None:
@@ -191,9 +196,10 @@ class Slave:
         self.inputs, self.outputs = sent, received
         self.bound_inputs, self.bound_outputs = tuple(inputs), tuple(outputs)
         ports = [[self.interface.scalar(n) for n in names] for names in (inputs, outputs)]
-        self._setters = Transfer(self.library, "Set", ports[0], sent).calls
-        self._getters = Transfer(self.library, "Get", ports[1], received).calls
-        self._step = Step(self.library)
+        self.sets = Transfer(self.library, "Set", ports[0], sent)
+        self.gets = Transfer(self.library, "Get", ports[1], received)
+        self.doing = Step(self.library)
+        self._setters, self._getters = self.sets.calls, self.gets.calls
 
     def write_inputs(self) -> None:
         """Send `inputs` to the FMU."""
@@ -213,11 +219,11 @@ class Slave:
 
     def step(self, time_s: float, step_s: float) -> None:
         """One communication step."""
-        step = self._step
+        step = self.doing
         step.time_s.value = time_s
         step.step_s.value = step_s
         if (status := step.call()) or step.flags.value:
-            self._judge_step(status)
+            self.judge_step(status)
 
     def get(self, name: str) -> float:
         """Present value of one scalar of any causality."""
@@ -306,8 +312,9 @@ class Slave:
         self._dead = status == _FATAL
         raise self._error(what, self._said("the FMU gave no reason"))
 
-    def _judge_step(self, status: int) -> None:
-        step = self._step
+    def judge_step(self, status: int) -> None:
+        """Raise unless the last step was completed; its status and flags decide."""
+        step = self.doing
         t, h = step.time_s.value, step.step_s.value
         what = f"step at {t:g} s"
         event, terminate, early, _ = bytes(step.flags)
@@ -336,7 +343,7 @@ class Slave:
 
     def _reached_s(self) -> float:
         if self.interface.fmi == 3:
-            return self._step.reached_s.value
+            return self.doing.reached_s.value
         reached = ctypes.c_double(np.nan)
         kind = ctypes.c_int(_LAST_SUCCESSFUL_TIME)
         self.library.call("GetRealStatus", kind, ctypes.byref(reached))()
@@ -363,8 +370,8 @@ class TracedSlave(Slave):
         """Set the variables to exchange, as in `Slave.bind`."""
         super().bind(inputs, outputs, sent, received)
         self._moves_in, self._moves_out = _bare(self._setters), _bare(self._getters)
-        doing = cast(TracedCall, self._step.call)
-        self._doing = doing.number, -doing.number, doing.bare
+        doing = cast(TracedCall, self.doing.call)
+        self._bare_step = doing.number, -doing.number, doing.bare
 
     def write_inputs(self) -> None:
         """Send `inputs` to the FMU, as in `Slave.write_inputs`.
@@ -410,8 +417,8 @@ class TracedSlave(Slave):
         Raises:
             FmuError: The FMU failed, or changed the floating-point environment.
         """
-        step, slot = self._step, self._slot
-        number, returned, call = self._doing
+        step, slot = self.doing, self._slot
+        number, returned, call = self._bare_step
         step.time_s.value = time_s
         step.step_s.value = step_s
         slot.value = number
@@ -420,7 +427,7 @@ class TracedSlave(Slave):
         if ONE + QUARTER + MORE != FOLLOWING or not TINY + TINY:
             raise cast(TracedCall, step.call).spoilt()
         if status or step.flags.value:
-            self._judge_step(status)
+            self.judge_step(status)
 
 
 def _bare(moves: Sequence[Any]) -> list[tuple[int, int, Any, NDArray[Any], NDArray[Any] | None]]:

@@ -26,7 +26,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import cache
 from math import isfinite
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,8 @@ from numpy.typing import NDArray
 from fmus.order import Loop, Visit, slave_of, visits
 from twin.errors import FmuError
 
+from .calls import SharedTrace
+from .compiled import CompiledSteps, Verb, library
 from .interface import Port
 from .slave import Slave, jacobian
 from .system import System
@@ -110,6 +112,12 @@ class Bus:
                 f"{time_s:g} s; outputs are finite numbers. Choose a shorter step, or ask who "
                 f"made the FMU."
             )
+
+    def compiled(
+        self, take_steps: Any, plan: Sequence[tuple[Verb, Slave]], trace: SharedTrace | None
+    ) -> CompiledSteps:
+        """Steps in C of a plan."""
+        return CompiledSteps(take_steps, plan, self.values, self._part, trace)
 
     def write_all(self) -> None:
         """Send present values to the inputs of all slaves."""
@@ -315,6 +323,7 @@ class Stepping:
     Attributes:
         count: Number of base steps since the start.
         one_rate: Whether every slave steps in every base step.
+        compiled: Steps in C of an algorithm with a trace; None where there are none.
     """
 
     def __init__(self, bus: Bus) -> None:
@@ -326,6 +335,7 @@ class Stepping:
         self._indirect = [s for s in self._slaves if s.name not in self._direct]
         self.one_rate = all(k == 1 for k in self._period.values())
         self.count = 0
+        self.compiled = cache(self._make_compiled)
         self._solver = cache(lambda loop: LoopSolver(bus, loop))
         self._settling = cache(self._make_settling)
         self._sequence = cache(self._make_sequence)
@@ -336,6 +346,33 @@ class Stepping:
         if name not in known:
             raise FmuError(f"algorithm {name!r}: choose {', '.join(get_args(Algorithm))}.")
         return known[name]
+
+    def _make_compiled(self, name: str, trace: SharedTrace | None) -> CompiledSteps | None:
+        """The same in C; None where this needs more than a list of calls, or without a compiler."""
+        plan, take_steps = self._plan(name) if self.one_rate else None, library()
+        if plan is None or take_steps is None:
+            return None
+        return self._bus.compiled(take_steps, plan, trace)
+
+    def _plan(self, name: str) -> list[tuple[Verb, Slave]] | None:
+        """What a step does with which slave; None where it solves a loop."""
+        if name == "gauss_seidel":
+            sequence = self._sequence(self._all)
+            if any(loop is not None for _, loop in sequence):
+                return None
+            verbs: tuple[Verb, ...] = ("set", "step", "get")
+            return [(verb, self._bus.slaves[s]) for s, _ in sequence for verb in verbs]
+        plan: list[tuple[Verb, Slave]] = [("set", s) for s in self._slaves]
+        plan += [("step", s) for s in self._slaves]
+        plan += [("get", s) for s in (self._slaves if name == "jacobi" else self._indirect)]
+        if name == "settled":
+            dependencies = self._bus.dependencies(slaves=self._direct)
+            for batch in batches(visits(dependencies), dependencies):
+                if isinstance(batch, Loop):
+                    return None
+                slaves = [self._bus.slaves[s] for s in batch]
+                plan += [(verb, s) for verb in ("set", "get") for s in slaves]
+        return plan
 
     def settle(self, time_s: float, initial: bool = False) -> None:
         """Update all outputs without stepping, loops included.

@@ -116,15 +116,15 @@ def _whole_twin(folder: Path) -> list[Row]:
             master.initialize()
             master.run(WHOLE_S, STEP_S, every=10)
 
-        parts = _best(stepped, 2)
+        parts = _best(stepped)
     others = _others(write_ssp(system, folder / "parts.ssp"), WHOLE_S)
-    fastest = min([parts, *(s for _, s in others)])
     return [
         Row("whole twin fused, 60 s at 1 kHz through FMPy, 10 ms steps", one, "s", "<= 0.2"),
         Row("the same with a linear law of force and moment, longer by", law / one - 1, "", "0.05"),
         Row("the same as one FMU per part, our master", parts, "s", ""),
         *(Row(f"the same as one FMU per part, {name}", s, "s", "") for name, s in others),
-        Row("fused faster than the fastest of these by", fastest / one, "x", ">= 10"),
+        Row("fused faster than our master by", parts / one, "x", ">= 10"),
+        *(Row(f"fused faster than {name} by", s / one, "x", "") for name, s in others),
         Row("fused, 1 ms steps of our master, longer in a process of its own by", apart, "", "0.1"),
     ]
 
@@ -139,7 +139,7 @@ def _apart(system: System) -> float:
             """One run, all outputs recorded every 10 ms."""
             master.initialize()
             begin = time.perf_counter()
-            master.run(WHOLE_S / 4, STEP_S, every=10)
+            master.run(WHOLE_S, STEP_S, every=10)
             return time.perf_counter() - begin
 
         pairs = [(seconds(here), seconds(there)) for _ in range(8 * REPEATS)]
@@ -216,10 +216,12 @@ def _others(ssp: Path, duration_s: float) -> list[tuple[str, float]]:
     found = []
     for name, script in (("libcosim", _LIBCOSIM), ("ecos", _ECOS)):
         command = [sys.executable, "-c", script, str(ssp), str(duration_s)]
-        result = subprocess.run(command, capture_output=True, text=True, check=False)
-        said = re.search(r"^seconds (\S+)$", result.stdout, re.MULTILINE)
-        if said is not None:
-            found.append((name, float(said[1])))
+        times = []
+        for _ in range(REPEATS):
+            result = subprocess.run(command, capture_output=True, text=True, check=False)
+            times += re.findall(r"^seconds (\S+)$", result.stdout, re.MULTILINE)
+        if times:
+            found.append((name, min(map(float, times))))
     return found
 
 

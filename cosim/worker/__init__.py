@@ -30,6 +30,7 @@ from fmus.names import shown
 from twin.errors import FmuError
 
 from ..calls import HEADER, TraceEntry, read_table, read_trace, shared_file, table_bytes
+from ..compiled import library
 from ..limits import Limits, exit_text
 from ..master import Master
 from ..recording import Interrupted, Recording, RunError
@@ -327,6 +328,7 @@ class WorkerMaster:
         """A worker with all FMUs loaded."""
         system, record = self.system, self._record_only
         self._time_s, self._step_s, self._rows = system.start_time_s, 0.0, 0
+        library()  # into the cache: the worker has limits of memory and time
         self._process = Process(self._limits)
         try:
             names = self._ask(

@@ -107,7 +107,7 @@ def test_interruption_within_a_step(system: System, monkeypatch: pytest.MonkeyPa
     def step(slave: Slave, time_s: float, step_s: float) -> None:
         raise KeyboardInterrupt
 
-    with Master(system) as master:
+    with Master(system, compiled=False) as master:
         master.initialize()
         with monkeypatch.context() as patched:
             patched.setattr(Slave, "step", step)
