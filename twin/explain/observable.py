@@ -11,8 +11,12 @@ from .model.numbers import ACCELEROMETER, GYROSCOPE, SIGNALS, lacking, on_the_bo
 
 @dataclass(frozen=True, slots=True)
 class ObservableEffects:
-    """Observability of effects in a flight: observable effects by component, and for the others the
-    missing signals as text."""
+    """Observability of effects in a flight.
+
+    Attributes:
+        effects: Observable effects by the component on which they act.
+        unknown: The other effects by the missing signals, as text.
+    """
 
     effects: dict[str, tuple[str, ...]]
     unknown: dict[str, tuple[str, ...]]
