@@ -189,6 +189,7 @@ INVERSE_USED, INVERSE_ERROR = 0.3, 0.03
 """Thrust over hover thrust from which an inverse must be accurate, and its largest relative error.
 Made up."""
 
+_LEAST_SLOPE = 1e-6  # relative thrust per relative input in hover
 _FIT_POINTS = 1001  # over the range of thrust, in a fit and its check
 _LEAST_RISE = 1e-6  # of a polynomial's Bernstein coefficients, over the largest input
 _LEAST_WEIGHT, _END_WEIGHT = 1e-3, 1e4
@@ -239,7 +240,8 @@ def linearise(vehicle: Vehicle) -> HoverModel:
     """Hover model of a vehicle, at its airframe's initial trim, without delays.
 
     Raises:
-        ModelError: Its rotors cannot give moments about all three axes.
+        ModelError: The thrust of a rotor does not rise with its input in hover, or the rotors
+            cannot give moments about all three axes.
     """
     body = airframe(punctual(vehicle))
     u0, p0 = body.input_values(), body.parameter_values({"ground.enabled": 0.0})
@@ -258,6 +260,19 @@ def linearise(vehicle: Vehicle) -> HoverModel:
         settled = rest_s * np.diag(b[np.ix_(level, driven)])  # level per command
         later = np.diag(c[np.ix_(thrust, level)]) * settled
         slope, effect = slope + later, effect + a[np.ix_(rows, level)] * settled
+    y0 = np.asarray(body.outputs(x0, u0, p0), dtype=np.float64).ravel()
+    relative = slope * u0[driven] / y0[thrust]
+    if not relative.min() > _LEAST_SLOPE:
+        curve = vehicle.effects.get("thrust_curve")
+        stated = (
+            f": effects.thrust_curve.slope = {curve['slope']:g} must be above -1" if curve else ""
+        )
+        raise ModelError(
+            f"{vehicle.name}: in hover 1 % more input of a rotor changes its thrust by "
+            f"{relative.min():.3f} %, so no controller holds its height; correct its thrust map or "
+            f"its effects{stated}."
+        )
+    if level:
         lag_s = float(np.mean(later / slope * rest_s))
     alike = _steady_thrust_n(body, vehicle, u0[driven].mean(keepdims=True))[0]
     effect = effect * alike / alike.mean() / slope * np.array([[-1.0], [1.0], [1.0], [1.0]])
@@ -268,7 +283,6 @@ def linearise(vehicle: Vehicle) -> HoverModel:
             f"check rotor positions and directions."
         )
     speed = [rate[f"vel_{axis}"] for axis in AXES]
-    y0 = np.asarray(body.outputs(x0, u0, p0), dtype=np.float64).ravel()
     return HoverModel(
         thrust_n=y0[thrust],
         effect=effect,

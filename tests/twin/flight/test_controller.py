@@ -274,6 +274,14 @@ def test_a_thrust_map_that_no_polynomial_inverts_is_refused() -> None:
         thrust_inverse(vehicle)
 
 
+@pytest.mark.parametrize("slope", [-1.0, -1.2])
+@pytest.mark.parametrize("name", ["copter_default", "crazyflie"])
+def test_thrust_that_does_not_rise_with_the_command_is_refused(name: str, slope: float) -> None:
+    vehicle = load_vehicle(name).with_effects({"thrust_curve": {"slope": slope}})
+    with pytest.raises(ModelError, match=f"{name}: .*thrust_curve.slope = {slope:g} must be above"):
+        linearise(vehicle)
+
+
 WEAK = {
     "thrust_scale": {"scale": 0.59},
     "thrust_curve": {"slope": -0.3},
