@@ -7,11 +7,20 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from twin.errors import LogError
-from twin.formatting import counted, number, percent, pretty_unit
+from twin.formatting import counted, joined, number, percent, pretty_unit
 from twin.logs import AnyFlight, Flight
 from twin.logs.autopilot import Interval
 from twin.residuals.flight_gap import DEFAULT_HORIZON_S, HoverDiagnosis, flight_gap
-from twin.residuals.gap import UNKNOWN_PHASE, FlightGap, Ranked, Score, band_rows, rank, summaries
+from twin.residuals.gap import (
+    UNKNOWN_PHASE,
+    FlightGap,
+    Ranked,
+    Score,
+    band_rows,
+    rank,
+    summaries,
+    weighs,
+)
 from twin.vehicle import Vehicle
 from twin.why.flight import FlightFrame
 
@@ -19,7 +28,7 @@ from .display import PageMixin, TextTable
 from .flights import opened_flights
 from .record import Headline, Record, Section
 from .vehicles import checked_vehicle
-from .wording import describe, drive_sentence, hover_sentence, misfit
+from .wording import describe, drive_sentence, hover_sentence, misfit, weightless
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,6 +40,8 @@ WHOLE = "whole flight"
 """Label of all samples in the column of phases."""
 MOST_PLACES = 10
 """Number of ranked places in `gap.json`."""
+MOST_NAMED = 3
+"""Number of flights that the headline names."""
 AGREEMENT = 0.1
 """Share of the signal below which the slow part of a residual is called agreement. With the noise
 of the built-in flights alone it reaches 0.08."""
@@ -256,10 +267,28 @@ def gap_record(gaps: Sequence[FlightGap]) -> GapRecord:
 
 
 def unfit(gaps: Sequence[FlightGap]) -> str:
-    """Text on a vehicle file that does not fit, from the first flight that shows it, with a
-    trailing blank; "" where it fits."""
-    texts = (misfit(g.carried, g.vehicle) for g in gaps)
-    return next((f"{t} " for t in texts if t), "")
+    """Text on a vehicle file that does not fit, or an implausible accelerometer, from the first
+    flight that shows it, with a trailing blank; "" where there is none. Of several flights the
+    ones concerned are named."""
+    doubted = [g for g in gaps if _doubt(g)]
+    if not doubted:
+        return ""
+    fit = len(gaps) - len(doubted)
+    same = [g for g in doubted if (g.carried is None) == (doubted[0].carried is None)]
+    text = _doubt(doubted[0], fit if fit > len(doubted) else 0)
+    if len(gaps) == 1:
+        return f"{text} "
+    names = [g.flight for g in same]
+    if len(names) > MOST_NAMED:
+        names = [*names[:MOST_NAMED], f"{len(names) - MOST_NAMED} more"]
+    return f"{len(same)} of {len(gaps)} flights, {joined(names)}: {text} "
+
+
+def _doubt(gap: FlightGap, others: int = 0) -> str:
+    """Text on a vehicle file that does not fit a flight, or on its accelerometer; "": none."""
+    if gap.carried is None and isfinite(gap.acc_z) and not weighs(gap.acc_z):
+        return weightless(gap.acc_z, gap.vehicle)
+    return misfit(gap.carried, gap.vehicle, others)
 
 
 def claim(places: Sequence[Ranked]) -> str:

@@ -121,19 +121,38 @@ the voltage: 3.5 V of an empty, 4.2 V of a full cell. A twin that carries a smal
 of its weight has another mass or thrust than the aircraft."""
 
 
-def misfit(carried: float | None, vehicle: str) -> str:
+def misfit(carried: float | None, vehicle: str, others: int = 0) -> str:
     """Reason why a vehicle file does not fit an aircraft; "" where it does, or is unknown.
 
     Args:
         carried: Thrust of the twin over its weight, at the commands of a flight.
         vehicle: Name of the file.
+        others: Number of other flights that the file fits, if they are the majority.
     """
     if carried is None or BY_BATTERY[0] <= carried <= BY_BATTERY[1]:
         return ""
+    way = (
+        f"It fits the {others} others: check what was different, payload, rotors or battery."
+        if others
+        else "Correct its mass or thrust, or draft a file: uavtwin vehicle draft."
+    )
     return (
-        f"{vehicle} does not fit this aircraft: at the commands of the flight it carries "
-        f"{100 * carried:.0f} % of its weight, and no charge of the battery explains that. Correct "
-        f"its mass or thrust, or draft a file: uavtwin vehicle draft."
+        f"{vehicle} does not fit this {'flight' if others else 'aircraft'}: at the commands of the "
+        f"flight it carries {100 * carried:.0f} % of its weight, and no charge of the battery "
+        f"explains that. {way}"
+    )
+
+
+def weightless(acc_z: float, vehicle: str) -> str:
+    """Reason why an accelerometer tells nothing about a vehicle's weight.
+
+    Args:
+        acc_z: Mean specific force along z in flight, m/s^2.
+        vehicle: Name of the vehicle file.
+    """
+    return (
+        f"The accelerometer is probably wrong, not {vehicle}: acc_z has a mean of {acc_z:.3g} m/s² "
+        f"in flight, where an aircraft has about -9.8. Correct its sign (axes FRD) or its unit."
     )
 
 

@@ -32,7 +32,7 @@ from uavtwin.demo.flights import (
     fly,
 )
 from uavtwin.file_check import check_flight
-from uavtwin.gaps import gap
+from uavtwin.gaps import gap, unfit
 
 Array = np.ndarray
 FEISI = load_vehicle("feisi_x150")
@@ -514,6 +514,45 @@ def test_a_vehicle_of_another_size_is_told(short: Flight, factor: float, doubted
     told = gap(replace(short, table=table), FEISI, horizon_s=20.0).claim
     assert told.startswith("feisi_x150 does not fit this aircraft") == doubted
     assert (f"it carries {100 / factor:.0f} % of its weight" in told) == doubted
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, 1 / GRAVITY_M_S2, 1e-9, 1e3])
+def test_a_wrong_accelerometer_is_told_not_a_wrong_vehicle(short: Flight, factor: float) -> None:
+    """None at all, sign, g, a tiny unit and mm/s²."""
+    table = short.table.assign(acc_z=factor * short.table["acc_z"])
+    found = gap(replace(short, table=table), FEISI, horizon_s=20.0)
+    assert found.claim.startswith("The accelerometer is probably wrong, not feisi_x150: acc_z has")
+    assert found.record.flights[0].hover is None
+
+
+@pytest.mark.parametrize(
+    ("factors", "says"),
+    [
+        ((1.0, 1.0, 0.75), "1 of 3 flights, 2: feisi_x150 does not fit this flight"),
+        ((0.75, 0.75, 1.0), "2 of 3 flights, 0 and 1: feisi_x150 does not fit this aircraft"),
+        ((1.0, -1.0, 0.75), "1 of 3 flights, 1: The accelerometer is probably wrong"),
+        ((0.7,) * 5, "5 of 5 flights, 0, 1, 2 and 2 more: feisi_x150 does not fit this aircraft"),
+    ],
+)
+def test_of_several_flights_those_that_do_not_fit_are_named(
+    factors: tuple[float, ...], says: str
+) -> None:
+    t_s, phase = np.arange(0.0, 5.0, 0.02), np.full(250, "hover")
+    simulated = np.full(250, -GRAVITY_M_S2)
+    gaps = [
+        FlightGap(
+            flight=str(i),
+            vehicle="feisi_x150",
+            channels=(Channel("acc_z", "m/s^2", 0.0, t_s, k * simulated, simulated, phase),),
+            phases=(),
+            warnings=(),
+            facts={},
+        )
+        for i, k in enumerate(factors)
+    ]
+    assert unfit(gaps).startswith(says)
+    assert ("It fits the 2 others" in unfit(gaps)) == (factors.count(1.0) == 2)
+    assert unfit(gaps[:1]).startswith("feisi_x150 does not" if factors[0] != 1.0 else "")
 
 
 @pytest.mark.parametrize("lost_s", [6.0, 3.0, None])

@@ -37,7 +37,7 @@ from ..representation import short_repr
 from ..vehicle import Vehicle
 from .aligned import BLOCK_ROWS, AlignedFlight, Alignment, Block, align_flight
 from .channels import GRID_HZ, OF_IMU, SHORTEST_S, imu_channels
-from .gap import Channel, FlightGap
+from .gap import Channel, FlightGap, weighs
 from .measured import LONGEST_GAP_INTERVALS, LONGEST_GAP_S
 from .short_horizon import READ, window_ends, window_starts
 from .teacher_forced import GRID_S, driven_by
@@ -126,7 +126,8 @@ def diagnose(
         hover: Hover of the flight, from `hover_of`.
 
     Returns:
-        None: the flight does not hover, or has less than 2 s of specific force along z there.
+        None: the flight does not hover, or has less than 2 s of plausible specific force along z
+            there.
     """
     if hover is None or not hover.hovers:
         return None
@@ -136,6 +137,8 @@ def diagnose(
         return None
     t_s, measured, simulated = lift
     down, twin_down = float(measured.mean()), float(simulated.mean())
+    if not weighs(down):
+        return None
     ratio = twin_down / down
     carried = Mean(ratio, _standard_error(t_s, (simulated - ratio * measured) / down))
     arms = [_arm(named.get(n), hover, vehicle, axis, carried, down) for n, axis in _TURNS]

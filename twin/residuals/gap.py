@@ -16,6 +16,7 @@ from ..errors import ModelError
 from ..logs.airframe import Place
 from ..logs.columns import ACC
 from ..representation import short_repr
+from ..vehicle import GRAVITY_M_S2
 
 if TYPE_CHECKING:
     from .flight_gap import HoverDiagnosis
@@ -163,6 +164,16 @@ class Channel:
         return self.unfiltered or self
 
 
+MOST_OFF = 3.0
+"""Factor between mean specific force in flight and gravity from which the accelerometer is wrong:
+climbs cancel, turns add less than half. Made up."""
+
+
+def weighs(acc_z: float) -> bool:
+    """Whether a mean specific force along z, m/s^2, can be that of a flight."""
+    return 1.0 / MOST_OFF < -acc_z / GRAVITY_M_S2 < MOST_OFF
+
+
 @dataclass(frozen=True, slots=True)
 class FlightGap:
     """All channels of one flight.
@@ -197,11 +208,22 @@ class FlightGap:
         flight; None: not known."""
         if self.hover is not None:
             return self.hover.carried.value
-        lift = next((c for c in self.channels if c.name == ACC[2] and not c.horizon_s), None)
-        if lift is None or not len(lift.t_s):
+        lift = self._lift
+        if lift is None or not weighs(self.acc_z):
             return None
-        measured = float(np.nanmean(lift.measured))
-        return float(np.nanmean(lift.simulated)) / measured if measured else None
+        return float(np.nanmean(lift.simulated)) / self.acc_z
+
+    @property
+    def acc_z(self) -> float:
+        """Mean measured specific force along z, m/s^2; NaN: not measured."""
+        lift = self._lift
+        return math.nan if lift is None else float(np.nanmean(lift.measured))
+
+    @property
+    def _lift(self) -> Channel | None:
+        """Channel of the specific force along z, with samples."""
+        of_z = (c for c in self.channels if c.name == ACC[2] and not c.horizon_s)
+        return next((c for c in of_z if np.isfinite(c.measured).any()), None)
 
     @property
     def duration_s(self) -> float:

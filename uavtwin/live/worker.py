@@ -22,7 +22,7 @@ import numpy as np
 from twin.component.along import BUILDING
 from twin.errors import TwinError
 from twin.logs.flight import Finding
-from twin.residuals.gap import Channel
+from twin.residuals.gap import Channel, weighs
 from twin.residuals.stream import Equations, Stream
 from twin.residuals.stream_residuals import ResidualBlock, StreamResiduals
 from twin.vehicle import Vehicle
@@ -170,7 +170,7 @@ class Lift:
             self.measured += step_s * float(acc_z.measured.sum())
             self.simulated += step_s * float(acc_z.simulated.sum())
             self.flown_s += step_s * len(t_s)
-        known = self.flown_s >= JUDGED_S and abs(self.measured) > 0
+        known = self.flown_s >= JUDGED_S and weighs(self.measured / self.flown_s)
         return self.simulated / self.measured if known else None
 
 
