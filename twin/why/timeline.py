@@ -135,12 +135,15 @@ def _contacts(flight: FlightFrame, part: Airborne) -> Iterator[TimelineItem]:
     landed = t_s > (t_s[-1] - MARGIN_S if _lands(flight, part) else np.inf)
     for one, on in (("shock", hit & ~landed), ("touchdown", hit & landed)):
         for a, b in _joined(t_s, on, REPEATED_S):
-            count, peak = len(stretches_where(on[a : b + 1])), number(float(force[a : b + 1].max()))
+            count, most = len(stretches_where(on[a : b + 1])), a + int(force[a : b + 1].argmax())
+            size = f"of {number(float(force[most]))} m/s²"
             yield TimelineItem(
                 kind="contact",
                 t_s=float(t_s[a]),
                 end_s=float(t_s[b]) if count > 1 else None,
-                text=f"{f'{count} {one}s, the hardest' if count > 1 else one} of {peak} m/s²",
+                text=f"{one} {size}"
+                if count == 1
+                else f"{count} {one}s, the hardest {size} at {t_s[most]:.2f} s",
             )
 
 

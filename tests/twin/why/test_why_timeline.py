@@ -87,6 +87,17 @@ def test_shocks_in_a_row_are_one_contact_with_begin_and_end() -> None:
     assert second.end_s is None
 
 
+def test_the_hardest_shock_has_its_own_time() -> None:
+    flight = flown()
+    table = flight.table.copy()
+    for begin_s, size in ((17.0, -60.0), (23.5, -80.0)):
+        table.loc[(table.time > begin_s) & (table.time < begin_s + 0.1), ACC[2]] = size
+    (item,) = of_kind(replace(flight, table=table), "contact")
+    text, _, at = item.text.partition(" at ")
+    assert text == "2 shocks, the hardest of 80 m/s²" and item.t_s == pytest.approx(17.0, abs=0.1)
+    assert float(at.removesuffix(" s")) == pytest.approx(23.5, abs=0.12)
+
+
 def test_a_shock_at_the_end_of_a_flight_is_a_touchdown() -> None:
     flight = flown()
     (part,) = FlightFrame.of(flight).airborne
