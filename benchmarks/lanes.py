@@ -7,6 +7,7 @@ run goes on where it ended; what another FMU or another library left in it does 
 
 import argparse
 import hashlib
+import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -97,6 +98,15 @@ def different(
             yield found
 
 
+def compared(journal: Path) -> list[Compared]:
+    """Blocks in a journal; cuts off a last line that a kill left incomplete."""
+    content = journal.read_bytes() if journal.exists() else b""
+    whole = content[: content.rfind(b"\n") + 1]
+    if whole != content:
+        os.truncate(journal, len(whole))
+    return [json.decode(line, type=Compared) for line in whole.splitlines()]
+
+
 def main() -> int:
     """Command line; 1: a lane differs."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -108,8 +118,7 @@ def main() -> int:
         system = scenario_system(Scenario("tour", VEHICLE, fused=True), Path(folder))
         content = system.fmus["twin"].read_bytes() + lanes_library(system.fmus["twin"])
         key = hashlib.sha256(content + repr(given.seconds).encode()).hexdigest()
-        lines = given.journal.read_bytes().splitlines() if given.journal.exists() else []
-        known = [c for c in (json.decode(line, type=Compared) for line in lines) if c.key == key]
+        known = [c for c in compared(given.journal) if c.key == key]
         count = -(-given.designs // LANES)
         left = sorted({*range(count)} - {c.block for c in known})
         twin = flying_twin(VEHICLE, "tour", "lqr")

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kinds import replay_example
+from msgspec import json
 
-from benchmarks.lanes import design, different, same, switches
+from benchmarks.lanes import Compared, compared, design, different, same, switches
 from cosim.lanes import LaneMaster
 from cosim.master import Master
 from cosim.system import System
@@ -96,3 +97,11 @@ def test_what_cannot_be_flown_in_lanes_says_why(
     monkeypatch.setattr("fmus.lanes.machine_compiler", lambda: None)
     with pytest.raises(FmuError, match="no C compiler for the processor"):
         LaneMaster(system, lanes=5)
+
+
+def test_a_journal_torn_by_a_kill_is_used_up_to_its_last_line(tmp_path: Path) -> None:
+    journal, blocks = tmp_path / "journal", [Compared(0, "a", ()), Compared(1, "a", ({"x": 1.0},))]
+    assert compared(journal) == []
+    whole = b"".join(json.encode(b) + b"\n" for b in blocks)
+    journal.write_bytes(whole + whole[:9])
+    assert compared(journal) == blocks and journal.read_bytes() == whole
