@@ -14,6 +14,8 @@ from learning.force.model import (
     save_force,
 )
 from twin.errors import TwinError
+from twin.formatting import joined
+from twin.frames import AXES
 from twin.logs import Flight
 
 from ..exports.parts import LearnedForce
@@ -88,6 +90,16 @@ def force_claim(out: Path) -> str:
     return _claim(load_force(out))
 
 
+def _parts(model: ForceModel) -> str:
+    """Force and moment where a law has all their axes, else its outputs."""
+    used = [name for name, output in model.outputs.items() if output.ridge]
+    parts = []
+    for part in ("force", "moment"):
+        axes = [name for name in used if name.startswith(part)]
+        parts += [part] if len(axes) == len(AXES) else axes
+    return joined(parts)
+
+
 def _claim(model: ForceModel) -> str:
     if model.law.module is not None:
         return (
@@ -110,8 +122,7 @@ def _claim(model: ForceModel) -> str:
             f"{held.over_last_motion:.2f} of the last motion in position and velocity after "
             f"{ALONE_S:g} s{fast}"
         )
-        of = [p for p in ("force", "moment") if model.outputs[f"{p}_x"].ridge]
-        own = f"a law of {' and '.join(of)}, ridge {model.ridge:g}" if model.ridge else "no law"
+        own = f"a law of {_parts(model)}, ridge {model.ridge:g}" if model.ridge else "no law"
         law = f"{own}: {law}"
     if gone.unsteady:
         law += f"; laws with which the twin does not come to rest in a hover: {gone.unsteady}"

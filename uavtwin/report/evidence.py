@@ -369,7 +369,6 @@ MOST_UNSTEADY = 3
 """Largest number of drawn channels for an effect without a mean."""
 AROUND_S = 4.0
 """Time before and after the instant from which a reading is frozen."""
-_MARK = "#c23b66"
 
 
 def unsteady_figure(

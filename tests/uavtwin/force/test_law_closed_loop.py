@@ -1,11 +1,13 @@
 """Laws that have to fly before they are shipped, by exported FMUs in random air."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from learning.force.equations import Equations
 from learning.force.laws import Taught
-from learning.force.model import ForceModel
+from learning.force.model import Acceptance, ForceModel, TrainingFlight
 from learning.force.windows import FlightWindows
 from twin.physics.residual_force import FEATURES, OUTPUTS, ForceLaw
 from twin.residuals.aligned import components_of
@@ -21,6 +23,7 @@ from uavtwin.force.closed_loop import (
     random_air,
 )
 from uavtwin.force.memory import Memory
+from uavtwin.force.train import _claim
 
 COPTER = load_vehicle("copter_default")
 DRAG = ("force_x", "air_x", -0.3)
@@ -59,6 +62,22 @@ def _model(
         seed=0,
         ridge=ridge,
     )
+
+
+@pytest.mark.parametrize(
+    ("outputs", "says"),
+    [
+        (("force_z",), "force_z"),
+        (("force_x", "force_y", "force_z", "moment_y"), "force and moment_y"),
+    ],
+)
+def test_the_claim_names_the_outputs_of_the_law(
+    empty: ForceLaw, outputs: tuple[str, ...], says: str
+) -> None:
+    law = _model(empty, *((o, "air_x", 1.0) for o in outputs), ridge=0.1)
+    flights = (TrainingFlight("1", ""), TrainingFlight("2", ""))
+    model = replace(law, flights=flights, acceptance=Acceptance(0.5, 0.5, None))
+    assert _claim(model).startswith(f"force: a law of {says}, ridge 0.1: on flights left out")
 
 
 @pytest.mark.long
