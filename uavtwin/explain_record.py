@@ -359,7 +359,8 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
     Attributes:
         verdict: `named`, `nothing`, `unnamed`, `cannot_tell` or `unusable`.
         headline: The sentence on top.
-        reasons: For `unusable`, why the flights cannot be used.
+        reasons: For `unusable`, why the flights cannot be used; for `cannot_tell` without a
+            candidate, where the model leaves something.
         warnings: Warnings to the reader.
         flights: Names of the fitted flights.
         since: Calibration flights, with `--since`: the result is what has changed since then;

@@ -91,11 +91,9 @@ def _answer(found: Explanation) -> Headline:
     if found.verdict == "unnamed":
         return Headline(f"The cause of the residual is {_outside(found)}.")
     tied = _candidates(found)
-    if not tied and naming.unexplained:
-        where = joined(list(naming.unexplained))
+    if not tied and found.reasons:
         return Headline(
-            f"No effect is detectable, but something is missing from the model: it leaves more in "
-            f"{where} than sensor and pose do of each other."
+            f"No effect is detectable, but something is missing: {'; '.join(found.reasons)}."
         )
     if (none := nothing_probability(found) or 0.0) > 0.01:
         tied.append(f"none ({certainty(none)})")

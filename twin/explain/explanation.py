@@ -89,7 +89,7 @@ class Explanation:
         verdict: Verdict, one of a fixed list of words.
         vehicle: Nominal model.
         flights: Names of the flights used in the fit.
-        reasons: Reasons for the verdict "unusable".
+        reasons: Reasons for the verdict "unusable", and for "cannot_tell" without a candidate.
         warnings: Warnings, the most severe first.
         naming: Candidate models and their probabilities; None where nothing could be fitted.
         shown: Model average: all effects that may be present, with their mean numbers over all
@@ -396,8 +396,11 @@ def _as_named(found: Explanation, naming: Naming, alike: Sequence[Resemblance] =
     new = alike or naming.resemblances
     naming = replace(naming, resemblances=(*naming.resemblances, *alike))
     verdict = _verdict(naming, found.balance, found.stochastic)
+    reasons: tuple[str, ...] = ()
     if verdict == "nothing" and found.since is None and naming.unexplained:
         verdict = "cannot_tell"  # something acts on the aircraft, but it is unknown what
+        where = joined(list(naming.unexplained))
+        reasons = (f"the model leaves more in {where} than sensor and pose do of each other",)
     shown, gone = found.shown, {r.effect for r in naming.resemblances if verdict == "named"}
     if shown is not None and gone:
         shown = replace(shown, effects=tuple(e for e in shown.effects if e not in gone))
@@ -407,6 +410,7 @@ def _as_named(found: Explanation, naming: Naming, alike: Sequence[Resemblance] =
     return replace(
         found,
         verdict=verdict,
+        reasons=reasons,
         naming=naming,
         shown=shown,
         values={k: float(f"{v:.{DIGITS}g}") for k, v in exact.items()},
@@ -506,7 +510,13 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
     if found.since is not None and not _new(found, naming, stands, alone):
         return found
     return replace(
-        found, verdict="unnamed", shown=None, stochastic=(), values={}, unnamed=alone.equations
+        found,
+        verdict="unnamed",
+        reasons=(),
+        shown=None,
+        stochastic=(),
+        values={},
+        unnamed=alone.equations,
     )
 
 

@@ -75,4 +75,6 @@ def test_what_moves_an_aircraft_is_not_called_nothing(monkeypatch: pytest.Monkey
     assert found.verdict == "cannot_tell"
     assert found.naming is not None
     assert found.naming.unexplained == ("acc_x", "acc_y", "acc_z")
-    assert headline(found).text.startswith("No effect is detectable, but something is missing")
+    (reason,) = found.reasons
+    assert reason.startswith("the model leaves more in acc_x, acc_y and acc_z than")
+    assert headline(found).text == f"No effect is detectable, but something is missing: {reason}."
