@@ -182,7 +182,7 @@ def _step(g: Graph, model: Compensator) -> None:
             innovation_ratios = g.op("Where", fresh, ratio, innovation_ratios)
             alarm = g.op("ReduceMax", innovation_ratios, axes=[1], keepdims=1)
         else:
-            alarm = g.op("Mul", sample.phase, silent)  # NaN of shape (B, 1)
+            alarm = g.op("Mul", sample.phase, silent)  # 0 of shape (B, 1): it has none
     g.output("anomaly", 1, "Where", sample.whole, alarm, silent)
     g.output("inside", 1, "Cast", inside, to=_FLOAT)
     compared = (innovation_ratios, sizes, errors)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -281,9 +282,10 @@ def _usual_page(with_flights: bool) -> str | None:
 
 def _print_model(model: "ModelStatus", units: Mapping[str, str]) -> None:
     """Print the state of the compensator."""
+    old = f"residuals of {model.horizon_s:g} s ago" if isfinite(model.horizon_s) else "no residuals"
+    unusual = f"above 1 in {model.unusual:.1%} of the flight, " if isfinite(model.unusual) else ""
     STDOUT.print(
-        f"compensator, which sees residuals of {model.horizon_s:g} s ago: above 1 in "
-        f"{model.unusual:.1%} of the flight, inside its training in {model.inside:.0%}",
+        f"compensator, which sees {old}: {unusual}inside its training in {model.inside:.0%}"
     )
     for name, (before, after) in model.rms.items():
         text = f"  {name}: rms {before:.4g}, corrected {after:.4g} {units.get(name, '')}"

@@ -48,7 +48,7 @@ class CompiledCompensator:
         network, n = self.network, flight.virtual.shape[1]
         correction = np.zeros((len(flight.t_s), n))
         spread = np.tile(np.array(network.uncorrected_rms), (len(flight.t_s), 1))
-        alarms, inside = network.protocol == "track", np.zeros(len(flight.t_s), dtype=np.bool_)
+        alarms, inside = has_alarms(network), np.zeros(len(flight.t_s), dtype=np.bool_)
         anomaly = np.zeros(len(flight.t_s)) if alarms else no_alarm(len(flight.t_s))
         table, stepping = fed(network, flight), Stepping(self.fmu, network)
         try:
@@ -93,6 +93,11 @@ class Stepping:
     def close(self) -> None:
         """Free the FMU."""
         self._slave.close()
+
+
+def has_alarms(network: NetworkFile) -> bool:
+    """Whether a compensator has an anomaly score."""
+    return network.protocol == "track"
 
 
 def inputs_of(network: NetworkFile) -> list[str]:
@@ -147,7 +152,7 @@ class Correction:
         t_s: Time of flight, s, shape (n,).
         residual: Measured minus twin, shape (n, channels); NaN where there is no new measurement.
         correction: Correction to be added to the twin's readings, shape (n, channels).
-        anomaly: Anomaly score of the newest residuals, rarely above 1, shape (n,).
+        anomaly: Anomaly score of the newest residuals, rarely above 1, shape (n,); NaN: none.
         inside: Whether the flight is inside the training envelope, shape (n,).
     """
 
@@ -183,13 +188,14 @@ class RunningCompensator:
             network.horizon,
             network.rate_hz,
         )
+        self._alarms = has_alarms(network)
         self._stepping = Stepping(fmu, network)
         self.begin()
 
     def begin(self) -> None:
         """Begin a new flight."""
         self._until_s = self._last_s = -np.inf
-        self._rows = self._unusual = self._inside = 0
+        self._rows, self._unusual, self._inside = 0, 0.0, 0
         n = len(self.network.channels)
         self._samples, self._before, self._after = np.zeros(n), np.zeros(n), np.zeros(n)
         self.status = ModelStatus(self.horizon_s)
@@ -237,7 +243,7 @@ class RunningCompensator:
         self._before += np.sum(np.where(known, new.residual, 0.0) ** 2, axis=0)
         self._after += np.sum(np.where(known, left, 0.0) ** 2, axis=0)
         self._rows += len(new.t_s)
-        self._unusual += int((new.anomaly > 1.0).sum())
+        self._unusual += float((new.anomaly > 1.0).sum()) if self._alarms else np.nan
         self._inside += int(new.inside.sum())
         rms = {
             c: (float(np.sqrt(b / n)), float(np.sqrt(a / n)))
@@ -266,7 +272,8 @@ class RunningCompensator:
             self._last_s = float(seen.t_s[k])
         shown = np.array(said)
         residual = np.where(seen.fresh[rows], seen.residual[rows], np.nan)
-        return Correction(seen.t_s[rows], residual, shown[:, :n], shown[:, 2 * n], shown[:, -1] > 0)
+        anomaly = shown[:, 2 * n] if self._alarms else no_alarm(len(rows))
+        return Correction(seen.t_s[rows], residual, shown[:, :n], anomaly, shown[:, -1] > 0)
 
     def close(self) -> None:
         """Free the FMU."""

@@ -146,8 +146,8 @@ class ModelStatus:
         horizon_s: Age of the newest residual among its inputs; infinite: none.
         until_s: Time of the flight up to which it was evaluated, s.
         anomaly: Largest anomaly score of the last seconds; rarely above 1 on flights similar to
-            those of training.
-        unusual: Share of the flight so far with a score above 1.
+            those of training; NaN: it has none.
+        unusual: Share of the flight so far with a score above 1; NaN: it has none.
         inside: Share of the flight so far within the range of training.
         rms: Rms of the residuals so far, by channel: of the twin, and with the correction.
     """

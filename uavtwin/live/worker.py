@@ -337,5 +337,5 @@ class Worker:
         """Run the compensator on the newest seconds."""
         with BUILDING:
             said = compensator.update(block.flight, block.end_s, block.fine)
-        if said is not None:
-            self._on_anomaly(float(said.anomaly.max()))
+        if said is not None and np.isfinite(score := float(said.anomaly.max())):
+            self._on_anomaly(score)

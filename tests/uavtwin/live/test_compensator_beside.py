@@ -17,9 +17,11 @@ from twin.logs import Flight, read_flight
 from twin.logs.mavlink.frames import Message, parser
 from twin.residuals.aligned import AlignedFlight
 from twin.vehicle_file import load_vehicle
+from uavtwin.cli.live import _print_model
 from uavtwin.compensators.running import Correction, RunningCompensator, compiled_compensator
 from uavtwin.live.following import Publisher
 from uavtwin.live.recording import Recording
+from uavtwin.live.status import ModelStatus
 from uavtwin.live.worker import Batch, Worker
 from uavtwin.sockets import Address
 
@@ -85,9 +87,21 @@ def test_live_as_offline(protocol: Protocol, tmp_path: Path) -> None:
         np.testing.assert_allclose(live, there, rtol=1e-4, atol=1e-4, err_msg=name)
     assert running.horizon_s == (0.05 if protocol == "track" else np.inf)
     status = running.status
-    assert status.until_s == t_s[-1] and status.anomaly == said[-1].anomaly.max()
+    assert status.until_s == t_s[-1]
+    np.testing.assert_equal(status.anomaly, said[-1].anomaly.max())
+    for score in (status.anomaly, status.unusual):
+        assert np.isfinite(score) == (protocol == "track")
     fresh = np.concatenate([s.residual for s in said])[:, network.channels.index("acc_z")]
     assert status.rms["acc_z"][0] == pytest.approx(np.sqrt(np.nanmean(fresh**2)))
+
+
+def test_a_compensator_without_score_or_residuals_claims_none(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    _print_model(ModelStatus(np.inf, inside=0.9), {})
+    assert capsys.readouterr().out == (
+        "compensator, which sees no residuals: inside its training in 90%\n"
+    )
 
 
 def test_the_score_is_a_number_on_the_ground_station() -> None:

@@ -134,8 +134,9 @@
       ["flights", m.sections + " since the start; the twin " + (m.waits_for ? "waits for " + m.waits_for : "flies")],
       ["this program", number(100 * m.busy, 0) + " % of a core; " + m.viewers + " viewers; this viewer lost " + lost + " messages"]
     ];
-    if (m.model) rows.splice(7, 0, ["compensator", "anomaly " + number(m.model.anomaly, 2) + " (above 1 is unusual), " + number(100 * m.model.unusual, 1) + " % of the flight above; " +
-      number(100 * m.model.inside, 0) + " % where training has been; sees residuals of " + number(m.model.horizon_s, 2) + " s ago"]);
+    if (m.model) rows.splice(7, 0, ["compensator",
+      (m.model.anomaly === null ? "" : "anomaly " + number(m.model.anomaly, 2) + " (above 1 is unusual), " + number(100 * m.model.unusual, 1) + " % of the flight above; ") +
+      number(100 * m.model.inside, 0) + " % where training has been; sees " + (m.model.horizon_s === null ? "no residuals" : "residuals of " + number(m.model.horizon_s, 2) + " s ago")]);
     id("health").replaceChildren.apply(id("health"), rows.flatMap(function (r) { return [element("dt", r[0]), element("dd", r[1])]; }));
     id("missing").replaceChildren.apply(id("missing"), Object.values(m.missing).concat(m.misfit || []).map(function (text) { return element("p", text, "warn"); }));
     id("claim").dataset.heard = link.system === null ? "" : "yes";
