@@ -69,7 +69,7 @@ class RunRecord(Record, frozen=True, kw_only=True):
     warnings: tuple[str, ...] | UnsetType = UNSET
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Run(PageMixin):
     """Result of a simulation.
 
@@ -322,9 +322,14 @@ def run_plan(
 
 
 def described(system: System) -> tuple[dict[str, str], dict[str, str]]:
-    """Units, by "slave.variable", and how each FMU is run, by its name."""
+    """Units of the outputs, by "slave.variable", and how each FMU is run, by its name."""
     interfaces = {k: read_interface(path) for k, path in system.fmus.items()}
-    units = {f"{k}.{p.name}": p.unit or "" for k, i in interfaces.items() for p in i.ports.values()}
+    units = {
+        f"{k}.{p.name}": p.unit or ""
+        for k, i in interfaces.items()
+        for p in i.ports.values()
+        if p.causality == "output"
+    }
     ways = {k: f"FMI {i.description.fmiVersion}, co-simulation" for k, i in interfaces.items()}
     return units, ways
 

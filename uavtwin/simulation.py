@@ -102,26 +102,47 @@ def asked_scenario(
         scenario: And all others: as of `uavtwin.run.simulate`.
 
     Raises:
-        TwinError: The vehicle is none, or the wind no three numbers.
+        TwinError: An argument is of another type than `uavtwin.run.simulate` takes.
     """
     if vehicle is not None:
         vehicle = checked_vehicle(vehicle, verb)
     if isinstance(effects, str):
         effects = (effects,)
-    air = np.asarray(wind, dtype=np.float64)
-    if air.shape != (3,):
-        raise TwinError(f"wind = {wind}: give three numbers, north, east, down, in m/s.")
+    for name, value, kind, needs in (
+        ("scenario", scenario, str | Path, "the name of a mission, or an .ssp file"),
+        ("gusts", gusts, bool | np.bool_, "true or false"),
+        ("seed", seed, int | np.integer, "a whole number from 0 on"),
+        ("controller", controller, str, "a name"),
+        ("effects", effects, Iterable, "names, or numbers by effect"),
+    ):
+        if not isinstance(value, kind):
+            raise TwinError(f"{name} = {value!r}: needs {needs}.")
+    try:
+        north, east, down = map(float, wind)
+    except (TypeError, ValueError) as error:
+        text = f"wind = {wind!r}: give three numbers, north, east, down, in m/s."
+        raise TwinError(text) from error
     return Scenario(
         scenario,
         vehicle,
         controller,
-        (float(air[0]), float(air[1]), float(air[2])),
-        gusts,
-        seed,
-        effects if isinstance(effects, Mapping) else tuple(effects),
-        dict(starts or {}),
+        (north, east, down),
+        bool(gusts),
+        int(seed),
+        {str(name): _numbers(f"effects: {name}", own) for name, own in effects.items()}
+        if isinstance(effects, Mapping)
+        else tuple(map(str, effects)),
+        _numbers("starts", starts or {}),
         fused,
     )
+
+
+def _numbers(what: str, given: Any) -> dict[str, float]:
+    """Numbers by name, as a person gives them."""
+    try:
+        return {str(name): float(value) for name, value in given.items()}
+    except (AttributeError, TypeError, ValueError) as error:
+        raise TwinError(f"{what} = {given!r}: needs numbers by name.") from error
 
 
 def scenario_system(
@@ -146,7 +167,7 @@ def scenario_system(
     """
     if scenario.is_system:
         given = read_ssp(Path(scenario.target))
-        _check_bare(scenario)
+        check_bare(scenario)
         for file in dict.fromkeys((Path(scenario.target), *given.fmus.values())):
             for text in repeated_entries(archive_members(file)):
                 warn(f"{file.name}: {text}.")
@@ -184,8 +205,12 @@ def fused_system(
     return System({"twin": fmu}, stop_time_s=twin.duration_s, step_s=STEP_S)
 
 
-def _check_bare(scenario: Scenario) -> None:
-    """Refuse settings that do not apply to an `.ssp`."""
+def check_bare(scenario: Scenario) -> None:
+    """Refuse settings that do not apply to an `.ssp`.
+
+    Raises:
+        TwinError: There is one.
+    """
     bare = Scenario(scenario.target)
     shaping = ("vehicle", "controller", "wind_m_s", "gusts", "seed", "effects", "fused", "law")
     given = [n for n in shaping if getattr(scenario, n) != getattr(bare, n)]

@@ -1,8 +1,11 @@
 """Vehicles: the numbers of one aircraft, with the text of their file."""
 
-from dataclasses import dataclass, field, fields, replace
+import json
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Self
+
+import numpy as np
 
 from twin import vehicle as numbers
 from twin.component import unknown_name
@@ -80,6 +83,13 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
     """
     text, file = vehicle_text(name_or_path)
     return Vehicle.of(parse_vehicle(text, file), text)
+
+
+def content_of(vehicle: numbers.Vehicle) -> str:
+    """All that a vehicle states, as JSON: equal for equal vehicles, whatever file they are from."""
+    unstated = {f.name for f in fields(vehicle) if not f.compare}
+    stated = {k: v for k, v in asdict(vehicle).items() if k not in unstated}
+    return json.dumps(stated, default=np.ndarray.tolist, sort_keys=True)
 
 
 def vehicle(name: str) -> Vehicle:

@@ -296,6 +296,6 @@ class Workers:
             raise TwinError("--scheduler: goes with --engine dask.")
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         count = (cores or 1) if self.workers is None else self.workers
-        if not 1 <= count <= MOST_WORKERS:
-            raise TwinError(f"--workers {count}: needs 1 to {MOST_WORKERS}.")
+        if not (isinstance(count, int) and 1 <= count <= MOST_WORKERS):
+            raise TwinError(f"--workers {count}: needs a whole number, 1 to {MOST_WORKERS}.")
         yield LocalEngine(count)

@@ -1,18 +1,18 @@
 """Many simulations in one call, flown by the engine of the sweep."""
 
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypedDict, Unpack, overload
 
-import numpy as np
 import pandas as pd
 
 from cosim.limits import Limits
 from cosim.recording import RunError
 from twin.component import unknown_name
+from twin.effects import EFFECTS
 from twin.errors import TwinError
 
 from ..jobs.engine import Workers
@@ -21,11 +21,12 @@ from ..run import Run, described, facts_of
 from ..simulation import MAX_VALUES, Scenario, asked_scenario
 from ..vehicles import Vehicle
 from .design import Choice, Design, Value
-from .plan import TWIN, WIND, Plan, SharedSystem, plan_of
+from .plan import EFFECT, TWIN, WIND, Job, Plan, SharedSystem, of_run, plan_of
 from .result import SweepResult, table_of
-from .sweep import BUILDING, Progress, RunResult, SweepTask, blocks, recording_file
+from .sweep import BUILDING, SWITCH, Progress, RunResult, SweepTask, blocks, recording_file
 
 VERB = "simulate_many"
+_FORM = "give the arguments of each run, e.g. [{'seed': k} for k in range(100)]"
 
 
 class Arguments(TypedDict, total=False):
@@ -48,7 +49,7 @@ class Listed(Design):
         """Skip the checks of a sampled design."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Runs(SweepResult, Sequence[Run]):
     """Simulations in the order of the request: a sequence of `Run`.
 
@@ -79,8 +80,8 @@ class Runs(SweepResult, Sequence[Run]):
         return pd.concat([run.frame() for run in self.runs], keys=range(len(self)), names=["run"])
 
     def save(self, path: str | Path) -> Path:
-        """Write a folder as `sweep --recordings` does: the table, and each recording; returns its
-        path.
+        """Write a folder with the table, `runs.parquet`, and in `recordings` each run that has a
+        row, as `Run.save` does; returns its path.
 
         Raises:
             TwinError: The folder exists and is not empty.
@@ -88,9 +89,10 @@ class Runs(SweepResult, Sequence[Run]):
         with results_folder(Path(path), force=False) as folder:
             super().save(folder / "runs.parquet")
             for number, run in enumerate(self.runs):
-                file = recording_file(folder, number)
-                file.parent.mkdir(exist_ok=True)
-                run.save(file)
+                if len(run.recording.time_s):
+                    file = recording_file(folder, number)
+                    file.parent.mkdir(exist_ok=True)
+                    run.save(file)
         return Path(path)
 
 
@@ -127,10 +129,21 @@ def simulate_many(
     Raises:
         TwinError: An unknown name, a value outside its range, or too many rows for the memory.
     """
-    given = [{**shared, **own} for own in runs]
-    scenarios = [_scenario(number, own) for number, own in enumerate(given)]
+    if not isinstance(runs, Iterable):
+        raise TwinError(f"{VERB}: runs = {runs!r}: {_FORM}.")
+    if isinstance(shared.get("effects"), Iterator):
+        shared["effects"] = tuple(shared["effects"])
+    asked: dict[str, None] = {}
+    scenarios = []
+    for number, own in enumerate(runs):
+        with of_run(number):
+            if not isinstance(own, Mapping):
+                raise TwinError(f"{own!r}: {_FORM}.")
+            given = {**shared, **own}
+            scenarios.append(_scenario(given))
+            asked |= dict.fromkeys(given)
     if not scenarios:
-        raise TwinError(f"{VERB}: no runs are given, e.g. [{{'seed': k}} for k in range(100)].")
+        raise TwinError(f"{VERB}: no runs are given; {_FORM}.")
     with tempfile.TemporaryDirectory(prefix="uavtwin-") as scratch:
         plan = plan_of(
             scenarios,
@@ -139,11 +152,11 @@ def simulate_many(
             interval_s=interval,
             whole=True,
             progress=lambda done: progress(BUILDING * done),
+            check_size=_check_memory,
         )
-        _check_memory(plan)
+        points = _points(asked, plan)
         flown = _flown(plan, workers, limits or Limits(), progress)
         about = [_described(stand) for stand in plan.stands]
-    points = _points(given)
     factors = [n for n in points[0] if all(p[n] == p[n] for p in points)]
     levels = {n: Choice(tuple(dict.fromkeys(p[n] for p in points))) for n in factors}
     return Runs(
@@ -154,12 +167,13 @@ def simulate_many(
         periods=plan.periods(factors),
         warnings=plan.warnings,
         runs=tuple(
-            _run(scenarios[job.run], flown[job.run], *about[job.stand]) for job in plan.jobs
+            _run(scenarios[job.run], flown[job.run], *about[job.stand], plan.idle[job.run])
+            for job in plan.jobs
         ),
     )
 
 
-def _scenario(number: int, given: Mapping[str, Any]) -> Scenario:
+def _scenario(given: Mapping[str, Any]) -> Scenario:
     """Scenario of one run.
 
     Raises:
@@ -169,22 +183,17 @@ def _scenario(number: int, given: Mapping[str, Any]) -> Scenario:
         if name not in Arguments.__annotations__:
             raise TwinError(unknown_name(VERB, "argument", name, Arguments.__annotations__))
     if "scenario" not in given:
-        raise TwinError(f"run {number}: of what? Give scenario='tour', of each run or of all.")
-    fused = Path(given["scenario"]).suffix != ".ssp"
-    try:
-        return asked_scenario(VERB, fused=fused, **given)
-    except TwinError as error:
-        raise TwinError(f"run {number}: {error}") from error
+        raise TwinError("of what? Give scenario='tour', of each run or of all.")
+    asked = asked_scenario(VERB, **given)
+    return replace(asked, fused=not asked.is_system)
 
 
-def _check_memory(plan: Plan) -> None:
+def _check_memory(values: float) -> None:
     """Refuse more values than fit in memory.
 
     Raises:
         TwinError: There are more than `MAX_VALUES` values.
     """
-    columns = [len(described(stand.system)[0]) for stand in plan.stands]
-    values = sum(plan.stands[job.stand].times.rows * columns[job.stand] for job in plan.jobs)
     if values > MAX_VALUES:
         raise TwinError(
             f"{VERB}: {values:.3g} values, at most {MAX_VALUES} are held in memory. Give a longer "
@@ -210,7 +219,11 @@ def _described(stand: SharedSystem) -> tuple[dict[str, str], dict[str, str]]:
 
 
 def _run(
-    scenario: Scenario, flown: RunResult, units: Mapping[str, str], ways: Mapping[str, str]
+    scenario: Scenario,
+    flown: RunResult,
+    units: Mapping[str, str],
+    ways: Mapping[str, str],
+    idle: tuple[str, ...],
 ) -> Run:
     """A run with the names of `simulate`: outputs named "part.output", without the prefix of the
     twin."""
@@ -218,37 +231,39 @@ def _run(
     assert recording is not None
     recording = replace(recording, names=tuple(n.removeprefix(TWIN) for n in recording.names))
     failed = RunError(outcome.why, recording) if outcome.outcome == "failed" else None
-    return Run(scenario.name, recording, units, facts_of(scenario), failed, ways)
+    return Run(scenario.name, recording, units, facts_of(scenario), failed, ways, idle)
 
 
-def _points(given: Sequence[Mapping[str, Any]]) -> list[dict[str, Value]]:
-    """Arguments as factors of a sweep, equal names for each run; NaN, "" or false where a run lacks
-    one."""
-    each = [dict(_factors(own)) for own in given]
-    names = dict.fromkeys(name for own in each for name in own)
-    kinds = {name: next(type(own[name]) for own in each if name in own) for name in names}
-    missing = {n: False if k is bool else "" if k is str else np.nan for n, k in kinds.items()}
-    return [{name: own.get(name, missing[name]) for name in names} for own in each]
+def _points(asked: Iterable[str], plan: Plan) -> list[dict[str, Value]]:
+    """Arguments as factors of a sweep, equal names for each run, with the values that fly.
 
+    Args:
+        asked: Arguments that are given to any run.
+        plan: Systems and runs.
+    """
+    switches, starts = dict[str, str](), dict[str, str]()
+    for scenario in plan.scenarios:
+        starts |= {name: name for name in scenario.starts}
+        for name in scenario.effects:
+            block = f"{EFFECTS[name].component}.{name}"
+            switches[f"{EFFECT}{name}"] = f"{block}{SWITCH}"
+            if isinstance(scenario.effects, Mapping):
+                starts |= {f"{EFFECT}{name}.{k}": f"{block}.{k}" for k in scenario.effects[name]}
 
-def _factors(own: Mapping[str, Any]) -> Iterable[tuple[str, Value]]:
-    """Arguments of one run as factors of a sweep."""
-    for name, value in own.items():
-        if name == "scenario":
-            yield "mission", str(value)
-        elif name == "vehicle":
-            yield name, value.name
-        elif name == "wind":
-            yield from zip(WIND[2:], map(float, value), strict=True)
-        elif name == "starts":
-            yield from ((n, float(v)) for n, v in value.items())
-        elif name == "effects":
-            yield from (
-                (f"effect.{n}", True) for n in ([value] if isinstance(value, str) else value)
-            )
-            if isinstance(value, Mapping):
-                yield from (
-                    (f"effect.{n}.{k}", float(v)) for n, x in value.items() for k, v in x.items()
-                )
-        else:
-            yield name, float(value) if name == "seed" else value
+    def point(job: Job) -> dict[str, Value]:
+        """Factors of one run."""
+        flown = plan.scenarios[job.run]
+        known: dict[str, dict[str, Value]] = {
+            "scenario": {"mission": str(flown.target)},
+            "vehicle": {"vehicle": plan.vehicles[job.stand]},
+            "wind": dict(zip(WIND[2:], flown.wind_m_s, strict=True)),
+            "seed": {"seed": float(flown.seed)},
+            "gusts": {"gusts": flown.gusts},
+            "controller": {"controller": flown.controller},
+            "effects": {k: plan.start(job, name) == 1.0 for k, name in switches.items()},
+            "starts": {k: plan.start(job, name) for k, name in starts.items()},
+        }
+        shown = dict.fromkeys((*asked, "starts"))  # numbers of effects are start values
+        return {k: v for name in shown for k, v in known[name].items()}
+
+    return [point(job) for job in plan.jobs]

@@ -4,7 +4,8 @@ Each system is built once; its runs differ by start values.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 from cosim.interface import read_interface
 from cosim.ssp import read_ssp
 from cosim.system import System
+from cosim.whole_twin import STEP_S
 from twin.component import unknown_name
 from twin.component.component import check_range
 from twin.effects import EFFECTS
@@ -23,13 +25,14 @@ from ..simulation import (
     DEFAULT_VEHICLE,
     Scenario,
     Times,
+    check_bare,
     fused_system,
     ineffective,
     scenario_system,
     shaping_starts,
     times_of,
 )
-from ..vehicles import Vehicle, load_vehicle
+from ..vehicles import Vehicle, content_of, load_vehicle
 from .design import Value
 from .outcome import WATCHED
 
@@ -82,16 +85,33 @@ class Plan:
         jobs: Runs, in order.
         scenarios: Scenario of each run.
         units: Unit of each start value, "part.variable" -> unit.
-        warnings: Requests without effect in the windiest run of each system.
+        vehicles: Name of the vehicle of each system, with a number where another one has the same
+            name; "" for an `.ssp`.
+        plain: Start values of each system where a run sets none, "part.variable" -> value.
+        idle: Requests without effect, by run: of every run where full recordings are stored, else
+            of the windiest run of each system.
     """
 
     stands: tuple[SharedSystem, ...]
     jobs: tuple[Job, ...]
     scenarios: Sequence[Scenario]
     units: Mapping[str, str]
-    warnings: tuple[str, ...]
+    vehicles: tuple[str, ...]
+    plain: tuple[Mapping[str, float], ...]
+    idle: Mapping[int, tuple[str, ...]]
 
     __repr__ = short_repr
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Requests without effect, each once."""
+        return tuple(dict.fromkeys(text for texts in self.idle.values() for text in texts))
+
+    def start(self, job: Job, name: str) -> float:
+        """Start value of a run, by "part.variable"; NaN: the default of an FMU of an `.ssp`, or
+        there is none of this name."""
+        plain = self.plain[job.stand].get(name, math.nan)
+        return job.starts.get(name, job.starts.get(f"{TWIN}{name}", plain))
 
     def periods(self, factors: Iterable[str]) -> dict[str, float]:
         """Period of each factor that is an angle, by name: 360 or 2 pi."""
@@ -133,6 +153,7 @@ def plan_of(
     interval_s: float | None = None,
     whole: bool = False,
     progress: Callable[[float], None] = lambda _: None,
+    check_size: Callable[[float], None] = lambda _: None,
 ) -> Plan:
     """Build the systems and check every name and value of every run.
 
@@ -145,49 +166,124 @@ def plan_of(
         interval_s: Time between recorded rows, s; None: about 10 ms.
         whole: Whether full recordings with every output are stored.
         progress: Called with the share of systems built, 0..1.
+        check_size: Called before building with the number of values of all full recordings.
 
     Raises:
         TwinError: An unknown name, a value outside its range, or too many systems.
     """
-    places: dict[tuple[str, int, str], int] = {}
-    keys = [(str(s.target), id(s.vehicle), s.controller) for s in scenarios]
+    places: dict[tuple[str, str, str], int] = {}
+    distinct = {id(s.vehicle): s for s in scenarios}
+    content = {which: content_of(_vehicle(s)) for which, s in distinct.items()}
+    keys = [(str(s.target), content[id(s.vehicle)], s.controller) for s in scenarios]
     where = [places.setdefault(key, len(places)) for key in keys]
     if len(places) > MOST_SYSTEMS:
         raise TwinError(
-            f"sweep: {len(places)} combinations of mission, vehicle and controller, at most "
+            f"{len(places)} combinations of mission, vehicle and controller, at most "
             f"{MOST_SYSTEMS} are built."
         )
-    firsts = [scenarios[where.index(number)] for number in range(len(places))]
-    twins = [None if s.is_system else _twin(s) for s in firsts]
-    checks = [
-        _of_system(s) if t is None else _of_twin(t) for s, t in zip(firsts, twins, strict=True)
+    firsts = [where.index(number) for number in range(len(places))]
+    twins, checks = [], []
+    for run in firsts:
+        with of_run(run):
+            first = scenarios[run]
+            twin = None if first.is_system else _twin(first)
+            twins.append(twin)
+            checks.append(_of_system(first) if twin is None else _of_twin(twin))
+    jobs = []
+    for run, (k, s) in enumerate(zip(where, scenarios, strict=True)):
+        with of_run(run):
+            jobs.append(Job(run, k, checks[k](s)))
+    each = [
+        _size(scenarios[run], twin, duration_s, step_s, interval_s)
+        for run, twin in zip(firsts, twins, strict=True)
     ]
-    units = _units_of_system(firsts[0]) if twins[0] is None else _units_of_twin(twins[0])
-    jobs = [
-        Job(run, k, checks[k](run, s))
-        for run, (k, s) in enumerate(zip(where, scenarios, strict=True))
-    ]
-    stands = []
-    for number, (first, twin) in enumerate(zip(firsts, twins, strict=True)):
+    check_size(sum(each[k] for k in where))
+    runs_of = [[run for run, k in enumerate(where) if k == n] for n in range(len(places))]
+    stands, idle = [], {}
+    for number, (start, twin) in enumerate(zip(firsts, twins, strict=True)):
         own = folder / str(number)
         own.mkdir(parents=True, exist_ok=True)
-        stands.append(_stand(first, twin, own, duration_s, step_s, interval_s, whole))
+        repeated: list[str] = []
+        given = scenarios[start], twin, own, duration_s, step_s, interval_s, whole, repeated.append
+        stands.append(_stand(*given))
         progress((number + 1) / len(firsts))
-    windiest = [
-        max((s for k, s in zip(where, scenarios, strict=True) if k == n), key=_wind)
-        for n in range(len(places))
-    ]
-    idle = {
-        text: None
-        for scenario, twin in zip(windiest, twins, strict=True)
-        if twin is not None
-        for text in ineffective(twin.with_starts(shaping_starts(twin, scenario)), scenario)
-    }
-    return Plan(tuple(stands), tuple(jobs), scenarios, units, tuple(idle))
+        runs = runs_of[number]
+        for run in runs if whole else [max(runs, key=lambda run: _wind(scenarios[run]))]:
+            idle[run] = (*repeated, *_ineffective(twin, scenarios[run]))
+    return Plan(
+        tuple(stands),
+        tuple(jobs),
+        scenarios,
+        _units_of_system(scenarios[0]) if twins[0] is None else _units_of_twin(twins[0]),
+        tuple(_distinct_names([(scenarios[run], keys[run][1]) for run in firsts])),
+        tuple(
+            stand.system.starts if twin is None else _starts_of_twin(twin)
+            for stand, twin in zip(stands, twins, strict=True)
+        ),
+        idle,
+    )
 
 
-Check = Callable[[int, Scenario], Mapping[str, float]]
-"""Function of a run number and its scenario that returns its start values, each within range."""
+@contextmanager
+def of_run(run: int) -> Iterator[None]:
+    """Name the run in an error.
+
+    Raises:
+        TwinError: That of the block, with the number of the run.
+    """
+    try:
+        yield
+    except TwinError as error:
+        raise TwinError(f"run {run}: {error}") from error
+
+
+def _ineffective(twin: Assembly | None, scenario: Scenario) -> list[str]:
+    """Requests of a scenario without effect on its twin; none for an `.ssp`."""
+    if twin is None:
+        return []
+    return ineffective(twin.with_starts(shaping_starts(twin, scenario)), scenario)
+
+
+def _distinct_names(vehicles: Iterable[tuple[Scenario, str]]) -> Iterator[str]:
+    """Name of each vehicle, given as its scenario and its content; with a number from the second of
+    that name on."""
+    known: dict[str, list[str]] = {}
+    for scenario, content in vehicles:
+        name = "" if scenario.is_system else _vehicle(scenario).name
+        same = known.setdefault(name, [])
+        if content not in same:
+            same.append(content)
+        number = same.index(content) + 1
+        yield name if number == 1 else f"{name} ({number})"
+
+
+def _size(
+    first: Scenario,
+    twin: Assembly | None,
+    duration_s: float | None,
+    step_s: float | None,
+    interval_s: float | None,
+) -> float:
+    """Number of values in a full recording of a scenario, from what is known before building."""
+    if twin is None:
+        system = read_ssp(Path(first.target))
+        columns = len(_named(system))
+    else:
+        system = System({}, stop_time_s=twin.duration_s, step_s=STEP_S)
+        columns = sum(len(part.output_names) for part in twin.parts.values())
+    return columns * _times(system, duration_s, step_s, interval_s).rows
+
+
+def _times(
+    system: System, duration_s: float | None, step_s: float | None, interval_s: float | None
+) -> Times:
+    """Times of each run of a system."""
+    stop = None if duration_s is None else system.start_time_s + duration_s
+    return times_of(system, stop, step_s, interval_s)
+
+
+Check = Callable[[Scenario], Mapping[str, float]]
+"""Function of a scenario that returns its start values, each within range."""
 
 
 def _wind(scenario: Scenario) -> tuple[float, bool]:
@@ -211,21 +307,17 @@ def _stand(
     step_s: float | None,
     interval_s: float | None,
     whole: bool,
+    warn: Callable[[str], None],
 ) -> SharedSystem:
     """System of a scenario, without the start values in which its runs differ."""
-
-    def times(step_s: float | None) -> Times:
-        """Times of each run."""
-        stop = None if duration_s is None else system.start_time_s + duration_s
-        return times_of(system, stop, step_s, interval_s)
-
     if twin is None:
-        system = scenario_system(replace(first, starts={}), folder)
-        return SharedSystem(system, times(step_s), None, None)
+        system = scenario_system(replace(first, starts={}), folder, warn=warn)
+        times = _times(system, duration_s, step_s, interval_s)
+        return SharedSystem(system, times, None, None)
     vehicle = _vehicle(first)
     system = fused_system(twin, vehicle.name, folder)
     record = None if whole else tuple(n for n in _named(system) if n.removeprefix(TWIN) in WATCHED)
-    own = times(step_s)
+    own = _times(system, duration_s, step_s, interval_s)
     if step_s is None and interval_s is None:
         own = replace(own, step_s=own.step_s * own.every, every=1)
     return SharedSystem(system, own, record, vehicle.arm_m)
@@ -256,18 +348,23 @@ def _units_of_system(first: Scenario) -> dict[str, str]:
     }
 
 
+def _starts_of_twin(twin: Assembly) -> dict[str, float]:
+    """Default start values of a twin, "part.variable" -> value."""
+    return {f"{k}.{v.name}": v.start for k, part in twin.parts.items() for v in part.variables}
+
+
 def _of_twin(twin: Assembly) -> Check:
     known = {f"{k}.{v.name}": (k, v) for k, part in twin.parts.items() for v in part.variables}
-    plain = {name: v.start for name, (_, v) in known.items()}
+    plain = _starts_of_twin(twin)
 
-    def check(run: int, scenario: Scenario) -> dict[str, float]:
+    def check(scenario: Scenario) -> dict[str, float]:
         """Start values that differ from the defaults of the twin."""
         starts = shaping_starts(twin, scenario)
         for name, value in starts.items():
             if name not in known:
                 twin.with_starts({name: value})  # raises the error
             part, variable = known[name]
-            check_range(f"run {run}: {part}", variable, value)
+            check_range(part, variable, value)
         return {f"{TWIN}{n}": v for n, v in starts.items() if v != plain[n]}
 
     return check
@@ -277,9 +374,9 @@ def _of_system(first: Scenario) -> Check:
     system = read_ssp(Path(first.target))
     interfaces = {name: read_interface(path) for name, path in system.fmus.items()}
 
-    def check(run: int, scenario: Scenario) -> Mapping[str, float]:
-        """Start values of the slaves."""
-        del run  # the FMU itself refuses invalid values at its start
+    def check(scenario: Scenario) -> Mapping[str, float]:
+        """Start values of the slaves; the FMU itself refuses invalid ones at its start."""
+        check_bare(scenario)
         for name in scenario.starts:
             slave, variable = system.split(name)
             interfaces[slave].scalar(variable)

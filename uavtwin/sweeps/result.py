@@ -28,12 +28,14 @@ from numpy.typing import NDArray
 from scipy.stats import rankdata, sobol_indices, spearmanr
 
 from twin.effects import EFFECTS
+from twin.errors import TwinError
 from twin.formatting import counted
 
 from ..display import PageMixin, TextTable
 from ..output import output_file
 from ..record import Record
 from ..simulation import Scenario
+from ..vehicles import content_of, load_vehicle
 from .design import Design, Value
 from .outcome import FIGURES, Outcome
 
@@ -275,7 +277,7 @@ class SweepRecord(Record, frozen=True, kw_only=True):
     warnings: tuple[str, ...]
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class SweepResult(PageMixin):
     """Result of a sweep.
 
@@ -364,8 +366,17 @@ class SweepResult(PageMixin):
         return self.table.iloc[places[:count]]
 
     def again(self, run: int) -> str:
-        """Command that repeats a run and records all outputs."""
+        """Command that repeats a run and records all outputs; "" where no name or file gives its
+        vehicle."""
         named = str(self.table["vehicle"][run]) if "vehicle" in self.table else self.vehicle
+        flown = self.scenarios[run].vehicle
+        if flown is not None:
+            named = named or flown.name
+            try:
+                if content_of(load_vehicle(named)) != content_of(flown):
+                    return ""
+            except TwinError:
+                return ""
         return command_of(self.scenarios[run], named)
 
     @cached_property
