@@ -269,8 +269,8 @@ def linearise(vehicle: Vehicle) -> HoverModel:
         )
         raise ModelError(
             f"{vehicle.name}: in hover 1 % more input of a rotor changes its thrust by "
-            f"{relative.min():.3f} %, so no controller holds its height; correct its thrust map or "
-            f"its effects{stated}."
+            f"{round(relative.min(), 3) + 0.0:g} %, so no controller holds its height; correct its "
+            f"thrust map or its effects{stated}."
         )
     if level:
         lag_s = float(np.mean(later / slope * rest_s))
