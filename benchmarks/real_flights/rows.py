@@ -97,7 +97,9 @@ def short_page(found: Sequence[Row], data: str) -> str:
         data: Name of the file of the rows, beside the page.
     """
     facts, *every = found
-    remarks = [facts["note"], *(f"{t}: {s}" for t, s in facts.get("again", {}).items())]
+    again = facts.get("again", {})
+    titles = {s: [t for t, own in again.items() if own == s] for s in again.values()}
+    remarks = [facts["note"], *(f"{'; '.join(t)}: {s}" for s, t in titles.items())]
     facts = {**facts, "note": " ".join(filter(None, remarks))}
     parts = [HEAD.format(labelled=labelled(), data=data, **facts), *_overview(every)]
     parts += [

@@ -116,9 +116,9 @@ SCENARIOS = (
         "real",
         "RflySimDT, real flights",
         "Quadrotor of 0.32 kg, take-off, hover and landing indoors, with motion capture and PX4; "
-        "vehicle file `feisi_x150`, as published. The thrust map of that file carries 63 % of the "
-        "weight at the logged commands, it has no motor lag, and its `torque_per_thrust` is made "
-        "up. Ground pressure and the field of the place are in no vehicle file.",
+        "vehicle file `feisi_x150`, as published. Its thrust map carries 63 % of the weight, "
+        "it has no motor lag, `torque_per_thrust` is made up. Ground pressure and the field of the "
+        "place are in no vehicle file.",
         REAL,
         "feisi_x150",
     ),
@@ -156,8 +156,7 @@ SCENARIOS = (
         "Circles, figure of eight and helix indoors with Vicon; vehicle file `crazyflie`, of "
         "another specimen. The clocks of IMU and Vicon differ and drift. No magnetometer, no "
         "barometer. No mission asks for yaw and hardly one for pitch, so that their response is "
-        "not told. Until 26 November every row counted: `yaw_torque_scale` at the edge of its "
-        "range, 0.2, made yaw deaf; 7.91, 18.9 and 2.07 rad/s² were left, means included.",
+        "not told.",
         NANOBENCH,
         "crazyflie",
         indoors=True,
