@@ -263,14 +263,15 @@ def linearise(vehicle: Vehicle) -> HoverModel:
     y0 = np.asarray(body.outputs(x0, u0, p0), dtype=np.float64).ravel()
     relative = slope * u0[driven] / y0[thrust]
     if not relative.min() > _LEAST_SLOPE:
-        curve = vehicle.effects.get("thrust_curve")
-        stated = (
-            f": effects.thrust_curve.slope = {curve['slope']:g} must be above -1" if curve else ""
+        stated = ", ".join(
+            f"effects.{e}.{name} = {value:g}"
+            for e, own in vehicle.effects.items()
+            for name, value in own.items()
         )
         raise ModelError(
             f"{vehicle.name}: in hover 1 % more input of a rotor changes its thrust by "
             f"{round(relative.min(), 3) + 0.0:g} %, so no controller holds its height; correct its "
-            f"thrust map or its effects{stated}."
+            f"thrust map or its effects ({stated or 'it has none'})."
         )
     if level:
         lag_s = float(np.mean(later / slope * rest_s))

@@ -73,7 +73,7 @@ def test_a_job_can_be_killed_from_another_thread_and_has_a_time_limit_of_its_own
     [
         ("dask", None, None, "give --scheduler"),
         ("local", None, "tcp://127.0.0.1:1", "goes with --engine dask"),
-        ("local", 0, None, "needs 1 to 1024"),
+        ("local", 0, None, "needs a whole number, 1 to 1024"),
     ],
 )
 def test_what_an_engine_has_no_use_for_is_refused(
