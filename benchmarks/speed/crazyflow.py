@@ -2,7 +2,7 @@
 
     python -m benchmarks.speed.crazyflow --python PYTHON --out FILE [--runs 64,512,4096]
 
-crazyflow (https://pypi.org/project/crazyflow) is a simulator of many quadrotors in JAX. PYTHON is
+crazyflow (the Python package of that name) is a simulator of many quadrotors in JAX. PYTHON is
 the interpreter of an environment with `pip install crazyflow`; without it ours alone is measured.
 All is pinned to one core and counted in processor time. FILE has a line for each measurement; what
 stands there is not measured anew.
