@@ -6,12 +6,16 @@ Each document holds a pair of markers; what stands between them is replaced. `--
 nothing and exits 1 if a table is out of date.
 """
 
+import ast
 import inspect
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import reduce
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
@@ -31,8 +35,9 @@ from twin.effects.parameters import (
     Prior,
     always_said,
 )
+from twin.explain import settings as settings_of_search
 from twin.explain.model.model import has_mean
-from twin.explain.setting_group import Setting, numbers
+from twin.explain.setting_group import Value, numbers
 from twin.explain.settings import DEFAULT
 from twin.flight.assembly import COMPONENTS, Choices, driven_twin
 from twin.logs.columns import COLUMNS
@@ -361,21 +366,45 @@ def _expected(normal: Normal, parameter: EffectParameter, model: Vehicle) -> tup
 # -- settings -------------------------------------------------------------------------------
 
 
+ORIGINS = "Physics|Paper|Data sheet|Measured|Chosen on|Sensitivity|Made up"
+"""First words of the origin of a setting."""
+
+
 def settings() -> str:
     """Numbers that decide what `explain` says, a table per group."""
-    groups: dict[str, list[Setting]] = {}
-    for s in DEFAULT.every():
-        groups.setdefault(s.name.rpartition(".")[0], []).append(s)
-    head = ("setting", "value", "unit", "meaning", "origin")
+    groups: dict[str, list[Sequence[str]]] = {}
+    for name, value, meaning, origin in told_settings():
+        group, _, own = name.rpartition(".")
+        shown = ", ".join(f"{x:.4g}" for x in numbers(value))
+        groups.setdefault(group, []).append((f"`{own}`", shown, meaning, origin))
     return "\n\n".join(
-        "\n".join([f"## {group}", "", *rows(head, map(_setting, own))])
+        "\n".join([f"## {group}", "", *rows(("setting", "value", "meaning", "origin"), own)])
         for group, own in groups.items()
     )
 
 
-def _setting(s: Setting) -> Sequence[str]:
-    value = ", ".join(f"{x:.4g}" for x in numbers(s.value))
-    return f"`{s.name.rpartition('.')[2]}`", value, s.unit, s.meaning, s.origin
+def told_settings() -> Iterator[tuple[str, Value, str, str]]:
+    """Name, value, meaning and origin of each setting, by the docstring of its field."""
+    classes = [n for n in parsed(settings_of_search) if isinstance(n, ast.ClassDef)]
+    told = {(c.name, f): text for c in classes for f, text in attribute_docstrings(c)}
+    for s in DEFAULT.every():
+        *path, own = s.name.split(".")
+        text = told[type(reduce(getattr, path, DEFAULT)).__name__, own]
+        split = re.fullmatch(rf"(.+)\. (({ORIGINS})\b.*)\.", text)
+        assert split is not None, (s.name, text)
+        yield s.name, s.value, split[1], split[2]
+
+
+def parsed(module: ModuleType) -> Sequence[ast.stmt]:
+    """Statements of a module."""
+    return ast.parse(inspect.getsource(module)).body
+
+
+def attribute_docstrings(of: ast.ClassDef) -> Iterator[tuple[str, str]]:
+    """Name and docstring, on one line, of each field of a class that has one."""
+    for field, text in pairwise(of.body):
+        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
+            yield ast.unparse(field.target), " ".join(ast.literal_eval(text.value).split())
 
 
 # -- command line ---------------------------------------------------------------------------

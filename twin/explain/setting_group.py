@@ -1,15 +1,16 @@
-"""Declaration of a setting: value, unit, meaning and origin."""
+"""Groups of settings: fields of a frozen dataclass, each with a docstring."""
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, TypeVar
+from dataclasses import dataclass, fields, replace
+from typing import Annotated, Any, TypeVar
 
 from ..errors import ModelError
 
 Value = int | float | tuple[Any, ...]
-T = TypeVar("T", bound=Value)
 G = TypeVar("G", bound="Group")
+Share = Annotated[float, 1.0]
+"""Share or probability: the annotation is the bound that every number of the value stays below."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,25 +20,12 @@ class Setting:
     Attributes:
         name: Name with dots between groups, "inference.selection.sure".
         value: One number, or several in non-decreasing order, all above zero.
-        unit: Unit; "1" for a dimensionless number.
-        meaning: Meaning in one sentence.
-        origin: Begins with "physics: ", "paper: ", "data sheet: ", "measured: ", "chosen on: "
-            (which cases), "sensitivity: " or "made up".
         below: Upper bound that every number of it must stay below.
     """
 
     name: str
     value: Value
-    unit: str
-    meaning: str
-    origin: str
     below: float
-
-
-def setting(value: T, unit: str, meaning: str, origin: str, below: float = math.inf) -> T:
-    """Field of a group; its default is `value`."""
-    made: T = field(default=value, metadata={"about": (unit, meaning, origin, below)})
-    return made
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +38,10 @@ class Group:
     """
 
     def __post_init__(self) -> None:
-        for name, now in {s.name: s for s in self.every() if "." not in s.name}.items():
-            problem = _problem(now, type(self).__dataclass_fields__[name].default)
+        for now in (s for s in self.every() if "." not in s.name):
+            problem = _problem(now, type(self).__dataclass_fields__[now.name].default)
             if problem:
-                raise ModelError(f"{type(self).__name__}.{name} = {now.value}: {problem}.")
+                raise ModelError(f"{type(self).__name__}.{now.name} = {now.value}: {problem}.")
 
     def every(self, before: str = "") -> Iterator[Setting]:
         """All settings, in the order of their declaration."""
@@ -62,7 +50,8 @@ class Group:
             if isinstance(value, Group):
                 yield from value.every(f"{before}{f.name}.")
             else:
-                yield Setting(before + f.name, value, *f.metadata["about"])
+                (below,) = getattr(f.type, "__metadata__", (math.inf,))
+                yield Setting(before + f.name, value, below)
 
     def with_values(self: G, values: Mapping[str, Value]) -> G:
         """A copy with some settings changed.
@@ -74,25 +63,14 @@ class Group:
         for name in values:
             if name not in known:
                 near = [n for n in sorted(known) if n.endswith(f".{name.rpartition('.')[2]}")]
-                hint = (
-                    f"; is {' or '.join(near)} meant?"
-                    if near
-                    else ": see docs/reference/settings.md."
-                )
+                hint = f"; is {' or '.join(near)} meant?" if near else ""
+                hint = hint or ": see docs/reference/settings.md."
                 raise ModelError(f"there is no setting {name!r}{hint}")
-        return self._with(values)
-
-    def _with(self: G, values: Mapping[str, Value]) -> G:
         changed: dict[str, Any] = {}
         for name, value in values.items():
             first, _, rest = name.partition(".")
-            if rest:
-                changed.setdefault(first, {})[rest] = value
-            else:
-                changed[first] = value
-        for first, value in changed.items():
-            if isinstance(value, dict):
-                changed[first] = getattr(self, first)._with(value)
+            group = changed.get(first, getattr(self, first))
+            changed[first] = group.with_values({rest: value}) if rest else value
         return replace(self, **changed)
 
 
@@ -110,7 +88,7 @@ def _problem(now: Setting, default: object) -> str:
         return f"give as many numbers as {default} has"
     if not all(0 < x < below and math.isfinite(x) for x in found):
         limit = "" if math.isinf(below) else f" and below {below:g}"
-        return f"give finite numbers above 0{limit}, in {now.unit}"
+        return f"give finite numbers above 0{limit}"
     return "" if found == sorted(found) else "give numbers that do not fall"
 
 
