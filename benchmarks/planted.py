@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from twin.effects import EFFECTS, Equation, Repeats
 from twin.errors import TwinError
-from twin.explain.design import Manoeuvre, plan, rehearse
 from twin.explain.holdout import Attribution, attribute_effect
 from twin.explain.model.model import FlightModel, Model, candidates, model_of
 from twin.explain.model.numbers import Number, numbers_of, numbers_of_logs
@@ -26,6 +25,7 @@ from twin.explain.stochastic.search import (
     without_stuck,
 )
 from twin.explain.stochastic.spectral import StochasticEffect
+from twin.flight.manoeuvres import Manoeuvre, plan, rehearse
 from twin.logs import Flight
 from twin.logs.columns import COLUMNS
 from twin.physics.airframe import airframe

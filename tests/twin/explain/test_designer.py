@@ -12,12 +12,8 @@ from twin.explain.design import (
     ENOUGH_NAT,
     Held,
     Suggestion,
-    hover_height_m,
     lead,
-    manoeuvres,
     next_manoeuvre,
-    plan,
-    rehearse,
     suggestions,
 )
 from twin.explain.inference.fit import fit_of
@@ -26,6 +22,7 @@ from twin.explain.inference.whitening import Block
 from twin.explain.model.numbers import carrying, with_effects
 from twin.explain.settings import DEFAULT
 from twin.flight.closed_loop import STEP_S
+from twin.flight.manoeuvres import hover_height_m, manoeuvres, plan, rehearse
 from twin.logs import Flight
 from twin.vehicle import Vehicle
 from twin.vehicle_file import builtin_vehicles, load_vehicle

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from rig import fitted, rows_of
 
 from twin.effects import EFFECTS
-from twin.explain.design import Manoeuvre, plan, rehearse
 from twin.explain.model.model import Model, model_of
+from twin.flight.manoeuvres import Manoeuvre, plan, rehearse
 from twin.logs import Flight
 from twin.physics.rotors import SHORTEST_LAG_S
 from twin.vehicle import Vehicle

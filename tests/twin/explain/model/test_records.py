@@ -10,9 +10,9 @@ from rig import fitted, rows_of
 from scipy.ndimage import gaussian_filter1d
 
 from twin.effects import EFFECTS
-from twin.explain.design import Manoeuvre, plan, rehearse
 from twin.explain.model.model import Model, candidates, model_of
 from twin.explain.model.numbers import with_effects
+from twin.flight.manoeuvres import Manoeuvre, plan, rehearse
 from twin.logs import Flight
 from twin.logs.columns import GYRO, POS, QUAT, VEL
 from twin.vehicle_file import load_vehicle

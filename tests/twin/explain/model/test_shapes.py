@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from twin.effects import EFFECTS
-from twin.explain.design import Manoeuvre, plan, rehearse
 from twin.explain.model.model import Model, candidates, model_of
+from twin.flight.manoeuvres import Manoeuvre, plan, rehearse
 from twin.logs import Flight
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import WAYPOINTS, fly
