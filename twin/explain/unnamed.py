@@ -79,40 +79,17 @@ class Unnamed:
 
     Attributes:
         equations: At most one equation per channel, the largest share first.
-        gains: Out-of-sample log likelihood over that of the candidate model alone, per time block,
-            under the noise with the equations, nats, shape (n,).
-        terms: Number of coefficients in all equations, including frequencies.
         noise: Noise with the equations, by channel with an equation.
     """
 
     equations: tuple[Equation, ...]
-    gains: Array
-    terms: int
     noise: Mapping[str, Autoregression]
 
     @property
     def gain(self) -> float:
-        """Sum of the gains over all blocks, nats."""
-        return float(self.gains.sum())
-
-
-@dataclass(frozen=True, slots=True)
-class _Search:
-    """Data shared by all channels: cross-validation fold of each block, and settings."""
-
-    folds: Mapping[Key, int]
-    settings: UnnamedSettings
-    noise: LikelihoodSettings
-
-
-@dataclass(frozen=True, slots=True)
-class _Channel:
-    """One channel of all flights, with the candidate columns as slopes."""
-
-    name: str
-    unit: str
-    columns: tuple[Term, ...]
-    flights: tuple[ChannelData, ...]
+        """Out-of-sample log likelihood over that of the candidate model alone, under the noise with
+        the equations, nats."""
+        return sum(e.gain for e in self.equations)
 
 
 def find_equations(
@@ -138,77 +115,80 @@ def find_equations(
         ]
         for f in days
     ]
-    keys = list(blocks_of(left, whitened.noise, whitened.settings))
-    search = _Search(fold_of(keys, seed, settings), settings, whitened.settings)
+    folds = fold_of(list(blocks_of(left, whitened.noise, whitened.settings)), seed, settings)
     known = _shared([quantities(f) for f in whitened.model.flights])
-    tones = _tones(left, settings)
-    equations, gains, noises = [], dict.fromkeys(keys, 0.0), {}
+    tones, block_s = _tones(left, settings), whitened.settings.block_s
+    found = []
     for i, first in enumerate(left[0]):
         if sensor_of(first.name) is None or first.name in mute:
             continue  # the noise of the pose's prediction is in every regressor
-        made = _channel(whitened, [f[i] for f in left], known, tones, settings)
-        found = _found(made, search)
-        if found is None:
+        columns, own = _with_columns(whitened, [f[i] for f in left], known, tones, settings)
+        best, noise = _best(own, folds, whitened.settings, settings)
+        if best is None:
             continue
-        equation, best, noise = found
-        if equation.share < settings.least_share or equation.rms < smallest(first.name, whitened):
-            continue
-        equations.append(equation)
-        noises[first.name] = noise
-        for key, gain in best.gains.items():
-            gains[key] += gain
-    if not equations:
-        return None
-    equations.sort(key=lambda e: -e.share)
-    waves = {t for e in equations for t, _, _ in e.terms if t.startswith(("sin", "cos"))}
-    count = sum(len(e.terms) for e in equations) + len({w[3:] for w in waves})
-    return Unnamed(tuple(equations), np.array([gains[k] for k in keys]), count, noises)
+        equation = _equation(own, columns, best, folds, block_s, settings.in_band)
+        if equation.share >= settings.least_share and equation.rms >= smallest(
+            first.name, whitened
+        ):
+            found.append((equation, noise))
+    found.sort(key=lambda f: -f[0].share)
+    noises = {e.channel: noise for e, noise in found}
+    return Unnamed(tuple(e for e, _ in found), noises) if found else None
 
 
-def _found(channel: _Channel, search: _Search) -> tuple[Equation, Sparse, Autoregression] | None:
-    """Equation of a channel, and the noise with it.
+def _best(
+    own: Sequence[ChannelData],
+    folds: Mapping[Key, int],
+    likelihood: LikelihoodSettings,
+    settings: UnnamedSettings,
+) -> tuple[Sparse | None, Autoregression]:
+    """Regression of a channel, with every candidate column as slopes, and the noise with it.
 
     The noise is assumed white at first: an autoregression would take a persistent oscillation, or
     an offset, for noise.
     """
-    unexplained = [c.residual for c in channel.flights]
-    whiten = autoregression_of(channel.flights, unexplained, 0, search.noise)
-    most = longest(_blocks(channel, whiten, search.noise), search.settings)
-    unexplained = [c.residual - c.slopes @ most for c in channel.flights]
-    noise = autoregression_of(channel.flights, unexplained, search.noise.order, search.noise)
-    best = sparse(_blocks(channel, noise, search.noise), search.folds, search.settings)
-    return None if best is None else (_equation(channel, best, search), best, noise)
+
+    def noise_and_blocks(
+        unexplained: Sequence[Array], order: int
+    ) -> tuple[Autoregression, Mapping[Key, Block]]:
+        noise = autoregression_of(own, unexplained, order, likelihood)
+        return noise, blocks_of([[c] for c in own], [noise], likelihood)
+
+    _, blocks = noise_and_blocks([c.residual for c in own], 0)
+    most = longest(blocks, settings)
+    noise, blocks = noise_and_blocks([c.residual - c.slopes @ most for c in own], likelihood.order)
+    return sparse(blocks, folds, settings), noise
 
 
-def _blocks(
-    channel: _Channel, noise: Autoregression, settings: LikelihoodSettings
-) -> dict[Key, Block]:
-    return blocks_of([[c] for c in channel.flights], [noise], settings)
-
-
-def _equation(channel: _Channel, best: Sparse, search: _Search) -> Equation:
+def _equation(
+    own: Sequence[ChannelData],
+    columns: Sequence[Term],
+    best: Sparse,
+    folds: Mapping[Key, int],
+    block_s: float,
+    in_band: float,
+) -> Equation:
+    """Equation of a channel by its regression."""
     before, after, said = [], [], []
-    for f, c in enumerate(channel.flights):
-        blocks = np.floor(c.t_s / search.noise.block_s)
-        fold = np.array([search.folds[(f, int(k))] for k in blocks], dtype=np.intp)
+    for f, c in enumerate(own):
+        fold = np.array([folds[f, int(k)] for k in np.floor(c.t_s / block_s)], dtype=np.intp)
         value = np.einsum("np,np->n", c.slopes, best.by_fold[fold])
         for k in np.unique(c.piece):
             rows = c.piece == k
             before.append(c.residual[rows])
             after.append((c.residual - value)[rows])
             said.append(value[rows])
-    band = _band(said, search.settings.in_band)
-    power = _power(before, band)
-    unit = powers_of(channel.unit)
-    made = tuple(
-        (channel.columns[i].text, float(f"{c:.{DIGITS}g}"), over(unit, channel.columns[i].unit))
+    band = _band(said, in_band)
+    power, unit = _power(before, band), own[0].unit
+    terms = tuple(
+        (columns[i].text, float(f"{c:.{DIGITS}g}"), over(powers_of(unit), columns[i].unit))
         for i, c in zip(best.picked, best.coefficients, strict=True)
     )
     return Equation(
-        channel=channel.name,
-        unit=channel.unit,
-        terms=made,
-        expression=f"{channel.name} = {_sum_of(made, channel.unit)}",
+        channel=own[0].name,
+        unit=unit,
+        terms=terms,
+        expression=f"{own[0].name} = {_sum_of(terms, unit)}",
         share=1 - _power(after, band) / power if power > 0 else 0.0,
         band_hz=band,
         rms=float(np.sqrt(np.mean(np.concatenate(said) ** 2))),
@@ -268,22 +248,22 @@ def _bridged(quantity: Quantity) -> Quantity:
     return replace(quantity, values=np.interp(rows, rows[known], values[known]))
 
 
-def _channel(
+def _with_columns(
     whitened: WhitenedFlights,
-    flights: Sequence[ChannelData],
+    own: Sequence[ChannelData],
     known: Sequence[dict[str, Quantity]],
     tones_hz: tuple[float, ...],
     settings: UnnamedSettings,
-) -> _Channel:
-    """The channel with every candidate, filtered by the channel's low-pass."""
-    name = flights[0].name
-    made, columns = [], []
-    for channel, own, flight in zip(flights, known, whitened.model.flights, strict=True):
-        columns = terms(own, name, tones_hz if _of_body(name) else (), settings)
+) -> tuple[list[Term], list[ChannelData]]:
+    """Every candidate of a channel, and the channel of each flight with them as slopes, filtered by
+    its low-pass."""
+    name, made, columns = own[0].name, [], list[Term]()
+    for channel, quantity, flight in zip(own, known, whitened.model.flights, strict=True):
+        columns = terms(quantity, name, tones_hz if _of_body(name) else (), settings)
         readings = next(p.readings for p in flight.factors if name in p.readings.names)
         values = np.stack([t.values for t in columns], axis=-1)
         made.append(replace(channel, slopes=readings.filtered(values, readings.filters_hz)))
-    return _Channel(name, flights[0].unit, tuple(columns), tuple(made))
+    return columns, made
 
 
 def _tones(left: Sequence[Sequence[ChannelData]], settings: UnnamedSettings) -> tuple[float, ...]:

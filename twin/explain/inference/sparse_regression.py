@@ -226,18 +226,13 @@ class Sparse:
         picked: Selected columns, in the order of the power that they explain.
         coefficients: Coefficients, shape (k,).
         by_fold: Coefficients fitted without each fold, shape (folds, p).
-        gains: Out-of-sample log likelihood gain per time block, nats.
+        gain: Out-of-sample log likelihood gain, nats.
     """
 
     picked: tuple[int, ...]
     coefficients: Array
     by_fold: Array
-    gains: Mapping[Key, float]
-
-    @property
-    def gain(self) -> float:
-        """Sum of the gains over all blocks, nats."""
-        return sum(self.gains.values())
+    gain: float
 
 
 def fold_of(
@@ -280,7 +275,7 @@ def sparse(
         tuple(int(i) for i in order),
         final[order],
         by_fold,
-        {k: _gain(b, by_fold[folds[k]]) for k, b in blocks.items()},
+        sum(_gain(b, by_fold[folds[k]]) for k, b in blocks.items()),
     )
 
 
