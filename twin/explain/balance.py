@@ -10,17 +10,11 @@ of these means since the calibration flights is compared with the change by each
 S_h: slopes at the numbers of the calibration; x_h: numbers of the cause, small, medium or large; D:
 prior day-to-day covariance, f its common factor, integrated over its posterior given the n0 flights
 of the calibration; T: covariance between sessions, in which batteries and propellers are changed;
-W: covariance by wind. n: flights. Everything is Gaussian except for the sums over k and f.
+W: covariance by wind. n: flights.
 
 Damaged propellers cause vibration: the power above the motion of the body, where an acceleration is
-logged fast enough, is a fifth reading, which a load does not increase.
-
-Whether a propeller is damaged, and which one, are two questions: vibration answers only the first,
-and four means separate eight rotors less well than four.
-
-Equal losses of two rotors and a load at their side have the same means except for yaw, and
-propellers of another session change yaw by as much: such causes cannot be separated, and are
-reported as "this or that".
+logged fast enough, is a fifth reading, which a load does not increase. Causes that these readings
+do not separate are reported as "this or that".
 """
 
 import math
@@ -54,30 +48,26 @@ DAY = np.array([0.015, 0.003, 0.003, 0.02])
 """Between-flight standard deviation within one session: thrust over the weight; moments about x and
 y over weight times arm; about z over the reaction torque of all rotors. Chosen on CrazyPAD's E9."""
 SESSION = np.array([0.03, 0.002, 0.002, 0.07])
-"""Standard deviation between sessions. Chosen on CrazyPAD's E9: yaw differs by 5 to 6 % between
-those in which propellers were changed."""
+"""The same between sessions, in which propellers are changed. Chosen on CrazyPAD's E9."""
 FACTORS = 2.0 ** np.arange(-3.0, 3.25, 0.5)
 """Grid of f, the factor on the days of an aircraft, log-normal with standard deviation 1."""
 SIZES = ((0.04, 0.02, 0.3), (0.1, 0.05, 0.3), (0.25, 0.12, 0.3), (0.6, 0.3, 0.1))
 """Mean, standard deviation and probability of a thrust loss over the rotor's thrust, and of a load
 over the aircraft's mass: a nick, a cut, a stump, and one that few aircraft can fly with."""
 LOG_ODDS = -1.0
-"""Prior log odds of one cause, a single rotor or a load, against nothing: a user who asks suspects
-a change, so all changes together, including two rotors and vibration, are as probable as none."""
+"""Prior log odds of one cause, a single rotor or a load, against nothing: all changes together are
+as probable as none."""
 SECOND_ROTOR = -1.0
-"""Log odds of a second damaged rotor, given the first: damage often affects neighbours. Chosen on
-CrazyPAD's E9."""
+"""Log odds of a second damaged rotor, given the first. Chosen on CrazyPAD's E9."""
 REACH = 0.5
 """Standard deviation of a load's position along each axis, in arms, where it is at no hub."""
 SHAKES_ABOVE_HZ = 12.0
-"""Frequency, Hz, above which accelerations are vibration: the attitude loop ends at 5 to 10 Hz, so
-no body turns or climbs faster."""
+"""Frequency, Hz, above which accelerations are vibration: attitude loops end at 5 to 10 Hz."""
 SHAKEN_LEAST_HZ = 40.0
 """Least sample rate of an acceleration, Hz, for the estimate of vibration."""
 ALONE = 0.95
-"""Probability, given a change, from which on a rotor, or a load, is named alone: only yaw separates
-the two, and the variation of yaw between sessions is known from one aircraft. Chosen on CrazyPAD's
-E9. No change is not an alternative here: `sure` is for that."""
+"""Probability, given a change, from which on a rotor, or a load, is named alone. Chosen on
+CrazyPAD's E9."""
 ROPE = -0.7
 """Log odds of a slung load, given a load: made up."""
 SUSPECT = 0.1

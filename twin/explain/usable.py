@@ -1,13 +1,10 @@
 """Selection of the part of a flight that a search uses.
 
-*Longest part*: time and memory of a search grow with the flight, its information hardly: a repeated
-manoeuvre adds little. Of a long flight the contiguous part with most motion is used; contiguous,
-because cells discharge and motors warm from its start.
+*Longest part*: of a long flight the contiguous part with most motion is used.
 
-*Usability*: seconds are rejected, not flights. The record is split at impacts and falls, and the
-longer part is used; while a motor is saturated, torque and thrust are not compared, but lateral
-specific force is. A flight is rejected where too little remains, or where its signals contradict
-each other.
+*Usability*: the record is split at impacts and falls, and the longer part is used; while a motor is
+saturated, torque and thrust are not compared, but lateral specific force is. A flight is rejected
+where too little remains, or where its signals contradict each other.
 """
 
 from collections.abc import Iterator, Sequence

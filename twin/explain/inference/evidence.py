@@ -93,9 +93,8 @@ class MapEstimate:
 
 
 TAIL_DEGREES = 3.0
-"""Degrees of freedom of the Student prior of an effect's numbers: the fewest with finite variance.
-4 standard deviations cost 3.8 nats instead of 8.4: large values are improbable, but not
-excluded."""
+"""Degrees of freedom of the Student prior of an effect's numbers: the fewest with finite
+variance."""
 
 
 @dataclass(frozen=True, slots=True)

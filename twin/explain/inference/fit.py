@@ -40,9 +40,7 @@ ARMIJO = 0.1
 """Share of the predicted gain that a step must reach: Armijo, Pacific J. Math. 16 (1966)."""
 MARGIN, INEXACT = 10.0, 0.5
 """A fit is abandoned where its linearised optimum is below a goal by more than so many nats, plus
-that share of the predicted gain: after a lag had moved by 10 ms, a gain of 66 nats turned out to be
-91. Slopes from before a step are not used for this: one fit ended 76 nats above such a
-prediction."""
+that share of the predicted gain. Slopes from before a step are not used for this."""
 FARTHEST_S = 0.005
 """Largest step of a delay of commands or a lag, s: a tenth of a period of the fastest band."""
 FARTHEST_POSE_S = 0.02
@@ -55,21 +53,17 @@ SETTLED = 0.2
 STRAIGHT = 0.02
 """Largest relative nonlinearity of a step, in power, for which slopes are reused."""
 LONG = 1.0
-"""Length of a step, nats, beyond which slopes are recomputed after a nonlinear step; after a
-shorter one they are reused. Steps are always nonlinear along numbers that compare IMU and pose,
-whose slopes are noise-free regressors."""
+"""Length of a step, nats, beyond which slopes are recomputed after a nonlinear step."""
 
 BEFORE = 2.0
-"""Number of days that the prior on day-to-day variation counts for, relative to the flights'
-own."""
+"""Number of days that the prior on day-to-day variation counts for."""
 ACQUAINTED = 3
 """Steps of expectation maximisation that estimate the day-to-day variation of a start."""
 
 
 KAPPAS = tuple(float(2.0**k) for k in range(-6, 1))
-"""Factors on the standard deviation of day-to-day variation that are tried, at most 1. A larger
-variation could only be learned from more flights than are available: two flights with unlimited
-variation would contain no information."""
+"""Factors on the standard deviation of day-to-day variation that are tried; a larger one than 1
+cannot be learned from few flights."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -474,9 +468,8 @@ def _bend(before: Spectrum, after: Spectrum) -> float:
 INTERVAL = 1.96
 """Half-width of a 95 % interval over the standard deviation of a normal distribution."""
 COVERED = 3.0
-"""Number of standard deviations within which a number's deviation is covered by the file's
-uncertainty and is no effect: of a dozen numbers, one is beyond 2 in 43 of 100 files, beyond 3 in
-3."""
+"""Standard deviations of the file within which a deviation is no effect: of a dozen numbers one is
+beyond 2 in 43 of 100 files, beyond 3 in 3."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,13 +16,13 @@ orthonormal basis of z in the n rows of each flight, and T the trust in it,
     Stat. 94, 2012), so that more rows of a setpoint in the loop add no information
 
 J is computed for the nominal model, and again with the effects at the end of a search: what the
-model lacks is no disturbance. For a mission, a moment proportional to the flown speed is free as
-well, one number more: air causes a moment on every aircraft that moves through it, below the
-bandwidth of the loop it is nearly all that the rotors respond to, and few files contain it.
+model lacks is no disturbance. For a mission, a moment proportional to the flown speed, by the air,
+is free as well.
 
-A weak setpoint has a flat likelihood: the prior remains, and the numbers are not determined. One
-that is correlated with disturbances, as an attitude setpoint in hover, cannot fit all bands with
-one gain and lag, and J rejects it (Sargan, Econometrica 26 (1958); Hansen, Econometrica 50 (1982)).
+A weak setpoint has a flat likelihood: the prior remains. One that is correlated with disturbances
+cannot fit all bands with one gain and lag, and J rejects it (Sargan, Econometrica 26 (1958);
+Hansen, Econometrica 50 (1982)).
+
 In order of trust: the velocity setpoint of a mission or pilot; the attitude setpoint; the
 prediction of other flights of the same mission, aligned in time; below 0.3 Hz, for a flight with
 deliberate travel, the flown speed, which determines the aerodynamic moment and no gain. The rate
@@ -53,15 +53,12 @@ from .setpoints import SOURCES, flown_across, lifts, turns
 from .spectrum import BANDS_HZ, Flights, transformed
 
 F_LEAST = {"mission": 3.0, "attitude setpoint": 15.0, "other flights": 10.0, "flown speed": 0.0}
-"""Least F statistic of the first stage. Staiger & Stock, Econometrica 65 (1997), require 10, where
-intervals are those of a normal distribution; these are not. Simulated hover of 36 s has 7 to 11."""
+"""Least F statistic of the first stage: Staiger & Stock, Econometrica 65 (1997)."""
 SLOWEST = 2
-"""First band in which a setpoint rotates the aircraft: from 0.3 Hz. Below, rotation needs a
-thousandth of the aerodynamic moment, and wind dominates except for a mission."""
+"""First band in which a setpoint rotates the aircraft, from 0.3 Hz: below, wind dominates."""
 IN_STEP = "flown speed"
-"""Instrument that is used in the lowest band only, in phase, like the speed of a mission: for a
-moment in phase with it. The rotation common to a disturbance and the speed that it causes is in
-quadrature."""
+"""Instrument that is used in the lowest band only, for a moment in phase with it: the rotation
+common to a disturbance and the speed that it causes is in quadrature."""
 MOVED = frozenset({"mission", IN_STEP})
 """Instruments whose last column is a speed; their test leaves a moment proportional to the flown
 speed free."""
@@ -74,26 +71,21 @@ LAGS_S = 0.0, -0.06, -0.03, -0.015, 0.015, 0.03, 0.06
 CHANCE = {"mission": 0.005, "attitude setpoint": 0.05, "other flights": 0.05, "flown speed": 0.005}
 """Least p-value of the overidentification test."""
 TESTED = {"mission": 1, "attitude setpoint": 4, "other flights": 4, "flown speed": 0}
-"""Degrees of freedom of the test over all flights, below which it cannot reject: in two bands of
-one flight an attitude setpoint fits a gain and a delay in any case."""
+"""Degrees of freedom of the test over all flights, below which it cannot reject."""
 ANSWERED = 3
-"""First band in which a lag of commands changes specific force by more than gusts do: from 0.8
-Hz."""
+"""First band in which a lag of commands outweighs gusts in specific force: from 0.8 Hz."""
 FOLLOWED = {"mission": 0.0, "attitude setpoint": 0.15, "other flights": 0.0, "flown speed": 0.15}
-"""Share of the power of a disturbance with which an instrument may be correlated. In simulated
-loops an attitude setpoint in hover shares 0.06 to 0.33 with the moment from 0.3 to 4.5 Hz, on a
-tour 0.01; two bands do not decide which it is, and F grows with the length of either."""
+"""Share of the power of a disturbance with which an instrument may be correlated. Measured in
+simulated loops: 0.06 to 0.33 in hover, 0.01 on a tour."""
 UNEVEN = 1.2
-"""Power of a disturbance along a mission over that across it: both are larger at the lower end of a
-band. In simulated tours, 0.3 to 10 Hz: 1.0 to 1.4."""
+"""Power of a disturbance along a mission over that across it. Measured in simulated tours, 0.3 to
+10 Hz: 1.0 to 1.4."""
 BLOCK = 32
 """Block size of LAPACK's reflectors, columns."""
 ALIKE = 1.25
-"""Factor up to which two values of trust count as equal: J is not known more accurately. Made
-up."""
+"""Factor up to which two values of trust count as equal. Made up."""
 INEXACT = 0.1
-"""Relative amplitude error of laws before anything is fitted: of the measured amplitude, or for a
-speed setpoint of the predicted one, if that is larger. Made up."""
+"""Relative amplitude error of laws before anything is fitted. Made up."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -347,8 +347,7 @@ LEFT = "it leaves much of what its law should take"
 UNKNOWN_CONSTANT = 1e6
 """Standard deviation of an unrestricted constant, in the unit of any channel."""
 DAYS_SHOWN = 3
-"""Number of flights from which on their day-to-day variation is reported: two give a single
-difference."""
+"""Number of flights from which on their day-to-day variation is reported."""
 MANY = 4
 """Number of effects that an approximately right model may lack."""
 

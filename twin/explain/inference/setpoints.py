@@ -18,9 +18,8 @@ FEWEST = 50
 ALIKE = 0.8
 """Correlation of velocities from which on two flights belong to one mission. Made up."""
 SLOW_HZ, SLOWEST_WAY_M_S = 0.8, 0.25
-"""Frequency below which, and standard deviation from which, speeds belong to deliberate travel: in
-hover disturbances move a Crazyflie by 0.05 m/s, an aircraft of 18 kg in 4 m/s of wind by 0.1 to
-0.3."""
+"""Frequency below which, and standard deviation from which, speeds belong to deliberate travel. In
+hover disturbances move aircraft by 0.05 to 0.3 m/s."""
 SHARPEST = 0.3, 6.0
 """Cut-off of the low-pass of a setpoint before differentiation: share of its sample rate, and upper
 limit in Hz."""

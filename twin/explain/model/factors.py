@@ -306,16 +306,11 @@ def _older(sensor: Component, rows: Array, position_s: float, attitude_s: float)
 
 Sampled = Callable[[Array], Array]
 POSE_PASSES = 2
-"""Number of passes of a pose's prediction through the low-pass. Its differentiated noise grows with
-frequency; the rest above half of `CHANNEL_HZ` is aliased when the channel is decimated. Together
-with the low frequencies this makes the likelihood a comb over the age of the pose, with one tooth
-every 20 ms: 45 nats high on NanoBench's helix, with fits ending in any tooth. For a synthetic burst
-it is 260 nats with one pass and all bands, 45 with one pass and the bands below `OF_POSE_HZ`, 6
-with two passes and these.
-"""
+"""Number of passes of a pose's prediction through the low-pass: its differentiated noise above half
+of `CHANNEL_HZ` is aliased when the channel is decimated, and the likelihood then a comb over the
+age of the pose."""
 AGE_S = 0.1
-"""Time before the end of a pose that is not compared, s: with a delayed pose, later motion is
-unknown."""
+"""Time before the end of a pose that is not compared, s: of a delayed pose it is unknown."""
 
 
 def pose_factors(context: FlightContext, force: Array) -> list[SensorFactor]:
@@ -420,7 +415,7 @@ SHARE_OF_RATE = 0.2
 """Bandwidth of a signal that is differentiated once, as a share of its sample rate."""
 DERIVED_BAND_HZ = 1.0
 """Bandwidth of the angular acceleration of an attitude derived from the force, Hz: a fifth of the
-force's bandwidth, so that the force's low-pass has no influence."""
+force's."""
 
 
 def motion_factors(context: FlightContext, missing: Collection[str]) -> list[SensorFactor]:

@@ -70,8 +70,7 @@ SLOPES_AT_ONCE = 8
 RECENT = 2
 """Predictions per flight that are cached: slopes are requested where a residual was."""
 BEND_S = 0.02
-"""Step of second differences of time-averaged signals, s: it suppresses vibration and is accurate
-to 5 % at the band of the pose."""
+"""Step of second differences of time-averaged signals, s: accurate to 5 % at the pose's band."""
 
 
 def missing_imu_signals(flights: Sequence[Flight]) -> tuple[str, ...]:
@@ -376,9 +375,7 @@ class FlightModel:
         """Slope by the variance of a time average in the pose: the signal before averaging is the
         average minus half the variance times its second derivative.
 
-        Computed from the gyroscope, like every slope here: the twice differentiated noise of the
-        attitude would dominate. Gyroscope noise, also in the residual, slightly biases the average
-        where the vehicle hardly rotates.
+        Computed from the gyroscope: the twice differentiated noise of the attitude would dominate.
         """
         turning, signals = self.factors[k].turning, set(self.numbers[i].averages)
         if turning is None:

@@ -253,11 +253,8 @@ def _line_power(
 def find_noise_level(
     model: Model, effect: Effect, settings: StochasticSettings = DEFAULT.stochastic
 ) -> StochasticEffect | None:
-    """White noise of sensors compared with the vehicle file.
-
-    A noise level is the standard deviation of one reading at the rate of the log; the file must
-    include any averaging in the sensor.
-    """
+    """White noise of sensors compared with the vehicle file: the standard deviation of one reading
+    at the rate of the log."""
     observable_as, own = effect.observable_as, settings.noise_level
     assert isinstance(observable_as, NoiseFloor)
     noisy = [s for s in SENSORS if s.signal in observable_as.further]

@@ -7,13 +7,10 @@
 | Lines | lines at rotor or constant frequencies | level over the neighbouring frequencies |
 | RandomForce | slow part of the accelerometer | no function of motion, falls with frequency |
 
-Every decision uses a ratio and its scatter without the effect: against the noise of the vehicle
-file, the smoothness of a spectrum, or motion that models do not reproduce exactly.
-
 Noise changes the last bit of a reading at nearly every sample. A reading that repeats exactly for a
-long time is stuck, unless there is another reason: nothing moves, the sensor is slower than the
-table, its resolution is coarse, or the column was never measured. Each of these also appears in the
-other axes of the sensor, or in the reading at other times.
+long time is stuck, unless nothing moves, the sensor is slower than the table, its resolution is
+coarse, or the column was never measured: these also appear in the other axes of the sensor, or in
+the reading at other times.
 
 Gusts are sought in the low-frequency part of the accelerometer residuals, after a regression on a
 smooth function of the measured motion.
@@ -84,11 +81,7 @@ def stuck_channels(
 
 
 def without_stuck(flight: Flight, stuck: Sequence[Stuck]) -> Flight:
-    """The flight with the sensor unknown (NaN) while one of its axes is stuck.
-
-    All axes are removed, since the flight table samples whole vectors. A sensor stuck from the
-    start is removed completely.
-    """
+    """The flight with all axes of a sensor unknown (NaN) while one of them is stuck."""
     own = [s for s in stuck if s.flight == flight.name]
     if not own:
         return flight
@@ -102,10 +95,8 @@ def without_stuck(flight: Flight, stuck: Sequence[Stuck]) -> Flight:
 
 
 def stuck_numbers(stuck: Sequence[Stuck], effect: Effect) -> Mapping[str, float]:
-    """Numbers of the effect, "effect.number" -> value; empty where none of its channels is stuck.
-
-    The effect describes one channel stuck to the end: the one stuck for longest.
-    """
+    """Numbers of the effect, "effect.number" -> value, for the channel that is stuck for longest to
+    the end; empty where none is."""
     observable_as = effect.observable_as
     assert isinstance(observable_as, Repeats)
     own = [s for s in stuck if s.channel in observable_as.channels and s.to_the_end]
@@ -235,11 +226,9 @@ def find_stuck(
 SLOW_HZ = 10.0
 """Sample rate of the low-frequency part, Hz."""
 LAG_S = 0.2
-"""Lag at which the force is correlated with itself to estimate its time constant, s; by
-judgement."""
+"""Lag of the autocorrelation that gives the time constant of the force, s; by judgement."""
 SMALLEST_DRAG_1_S = 0.02
-"""Drag coefficient, 1/s, below which a model has practically no drag through which a gust could
-act; a twelfth of the usual one."""
+"""Drag coefficient, 1/s, below which a gust hardly acts; a twelfth of the usual one."""
 RIDGES = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 """Prior variances of a coefficient that are tried, in units of the noise of one sample."""
 
@@ -377,8 +366,7 @@ def left_over(
 
 
 NO_NOISE = 1e-8
-"""Smallest density that is considered, (m/s2)^2/Hz: 0.5 mm/s2 at 50 Hz, the rounding of a
-simulator."""
+"""Smallest density, (m/s2)^2/Hz: 0.5 mm/s2 at 50 Hz, the rounding of a simulator."""
 
 
 def find_gust(
