@@ -379,34 +379,47 @@ def balance_of(trim: Trim, normal: Normal, sure: float) -> Balance:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Component:
-    """One size class of a cause: its log prior, columns of the slopes, and the normal prior of
-    these numbers, mean, shape (k,), and covariance, shape (k, k)."""
-
-    log_weight: float
-    columns: tuple[int, ...]
-    mean: Array
-    covariance: Array
-
-
 Key = tuple[str, tuple[int, ...]]
+"""A cause, and the affected rotors, from 1."""
+Part = tuple[float, Array, Array]
+"""A size class of a cause: log prior, mean, (k,), and covariance of its k numbers, (k, k)."""
 
 
 class _Competition:
-    """All possible causes of a change of one aircraft's balance."""
+    """All possible causes of a change of one aircraft's balance.
+
+    Each of m size classes is a normal prior of all numbers of the trim, 0 where its cause has none,
+    and is combined with each of f noises.
+    """
 
     def __init__(self, trim: Trim, normal: Normal) -> None:
-        self._slopes, self._at = trim.slopes, {n: i for i, n in enumerate(trim.numbers)}
+        self._slopes, self._names = trim.slopes, trim.numbers
+        self._at = {n: i for i, n in enumerate(trim.numbers)}
         self._normal, self._rotors = normal, len(normal.hubs_m)
         self._rows = rows_of_balance(trim.channels)
         self._unit = self._units()
-        self._noises = self._noise(trim.channels, len(trim.means), normal.flights)
-        self._components = {key: tuple(parts) for key, parts in self._causes()}
-        self._prior: list[Array] = []
-        self._gains: list[Array] = []
-        self._left: list[Array] = []
-        self._prepare()
+        causes = [*self._causes()]
+        self._columns = {key: columns for key, columns, _ in causes}
+        parts = [(k, columns, *p) for k, (_, columns, own) in enumerate(causes) for p in own]
+        self._prior = np.zeros((len(parts), len(trim.numbers)))
+        spread = np.zeros((*self._prior.shape, len(trim.numbers)))
+        for row, square, (_, columns, _, mean, covariance) in zip(
+            self._prior, spread, parts, strict=True
+        ):
+            row[[*columns]], square[np.ix_(columns, columns)] = mean, covariance
+        weights, self._noises = self._noise(trim.channels, len(trim.means), normal.flights)
+        self._likeliest = int(np.argmax(weights))
+        carried = self._slopes @ spread
+        total = (carried @ self._slopes.T)[:, None] + self._noises
+        self._owner = np.array([k for k, *_ in parts])
+        self._means = self._prior @ self._slopes.T
+        self._roots = np.linalg.inv(np.linalg.cholesky(total))  # whitening, shape (m, f, c, c)
+        determinants = np.log(np.diagonal(self._roots, axis1=2, axis2=3)).sum(axis=2)
+        self._logs = np.array([p[2] for p in parts])[:, None] + weights + determinants
+        precision = np.swapaxes(self._roots, 2, 3) @ self._roots
+        self._gains = np.swapaxes(carried, 1, 2)[:, None] @ precision  # Kalman, (m, f, k, c)
+        prior = np.diagonal(spread, axis1=1, axis2=2)[:, None]
+        self._left = prior - np.einsum("mfkc,mck->mfk", self._gains, carried)
 
     def _units(self) -> Array:
         """Weight, weight times arm about x and y, and total reaction torque, in the units of the
@@ -430,8 +443,9 @@ class _Competition:
         """Column of each rotor's loss."""
         return tuple(self._at[f"{ROTORS}.loss_{i + 1}"] for i in range(self._rotors))
 
-    def _noise(self, channels: Sequence[str], n: int, before: int) -> list[tuple[float, Array]]:
-        """Log weight and covariance of the noise of a change, for each factor on days."""
+    def _noise(self, channels: Sequence[str], n: int, before: int) -> tuple[Array, Array]:
+        """Log weight, shape (f,), and covariance of the noise of a change, shape (f, c, c), for
+        each factor on days."""
         day, session = DAY[self._rows] * self._unit, SESSION[self._rows] * self._unit
         spread = np.array([self._normal.scatter.get(c, np.nan) for c in channels])
         seen = np.isfinite(spread) & (before > 1)
@@ -441,124 +455,79 @@ class _Competition:
             logs.append(
                 -0.5 * math.log(f) ** 2 - (before - 1) * float(np.sum(math.log(f) + 0.5 * ratio**2))
             )
-        logs = np.array(logs) - logsumexp(logs)
-        share = 1 / n + 1 / before
-        return [
-            (float(w), np.diag((f * day) ** 2 * share + session**2) + self._normal.disturbed)
-            for f, w in zip(FACTORS, logs, strict=True)
-        ]
+        share, fixed = 1 / n + 1 / before, np.diag(session**2) + self._normal.disturbed
+        noises = [np.diag((f * day) ** 2 * share) + fixed for f in FACTORS]
+        return np.array(logs) - logsumexp(logs), np.array(noises)
 
-    def _causes(self) -> Iterator[tuple[Key, list[_Component]]]:
-        """Hypotheses with their size classes."""
+    def _causes(self) -> Iterator[tuple[Key, tuple[int, ...], list[Part]]]:
+        """Causes, columns of their numbers, and their size classes."""
         n = self._rotors
-        yield (NOTHING, ()), [_Component(0.0, (), np.zeros(0), np.zeros((0, 0)))]
+        yield (NOTHING, ()), (), [(0.0, np.zeros(0), np.zeros((0, 0)))]
         for count in (1, 2):
-            odds = LOG_ODDS + (count - 1) * SECOND_ROTOR
-            odds -= math.log(math.comb(n, count))
+            odds = LOG_ODDS + (count - 1) * SECOND_ROTOR - math.log(math.comb(n, count))
+            sizes = [
+                (odds + math.log(p), np.full(count, m), s**2 * np.eye(count)) for m, s, p in SIZES
+            ]
             for rotors in combinations(range(n), count):
                 columns = tuple(self._losses[i] for i in rotors)
-                yield (
-                    (ROTORS, tuple(i + 1 for i in rotors)),
-                    [
-                        _Component(
-                            odds + math.log(p), columns, np.full(count, m), s**2 * np.eye(count)
-                        )
-                        for m, s, p in SIZES
-                    ],
-                )
-        yield (LOAD, ()), list(self._loads())
+                yield (ROTORS, tuple(i + 1 for i in rotors)), columns, sizes
+        names = ("mass_kg", *(f"moment_{a}_kg_m" for a in "xyz"))
+        yield (LOAD, ()), tuple(self._at[f"{LOAD}.{name}"] for name in names), [*self._loads()]
 
-    def _loads(self) -> Iterator[_Component]:
+    def _loads(self) -> Iterator[Part]:
         """A load in the centre, at a hub, or anywhere, with equal probability; at a hub half as
         heavy as a loss of the same share: one rotor carries a fraction of the weight."""
         v = self._normal
-        names = ("mass_kg", *(f"moment_{a}_kg_m" for a in "xyz"))
-        columns = tuple(self._at[f"{LOAD}.{name}"] for name in names)
         for m, s, p in SIZES:
             odds = LOG_ODDS + math.log(p / 3)
             mass, sd, away = m * v.mass_kg, s * v.mass_kg, m * v.mass_kg * REACH * v.arm_m
             for spread in (0.0, away):
-                means, deviations = np.array([mass, 0, 0, 0]), np.array([sd, *[spread] * 3])
-                yield _Component(odds, columns, means, np.diag(deviations**2))
-            hubs = v.hubs_m
-            for x, y, _ in hubs:
+                deviations = np.array([sd, *[spread] * 3])
+                yield odds, np.array([mass, 0, 0, 0]), np.diag(deviations**2)
+            for x, y, _ in v.hubs_m:
                 way = np.array([0.5, 0.5 * x, 0.5 * y, 0.0])
-                spread_at = sd**2 * np.outer(way, way)
-                yield _Component(odds - math.log(len(hubs)), columns, mass * way, spread_at)
-
-    def _prepare(self) -> None:
-        """Precompute, for each size of each cause and each noise, the distribution of the change
-        (index of the cause, log weight with the normalisation, mean, whitening matrix), and that of
-        the numbers given it (prior mean, Kalman gain, posterior covariance)."""
-        owner, logs, means, roots = [], [], [], []
-        for k, parts in enumerate(self._components.values()):
-            prior, gains, left = [], [], []
-            for part in parts:
-                slopes = self._slopes[:, part.columns]
-                carried = slopes @ part.covariance
-                for weight, noise in self._noises:
-                    root = np.linalg.inv(np.linalg.cholesky(carried @ slopes.T + noise))
-                    gain = carried.T @ root.T @ root
-                    owner.append(k)
-                    logs.append(part.log_weight + weight + float(np.sum(np.log(np.diag(root)))))
-                    means.append(slopes @ part.mean)
-                    roots.append(root)
-                    prior.append(part.mean)
-                    gains.append(gain)
-                    left.append(np.diag(part.covariance - gain @ carried))
-            self._prior.append(np.array(prior))
-            self._gains.append(np.array(gains))
-            self._left.append(np.array(left))
-        self._owner, self._logs = np.array(owner), np.array(logs)
-        self._means, self._roots = np.array(means), np.array(roots)
+                yield odds - math.log(len(v.hubs_m)), mass * way, sd**2 * np.outer(way, way)
 
     def _log_evidence(self, change: Array) -> tuple[Array, Array]:
-        """Log evidence of each cause, and of each size of it and noise, up to a common constant."""
-        white = np.einsum("kij,kj->ki", self._roots, change - self._means)
-        each = self._logs - 0.5 * np.sum(white**2, axis=1)
-        count = len(self._components)
+        """Log evidence of each cause, and of each size of it and noise, shape (m, f), up to a
+        common constant."""
+        white = np.einsum("mfij,mj->mfi", self._roots, change - self._means)
+        each = self._logs - 0.5 * np.sum(white**2, axis=2)
+        count = len(self._columns)
         return np.array([logsumexp(each[self._owner == k]) for k in range(count)]), each
 
     def weigh(self, change: Array, shaken: float | None = None) -> list[Hypothesis]:
         """Posterior of all causes, given the change of the means, shape (channels,), and of the log
         amplitude of vibration, where known."""
         evidence, each = self._log_evidence(change)
-        found = {
-            key: (float(evidence[k]), *self._posterior(change, k, each[self._owner == k]))
-            for k, key in enumerate(self._components)
-        }
-        logs = {key: log + _log_shaking(key[0], shaken) for key, (log, _, _) in found.items()}
-        columns = {key: parts[0].columns for key, parts in self._components.items()}
-        if shaken is not None:
-            key = VIBRATION, ()
-            quiet = found[NOTHING, ()]
-            found[key], columns[key] = quiet, ()
-            logs[key] = quiet[0] + LOG_ODDS + SECOND_ROTOR + _log_shaking(VIBRATION, shaken)
-        total = logsumexp(list(logs.values()))
-        names = {i: n for n, i in self._at.items()}
-        return [
-            Hypothesis(
-                cause,
-                rotors,
-                float(np.exp(logs[cause, rotors] - total)),
-                dict(zip([names[i] for i in columns[cause, rotors]], mean.tolist(), strict=True)),
-                dict(zip([names[i] for i in columns[cause, rotors]], sd.tolist(), strict=True)),
+        made = [
+            (key, log + _log_shaking(key[0], shaken), *self._numbers(change, k, columns, each))
+            for k, ((key, columns), log) in enumerate(
+                zip(self._columns.items(), evidence, strict=True)
             )
-            for (cause, rotors), (_, mean, sd) in found.items()
+        ]
+        if shaken is not None:
+            log = float(evidence[0]) + LOG_ODDS + SECOND_ROTOR + _log_shaking(VIBRATION, shaken)
+            made.append(((VIBRATION, ()), log, {}, {}))
+        total = logsumexp([log for _, log, *_ in made])
+        return [
+            Hypothesis(*key, float(np.exp(log - total)), mean, sd) for key, log, mean, sd in made
         ]
 
-    def _posterior(self, change: Array, k: int, logs: Array) -> tuple[Array, Array]:
+    def _numbers(
+        self, change: Array, k: int, columns: Sequence[int], each: Array
+    ) -> tuple[dict[str, float], dict[str, float]]:
         """Posterior mean and standard deviation of the numbers of a cause, given the log evidence
-        of its parts."""
-        inside = self._owner == k
-        left = change - self._means[inside]
-        means = np.array(
-            [m + g @ e for m, g, e in zip(self._prior[k], self._gains[k], left, strict=True)]
-        )
-        share = np.exp(logs - logsumexp(logs))
-        mean = share @ means
-        variance = share @ (self._left[k] + means**2) - mean**2
-        return mean, np.sqrt(np.maximum(variance, 0.0))
+        of each of its parts."""
+        own = self._owner == k
+        left = change - self._means[own]
+        means = self._prior[own, None] + np.einsum("mfkc,mc->mfk", self._gains[own], left)
+        share = np.exp(each[own] - logsumexp(each[own]))
+        mean = np.einsum("mf,mfk->k", share, means)
+        square = np.einsum("mf,mfk->k", share, self._left[own] + means**2)
+        sd = np.sqrt(np.maximum(square - mean**2, 0.0))
+        at_mean, at_sd = ({self._names[i]: float(v[i]) for i in columns} for v in (mean, sd))
+        return at_mean, at_sd
 
     def smallest(self, cause: str, sure: float) -> Detectable:
         """The smallest change, at the least visible rotor or position (a hub or the centre of
@@ -572,7 +541,7 @@ class _Competition:
             places = [(0.0, 0.0), *hubs[:, :2].tolist()]
             ways = [self._slopes[:, at] @ np.array([1.0, x, y]) for x, y in places]
             name, unit, most = f"{LOAD}.mass_kg", "kg", v.mass_kg
-        noise = max(self._noises, key=lambda item: item[0])[1]
+        noise = self._noises[self._likeliest]
 
         def quiet(size: float, way: Array) -> float:
             """Log odds of no change at a noise-free one, over those where a change is reported."""
