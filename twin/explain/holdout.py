@@ -354,82 +354,70 @@ class Place:
 def localize(model: Model, values: Mapping[str, float], floors: Mapping[str, float]) -> list[Place]:
     """Places where residuals of the nominal model are highest above their noise floor, the worst
     first; channels without one are omitted. `values`: numbers of the named effects."""
-    before, after = model.channels([]), model.channels([], values)
-    known = [{k: q.values for k, q in quantities(f).items()} for f in model.flights]
+    before, after = (zip(*model.channels([], v), strict=True) for v in ({}, values))
+    known = [quantities(f) for f in model.flights]
+    shared = [k for k in DEPENDS if all(k in own for own in known)]
     found = []
-    for i, channel in enumerate(before[0]):
-        if channel.name not in floors:
+    for own, with_effects in zip(before, after, strict=True):
+        if own[0].name not in floors:
             continue
-        parts = [
-            _rows(flight, own, b[i], a[i])
-            for flight, own, b, a in zip(model.flights, known, before, after, strict=True)
-        ]
-        phase = np.concatenate([p.phase for p in parts])
-        for name in np.unique(phase):
-            if np.sum(phase == name) >= FEWEST_SAMPLES:
-                found.append(_place(channel, str(name), parts, floors[channel.name]))
+        rows = [_rows(f, c) for f, c in zip(model.flights, own, strict=True)]
+        phases = [f.aligned.phases[r] for f, r in zip(model.flights, rows, strict=True)]
+        residual, left = (
+            np.concatenate([c.residual for c in some]) for some in (own, with_effects)
+        )
+        goes = {
+            DEPENDS[k]: np.concatenate([q[k].values[r] for q, r in zip(known, rows, strict=True)])
+            for k in shared
+        }
+        every, floor = np.concatenate(phases), floors[own[0].name]
+        for phase in np.unique(every).tolist():
+            inside = every == phase
+            if np.sum(inside) < FEWEST_SAMPLES:
+                continue
+            power = float(np.mean(residual[inside] ** 2))
+            found.append(
+                Place(
+                    channel=own[0].name,
+                    phase=phase,
+                    unit=own[0].unit,
+                    n=int(np.sum(inside)),
+                    rms=power**0.5,
+                    over_floor=power**0.5 / floor if floor > 0 else np.inf,
+                    explained=1 - float(np.mean(left[inside] ** 2)) / power if power > 0 else 0.0,
+                    band_hz=_band(own, [p == phase for p in phases]),
+                    goes_with=_goes_with({k: v[inside] for k, v in goes.items()}, residual[inside]),
+                )
+            )
     found = [p for p in found if p.over_floor > ABOVE_FLOOR]
     return sorted(found, key=lambda p: -p.over_floor)[:MOST]
 
 
-@dataclass(frozen=True, slots=True)
-class _Rows:
-    """Samples of one channel of one flight."""
-
-    t_s: Array
-    phase: NDArray[np.str_]
-    before: Array
-    after: Array
-    quantities: Mapping[str, Array]
+def _rows(flight: FlightModel, channel: ChannelData) -> NDArray[np.intp]:
+    """Grid points of the samples of a channel."""
+    at: NDArray[np.float64] = np.rint((channel.t_s - flight.aligned.inputs.t_s[0]) * GRID_HZ)
+    return at.astype(np.intp)
 
 
-def _rows(
-    flight: FlightModel, known: Mapping[str, Array], before: ChannelData, after: ChannelData
-) -> _Rows:
-    grid = flight.aligned.inputs.t_s
-    rows = np.rint((before.t_s - grid[0]) * GRID_HZ).astype(np.intp)
-    own = {said: known[k][rows] for k, said in DEPENDS.items() if k in known}
-    return _Rows(before.t_s, flight.aligned.phases[rows], before.residual, after.residual, own)
-
-
-def _place(channel: ChannelData, phase: str, parts: list[_Rows], floor: float) -> Place:
-    masks = [p.phase == phase for p in parts]
-    before = np.concatenate([p.before[m] for p, m in zip(parts, masks, strict=True)])
-    after = np.concatenate([p.after[m] for p, m in zip(parts, masks, strict=True)])
-    power = float(np.mean(before**2))
-    return Place(
-        channel=channel.name,
-        phase=phase,
-        unit=channel.unit,
-        n=len(before),
-        rms=power**0.5,
-        over_floor=power**0.5 / floor if floor > 0 else np.inf,
-        explained=1 - float(np.mean(after**2)) / power if power > 0 else 0.0,
-        band_hz=_band(parts, masks),
-        goes_with=_goes_with(parts, masks, before),
-    )
-
-
-def _band(parts: list[_Rows], masks: list[NDArray[np.bool_]]) -> tuple[float, float]:
+def _band(
+    flights: Sequence[ChannelData], masks: Sequence[NDArray[np.bool_]]
+) -> tuple[float, float]:
     """Frequency band with most of the power; the mean belongs to the slowest."""
     power = np.zeros(len(BANDS_HZ))
-    for part, mask in zip(parts, masks, strict=True):
-        values = part.before[mask]
-        density = spectrum(part.t_s[mask], values)
+    for channel, mask in zip(flights, masks, strict=True):
+        values = channel.residual[mask]
+        density = spectrum(channel.t_s[mask], values)
         rms = np.array([density.band_rms(low, high) for low, high in BANDS_HZ])
         power += len(values) * np.nan_to_num(rms) ** 2
         power[0] += len(values) * float(np.mean(values)) ** 2 if len(values) else 0.0
     return BANDS_HZ[int(np.argmax(power))]
 
 
-def _goes_with(
-    parts: list[_Rows], masks: list[NDArray[np.bool_]], residual: Array
-) -> tuple[str, float] | None:
+def _goes_with(known: Mapping[str, Array], residual: Array) -> tuple[str, float] | None:
     """Quantity over which a curve explains most of the residual, about its mean."""
     about = residual - residual.mean()
     power, best = float(about @ about), ("", LEAST_EXPLAINED)
-    for name in set.intersection(*(set(p.quantities) for p in parts)):
-        x = np.concatenate([p.quantities[name][m] for p, m in zip(parts, masks, strict=True)])
+    for name, x in known.items():
         if not np.all(np.isfinite(x)) or np.ptp(x) == 0 or power == 0:
             continue
         edges = np.quantile(x, np.linspace(0, 1, BINS + 1)[1:-1])
@@ -509,8 +497,7 @@ def _phases(
     i = next(i for i, c in enumerate(with_all[0]) if c.name == name)
     phase, change = [], []
     for flight, a, b in zip(model.flights, without, with_all, strict=True):
-        t0 = flight.aligned.inputs.t_s[0]
-        phase.append(flight.aligned.phases[np.rint((a[i].t_s - t0) * GRID_HZ).astype(np.intp)])
+        phase.append(flight.aligned.phases[_rows(flight, a[i])])
         change.append(a[i].residual - b[i].residual)
     names, values = np.concatenate(phase), np.concatenate(change)
     size = {str(p): float(np.sqrt(np.mean(values[names == p] ** 2))) for p in np.unique(names)}
