@@ -10,6 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import periodogram
 
 from ..physics.sensors.table import BODY, SENSORS, sensor_of
 from ..residuals.channels import CHANNEL_HZ, Array, ChannelData
@@ -211,10 +212,8 @@ def _power(pieces: Sequence[Array], below_hz: float) -> float:
 
 def _spectrum(values: Array) -> tuple[Array, Array]:
     """Frequencies, Hz, and the power at each; its sum is that of the values (Parseval)."""
-    power: Array = np.abs(np.fft.rfft(values)).astype(np.float64) ** 2 / len(values)
-    power[1 : (len(values) + 1) // 2] *= 2
-    hz: Array = np.fft.rfftfreq(len(values), 1 / CHANNEL_HZ).astype(np.float64)
-    return hz, power
+    hz, power = periodogram(values, CHANNEL_HZ, detrend=False, scaling="spectrum")
+    return hz, power * len(values)
 
 
 def _sum_of(made: Sequence[tuple[str, float, str]], unit: str) -> str:
