@@ -1,7 +1,9 @@
-"""A small builder of ONNX graphs: operators as calls, constants as arrays, reproducible bytes."""
+"""A small builder of ONNX graphs: operators as Python's own, constants as arrays, reproducible
+bytes."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,80 @@ IR_VERSION = 8
 
 BATCH = "batch"
 """Name of the first axis of every input and output."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Value:
+    """A tensor of a graph; arithmetic adds an operator, and numbers become constants.
+
+    Attributes:
+        graph: Graph of the tensor.
+        name: Name of the tensor in the graph.
+    """
+
+    graph: "Graph"
+    name: str
+
+    def __add__(self, other: "Operand") -> "Value":
+        return self.graph.op("Add", self, other)
+
+    def __sub__(self, other: "Operand") -> "Value":
+        return self.graph.op("Sub", self, other)
+
+    def __mul__(self, other: "Operand") -> "Value":
+        return self.graph.op("Mul", self, other)
+
+    def __truediv__(self, other: "Operand") -> "Value":
+        return self.graph.op("Div", self, other)
+
+    def __matmul__(self, other: "Operand") -> "Value":
+        return self.graph.op("MatMul", self, other)
+
+    def __gt__(self, other: "Operand") -> "Value":
+        return self.graph.op("Greater", self, other)
+
+    def __lt__(self, other: "Operand") -> "Value":
+        return self.graph.op("Less", self, other)
+
+    def __le__(self, other: "Operand") -> "Value":
+        return self.graph.op("LessOrEqual", self, other)
+
+    def clip(self, least: "Operand", most: "Operand") -> "Value":
+        """Elementwise limits, arrays or numbers."""
+        return self.graph.op("Min", self.graph.op("Max", self, least), most)
+
+    def floats(self) -> "Value":
+        """Booleans as numbers."""
+        return self.graph.op("Cast", self, to=TensorProto.FLOAT)
+
+    def sum(self, axis: int, keep: int = 1) -> "Value":
+        """Sum along an axis, which remains with size 1 if `keep`."""
+        return self.graph.op("ReduceSum", self, self.graph.integers(axis), keepdims=keep)
+
+    def largest(self, axis: int) -> "Value":
+        """Largest number along an axis, which remains with size 1."""
+        return self.graph.op("ReduceMax", self, axes=[axis], keepdims=1)
+
+    def columns(self, first: int, last: int) -> "Value":
+        """Places first to last - 1 along axis 1."""
+        ends = (self.graph.integers(n) for n in (first, last, 1))
+        return self.graph.op("Slice", self, *ends)
+
+    def gather(self, *places: int) -> "Value":
+        """Places along axis 1."""
+        return self.graph.op("Gather", self, self.graph.integers(*places), axis=1)
+
+    def reshape(self, *shape: int) -> "Value":
+        """Reshape; 0 keeps the size of an axis, -1 is the remaining size."""
+        return self.graph.op("Reshape", self, self.graph.integers(*shape))
+
+    def transpose(self, *axes: int) -> "Value":
+        """Permute the axes."""
+        return self.graph.op("Transpose", self, perm=list(axes))
+
+
+Operand = Value | ArrayLike
+"""A tensor, or numbers that become a constant: a number has shape (1, 1), a vector is a row."""
 
 
 class Graph:
@@ -39,58 +115,45 @@ class Graph:
         self._inputs: list[onnx.ValueInfoProto] = []
         self._outputs: list[onnx.ValueInfoProto] = []
 
-    def input(self, name: str, width: int) -> str:
+    def input(self, name: str, width: int) -> Value:
         """Add an input of shape (batch, width)."""
         self._inputs.append(self._row(name, width))
-        return name
+        return Value(self, name)
 
-    def output(self, name: str, width: int, kind: str, *inputs: str, **attributes: Any) -> None:
+    def output(self, name: str, width: int, kind: str, *inputs: Operand, **attributes: Any) -> None:
         """Add an operator whose single output, of shape (batch, width), is a named output of the
         graph."""
-        node = helper.make_node(kind, inputs, [name], name=name, **attributes)
-        self._nodes.append(node)
+        given = [self._named(value) for value in inputs]
+        self._nodes.append(helper.make_node(kind, given, [name], name=name, **attributes))
         self._outputs.append(self._row(name, width))
 
-    def floats(self, values: ArrayLike) -> str:
+    def floats(self, values: ArrayLike) -> Value:
         """Add a float32 constant."""
         return self._constant(np.asarray(values, dtype=np.float32))
 
-    def integers(self, *values: int) -> str:
+    def integers(self, *values: int) -> Value:
         """Add a constant vector of int64: sizes, indices, axes."""
         return self._constant(np.asarray(values, dtype=np.int64))
 
-    def op(self, kind: str, *inputs: str, **attributes: Any) -> str:
+    def op(self, kind: str, *inputs: Operand, **attributes: Any) -> Value:
         """Add an operator with one output."""
         return self._node(kind, inputs, 1, attributes)[0]
 
-    def split(self, value: str, sizes: list[int], axis: int) -> list[str]:
-        """Split a tensor along an axis; parts of size 0 are ""."""
-        present = [n for n in sizes if n]
-        if len(present) == 1:
-            parts = iter([value])
-        else:
-            names = self._node(
-                "Split", (value, self.integers(*present)), len(present), {"axis": axis}
-            )
-            parts = iter(names)
-        return [next(parts) if n else "" for n in sizes]
+    def split(self, value: Value, sizes: Sequence[int], axis: int) -> list[Value]:
+        """Split a tensor along an axis into parts of 1 or more."""
+        if len(sizes) == 1:
+            return [value]
+        return self._node("Split", (value, self.integers(*sizes)), len(sizes), {"axis": axis})
 
-    def concat(self, *values: str, axis: int) -> str:
-        """Concatenate tensors; empty names are ignored."""
-        present = [v for v in values if v]
+    def parts(self, row: Value, sizes: Mapping[str, int]) -> dict[str, Value]:
+        """Parts of a row by name, without those of size 0."""
+        present = {name: size for name, size in sizes.items() if size}
+        return dict(zip(present, self.split(row, list(present.values()), 1), strict=True))
+
+    def concat(self, *values: Value | None, axis: int) -> Value:
+        """Concatenate tensors; None is ignored."""
+        present = [v for v in values if v is not None]
         return present[0] if len(present) == 1 else self.op("Concat", *present, axis=axis)
-
-    def columns(self, value: str, first: int, last: int) -> str:
-        """Columns first to last - 1 of a matrix."""
-        return self.op("Slice", value, self.integers(first), self.integers(last), self.integers(1))
-
-    def reshape(self, value: str, *shape: int) -> str:
-        """Reshape a tensor; 0 keeps the size of an axis, -1 is the remaining size."""
-        return self.op("Reshape", value, self.integers(*shape))
-
-    def transpose(self, value: str, *axes: int) -> str:
-        """Transpose a tensor."""
-        return self.op("Transpose", value, perm=list(axes))
 
     @contextmanager
     def scope(self, layer: str) -> Iterator[None]:
@@ -120,20 +183,28 @@ class Graph:
         onnx.checker.check_model(model, full_check=True)
         return model
 
-    def _constant(self, values: NDArray[Any]) -> str:
+    def _named(self, value: Operand) -> str:
+        """Name of a tensor, or of a constant."""
+        if isinstance(value, Value):
+            return value.name
+        array = np.asarray(value)
+        return self.floats(array[None] if array.ndim == 1 else np.atleast_2d(array)).name
+
+    def _constant(self, values: NDArray[Any]) -> Value:
         key = (values.tobytes(), values.dtype.name, values.shape)
         if key not in self._constants:
             self._constants[key] = name = f"constant_{len(self._constants)}"
             self._initializers.append(numpy_helper.from_array(values, name))
-        return self._constants[key]
+        return Value(self, self._constants[key])
 
     def _node(
-        self, kind: str, inputs: tuple[str, ...], outputs: int, attributes: Mapping[str, Any]
-    ) -> list[str]:
+        self, kind: str, inputs: Sequence[Operand], outputs: int, attributes: Mapping[str, Any]
+    ) -> list[Value]:
+        given = [self._named(value) for value in inputs]
         name = ".".join([*self._scope, f"{kind}_{len(self._nodes)}"])
         names = [f"{name}_{i}" for i in range(outputs)]
-        self._nodes.append(helper.make_node(kind, inputs, names, name=name, **attributes))
-        return names
+        self._nodes.append(helper.make_node(kind, given, names, name=name, **attributes))
+        return [Value(self, n) for n in names]
 
     def _row(self, name: str, width: int) -> onnx.ValueInfoProto:
         return helper.make_tensor_value_info(name, TensorProto.FLOAT, [self._batch, width])

@@ -22,7 +22,7 @@ from torch.fx import Node
 from twin.errors import ModelError
 from twin.physics.residual_force import INPUTS, OUTPUTS
 
-from ..export.graph import Graph
+from ..export.graph import Graph, Value
 
 Array = NDArray[np.float64]
 INPUT, OUTPUT = "motion", "accelerations"
@@ -70,7 +70,7 @@ def module_onnx(module: nn.Module) -> onnx.ModelProto:
         **signature.inputs_to_buffers,
         **signature.inputs_to_lifted_tensor_constants,
     }
-    values: dict[str, str] = {}
+    values: dict[str, Value] = {}
     for node in program.graph.nodes:
         if node.op == "call_function":
             values[node.name] = _operator(graph, node, values)
@@ -110,17 +110,17 @@ def _program(module: nn.Module) -> ExportedProgram:
     return program
 
 
-def _operator(graph: Graph, node: Node, values: Mapping[str, str]) -> str:
-    """One operator of ATen in ONNX; returns the name of its result.
+def _operator(graph: Graph, node: Node, values: Mapping[str, Value]) -> Value:
+    """One operator of ATen in ONNX; returns its result.
 
     Args:
         graph: Graph to which it is added.
         node: The operator.
-        values: Names of parameters, and of earlier results.
+        values: Parameters, and earlier results, by name.
     """
 
-    def given(value: Any) -> str:
-        """Name of an argument: a result, a parameter, or a number."""
+    def given(value: Any) -> Value:
+        """An argument: a result, a parameter, or a number."""
         return values[value.name] if isinstance(value, Node) else graph.floats([[float(value)]])
 
     kind, arguments = str(node.target).removeprefix("aten."), list(node.args)

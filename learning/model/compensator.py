@@ -124,38 +124,34 @@ class Compensator(nn.Module):
         return self.info.horizon + lags if lags else 0
 
     @property
-    def readings(self) -> int:
-        """Number of virtual readings in the state, at the times of the past residuals, newest
-        first."""
-        return self.info.horizon + 1 if self.info.protocol == "track" else 0
+    def state_sizes(self) -> dict[str, int]:
+        """Sizes of the parts of the packed state.
 
-    @property
-    def n_offset(self) -> int:
-        """Size of the running means in the state: sums of residuals, of readings, and weights; in
-        `free` sums of linear predictions, and their weight."""
-        return {"track": 3 * len(CHANNELS), "free": len(CHANNELS) + 1}.get(self.info.protocol, 0)
-
-    @property
-    def n_slow(self) -> int:
-        """Size of the low-passed features in the state."""
-        return len(SMOOTHING_S) * len(self.features)
-
-    @property
-    def state_sizes(self) -> tuple[int, ...]:
-        """Sizes of the parts of the packed state: history, running means, readings, 1 once started,
-        innovation ratio of the newest reading of each channel, sizes of the innovations that are
-        not known yet, their sums and weights, slow features, network."""
-        n = len(CHANNELS)
-        past, readings = self.history * n, self.readings * n
-        begun = min(self.readings, 1)
-        innovations = begun * n, self.info.horizon * n, 2 * begun * n
-        cells = self.network.state_size if self.network else 0
-        return past, self.n_offset, readings, begun, *innovations, self.n_slow, cells
+        `past`: residuals, newest first; `means`: in `track` sums of the running means of residuals,
+        of readings, and weights, in `free` sums of linear predictions, and their weight;
+        `readings`: of the twin, at the times of the past residuals; `begun`: 1 once started;
+        `ratios`: innovation ratio of the newest reading of each channel; `sizes` of the innovations
+        that are not known yet; `errors`: their sums and weights; `slow` features; `cells` of the
+        network.
+        """
+        n, ahead, protocol = len(CHANNELS), self.info.horizon, self.info.protocol
+        track = int(protocol == "track")
+        return {
+            "past": self.history * n,
+            "means": {"track": 3 * n, "free": n + 1}.get(protocol, 0),
+            "readings": track * (ahead + 1) * n,
+            "begun": track,
+            "ratios": track * n,
+            "sizes": track * ahead * n,
+            "errors": track * 2 * n,
+            "slow": len(SMOOTHING_S) * len(self.features),
+            "cells": self.network.state_size if self.network else 0,
+        }
 
     @property
     def state_size(self) -> int:
         """Size of the packed state."""
-        return sum(self.state_sizes)
+        return sum(self.state_sizes.values())
 
     def set_scaling(self, scaling: Scaling) -> None:
         """Set scaling and envelope."""
