@@ -1,8 +1,9 @@
 """Disturbance observer of an airframe whose motion is given during a simulation.
 
 From one instant with `restart` to the next the motion drifts from the given one by model errors.
-Six first-order lags attribute the drift to causes, which act from then on and decay once the motion
-is no longer given:
+Six first-order lags attribute the drift to causes. They act as long as the motion is given, so that
+sensors read the acceleration that was flown. With `disturbance.enabled` they act afterwards, too,
+and decay:
 
     along the thrust    a force, which the accelerometer measures
     across the thrust   gravity: the given attitude is tilted, roll and pitch, against the airframe
@@ -49,7 +50,7 @@ meaning."""
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """Learned disturbance; zero while the observer is switched off, shape (3,) each.
+    """Learned disturbance; zero where the twin is alone and the observer is off, shape (3,) each.
 
     Attributes:
         outside: Force, N, and moment, N m, from outside that act, body FRD, shape (6,).
@@ -108,8 +109,7 @@ def followed(
     m.update("restart.before", now)
     alone_s = m.memory("alone", "s", "time since the motion was given")
     m.update("alone", ca.if_else(now, 0.0, alone_s + period))
-    is_given = before > 0.5
-    follows = ca.logic_and(now, is_given)
+    follows = ca.logic_and(now, before > 0.5)
     mass, acts = motion.body.mass, []
     causes = [outside[0] / mass, outside[1] / mass, *outside[2:]]
     drifts = _drift(motion, given)
@@ -127,10 +127,10 @@ def followed(
         later = ca.if_else(follows, there + (said - there) * period / lag, there)
         m.update(f"disturbance.{name}", ca.if_else(now, learned, known * (1 - period / fade)))
         m.update(f"disturbance.outside.{name}", ca.if_else(now, later, there * (1 - period / fade)))
-        acts.append(ca.if_else(on, known - ca.if_else(is_given, 0.0, there), 0.0))
-    nothing, acting = ca.SX(0), ca.if_else(ca.logic_and(on, is_given), 0.0, 1.0)
+        acts.append(ca.if_else(follows, known, ca.if_else(on, known - there, 0.0)))
+    nothing = ca.SX(0)
     return Disturbance(
-        [acting * push for push in outside],
+        [ca.if_else(follows, 0.0, push) for push in outside],
         [nothing, nothing, acts[2]],
         acts[3:],
         [*acts[:2], nothing],
