@@ -75,7 +75,8 @@ class MissionCheck:
     """Result of the missions in random wind that a law had to fly.
 
     Attributes:
-        flights: Number of flights; 0 where no law was chosen.
+        flights: Number of flights; 0 where no law was chosen, or no controller can be designed
+            for the vehicle.
         lost: Missions lost with the law chosen first, among those that are flown without it.
         withdrawn: Laws with which missions were lost, the better first.
         unsteady: Laws with which the twin does not settle in a hover in still air; they were not

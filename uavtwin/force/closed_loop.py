@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from cosim.slave import Slave
 from learning.force.model import ForceModel, MissionCheck
-from twin.errors import FmuError
-from twin.flight.assembly import SENSED, gust_switches
+from twin.errors import FmuError, ModelError
+from twin.flight.assembly import SENSED, flying_twin, gust_switches
 from twin.flight.mission import mission_duration_s
 from twin.frames import AXES
 from twin.physics.residual_force import parameter_values
@@ -201,6 +201,15 @@ def _tracked(fmu: Path, duration_s: float, starts: Mapping[str, float]) -> Missi
     return MissionTrack(float(np.sqrt(np.mean(away**2))), float(away.max()), inside)
 
 
+def controllable(vehicle: Vehicle) -> bool:
+    """Whether a controller can be designed for a vehicle, so that its twin can fly missions."""
+    try:
+        flying_twin(vehicle, HOVER)
+    except ModelError:
+        return False
+    return True
+
+
 def lost_by(
     vehicle: Vehicle, force: LearnedForce, mission: str, airs: Sequence[Mapping[str, float]]
 ) -> Array:
@@ -250,6 +259,8 @@ def flyable(
 ) -> ForceModel:
     """The first law that settles in a hover and loses no mission that is flown without it.
 
+    The best on the flights where no controller can be designed for the vehicle.
+
     Args:
         laws: Laws with the same envelope, the best on the flights first.
         nothing: Law without effect, returned where each of them loses a mission.
@@ -257,6 +268,8 @@ def flyable(
         memory: Results of steps that were done before.
         progress: Called with the share done, 0..1.
     """
+    if not controllable(vehicle):
+        return laws[0]
     airs = random_air(FLIGHTS, nothing.seed)
     missions = [(m, airs[i :: len(MISSIONS)]) for i, m in enumerate(MISSIONS)]
     rests = memory.array("at rest", partial(at_rest, vehicle, laws))

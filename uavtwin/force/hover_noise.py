@@ -32,7 +32,7 @@ from twin.residuals.teacher_forced import GRID_S
 from ..exports.parts import NOISE, LearnedForce, twin
 from ..exports.write import export
 from ..vehicles import Vehicle
-from .closed_loop import HOVER, flown
+from .closed_loop import HOVER, controllable, flown
 
 Array = NDArray[np.float64]
 READINGS = tuple(f"{stem}_{a}" for stem in ("acc", "gyro") for a in AXES)
@@ -189,7 +189,7 @@ def hover_noise(flights: Sequence[Flight], vehicle: Vehicle, force: LearnedForce
     """
     found = [own for f in flights if (own := flight_levels(f, vehicle)) is not None]
     nothing = np.zeros((len(OUTPUTS), len(NOISE_HZ)))
-    if not found:
+    if not found or not controllable(vehicle):
         return nothing
     wanted, middle = wanted_levels(found), np.array(NOISE_HZ)
     noise = np.sqrt(wanted * middle * (_EDGE - 1 / _EDGE))

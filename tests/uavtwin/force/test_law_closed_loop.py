@@ -9,6 +9,7 @@ from learning.force.equations import Equations
 from learning.force.laws import Taught
 from learning.force.model import Acceptance, ForceModel, TrainingFlight
 from learning.force.windows import FlightWindows
+from twin.explain.model.numbers import with_effects
 from twin.physics.residual_force import FEATURES, OUTPUTS, ForceLaw
 from twin.residuals.aligned import components_of
 from twin.vehicle_file import load_vehicle
@@ -90,6 +91,19 @@ def test_what_loses_missions_is_withdrawn_and_what_does_not_stays(
     check = found.closed_loop
     assert (check.unsteady, check.withdrawn) in ((1, 0), (0, 1)), "in still air, or in wind"
     assert (check.lost > 0) == (check.withdrawn > 0) and check.flights == FLIGHTS
+
+
+def test_a_vehicle_that_no_controller_can_fly_gets_the_best_law_of_its_flights(
+    empty: ForceLaw, memory: Memory
+) -> None:
+    """Its thrust hardly rises with the command, so that no controller can invert it."""
+    flat = with_effects(COPTER, ["thrust_curve"], {"thrust_curve.slope": -0.95})
+    laws = [_model(empty, TURNS, ridge=0.1), _model(empty, DRAG, ridge=1.0)]
+    found = flyable(laws, _model(empty), flat, memory, lambda _: None)
+    assert found is laws[0] and found.closed_loop.flights == 0
+    flights = (TrainingFlight("1", ""), TrainingFlight("2", ""))
+    told = replace(found, flights=flights, acceptance=Acceptance(0.5, 0.5, None))
+    assert "no controller can be designed" in _claim(told)
 
 
 @pytest.mark.slow
