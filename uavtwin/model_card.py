@@ -298,7 +298,9 @@ def limits(about: Mapping[str, Any], result: Result | None) -> list[str]:
         if gone := about["closed_loop"]["unsteady"]:
             found.append(f"With {gone} better laws the twin swings in a hover: withdrawn.")
         if about["acceptance"]["refused"]:
-            found.append("Refused: the untrained observer or the last motion needs no law for it.")
+            found.append("Refused: the untrained observer alone is as good.")
+        if (about["acceptance"]["fast"] or 0.0) >= 1:
+            found.append("On fast flights the last motion is closer after half a second.")
         if all(o["law"] == NONE for o in about["outputs"].values()):
             found.append("It has no law: what is shipped is the twin with its observer.")
     shut = [c for c, e in validation_errors(about).items() if e["with_network"] >= e["linear"]]

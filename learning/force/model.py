@@ -100,7 +100,7 @@ class Acceptance:
         over_last_motion: Error of position and velocity over that of constant velocity, after 0.5 s
             of open-loop prediction, geometric mean over flights.
         fast: The same for fast flights; None: there is none.
-        refused: Whether the law is rejected for this reason.
+        refused: Whether the law is rejected, as the observer alone is as good.
     """
 
     over_observer: float | None = None

@@ -60,7 +60,7 @@ ACCEPTED = 0.9
 """Largest allowed median ratio of the error to that of the explained twin with the untrained
 observer, so that the observer's effect is not credited to the law."""
 FAST_M_S = 0.5
-"""Median speed of a flight, m/s, from which on the law must predict better than constant velocity:
+"""Median speed of a flight, m/s, from which on a law should predict better than constant velocity:
 for an aircraft that hardly moves, constant velocity is the best prediction."""
 ATTITUDE = [q for q, _ in QUANTITIES].index("attitude")
 """Index among the quantities."""
@@ -193,8 +193,8 @@ def best(tried: Sequence[RidgeScore]) -> Choice | None:
 
 def accepted(folds: Sequence[Fold], own: Array, without: Array) -> Acceptance:
     """Acceptance test of a law: flights left out must be predicted better than by the explained
-    twin with the untrained observer, and fast ones better than by constant velocity in position and
-    velocity.
+    twin with the untrained observer, which is what remains without a law. Whether they are
+    predicted better than by constant velocity in position and velocity is reported.
 
     Args:
         folds: Folds of the cross-validation.
@@ -209,8 +209,9 @@ def accepted(folds: Sequence[Fold], own: Array, without: Array) -> Acceptance:
     ratios = np.log((own[:, at, :2] + _TINY) / (last[:, at, :2] + _TINY)) / 2
     quick = [f.fast for f in folds]
     fast = float(np.exp(ratios[quick].mean())) if any(quick) else None
-    refused = over_observer > ACCEPTED or (fast is not None and fast >= 1)
-    return Acceptance(over_observer, float(np.exp(ratios.mean())), fast, refused)
+    return Acceptance(
+        over_observer, float(np.exp(ratios.mean())), fast, refused=over_observer > ACCEPTED
+    )
 
 
 def ranked(tried: Sequence[RidgeScore]) -> list[Choice]:

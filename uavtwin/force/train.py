@@ -124,6 +124,8 @@ def _claim(model: ForceModel) -> str:
         )
         own = f"a law of {_parts(model)}, ridge {model.ridge:g}" if model.ridge else "no law"
         law = f"{own}: {law}"
+    if (held.fast or 0.0) >= 1:
+        law += "; on fast flights the last motion is closer"
     if gone.unsteady:
         law += f"; laws with which the twin does not come to rest in a hover: {gone.unsteady}"
     if gone.withdrawn:

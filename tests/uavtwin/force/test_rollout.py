@@ -205,11 +205,11 @@ def _fold(law: float, observer: float, motion: float, fast: bool) -> Fold:
     [
         (0.8, 1.0, 1.0, True, False),
         (0.95, 1.0, 1.0, True, True),
-        (0.8, 1.0, 0.7, True, True),
+        (0.8, 1.0, 0.7, True, False),
         (0.8, 1.0, 0.7, False, False),
     ],
 )
-def test_a_law_has_to_beat_the_observer_and_where_it_is_fast_the_last_motion(
+def test_a_law_has_to_beat_the_observer_and_is_held_against_the_last_motion(
     law: float, observer: float, motion: float, fast: bool, refused: bool
 ) -> None:
     folds = [_fold(law, observer, motion, fast)] * 2
