@@ -163,7 +163,7 @@ def test_a_learned_force_has_one_too(tmp_path: Path) -> None:
     about = {
         **{"protocol": "force", "vehicle": "copter", "vehicle_sha256": "c3", "seed": 0},
         **{"flights": [{"name": "one", "sha256": "b2"}], "outputs": outputs},
-        "acceptance": {"refused": True},
+        "acceptance": {"refused": True, "fast": 1.2},
         "closed_loop": {"flights": 4, "lost": 1, "withdrawn": 2, "unsteady": 1},
     }
     (tmp_path / "force.json").write_text(json.dumps(about))
@@ -183,7 +183,8 @@ def test_a_learned_force_has_one_too(tmp_path: Path) -> None:
     assert [m["value"] for m in result["metrics"]] == [*quantities.values(), *over.values()]
     limits = text.split("## Limits")[1]
     assert "Missions were lost with 2 better laws: withdrawn." in limits
-    assert "Refused: the untrained observer or the last motion needs no law for it." in limits
+    assert "Refused: the untrained observer alone is as good." in limits
+    assert "On fast flights the last motion is closer" in limits
     assert "moment_y linear, ridge 0.3, none" in text
     assert "rates: last motion is off by 0.3, it by 0.4" in limits
     assert "nobody has said" in text and head(text)["license"] == "unknown"
