@@ -31,8 +31,8 @@ from .windows import HORIZONS_S, FlightWindows, apart, turn_slopes
 
 Array = NDArray[np.float64]
 ROBUST = 3.0
-"""Error, relative to that without a law, above which it counts linearly, so that a window with a
-tumbling twin has limited influence."""
+"""Error, relative to the rms of its quantity at its horizon, above which it counts linearly, so
+that a window with a tumbling twin has limited influence."""
 GROWING_S = (0.5, 1.0, 2.0)
 """Longest horizons, in turn, s. With the last two, a law of real_1 leaves of real_2 (RflySimDT,
 ridge 0.1) 0.27 as with the first alone after 0.5 s, and 0.14 and 0.16 after 1 and 2 s in place of
@@ -122,8 +122,10 @@ def fitted(
 ) -> Array:
     """Weights that minimise the error over windows, with equal weight of the flights.
 
-    Errors are relative to those without a law, by flight, horizon and quantity; weights to the size
-    of the residual acceleration, features to their own.
+    Errors are relative to those of the law from which a step begins, by flight, horizon and
+    quantity: what falls is the geometric mean, by which laws are chosen. Relative to those without
+    a law, what a law had reduced to a tenth would hardly count any more. Weights are relative to
+    the size of the residual acceleration, features to their own.
 
     Args:
         equations: Equations of the airframe.
@@ -139,7 +141,8 @@ def fitted(
     weights = np.zeros(_WEIGHTS) if start is None else (start * sizes).ravel()
     free = np.flatnonzero(np.repeat(np.isin(np.arange(len(OUTPUTS)), outputs), len(sizes)))
     for longest_s in GROWING_S if start is None else GROWING_S[-1:]:
-        weights = _improved(_Problem(equations, flights, sizes, ridge, longest_s), weights, free)
+        problem = _Problem(equations, flights, sizes, ridge, longest_s, weights)
+        weights = _improved(problem, weights, free)
     return weights.reshape(len(OUTPUTS), -1) / sizes
 
 
@@ -173,14 +176,15 @@ class _Problem:
         sizes: Array,
         ridge: float,
         longest_s: float,
+        start: Array,
     ) -> None:
         self._equations, self._flights, self._sizes = equations, flights, sizes
         self._longest_s = longest_s
         lacks = np.sqrt(np.mean([np.mean(f.left**2, axis=0) for f in flights], axis=0))
         self._ridge = ridge / np.repeat(np.maximum(lacks, _LEAST) ** 2, len(sizes))
-        nothing = np.zeros((len(OUTPUTS), len(sizes)))
+        per_feature = start.reshape(len(OUTPUTS), -1) / sizes
         self._units = [
-            _cells(rolled(equations, f, nothing, longest_s=longest_s)[0]) for f in flights
+            _cells(rolled(equations, f, per_feature, longest_s=longest_s)[0]) for f in flights
         ]
 
     def cost(self, weights: Array) -> float:
