@@ -45,7 +45,7 @@ def test_every_setting_has_a_half_and_a_double_that_are_allowed() -> None:
         ("inference.evidence.samples", 125.0, 500.0),
         ("inference.likelihood.order", 8, 30),
         ("unnamed.tones_hz", (0.15, 5.0), (0.6, 20.0)),
-        ("stochastic.slow_force.band_hz", (0.05, 1.5), (0.4 / 3, 4.0)),
+        ("stochastic.gust.band_hz", (0.05, 1.5), (0.4 / 3, 4.0)),
     ],
 )
 def test_halves_and_doubles(name: str, half: object, double: object) -> None:

@@ -242,8 +242,8 @@ class VibrationSettings(Group):
 
 
 @dataclass(frozen=True, slots=True)
-class SlowForceSettings(Group):
-    """Settings of `twin.explain.stochastic.search` for the slow random force."""
+class GustSettings(Group):
+    """Settings of `twin.explain.stochastic.search` for gusts."""
 
     band_hz: Annotated[tuple[float, float], 5.0] = (0.1, 3.0)
     """Band of the slow part of the accelerometer residuals, Hz. Made up."""
@@ -258,12 +258,6 @@ class SlowForceSettings(Group):
     floor_hz: Annotated[tuple[float, float], 25.0] = (5.0, 12.0)
     """Band in which the white floor of the 50 Hz channels is read, Hz. Physics: above the slow
     part, and where the low-pass of 18 Hz takes less than a sixth of the power."""
-
-
-@dataclass(frozen=True, slots=True)
-class GustSettings(Group):
-    """Settings of `twin.explain.stochastic.search` for gusts."""
-
     slope_bands_hz: Annotated[tuple[tuple[float, float], ...], 5.0] = (
         (0.15, 0.35),
         (0.4, 0.8),
@@ -308,7 +302,6 @@ class StochasticSettings(Group):
     stuck: StuckSettings = field(default_factory=StuckSettings)
     noise_level: NoiseLevelSettings = field(default_factory=NoiseLevelSettings)
     vibration: VibrationSettings = field(default_factory=VibrationSettings)
-    slow_force: SlowForceSettings = field(default_factory=SlowForceSettings)
     gust: GustSettings = field(default_factory=GustSettings)
 
     __repr__ = short_repr

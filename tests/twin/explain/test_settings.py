@@ -262,7 +262,7 @@ def test_changed_settings_are_told_and_change_the_hash() -> None:
         ("inference.likelihood.huber", math.nan, "finite"),
         ("inference.likelihood.huber", (1.0, 2.0), "as many numbers"),
         ("inference.likelihood.order", 2.5, "whole number"),
-        ("stochastic.slow_force.band_hz", (3.0, 0.1), "do not fall"),
+        ("stochastic.gust.band_hz", (3.0, 0.1), "do not fall"),
         ("selection.sure", 0.9, "no setting 'selection.sure'; is inference.selection.sure meant"),
         ("inference.selection", 0.9, "no setting 'inference.selection'"),
     ],

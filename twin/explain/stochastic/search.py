@@ -35,7 +35,7 @@ from ...residuals.channels import CHANNEL_HZ, GRID_HZ, Array, ChannelData
 from ...vehicle import GRAVITY_M_S2
 from ..model.model import Model
 from ..model.numbers import columns_of
-from ..settings import DEFAULT, SlowForceSettings, StochasticSettings, StuckSettings
+from ..settings import DEFAULT, GustSettings, StochasticSettings, StuckSettings
 from .imu_noise import find_noise_level, find_vibration
 from .spectral import Piece, StochasticEffect, cells_of, level, prior_log_odds
 
@@ -68,15 +68,9 @@ def stuck_channels(
     flight: Flight, settings: StuckSettings = DEFAULT.stochastic.stuck
 ) -> list[Stuck]:
     """All long constant spans of a reading that only a fault explains, in order of time."""
-    found = [
-        stuck
-        for sensor in SENSORS
-        for channel in sensor.columns
-        if flight.has(channel)
-        for stuck in _of_channel(
-            flight, channel, [c for c in sensor.columns if c != channel], settings
-        )
-    ]
+    found = []
+    for channel, sensor in ((c, s.columns) for s in SENSORS for c in s.columns if flight.has(c)):
+        found += _of_channel(flight, channel, [c for c in sensor if c != channel], settings)
     return sorted(found, key=lambda s: (s.from_s, s.channel))
 
 
@@ -258,7 +252,7 @@ def slow_parts(
     aligned: AlignedFlight,
     channels: Sequence[ChannelData],
     winds: Sequence[int],
-    settings: SlowForceSettings = DEFAULT.stochastic.slow_force,
+    settings: GustSettings = DEFAULT.stochastic.gust,
 ) -> list[Slow]:
     """Low-frequency parts of one flight; `winds`: slope columns of a wind north, east, down."""
     acc = [c for c in channels if c.name in ACC]
@@ -339,7 +333,7 @@ def _curves(aligned: AlignedFlight, at: NDArray[np.intp], spin: Array, force: Ar
 
 
 def left_over(
-    pieces: Sequence[Slow], settings: SlowForceSettings = DEFAULT.stochastic.slow_force
+    pieces: Sequence[Slow], settings: GustSettings = DEFAULT.stochastic.gust
 ) -> list[Array]:
     """Residual of each piece after a ridge regression fitted on other time blocks, shape (n, 3)."""
     blocks = [np.floor(p.t_s / settings.fold_s).astype(int) for p in pieces]
@@ -376,24 +370,18 @@ def find_gust(
     settings: StochasticSettings = DEFAULT.stochastic,
 ) -> StochasticEffect | None:
     """A slow random force that no function of the motion and no effect explains."""
-    columns = columns_of(model.numbers, model.effects)
+    own, columns = settings.gust, columns_of(model.numbers, model.effects)
     flights = model.channels(columns, values)
     winds = [k for k, i in enumerate(columns) if EFFECTS[model.numbers[i].effect].stage is Air]
     pieces = [
         piece
         for flight, channels in zip(model.flights, flights, strict=True)
-        for piece in slow_parts(flight.aligned, channels, winds, settings.slow_force)
+        for piece in slow_parts(flight.aligned, channels, winds, own)
     ]
-    return gust_in(pieces, effect, settings) if pieces else None
-
-
-def gust_in(
-    pieces: Sequence[Slow], effect: Effect, settings: StochasticSettings = DEFAULT.stochastic
-) -> StochasticEffect | None:
-    """Evidence for gusts in the low-frequency parts of all flights."""
-    own = settings.gust
-    left = left_over(pieces, settings.slow_force)
-    facts = gust_facts(pieces, left, settings)
+    if not pieces:
+        return None
+    left = left_over(pieces, own)
+    facts = gust_facts(pieces, left, own)
     beyond = np.log(max(facts["over_floor"], 1.0)) / own.known
     log_odds = 0.5 * beyond**2 + prior_log_odds(settings)
     if (
@@ -405,20 +393,17 @@ def gust_in(
         or facts["lasting"] < own.lasting
     ):
         return None
-    values, intervals = _gust_numbers(pieces, left, effect, settings)
-    channels = ("acc_x", "acc_y")
-    return StochasticEffect(
-        effect.name, float(log_odds), values, intervals, channels, facts["unexplained"]
-    )
+    numbers, intervals = _gust_numbers(pieces, left, effect, own)
+    share, channels = facts["unexplained"], ("acc_x", "acc_y")
+    return StochasticEffect(effect.name, float(log_odds), numbers, intervals, channels, share)
 
 
 def gust_facts(
-    pieces: Sequence[Slow], left: Sequence[Array], settings: StochasticSettings = DEFAULT.stochastic
+    pieces: Sequence[Slow], left: Sequence[Array], own: GustSettings = DEFAULT.stochastic.gust
 ) -> dict[str, float]:
     """Statistics of the horizontal axes that decide on a gust."""
-    own = settings.gust
     cells = [
-        cells_of(Piece(p.t_s, e), SLOW_HZ, settings.slow_force.window_s, "hann")
+        cells_of(Piece(p.t_s, e), SLOW_HZ, own.window_s, "hann")
         for p, e in zip(pieces, left, strict=True)
     ]
     f = cells[0].f_hz
@@ -447,12 +432,11 @@ def gust_facts(
 
 
 def _gust_numbers(
-    pieces: Sequence[Slow], left: Sequence[Array], effect: Effect, settings: StochasticSettings
+    pieces: Sequence[Slow], left: Sequence[Array], effect: Effect, own: GustSettings
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Intensities and length scales from the remaining force and the model's response to wind."""
-    own = settings.gust
     rest = np.concatenate(list(left))
-    low, high = settings.slow_force.band_hz
+    low, high = own.band_hz
     floor = np.mean([p.floor for p in pieces], axis=0) * (high - low)
     power = np.maximum(np.mean(rest**2, axis=0) - floor, 0.0)
     drag = np.concatenate([p.drag for p in pieces])
@@ -465,7 +449,7 @@ def _gust_numbers(
     )
     lag = round(LAG_S * SLOW_HZ)
     same = sum(float(np.mean(e[lag:, :2] * e[:-lag, :2])) for e in left) / len(left)
-    time_s, seen = _time_constant(same / max(float(np.mean(power[:2])), 1e-300), settings)
+    time_s, seen = _time_constant(same / max(float(np.mean(power[:2])), 1e-300), own.band_hz)
     sigma = np.sqrt(power / seen) / np.maximum(per_speed, least)
     through = np.concatenate([p.speed_m_s for p in pieces])
     length = max(float(np.mean(through)), 1.0) * time_s
@@ -484,10 +468,9 @@ def _gust_numbers(
     return values, intervals
 
 
-def _time_constant(correlation: float, settings: StochasticSettings) -> tuple[float, float]:
-    """Time constant of a first-order process, s, and the share of its power inside the slow
-    band."""
-    f = np.linspace(*settings.slow_force.band_hz, 200)
+def _time_constant(correlation: float, band_hz: tuple[float, float]) -> tuple[float, float]:
+    """Time constant of a first-order process, s, and the share of its power inside a band."""
+    f = np.linspace(*band_hz, 200)
     times = np.geomspace(0.05, 5.0, 60)[:, None]
     density = 4 * times / (1 + (2 * np.pi * f * times) ** 2)
     inside = density.mean(axis=1) * (f[-1] - f[0])
