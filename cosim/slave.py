@@ -217,6 +217,29 @@ class Slave:
             if positions is not None:
                 self.outputs[positions] = buffer
 
+    def begin(
+        self, inputs: Sequence[str], outputs: Sequence[str], starts: Mapping[str, float] = {}
+    ) -> None:
+        """Bind variables, and initialise at time zero from the instantiated state.
+
+        Args:
+            inputs: Names of the inputs that `advance` takes.
+            outputs: Names of the outputs that it returns.
+            starts: Start values, by name.
+        """
+        self.reset()
+        self.bind(inputs, outputs, np.zeros(len(inputs)), np.zeros(len(outputs)))
+        self.initialize(0.0, starts)
+        self.finish_initialization()
+
+    def advance(self, given: Array, time_s: float, step_s: float) -> Array:
+        """One communication step with new inputs; returns a copy of the outputs after it."""
+        self.inputs[:] = given
+        self.write_inputs()
+        self.step(time_s, step_s)
+        self.read_outputs()
+        return self.outputs.copy()
+
     def step(self, time_s: float, step_s: float) -> None:
         """One communication step."""
         step = self.doing

@@ -181,15 +181,28 @@ def residual_flight(
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Pass:
+    """One pass of a twin along a flight, at every grid point.
+
+    Attributes:
+        shown: Readings `CHANNELS`, then the drive of the rotors as input of the compensator, or
+            other outputs; shape (n_grid, 15 + m).
+        flown: Where the motion is known and the twin is in use, shape (n_grid,).
+        counts: Where readings are compared, shape (n_grid,).
+        alone: Where the twin ran open loop, shape (n_grid,).
+    """
+
+    shown: Array
+    flown: BoolArray
+    counts: BoolArray
+    alone: BoolArray
+
+    __repr__ = short_repr
+
+
 def residuals_in_use(
-    flight: Flight,
-    aligned: AlignedFlight,
-    readings: Sequence[Array],
-    drives: Sequence[Array],
-    flown: Sequence[BoolArray],
-    counts: Sequence[BoolArray],
-    alone: Sequence[BoolArray],
-    rate_hz: float,
+    flight: Flight, aligned: AlignedFlight, passes: Sequence[Pass], rate_hz: float
 ) -> ResidualFlight:
     """Residuals of a twin that was run along a flight in one or more passes.
 
@@ -200,64 +213,52 @@ def residuals_in_use(
     Args:
         flight: Flight with the sensor readings.
         aligned: Flight on the grid of the twin.
-        readings: Readings `CHANNELS` of the twin at every grid point, of each pass, shape (n_grid,
-            15).
-        drives: Drive of the rotors as input of the compensator, of each pass, shape (n_grid, m).
-        flown: Where the motion is known, of each pass, shape (n_grid,).
-        counts: Where readings are compared, of each pass, shape (n_grid,).
-        alone: Where the twin ran open loop, of each pass, shape (n_grid,).
+        passes: One or more passes, which are concatenated.
         rate_hz: Sample rate, 1000 Hz over an integer.
-
-    Returns:
-        The passes concatenated.
 
     Raises:
         ModelError: The rate is not allowed.
         LogError: There is no sample to compare.
     """
     every, _ = _steps(rate_hz, 0.0)
-    t = aligned.inputs.t_s
+    t, n = aligned.inputs.t_s, len(CHANNELS)
     grid = np.arange(-round(float(t[0]) / GRID_S) % every, len(t) - every, every)
-    spans: list[tuple[int, int]] = []
-    residuals: list[Array] = []
-    fresh: list[BoolArray] = []
-    for seen, known, use, lone in zip(readings, flown, counts, alone, strict=True):
-        left, new = np.full((len(grid), len(CHANNELS)), np.nan), np.zeros((len(grid), 15), bool)
+    residual = np.full((len(passes), len(grid), n), np.nan)
+    fresh, spans = np.zeros(residual.shape, dtype=np.bool_), list[tuple[int, int]]()
+    for k, one in enumerate(passes):
         for group, columns in GROUPS.items():
             if not flight.has(*CHANNELS[columns]):
                 continue
-            near = seen[:, columns][grid[:, None] + np.arange(every + 1)]
+            near = one.shown[:, columns][grid[:, None] + np.arange(every + 1)]
             samples = Signal(*flight.signal(CHANNELS[columns]))
             rows, values = _against(samples, near, t[grid + every], every)
             if group in PUT:
-                values, rows = values[lone[grid[rows] + every]], rows[lone[grid[rows] + every]]
-            left[rows, columns], new[rows, columns] = values, True
-        whole, use = known[grid] & known[grid + every], use[grid] & use[grid + every]
-        spans += [
-            (a + len(grid) * len(fresh), b + len(grid) * len(fresh)) for a, b in _spans(whole)
-        ]
-        residuals.append(left)
-        fresh.append(new & (whole & use)[:, None])
-    if not np.any(fresh):
+                lone = one.alone[grid[rows] + every]
+                rows, values = rows[lone], values[lone]
+            residual[k, rows, columns], fresh[k, rows, columns] = values, True
+        whole, use = (v[grid] & v[grid + every] for v in (one.flown, one.counts))
+        spans += [(a + len(grid) * k, b + len(grid) * k) for a, b in _spans(whole)]
+        fresh[k] &= (whole & use)[:, None]
+    if not fresh.any():
         raise LogError(
             f"{flight.name}: no sample to compare in the air: it needs readings of a sensor "
             f"besides motor commands, and a second of position, velocity, attitude and body rates "
             f"without a gap."
         )
-    times, whole_s = len(readings), float(t[grid[-1]] - t[grid[0]]) + 1 / rate_hz
+    whole_s = float(t[grid[-1]] - t[grid[0]]) + 1 / rate_hz
     return ResidualFlight(
         name=flight.name,
         rate_hz=rate_hz,
-        t_s=np.concatenate([t[grid] + k * whole_s for k in range(times)]),
-        virtual=np.vstack([seen[grid] for seen in readings]),
-        residual=held(np.vstack(residuals)),
-        fresh=np.vstack(fresh),
-        commands=np.vstack([given[grid] for given in drives]),
-        phase=np.tile(phase_codes(aligned.phases[grid]), times),
+        t_s=np.concatenate([t[grid] + k * whole_s for k in range(len(passes))]),
+        virtual=np.vstack([one.shown[grid, :n] for one in passes]),
+        residual=held(residual.reshape(-1, n)),
+        fresh=fresh.reshape(-1, n),
+        commands=np.vstack([one.shown[grid, n:] for one in passes]),
+        phase=np.tile(phase_codes(aligned.phases[grid]), len(passes)),
         spans=tuple(spans),
         notes=aligned.notes,
         log_sha256=flight.fingerprint,
-        alone=np.concatenate([a[grid + every] for a in alone]),
+        alone=np.concatenate([one.alone[grid + every] for one in passes]),
     )
 
 

@@ -7,9 +7,8 @@ these passes are the training data of a compensator of `free`; its readings and 
 every reading of the flight, give the error reduction by a compensator.
 """
 
-import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from cosim.slave import Slave
 from fmus.compensator import NetworkFile
 from learning.data.channels import CHANNELS
-from learning.data.flights import ResidualFlight, residuals_in_use
+from learning.data.flights import PUT, Pass, ResidualFlight, residuals_in_use
 from learning.data.sequences import OF_THE_DAY
 from learning.force.windows import clear, true_motion
 from twin.errors import LogError
@@ -35,7 +34,7 @@ from twin.vehicle import Vehicle as TwinVehicle
 
 from ..display import TextTable
 from ..exports.parts import OBSERVER, LearnedForce, twin
-from ..exports.write import export
+from ..exports.write import temporary_fmu
 from ..force.open_loop import PREFIX, driving_inputs, taken_by
 from ..record import Record
 from ..vehicles import Vehicle
@@ -160,29 +159,6 @@ class InUseRecord(Record, frozen=True, kw_only=True):
         return TextTable(header, tuple(rows))
 
 
-@dataclass(frozen=True, slots=True)
-class Passes:
-    """Outputs over a flight in several passes.
-
-    Attributes:
-        shown: Requested outputs in each pass, shape (n_grid, k) each.
-        flown: Where the motion is known and the twin is in use, in each pass, shape (n_grid,) each.
-        counts: Where a reading counts, in each pass, shape (n_grid,) each.
-        alone: Where the twin ran open loop, in each pass, shape (n_grid,) each.
-    """
-
-    shown: tuple[Array, ...]
-    flown: tuple[BoolArray, ...]
-    counts: tuple[BoolArray, ...]
-    alone: tuple[BoolArray, ...]
-
-    __repr__ = short_repr
-
-    def each(self) -> Iterator[tuple[Array, BoolArray, BoolArray]]:
-        """For each pass the outputs, where they count, and where the twin ran open loop."""
-        yield from zip(self.shown, self.counts, self.alone, strict=True)
-
-
 class UsedFlight:
     """A flight along which driven twins are evaluated."""
 
@@ -195,32 +171,26 @@ class UsedFlight:
         since = np.arange(len(known)) + 1 - np.maximum.accumulate(unknown)
         self._known, self._counts = known, since > round(KNOWN_S / GRID_S)
 
-    def through(self, fmu: Path, names: Sequence[str], compensated: bool = False) -> Passes:
-        """Run a driven twin along the flight.
+    def through(self, fmu: Path, names: Sequence[str], compensated: bool = False) -> list[Pass]:
+        """Run a driven twin along the flight, `CYCLE_S` over `ALONE_S` times.
 
         Args:
             fmu: FMU of a twin with the inputs of `driving_inputs`.
             names: Outputs that are recorded.
             compensated: Whether the twin has a compensator.
         """
-        shown, flown, counts, alone = [], [], [], []
-        slave = Slave("used", fmu)
-        try:
+        rows, passes = np.arange(len(self._known)), []
+        with closing(Slave("used", fmu)) as slave:
             for first_s in np.arange(0.0, CYCLE_S, ALONE_S):
-                phase = (np.arange(len(self._known)) * GRID_S + first_s + 1e-9) % CYCLE_S
+                phase = (rows * GRID_S + first_s + 1e-9) % CYCLE_S
                 follows = self._known & (phase >= ALONE_S)
-                shown.append(self._once(slave, names, follows, compensated))
-                since = np.maximum.accumulate(np.where(follows, np.arange(len(follows)), -1))
-                left = np.arange(len(follows)) - since
-                lone = np.maximum.accumulate(np.where(follows, 0, np.arange(len(follows))))
-                settled = np.arange(len(follows)) - lone > round(SETTLED_S / GRID_S)
-                whole = self._counts & (since >= 0) & (left <= round(ALONE_S / GRID_S))
-                flown.append(whole)
-                counts.append(whole & (settled | ~follows))
-                alone.append(~follows)
-        finally:
-            slave.close()
-        return Passes(tuple(shown), tuple(flown), tuple(counts), tuple(alone))
+                shown = self._once(slave, names, follows, compensated)
+                since = np.maximum.accumulate(np.where(follows, rows, -1))
+                lone = np.maximum.accumulate(np.where(follows, 0, rows))
+                settled = rows - lone > round(SETTLED_S / GRID_S)
+                flown = self._counts & (since >= 0) & (rows - since <= round(ALONE_S / GRID_S))
+                passes.append(Pass(shown, flown, flown & (settled | ~follows), ~follows))
+        return passes
 
     def _once(
         self, slave: Slave, names: Sequence[str], follows: BoolArray, compensated: bool
@@ -230,16 +200,9 @@ class UsedFlight:
         )
         inputs, values = taken_by(slave, given)
         found = np.full((len(values), len(names)), np.nan)
-        slave.reset()
-        slave.bind(inputs, names, np.zeros(len(inputs)), np.zeros(len(names)))
-        slave.initialize(0.0, {OBSERVER: 1.0})
-        slave.finish_initialization()
+        slave.begin(inputs, names, {OBSERVER: 1.0})
         for k in range(len(values) - 1):
-            slave.inputs[:] = values[k]
-            slave.write_inputs()
-            slave.step(k * GRID_S, GRID_S)
-            slave.read_outputs()
-            found[k + 1] = slave.outputs
+            found[k + 1] = slave.advance(values[k], k * GRID_S, GRID_S)
         return found
 
     def residuals(self, fmu: Path, rate_hz: float) -> ResidualFlight:
@@ -252,17 +215,7 @@ class UsedFlight:
         names = [n for n in self.aligned.airframe.input_names if n.startswith(("cmd_", "rotor_"))]
         drives = [f"{PREFIX}{REPORTED}{n}" for n in names]
         passes = self.through(fmu, [*SOURCES, *drives])
-        n = len(CHANNELS)
-        return residuals_in_use(
-            self.flight,
-            self.aligned,
-            [s[:, :n] for s in passes.shown],
-            [s[:, n:] for s in passes.shown],
-            passes.flown,
-            passes.counts,
-            passes.alone,
-            rate_hz,
-        )
+        return residuals_in_use(self.flight, self.aligned, passes, rate_hz)
 
     def corrections(self, fmu: Path) -> "Corrections":
         """Errors of a corrected twin at each reading of the flight."""
@@ -277,17 +230,16 @@ class UsedFlight:
             sampled = (k > 0) & (k < len(self._known))
             k, y = k[sampled], values[sampled, 0]
             for mode in (FOLLOWING, ALONE):
-                if mode == FOLLOWING and channel.startswith(("pos", "vel")):
-                    continue  # the following twin is set to these readings
+                if mode == FOLLOWING and channel.startswith(PUT):
+                    continue
                 parts = []
-                for seen, use, alone in passes.each():
-                    here = use[k] & (alone[k] == (mode == ALONE))
-                    last = _before(k, y, alone if mode == ALONE else None)
-                    own, better = seen[k, c], seen[k, len(CHANNELS) + c]
-                    seen_so = np.column_stack([own, better, last, y])
-                    parts.append(seen_so[here & np.isfinite(last)])
+                for one in passes:
+                    last = _before(k, y, one.alone if mode == ALONE else None)
+                    here = one.counts[k] & (one.alone[k] == (mode == ALONE)) & np.isfinite(last)
+                    both = one.shown[k][:, [c, len(CHANNELS) + c]]
+                    parts.append(np.column_stack([both, last, y])[here])
                 rows[channel, mode] = np.vstack(parts) - np.vstack(parts)[:, -1:] * [1, 1, 1, 0]
-        inside = np.concatenate([s[u, -1] for s, u, _ in passes.each()])
+        inside = np.concatenate([one.shown[one.counts, -1] for one in passes])
         if not len(inside):
             raise LogError(
                 f"{self.flight.name}: nowhere in the air {KNOWN_S:g} s of position, velocity, "
@@ -385,13 +337,12 @@ def harmful(flights: Sequence[InUseRecord]) -> tuple[str, ...]:
     return tuple(found)
 
 
-@contextmanager
 def driven_fmu(
     vehicle: Vehicle,
     drive: Drive,
     network: NetworkFile | None = None,
     law: LearnedForce | None = None,
-) -> Iterator[Path]:
+) -> AbstractContextManager[Path]:
     """The FMU of a driven twin, as a context manager.
 
     Args:
@@ -400,7 +351,4 @@ def driven_fmu(
         network: Network of its compensator; None: without.
         law: Learned force law; None: without.
     """
-    with tempfile.TemporaryDirectory() as place:
-        path = Path(place, "twin.fmu")
-        export(twin(vehicle, drive=drive, compensator=network, force=law), path)
-        yield path
+    return temporary_fmu(twin(vehicle, drive=drive, compensator=network, force=law))

@@ -28,7 +28,7 @@ from ..live.status import ModelStatus
 
 Array = NDArray[np.float64]
 _KINDS = ("correction", "spread")
-"""Suffixes of the outputs per channel that are read."""
+"""Outputs per channel that are read, before `anomaly` and `inside`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,23 +45,21 @@ class CompiledCompensator:
 
     def run(self, flight: ResidualFlight) -> Corrected:
         """Corrections of the whole flight; each span starts from zero state."""
-        network, n = self.network, flight.virtual.shape[1]
-        correction = np.zeros((len(flight.t_s), n))
-        spread = np.tile(np.array(network.uncorrected_rms), (len(flight.t_s), 1))
-        alarms, inside = has_alarms(network), np.zeros(len(flight.t_s), dtype=np.bool_)
-        anomaly = np.zeros(len(flight.t_s)) if alarms else no_alarm(len(flight.t_s))
-        table, stepping = fed(network, flight), Stepping(self.fmu, network)
+        n, samples = flight.virtual.shape[1], len(flight.t_s)
+        said = np.zeros((samples, len(_KINDS) * n + 2))
+        said[:, n : 2 * n] = self.network.uncorrected_rms
+        stepping = Stepping(self.fmu, self.network)
         try:
-            for a, b in flight.spans:
+            for span in flight.spans:
                 stepping.begin()
-                said = np.array([stepping.step(row) for row in table[a:b]])
-                correction[a:b], spread[a:b] = said[:, :n], said[:, n : 2 * n]
-                inside[a:b] = said[:, -1] > 0
-                if alarms:
-                    anomaly[a:b] = said[:, 2 * n]
+                rows = slice(*span)
+                said[rows] = [stepping.step(given) for given in fed(self.network, flight)[rows]]
         finally:
             stepping.close()
-        return Corrected(correction, spread, anomaly, inside)
+        correction, spread, anomaly, inside = np.split(said, [n, 2 * n, 2 * n + 1], axis=1)
+        if self.network.protocol != "track":
+            anomaly = no_alarm(samples)
+        return Corrected(correction, spread, anomaly.ravel(), inside[:, 0] > 0)
 
 
 class Stepping:
@@ -69,59 +67,36 @@ class Stepping:
 
     def __init__(self, fmu: Path, network: NetworkFile) -> None:
         """Load the FMU; call `begin` next."""
-        names, reads = inputs_of(network), outputs_of(network)
         self._period_s, self._row = 1 / network.rate_hz, 0
         self._slave = Slave("compensator", fmu)
-        self._slave.bind(names, reads, np.zeros(len(names)), np.zeros(len(reads)))
+        self._inputs = [n for n, port in self._slave.ports.items() if port.causality == "input"]
+        outputs = [f"{kind}.{c}" for kind in _KINDS for c in network.channels]
+        self._outputs = [*outputs, "anomaly", "inside"]
 
     def begin(self) -> None:
         """Reset to zero state."""
-        self._slave.reset()
-        self._slave.initialize(0.0, {})
-        self._slave.finish_initialization()
+        self._slave.begin(self._inputs, self._outputs)
         self._row = 0
 
     def step(self, given: Array) -> Array:
-        """Outputs, as `outputs_of`, after one sample of inputs, as `inputs_of`."""
-        self._slave.inputs[:] = given
-        self._slave.write_inputs()
-        self._slave.step(self._row * self._period_s, self._period_s)
-        self._slave.read_outputs()
+        """Outputs after one sample of inputs, as of `fed`: `_KINDS`, `anomaly`, `inside`."""
         self._row += 1
-        return self._slave.outputs.copy()
+        return self._slave.advance(given, (self._row - 1) * self._period_s, self._period_s)
 
     def close(self) -> None:
         """Free the FMU."""
         self._slave.close()
 
 
-def has_alarms(network: NetworkFile) -> bool:
-    """Whether a compensator has an anomaly score."""
-    return network.protocol == "track"
-
-
-def inputs_of(network: NetworkFile) -> list[str]:
-    """Names of the inputs of a compensator's FMU."""
-    names = [*network.channels, *network.commands, "phase"]
-    if network.sees_measurements:
-        names += [f"measured.{c}" for c in network.channels]
-        names += [f"valid.{g}" for g in network.groups]
-    return names
-
-
 def fed(network: NetworkFile, flight: ResidualFlight) -> Array:
-    """Values of `inputs_of` a compensator along a flight, shape (n, inputs)."""
+    """Inputs of a compensator's FMU along a flight, in the order of its interface, shape (n,
+    inputs)."""
     known = np.isfinite(flight.virtual).any(axis=0)  # a twin predicts the others, too
     given = [np.where(known, flight.virtual, 0.0), flight.commands, flight.phase[:, None]]
     if network.sees_measurements:
         first = [network.group_of_channel.index(g) for g in range(len(network.groups))]
         given += [flight.virtual + flight.residual, flight.fresh[:, first]]
     return np.hstack(given).astype(np.float64)
-
-
-def outputs_of(network: NetworkFile) -> list[str]:
-    """Names of the outputs that are read: corrections, spreads, `anomaly`, `inside`."""
-    return [*(f"{kind}.{c}" for kind in _KINDS for c in network.channels), "anomaly", "inside"]
 
 
 @contextmanager
@@ -188,7 +163,6 @@ class RunningCompensator:
             network.horizon,
             network.rate_hz,
         )
-        self._alarms = has_alarms(network)
         self._stepping = Stepping(fmu, network)
         self.begin()
 
@@ -243,7 +217,9 @@ class RunningCompensator:
         self._before += np.sum(np.where(known, new.residual, 0.0) ** 2, axis=0)
         self._after += np.sum(np.where(known, left, 0.0) ** 2, axis=0)
         self._rows += len(new.t_s)
-        self._unusual += float((new.anomaly > 1.0).sum()) if self._alarms else np.nan
+        self._unusual += (
+            float((new.anomaly > 1.0).sum()) if self.network.protocol == "track" else np.nan
+        )
         self._inside += int(new.inside.sum())
         rms = {
             c: (float(np.sqrt(b / n)), float(np.sqrt(a / n)))
@@ -272,7 +248,7 @@ class RunningCompensator:
             self._last_s = float(seen.t_s[k])
         shown = np.array(said)
         residual = np.where(seen.fresh[rows], seen.residual[rows], np.nan)
-        anomaly = shown[:, 2 * n] if self._alarms else no_alarm(len(rows))
+        anomaly = shown[:, 2 * n] if self.network.protocol == "track" else no_alarm(len(rows))
         return Correction(seen.t_s[rows], residual, shown[:, :n], anomaly, shown[:, -1] > 0)
 
     def close(self) -> None:

@@ -3,7 +3,8 @@ FMI version.
 """
 
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -376,6 +377,13 @@ def export(
     with results_folder(path.parent, force=True) as folder:
         written = write_products([product], versions, on, folder, progress)
     return ExportResult(path.parent, tuple(written))
+
+
+@contextmanager
+def temporary_fmu(what: Exportable) -> Iterator[Path]:
+    """Context with the FMU of an object, as of `export`, in a temporary folder."""
+    with tempfile.TemporaryDirectory() as place:
+        yield export(what, Path(place, "twin.fmu")).paths[0]
 
 
 def export_parts(

@@ -4,9 +4,8 @@ A law that fits recorded flights may still make a controller lose the vehicle, i
 that no training flight had. A law is therefore tested on missions before it is released.
 """
 
-import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +23,7 @@ from twin.physics.residual_force import parameter_values
 from twin.vehicle import Vehicle
 
 from ..exports.parts import LearnedForce, twin
-from ..exports.write import export
+from ..exports.write import temporary_fmu
 from .memory import Memory
 from .open_loop import DISTANCE
 
@@ -141,7 +140,8 @@ def fly_both(
         mission: Name of the mission.
         airs: Start values of each flight, as of `random_air`.
     """
-    with _exported(vehicle, force, mission) as tracked:
+    with temporary_fmu(twin(vehicle, mission, force=force)) as fmu:
+        tracked = partial(_tracked, fmu, mission_duration_s(mission))
         return [MissionPair(tracked(air), tracked({**air, ENABLED: 0.0})) for air in airs]
 
 
@@ -166,30 +166,11 @@ def flown(
     """
     found = np.full((round(duration_s / step_s), len(reads)), np.inf)
     slave = Slave("twin", fmu)
-    try:
-        slave.bind([], reads, np.zeros(0), np.zeros(len(reads)))
-        slave.initialize(0.0, starts)
-        slave.finish_initialization()
+    with closing(slave), suppress(FmuError):  # where the twin stops, rows stay infinite
+        slave.begin([], reads, starts)
         for k in range(len(found)):
-            slave.step(k * step_s, step_s)
-            slave.read_outputs()
-            found[k] = slave.outputs
-    except FmuError:  # the twin stopped: the remaining rows stay infinite
-        pass
-    finally:
-        slave.close()
+            found[k] = slave.advance(np.zeros(0), k * step_s, step_s)
     return found
-
-
-@contextmanager
-def _exported(
-    vehicle: Vehicle, force: LearnedForce, mission: str
-) -> Iterator[Callable[[Mapping[str, float]], MissionTrack]]:
-    """Function from start values to the tracking of an exported mission with a law."""
-    with tempfile.TemporaryDirectory() as place:
-        fmu = Path(place, "twin.fmu")
-        export(twin(vehicle, mission, force=force), fmu)
-        yield partial(_tracked, fmu, mission_duration_s(mission))
 
 
 def _tracked(fmu: Path, duration_s: float, starts: Mapping[str, float]) -> MissionTrack:
@@ -235,9 +216,7 @@ def at_rest(vehicle: Vehicle, laws: Sequence[ForceModel]) -> Array:
         laws: Laws with the same envelope.
     """
     empty = {name: 0.0 for name in parameter_values(laws[0].law)}
-    with tempfile.TemporaryDirectory() as place:
-        fmu = Path(place, "twin.fmu")
-        export(twin(vehicle, HOVER, force=LearnedForce(laws[0])), fmu)
+    with temporary_fmu(twin(vehicle, HOVER, force=LearnedForce(laws[0]))) as fmu:
 
         def rests(values: Mapping[str, float]) -> bool:
             """Whether the twin settles with these parameters of the law."""

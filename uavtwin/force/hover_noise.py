@@ -11,11 +11,9 @@ Source: equalisation of random vibration, Piersol & Paez, Harris' Shock and Vibr
 power density, Welch, IEEE Trans. Audio Electroacoust. 15, 1967.
 """
 
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +28,7 @@ from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.teacher_forced import GRID_S
 
 from ..exports.parts import NOISE, LearnedForce, twin
-from ..exports.write import export
+from ..exports.write import temporary_fmu
 from ..vehicles import Vehicle
 from .closed_loop import HOVER, controllable, flown
 
@@ -158,9 +156,7 @@ def _hovering(
     """Function from start values to the densities of the exported twin in hover, or to None where
     it does not stay there."""
     reads = [f"imu.{r}" for r in READINGS]
-    with tempfile.TemporaryDirectory() as place:
-        fmu = Path(place, "twin.fmu")
-        export(twin(vehicle, HOVER, force=force, noise=True), fmu)
+    with temporary_fmu(twin(vehicle, HOVER, force=force, noise=True)) as fmu:
 
         def hovered(starts: Mapping[str, float]) -> Array | None:
             """Mean density over `SEEDS`."""

@@ -152,10 +152,8 @@ class Replay:
         slave, found, begin = Slave("driven", fmu), [], []
         try:
             names, given = taken_by(slave, self._table)
-            slave.bind(names, reads, np.zeros(len(names)), np.zeros(len(reads)))
+            slave.begin(names, reads, starts or {})
             alone = np.array(names) != f"{PREFIX}restart"
-            slave.initialize(0.0, starts or {})
-            slave.finish_initialization()
             state, due = slave.save(), set(self._left.tolist())
             for row in range(int(self._left[-1]) + 1):
                 if row in due:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from learning.data.channels import CHANNELS
-from learning.data.flights import ResidualFlight
+from learning.data.flights import Pass, ResidualFlight
 from twin.vehicle_file import load_vehicle
 from uavtwin.compensators.in_use import (
     ALONE,
@@ -15,7 +15,6 @@ from uavtwin.compensators.in_use import (
     WORST,
     ChannelInUse,
     InUseRecord,
-    Passes,
     UsedFlight,
     driven_fmu,
     harmful,
@@ -41,7 +40,7 @@ def used() -> UsedFlight:
 
 
 @pytest.fixture(scope="module")
-def seen(used: UsedFlight) -> Iterator[tuple[Passes, ResidualFlight]]:
+def seen(used: UsedFlight) -> Iterator[tuple[list[Pass], ResidualFlight]]:
     """What the exported twin read, and the residuals that are learned."""
     vehicle: Vehicle = checked_vehicle(COPTER, "test")
     with driven_fmu(vehicle, "command") as fmu:
@@ -50,28 +49,28 @@ def seen(used: UsedFlight) -> Iterator[tuple[Passes, ResidualFlight]]:
 
 @pytest.mark.slow
 def test_an_instant_learns_the_readings_that_its_correction_is_held_for(
-    used: UsedFlight, seen: tuple[Passes, ResidualFlight]
+    used: UsedFlight, seen: tuple[list[Pass], ResidualFlight]
 ) -> None:
     """Read off the passes by hand: the last sample after an instant and up to the next."""
     passes, residual = seen
     t_s, acc = used.flight.signal(["acc_x"])
     grid_s = used.aligned.inputs.t_s
-    n = len(residual.t_s) // len(passes.shown)
+    n = len(residual.t_s) // len(passes)
     rows = [r for r in range(n) if residual.fresh[r, ACC]]
     assert len(rows) > 20
     for row in rows:
         start = residual.t_s[row]
         k = np.flatnonzero((t_s > start + 1e-9) & (t_s <= start + 1 / RATE_HZ + 1e-9))[-1]
-        own = np.interp(t_s[k], grid_s, passes.shown[0][:, ACC])
+        own = np.interp(t_s[k], grid_s, passes[0].shown[:, ACC])
         assert residual.residual[row, ACC] == pytest.approx(acc[k, 0] - own, abs=1e-9)
 
 
 @pytest.mark.slow
 def test_every_moment_is_flown_alone_once(
-    used: UsedFlight, seen: tuple[Passes, ResidualFlight]
+    used: UsedFlight, seen: tuple[list[Pass], ResidualFlight]
 ) -> None:
     passes, residual = seen
-    times = np.sum([a & c for _, c, a in passes.each()], axis=0)
+    times = np.sum([one.alone & one.counts for one in passes], axis=0)
     assert set(times[2500:-600]) == {1}
     assert not residual.fresh[~residual.alone_rows, POS].any()  # given to a twin that follows
     assert residual.fresh[residual.alone_rows, POS].any()

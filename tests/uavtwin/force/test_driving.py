@@ -109,4 +109,4 @@ def test_a_twin_takes_the_voltage_of_a_log_where_it_has_that_input(tmp_path: Pat
         assert ("airframe.vbat_v" in read_interface(fmu).ports) == asks
         assert np.isfinite(Replay(flight, vehicle, (0.1,)).through(fmu).off).all()
         used = UsedFlight(flight, vehicle).through(fmu, ["airframe.pos_x"])
-        assert any(flown.any() for flown in used.flown)
+        assert any(one.flown.any() for one in used)
