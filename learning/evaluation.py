@@ -66,7 +66,7 @@ def evaluate(
         for flight in test:
             corrected = each.run(flight)
             check_finite(name, flight, corrected)
-            rows += [head | scored(flight, corrected, *cell) for cell in cells(flight)]
+            rows += [head | row for row in scored(flight, corrected)]
     return _with_shares(pd.DataFrame(rows))
 
 
@@ -125,7 +125,6 @@ def _with_shares(table: pd.DataFrame) -> pd.DataFrame:
 
 
 Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 WHOLE = "all"
 """Phase of the rows for a whole flight."""
 GROUP_OF = {c: g for g, columns in GROUPS.items() for c in CHANNELS[columns]}
@@ -134,67 +133,50 @@ PHASE_OF = {code: name for name, code in PHASE_CODES.items()}
 """Name of each phase code."""
 
 
-def cells(flight: ResidualFlight) -> Iterator[tuple[str, int, BoolArray]]:
-    """Phase, index of the channel and its fresh samples, shape (n,), for each row."""
-    for c in range(len(CHANNELS)):
+def scored(flight: ResidualFlight, corrected: Corrected) -> Iterator[dict[str, Any]]:
+    """Rows of the table for one flight: each channel with fresh samples, in all phases and in
+    each."""
+    for c, channel in enumerate(CHANNELS):
         fresh = flight.fresh[:, c]
-        if not fresh.any():
-            continue
-        yield WHOLE, c, fresh
-        for code in np.unique(flight.phase[fresh]):
-            yield PHASE_OF[int(code)], c, fresh & (flight.phase == code)
+        codes = np.unique(flight.phase[fresh])
+        parts = {PHASE_OF[int(code)]: fresh & (flight.phase == code) for code in codes}
+        for phase, here in ({WHOLE: fresh} | parts).items() if fresh.any() else ():
+            residual, correction = flight.residual[here, c], corrected.correction[here, c]
+            left, spread = residual - correction, corrected.spread[here, c]
+            yield {
+                "flight": flight.name,
+                "phase": phase,
+                "channel": channel,
+                "group": GROUP_OF[channel],
+                "unit": UNITS[c],
+                "n": len(residual),
+                **errors(residual, correction),
+                "rmse_before": rms(residual),
+                "spread_before": float(np.std(residual)),
+                "spread_left": float(np.std(left)),
+                "inside": float(np.mean(corrected.inside[here])),
+                "within_1": float(np.mean(np.abs(left) <= spread)),
+                "within_2": float(np.mean(np.abs(left) <= 2 * spread)),
+            }
 
 
-def scored(
-    flight: ResidualFlight, corrected: Corrected, phase: str, c: int, here: BoolArray
-) -> dict[str, Any]:
-    """One row of the table; phase, channel and samples as of `cells`."""
-    residual, correction = flight.residual[here, c], corrected.correction[here, c]
-    left, spread = residual - correction, corrected.spread[here, c]
+def errors(residual: Array, correction: Array) -> dict[str, float]:
+    """Errors of a correction, shape (n,) both, by name; see the module.
+
+    Source of the Wasserstein distance: order 1, Villani, Optimal Transport (2009), ch. 6.
+    """
+    left = residual - correction
     return {
-        "flight": flight.name,
-        "phase": phase,
-        "channel": CHANNELS[c],
-        "group": GROUP_OF[CHANNELS[c]],
-        "unit": UNITS[c],
-        "n": len(residual),
-        "mse": mse(left),
-        "rmse": rmse(left),
-        "mae": mae(left),
-        "wasserstein": wasserstein(residual, correction),
-        "rmse_before": rmse(residual),
-        "spread_before": float(np.std(residual)),
-        "spread_left": float(np.std(left)),
-        "inside": float(np.mean(corrected.inside[here])),
-        "within_1": float(np.mean(np.abs(left) <= spread)),
-        "within_2": float(np.mean(np.abs(left) <= 2 * spread)),
+        "mse": float(np.mean(left**2)),
+        "rmse": rms(left),
+        "mae": float(np.mean(np.abs(left))),
+        "wasserstein": float(wasserstein_distance(residual, correction)),
     }
 
 
-# -- how far a correction is from the residual --------------------------------------------
-
-
-def mse(left: Array) -> float:
-    """Mean square of errors, shape (n,)."""
-    return float(np.mean(left**2))
-
-
-def rmse(left: Array) -> float:
-    """Root mean square of errors, shape (n,)."""
-    return math.sqrt(mse(left))
-
-
-def mae(left: Array) -> float:
-    """Mean absolute value of errors, shape (n,)."""
-    return float(np.mean(np.abs(left)))
-
-
-def wasserstein(measured: Array, simulated: Array) -> float:
-    """Wasserstein distance of two distributions, in the unit of the samples.
-
-    Source: earth mover's distance of order 1, Villani, Optimal Transport (2009), ch. 6.
-    """
-    return float(wasserstein_distance(measured, simulated))
+def rms(values: Array) -> float:
+    """Root mean square of values, shape (n,)."""
+    return math.sqrt(float(np.mean(values**2)))
 
 
 # -- what is refused ----------------------------------------------------------------------

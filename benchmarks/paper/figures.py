@@ -16,7 +16,7 @@ from plotly.subplots import make_subplots
 
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES, UNITS
 from learning.data.flights import ResidualFlight
-from learning.evaluation import rmse
+from learning.evaluation import rms
 from uavtwin.report.page import plot, render
 
 from .missions import MISSIONS, CorrectedMission
@@ -55,7 +55,7 @@ class FlightCorrections:
     def errors(self) -> dict[str, Array]:
         """Of each system, the best first, standardised, shape (n, 15)."""
         left = {n: (self.flight.residual - c) / self.unit for n, c in self.by_system.items()}
-        return dict(sorted(left.items(), key=lambda named: rmse(named[1].ravel())))
+        return dict(sorted(left.items(), key=lambda named: rms(named[1].ravel())))
 
     def best(self) -> list[str]:
         """Names of the best systems."""
@@ -344,7 +344,7 @@ def best_systems(missions: Missions, names: Sequence[str]) -> go.Figure:
         left = flown.left()
         figure.add_bar(
             x=list(names),
-            y=thin([rmse(left[n].ravel()) for n in names]),
+            y=thin([rms(left[n].ravel()) for n in names]),
             marker_color=list(COLOURS[: len(names)]),
             showlegend=False,
             row=1,

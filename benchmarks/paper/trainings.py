@@ -27,10 +27,10 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from learning import evaluation as metrics
 from learning.compute import device_named, one_thread
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight
+from learning.evaluation import errors, rms
 from learning.model.baselines import fit_baseline
 from learning.model.family import Model, TrainingTask
 from learning.model.folder import write_json
@@ -296,13 +296,8 @@ def _by_modality(
 
 
 def _means(residual: Array, said: Array) -> dict[str, float]:
-    columns = list(zip(residual.T, said.T, strict=True))
-    return {
-        "mse": float(np.mean([metrics.mse(r - s) for r, s in columns])),
-        "rmse": float(np.mean([metrics.rmse(r - s) for r, s in columns])),
-        "mae": float(np.mean([metrics.mae(r - s) for r, s in columns])),
-        "wasserstein": float(np.mean([metrics.wasserstein(r, s) for r, s in columns])),
-    }
+    each = [errors(r, s) for r, s in zip(residual.T, said.T, strict=True)]
+    return {name: float(np.mean([one[name] for one in each])) for name in METRICS}
 
 
 def log_spectral_distance(t_s: Array, measured: Array, simulated: Array) -> float:
@@ -318,7 +313,7 @@ def log_spectral_distance(t_s: Array, measured: Array, simulated: Array) -> floa
     known = (a > 1e-12 * a.max()) & (b > 1e-12 * b.max()) if a.max() > 0 and b.max() > 0 else a < 0
     if not known.any():
         return float("nan")
-    return metrics.rmse(10 * np.log10(a[known] / b[known]))
+    return rms(10 * np.log10(a[known] / b[known]))
 
 
 @one_thread()

@@ -181,6 +181,24 @@ def residual_flight(
     )
 
 
+def residuals_of(
+    flights: Sequence[Flight],
+    vehicle: Vehicle,
+    rate_hz: float,
+    restart_s: float,
+    progress: Callable[[float], None],
+) -> tuple[ResidualFlight, ...]:
+    """`residual_flight` of several flights."""
+    found = []
+    for i, flight in enumerate(flights):
+
+        def share(done: float, i: int = i) -> None:
+            progress((i + done) / len(flights))
+
+        found.append(residual_flight(flight, vehicle, rate_hz, restart_s, share))
+    return tuple(found)
+
+
 @dataclass(frozen=True, slots=True)
 class Pass:
     """One pass of a twin along a flight, at every grid point.

@@ -9,10 +9,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from fmus.compensator import FILE
 from learning.data.channels import CHANNELS, UNITS
-from learning.data.flights import ResidualFlight, read_residuals, residual_flight, restart_before_s
+from learning.data.flights import ResidualFlight, read_residuals, residuals_of, restart_before_s
 from learning.data.scaling import in_spans
 from learning.evaluation import WHOLE, evaluate, pooled
 from learning.model.compensator import LINEAR_PART, Compensator
@@ -30,13 +31,23 @@ from ..record import Record
 from ..report.drawing import Budget, fitted
 from ..report.learning_figures import anomaly_figure, correction_figure
 from ..report.page import Plot, plot, render
-from ..series.files import CORRECTED, EXPLAINED, SPREAD, TWIN, Column, Series, compared
+from ..series.files import (
+    CORRECTED,
+    EXPLAINED,
+    MEASURED,
+    SPREAD,
+    TWIN,
+    Column,
+    Series,
+    compared,
+)
 from ..series.files import MODEL as OF_MODEL
 from ..vehicles import Vehicle, load_vehicle
 from .in_use import InUseRecord, UsedFlight, driven_fmu, record_of
 from .running import compiled_compensator
 from .training import RESIDUALS, VEHICLE_FILE, in_use_of, task_text
 
+Array = NDArray[np.float64]
 MODEL = "model"
 """Name of the compensator in tables with the baselines."""
 Progress = Callable[[float], None]
@@ -149,8 +160,8 @@ class Evaluation(PageMixin):
             vehicle=info.vehicle,
             flights=tuple(f.name for f in self.flights),
             claim=self.claim,
-            groups=tuple(_rows(by_group(self))),
-            channels=tuple(_rows(self.table)),
+            groups=tuple(by_group(self).to_dict("records")),
+            channels=tuple(self.table.to_dict("records")),
             anomaly=tuple(
                 AnomalyRecord(flight=f.name, **_anomaly(f, c))
                 for f, c in zip(self.flights, self.corrected, strict=True)
@@ -177,12 +188,8 @@ def _series(found: Evaluation, i: int) -> Series:
         fresh = flight.fresh[:, c]
         if not fresh.any():
             continue
-        t_s, virtual = flight.t_s[fresh], flight.virtual[fresh, c]
-        sides = {TWIN: virtual}
-        if found.explained is not None:
-            sides[EXPLAINED] = found.explained[i].virtual[fresh, c]
-        sides[CORRECTED] = virtual + corrected.correction[fresh, c]
-        columns += compared(channel, unit, t_s, virtual + flight.residual[fresh, c], sides)
+        t_s, sides = flight.t_s[fresh], _sides(found, i, c)
+        columns += compared(channel, unit, t_s, sides.pop(MEASURED), sides)
         columns.append(Column(f"{SPREAD}.{channel}", unit, t_s, corrected.spread[fresh, c]))
     inside = corrected.inside.astype(np.float64)
     for name, values in (("anomaly", corrected.anomaly), ("inside", inside)):
@@ -190,6 +197,17 @@ def _series(found: Evaluation, i: int) -> Series:
     info = found.model.info
     facts = {"verb": "evaluate", "vehicle": info.vehicle, "model": found.model.family}
     return Series(flight.name, tuple(columns), {**facts, "task": _task(found.model)})
+
+
+def _sides(found: Evaluation, i: int, c: int) -> dict[str, Array]:
+    """Fresh samples of a channel in a flight: measured, and predicted by each twin."""
+    flight = found.flights[i]
+    fresh = flight.fresh[:, c]
+    virtual = flight.virtual[fresh, c]
+    sides = {MEASURED: virtual + flight.residual[fresh, c], TWIN: virtual}
+    if found.explained is not None:
+        sides[EXPLAINED] = found.explained[i].virtual[fresh, c]
+    return sides | {CORRECTED: virtual + found.corrected[i].correction[fresh, c]}
 
 
 def evaluate_model(
@@ -213,18 +231,15 @@ def evaluate_model(
     check_names(given)
     check_untaught(given, folder, {f["log_sha256"]: f["name"] for f in model.info.flights})
     vehicles = [vehicle] if explained is None else [vehicle, explained]
-    residuals: list[list[ResidualFlight]] = [[] for _ in vehicles]
     rate_hz = model.info.rate_hz
     before_s = restart_before_s(model.info.protocol, model.info.horizon, rate_hz)
-    done, total = 0, len(given) * len(vehicles)
-    for flight in given:
-        for found, each in zip(residuals, vehicles, strict=True):
+    residuals: list[tuple[ResidualFlight, ...]] = []
+    for each in vehicles:
 
-            def share(part: float, done: int = done) -> None:
-                progress((done + part) / total)
+        def share(done: float, before: int = len(residuals)) -> None:
+            progress((before + done) / len(vehicles))
 
-            found.append(residual_flight(flight, each, rate_hz, before_s, share))
-            done += 1
+        residuals.append(residuals_of(given, each, rate_hz, before_s, share))
     flights = residuals[0]
     compiled = (folder / FILE).is_file()
     if compiled:
@@ -237,8 +252,8 @@ def evaluate_model(
     return Evaluation(
         model=model,
         table=evaluate(_own(model) | {MODEL: said}, train, flights, task),
-        flights=tuple(flights),
-        explained=tuple(residuals[1]) if len(residuals) > 1 else None,
+        flights=flights,
+        explained=residuals[1] if len(residuals) > 1 else None,
         corrected=tuple(said.corrected.values()),
         runs="fmu" if compiled else "python",
         in_use=in_use,
@@ -323,10 +338,6 @@ def evaluation_table(found: Evaluation) -> TextTable:
     return TextTable(header, tuple(rows))
 
 
-def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
-    return [{str(k): v for k, v in row.items()} for row in table.to_dict("records")]
-
-
 def _anomaly(flight: ResidualFlight, corrected: Corrected) -> dict[str, Any]:
     """How often the anomaly score is an alarm, and where it is largest.
 
@@ -382,11 +393,8 @@ def _flight(found: Evaluation, i: int, budget: Budget) -> dict[str, Any]:
         fresh = flight.fresh[:, c]
         if not fresh.any():
             continue
-        virtual = flight.virtual[fresh, c]
-        lines = {"measured": virtual + flight.residual[fresh, c], "twin": virtual}
-        if found.explained is not None:
-            lines["explained twin"] = found.explained[i].virtual[fresh, c]
-        lines["corrected twin"] = virtual + corrected.correction[fresh, c]
+        named = {EXPLAINED: "explained twin", CORRECTED: "corrected twin"}
+        lines = {named.get(side, side): values for side, values in _sides(found, i, c).items()}
         spread, time = corrected.spread[fresh, c], f"flight-{i}"
         figure = correction_figure(
             channel, UNITS[c], flight.t_s[fresh], lines, spread, time, budget
@@ -397,7 +405,7 @@ def _flight(found: Evaluation, i: int, budget: Budget) -> dict[str, Any]:
         "id": f"flight-{i}",
         "name": flight.name,
         "notes": flight.notes,
-        "inside": float(np.mean(corrected.inside[_airborne(flight)])),
+        "inside": float(np.mean(corrected.inside[flight.spans[0][0] : flight.spans[-1][1]])),
         "anomaly": _anomaly(flight, corrected),
         "score": _score(i, flight, corrected, budget),
         "figures": figures,
@@ -410,7 +418,3 @@ def _score(i: int, flight: ResidualFlight, corrected: Corrected, budget: Budget)
         return None
     figure = anomaly_figure(flight.t_s, corrected.anomaly, f"flight-{i}", budget)
     return plot(f"f{i}-anomaly", f"Anomaly score of {flight.name} over time", figure)
-
-
-def _airborne(flight: ResidualFlight) -> slice:
-    return slice(flight.spans[0][0], flight.spans[-1][1])

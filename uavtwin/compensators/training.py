@@ -14,7 +14,7 @@ import numpy as np
 from fmus.compensator import read_network
 from learning.compute import device_named
 from learning.data.channels import CHANNELS, UNITS
-from learning.data.flights import ResidualFlight, residual_flight, restart_before_s, write_residuals
+from learning.data.flights import ResidualFlight, residuals_of, restart_before_s, write_residuals
 from learning.force.model import copy_force
 from learning.model.compensator import Compensator
 from learning.model.family import Family, TrainedModel, TrainingTask
@@ -156,14 +156,8 @@ def prepare(
     """
     check_names(flights)
     before_s = restart_before_s(plan.task.protocol, plan.task.horizon, rate_hz)
-    residuals = []
-    for i, flight in enumerate(flights):
-
-        def share(done: float, i: int = i) -> None:
-            progress((i + done) / len(flights))
-
-        residuals.append(residual_flight(flight, vehicle, rate_hz, before_s, share))
-    compared, drive = tuple(residuals), choose_drive(flights[0], vehicle)
+    compared = residuals_of(flights, vehicle, rate_hz, before_s, progress)
+    drive = choose_drive(flights[0], vehicle)
     if plan.task.protocol != "free" or not plan.family.onnx:
         return Prepared(compared, compared, (), vehicle, drive)
     used = tuple(UsedFlight(flight, vehicle) for flight in flights)
