@@ -182,7 +182,7 @@ def fit_scaling(
     return Scaling(
         mean=mean,
         scale=scale,
-        reading=_readings(virtual, phase),
+        reading=phase_mean(virtual, np.isfinite(virtual), phase),
         largest=np.abs(about).max(axis=0, initial=0.0),
         feature_mean=centre,
         feature_scale=spread,
@@ -196,19 +196,23 @@ def fit_scaling(
     )
 
 
-def _readings(virtual: Array, phase: NDArray[np.intp]) -> Array:
-    """Mean reading of the twin by phase, 0 without readings, shape (phases, 15)."""
-    known = np.isfinite(virtual)
-    found = np.tile(_mean(virtual, known), (N_PHASES, 1))
-    for p in range(N_PHASES):
-        here = known & (phase == p)[:, None]
-        enough = here.sum(axis=0) >= MIN_SAMPLES
-        found[p, enough] = _mean(virtual, here)[enough]
+def phase_mean(values: Array, known: BoolArray, phase: NDArray[np.intp]) -> Array:
+    """Mean of known values in each phase, shape (phases, k): with fewer than `MIN_SAMPLES` that of
+    all phases, 0 without any.
+
+    Args:
+        values: Values, shape (n, k).
+        known: Which of them count, shape (n, k).
+        phase: Phase codes, shape (n,).
+    """
+    found = np.zeros((N_PHASES, values.shape[1]))
+    for p in (None, *range(N_PHASES)):
+        here = known if p is None else known & (phase == p)[:, None]
+        count = here.sum(axis=0)
+        mean = np.sum(values, axis=0, where=here) / np.maximum(count, 1)
+        rows = slice(None) if p is None else p
+        found[rows] = np.where((p is None) | (count >= MIN_SAMPLES), mean, found[rows])
     return found
-
-
-def _mean(values: Array, known: BoolArray) -> Array:
-    return np.asarray(np.sum(values, axis=0, where=known) / np.maximum(known.sum(axis=0), 1))
 
 
 def _centre(values: Array, normalise: str) -> tuple[float, float]:

@@ -26,9 +26,9 @@ from scipy.signal import lfilter
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GridSearchCV, LeaveOneGroupOut
 
-from ..data.channels import CHANNELS, N_PHASES
+from ..data.channels import CHANNELS
 from ..data.flights import ResidualFlight, held
-from ..data.scaling import features_of, in_spans
+from ..data.scaling import features_of, in_spans, phase_mean
 from ..data.sequences import delayed, smoothing
 from ..preset import PROTOCOLS, Protocol
 from .family import Corrected
@@ -38,9 +38,6 @@ ORDER = 8
 """Order of the autoregression: 0.08 s at 100 Hz, as `data.sequences.LAGS`."""
 AVERAGED = 21
 """Length of the moving average, an odd number of samples, about 0.2 s at 100 Hz. Made up."""
-MIN_SAMPLES = 20
-"""Least number of training samples of a channel in a phase; with fewer, the mean over all phases is
-used."""
 TINY = 1e-6
 """Ridge of the autoregression, relative to the power of its regressors: samples of a slow sensor
 repeat from lag to lag."""
@@ -114,21 +111,14 @@ def fit_baseline(name: str, train: Sequence[ResidualFlight], horizon: int = 0) -
 
 
 def by_phase(train: Sequence[ResidualFlight], values: Sequence[Array]) -> Array:
-    """Mean of values over the samples of each phase, shape (phases, 15); 0 without samples.
+    """Mean of values over the samples of each phase, as of `phase_mean`, shape (phases, 15).
 
     Args:
         train: Flights, whose phases and fresh samples are used.
         values: Values of each flight, shape (n, 15).
     """
-    phase = np.concatenate([f.phase for f in train])
-    fresh = np.concatenate([f.fresh for f in train])
-    pooled = np.concatenate(values)
-    found = np.zeros((N_PHASES, len(CHANNELS)))
-    for c, sample in enumerate(fresh.T):
-        for p in range(N_PHASES) if sample.any() else ():
-            here = sample & (phase == p)
-            found[p, c] = pooled[here if here.sum() >= MIN_SAMPLES else sample, c].mean()
-    return found
+    phase, fresh = (np.concatenate([getattr(f, n) for f in train]) for n in ("phase", "fresh"))
+    return phase_mean(np.concatenate(values), fresh, phase)
 
 
 def phase_means(train: Sequence[ResidualFlight]) -> Array:

@@ -16,7 +16,7 @@ whose layout is defined here; each export contains numbers of `run` for verifica
 import copy
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -58,24 +58,10 @@ LINEAR_PART = "linear part alone"
 class Compensator(nn.Module):
     """Streaming model; buffers and weights contain everything it needs."""
 
-    mean: Tensor
-    scale: Tensor
-    reading: Tensor
-    largest: Tensor
-    feature_mean: Tensor
-    feature_scale: Tensor
-    least: Tensor
-    most: Tensor
-    place_centre: Tensor
-    place_scale: Tensor
-    place_whitening: Tensor
-    place_reach: Tensor
-    rms: Tensor
-    base: Tensor
-    leftover: Tensor
-    gate: Tensor
-    spread_factor: Tensor
-    anomaly_scale: Tensor
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Tensor:
+            """Buffers are tensors."""
 
     def __init__(self, info: ModelInfo[Preset]) -> None:
         super().__init__()

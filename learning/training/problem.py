@@ -12,7 +12,7 @@ from ..data.channels import CHANNELS, N_PHASES
 from ..data.clustering import clusters_of
 from ..data.envelope import UNLIMITED
 from ..data.flights import ResidualFlight
-from ..data.scaling import in_spans
+from ..data.scaling import in_spans, phase_mean
 from ..data.sequences import sequences
 from ..model.compensator import Compensator, ModelInfo
 from ..model.linear import (
@@ -30,15 +30,12 @@ from .windows import MANY_FLIGHTS, TrainingSamples, validation_rows
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.intp]
 
 INNOVATION_QUANTILE = 0.999
 """Quantile of the innovation per channel that sets its alarm level; any of many channels raises an
 alarm. Not chosen on flights."""
 ROUNDING = 10 * float(np.finfo(np.float32).eps)
 """Relative rounding error of a model in float32."""
-ENOUGH = 20
-"""Least number of samples of a channel in a phase for its spread."""
 
 
 class TrainingProblem:
@@ -150,7 +147,8 @@ class TrainingProblem:
         used &= ~alone | alone.all()  # spreads refer to a twin that follows the motion
         log_spread = np.concatenate([o.log_spread.double().numpy() for o in outs])
         error = error * np.exp(-log_spread)
-        factor = np.where(used.any(axis=0), np.maximum(_factor(error, used, phases), self.least), 0)
+        rms = np.sqrt(phase_mean(error**2, used, phases))
+        factor = np.where(used.any(axis=0), np.maximum(rms, self.least), 0)
         model.spread_factor.copy_(torch.from_numpy(factor))
         if model.info.protocol == "track":
             known = np.where(factor > 0, factor, 1.0)[phases]
@@ -199,23 +197,6 @@ class TrainingProblem:
         """Mean square error of the linear prediction and with the network, per channel."""
         rows = zip(CHANNELS, self.error_without, self.error_with, strict=True)
         return {n: {"linear": float(a), "with_network": float(b)} for n, a, b in rows}
-
-
-def _factor(error: Array, scored: BoolArray, phases: IntArray) -> Array:
-    """Rms of error over predicted spread per phase and channel, shape (phases, 15).
-
-    A phase without enough samples of a channel gets the value of all phases, a channel without any
-    0.
-    """
-    square = np.where(scored, error**2, 0.0)
-    count = scored.sum(0)
-    factor = np.tile(np.sqrt(square.sum(0) / np.maximum(count, 1)), (N_PHASES, 1))
-    for p in range(N_PHASES):
-        here = phases == p
-        count = scored[here].sum(0)
-        enough = count >= ENOUGH
-        factor[p, enough] = np.sqrt(square[here].sum(0) / np.maximum(count, 1))[enough]
-    return factor
 
 
 def _mean_square(errors: Sequence[Array], scored: Sequence[BoolArray]) -> Array:

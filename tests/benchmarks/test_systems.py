@@ -12,7 +12,7 @@ from benchmarks.paper.system import Batch, SystemModel, SystemPreset, begun, rol
 from benchmarks.paper.tables import NAMES, printed
 from benchmarks.paper.trainings import SYSTEMS
 from learning.data.flights import ResidualFlight
-from learning.evaluation import wasserstein
+from learning.evaluation import errors
 from twin.errors import ModelError
 
 AWAY = known(9)
@@ -79,7 +79,9 @@ def test_every_system_stands_in_the_paper() -> None:
 def _apart(away: ResidualFlight, drawn: np.ndarray, phase: int, from_phase: int) -> float:
     """Mean distance of what is drawn in a phase from what a phase of a flight has."""
     own, other = drawn[away.phase == phase], away.residual[away.phase == from_phase]
-    return float(np.mean([wasserstein(a, b) for a, b in zip(own.T, other.T, strict=True)]))
+    return float(
+        np.mean([errors(a, b)["wasserstein"] for a, b in zip(own.T, other.T, strict=True)])
+    )
 
 
 @pytest.mark.slow
