@@ -11,7 +11,7 @@ from fmpy.model_description import ModelDescription, ScalarVariable
 
 from fmus.archive import open_archive
 from twin.errors import FmuError
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 _INTEGERS: dict[str, type[np.generic]] = {
     f"{sign}Int{bits}": np.dtype(f"{sign.lower()}int{bits}").type
@@ -40,7 +40,7 @@ _DERIVATIVES = ("providesDirectionalDerivative", "providesDirectionalDerivatives
 
 
 @dataclass(frozen=True, slots=True)
-class Port:
+class Port(ShortRepr):
     """A variable of an FMU for the master.
 
     Attributes:
@@ -60,17 +60,13 @@ class Port:
     kind: str | None
     items: tuple[tuple[str, int], ...] = ()
 
-    __repr__ = short_repr
-
 
 @dataclass(frozen=True)
-class Interface:
+class Interface(ShortRepr):
     """One FMU, read but not loaded."""
 
     path: Path
     description: ModelDescription
-
-    __repr__ = short_repr
 
     @cached_property
     def fmi(self) -> int:

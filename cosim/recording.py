@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.errors import FmuError
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class Recording(ShortRepr):
     """Values at the communication points.
 
     Attributes:
@@ -37,8 +37,6 @@ class Recording:
     lateness_s: float = 0.0
     incomplete: str = ""
     printed: str = ""
-
-    __repr__ = short_repr
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         """One column by name."""

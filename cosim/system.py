@@ -6,7 +6,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from twin.errors import FmuError
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 from .interface import Interface
 
@@ -28,7 +28,7 @@ class Connection:
 
 
 @dataclass(frozen=True)
-class System:
+class System(ShortRepr):
     """System of FMUs for the master.
 
     Attributes:
@@ -53,8 +53,6 @@ class System:
     step_s: float | None = None
     foreign: bool = field(default=False, compare=False)
     folder: object = field(default=None, repr=False, compare=False)
-
-    __repr__ = short_repr
 
     def split(self, name: str) -> tuple[str, str]:
         """Slave and variable of "slave.variable".

@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 from lxml import etree
 
 from twin.errors import FmuError
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 from .names import IDENTIFIER
 
@@ -38,7 +38,7 @@ _UNREADABLE = (zipfile.BadZipFile, OSError, NotImplementedError, RuntimeError, E
 
 
 @dataclass(frozen=True, slots=True)
-class Archive:
+class Archive(ShortRepr):
     """An FMU archive whose members have been checked.
 
     Attributes:
@@ -53,8 +53,6 @@ class Archive:
     problems: tuple[str, ...]
     description: bytes
     root: etree._Element
-
-    __repr__ = short_repr
 
     @property
     def names(self) -> frozenset[str]:

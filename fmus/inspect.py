@@ -18,7 +18,7 @@ from fmpy.model_description import ModelDescription, ValidationError
 from lxml import etree
 
 from twin.errors import FmuError
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 from .archive import DESCRIPTION, Archive, open_archive, repeated_entries
 from .experiments import VERSION, read_experiments, related_problems
@@ -195,7 +195,7 @@ _NUMBERS = {
 
 
 @dataclass(frozen=True, slots=True)
-class FmuReport:
+class FmuReport(ShortRepr):
     """Result of `inspect_fmu`.
 
     Attributes:
@@ -207,8 +207,6 @@ class FmuReport:
     facts: dict[str, str]
     problems: tuple[str, ...]
     platforms: tuple[str, ...]
-
-    __repr__ = short_repr
 
 
 def inspect_fmu(path: Path) -> FmuReport:

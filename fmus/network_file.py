@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from twin.errors import FmuError, install_command
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 from .names import LONGEST_NAME, base_exponents, check_identifier, check_name, check_text, shown
 
@@ -301,7 +301,7 @@ MAX_METADATA = 2**20
 
 
 @dataclass(frozen=True, slots=True)
-class NetworkFile:
+class NetworkFile(ShortRepr):
     """A compensator as described by its ONNX file.
 
     Attributes:
@@ -335,8 +335,6 @@ class NetworkFile:
     vehicle: str
     vehicle_sha256: str
     state_size: int
-
-    __repr__ = short_repr
 
     @property
     def sees_measurements(self) -> bool:

@@ -27,7 +27,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from twin.errors import ModelError
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 Clustering = Literal["kmeans", "sensors", "none", "channels"]
 Protocol = Literal["reconstruct", "track", "free"]
@@ -37,7 +37,7 @@ PROTOCOLS: tuple[Protocol, ...] = ("reconstruct", "track", "free")
 
 
 @dataclass(frozen=True, slots=True)
-class Preset:
+class Preset(ShortRepr):
     """Hyper-parameters of network and training.
 
     Attributes:
@@ -130,8 +130,6 @@ class Preset:
     stride: int | None = None
     carry: int = 4
     augment: float = 0.3
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         sizes = (self.code_size, self.n_codes, self.phase_size, self.batch, self.window)

@@ -12,11 +12,19 @@ _TEXT, _ITEMS = 40, 4
 full."""
 
 
-def short_repr(self: Any) -> str:
-    """Class and fields of a dataclass: arrays by their shape, collections by their size.
+class ShortRepr:
+    """Base of dataclasses whose `repr` is `short_repr`."""
 
-    Written as `__repr__ = short_repr` in the class; at most `LONGEST` characters.
-    """
+    __slots__ = ()
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        cls.__repr__ = short_repr  # type: ignore[method-assign]  # kept by `dataclass`
+
+
+def short_repr(self: Any) -> str:
+    """Class and fields of a dataclass: arrays by their shape, collections by their size; at most
+    `LONGEST` characters."""
     parts: list[str] = []
     length = len(type(self).__name__) + 2
     for field in sorted((f for f in fields(self) if f.repr), key=lambda f: bool(f.kw_only)):

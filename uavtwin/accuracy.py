@@ -34,7 +34,7 @@ from twin.logs import AnyFlight
 from twin.physics.accuracy import OF_THE_DAY, REGIMES, SEEN, Bands, accuracy
 from twin.physics.rotors import Drive
 from twin.physics.sensors.table import SENSORS, Sensor
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 from twin.residuals.measured import Signal
 from twin.residuals.teacher_forced import choose_drive
 from twin.vehicle import Vehicle
@@ -64,7 +64,7 @@ WORDS = {PLAIN: "the twin without an observer", OBSERVED: "the twin with one"}
 
 
 @dataclass(frozen=True, slots=True)
-class Windows:
+class Windows(ShortRepr):
     """Errors of a twin in one flight, for w windows without given motion, at each of h times.
 
     Attributes:
@@ -79,8 +79,6 @@ class Windows:
     left: Array
     seen: Array
     off: Mapping[str, Array]
-
-    __repr__ = short_repr
 
 
 def replayed(flight: AnyFlight, vehicle: Vehicle, fmu: Path, twin: str = PLAIN) -> Windows:

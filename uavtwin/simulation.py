@@ -23,7 +23,7 @@ from twin.flight.assembly import Assembly, flying_twin, responds_to_wind, wind_s
 from twin.flight.mission import mission_names
 from twin.frames import AXES
 from twin.physics.residual_force import ForceLaw
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 from twin.vehicle import Vehicle
 
 from .vehicles import checked_vehicle, load_vehicle
@@ -40,7 +40,7 @@ DEFAULT_VEHICLE = "copter_default"
 
 
 @dataclass(frozen=True, slots=True)
-class Scenario:
+class Scenario(ShortRepr):
     """Settings of a simulation.
 
     Attributes:
@@ -69,8 +69,6 @@ class Scenario:
     fused: bool = False
     law: ForceLaw | None = None
     compensator: FmuModel | None = None
-
-    __repr__ = short_repr
 
     @property
     def is_system(self) -> bool:

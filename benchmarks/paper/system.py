@@ -34,7 +34,7 @@ from learning.preset import Normalise, Protocol
 from learning.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from learning.training.windows import TrainingSamples, Window
 from twin.errors import ModelError
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 Numbers = Mapping[str, NDArray[np.float32]]
 Role = Literal["reconstruct", "track", "free", "generate"]
@@ -271,7 +271,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class SystemModel:
+class SystemModel(ShortRepr):
     """Weights, scaling, and what its draws come from.
 
     Attributes:
@@ -294,8 +294,6 @@ class SystemModel:
     expected: Array
     seed: int
     draws: bool
-
-    __repr__ = short_repr
 
     def with_seed(self, seed: int) -> "SystemModel":
         """The same as a generator: it sees phases and span limits, and nothing that was measured.

@@ -20,7 +20,7 @@ from fmus.inspect import FmuReport, brief, inspect_fmu
 from fmus.names import shown
 from fmus.platforms import PLATFORMS
 from twin.errors import FmuError
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 from ..system import System
 from .read import read_structure, read_unpacked, tag, unpack_ssp
@@ -33,7 +33,7 @@ _PLATFORM_OF = {folder: p.name for p in PLATFORMS.values() for folder in p.folde
 
 
 @dataclass(frozen=True, slots=True)
-class SspReport:
+class SspReport(ShortRepr):
     """Result of `inspect_ssp`.
 
     Attributes:
@@ -49,8 +49,6 @@ class SspReport:
     notes: tuple[str, ...]
     platforms: tuple[str, ...]
     runs_here: bool
-
-    __repr__ = short_repr
 
 
 def inspect_ssp(path: Path) -> SspReport:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 Array = NDArray[np.float64]
 NETWORK_END = 2.0
@@ -38,7 +38,7 @@ reads it."""
 
 
 @dataclass(frozen=True, slots=True)
-class Envelope:
+class Envelope(ShortRepr):
     """Distance from the training data in `k` physical inputs.
 
     Attributes:
@@ -54,8 +54,6 @@ class Envelope:
     scale: Array
     whitening: Array
     reach: float
-
-    __repr__ = short_repr
 
     @classmethod
     def of(cls, flights: Sequence[Array], reserve: Array) -> "Envelope":

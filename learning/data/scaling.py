@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 from ..preset import Normalise
 from .channels import CHANNELS, FEATURE_CHANNELS, N_PHASES, PLACES
@@ -25,7 +25,7 @@ chosen on flights."""
 
 
 @dataclass(frozen=True, slots=True)
-class Scaling:
+class Scaling(ShortRepr):
     """Offsets and scales of a model; all are stored with the weights.
 
     Attributes:
@@ -59,8 +59,6 @@ class Scaling:
     place_whitening: Array
     place_reach: Array
     rms: Array
-
-    __repr__ = short_repr
 
     def arrays(self) -> dict[str, Array]:
         """Every array by its name."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.physics.residual_force import FEATURES, OUTPUTS, ForceLaw
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 from ..data.envelope import BEYOND, Envelope
 from .equations import Equations
@@ -33,7 +33,7 @@ battery is valid where training had only full ones."""
 
 
 @dataclass(frozen=True, slots=True)
-class Taught:
+class Taught(ShortRepr):
     """Training data and envelope from some flights.
 
     Attributes:
@@ -45,8 +45,6 @@ class Taught:
     flights: tuple[FlightWindows, ...]
     equations: Equations
     empty: ForceLaw
-
-    __repr__ = short_repr
 
     @classmethod
     def by(cls, flights: Sequence[FlightWindows], equations: Equations) -> "Taught":

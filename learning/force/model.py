@@ -14,7 +14,7 @@ from msgspec import UNSET, UnsetType
 
 from twin.errors import ModelError, TwinError
 from twin.physics.residual_force import FEATURES, INPUTS, OUTPUTS, ForceLaw
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 FILE, VEHICLE_FILE = "force.json", "vehicle.toml"  # in the folder of a law
 MODULE_FILE = "force.onnx"
@@ -156,7 +156,7 @@ class ForceFile(Origin):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ForceModel(Origin):
+class ForceModel(Origin, ShortRepr):
     """A law with its provenance; a driven twin uses it together with the untrained observer.
 
     Attributes:
@@ -168,8 +168,6 @@ class ForceModel(Origin):
     law: ForceLaw
     ridge: float | None = None
     onnx: bytes = b""
-
-    __repr__ = short_repr
 
     @property
     def says(self) -> bool:

@@ -16,7 +16,7 @@ from twin.errors import LogError
 from twin.frames import AXES, rotation_vector, to_body
 from twin.logs import Flight
 from twin.physics.observer import LAG_S
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.channels import imu_predictor, in_step, on_grid
 from twin.residuals.measured import Signal, signal_of
@@ -89,7 +89,7 @@ def turn_slopes(motion: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class FlightWindows:
+class FlightWindows(ShortRepr):
     """Windows of one flight; w windows of n steps of `STEPS` grid steps each.
 
     Attributes:
@@ -120,8 +120,6 @@ class FlightWindows:
     places: Array
     left: Array
     sensed: tuple[float, float]
-
-    __repr__ = short_repr
 
     @classmethod
     def of(cls, flight: Flight, vehicle: Vehicle, equations: "Equations") -> "FlightWindows":

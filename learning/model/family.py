@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.errors import ModelError
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 from ..data.clustering import Clusters
 from ..data.flights import ResidualFlight
@@ -26,7 +26,7 @@ BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
-class Corrected:
+class Corrected(ShortRepr):
     """Correction of a flight; zero outside the spans.
 
     Attributes:
@@ -41,8 +41,6 @@ class Corrected:
     spread: Array
     anomaly: Array
     inside: BoolArray
-
-    __repr__ = short_repr
 
 
 def between(share: Array, corrected: Array, uncorrected: Array) -> Array:
@@ -62,7 +60,7 @@ P = TypeVar("P")
 
 
 @dataclass(frozen=True, slots=True)
-class ModelInfo(Generic[P]):
+class ModelInfo(ShortRepr, Generic[P]):
     """Description of a model without its weights: content of `model.json`.
 
     Attributes:
@@ -92,8 +90,6 @@ class ModelInfo(Generic[P]):
     flights: tuple[dict[str, Any], ...] = ()
     training: str = ""
     metrics: dict[str, Any] = field(default_factory=dict)
-
-    __repr__ = short_repr
 
     def check_flight(self, flight: ResidualFlight) -> None:
         """Raise ModelError unless the flight has the model's rate and number of commands."""

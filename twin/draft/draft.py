@@ -18,7 +18,7 @@ from ..logs.airframe import Place
 from ..logs.columns import MAX_MOTORS, MIN_MOTORS
 from ..logs.stored import phases_at
 from ..physics.sensors.table import SENSORS
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..vehicle import GRAVITY_M_S2
 from ..vehicle.earth import GAS_CONSTANT_J_KG_K, LAPSE_K_M, normal_gravity_m_s2, world_field
 from ..vehicle.layouts import FRAMES, Layout, frame, frames_of
@@ -372,7 +372,7 @@ _LEVELS_APART = 1.25
 
 
 @dataclass(frozen=True, slots=True)
-class Drafted:
+class Drafted(ShortRepr):
     """A vehicle file in draft.
 
     Attributes:
@@ -388,8 +388,6 @@ class Drafted:
     level: float
     facts: tuple[Fact, ...]
     warnings: tuple[str, ...]
-
-    __repr__ = short_repr
 
 
 def draft(flights: Sequence[Flight], known: OwnerFacts) -> Drafted:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..logs import Flight
 from ..logs.airframe import Airframe
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..vehicle import Array
 from ..vehicle_file.write import Draft
 from .hover import Hover
@@ -70,7 +70,7 @@ def kind_of(source: str) -> Kind:
 
 
 @dataclass(slots=True)
-class DraftState:
+class DraftState(ShortRepr):
     """State of a draft in progress.
 
     Attributes:
@@ -88,8 +88,6 @@ class DraftState:
     file: Draft
     facts: list[Fact] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
-
-    __repr__ = short_repr
 
     @property
     def airframe(self) -> Airframe:

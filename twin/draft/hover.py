@@ -14,7 +14,7 @@ from ..logs import AnyFlight, Flight
 from ..logs.columns import ACC, GYRO, MIN_MOTORS, POS, QUAT, VEL, motor_columns
 from ..logs.samples import interpolated
 from ..logs.stored import phases_at
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..vehicle import GRAVITY_M_S2
 from ..vehicle.layouts import FRAMES, Layout, frame, frames_of
 
@@ -30,7 +30,7 @@ _NOT_FLOWN = ("ground", "takeoff", "land")  # phases without a hover
 
 
 @dataclass(frozen=True, slots=True)
-class Hover:
+class Hover(ShortRepr):
     """Commands of the motors while the rotors carry the weight.
 
     Attributes:
@@ -54,8 +54,6 @@ class Hover:
     seconds: float
     hovers: bool
     where: str
-
-    __repr__ = short_repr
 
     @property
     def motors(self) -> int:

@@ -30,7 +30,7 @@ from scipy.stats import norm
 
 from ..effects import EFFECTS
 from ..logs.columns import ACC, ACC_NED
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..residuals.channels import Array, ChannelData
 from ..vehicle import Vehicle
 from .inference.detection import POWER_95, Detectable
@@ -79,7 +79,7 @@ CrazyPAD's E9."""
 
 
 @dataclass(frozen=True, slots=True)
-class Trim:
+class Trim(ShortRepr):
     """Means of the balance's channels in some flights, and their vibration.
 
     Attributes:
@@ -95,8 +95,6 @@ class Trim:
     slopes: Array
     numbers: tuple[str, ...]
     vibration: Array
-
-    __repr__ = short_repr
 
     def by_name(self) -> tuple[dict[str, float], dict[str, float]]:
         """Mean over the flights and sample standard deviation between them, by channel and
@@ -209,7 +207,7 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, slots=True)
-class Balance:
+class Balance(ShortRepr):
     """Change of the balance: posterior over hypotheses.
 
     Attributes:
@@ -226,8 +224,6 @@ class Balance:
     more: tuple[float, ...]
     sure: float
     hanging: Hypothesis | None = None
-
-    __repr__ = short_repr
 
     def probability_of(self, cause: str) -> float:
         """Probability of a cause, for any rotors."""

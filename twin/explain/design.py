@@ -19,7 +19,7 @@ from ..effects import EFFECTS
 from ..errors import TwinError
 from ..flight.manoeuvres import Manoeuvre, manoeuvres, plan, rehearse, volts_of
 from ..logs import Flight
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..residuals.channels import GRID_HZ, Array
 from ..vehicle import Vehicle
 from .inference.evidence import Factored, best_inside
@@ -35,7 +35,7 @@ to 1."""
 
 
 @dataclass(frozen=True, slots=True)
-class Suggestion:
+class Suggestion(ShortRepr):
     """Suggested manoeuvre that discriminates between two sets of effects.
 
     Attributes:
@@ -49,8 +49,6 @@ class Suggestion:
     description: str
     separates: tuple[tuple[str, ...], tuple[str, ...]]
     separation: float
-
-    __repr__ = short_repr
 
 
 @dataclass(frozen=True, slots=True)

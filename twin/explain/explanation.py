@@ -11,7 +11,7 @@ from ..errors import LogError, ModelError
 from ..flight.closed_loop import Mission, fly_missions
 from ..formatting import joined
 from ..logs import AnyFlight, Flight, Site
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..residuals.flight_gap import HoverDiagnosis, diagnosis_of
 from ..residuals.measured import clock_doubt
 from ..residuals.teacher_forced import drive_warnings, driven_by
@@ -82,7 +82,7 @@ class HeldOut:
 
 
 @dataclass(frozen=True, slots=True)
-class Explanation:
+class Explanation(ShortRepr):
     """Result of the search for what a model lacks.
 
     Attributes:
@@ -137,8 +137,6 @@ class Explanation:
     hovers: tuple[HoverDiagnosis, ...] = ()
     balance: Balance | None = None
     driven_by: Mapping[str, str] = field(default_factory=dict)
-
-    __repr__ = short_repr
 
     @property
     def effects(self) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, TypeVar
 
 from ..errors import ModelError
+from ..representation import ShortRepr
 
 Value = int | float | tuple[Any, ...]
 G = TypeVar("G", bound="Group")
@@ -29,7 +30,7 @@ class Setting:
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class Group(ShortRepr):
     """Settings of one package, and groups of its subpackages.
 
     Raises:

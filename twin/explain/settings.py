@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from ..representation import short_repr
 from ..vehicle import GRAVITY_M_S2
 from .setting_group import Group, Share, Value
 
@@ -162,8 +161,6 @@ class InferenceSettings(Group):
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     adequacy: AdequacySettings = field(default_factory=AdequacySettings)
 
-    __repr__ = short_repr
-
 
 # -- effects that change no mean -----------------------------------------------------------
 
@@ -304,8 +301,6 @@ class StochasticSettings(Group):
     vibration: VibrationSettings = field(default_factory=VibrationSettings)
     gust: GustSettings = field(default_factory=GustSettings)
 
-    __repr__ = short_repr
-
 
 # -- when an equation takes the place of a name --------------------------------------------
 
@@ -388,8 +383,6 @@ class SearchSettings(Group):
     stochastic: StochasticSettings = field(default_factory=StochasticSettings)
     unnamed: UnnamedSettings = field(default_factory=UnnamedSettings)
     holdout: HoldoutSettings = field(default_factory=HoldoutSettings)
-
-    __repr__ = short_repr
 
     @property
     def changed(self) -> Mapping[str, Value]:

@@ -20,7 +20,7 @@ from ..physics.residual_force import ForceLaw, residual_force
 from ..physics.rotors import Drive
 from ..physics.sensors.position import Kind, position_sensor
 from ..physics.sensors.table import components_of_sensors
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..vehicle import Vehicle
 from .closed_loop import standing
 from .lqr import controller
@@ -83,7 +83,7 @@ COMPONENTS: Mapping[str, Maker] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Assembly:
+class Assembly(ShortRepr):
     """Connected components of a co-simulation.
 
     Attributes:
@@ -95,8 +95,6 @@ class Assembly:
     parts: Mapping[str, Component]
     connections: tuple[tuple[str, str], ...]
     duration_s: float
-
-    __repr__ = short_repr
 
     def with_starts(self, starts: Mapping[str, float]) -> "Assembly":
         """The assembly with other start values, "part.variable" -> value.

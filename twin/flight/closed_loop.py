@@ -21,7 +21,7 @@ from ..errors import ModelError, TwinError
 from ..frames import AXES
 from ..logs.samples import stretches_where
 from ..physics.airframe import airframe
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..vehicle import Vehicle
 from .control_laws import drives, thrust_inverse
 from .lqr import controller
@@ -41,7 +41,7 @@ AT_BOUND = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Trajectory:
+class Trajectory(ShortRepr):
     """A closed-loop flight, one row per step.
 
     Attributes:
@@ -61,8 +61,6 @@ class Trajectory:
     phase: Array
     body: Component
     bounds: tuple[float, float]
-
-    __repr__ = short_repr
 
     def state(self, *names: str) -> Array:
         """States by name, shape (n, len(names))."""

@@ -9,7 +9,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..vehicle.layouts import Layout
 
 T = TypeVar("T")
@@ -155,7 +155,7 @@ def origin_of(airframe: "Airframe | None") -> Place | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Airframe:
+class Airframe(ShortRepr):
     """Facts of an aircraft in its log besides the signals; None where the log has no such fact.
 
     Attributes:
@@ -186,8 +186,6 @@ class Airframe:
     place: SourcedValue[Place] | None = None
     filters: str = ""
     origin: SourcedValue[Place] | None = None
-
-    __repr__ = short_repr
 
     @classmethod
     def together(cls, several: Sequence["Airframe"]) -> "Airframe":

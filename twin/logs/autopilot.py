@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frames import from_euler
-from ..representation import short_repr
+from ..representation import ShortRepr
 from .columns import GYRO, POS, QUAT, SIGNALS, VEL, beyond_limit
 from .samples import stretches_where
 
@@ -123,7 +123,7 @@ class Filter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Setpoint:
+class Setpoint(ShortRepr):
     """Setpoint of the controllers, in the units and frames of the flight table.
 
     Attributes:
@@ -138,8 +138,6 @@ class Setpoint:
     t_s: Array
     values: Array
     every: int = 1
-
-    __repr__ = short_repr
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +154,7 @@ class Reset:
 
 
 @dataclass(frozen=True, slots=True)
-class Autopilot:
+class Autopilot(ShortRepr):
     """Records of an autopilot on its flight; empty where its log has none.
 
     Attributes:
@@ -178,8 +176,6 @@ class Autopilot:
     parameters: tuple[Parameter, ...] = ()
     filters: tuple[Filter, ...] = ()
     resets: tuple[Reset, ...] = ()
-
-    __repr__ = short_repr
 
     def mode_stretches(self, end_s: float) -> tuple[Interval, ...]:
         """Interval of each mode in a record that ends at this time, s."""

@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ..errors import LogError
-from ..representation import short_repr
+from ..representation import ShortRepr
 from .airframe import Airframe
 from .autopilot import Autopilot
 from .columns import Columns, in_order
@@ -127,7 +127,7 @@ class Notes:
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
-class Flight(Notes):
+class Flight(Notes, ShortRepr):
     """One recorded flight on one clock, SI, NED, FRD, quaternions `[w, x, y, z]`.
 
     Attributes:
@@ -140,8 +140,6 @@ class Flight(Notes):
     name: str
     table: pd.DataFrame
     source: Path | None = None
-
-    __repr__ = short_repr
 
     @property
     def indoors(self) -> bool | None:

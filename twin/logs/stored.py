@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ..errors import LogError
-from ..representation import short_repr
+from ..representation import ShortRepr
 from .columns import Columns, over
 from .flight import Array, Flight, Notes, finite_rows, missing_signal
 
@@ -233,7 +233,7 @@ class ParquetColumns(Columns):
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
-class StoredFlight(Notes):
+class StoredFlight(Notes, ShortRepr):
     """One recorded flight as `Flight`, with its table in the file that it came from.
 
     Attributes:
@@ -251,8 +251,6 @@ class StoredFlight(Notes):
     source: Path
     time_s: Array
     known: frozenset[str]
-
-    __repr__ = short_repr
 
     @property
     def columns(self) -> Columns:

@@ -23,7 +23,7 @@ import casadi as ca
 from ..component import Component, ComponentBuilder
 from ..errors import ModelError
 from ..frames import AXES
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..vehicle import Vehicle
 from .residual_force import nearness
 from .sensors.table import SENSORS
@@ -49,7 +49,7 @@ its parameter `ground_pressure` must be given for its band to be valid."""
 
 
 @dataclass(frozen=True, slots=True)
-class Bands:
+class Bands(ShortRepr):
     """Measured errors of a twin as bands.
 
     Attributes:
@@ -63,8 +63,6 @@ class Bands:
     limits: Sequence[float]
     calm: float
     bands: Mapping[str, Sequence[Sequence[float]]] = field(default_factory=dict)
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         """Raise ModelError where shapes or numbers are invalid."""

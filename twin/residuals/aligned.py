@@ -28,7 +28,7 @@ from ..logs.stored import phases_at, rows_before
 from ..physics.airframe import airframe
 from ..physics.rotors import Drive
 from ..physics.sensors.imu import imu
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..vehicle import Vehicle
 from .measured import MeasuredMotion, measured_motion, signal_of
 from .teacher_forced import (
@@ -195,7 +195,7 @@ BLOCK_ROWS = 1 << 18
 
 
 @dataclass(frozen=True, slots=True)
-class AlignedFlight:
+class AlignedFlight(ShortRepr):
     """A flight on the grid of its twin.
 
     Attributes:
@@ -218,8 +218,6 @@ class AlignedFlight:
     phases: NDArray[np.str_]
     airborne: NDArray[np.bool_]
     notes: tuple[str, ...]
-
-    __repr__ = short_repr
 
     @property
     def saturated(self) -> NDArray[np.bool_]:
@@ -264,7 +262,7 @@ def align_flight(
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class Block(ShortRepr):
     """Consecutive rows of the grid of a twin.
 
     Attributes:
@@ -276,8 +274,6 @@ class Block:
     first: int
     inputs: Inputs
     states: Array
-
-    __repr__ = short_repr
 
     @property
     def end(self) -> int:

@@ -33,7 +33,7 @@ from ..logs import AnyFlight
 from ..logs.airframe import origin_of
 from ..logs.columns import ACC, GYRO, POS, QUAT, VEL
 from ..logs.samples import stretches_where
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..vehicle import Vehicle
 from .aligned import BLOCK_ROWS, AlignedFlight, Alignment, Block, align_flight
 from .channels import GRID_HZ, OF_IMU, SHORTEST_S, imu_channels
@@ -82,7 +82,7 @@ class WeakRotor:
 
 
 @dataclass(frozen=True, slots=True)
-class HoverDiagnosis:
+class HoverDiagnosis(ShortRepr):
     """Comparison of a twin with a hover, at the motor commands of the flight.
 
     Attributes:
@@ -111,8 +111,6 @@ class HoverDiagnosis:
     lean_right_rad: Mean | None
     split: tuple[float, ...]
     weakest: WeakRotor | None
-
-    __repr__ = short_repr
 
 
 def diagnose(

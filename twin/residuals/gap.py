@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import ModelError
 from ..logs.airframe import Place
 from ..logs.columns import ACC
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..vehicle import GRAVITY_M_S2
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ UNKNOWN_PHASE = "unknown"  # name of rows without a phase
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
+class Channel(ShortRepr):
     """One scalar quantity, measured and simulated at the same instants.
 
     Attributes:
@@ -151,8 +151,6 @@ class Channel:
     phase: NDArray[np.str_]
     unfiltered: "Channel | None" = None
 
-    __repr__ = short_repr
-
     @property
     def residual(self) -> Array:
         """Measured minus simulated, shape (n,)."""
@@ -175,7 +173,7 @@ def weighs(acc_z: float) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class FlightGap:
+class FlightGap(ShortRepr):
     """All channels of one flight.
 
     Attributes:
@@ -199,8 +197,6 @@ class FlightGap:
     hover: "HoverDiagnosis | None" = None
     origin: Place | None = None
     driven_by: str = ""
-
-    __repr__ = short_repr
 
     @property
     def carried(self) -> float | None:

@@ -19,7 +19,7 @@ from ..frames import multiply, rotation_vector
 from ..logs import AnyFlight, Flight, StoredFlight
 from ..logs.columns import GYRO, POS, QUAT, VEL
 from ..logs.samples import interpolated
-from ..representation import short_repr
+from ..representation import ShortRepr
 
 Array = NDArray[np.float64]
 RATE_CUTOFF_HZ = 30.0
@@ -53,7 +53,7 @@ LONGEST_GAP_S = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class Signal:
+class Signal(ShortRepr):
     """A vector signal with its own times, linear between samples, NaN outside and in gaps.
 
     Attributes:
@@ -65,8 +65,6 @@ class Signal:
     t_s: Array
     values: Array
     settled_hz: float | None = None
-
-    __repr__ = short_repr
 
     @property
     def rate_hz(self) -> float:
@@ -89,7 +87,7 @@ class Signal:
 
 
 @dataclass(frozen=True, slots=True)
-class StoredSignal:
+class StoredSignal(ShortRepr):
     """A signal of a flight that stays in its file: the interface of `Signal`, read on demand.
 
     Attributes:
@@ -106,8 +104,6 @@ class StoredSignal:
     rate_hz: float
     signs: NDArray[np.int8] | None = None
     settled_hz: float | None = None
-
-    __repr__ = short_repr
 
     @property
     def t_s(self) -> Array:
@@ -193,7 +189,7 @@ def _held(t_s: Array, known_s: Array, values: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class MeasuredMotion:
+class MeasuredMotion(ShortRepr):
     """Measured position, velocity, attitude and body rates; None where the flight has none.
 
     Attributes:
@@ -208,8 +204,6 @@ class MeasuredMotion:
     rates: AnySignal | None
     rates_measured: bool
     notes: tuple[str, ...]
-
-    __repr__ = short_repr
 
 
 def measured_motion(flight: AnyFlight, doubts: bool = True) -> MeasuredMotion:

@@ -25,7 +25,7 @@ from ..frames import AXES
 from ..logs import AnyFlight
 from ..logs.columns import is_known, motor_columns
 from ..physics.rotors import Drive
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..vehicle import Vehicle
 from .measured import AnySignal, MeasuredMotion, Signal, differentiate, signal_of
 
@@ -190,7 +190,7 @@ RIGID = tuple(f"{s}_{a}" for s in ("pos", "vel", "omega") for a in AXES) + tuple
 
 
 @dataclass(frozen=True, slots=True)
-class Inputs:
+class Inputs(ShortRepr):
     """Inputs of the airframe on a grid.
 
     Attributes:
@@ -207,8 +207,6 @@ class Inputs:
     u: Array
     rotor_states: Array
     notes: tuple[str, ...]
-
-    __repr__ = short_repr
 
     @property
     def step_s(self) -> float:

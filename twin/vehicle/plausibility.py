@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..representation import short_repr
+from ..representation import ShortRepr
 from .vehicle import (
     DEFAULT,
     WORDS,
@@ -24,7 +24,7 @@ from .vehicle import (
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class Question(ShortRepr):
     """A question on one key of a vehicle file.
 
     Attributes:
@@ -38,8 +38,6 @@ class Question:
     value: str
     why: str
     way_out: str
-
-    __repr__ = short_repr
 
     def __str__(self) -> str:
         """The question in one line."""

@@ -16,13 +16,13 @@ from typing import Any, Literal, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..representation import short_repr
+from ..representation import ShortRepr
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class Calibration(ShortRepr):
     """Joint uncertainty of calibrated numbers, and their day-to-day variation.
 
     Attributes:
@@ -50,8 +50,6 @@ class Calibration:
     means: Mapping[str, float] = field(default_factory=dict)
     scatter: Mapping[str, float] = field(default_factory=dict)
     left: Mapping[str, float] = field(default_factory=dict)
-
-    __repr__ = short_repr
 
 
 DEFAULT = "default: "
@@ -204,7 +202,7 @@ def _number(key: str, stand_in: str = "", default: float = 0.0) -> Any:
 
 
 @dataclass(frozen=True, slots=True)
-class Sensors:
+class Sensors(ShortRepr):
     """Noise of the sensors, and their readings at the origin of NED.
 
     Noise is the standard deviation of a reading, walk that of the bias after 1 s.
@@ -233,8 +231,6 @@ class Sensors:
         "site.temperature", f"{SEA_LEVEL_TEMPERATURE_K:g} K", SEA_LEVEL_TEMPERATURE_K
     )
     position: Mapping[str, float | tuple[float, ...]] = field(default_factory=dict)
-
-    __repr__ = short_repr
 
 
 GRAVITY_M_S2 = 9.80665
@@ -325,7 +321,7 @@ class RunUp:
 
 
 @dataclass(frozen=True, slots=True)
-class Rotors:
+class Rotors(ShortRepr):
     """Rotors of one aircraft, equal except for position and direction of rotation.
 
     Polynomials are ascending coefficients: of the rotor speed in rad/s, or of the command 0..1.
@@ -365,8 +361,6 @@ class Rotors:
     air: RotorAir = RotorAir()
     advance: Advance | None = None
 
-    __repr__ = short_repr
-
     @property
     def count(self) -> int:
         """Number of rotors."""
@@ -379,7 +373,7 @@ class Rotors:
 
 
 @dataclass(frozen=True, slots=True)
-class Vehicle:
+class Vehicle(ShortRepr):
     """One aircraft in SI units, body FRD about the centre of mass.
 
     Attributes:
@@ -425,8 +419,6 @@ class Vehicle:
     deviations: Mapping[str, Deviation] = field(default_factory=dict)
     calibration: Calibration | None = None
     file: str = field(default="", repr=False, compare=False)
-
-    __repr__ = short_repr
 
     @property
     def drive(self) -> Literal["command", "rotor_speed"]:

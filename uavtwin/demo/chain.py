@@ -8,7 +8,7 @@ from typing import Any
 from twin.formatting import title
 from twin.logs import Flight
 from twin.logs.table import write_flight
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 from twin.vehicle import Vehicle
 
 from ..display import TextTable
@@ -71,7 +71,7 @@ class DemoRecord(Record, frozen=True, kw_only=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Demo:
+class Demo(ShortRepr):
     """Result of the demonstration.
 
     Attributes:
@@ -85,8 +85,6 @@ class Demo:
     flights: tuple[Flight, ...]
     gap: GapResult
     found: ExplainResult
-
-    __repr__ = short_repr
 
     @property
     def right(self) -> bool:

@@ -19,7 +19,7 @@ from twin.logs import Flight
 from twin.physics.residual_force import ForceLaw
 from twin.physics.rotors import Drive
 from twin.physics.sensors.position import PRESETS, Kind
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 from twin.vehicle import Vehicle
 
 from ..flights import checked_flights
@@ -39,7 +39,7 @@ NOISE = "residual_force.noise.enabled"
 
 
 @dataclass(frozen=True, slots=True)
-class Twin:
+class Twin(ShortRepr):
     """A vehicle with its sensors: components, connections, perhaps a compensator.
 
     Attributes:
@@ -61,11 +61,9 @@ class Twin:
     evidence: Mapping[str, str] = field(default_factory=dict)
     bands: FactorRecord | None = None
 
-    __repr__ = short_repr
-
 
 @dataclass(frozen=True, slots=True)
-class LearnedForce:
+class LearnedForce(ShortRepr):
     """Learned force and moment that a vehicle's equations lack.
 
     Attributes:
@@ -75,8 +73,6 @@ class LearnedForce:
 
     model: "ForceModel"
     folder: Path = Path("learned force")
-
-    __repr__ = short_repr
 
 
 def twin(

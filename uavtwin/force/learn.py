@@ -32,7 +32,7 @@ from twin.flight.assembly import driven_twin
 from twin.logs import Flight
 from twin.physics.residual_force import ForceLaw, parameter_values
 from twin.physics.rotors import Drive
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 from twin.residuals.aligned import components_of
 from twin.residuals.teacher_forced import choose_drive
 from twin.vehicle import Vehicle as TwinVehicle
@@ -81,7 +81,7 @@ def in_force(law: ForceLaw) -> dict[str, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class Fold:
+class Fold(ShortRepr):
     """Cross-validation fold: one flight that is left out.
 
     Attributes:
@@ -97,8 +97,6 @@ class Fold:
     path: Array
     fmu: Path
     memory: Memory
-
-    __repr__ = short_repr
 
     @property
     def fast(self) -> bool:

@@ -20,7 +20,7 @@ from twin.logs import AnyFlight
 from twin.logs.autopilot import Autopilot, Message, Parameter, Sensor
 from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL, motor_columns
 from twin.logs.samples import interpolated
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 from twin.residuals.gap import slow_part
 from twin.residuals.measured import signal_of
 
@@ -42,7 +42,7 @@ _LOWEST, _HIGHEST = 5.0, 99.9
 
 
 @dataclass(frozen=True, slots=True)
-class Spectrogram:
+class Spectrogram(ShortRepr):
     """Spectrogram of the three axes of a sensor together.
 
     Attributes:
@@ -59,8 +59,6 @@ class Spectrogram:
     end_s: float
     rate_hz: float
     power_db: Array
-
-    __repr__ = short_repr
 
     @property
     def top_hz(self) -> float:
@@ -243,7 +241,7 @@ _FOLLOWED = (
 
 
 @dataclass(frozen=True, slots=True)
-class Followed:
+class Followed(ShortRepr):
     """Setpoint and flight of one quantity, decimated to the resolution of a screen.
 
     Attributes:
@@ -256,11 +254,9 @@ class Followed:
     unit: str
     axes: tuple[tuple[str, tuple[Array, Array], tuple[Array, Array]], ...]
 
-    __repr__ = short_repr
-
 
 @dataclass(frozen=True, slots=True)
-class AutopilotView:
+class AutopilotView(ShortRepr):
     """Content of a page on the autopilot.
 
     Attributes:
@@ -276,8 +272,6 @@ class AutopilotView:
     followed: tuple[Followed, ...]
     vibration: Spectrogram | None
     rotors: tuple[tuple[Array, Array], ...]
-
-    __repr__ = short_repr
 
 
 def autopilot_view(flight: AnyFlight) -> AutopilotView:

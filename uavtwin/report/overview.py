@@ -11,7 +11,7 @@ from twin.frames import to_ned
 from twin.logs import AnyFlight
 from twin.logs.columns import POS, QUAT, motor_columns
 from twin.logs.samples import interpolated
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 from twin.residuals.gap import Channel
 
 from .autopilot import AutopilotView, autopilot_view
@@ -209,7 +209,7 @@ _MOTORS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Overview:
+class Overview(ShortRepr):
     """A flight for the top of a page, decimated to the resolution of a screen.
 
     Attributes:
@@ -225,8 +225,6 @@ class Overview:
     motors: tuple[tuple[str, tuple[tuple[Array, Array], ...]], ...]
     battery: tuple[tuple[str, Array, Array], ...]
     view: AutopilotView
-
-    __repr__ = short_repr
 
 
 def overview(flight: AnyFlight) -> Overview:

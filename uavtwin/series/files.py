@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from twin.logs.airframe import Place
 from twin.logs.columns import POS
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 from .mcap import (
     LOCATION,
@@ -57,7 +57,7 @@ SIDES: Mapping[str, tuple[str, str]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class Column(ShortRepr):
     """One quantity over time.
 
     Attributes:
@@ -74,11 +74,9 @@ class Column:
     values: Array
     about: str = ""
 
-    __repr__ = short_repr
-
 
 @dataclass(frozen=True, slots=True)
-class Series:
+class Series(ShortRepr):
     """Columns over time of one flight.
 
     Attributes:
@@ -92,8 +90,6 @@ class Series:
     columns: tuple[Column, ...]
     facts: Mapping[str, str] = field(default_factory=dict)
     origin: Place | None = None
-
-    __repr__ = short_repr
 
     @property
     def names(self) -> tuple[str, ...]:

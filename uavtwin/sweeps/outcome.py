@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cosim.recording import Recording
 from twin.flight.closed_loop import lost
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 from ..jobs import journal
 from ..simulation import summary
@@ -47,7 +47,7 @@ with no known aircraft; failed: ended by an FMU."""
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(ShortRepr):
     """Outcome of one run.
 
     Attributes:
@@ -63,8 +63,6 @@ class Outcome:
     why: str
     time_s: float
     figures: dict[str, float]
-
-    __repr__ = short_repr
 
     def json(self) -> dict[str, Any]:
         """Content of its line in the journal, without values that are not finite."""

@@ -19,7 +19,7 @@ from twin.component.component import check_range
 from twin.effects import EFFECTS
 from twin.errors import TwinError
 from twin.flight.assembly import Assembly, flying_twin
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 from ..simulation import (
     DEFAULT_VEHICLE,
@@ -43,7 +43,7 @@ TWIN = "twin."
 
 
 @dataclass(frozen=True, slots=True)
-class SharedSystem:
+class SharedSystem(ShortRepr):
     """A system that several runs share.
 
     Attributes:
@@ -57,8 +57,6 @@ class SharedSystem:
     times: Times
     record: tuple[str, ...] | None
     arm_m: float | None
-
-    __repr__ = short_repr
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +75,7 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class Plan(ShortRepr):
     """All systems and runs of a sweep.
 
     Attributes:
@@ -99,8 +97,6 @@ class Plan:
     vehicles: tuple[str, ...]
     plain: tuple[Mapping[str, float], ...]
     idle: Mapping[int, tuple[str, ...]]
-
-    __repr__ = short_repr
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...effects import EFFECTS, EffectParameter, Shift, prior_of
 from ...errors import ModelError
-from ...representation import short_repr
+from ...representation import ShortRepr
 from ...vehicle import Vehicle, relative_deviation
 from ...vehicle.vehicle import hover_level, voltage_power
 from ..model.model import Model
@@ -33,7 +33,7 @@ UNCALIBRATED = (
 
 
 @dataclass(frozen=True, slots=True)
-class Priors:
+class Priors(ShortRepr):
     """Priors of the numbers that a search may change, including shape parameters. Arrays have shape
     (k,).
 
@@ -71,8 +71,6 @@ class Priors:
     day: Array
     odds: Mapping[str, float]
     most: Mapping[str, int] = field(default_factory=dict)
-
-    __repr__ = short_repr
 
     @property
     def causes(self) -> tuple[str, ...]:
@@ -324,7 +322,7 @@ EDGE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
+class Bounds(ShortRepr):
     """Bounds and linear inequality constraints of k numbers.
 
     Attributes:
@@ -338,8 +336,6 @@ class Bounds:
     high: Array
     rows: Array
     least: Array
-
-    __repr__ = short_repr
 
     @classmethod
     def of(cls, numbers: Sequence[Number], vehicle: Vehicle) -> "Bounds":

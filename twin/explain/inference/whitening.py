@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...representation import short_repr
+from ...representation import ShortRepr
 from ...residuals.channels import Array, ChannelData
 from ..model.model import Model
 from ..settings import DEFAULT, LikelihoodSettings
@@ -37,7 +37,7 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True)
-class Autoregression:
+class Autoregression(ShortRepr):
     """AR noise model of one channel in all flights.
 
     Attributes:
@@ -49,8 +49,6 @@ class Autoregression:
     inverse: Array
     size: float
     weights: tuple[Array, ...]
-
-    __repr__ = short_repr
 
 
 def autoregression_of(
@@ -146,7 +144,7 @@ def blocks_of(
 
 
 @dataclass(frozen=True, slots=True)
-class WhitenedFlights:
+class WhitenedFlights(ShortRepr):
     """Flights whitened by an AR model of their residual.
 
     Attributes:
@@ -158,8 +156,6 @@ class WhitenedFlights:
     model: Model
     noise: tuple[Autoregression, ...]
     settings: LikelihoodSettings
-
-    __repr__ = short_repr
 
     @classmethod
     def of(

@@ -26,7 +26,7 @@ from ...frames import to_body, to_ned
 from ...logs import Flight
 from ...logs.columns import ACC_NED, EULER, POS, VEL
 from ...physics.sensors.table import Sensor
-from ...representation import short_repr
+from ...representation import ShortRepr
 from ...residuals.aligned import AlignedFlight
 from ...residuals.channels import (
     OF_IMU,
@@ -53,7 +53,7 @@ from .prediction import SensorBatch
 
 
 @dataclass(frozen=True, slots=True)
-class FlightContext:
+class FlightContext(ShortRepr):
     """Context of a flight: the record, its grid, the nominal model, all effects enabled in the
     equations, and all numbers in the order of the prediction's."""
 
@@ -63,11 +63,9 @@ class FlightContext:
     effects: Sequence[str]
     numbers: Sequence[Number]
 
-    __repr__ = short_repr
-
 
 @dataclass(frozen=True, slots=True)
-class SensorFactor:
+class SensorFactor(ShortRepr):
     """One sensor of a flight: readings, and their prediction from rows on the grid.
 
     Attributes:
@@ -110,8 +108,6 @@ class SensorFactor:
     sampled: Callable[[Array], Array] | None = None
     carried: Array | None = None
 
-    __repr__ = short_repr
-
     def seen(self, values: Array) -> Array:
         """Values on the grid, shape (n, k, m), at the known readings; zeros stay zeros."""
         return values if self.sampled is None or not np.any(values) else self.sampled(values)
@@ -135,15 +131,13 @@ def driven_apart(
 
 
 @dataclass(frozen=True, slots=True)
-class PoseAxis:
+class PoseAxis(ShortRepr):
     """Axes of the pose that are compared together, grid points to omit, shape (n,), and whether
     only motion below `DERIVED_BAND_HZ` is known."""
 
     axes: slice
     left_out: NDArray[np.bool_] | None
     slow: bool = False
-
-    __repr__ = short_repr
 
 
 def pose_axes(context: FlightContext, rate: bool) -> list[PoseAxis]:

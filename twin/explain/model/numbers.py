@@ -10,7 +10,7 @@ from ...effects import EFFECTS, Average, Effect, EffectParameter, Equation, Shif
 from ...logs import AnyFlight, Flight
 from ...logs.columns import ACC_NED, POS, QUAT, VEL
 from ...physics.sensors.table import BODY, SENSORS
-from ...representation import short_repr
+from ...representation import ShortRepr
 from ...vehicle import Vehicle
 
 Payloads = Mapping[str, float]
@@ -45,7 +45,7 @@ DRIVES = ("cmd", "rotor")
 
 
 @dataclass(frozen=True, slots=True)
-class Number:
+class Number(ShortRepr):
     """One number of an effect, scaled to a vehicle.
 
     Attributes:
@@ -60,8 +60,6 @@ class Number:
     name: str
     about: EffectParameter
     now: float
-
-    __repr__ = short_repr
 
     @property
     def full(self) -> str:
