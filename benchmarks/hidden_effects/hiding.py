@@ -246,7 +246,7 @@ def _inertia_error(p: Parameters, a: Aircraft, size: float, rng: Rng) -> Change:
 
 
 def _slung_load(p: Parameters, a: Aircraft, size: float, rng: Rng) -> Change:
-    """Point mass on a straight massless rope at the centre of mass; it knows no ground."""
+    """Point mass on a massless rope that pulls only, at the centre of mass; it knows no ground."""
     mass, length = size * a.nominal.mass, float(rng.uniform(0.5, 1.1))
     truth = {"mass_kg": Number(mass, "kg"), "length_m": Number(length, "m")}
     return changed(p, truth, load_mass=mass, load_length=length)

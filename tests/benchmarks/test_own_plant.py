@@ -45,7 +45,7 @@ def throw(p: Parameters, seconds: float, step_s: float = STEP_S) -> tuple[Array,
     x[layout.vel][:, 0] = 3.0, -2.0, -5.0
     x[layout.q][0] = 1.0
     x[layout.omega][:, 0] = 2.0, -3.0, 1.5
-    x[layout.rope][:, 0] = 0.6, 0.0, 0.8
+    x[layout.rope][:, 0] = p.load_length * np.array([0.6, 0.0, 0.8])
     x[layout.swing][1] = 1.0
     x[layout.rotor] = p.speed_0
     x[layout.charge] = 1.0
@@ -76,11 +76,15 @@ def test_free_body_keeps_energy_and_angular_momentum() -> None:
 @pytest.mark.slow
 def test_body_with_load_keeps_energy_and_momentum(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(physics, "_SWING_DAMPING_1_S", 0.0)
+    monkeypatch.setattr(physics, "_ROPE_DAMPING", 0.0)
     p = powerless(load_mass=LOAD_KG, load_length=ROPE_M)
     x, at = throw(p, 2.0)
-    vel, pos = x[:, at.vel], x[:, at.pos]
-    load_vel, load_pos = vel + ROPE_M * x[:, at.swing], pos + ROPE_M * x[:, at.rope]
+    vel, pos, rope = x[:, at.vel], x[:, at.pos], x[:, at.rope]
+    load_vel, load_pos = vel + x[:, at.swing], pos + rope
+    stretch = np.linalg.norm(rope, axis=1) - ROPE_M
+    assert -0.5 * ROPE_M < stretch.min() < 0.0 < stretch.max() < 0.005  # it slackens, and is stiff
     energy = 0.5 * p.mass * (vel**2).sum(1) + 0.5 * LOAD_KG * (load_vel**2).sum(1)
+    energy += 0.5 * LOAD_KG * (physics.ROPE_RAD_S * np.maximum(stretch, 0.0)) ** 2
     energy -= GRAVITY_M_S2 * (p.mass * pos[:, 2] + LOAD_KG * load_pos[:, 2])
     momentum = p.mass * vel + LOAD_KG * load_vel
     gained = (p.mass + LOAD_KG) * GRAVITY_M_S2 * STEP_S * np.arange(len(x))

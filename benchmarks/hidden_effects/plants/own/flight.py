@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..missions import CONTROL_HZ, Draws, Order, between, draw
 from .parameters import GRAVITY_M_S2, STEP_S, Array, Batch
 from .physics import (
+    ROPE_RAD_S,
     Dynamics,
     Layout,
     Motion,
@@ -236,10 +237,6 @@ def advance(
     later[layout.rotor] = at.target + (rotor - at.target) * np.exp(-STEP_S / batch.p.lag)
     later[layout.phase] = x[layout.phase] + 0.5 * STEP_S * (rotor + later[layout.rotor])
     later[layout.q] /= np.sqrt((later[layout.q] ** 2).sum(axis=0))
-    if batch.on("load_mass"):
-        rope = later[layout.rope] / np.sqrt((later[layout.rope] ** 2).sum(axis=0))
-        later[layout.swing] -= (rope * later[layout.swing]).sum(axis=0) * rope
-        later[layout.rope] = rope
     return later, at.rate
 
 
@@ -277,7 +274,7 @@ def _start(batch: Batch, layout: Layout) -> Array:
     x = np.zeros((layout.size, batch.n))
     x[layout.pos][2] = GRAVITY_M_S2 / 80.0**2 - p.leg
     x[layout.q][0] = 1.0
-    x[layout.rope][2] = 1.0
+    x[layout.rope][2] = p.load_length + GRAVITY_M_S2 / ROPE_RAD_S**2
     x[layout.acc][2] = -GRAVITY_M_S2
     x[layout.charge] = p.charge
     x[layout.rotor] = p.speed_0

@@ -187,6 +187,9 @@ def unbalance(batch: Batch, rotor: Array, phase: Array) -> Array:
 
 _SWING_DAMPING_1_S = 0.05
 """Of the load on its rope, by the air; made up."""
+ROPE_RAD_S, _ROPE_DAMPING = 2 * np.pi * 20.0, 0.3
+"""Natural frequency of the load along its taut rope, and the damping ratio; made up, stiff enough
+for a stretch of some millimetres."""
 
 
 class Layout:
@@ -366,19 +369,20 @@ def motion(
 
 
 def _load(batch: Batch, rope: Array, swing: Array, force: Array) -> tuple[Array, Array]:
-    """Pull of a point mass on a straight rope, NED, N, and the acceleration of its direction.
+    """Pull of a point mass on a rope, NED, N, and the acceleration of the mass from the vehicle.
 
-    From Lagrange's equations with the length of the rope as a constraint, as in Sreenath, Michael
-    & Kumar, ICRA 2013, eq. 2 to 5. `rope` is the unit vector from vehicle to load.
+    Newton's law of both bodies; the rope is a spring with a damper that pulls and never pushes.
+    `rope` leads from vehicle to load, `swing` is its rate.
     """
     p = batch.p
-    free = force / p.mass
-    along = (rope * free).sum(axis=0)
-    square = (swing * swing).sum(axis=0)
-    reduced = p.load_mass * p.mass / (p.load_mass + p.mass)
-    tension = reduced * (p.load_length * square - along)
-    bend = (along * rope - free) / p.load_length - square * rope - _SWING_DAMPING_1_S * swing
-    return tension * rope, bend
+    length = np.sqrt((rope * rope).sum(axis=0))
+    along = rope / length
+    stretch, rate = length - p.load_length, (along * swing).sum(axis=0)
+    strain = ROPE_RAD_S * ROPE_RAD_S * stretch + 2 * _ROPE_DAMPING * ROPE_RAD_S * rate
+    tension = np.where(stretch > 0, np.maximum(strain, 0.0), 0.0)  # over the mass of the load
+    pull = p.load_mass * tension * along
+    bend = -(force + pull) / p.mass - tension * along - _SWING_DAMPING_1_S * swing
+    return pull, bend
 
 
 def _target(batch: Batch, command: Array, voltage: Array) -> Array:
