@@ -49,18 +49,19 @@ class Observer:
     corrects them with the measured force, from past samples only.
 
     Attributes:
-        follow: `(free_n, excess_n, height_m, numbers, step_s, vehicle) -> course`: specific force
-            predicted without the effect, m/s^2, and the accelerometer's excess over it, zero where
-            unknown, both NED, shape (n, 3), and height above the resting place, infinite where
-            unknown, shape (n,), to the input of `place`. Of the numbers it uses only the shapes:
-            those without a neutral value.
+        follow: `(free_n, excess_n, lag_s, height_m, numbers, step_s, vehicle) -> course`: specific
+            force at the centre of mass predicted without the effect, m/s^2, and the excess of the
+            accelerometer over its prediction, zero where unknown, both NED, shape (n, 3), the lag
+            of the latter, s, and height above the resting place, infinite where unknown, shape
+            (n,), to the input of `place`. Of the numbers it uses only the shapes: those without a
+            neutral value.
         place: `(states, names, course, free_n, numbers, vehicle) -> states`: the states of the
             airframe, shape (n, n_x), with those of the effect filled in.
         channels: Readings that drive the observer.
         gain_1_s: Bandwidth of the observer's response to such a reading, by the vehicle.
     """
 
-    follow: Callable[[Array, Array, Array, Mapping[str, float], float, Vehicle], Any]
+    follow: Callable[[Array, Array, float, Array, Mapping[str, float], float, Vehicle], Any]
     place: Callable[[Array, Sequence[str], Any, Array, Mapping[str, float], Vehicle], Array]
     channels: tuple[str, ...]
     gain_1_s: Callable[[Vehicle], float]

@@ -3,13 +3,15 @@
 A load on a rope is followed along a flight by an observer, a pendulum corrected by the
 accelerometer:
 
-    e = (d - (d . p) p) / max(|d|, d0) where T > 0, else 0
+    e = (d - (d . s) s) / max(|d|, d0) where T > 0, else 0;    s = p - tau w, of length one
     d p / d t = w + K e,   d w / d t = ((p . f) p - f) / l - |w|^2 p + L e
     T = M / (M + m) (l |w|^2 - p . f) m
 
 p points from the vehicle to the load, w is its rate, f the specific force that the model predicts
-without the load, d the excess of the measured one, all NED; l is the length of the rope, M the mass
-of the vehicle, m that of the load, T the tension.
+at the centre of mass without the load, d the excess of the measured one, which lags by tau, all
+NED; l is the length of the rope, M the mass of the vehicle, m that of the load, T the tension.
+Integrated by Heun's method: the half step by which Euler's is late, 2.5 ms, costs loads 2 to 6 % of
+their mass and ropes 3 % of their length.
 
 A free pendulum does not forget its start: with an error of a percent in its length it is out of
 phase after ten swings, and beyond the horizontal it is chaotic. The terms with e correct it towards
@@ -85,6 +87,7 @@ def observe_swing(
     step_s: float,
     lifted: NDArray[np.bool_],
     pace: float = 1.0,
+    lag_s: float = 0.0,
 ) -> Course:
     """Direction of the rope and its rate, starting from a load at rest.
 
@@ -96,24 +99,37 @@ def observe_swing(
         step_s: Time step of the grid.
         lifted: Whether the load is off the ground; else it is at rest. Shape (n,).
         pace: Relative bandwidth, from `pace_of`.
+        lag_s: Lag of the measured force.
 
     Returns:
         Direction, rate and flag, as in `Course`.
     """
-    state, free, excess = ca.SX.sym("state", 6), ca.SX.sym("free", 3), ca.SX.sym("excess", 3)
-    hangs, rest = ca.SX.sym("hangs"), ca.DM([0, 0, 1, 0, 0, 0])
+    state, excess, rest = ca.SX.sym("state", 6), ca.SX.sym("excess", 3), ca.DM([0, 0, 1, 0, 0, 0])
+    free, then, hangs = ca.SX.sym("free", 3), ca.SX.sym("then", 3), ca.SX.sym("hangs")
     p, w = state[:3], state[3:]
+    seen = p - lag_s * w
+    seen = seen / ca.norm_2(seen)
     taut = length_m * ca.dot(w, w) > ca.dot(p, free)
-    innovation = (excess - ca.dot(excess, p) * p) / ca.fmax(ca.norm_2(excess + 1e-12), FAINT_M_S2)
-    bend = (ca.dot(p, free) * p - free) / length_m - ca.dot(w, w) * p
-    innovation = ca.if_else(taut, innovation, 0.0)
-    w = w + step_s * (bend + pace**2 * RATE_GAIN_1_S2 * innovation)
-    p = p + step_s * (w + pace * DIRECTION_GAIN_1_S * innovation)
-    p = p / ca.norm_2(p)
+    innovation = (excess - ca.dot(excess, seen) * seen) / ca.fmax(
+        ca.norm_2(excess + 1e-12), FAINT_M_S2
+    )
+    gains = ca.vertcat(*3 * [pace * DIRECTION_GAIN_1_S], *3 * [pace**2 * RATE_GAIN_1_S2])
+    pulled = gains * ca.if_else(taut, ca.repmat(innovation, 2, 1), 0.0)
+
+    def flow(x: ca.SX, force: ca.SX) -> ca.SX:
+        """Time derivative of direction and rate."""
+        along, rate = x[:3], x[3:]
+        bend = (ca.dot(along, force) * along - force) / length_m - ca.dot(rate, rate) * along
+        return ca.vertcat(rate, bend) + pulled
+
+    first = flow(state, free)
+    moved = state + step_s / 2 * (first + flow(state + step_s * first, then))
+    p, w = moved[:3] / ca.norm_2(moved[:3]), moved[3:]
     after_step = ca.if_else(hangs, ca.vertcat(p, w - ca.dot(w, p) * p), rest)
-    step = ca.Function("swing_step", [state, free, excess, hangs], [after_step])
-    start = np.asarray(rest).ravel()
-    (after,) = accumulated(step, start, free_n, excess_n, lifted[:, None].astype(np.float64))
+    step = ca.Function("swing_step", [state, free, then, excess, hangs], [after_step])
+    start, later = np.asarray(rest).ravel(), np.vstack([free_n[1:], free_n[-1:]])
+    there = lifted[:, None].astype(np.float64)
+    (after,) = accumulated(step, start, free_n, later, excess_n, there)
     rows = np.vstack([start, after[:-1]])
     return rows[:, :3], rows[:, 3:], lifted
 
@@ -289,6 +305,7 @@ def _slung_load(w: Wrench, p: Block) -> Wrench:
 def _follow_load(
     free_n: Array,
     excess_n: Array,
+    lag_s: float,
     height_m: Array,
     numbers: Mapping[str, float],
     step_s: float,
@@ -296,7 +313,7 @@ def _follow_load(
 ) -> Course:
     length = numbers["length_m"]
     lifted = lifted_off(excess_n, height_m, length)
-    return observe_swing(free_n, excess_n, length, step_s, lifted, pace_of(vehicle))
+    return observe_swing(free_n, excess_n, length, step_s, lifted, pace_of(vehicle), lag_s)
 
 
 def _gain_of_load(vehicle: Vehicle) -> float:

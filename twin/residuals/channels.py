@@ -226,6 +226,12 @@ def low_pass(values: Array, cutoff_hz: float) -> Array:
     return LowPass(cutoff_hz).next(values)
 
 
+def low_pass_lag(cutoff_hz: float) -> float:
+    """Lag of a `LowPass` for slow signals, s: group delay of a Butterworth filter of second order
+    at 0 Hz."""
+    return math.sqrt(2) / (2 * math.pi * cutoff_hz)
+
+
 @cache
 def _butterworth(cutoff_hz: float) -> tuple[Array, Array, Array]:
     """Second-order filter on the grid: coefficients, and the steady state for an input of one."""

@@ -56,7 +56,7 @@ def test_an_unobserved_load_swings_as_a_pendulum() -> None:
     period = np.diff(rises).mean() * STEP_S
     assert period == pytest.approx(2 * np.pi * np.sqrt(0.8 / G), rel=2e-3)
     energy = 0.5 * 0.8 * np.sum(rate**2, axis=1) + np.sum(along * tilted(4000, 0.02), axis=1)
-    assert np.ptp(energy) < 0.03 * G * (1 - np.cos(0.02))
+    assert np.ptp(energy) < 0.003 * G * (1 - np.cos(0.02))
 
 
 def test_a_load_is_found_again_from_the_force_that_it_makes() -> None:
@@ -71,6 +71,21 @@ def test_a_load_is_found_again_from_the_force_that_it_makes() -> None:
     late = slice(400, None)
     assert np.max(np.linalg.norm(blind[late] - truth[500:][late], axis=1)) > 0.3
     assert np.max(np.linalg.norm(found[late] - truth[500:][late], axis=1)) < 0.03
+
+
+def test_a_force_that_lags_does_not_delay_the_load() -> None:
+    """20 ms behind, as by a low-pass of 11 Hz: taken as it comes it costs 0.05 of the direction."""
+    free = tilted(2000, 0.0)
+    free[:200] = tilted(200, 0.7)
+    truth, rate, hangs = swing(free, np.zeros((2000, 3)), 0.8)
+    pull = 0.8 * np.sum(rate**2, axis=1) - np.sum(truth * free, axis=1)
+    late = np.roll(0.1 * pull[:, None] * truth, 4, axis=0)
+    late[:4] = 0.1 * np.array([0.0, 0.0, G])
+    off = [
+        np.abs(observe_swing(free, late, 0.8, STEP_S, hangs, lag_s=lag)[0] - truth).max()
+        for lag in (0.0, 0.02)
+    ]
+    assert off[0] > 0.03 > 0.006 > off[1]
 
 
 @pytest.mark.parametrize("length_m", [0.3, 0.8, 2.0])
@@ -155,6 +170,49 @@ def fitted(vehicle: Vehicle, plant: Vehicle, names: tuple[str, ...]) -> Problem:
     return against(fly(vehicle, plant, 1, waypoints=WAYPOINTS), vehicle, *names)
 
 
+SHORT: Waypoints = (
+    ("ground", 1.0, (0.0, 0.0, 0.0)),
+    ("takeoff", 2.0, (0.0, 0.0, -2.0)),
+    ("forward", 2.5, (3.0, 0.0, -2.0)),
+)
+
+
+def test_slopes_include_what_the_observer_makes_of_a_number() -> None:
+    """Mass and bias change the force from which the load is estimated, and its estimate with it."""
+    vehicle = load_vehicle("copter_default")
+    truth = {"mass_kg": 0.1 * vehicle.mass_kg, "length_m": 1.0}
+    flight = fly(vehicle, vehicle.with_effects({"slung_load": truth}), 1, waypoints=SHORT)
+    problem = against(flight, vehicle, "slung_load", "mass_offset", "accel_bias")
+    names, x = problem.priors.names, np.zeros(len(problem.priors.now) + problem.rest.days.size)
+    for number, value in truth.items():
+        i = names.index(f"slung_load.{number}")
+        x[i] = value - problem.priors.now[i]
+    for number, small in (("mass_offset.mass_kg", 1e-4), ("accel_bias.x_m_s2", 1e-3)):
+        i = names.index(number)
+        x[i] = small
+        more, less = x.copy(), x.copy()
+        more[i], less[i] = x[i] + small, x[i] - small
+        before, after = ({c.name: c for c in problem.channels(y)[0]} for y in (less, more))
+        slopes = {c.name: c.slopes[:, 0] for c in problem.channels(x, [i])[0]}
+        for channel in ("acc_x", "acc_z"):
+            change = (before[channel].residual - after[channel].residual) / (2 * small)
+            miss = np.abs(slopes[channel] - change).max()
+            assert miss < 0.02 * np.abs(change).max(), (number, channel)
+
+
+def test_the_tension_is_that_of_the_aircraft_as_heavy_as_it_is() -> None:
+    vehicle = load_vehicle("copter_default")
+    flight = fly(vehicle, vehicle, 1, waypoints=SHORT)
+    problem = against(flight, vehicle, "slung_load", "mass_offset")
+    (model,) = problem.model.flights
+    names = [n.full for n in model.numbers]
+    theta = np.array([n.now for n in model.numbers])
+    theta[names.index("mass_offset.mass_kg")] = 0.25
+    states, inputs = model.aligned.states, model.aligned.inputs.u
+    physics = model._physics
+    assert physics.felt(theta, states, inputs)[2] == pytest.approx(vehicle.mass_kg + 0.25, rel=1e-9)
+
+
 @pytest.mark.slow
 def test_a_gentle_flight_names_the_load_and_tells_mass_and_length() -> None:
     vehicle = load_vehicle("copter_default")
@@ -162,8 +220,10 @@ def test_a_gentle_flight_names_the_load_and_tells_mass_and_length() -> None:
     plant = with_effects(vehicle, ["slung_load"], truth)
     problem = fitted(vehicle, plant, ("slung_load", "mass_offset", "steady_wind", "rotor_drag"))
     found = fit_set(problem, ["slung_load"])
-    assert found.values["slung_load.mass_kg"] == pytest.approx(truth["slung_load.mass_kg"], rel=0.1)
-    assert found.values["slung_load.length_m"] == pytest.approx(1.0, rel=0.2)
+    assert found.values["slung_load.mass_kg"] == pytest.approx(
+        truth["slung_load.mass_kg"], rel=0.02
+    )
+    assert found.values["slung_load.length_m"] == pytest.approx(1.0, rel=0.03)
     for rival in (["mass_offset"], ["steady_wind"], ["mass_offset", "rotor_drag"]):
         assert found.gain > fit_set(problem, rival).gain + 50, rival
 

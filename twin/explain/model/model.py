@@ -290,7 +290,7 @@ class FlightModel:
         n = self.numbers[i]
         if set(n.moves) & {*PLACE, *TURN, *DRIVES}:
             return AGE_STEP_S
-        if self._trajectory.is_followed(n.effect):
+        if self._trajectory.is_followed(i, change):
             return n.step * SMALL
         as_it_is = {**change, n.full: n.now}
         if i in self._physics.of_sensor or self._trajectory.is_integrated(n.full, as_it_is):

@@ -20,7 +20,7 @@ States and inputs along a flight are measured; in addition an effect may have
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -39,6 +39,8 @@ from ...residuals.channels import (
     Array,
     GridSpline,
     gyro_rate,
+    low_pass,
+    low_pass_lag,
     on_grid,
     prompt_imu,
     shifted,
@@ -53,7 +55,17 @@ from ...residuals.teacher_forced import (
     rotor_states_of,
 )
 from ...vehicle import Vehicle
-from .numbers import DRIVES, PLACE, TURN, Number, age_of, lateness_of, values_of, with_effects
+from .numbers import (
+    ACCELEROMETER,
+    DRIVES,
+    PLACE,
+    TURN,
+    Number,
+    age_of,
+    lateness_of,
+    values_of,
+    with_effects,
+)
 
 Mask = NDArray[np.bool_]
 Values = tuple[tuple[str, float], ...]
@@ -253,9 +265,27 @@ class Physics:
         turned = ca.substitute(rate, sensed, imu_inputs)
         self._as_measured = [x, u, turning], theta, ca.vertcat(sensed_force, turned)
         rows = [x, u, z] if self._states.index else [x, u]
-        self._batch = Batch(rows, theta, ca.substitute(readings, sensed, imu_inputs), numbers)
+        readings = ca.substitute(readings, sensed, imu_inputs)
+        self._batch = Batch(rows, theta, readings, numbers)
         moved = [f"{s}_{a}" for s in ("specific_force", "angular_acceleration") for a in "xyz"]
         self._moved = [x, u], theta, ca.vertcat(*[outputs[n] for n in moved])
+        per_newton = ca.jacobian(outputs[moved[0]], u[body.input_names.index("force_x")])
+        self._felt = rows, theta, ca.vertcat(readings[:3], self._moved[2][:3], per_newton)
+
+    @cached_property
+    def _feeling(self) -> Batch:
+        return Batch(*self._felt, self._numbers)
+
+    def is_felt(self, i: int) -> bool:
+        """Whether a force of `felt` depends on number `i`."""
+        return self._feeling.answers(i)
+
+    def felt(self, theta: Array, states: Array, inputs: Array) -> tuple[Array, Array, float]:
+        """Accelerometer readings, and specific force at the centre of mass of the vehicle file,
+        shape (n, 3) each; and the mass, kg."""
+        along = self._along(theta, states, inputs)
+        values = self._feeling.value(theta, states, inputs, *along)
+        return values[:, :3], values[:, 3:6], float(1 / np.nanmean(values[:, 6]))
 
     @cached_property
     def bare(self) -> Batch:
@@ -359,6 +389,22 @@ REMEMBERED, DRIVEN = 16, 3
 """Number of cached trajectories: of unmeasured states, by the numbers; and with delayed inputs."""
 
 
+class Felt(NamedTuple):
+    """Forces that drive an observer.
+
+    Attributes:
+        free_n: Predicted specific force without its effect, NED, m/s^2, shape (n, 3).
+        excess_n: Measured minus predicted accelerometer reading, NED, m/s^2, shape (n, 3).
+        lag_s: Lag of the latter, s.
+        vehicle: Vehicle with the mass of the prediction.
+    """
+
+    free_n: Array
+    excess_n: Array
+    lag_s: float
+    vehicle: Vehicle
+
+
 class Trajectory:
     """States and inputs of the airframe along one flight.
 
@@ -385,7 +431,7 @@ class Trajectory:
         self._now = values_of(numbers, {})
         self._rotors: dict[tuple[str, ...], RotorStates] = {}
         self._splines: dict[tuple[str, ...], GridSpline] = {}
-        self._forces: dict[tuple[str, bytes], tuple[Array, Array]] = {}
+        self._forces: dict[tuple[str, bytes], Felt] = {}
         self._courses: dict[tuple[str, bytes, tuple[float, ...]], Any] = {}
         self._integrated: dict[Values, Array] = {}
         self._driven: dict[tuple[Values, Values], tuple[Array, Array]] = {}
@@ -431,9 +477,14 @@ class Trajectory:
         names = (self.aligned.airframe.states[i].name for i in self._reached(number))
         return any(name.partition(".")[0] not in resting for name in names)
 
-    def is_followed(self, effect: str) -> bool:
-        """Whether an observer estimates the states of an effect."""
-        return effect in self._observers
+    def is_followed(self, i: int, change: Mapping[str, float]) -> bool:
+        """Whether the slope by number `i` includes the observer's estimate: that of a number of
+        its own, or of a changed one that moves the forces from which it estimates an effect that is
+        there."""
+        if self._numbers[i].effect in self._observers:
+            return True
+        there = {name.partition(".")[0] for name in change} & self._observers.keys()
+        return bool(there) and self._numbers[i].full in change and self._physics.is_felt(i)
 
     def _reached(self, number: str) -> frozenset[int]:
         """Unmeasured states of the airframe that depend on a number."""
@@ -481,24 +532,31 @@ class Trajectory:
             states[:, hidden] = hidden_states(body, hidden, states, inputs)
         return states
 
-    def _excess_force(self, theta: Array, states: Array, inputs: Array) -> tuple[Array, Array]:
-        """Predicted specific force, and measured minus predicted, NED, m/s^2, shape (n, 3) each.
+    def _felt(self, theta: Array, states: Array, inputs: Array) -> "Felt":
+        """Forces that drive an observer.
 
-        On the ground, or where it is unknown, the former is that at rest; the latter is then zero.
+        On the ground, or where it is unknown, the free force is that at rest; the excess is then
+        zero.
         """
-        aligned = self.aligned
-        force = self._physics.value(theta, states, inputs)[:, :3]
-        excess = np.zeros_like(force)
+        aligned, vehicle = self.aligned, self._vehicle
+        reading, force, mass = self._physics.felt(theta, states, inputs)
+        excess, lag = np.zeros_like(force), age_of(self._numbers, theta, (ACCELEROMETER,))
         if self._flight.has(*ACC):
-            excess = on_grid(Signal(*self._flight.signal(ACC)), aligned.inputs.t_s) - force
+            cutoff = vehicle.accel_cutoff_hz
+            shown = shifted(reading, lag) if lag else reading
+            if cutoff is not None:
+                shown, lag = low_pass(np.nan_to_num(shown), cutoff), lag + low_pass_lag(cutoff)
+            excess = on_grid(Signal(*self._flight.signal(ACC)), aligned.inputs.t_s) - shown
         assert aligned.motion.attitude is not None
         q = list(aligned.motion.attitude.at(aligned.inputs.t_s).T)
         force_n, excess_n = (np.stack(to_ned(q, list(v.T)), axis=-1) for v in (force, excess))
-        known = aligned.airborne & np.all(np.isfinite(force_n), axis=1)
+        known = aligned.airborne & np.all(np.isfinite(force_n + reading), axis=1)
         there = known & np.all(np.isfinite(excess_n), axis=1)
-        return (
-            np.where(known[:, None], force_n, [0.0, 0.0, -self._vehicle.gravity_m_s2]),
+        return Felt(
+            np.where(known[:, None], force_n, [0.0, 0.0, -vehicle.gravity_m_s2]),
             np.where(there[:, None], excess_n, 0.0),
+            lag,
+            replace(vehicle, mass_kg=mass),
         )
 
     def _height(self, states: Array) -> Array:
@@ -525,16 +583,14 @@ class Trajectory:
             without[own] = self._now[own]
             without[sizes] = neutral
             at = effect, without.tobytes()
-            free, excess = remembered(
-                self._forces, at, partial(self._excess_force, without, states, inputs)
-            )
+            felt = remembered(self._forces, at, partial(self._felt, without, states, inputs))
             numbers = {self._numbers[i].name: float(theta[i]) for i in own}
             course = remembered(
                 self._courses,
                 (*at, tuple(float(theta[i]) for i in own if i not in sizes)),
-                partial(observer.follow, free, excess, height, numbers, 1 / GRID_HZ, self._vehicle),
+                partial(observer.follow, *felt[:3], height, numbers, 1 / GRID_HZ, felt.vehicle),
             )
-            states = observer.place(states, names, course, free, numbers, self._vehicle)
+            states = observer.place(states, names, course, felt.free_n, numbers, felt.vehicle)
         return states
 
     def _late_drive(
