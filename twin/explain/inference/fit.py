@@ -254,7 +254,22 @@ class Problem:
         own = self.priors.of(effects)
         b = self.priors
         x[own] = np.clip(b.mean[own], b.low[own], b.high[own]) - b.now[own]
-        return self.settle(effects, kappa, self.rest, x, least)
+        return self.loosened(effects, kappa, self.rest, x, least)
+
+    def loosened(
+        self,
+        effects: Sequence[str],
+        kappa: float,
+        spectrum: Spectrum,
+        start: Array,
+        least: float = -np.inf,
+    ) -> State:
+        """Fit with the largest day-to-day variation first, arguments as of `settle`: constants that
+        may hardly vary are a narrow valley, and where it is curved no long step stays inside."""
+        if kappa < 1:
+            loose = self.settle(effects, 1.0, spectrum, start)
+            spectrum, start = loose.spectrum, loose.best.x
+        return self.settle(effects, kappa, spectrum, start, least)
 
     def settle(
         self,

@@ -397,7 +397,11 @@ def _uncovered(
     if key in sought:
         return None
     sought.add(key)
-    return _verified(problem, laplace, state, {}, [*hidden_starts(problem, laplace, state)])
+    best = state
+    for on, x in hidden_starts(problem, laplace, state):
+        there = problem.loosened(on, state.kappa, laplace.spectrum, x, log_posterior(best))
+        best = there if log_posterior(there) > log_posterior(best) + MIN_GAIN else best
+    return None if best is state else best
 
 
 def _mounted(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Trial]:
