@@ -76,7 +76,7 @@ def suggestions(
     """Discrimination between the two leading explanations by each manoeuvre, or by each of `among`,
     the best first."""
     block_s = naming.whitened.settings.block_s
-    rivals, flights = naming.fitted[:2], _flights(naming)
+    rivals, flights = _rivals(naming), _flights(naming)
     listed = [m for m in _flyable(naming, vehicle) if among is None or m.name in among]
     leads = {m.name: 0.0 for m in listed}
     held = [_held(naming, f) for f in rivals]
@@ -101,6 +101,16 @@ def suggestions(
 
 
 # -- what is left between two explanations --------------------------------------------------
+
+
+def _rivals(naming: Naming) -> tuple[Fit, Fit]:
+    """The leading explanation, and the most probable of the others: of those that only add to it,
+    or of those that lack something of it, whichever are more probable together."""
+    first, *others = zip(naming.fitted, naming.probabilities, strict=True)
+    more = [o for o in others if {*o[0].effects} > {*first[0].effects}]
+    less = [o for o in others if not {*o[0].effects} > {*first[0].effects}]
+    second = max((more, less), key=lambda sets: sum(p for _, p in sets))[0]
+    return first[0], second[0]
 
 
 def _parting(
@@ -162,7 +172,7 @@ def _flyable(naming: Naming, vehicle: Vehicle) -> list[Manoeuvre]:
     flights = _flights(naming)
     charged = volts_of(flights, vehicle) >= vehicle.voltage_v
     listed = manoeuvres(vehicle, charged)
-    effects = {e for f in naming.fitted[:2] for e in f.effects} | {*vehicle.effects}
+    effects = {e for f in _rivals(naming) for e in f.effects} | {*vehicle.effects}
     voltage_matters = vehicle.rotors.reference_voltage_v is not None
     voltage_matters = voltage_matters or any("vbat" in EFFECTS[e].needs for e in effects)
     if voltage_matters and all(f.has("vbat_v") for f in flights):
