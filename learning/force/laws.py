@@ -20,7 +20,7 @@ from .rollout import fitted
 from .windows import FlightWindows, accelerometer_confirms, sizes
 
 Array = NDArray[np.float64]
-RIDGES = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003)
+RIDGES = (1.0, 0.3, 0.1, 0.03, 0.01)
 """Ridge parameters that are tried, the strongest first: penalty of a weight whose output has the
 size of the residual acceleration, relative to the error with which a fit begins."""
 PARTS = {"moment": slice(3, 6), "force": slice(0, 3), "both": slice(0, 6)}
