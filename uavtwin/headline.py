@@ -2,11 +2,11 @@
 
 A headline gives a number only where its 95 % interval excludes "no effect" and the flights
 determine it more than the prior (`Estimate.determined`). A new model that cannot fly is reported
-first. Of the effects that act on the flight, the one with the largest certain share of a force or
-moment channel leads, even where the cause only resembles it; sensors and records follow. An effect
-with undetermined numbers is named without them, and a further sentence reports that. A sensor with
-a far larger error than usual follows the leading effect, with its size. `Headline.numbers` lists
-the numbers in the text, so that a program can compare them.
+first. Of the effects that act on the flight, and of sensors with a far larger error than usual,
+what is far larger than expected leads, then what has the largest certain share of a force or moment
+channel, even where the cause only resembles it; other sensors and records follow. An effect with
+undetermined numbers is named without them, and a further sentence reports that. `Headline.numbers`
+lists the numbers in the text, so that a program can compare them.
 """
 
 import math
@@ -226,9 +226,9 @@ def leading(
 ) -> tuple[list[str], str]:
     """Leading effects of a headline, and a sentence on the others, with a leading blank.
 
-    Those that act on the flight come first, by their certain share of a force or moment channel;
-    the first leads, and the others follow if their numbers are determined; then the first sensor
-    with an unusually large error.
+    Those that act on the flight, and sensors with an unusually large error, come first: what is
+    far larger than expected, then by the certain share of a force or moment channel. The first
+    leads, and the others follow if their numbers are determined.
 
     Args:
         effects: Named effects.
@@ -236,13 +236,16 @@ def leading(
         determined: Effects with a number that a headline may give.
         striking: Named effects with a number far from its prior.
     """
+
+    def large(effect: str) -> bool:
+        return effect in striking and EFFECTS[effect].of_vehicle
+
     share = {e: round(shares.get(e, (0.0, ""))[0], 3) for e in effects}
-    in_order = sorted(effects, key=lambda e: (not EFFECTS[e].in_the_air, -share[e]))
-    alike = [e for e in in_order if EFFECTS[e].in_the_air] or in_order
+    leads = [e for e in effects if EFFECTS[e].in_the_air or large(e)]
+    order = sorted(effects, key=lambda e: (e not in leads, not large(e), -share[e]))
+    alike = order[: len(leads)] or order
     first = [alike[0], *[e for e in alike[1:] if e in determined][: MOST_EFFECTS - 1]]
-    own = (e for e in in_order if not EFFECTS[e].in_the_air and EFFECTS[e].of_vehicle)
-    first += [e for e in own if e in striking and e not in first][:1]
-    later = [e for e in in_order if e not in first]
+    later = [e for e in order if e not in first]
     return first, f" Further: {joined([title(e) for e in later])}." if later else ""
 
 

@@ -12,7 +12,7 @@ from scipy.stats import truncnorm
 
 from twin.effects import EFFECTS
 from twin.explain.estimates import unasked
-from twin.explain.inference.estimate import Estimate, credible_interval
+from twin.explain.inference.estimate import Estimate, credible_interval, share
 from twin.explain.inference.fit import INTERVAL
 from twin.explain.model.numbers import Number, numbers_of
 from twin.vehicle_file import load_vehicle
@@ -126,3 +126,11 @@ def test_what_no_flight_asks_for_or_shows_is_not_told() -> None:
         problem = SimpleNamespace(rest=rest, noise=SimpleNamespace(mute=frozenset(mute)))
         found: Any = SimpleNamespace(naming=SimpleNamespace(problem=problem))
         assert unasked(found) == axes
+
+
+def test_what_is_far_from_its_prior_is_told_by_the_flights() -> None:
+    """A number with half the width of its prior, 5.4 deviations off, is told, one at its mean is
+    not; nothing tells less than the prior does."""
+    assert share(0.52, 1.0, 0.0) == pytest.approx(0.52)
+    assert share(0.52, 1.0, 5.4) < 0.2
+    assert share(2.0, 1.0, 0.5) == 1.0 == share(0.1, 0.0, 0.0)

@@ -233,8 +233,8 @@ def test_what_changes_the_flight_leads_the_claim() -> None:
     assert first == ["cog_offset", "rotor_drag"]
     assert later == " Further: mass offset, motor lag and clock offset."
     own = ["clock_offset", "rotor_drag", "baro_bias", "heading_offset"]
-    assert leading(own, {}, own, own) == (
-        ["rotor_drag", "baro_bias"],
-        " Further: clock offset and heading offset.",
+    assert leading(own, {}, own, ["clock_offset"])[0] == ["rotor_drag"]
+    assert leading(own, {"rotor_drag": (0.5, "acc_x")}, own, ["heading_offset"]) == (
+        ["heading_offset", "rotor_drag"],
+        " Further: clock offset and baro bias.",
     )
-    assert leading(own, {}, own, ["heading_offset"])[0] == ["rotor_drag", "heading_offset"]

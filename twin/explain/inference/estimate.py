@@ -3,9 +3,11 @@
 import math
 from dataclasses import dataclass
 
+import numpy as np
 from scipy.stats import norm
 
 from ..model.numbers import Number
+from .evidence import tail_weight
 from .fit import INTERVAL, Fit
 from .priors import Priors, parameter_of
 
@@ -107,6 +109,13 @@ def normal_power(size: float, sd: float, ridge: float) -> tuple[float, float, fl
     return size ** (1 / ridge), sd * size ** (1 / ridge - 1) / ridge, ridge
 
 
+def share(sd: float, slab: float, tension: float) -> float:
+    """Posterior over prior standard deviation, at most 1; the Student prior of a number that is
+    several deviations off is wider there, see `tail_weight`."""
+    wide = slab / math.sqrt(min(float(tail_weight(np.array(tension))), 1.0))
+    return min(1.0, sd / wide) if slab > 0 else 1.0
+
+
 def fitted_estimates(
     fitted: Fit, priors: Priors, effect: str, wider: float = 1.0
 ) -> list[Estimate]:
@@ -125,7 +134,7 @@ def fitted_estimates(
                 value,
                 None if n.shape else float(priors.now[i] + priors.held[i]),
                 credible_interval(n, value, wider * float(w), fitted.ridges.get(n.full, 1.0)),
-                min(1.0, float(w) / INTERVAL / slab) if slab > 0 else 1.0,
+                share(float(w) / INTERVAL, slab, tension[n.full]),
                 tension[n.full],
             )
         )

@@ -97,13 +97,18 @@ TAIL_DEGREES = 3.0
 variance."""
 
 
+def tail_weight(z: Array) -> Array:
+    """Factor on the precision of a Student prior at a standardised deviation z: (nu + 1) / (nu +
+    z^2) (Lange, Little & Taylor, J. Am. Stat. Assoc. 84, 1989)."""
+    return (TAIL_DEGREES + 1) / (TAIL_DEGREES + z**2)
+
+
 @dataclass(frozen=True, slots=True)
 class _Prior:
     """Prior of the free entries of `MapEstimate.x` for one candidate model.
 
-    Numbers of effects have a Student distribution, as a scale mixture of normal ones: at a
-    standardised deviation z its weight is (nu + 1) / (nu + z^2) (Lange, Little & Taylor, J. Am.
-    Stat. Assoc. 84, 1989).
+    Numbers of effects have a Student distribution, as a scale mixture of normal ones, see
+    `tail_weight`.
 
     Attributes:
         free: Indices in `x`, shape (m,).
@@ -125,8 +130,8 @@ class _Prior:
     def _weights(self, x: Array) -> Array:
         """Weight of the scale of each entry, 1 where it is normal."""
         tailed = self.deviation > 0
-        square = np.divide(x - self.mean, self.deviation, where=tailed, out=np.ones(len(x))) ** 2
-        return np.where(tailed, (TAIL_DEGREES + 1) / (TAIL_DEGREES + square), 1.0)
+        away = np.divide(x - self.mean, self.deviation, where=tailed, out=np.ones(len(x)))
+        return np.where(tailed, tail_weight(away), 1.0)
 
     def precision_at(self, x: Array) -> Array:
         """Precision with the weights of the scales."""

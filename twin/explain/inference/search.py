@@ -289,19 +289,12 @@ def _clocks(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Tr
 
 
 def _late(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Trial]:
-    """The set with each delay or lag that it lacks, from its expected value on, where that value
-    alone, with all other numbers at their best, makes the flights more probable: beyond a quarter
-    of a period of the motion, no slope at zero delay leads there."""
-    odds, sets = problem.priors.odds, list[Trial]()
-    for c in problem.priors.causes:
-        if not is_time(c) or c in state.effects or odds[c] <= LAST or laplace.silent(c):
-            continue
-        x = _with_expected(problem, state.best.x, c)
-        there = laplace.spectrum.moved(problem.channels(x), *problem.split(x))
-        held = problem.laplace(there.only(problem.moving(state.effects)))
-        if held.best(state.effects, state.kappa).evidence > state.evidence + MIN_GAIN:
-            sets.append((tuple(sorted((*state.effects, c))), x))
-    return sets
+    """The model with each absent delay or lag, from its prior mean: beyond a quarter of a period of
+    the motion, no slope at zero delay leads there."""
+    odds, x = problem.priors.odds, state.best.x
+    absent = (c for c in problem.priors.causes if is_time(c) and c not in state.effects)
+    late = [c for c in absent if odds[c] > LAST and not laplace.silent(c)]
+    return [(tuple(sorted((*state.effects, c))), _with_expected(problem, x, c)) for c in late]
 
 
 def _weak(laplace: LaplaceEvidence, state: State) -> list[Trial]:
