@@ -16,10 +16,10 @@ from twin.errors import TwinError
 from twin.explain import explanation as inner
 from twin.explain.estimates import UNDETERMINED, estimates_alone, estimates_of
 from twin.explain.explanation import Explanation
+from twin.explain.inference.fit import INTERVAL
 from twin.explain.inference.search import NO_CHECKPOINT, Checkpoint
 from twin.explain.model.numbers import numbers_of, with_effects
 from twin.explain.settings import DEFAULT, SearchSettings
-from twin.explain.stochastic.spectral import SURE
 from twin.formatting import (
     certainty,
     counted,
@@ -558,7 +558,7 @@ def _on_day(found: Explanation, vehicle: vehicles.Vehicle, flight: str) -> vehic
 def _deviation(ci95: tuple[float, float] | None) -> float:
     """Standard deviation of a 95 % interval; 0 without one."""
     half = 0.0 if ci95 is None else (ci95[1] - ci95[0]) / 2
-    return half / SURE if isfinite(half) else 0.0
+    return half / INTERVAL if isfinite(half) else 0.0
 
 
 def _certainty(ci95: tuple[float, float] | None) -> str:

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from twin.draft import Hover, drives, hover_of
 from twin.draft.consistency import consistency
 from twin.errors import LogError, ModelError, TwinError
-from twin.explain.observable import observable_effects
+from twin.explain.model.numbers import observable_effects
 from twin.formatting import counted
 from twin.logs import AnyFlight, open_flight
 from twin.logs.columns import POS, QUAT, VEL

@@ -11,7 +11,7 @@ import pytest
 from twin.effects import EFFECTS, Average, Equation, Shift
 from twin.errors import LogError
 from twin.explain.model.model import candidates
-from twin.explain.observable import observable_effects
+from twin.explain.model.numbers import observable_effects
 from twin.logs import Flight, read_flight, write_flight
 from twin.logs.columns import COLUMNS
 from uavtwin.file_check import check_file

@@ -485,10 +485,8 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
     """The explanation with equations, where they explain more than any effect of the library.
 
     Since a calibration, equations never overrule a named effect, the verdict that nothing has
-    changed, or a change of the balance, and they must exceed what the calibration flights had:
-    unexplained forces of those flights are no change. They contain no mean either, which belongs to
-    the balance or to day-to-day variation. No equation is sought for a model that lacks many
-    effects at once: it would describe them together with day-to-day constants.
+    changed, or a change of the balance; they must exceed what the calibration flights had, and
+    contain no mean. None is sought for a model that lacks many effects at once.
     """
     naming = found.naming
     assert naming is not None
@@ -520,16 +518,14 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
 
 def _answers(found: Explanation, naming: Naming) -> bool:
     """Whether a search or a balance decides what has changed since a calibration, or that nothing
-    has. A load that changes the mean thrust has the same effect as an equation in the thrust. An
-    undecided balance gives no answer."""
+    has."""
     if "named" in (found.verdict, naming.verdict) or naming.verdict == "nothing":
         return True
     return found.balance is not None and found.balance.changed >= found.balance.sure
 
 
 def _new(found: Explanation, naming: Naming, stands: Fit, alone: Unnamed) -> bool:
-    """Whether an equation exceeds what the calibration flights had: at least half of its power is
-    new."""
+    """Whether at least half of the power of an equation exceeds what calibration flights had."""
     known, settings = found.vehicle.calibration, found.settings.inference.adequacy
     usual = {} if known is None else known.left
     model = naming.problem.model

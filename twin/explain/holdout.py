@@ -2,14 +2,10 @@
 
 Where no flight is held out, time blocks of each are: the search does not use sensor readings there.
 
-Residuals are those of the search (`model.model`). The noise floor of a channel is the rms of the
-residual with every effect of the library at once, fitted to these very flights; or the rms of a
-model, where that is less than the joint fit of all channels leaves.
-
-Day-to-day variation cannot be predicted: the rms with the effects added is also given with the
-constants of these days, the only ones fitted to these very flights.
-
-Residuals and effects are localised by channel, phase and frequency band.
+Residuals are those of the search (`model.model`). The noise floor of a channel is the least rms of
+any model: with every effect of the library at once, fitted to these very flights, or without. The
+rms with the effects added is also given with the constants of these days, which cannot be
+predicted. Residuals and effects are localised by channel, phase and frequency band.
 """
 
 import math

@@ -1,10 +1,5 @@
-"""Causes outside the library: equations for the remaining residual of each channel.
-
-Sparse regression on products of physical quantities, on residuals whitened by the noise model;
-validated on time blocks used neither for selection nor for fitting the terms.
-
-Source: Brunton, Proctor & Kutz, PNAS 113 (2016).
-"""
+"""Causes outside the library: equations for the remaining residual of each channel, by
+`inference.sparse_regression`."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -48,7 +48,7 @@ OF_AIR = frozenset(
     if e.in_the_air and not e.of_weather and "vel" in e.needs and e.change is None
 )
 """Effects of an undamaged aircraft by which a wind may change thrust and moments: those that depend
-on velocity. Effects of a change, such as a slung load, are not uncertainty of the aerodynamics."""
+on velocity."""
 
 
 STRONG = 2.0

@@ -174,7 +174,6 @@ LOCAL = {
         "inference.detection.POWER_95",
         "inference.estimate._CREDIBLE",
         "inference.whitening._FAR",
-        "stochastic.spectral.SURE",
         "stochastic.imu_noise.LOG_MEAN",
         "stochastic.imu_noise.LOG_SD",
     },

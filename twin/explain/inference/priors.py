@@ -53,8 +53,6 @@ class Priors(ShortRepr):
         day: Between-flight standard deviation; 0: all flights share it.
         odds: Log prior odds of each cause.
         most: Maximum number of rotors that may differ, by effect of single rotors: half of all.
-            What more rotors have in common belongs to the whole aircraft; losses of all rotors,
-            with their torque, could represent any scale of thrust and of yaw torque.
     """
 
     columns: tuple[int, ...]
@@ -261,8 +259,7 @@ def _lowest(number: Number, vehicle: Vehicle, trusted: bool) -> float:
 
 
 PROPELLERS = 0.03
-"""Standard deviation of the thrust of one rotor relative to the others: propellers of one batch
-differ by 2 to 5 %."""
+"""Standard deviation of a rotor's relative thrust: propellers of one batch differ by 2 to 5 %."""
 
 
 def priors_of(model: Model, trusted: bool = True) -> Priors:

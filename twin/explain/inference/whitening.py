@@ -57,7 +57,8 @@ def autoregression_of(
     order: int,
     settings: LikelihoodSettings = DEFAULT.inference.likelihood,
 ) -> Autoregression:
-    """AR noise model of a channel from its residual.
+    """AR noise model of a channel from its residual, with some white noise added: a share of the
+    power, and the rounding variance.
 
     Args:
         channels: The channel in each flight.
@@ -71,30 +72,21 @@ def autoregression_of(
         for k in np.unique(c.piece)
     ]
     rounding = float(np.mean(rounding_variance(channels[0].name)[1:]))
-    inverse, size = _autoregression(parts, order, settings.roughness, rounding)
+    long = [r for r in parts if len(r) > 2 * order]
+    if order == 0 or not long:
+        inverse, size = np.ones(1), float(np.sqrt(np.var(np.concatenate(parts)) + rounding))
+    else:
+        windows = np.vstack([np.lib.stride_tricks.sliding_window_view(r, order + 1) for r in long])
+        past, now = windows[:, :-1][:, ::-1], windows[:, -1]
+        rough = settings.roughness * float(np.mean(now * now)) + rounding
+        a = np.linalg.solve(past.T @ past + rough * len(now) * np.eye(order), past.T @ now)
+        inverse, middle = np.concatenate([[1.0], -a]), np.median(np.abs(now - past @ a))
+        size = float(np.sqrt((1.4826 * middle) ** 2 + rough * (1.0 + float(a @ a))))
     weights = []
     for c, u in zip(channels, unexplained, strict=True):
         size_of = np.abs(_whitened(c, u, inverse)) / size
         weights.append(np.sqrt(np.minimum(1.0, settings.huber / np.maximum(size_of, 1e-9))))
     return Autoregression(inverse, size, tuple(weights))
-
-
-def _autoregression(
-    parts: Sequence[Array], order: int, roughness: float, rounding: float
-) -> tuple[Array, float]:
-    """Whitening filter and standard deviation of the innovation, with some white noise added: a
-    share of the power, and the rounding variance."""
-    long = [r for r in parts if len(r) > 2 * order]
-    if order == 0 or not long:
-        return np.ones(1), float(np.sqrt(np.var(np.concatenate(list(parts))) + rounding))
-    windows = np.vstack([np.lib.stride_tricks.sliding_window_view(r, order + 1) for r in long])
-    past, now = windows[:, :-1][:, ::-1], windows[:, -1]
-    rough = roughness * float(np.mean(now * now)) + rounding
-    a = np.linalg.solve(past.T @ past + rough * len(now) * np.eye(order), past.T @ now)
-    innovation = now - past @ a
-    gain = 1.0 + float(a @ a)
-    size = np.sqrt((1.4826 * np.median(np.abs(innovation))) ** 2 + rough * gain)
-    return np.concatenate([[1.0], -a]), float(size)
 
 
 def _whitened(channel: ChannelData, values: Array, inverse: Array) -> Array:

@@ -312,12 +312,9 @@ def pose_factors(context: FlightContext, force: Array) -> list[SensorFactor]:
     vehicle.
 
     A pose is known only at its samples; between them, splines interpolate. Readings are filtered in
-    the same way by `resample_like`; otherwise a low sample rate would be mistaken for averaging.
-
-    Slopes use the force predicted by the airframe and the gyroscope: noise in a regressor would
-    bias its estimate towards zero, or correlate with the same noise in the residual. The force is
-    that of the nominal model; slopes by an age, which need its time derivative, use the current
-    numbers.
+    the same way by `resample_like`. Slopes use the force predicted by the airframe and the
+    gyroscope, as noise in a regressor would bias its estimate. The force is that of the nominal
+    model; slopes by an age, which need its time derivative, use the current numbers.
     """
     t, motion, flight = context.aligned.inputs.t_s, context.aligned.motion, context.flight
     accelerometer, gyroscope = OF_IMU

@@ -1,6 +1,6 @@
 """Numbers that a search may change: those of every observable effect; known payloads."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ...effects import EFFECTS, Average, Effect, EffectParameter, Equation, Shift
 from ...logs import AnyFlight, Flight
-from ...logs.columns import ACC_NED, POS, QUAT, VEL
+from ...logs.columns import ACC_NED, MIN_MOTORS, POS, QUAT, VEL, motor_columns
 from ...physics.sensors.table import BODY, SENSORS
 from ...representation import ShortRepr
 from ...vehicle import Vehicle
@@ -74,28 +74,26 @@ class Number(ShortRepr):
     @property
     def moves(self) -> tuple[str, ...]:
         """Signals that it shifts in time."""
-        observable_as = EFFECTS[self.effect].observable_as
-        return observable_as.moves.get(self.name, ()) if isinstance(observable_as, Shift) else ()
+        how = EFFECTS[self.effect].observable_as
+        return how.moves.get(self.name, ()) if isinstance(how, Shift) else ()
 
     @property
     def acts(self) -> bool:
         """Whether these signals act late; otherwise their readings are old."""
-        observable_as = EFFECTS[self.effect].observable_as
-        return isinstance(observable_as, Shift) and observable_as.acts
+        how = EFFECTS[self.effect].observable_as
+        return isinstance(how, Shift) and how.acts
 
     @property
     def averages(self) -> tuple[str, ...]:
         """Signals that it averages over time."""
-        observable_as = EFFECTS[self.effect].observable_as
-        return (
-            observable_as.spreads.get(self.name, ()) if isinstance(observable_as, Average) else ()
-        )
+        how = EFFECTS[self.effect].observable_as
+        return how.spreads.get(self.name, ()) if isinstance(how, Average) else ()
 
     @property
     def turns_pose(self) -> bool:
         """Whether it rotates the logged attitude about the vertical."""
-        observable_as = EFFECTS[self.effect].observable_as
-        return isinstance(observable_as, Equation) and observable_as.turns_pose == self.name
+        how = EFFECTS[self.effect].observable_as
+        return isinstance(how, Equation) and how.turns_pose == self.name
 
     @property
     def step(self) -> float:
@@ -184,6 +182,66 @@ def on_the_body(effect: Effect) -> bool:
 def has_signal(flight: AnyFlight, signal: str) -> bool:
     """Whether a flight has a signal named in `Effect.needs`."""
     return flight.has(SIGNALS[signal][0])
+
+
+# -- which effects a flight shows -------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ObservableEffects:
+    """Observability of effects in a flight.
+
+    Attributes:
+        effects: Observable effects by the component on which they act.
+        unknown: The other effects by the missing signals, as text.
+    """
+
+    effects: dict[str, tuple[str, ...]]
+    unknown: dict[str, tuple[str, ...]]
+
+
+def observable_effects(flight: AnyFlight) -> ObservableEffects:
+    """Effects that are observable in the columns of a flight, by the rule of the search itself.
+
+    Duration and excitation of the flight are not considered.
+    """
+    drive = _no_drive(flight)
+    observable: dict[str, list[str]] = {}
+    unknown: dict[str, list[str]] = {}
+    for effect in EFFECTS.values():
+        missing = drive or "; ".join(_missing(effect, flight))
+        if missing:
+            unknown.setdefault(missing, []).append(effect.name)
+        else:
+            observable.setdefault(effect.component, []).append(effect.name)
+    return ObservableEffects(
+        {k: tuple(v) for k, v in observable.items()}, {k: tuple(v) for k, v in unknown.items()}
+    )
+
+
+def _no_drive(flight: AnyFlight) -> str:
+    """Text on what is missing to drive a model, "" where nothing is."""
+    for stem in ("cmd", "rotor"):
+        count = sum(c.startswith(f"{stem}_") for c in flight.columns)
+        if count >= MIN_MOTORS and flight.has(*motor_columns(stem, count)):
+            return ""
+    return "neither commands cmd_1..n nor speeds rotor_1..n of all motors"
+
+
+def _missing(effect: Effect, flight: AnyFlight) -> Iterator[str]:
+    """Texts on the signals that an effect lacks."""
+    for signal in lacking(effect, flight):
+        text = f"no {', '.join(SIGNALS[signal])}"
+        if signal == "vel":
+            text += " (or pos)"
+        if on_the_body(effect) and signal == ACCELEROMETER:
+            text += " (or q with vel, pos or acc_ned)"
+        if on_the_body(effect) and signal == GYROSCOPE:
+            text += " (or q)"
+        yield text
+
+
+# -- values --------------------------------------------------------------------------------------
 
 
 def columns_of(numbers: Sequence[Number], effects: Iterable[str]) -> list[int]:

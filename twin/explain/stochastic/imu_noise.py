@@ -14,10 +14,10 @@ from ...effects import Effect, Lines, NoiseFloor
 from ...physics.sensors.table import SENSORS, Sensor
 from ...residuals.channels import GRID_HZ, Array
 from ...residuals.measured import Signal
+from ..inference.fit import INTERVAL
 from ..model.model import Model
 from ..settings import DEFAULT, StochasticSettings, VibrationSettings
 from .spectral import (
-    SURE,
     Cells,
     Piece,
     StochasticEffect,
@@ -198,7 +198,7 @@ def _named_vibration(
         plane = power[:, :2].mean(axis=1)  # (pieces,)
         sizes = np.sqrt(2 * np.maximum(plane, 0.0) / lift) / passed
         values[name] = float(np.mean(sizes))
-        spread = SURE * max(float(np.std(sizes)), 0.1 * float(np.mean(sizes)))
+        spread = INTERVAL * max(float(np.std(sizes)), 0.1 * float(np.mean(sizes)))
         intervals[name] = (
             max(0.0, float(np.mean(sizes)) - spread),
             float(np.mean(sizes)) + spread,
@@ -275,7 +275,7 @@ def find_noise_level(
         return None
     values = {scale: 1.0} | dict.fromkeys(further.values(), 0.0)
     intervals = {}
-    spread = np.exp(SURE * own.known / 2)
+    spread = np.exp(INTERVAL * own.known / 2)
     if both:
         values[scale] = size
         intervals[scale] = (size / spread, size * spread)

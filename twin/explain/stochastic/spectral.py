@@ -15,9 +15,6 @@ from ...residuals.channels import GRID_HZ, Array
 from ..model.model import FlightModel
 from ..settings import DEFAULT, StochasticSettings
 
-SURE = 1.96
-"""Standard deviations from the mean to the ends of a 95 % interval."""
-
 
 def prior_log_odds(settings: StochasticSettings = DEFAULT.stochastic) -> float:
     """Prior log odds of an effect."""
