@@ -69,12 +69,8 @@ class Plan:
     @property
     def epochs(self) -> int | None:
         """Number of training epochs; None for a closed-form solution."""
-        return _epochs(self.preset)
-
-
-def _epochs(preset: Any) -> int | None:
-    """Number of epochs of a preset with a network; None for other presets."""
-    return getattr(preset, "epochs", None) if getattr(preset, "network", True) else None
+        network = getattr(self.preset, "network", True)
+        return getattr(self.preset, "epochs", None) if network else None
 
 
 def plan_training(wanted: "Wanted", out: Path, force: bool) -> Plan:
@@ -89,10 +85,6 @@ def plan_training(wanted: "Wanted", out: Path, force: bool) -> Plan:
     if model is None and wanted.preset is None and epochs is None and protocol == "free":
         model = "linear"  # no network was better on flights left out
     family, made = chosen(model, wanted.preset, protocol)
-    if epochs is not None:
-        if _epochs(made) is None:
-            raise TwinError(f"preset {made.name} is in closed form and has no epochs; give none")
-        made = replace(made, epochs=epochs)
     law = wanted.law
     if law is not None and (protocol != "free" or not family.onnx):
         raise TwinError(f"law {law}: acts in the exported twin, which protocol free corrects alone")
@@ -100,7 +92,12 @@ def plan_training(wanted: "Wanted", out: Path, force: bool) -> Plan:
     check_folder(out, force, CHECKPOINT)
     drawn = SEEDS.get(made.name, 0) if wanted.seed is None else wanted.seed
     ahead = wanted.horizon if protocol == "track" else 0
-    return Plan(family, made, TrainingTask(protocol, ahead, drawn, device=device), law)
+    plan = Plan(family, made, TrainingTask(protocol, ahead, drawn, device=device), law)
+    if epochs is not None:
+        if plan.epochs is None:
+            raise TwinError(f"preset {made.name} is in closed form and has no epochs; give none")
+        plan = replace(plan, preset=replace(plan.preset, epochs=epochs))
+    return plan
 
 
 IMU_RATES_HZ = (50.0, 1000.0)

@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,6 @@ from twin.physics.rotors import Drive
 from twin.representation import ShortRepr
 from twin.residuals.aligned import components_of
 from twin.residuals.teacher_forced import choose_drive
-from twin.vehicle import Vehicle as TwinVehicle
 
 from ..exports.parts import OBSERVER
 from ..vehicles import Vehicle
@@ -120,12 +120,32 @@ class Fold(ShortRepr):
         return self.memory.array(f"flown {self.fmu.stem} {choice}", flown)
 
 
+def taught_by(flights: Sequence[Flight], vehicle: Vehicle) -> Taught:
+    """Training data and envelope of flights.
+
+    Raises:
+        TwinError: A flight lacks the motion, is too short, or has a different drive from the
+            others.
+    """
+    equations = Equations(vehicle, components_of(vehicle, drive_of(flights, vehicle))[0])
+    return Taught.by([FlightWindows.of(f, vehicle, equations) for f in flights], equations)
+
+
+def origin(flights: Sequence[Flight], vehicle: Vehicle, seed: int) -> dict[str, Any]:
+    """Provenance of a law that these flights teach, fields of `Origin`."""
+    return {
+        "flights": tuple(TrainingFlight(f.name, f.fingerprint) for f in flights),
+        "vehicle": vehicle.name,
+        "vehicle_sha256": hashlib.sha256(vehicle.toml().encode()).hexdigest(),
+        "seed": seed,
+    }
+
+
 @contextmanager
 def left_out(
     flights: Sequence[Flight],
-    windows: Sequence[FlightWindows],
-    vehicle: TwinVehicle,
-    drive: Drive,
+    taught: Taught,
+    vehicle: Vehicle,
     memory: Memory,
     progress: Progress,
 ) -> Iterator[list[Fold]]:
@@ -133,20 +153,20 @@ def left_out(
 
     Args:
         flights: Two or more flights.
-        windows: Training data of each flight.
+        taught: Training data of all of them.
         vehicle: Vehicle of the twin.
-        drive: Drive of the twin.
         memory: Results of steps that were done before.
         progress: Called with the share done, 0..1.
     """
-    equations, folds = Equations(vehicle, components_of(vehicle, drive)[0]), []
+    drive, folds = drive_of(flights, vehicle), []
     with tempfile.TemporaryDirectory() as place:
         for k, flight in enumerate(flights):
-            taught = Taught.by([w for i, w in enumerate(windows) if i != k], equations)
-            path = memory.array(f"without {flight.name}", taught.path)
+            rest = [w for i, w in enumerate(taught.flights) if i != k]
+            others = Taught.by(rest, taught.equations)
+            path = memory.array(f"without {flight.name}", others.path)
             fmu = Path(place, f"{k}.fmu")
-            build(fused_model(driven_twin(vehicle, drive, (), taught.empty), vehicle.name), fmu)
-            folds.append(Fold(Replay(flight, vehicle), taught, path, fmu, memory))
+            build(fused_model(driven_twin(vehicle, drive, (), others.empty), vehicle.name), fmu)
+            folds.append(Fold(Replay(flight, vehicle), others, path, fmu, memory))
             progress((k + 1) / len(flights))
         yield folds
 
@@ -239,24 +259,14 @@ def learn_force(
         progress: Called with the share done, 0..1.
 
     Raises:
-        TwinError: A flight lacks the motion, is too short, or has a different drive from the
-            others.
+        TwinError: As `taught_by`.
     """
-    drive = drive_of(flights, vehicle)
-    equations = Equations(vehicle, components_of(vehicle, drive)[0])
-    windows = [FlightWindows.of(flight, vehicle, equations) for flight in flights]
-    taught = Taught.by(windows, equations)
-    nothing = ForceModel(
-        law=taught.empty,
-        flights=tuple(TrainingFlight(f.name, f.fingerprint) for f in flights),
-        vehicle=vehicle.name,
-        vehicle_sha256=hashlib.sha256(vehicle.toml().encode()).hexdigest(),
-        seed=seed,
-    )
+    taught = taught_by(flights, vehicle)
+    nothing = ForceModel(law=taught.empty, **origin(flights, vehicle, seed))
     if len(flights) < 2:
         return nothing
     part = _part(progress, 0.0, _TAUGHT)
-    with left_out(flights, windows, vehicle, drive, memory, part) as folds:
+    with left_out(flights, taught, vehicle, memory, part) as folds:
         part = _part(progress, _TAUGHT, _CHOSEN)
         without, flown = mean_squares(folds, None), dict[Choice, Array]()
         for ridge, kind in product(RIDGES, PARTS):

@@ -1,6 +1,5 @@
 """A user's own force law, a torch module or an ONNX file, stored as the folder of a law."""
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,24 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from learning.data.envelope import BEYOND
-from learning.force.equations import Equations
-from learning.force.laws import Taught
-from learning.force.model import (
-    VEHICLE_FILE,
-    ForceModel,
-    TrainingFlight,
-    save_force,
-)
+from learning.force.model import VEHICLE_FILE, ForceModel, save_force
 from learning.force.module import law_function, module_onnx
 from learning.force.windows import FlightWindows
 from twin.component.rows import OverRows
 from twin.logs import Flight
-from twin.residuals.aligned import components_of
 
 from ..flights import check_names
 from ..output import results_folder
 from ..vehicles import Vehicle
-from .learn import drive_of
+from .learn import origin, taught_by
 
 if TYPE_CHECKING:
     from torch import nn
@@ -40,13 +31,7 @@ def windows_of(flights: Sequence[Flight], vehicle: Vehicle) -> list[FlightWindow
         TwinError: A flight lacks the motion, is too short, or has a different drive from the
             others.
     """
-    return list(_taught(flights, vehicle).flights)
-
-
-def _taught(flights: Sequence[Flight], vehicle: Vehicle) -> Taught:
-    """Envelope and training data from the flights."""
-    equations = Equations(vehicle, components_of(vehicle, drive_of(flights, vehicle))[0])
-    return Taught.by([FlightWindows.of(f, vehicle, equations) for f in flights], equations)
+    return list(taught_by(flights, vehicle).flights)
 
 
 def own_force(
@@ -78,20 +63,10 @@ def own_force(
     check_names(flights)
     content = module if isinstance(module, bytes) else module_onnx(module).SerializeToString()
     function = law_function(content)
-    taught = _taught(flights, vehicle)
+    taught = taught_by(flights, vehicle)
     said = OverRows(function, 1)(np.vstack([w.places for w in taught.flights]))
     law = replace(taught.empty, most=BEYOND * np.abs(said).max(axis=0), module=function)
     with results_folder(folder, force) as out:
-        save_force(
-            ForceModel(
-                law=law,
-                flights=tuple(TrainingFlight(f.name, f.fingerprint) for f in flights),
-                vehicle=vehicle.name,
-                vehicle_sha256=hashlib.sha256(vehicle.toml().encode()).hexdigest(),
-                seed=0,
-                onnx=content,
-            ),
-            out,
-        )
+        save_force(ForceModel(law=law, onnx=content, **origin(flights, vehicle, 0)), out)
         (out / VEHICLE_FILE).write_text(vehicle.toml(), "utf-8")
     return folder
